@@ -1,0 +1,1 @@
+"""How a block becomes an FMU: the only package that knows FMI export."""

@@ -1,0 +1,246 @@
+"""One declaration per variable, from which everything else is derived.
+
+A block is a set of dataclasses (parameters, calculated parameters, inputs, state, outputs) and
+pure functions between them. Nothing here knows FMI's XML or C: the model description, the
+checks, the documentation table and the FMU are all derived from a `Block`.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import Field, dataclass, field, fields, is_dataclass
+from enum import IntEnum
+from functools import cached_property
+from typing import Any
+
+Value = float | int | bool
+
+
+@dataclass(frozen=True)
+class VariableInfo:
+    """What a declaration says of a variable besides its name and start value."""
+
+    description: str
+    unit: Any
+    minimum: Any
+    maximum: Any
+    nominal: Any
+    variability: str | None
+    source: str
+
+
+def variable(
+    start: Any,
+    description: str,
+    *,
+    unit: Any = "1",
+    min: Any = None,
+    max: Any = None,
+    nominal: Any = None,
+    variability: str | None = None,
+    source: str = "",
+) -> Any:
+    """Declare one variable of a block.
+
+    start: float, int, bool or IntEnum member; a tuple declares a vector `name[1], name[2]`, a
+        tuple of tuples a matrix `name[1,1]`, row by row.
+    unit, min, max, nominal: one value, or a tuple of the shape of `start`.
+    variability: "fixed" or "tunable" for a parameter; otherwise the class decides.
+    source: where a number comes from: published, estimate or guess.
+    """
+    info = VariableInfo(description, unit, min, max, nominal, variability, source)
+    return field(default=start, metadata={"variable": info})
+
+
+@dataclass(frozen=True)
+class ScalarVariable:
+    """One scalar of a block's interface, in the terms of FMI 2.0 (2.2.7)."""
+
+    name: str
+    value_reference: int
+    causality: str
+    variability: str
+    initial: str | None
+    start: Value
+    description: str
+    unit: str | None
+    minimum: Value | None
+    maximum: Value | None
+    nominal: float | None
+    source: str
+    enumeration: type[IntEnum] | None
+
+    @property
+    def type(self) -> str:
+        """FMI type: Real, Integer, Boolean or Enumeration."""
+        if self.enumeration:
+            return "Enumeration"
+        return {float: "Real", int: "Integer", bool: "Boolean"}[type(self.start)]
+
+    @property
+    def settable(self) -> bool:
+        return self.causality in ("parameter", "input")
+
+    def cast(self, value: Value) -> Value:
+        """The value in the Python type of the start value, or as enumeration member."""
+        return self._python_type(value)
+
+    @cached_property
+    def _python_type(self) -> Callable[[Value], Value]:
+        return self.enumeration or type(self.start)
+
+    def refuse(self, value: Value) -> str | None:
+        """Why this value is not acceptable, or None if it is."""
+        low, high = self.minimum, self.maximum
+        if not math.isfinite(value):
+            return f"{self.name} = {value!r}: expected a finite number"
+        if self.enumeration and value not in list(self.enumeration):
+            wanted = "one of " + ", ".join(f"{m.value} ({m.name.lower()})" for m in self.enumeration)
+        elif (low is not None and value < low) or (high is not None and value > high):
+            wanted = f"{'-inf' if low is None else low}..{'inf' if high is None else high}"
+        else:
+            return None
+        unit = f" {self.unit}" if self.unit not in (None, "1") else ""
+        return f"{self.name} = {value!r}: expected {wanted}{unit}"
+
+
+# causality, FMI variability, initial of each of a block's interface classes
+_ROLES = {
+    "parameters": ("parameter", "tunable", "exact"),
+    "calculated": ("calculatedParameter", "tunable", "calculated"),
+    "inputs": ("input", "continuous", None),
+    "outputs": ("output", "continuous", "calculated"),
+}
+
+
+@dataclass(frozen=True)
+class NoValues:
+    """Stands for a class of variables that a block does not have."""
+
+
+def nothing_to_calculate(parameters: Any) -> NoValues:
+    return NoValues()
+
+
+def nothing_required(parameters: Any, calculated: Any) -> tuple[tuple[Any, str], ...]:
+    return ()
+
+
+@dataclass(frozen=True)
+class Block:
+    """A model as data: four or five frozen dataclasses and the pure functions between them.
+
+    initial_state(t, inputs, parameters, calculated) -> State
+    step(t, h, state, inputs, parameters, calculated) -> State, over h seconds, inputs held
+    output(t, state, parameters, calculated) -> Outputs
+    calculate(parameters) -> Calculated, what follows from parameters alone
+    requirements(parameters, calculated) -> ((condition, what is expected), ...)
+
+    `Parameters` has an `internal_step` [s], the longest step that `step` may be asked for.
+    """
+
+    name: str
+    description: str
+    parameters: type
+    inputs: type
+    state: type
+    outputs: type
+    initial_state: Callable[..., Any]
+    step: Callable[..., Any]
+    output: Callable[..., Any]
+    calculated: type = NoValues
+    calculate: Callable[[Any], Any] = nothing_to_calculate
+    requirements: Callable[[Any, Any], tuple[tuple[Any, str], ...]] = nothing_required
+    stop_time: float = 1.0
+    step_size: float = 0.01
+
+    @cached_property
+    def variables(self) -> tuple[ScalarVariable, ...]:
+        """Every interface scalar; its place is its value reference."""
+        found: list[ScalarVariable] = []
+        for role in _ROLES:
+            for each in fields(getattr(self, role)):
+                found.extend(_scalars(each, role, len(found)))
+        return tuple(found)
+
+    def of_causality(self, causality: str) -> tuple[ScalarVariable, ...]:
+        return tuple(v for v in self.variables if v.causality == causality)
+
+
+def _scalars(declared: Field, role: str, first_reference: int) -> Iterator[ScalarVariable]:
+    info: VariableInfo = declared.metadata["variable"]
+    causality, variability, initial = _ROLES[role]
+    for offset, (index, start) in enumerate(_elements(declared.default)):
+        enumeration = type(start) if isinstance(start, IntEnum) else None
+        is_real = isinstance(start, float)
+        discrete = "discrete" if variability == "continuous" and not is_real else variability
+        yield ScalarVariable(
+            name=declared.name + _subscript(index),
+            value_reference=first_reference + offset,
+            causality=causality,
+            variability=info.variability or discrete,
+            initial=initial,
+            start=start,
+            description=info.description,
+            unit=_at(info.unit, index) if is_real else None,
+            minimum=_at(info.minimum, index),
+            maximum=_at(info.maximum, index),
+            nominal=_at(info.nominal, index),
+            source=info.source,
+            enumeration=enumeration,
+        )
+
+
+def _elements(value: Any, index: tuple[int, ...] = ()) -> Iterator[tuple[tuple[int, ...], Any]]:
+    if isinstance(value, tuple):
+        for i, element in enumerate(value):
+            yield from _elements(element, (*index, i))
+    else:
+        yield index, value
+
+
+def _subscript(index: tuple[int, ...]) -> str:
+    return f"[{','.join(str(i + 1) for i in index)}]" if index else ""
+
+
+def _at(value: Any, index: tuple[int, ...]) -> Any:
+    for i in index:
+        if isinstance(value, tuple):
+            value = value[i]
+    return value
+
+
+def flatten(value: Any) -> list[Any]:
+    """The scalars of a dataclass instance or nested tuple, in the order of declaration."""
+    if isinstance(value, tuple):
+        return [scalar for element in value for scalar in flatten(element)]
+    if is_dataclass(value):
+        return [s for each in fields(value) for s in flatten(getattr(value, each.name))]
+    return [value]
+
+
+def unflatten(template: Any, scalars: list[Any]) -> Any:
+    """The inverse of `flatten`: `scalars` in the shape of `template`, a class or an instance.
+
+    Raises ValueError when the number of scalars does not fit.
+    """
+    remaining = iter(scalars)
+    try:
+        value = _fill(template, remaining)
+    except StopIteration:
+        raise ValueError(f"{len(scalars)} scalars are too few for {template!r}") from None
+    if next(remaining, None) is not None:
+        raise ValueError(f"{len(scalars)} scalars are too many for {template!r}")
+    return value
+
+
+def _fill(template: Any, scalars: Iterator[Any]) -> Any:
+    if isinstance(template, tuple):
+        return tuple([_fill(element, scalars) for element in template])
+    if is_dataclass(template):
+        cls = template if isinstance(template, type) else type(template)
+        return cls(*[_fill(_default(template, each), scalars) for each in fields(template)])
+    return next(scalars)
+
+
+def _default(template: Any, each: Field) -> Any:
+    return each.default if isinstance(template, type) else getattr(template, each.name)

@@ -1,0 +1,64 @@
+"""Which blocks there are, and where their FMUs stand.
+
+Blocks are entry points of the group `l1_depth.blocks`, so another package's blocks build the same
+way: `MyBlock = "my_package.my_module:BLOCK"`.
+"""
+
+import zipfile
+from collections.abc import Iterable
+from importlib.metadata import entry_points
+from pathlib import Path
+from xml.etree import ElementTree
+
+from fmus import python_flavour
+from fmus.archive import write_archive
+from fmus.block import Block
+from fmus.errors import ExportError, nearest
+
+GROUP = "l1_depth.blocks"
+DIST = Path(__file__).parent / "dist"
+
+
+def block_names() -> list[str]:
+    """Names of all blocks, sorted."""
+    return sorted(point.name for point in entry_points(group=GROUP))
+
+
+def load_block(name: str) -> Block:
+    """The block of that name; ExportError offers the nearest one."""
+    for point in entry_points(group=GROUP):
+        if point.name == name:
+            return point.load()
+    raise ExportError(f"no block named {name!r}; {nearest(name, block_names())}")
+
+
+def build(name: str, folder: Path = DIST) -> Path:
+    """Write `folder/NAME.fmu`, whatever stands there."""
+    return python_flavour.build(load_block(name), folder / f"{name}.fmu")
+
+
+def build_if_stale(name: str, folder: Path = DIST) -> Path:
+    """`folder/NAME.fmu`, built if it is missing or its GUID is not that of the present sources."""
+    path = folder / f"{name}.fmu"
+    guid, members = python_flavour.content(load_block(name))
+    if _guid_of(path) != guid:
+        write_archive(path, members)
+    return path
+
+
+def missing_or_stale(names: Iterable[str], folder: Path = DIST) -> list[str]:
+    """Those of the blocks whose FMU has to be built."""
+    return [
+        name
+        for name in names
+        if _guid_of(folder / f"{name}.fmu") != python_flavour.content(load_block(name))[0]
+    ]
+
+
+def _guid_of(path: Path) -> str | None:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            root = ElementTree.fromstring(archive.read("modelDescription.xml"))
+    except (OSError, zipfile.BadZipFile, KeyError, ElementTree.ParseError):
+        return None
+    return root.get("guid")

@@ -1,0 +1,18 @@
+"""Errors that a user can put right, and the words they share."""
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+class ExportError(ValueError):
+    """A block that cannot become an FMU; the message says what was wrong and what was expected."""
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """The end of an error message about an unknown name: the known name most like it."""
+    choices = list(known)
+    if not choices:
+        return "there are none"
+    by_lower_case = {choice.lower(): choice for choice in reversed(choices)}
+    match = get_close_matches(name.lower(), by_lower_case, n=1, cutoff=0.0)[0]
+    return f"nearest is {by_lower_case[match]!r}"

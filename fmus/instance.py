@@ -1,0 +1,178 @@
+"""A block that runs: values, modes, checks and snapshots, without any FMI library.
+
+What the FMU of the python flavour executes, and what tests step directly. Every method either
+does what it says or raises `BlockError` and leaves the instance as it was.
+"""
+
+import json
+import math
+from typing import Any
+
+from fmus.block import Block, ScalarVariable, Value, flatten, unflatten
+
+_FORMAT = 1  # of the serialised snapshot
+_TIME_TOLERANCE = 1e-9  # relative; communication points are computed in floating point
+
+
+class BlockError(ValueError):
+    """A call that this instance refuses; the message says what was wrong and what was expected."""
+
+
+class Instance:
+    """One instance of a block between instantiation and termination."""
+
+    def __init__(self, block: Block, fingerprint: str = "") -> None:
+        self.block = block
+        self.fingerprint = fingerprint
+        self.time = 0.0
+        self._values: list[Any] = [v.start for v in block.variables]
+        count = {c: len(block.of_causality(c)) for c in ("parameter", "calculatedParameter", "input")}
+        self._parameters_end = count["parameter"]
+        self._calculated_end = self._parameters_end + count["calculatedParameter"]
+        self._inputs_end = self._calculated_end + count["input"]
+        self._state: Any = None
+        self._stepping = False
+        self._parameters: Any = None
+        self._calculated: Any = None
+        self._inputs: Any = None
+        self._outputs_are_stale = True
+
+    # values
+
+    def get(self, reference: int) -> Any:
+        """Value of a variable; an output follows the inputs until stepping begins."""
+        if reference >= self._parameters_end:
+            self._refresh()
+        return self._values[reference]
+
+    def set(self, reference: int, value: Value) -> None:
+        """Set a parameter or an input; refuses what is out of range, not finite or fixed by now."""
+        variable = self.block.variables[reference]
+        reason = self._refusal(variable, value)
+        if reason:
+            raise BlockError(reason)
+        if self._values[reference] != value:
+            self._values[reference] = variable.cast(value)
+            if reference < self._parameters_end:
+                self._parameters = None
+            else:
+                self._inputs = None
+            self._outputs_are_stale = True
+
+    def _refusal(self, variable: ScalarVariable, value: Value) -> str | None:
+        if not variable.settable:
+            return f"{variable.name}: cannot be set, it is a {variable.causality}"
+        if self._stepping and variable.variability == "fixed":
+            return f"{variable.name}: is fixed, set it before the initialisation ends"
+        return variable.refuse(value)
+
+    # modes
+
+    def start(self, time: float) -> None:
+        """Begin the initialisation at this time [s]."""
+        if not math.isfinite(time):
+            raise BlockError(f"start time {time!r}: expected a finite number of seconds")
+        self.time = time
+        self._outputs_are_stale = True
+
+    def begin_stepping(self) -> None:
+        """End the initialisation: the state follows from the parameters and inputs set."""
+        self._refresh()
+        self._stepping = True
+
+    def do_step(self, t: float, h: float) -> None:
+        """Advance from t to t + h [s] in equal internal steps, the inputs held."""
+        if not (math.isfinite(h) and h > 0.0):
+            raise BlockError(f"communication step size {h!r} s: expected more than 0")
+        if not abs(t - self.time) <= _TIME_TOLERANCE * max(1.0, abs(t), h):
+            raise BlockError(f"communication point {t!r} s: expected {self.time!r}, the current time")
+        self._prepare()
+        block, state = self.block, self._state
+        parameters, calculated, inputs = self._parameters, self._calculated, self._inputs
+        count = max(1, math.ceil(h / parameters.internal_step * (1.0 - 1e-9)))
+        internal = h / count
+        try:
+            for i in range(count):
+                state = block.step(t + i * internal, internal, state, inputs, parameters, calculated)
+            scalars = flatten(state)
+        except ArithmeticError as error:
+            raise BlockError(f"step at {t!r} s: {error}; the state left the range of numbers") from error
+        if not math.isfinite(sum(scalars)):
+            raise BlockError(f"step at {t!r} s: the state is not finite any more; take shorter steps")
+        self._state = state
+        self.time = t + h
+        self._outputs_are_stale = True
+
+    # snapshots
+
+    def snapshot(self) -> str:
+        """Everything that the instance is, as text; floats survive exactly."""
+        self._refresh()
+        return json.dumps(
+            {
+                "format": _FORMAT,
+                "fmu": self.fingerprint,
+                "time": self.time,
+                "stepping": self._stepping,
+                "values": self._values,
+                "state": flatten(self._state),
+            }
+        )
+
+    def restore(self, snapshot: str) -> None:
+        """Become what `snapshot` says; refuses another FMU's, or a damaged one."""
+        try:
+            saved = json.loads(snapshot)
+            format_and_origin = saved["format"], saved["fmu"]
+            if format_and_origin != (_FORMAT, self.fingerprint):
+                raise BlockError(f"state of {format_and_origin!r}: expected {(_FORMAT, self.fingerprint)!r}")
+            values, time = list(saved["values"]), float(saved["time"])
+            stepping, scalars = bool(saved["stepping"]), list(saved["state"])
+        except (ValueError, KeyError, TypeError) as error:
+            if isinstance(error, BlockError):
+                raise
+            raise BlockError(f"not a serialised state of {self.block.name}: {error}") from error
+        if len(values) != len(self._values):
+            raise BlockError(f"state with {len(values)} values: expected {len(self._values)}")
+        restored = Instance(self.block, self.fingerprint)
+        restored._values = [v.cast(value) for v, value in zip(self.block.variables, values, strict=True)]
+        restored.time = time
+        restored._prepare()
+        restored._state = unflatten(restored._initial_state(), scalars)
+        restored._stepping = stepping
+        self.__dict__.update(restored.__dict__)
+
+    # what is derived, each when it is needed and stale
+
+    def _prepare(self) -> None:
+        if self._parameters is None:
+            parameters = unflatten(self.block.parameters, self._values[: self._parameters_end])
+            calculated = self._calculate(parameters)
+            self._parameters, self._calculated = parameters, calculated
+            self._values[self._parameters_end : self._calculated_end] = flatten(calculated)
+        if self._inputs is None:
+            scalars = self._values[self._calculated_end : self._inputs_end]
+            self._inputs = unflatten(self.block.inputs, scalars)
+
+    def _calculate(self, parameters: Any) -> Any:
+        try:
+            calculated = self.block.calculate(parameters)
+        except ArithmeticError as error:
+            raise BlockError(f"parameters of {self.block.name} contradict each other: {error}") from error
+        for holds, expected in self.block.requirements(parameters, calculated):
+            if not holds:
+                raise BlockError(f"parameters of {self.block.name}: expected {expected}")
+        return calculated
+
+    def _initial_state(self) -> Any:
+        return self.block.initial_state(self.time, self._inputs, self._parameters, self._calculated)
+
+    def _refresh(self) -> None:
+        if not self._outputs_are_stale:
+            return
+        self._prepare()
+        if not self._stepping:
+            self._state = self._initial_state()
+        outputs = self.block.output(self.time, self._state, self._parameters, self._calculated)
+        self._values[self._inputs_end :] = flatten(outputs)
+        self._outputs_are_stale = False
