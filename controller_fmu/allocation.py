@@ -1,0 +1,38 @@
+"""From the demanded vertical force to two thruster voltages and back.
+
+    u = K^-1 T^+ J' tau    with K = diag(k_1, k_2) [N/V], T = [1, 1], T^+ = [1/2, 1/2]
+
+tau is the demand in the earth frame, J = cos(roll) cos(pitch). T is 1x2, so its inverse is a
+pseudo-inverse. Source: Maalouf et al. (2013), section 4.3 and (11).
+"""
+
+from fmus.numerics import clip, cos, maximum
+
+_SMALLEST_J = 0.1  # a vehicle on its side cannot push vertically; keeps the inverse finite
+
+
+def body_to_earth(roll: float, pitch: float) -> float:
+    """J(roll, pitch) = cos(roll) cos(pitch), for angles in rad."""
+    return cos(roll) * cos(pitch)
+
+
+def allocate(force: float, j: float, gains: tuple[float, float]) -> tuple[float, float]:
+    """Voltages [V] that give the force [N]; each thruster takes half."""
+    share = 0.5 * j * force
+    return share / gains[0], share / gains[1]
+
+
+def saturate(voltages: tuple[float, float], limit: float) -> tuple[float, float]:
+    """Voltages within -limit..limit."""
+    return clip(voltages[0], -limit, limit), clip(voltages[1], -limit, limit)
+
+
+def shortfall(
+    wanted: tuple[float, float],
+    possible: tuple[float, float],
+    j: float,
+    gains: tuple[float, float],
+) -> float:
+    """Force delivered minus force demanded [N], earth frame; 0 without saturation."""
+    missing = gains[0] * (possible[0] - wanted[0]) + gains[1] * (possible[1] - wanted[1])
+    return missing / maximum(j, _SMALLEST_J)

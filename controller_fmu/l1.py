@@ -1,0 +1,306 @@
+"""The L1 adaptive control law for a second-order plant with one input and one output.
+
+    u       = u_m + u_a + u_p,    u_m = -k_m x
+    x_hat'  = A_m x_hat + B_m (omega_hat (u_a + u_p) + theta_hat' phi + sigma_hat)          (5)
+    theta_hat_i' = Gamma Proj(theta_hat_i, -(x_tilde' P B_m) phi_i)                          (4)
+    sigma_hat'   = Gamma Proj(sigma_hat, -(x_tilde' P B_m))
+    omega_hat'   = Gamma Proj(omega_hat, -(x_tilde' P B_m) u_a)
+    u_a(s)  = -k D(s) (eta_hat(s) - k_g r(s)),   eta_hat = omega_hat u_a + theta_hat' phi + sigma_hat   (6)
+
+with x_tilde = x_hat - x and the regressor phi = x, or phi = (|x|_inf, 0).
+
+The wiring that decides everything: the predictor receives u_a + u_p, eta_hat holds omega_hat u_a
+alone. With either wrong the filter cancels u_p and the response is plain L1 again.
+
+Source: Maalouf, Chemori and Creuze (2013); errata and additions in docs/fidelity.md. The step is
+derived in docs/theory.md.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+from controller_fmu import augmentation, lowpass
+from controller_fmu.augmentation import Augmentation, Threshold
+from controller_fmu.lowpass import FilterOrder, FilterState
+from controller_fmu.projection import keep_within, projection_factor
+from fmus.block import variable
+from fmus.numerics import absolute, maximum, negate, where
+
+Vector = tuple[float, float]
+Matrix = tuple[Vector, Vector]
+
+
+class Regressor(IntEnum):
+    """What theta_hat multiplies."""
+
+    INFINITY_NORM = 1
+    STATE = 2
+
+
+@dataclass(frozen=True)
+class LawParameters:
+    """What every block with this law has in common; units that depend on the plant are added there."""
+
+    internal_step: float = variable(
+        0.01, "Longest internal step", unit="s", min=1e-6, max=10.0, variability="fixed"
+    )
+    regressor: Regressor = variable(
+        Regressor.INFINITY_NORM, "Regressor that theta_hat multiplies", variability="fixed"
+    )
+    filter_order: FilterOrder = variable(
+        FilterOrder.FIRST, "Order of the low-pass filter C(s)", variability="fixed"
+    )
+    augmentation: Augmentation = variable(
+        Augmentation.NONE, "Extension u_p of the control law", variability="fixed"
+    )
+    threshold: Threshold = variable(
+        Threshold.FIXED, "Kind of the threshold of the nonlinear P", variability="fixed"
+    )
+    adaptation_gain: float = variable(
+        1e4, "Adaptation gain Gamma", min=0.0, max=1e9, source="published for the example"
+    )
+    projection_tolerance: float = variable(
+        0.1, "Width eps of the boundary layer of the projection", min=1e-6, max=10.0, source="guess"
+    )
+    input_gain: float = variable(
+        1.0, "Centre of the box of omega_hat, and its initial value", min=1e-3, max=1e3,
+        variability="fixed", source="published: omega = 1",
+    )  # fmt: skip
+    input_gain_uncertainty: float = variable(
+        0.0, "Half-width of the box of omega_hat; 0 holds it", min=0.0, max=1e3,
+        source="published: omega is known",
+    )  # fmt: skip
+    filter_bandwidth: float = variable(
+        1.0, "Bandwidth w of the low-pass filter C(s)", unit="rad/s", min=1e-6, max=1e6
+    )
+    nonlinear_exponent: float = variable(
+        0.1, "Exponent alpha of the nonlinear P", min=1e-3, max=1.0, source="published, (9)"
+    )
+
+
+@dataclass(frozen=True)
+class LawMatrices:
+    """What follows from the parameters alone."""
+
+    predictor_matrix: Matrix = variable(((0.0, 1.0), (-1.0, -1.4)), "A_m, desired dynamics")
+    predictor_input: Vector = variable((0.0, 1.0), "B_m, input column")
+    lyapunov_matrix: Matrix = variable(((1.0, 0.0), (0.0, 1.0)), "P, solution of A_m' P + P A_m = -Q")
+    adaptation_vector: Vector = variable((0.0, 1.0), "P B_m, weight of the prediction error")
+    feedforward_gain: float = variable(1.0, "k_g = -1 / (C A_m^-1 B_m)")
+
+
+@dataclass(frozen=True)
+class LawState:
+    """What evolves: prediction, estimates, filter, and the integral of the tracking error."""
+
+    x_hat: Vector = (0.0, 0.0)
+    theta_hat: Vector = (0.0, 0.0)
+    sigma_hat: float = 0.0
+    omega_hat: float = 1.0
+    filter: FilterState = FilterState()
+    error_integral: float = 0.0
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What the law sees during a step: state x, output y and reference r."""
+
+    x: Vector = (0.0, 0.0)
+    y: float = 0.0
+    r: float = 0.0
+
+    @property
+    def error(self) -> float:
+        """Tracking error e = y - r."""
+        return self.y - self.r
+
+
+@dataclass(frozen=True)
+class Control:
+    """The three parts of the control u."""
+
+    u_m: float
+    u_a: float
+    u_p: float
+
+    @property
+    def total(self) -> float:
+        return self.u_m + self.u_a + self.u_p
+
+
+def lyapunov_solution(a_m: Matrix, q: Vector) -> Matrix:
+    """P of A_m' P + P A_m = -diag(q), by Cramer's rule on (p_11, p_12, p_22)."""
+    (a, b), (c, d) = a_m
+    trace, determinant = a + d, a * d - b * c
+    scale = -0.5 / (trace * determinant)
+    p_11 = scale * (q[0] * (determinant + d * d) + q[1] * c * c)
+    p_12 = -scale * (q[0] * b * d + q[1] * a * c)
+    p_22 = scale * (q[0] * b * b + q[1] * (determinant + a * a))
+    return (p_11, p_12), (p_12, p_22)
+
+
+def law_matrices(a_m: Matrix, b: Vector, c: Vector, q: Vector) -> LawMatrices:
+    """P, P B_m and k_g of a design; A_m must be Hurwitz and C A_m^-1 B_m not zero."""
+    (a_11, a_12), (a_21, a_22) = a_m
+    determinant = a_11 * a_22 - a_12 * a_21
+    p = lyapunov_solution(a_m, q)
+    steady_state = (
+        (a_22 * b[0] - a_12 * b[1]) / determinant,
+        (a_11 * b[1] - a_21 * b[0]) / determinant,
+    )
+    return LawMatrices(
+        predictor_matrix=a_m,
+        predictor_input=b,
+        lyapunov_matrix=p,
+        adaptation_vector=(_dot(p[0], b), _dot(p[1], b)),
+        feedforward_gain=-1.0 / _dot(c, steady_state),
+    )
+
+
+def hurwitz_requirement(a_m: Matrix) -> tuple[Any, str]:
+    """Both eigenvalues of a 2x2 matrix lie in the left half-plane: trace < 0 < determinant."""
+    (a, b), (c, d) = a_m
+    trace, determinant = a + d, a * d - b * c
+    return maximum(trace, -determinant) < 0.0, "a Hurwitz A_m (trace < 0 and determinant > 0)"
+
+
+def infinity_norm(x: Vector) -> float:
+    """|x|_inf, over the numbers in SI units."""
+    return maximum(absolute(x[0]), absolute(x[1]))
+
+
+def regressor(kind: Regressor, x: Vector) -> Vector:
+    """phi, the vector that theta_hat multiplies."""
+    by_norm = kind == Regressor.INFINITY_NORM
+    return where(by_norm, infinity_norm(x), x[0]), where(by_norm, 0.0, x[1])
+
+
+def initial_law(x: Vector, omega: float) -> LawState:
+    """The prediction begins at the measured state, theta_hat and sigma_hat at zero."""
+    return LawState(x_hat=x, omega_hat=omega)
+
+
+def extension(parameters: Any, e: float, integral: float, r: float) -> float:
+    """u_p of the chosen augmentation."""
+    p = parameters
+    pi = augmentation.proportional_integral(e, integral, p.proportional_gain, p.integral_gain)
+    delta = augmentation.threshold(p.threshold, p.nonlinear_threshold, p.threshold_floor, r)
+    nonlinear = augmentation.nonlinear_proportional(
+        e, delta, p.nonlinear_exponent, p.large_error_gain, p.small_error_gain
+    )
+    other = where(p.augmentation == Augmentation.NONLINEAR_P, nonlinear, 0.0)
+    return where(p.augmentation == Augmentation.PI, pi, other)
+
+
+def control(law: LawState, seen: Measurement, k_m: Vector, parameters: Any) -> Control:
+    """u = u_m + u_a + u_p."""
+    return Control(
+        u_m=-_dot(k_m, seen.x),
+        u_a=law.filter.u_a,
+        u_p=extension(parameters, seen.error, law.error_integral, seen.r),
+    )
+
+
+def prediction_error(law: LawState, x: Vector) -> Vector:
+    """x_tilde = x_hat - x."""
+    return law.x_hat[0] - x[0], law.x_hat[1] - x[1]
+
+
+def law_step(
+    h: float,
+    law: LawState,
+    seen: Measurement,
+    shortfall: float,
+    parameters: Any,
+    matrices: LawMatrices,
+) -> LawState:
+    """One step of h seconds by the implicit midpoint rule, the measurement held.
+
+    `shortfall` is what the actuator delivers minus what was demanded, 0 unless it saturates: the
+    predictor is told, and integrators stop where they would demand still more.
+
+    With x held and the projection factors frozen, the only coupling between prediction,
+    estimates and filter is the scalar s = x_tilde' P B_m at the middle of the step, so the
+    implicit equations reduce to one linear equation for s. The rule is A-stable: a step longer
+    than the period of the fast adaptation loop neither diverges nor limit-cycles.
+    """
+    p, half = parameters, 0.5 * h
+    (a_11, a_12), (a_21, a_22) = matrices.predictor_matrix
+    b, pb = matrices.predictor_input, matrices.adaptation_vector
+    phi = regressor(p.regressor, seen.x)
+    eta = _dot(law.theta_hat, phi) + law.sigma_hat
+    feedforward = matrices.feedforward_gain * seen.r
+    u_a, omega = law.filter.u_a, law.omega_hat
+
+    # e is held, so its integral grows linearly; the mean over the step is the value midway
+    wound_up = shortfall * -seen.error < 0.0
+    integral_growth = where(wound_up, 0.0, h * seen.error)
+    midway_integral = law.error_integral + 0.5 * integral_growth
+    u_p = extension(p, seen.error, midway_integral, seen.r)
+
+    # (I - h/2 A_m)^-1 applied to x_hat and to B_m
+    m_11, m_12, m_21, m_22 = 1 - half * a_11, -half * a_12, -half * a_21, 1 - half * a_22
+    m = m_11 * m_22 - m_12 * m_21
+    x_1, x_2 = law.x_hat
+    free_x = (m_22 * x_1 - m_12 * x_2) / m, (m_11 * x_2 - m_21 * x_1) / m
+    forced_x = half * (m_22 * b[0] - m_12 * b[1]) / m, half * (m_11 * b[1] - m_21 * b[0]) / m
+
+    # u_a = u_free - gain v midway, v = omega u_a + eta - k_g r; frozen where it winds up
+    frozen = shortfall * -(omega * u_a + eta - feedforward) < 0.0
+    u_free, gain = lowpass.midpoint_response(p.filter_order, p.filter_bandwidth, law.filter, half)
+    u_free, gain = where(frozen, u_a, u_free), where(frozen, 0.0, gain)
+    loop = 1.0 + gain * omega
+    u_without_s = (u_free - gain * (eta - feedforward)) / loop
+    forcing_without_s = omega * (u_without_s + u_p + shortfall) + eta
+
+    # s = s_free / (1 + stiffness): its sign is known before the projection factors are
+    s_free = _dot(pb, free_x) - _dot(pb, seen.x) + _dot(pb, forced_x) * forcing_without_s
+    tolerance = p.projection_tolerance
+    g_1 = projection_factor(law.theta_hat[0], -s_free * phi[0], p.theta_bound[0], tolerance)
+    g_2 = projection_factor(law.theta_hat[1], -s_free * phi[1], p.theta_bound[1], tolerance)
+    g_sigma = projection_factor(law.sigma_hat, -s_free, p.sigma_bound, tolerance)
+    g_omega = projection_factor(omega - p.input_gain, -s_free * u_a, p.input_gain_uncertainty, tolerance)
+    rate = half * p.adaptation_gain
+    eta_per_s = rate * (g_1 * phi[0] ** 2 + g_2 * phi[1] ** 2 + g_sigma)
+    eta_hat_per_s = eta_per_s + rate * g_omega * u_a * u_a
+    # omega_hat acts on u_a + u_p but learns from u_a alone: implicit only where that is damping
+    forcing_per_s = (
+        eta_per_s
+        + rate * g_omega * maximum(u_a * (u_a + u_p + shortfall), 0.0)
+        - omega * gain * eta_hat_per_s / loop
+    )
+    s = s_free / (1.0 + _dot(pb, forced_x) * forcing_per_s)
+
+    u_midway = u_without_s + gain * eta_hat_per_s / loop * s
+    v = omega * u_midway + eta - eta_hat_per_s * s - feedforward
+    forcing = forcing_without_s - forcing_per_s * s
+    filtered = lowpass.advance(p.filter_order, p.filter_bandwidth, law.filter, half, v)
+    change = -2.0 * rate * s
+    return LawState(
+        x_hat=(
+            2.0 * (free_x[0] + forced_x[0] * forcing) - x_1,
+            2.0 * (free_x[1] + forced_x[1] * forcing) - x_2,
+        ),
+        theta_hat=(
+            keep_within(law.theta_hat[0] + change * g_1 * phi[0], p.theta_bound[0]),
+            keep_within(law.theta_hat[1] + change * g_2 * phi[1], p.theta_bound[1]),
+        ),
+        sigma_hat=keep_within(law.sigma_hat + change * g_sigma, p.sigma_bound),
+        omega_hat=p.input_gain
+        + keep_within(omega + change * g_omega * u_a - p.input_gain, p.input_gain_uncertainty),
+        filter=_select(negate(frozen), filtered, law.filter),
+        error_integral=law.error_integral + integral_growth,
+    )
+
+
+def _dot(first: Vector, second: Vector) -> float:
+    return first[0] * second[0] + first[1] * second[1]
+
+
+def _select(condition: Any, if_true: FilterState, if_false: FilterState) -> FilterState:
+    return FilterState(
+        u_a=where(condition, if_true.u_a, if_false.u_a),
+        p_1=where(condition, if_true.p_1, if_false.p_1),
+        p_2=where(condition, if_true.p_2, if_false.p_2),
+    )

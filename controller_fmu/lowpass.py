@@ -1,0 +1,56 @@
+"""The low-pass filter of the control law, u_a(s) = -k D(s) v(s) with v = eta_hat - k_g r.
+
+Two choices of D(s), given by the closed filter C(s) = k D / (1 + k D) that they lead to:
+
+    first order   C(s) = w / (s + w)                        u_a' = -w v
+    third order   C(s) = (3 w^2 s + w^3) / (s + w)^3        p_1' = -3 w p_1 - v
+                                                            p_2' = p_1
+                                                            u_a' = 3 w^2 p_1 + w^3 p_2
+
+w is the filter bandwidth [rad/s]. u_a itself is a state, so tuning w does not make it jump.
+Source: Maalouf et al. (2013), (6), with sigma_hat in eta_hat (docs/fidelity.md).
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+from fmus.numerics import where
+
+
+class FilterOrder(IntEnum):
+    """C(s) of the control law."""
+
+    FIRST = 1
+    THIRD = 3
+
+
+@dataclass(frozen=True)
+class FilterState:
+    """u_a in the unit of the control, p_1 and p_2 used by the third order alone."""
+
+    u_a: float = 0.0
+    p_1: float = 0.0
+    p_2: float = 0.0
+
+
+def midpoint_response(order: FilterOrder, w: float, filter: FilterState, half: float) -> tuple[float, float]:
+    """(free, gain) of u_a = free - gain v at the middle of a step of 2 `half` s, v the mean input."""
+    slope = half * (3.0 * w**2 + half * w**3) / (1.0 + 3.0 * w * half)
+    third = order == FilterOrder.THIRD
+    free = filter.u_a + where(third, half * w**3 * filter.p_2 + slope * filter.p_1, 0.0)
+    gain = where(third, half * slope, half * w)
+    return free, gain
+
+
+def advance(order: FilterOrder, w: float, filter: FilterState, half: float, v: float) -> FilterState:
+    """The filter 2 `half` s later by the implicit midpoint rule, its input being `v` midway."""
+    free, gain = midpoint_response(order, w, filter, half)
+    u_a = free - gain * v
+    p_1 = (filter.p_1 - half * v) / (1.0 + 3.0 * w * half)
+    p_2 = filter.p_2 + half * p_1
+    third = order == FilterOrder.THIRD
+    return FilterState(
+        u_a=2.0 * u_a - filter.u_a,
+        p_1=where(third, 2.0 * p_1 - filter.p_1, 0.0),
+        p_2=where(third, 2.0 * p_2 - filter.p_2, 0.0),
+    )

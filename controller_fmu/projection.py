@@ -1,0 +1,40 @@
+"""Smooth projection operator over a centred box, one parameter at a time.
+
+    f(th)  = ((1 + eps) th^2 - th_max^2) / (eps th_max^2)
+    Proj(th, y) = y (1 - f)   where f > 0 and th y > 0,   else y
+
+`th` is the estimate, `y` its unprojected rate, `th_max` the hard bound (f = 1) and `eps` sets the
+width of the boundary layer: it begins (f = 0) at th_max / sqrt(1 + eps).
+Source: Maalouf et al. (2013), (4), with the estimate as first argument (docs/fidelity.md).
+"""
+
+from fmus.numerics import both, clip, maximum, where
+
+_SMALLEST_BOUND = 1e-12  # keeps f finite for a parameter that may not move at all
+
+
+def boundary_function(estimate: float, bound: float, tolerance: float) -> float:
+    """f(th): at most 0 inside the boundary layer, 1 on the hard bound."""
+    square = maximum(bound, _SMALLEST_BOUND) ** 2
+    return ((1.0 + tolerance) * estimate * estimate - square) / (tolerance * square)
+
+
+def projection_factor(estimate: float, rate: float, bound: float, tolerance: float) -> float:
+    """Proj(th, y) / y: 1 inside or when moving inwards, falling to 0 on the bound.
+
+    0 for a bound of zero: such a parameter is held.
+    """
+    f = boundary_function(estimate, bound, tolerance)
+    outwards = both(f > 0.0, estimate * rate > 0.0)
+    factor = where(outwards, maximum(1.0 - f, 0.0), 1.0)
+    return where(bound > 0.0, factor, 0.0)
+
+
+def project(estimate: float, rate: float, bound: float, tolerance: float) -> float:
+    """Proj(th, y), the rate of an estimate that never leaves -th_max..th_max."""
+    return rate * projection_factor(estimate, rate, bound, tolerance)
+
+
+def keep_within(estimate: float, bound: float) -> float:
+    """The estimate after a finite step, which may end beyond a bound that the flow only touches."""
+    return clip(estimate, -bound, bound)
