@@ -1,0 +1,228 @@
+"""Block RovDepthPlant: two thruster voltages in, depth out; vehicle, thrusters and depth sensor.
+
+The AC-ROV of Maalouf et al. (2013) as far as it is published; every other number is an estimate or a
+guess and says so. Depth is positive down and zero when the vehicle's top is at the surface.
+"""
+
+from dataclasses import dataclass
+
+from fmus.block import Block, NoValues, variable
+from fmus.numerics import rk4_step, where
+from plant_fmu import depth_sensor, heave, thruster
+from plant_fmu.depth_sensor import Sensor, SensorState
+from plant_fmu.thruster import Thruster
+
+Pair = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Of the vehicle, the thrusters and the sensor."""
+
+    internal_step: float = variable(
+        0.02, "Longest internal step", unit="s", min=1e-6, max=10.0, variability="fixed"
+    )
+    initial_depth: float = variable(
+        0.0, "Depth at the start", unit="m", variability="fixed", source="published: the surface"
+    )
+    initial_heave_velocity: float = variable(
+        0.0, "Heave velocity at the start", unit="m/s", variability="fixed", source="assumed: at rest"
+    )
+    inertia: float = variable(
+        5.5, "Inertia with added mass M_z", unit="kg", min=0.1, max=1e6,
+        source="estimate: 3 kg (published) and the added mass of a box, DNV-RP-H103",
+    )  # fmt: skip
+    linear_damping: float = variable(
+        2.5, "Linear damping D_z", unit="N.s/m", min=0.0, max=1e6,
+        source="guess: the paper gives none",
+    )  # fmt: skip
+    quadratic_damping: float = variable(
+        7.0, "Quadratic damping D_q", unit="N.s2/m2", min=0.0, max=1e6,
+        source="estimate: 0.5 rho C_d A",
+    )  # fmt: skip
+    weight: float = variable(29.43, "Weight W", unit="N", min=1e-3, max=1e9, source="published: 3 kg")
+    net_weight: float = variable(
+        -1.2, "W - B when submerged; negative floats", unit="N", min=-1e6, max=1e6,
+        source="published: +0.2 N is 17 % of it, holding thrust 1.2 N",
+    )  # fmt: skip
+    free_surface: bool = variable(True, "Whether buoyancy falls as the vehicle emerges", variability="fixed")
+    water_density: float = variable(
+        1000.0, "Density of the water", unit="kg/m3", min=1.0, max=1e5, source="fresh water, a pool"
+    )
+    waterplane_area: float = variable(
+        0.022192, "Horizontal section of the vehicle", unit="m2", min=1e-6, max=1e4,
+        source="published size: 0.152 m x 0.146 m",
+    )  # fmt: skip
+    thruster_ideal: bool = variable(False, "Switches dead zone, saturation and lag off", variability="fixed")
+    thruster_gain: Pair = variable(
+        (0.25, 0.25), "Force coefficient K of each thruster", unit="N/V", min=1e-6, max=1e6,
+        source="guess: the paper gives none",
+    )  # fmt: skip
+    thruster_dead_zone: Pair = variable(
+        (0.0, 0.0), "Voltage below which a thruster gives no force", unit="V", min=0.0, max=1e6,
+        source="guess: the paper gives none",
+    )  # fmt: skip
+    thruster_voltage_limit: Pair = variable(
+        (12.0, 12.0), "Largest voltage of each thruster", unit="V", min=1e-6, max=1e6,
+        source="guess: the paper gives none",
+    )  # fmt: skip
+    thruster_lag: Pair = variable(
+        (0.05, 0.05), "Time constant of each thruster", unit="s", min=0.0, max=1e3,
+        source="guess: the paper gives none",
+    )  # fmt: skip
+    sensor_ideal: bool = variable(False, "Reports the true depth at every instant", variability="fixed")
+    sensor_period: float = variable(
+        0.04, "Sampling period", unit="s", min=1e-4, max=10.0, variability="fixed",
+        source="proxy: a Bar30 reads in up to 40 ms; not the paper's sensor",
+    )  # fmt: skip
+    sensor_noise: float = variable(
+        0.001, "Standard deviation of the white noise", unit="m", min=0.0, max=1e3,
+        source="guess: half the resolution",
+    )  # fmt: skip
+    sensor_bias: float = variable(0.0, "Bias", unit="m", min=-1e3, max=1e3, source="assumed")
+    sensor_drift: float = variable(
+        0.0, "Drift, per second of simulation", unit="m/s", min=-1e3, max=1e3, source="assumed"
+    )
+    sensor_resolution: float = variable(
+        0.002, "Resolution; 0 does not quantise", unit="m", min=0.0, max=1e3,
+        source="proxy: a Bar30 resolves 2 mm; not the paper's sensor",
+    )  # fmt: skip
+    sensor_delay: float = variable(
+        0.0, "Time from a sample to its report", unit="s", min=0.0, max=70.0, variability="fixed",
+        source="assumed",
+    )  # fmt: skip
+    sensor_seed: int = variable(
+        1, "Seed of the noise", min=1, max=2147483397, variability="fixed", source="chosen"
+    )
+
+
+@dataclass(frozen=True)
+class Inputs:
+    voltage: Pair = variable((0.0, 0.0), "Voltage of each thruster", unit="V")
+    thruster_efficiency: Pair = variable(
+        (1.0, 1.0), "1 healthy, 0 dead: a fault of each thruster", min=0.0, max=1.0
+    )
+    external_force: float = variable(0.0, "Disturbance w_dz along the body's z axis, positive down", unit="N")
+    buoyancy_change: float = variable(
+        0.0, "Added to the buoyancy B, positive lifts", unit="N", min=-1e6, max=1e6
+    )
+    current_velocity: float = variable(0.0, "Vertical current in the earth frame, positive down", unit="m/s")
+    roll: float = variable(0.0, "Roll angle phi", unit="rad")
+    pitch: float = variable(0.0, "Pitch angle theta", unit="rad")
+
+
+@dataclass(frozen=True)
+class State:
+    depth: float = 0.0
+    heave_velocity: float = 0.0
+    thruster_force: Pair = (0.0, 0.0)
+    j: float = 1.0
+    sensor: SensorState = SensorState()
+
+
+@dataclass(frozen=True)
+class Outputs:
+    depth: float = variable(0.0, "True depth z, positive down", unit="m")
+    depth_rate: float = variable(0.0, "True depth rate z' = J w", unit="m/s")
+    heave_velocity: float = variable(0.0, "Heave velocity w in the body frame", unit="m/s")
+    measured_depth: float = variable(0.0, "Depth as the sensor reports it", unit="m")
+    thruster_force: Pair = variable(
+        (0.0, 0.0), "Force of each thruster along the body's z axis, positive down", unit="N"
+    )
+    total_force: float = variable(0.0, "tau_z, sum of the thruster forces", unit="N")
+
+
+def requirements(p: Parameters, calculated: NoValues) -> tuple:
+    return (
+        (
+            p.internal_step <= p.sensor_period * (1.0 + 1e-9),
+            "internal_step at most sensor_period",
+        ),
+        (p.net_weight < p.weight, "net_weight below weight, so that there is buoyancy"),
+        depth_sensor.delay_fits(_sensor(p)),
+    )
+
+
+def initial_state(t: float, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
+    """Thrusters at rest."""
+    first = depth_sensor.first_sample(_sensor(p), t, p.initial_depth, p.sensor_seed)
+    j = heave.body_to_earth(inputs.roll, inputs.pitch)
+    return State(p.initial_depth, p.initial_heave_velocity, (0.0, 0.0), j, first)
+
+
+def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
+    j = heave.body_to_earth(inputs.roll, inputs.pitch)
+    thrusters = _thruster(p, 0), _thruster(p, 1)
+    steady = [
+        thruster.steady_force(thrusters[i], inputs.voltage[i], inputs.thruster_efficiency[i]) for i in (0, 1)
+    ]
+
+    def forces(elapsed: float) -> Pair:
+        first, second = (
+            thruster.force_after(thrusters[i], state.thruster_force[i], steady[i], elapsed) for i in (0, 1)
+        )
+        return first, second
+
+    submerged_buoyancy = p.weight - p.net_weight + inputs.buoyancy_change
+
+    def derivative(elapsed: float, x: tuple) -> tuple:
+        z, w = x
+        thrust = sum(forces(elapsed))
+        floating = heave.buoyancy(z, submerged_buoyancy, p.water_density, p.waterplane_area)
+        b = where(p.free_surface, floating, submerged_buoyancy)
+        drag = heave.damping(w - j * inputs.current_velocity, p.linear_damping, p.quadratic_damping)
+        restoring = j * (p.weight - b)
+        return j * w, heave.acceleration(thrust, inputs.external_force, restoring, drag, p.inertia)
+
+    depth, velocity = rk4_step(derivative, 0.0, (state.depth, state.heave_velocity), h)
+    sensor = depth_sensor.sample_when_due(_sensor(p), state.sensor, t + h, depth)
+    return State(depth, velocity, forces(h), j, sensor)
+
+
+def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outputs:
+    return Outputs(
+        depth=state.depth,
+        depth_rate=state.j * state.heave_velocity,
+        heave_velocity=state.heave_velocity,
+        measured_depth=depth_sensor.reading(_sensor(p), state.sensor, t, state.depth),
+        thruster_force=state.thruster_force,
+        total_force=state.thruster_force[0] + state.thruster_force[1],
+    )
+
+
+def _thruster(p: Parameters, i: int) -> Thruster:
+    return Thruster(
+        gain=p.thruster_gain[i],
+        dead_zone=p.thruster_dead_zone[i],
+        limit=p.thruster_voltage_limit[i],
+        lag=p.thruster_lag[i],
+        ideal=p.thruster_ideal,
+    )
+
+
+def _sensor(p: Parameters) -> Sensor:
+    return Sensor(
+        period=p.sensor_period,
+        noise=p.sensor_noise,
+        bias=p.sensor_bias,
+        drift=p.sensor_drift,
+        resolution=p.sensor_resolution,
+        delay=p.sensor_delay,
+        ideal=p.sensor_ideal,
+    )
+
+
+BLOCK = Block(
+    name="RovDepthPlant",
+    description="Depth dynamics of a small underwater vehicle with two thrusters and a depth sensor",
+    parameters=Parameters,
+    inputs=Inputs,
+    state=State,
+    outputs=Outputs,
+    requirements=requirements,
+    initial_state=initial_state,
+    step=step,
+    output=output,
+    stop_time=310.0,
+    step_size=0.02,
+)

@@ -1,0 +1,117 @@
+"""Depth sensor: sampling, white noise, bias, drift, quantisation and delay.
+
+    at t_k = t_0 + k T    s_k = q(z(t_k) + b + d (t_k - t_0) + sigma n_k),   q(s) = rho round(s / rho)
+    in between            measured = the newest s_k with t_k + delay <= t
+
+n_k is standard normal by Box and Muller from L'Ecuyer's combined generator (1988), whose integers
+stay below 2^53 and are therefore exact in double precision: one seed, one sequence, in Python and C.
+A resolution of 0 does not quantise; an ideal sensor reports z itself.
+"""
+
+import math
+from dataclasses import dataclass
+
+from fmus.numerics import both, cos, floor, log, maximum, modulo, sqrt, where
+
+HISTORY = 8  # samples kept: the delay may be HISTORY - 1 sampling periods
+_M_1, _A_1 = 2147483563.0, 40014.0
+_M_2, _A_2 = 2147483399.0, 40692.0
+
+# |n| of Box and Muller is at most sqrt(2 ln M_1), as the smallest uniform number is 1 / M_1
+LARGEST_NOISE = math.sqrt(2.0 * math.log(_M_1))
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """What characterises a depth sensor, in m and s."""
+
+    period: float
+    noise: float
+    bias: float
+    drift: float
+    resolution: float
+    delay: float
+    ideal: bool
+
+
+@dataclass(frozen=True)
+class SensorState:
+    """The last samples, newest first; the clock; the two seeds of the generator."""
+
+    samples: tuple[float, ...] = (0.0,) * HISTORY
+    start: float = 0.0
+    last_sample: float = 0.0
+    seed_1: float = 1.0
+    seed_2: float = 1.0
+
+
+def quantise(value: float, resolution: float) -> float:
+    """The multiple of `resolution` nearest to `value`; `value` itself for a resolution of 0."""
+    step = where(resolution > 0.0, resolution, 1.0)
+    return where(resolution > 0.0, step * floor(value / step + 0.5), value)
+
+
+def uniform(seed_1: float, seed_2: float) -> tuple[float, float, float]:
+    """(u, seed_1, seed_2): a number in (0, 1) and the generator's next state."""
+    seed_1 = modulo(_A_1 * seed_1, _M_1)
+    seed_2 = modulo(_A_2 * seed_2, _M_2)
+    difference = seed_1 - seed_2
+    z = where(difference < 1.0, difference + _M_1 - 1.0, difference)
+    return z / _M_1, seed_1, seed_2
+
+
+def normal(seed_1: float, seed_2: float) -> tuple[float, float, float]:
+    """(n, seed_1, seed_2): a standard normal number and the generator's next state."""
+    u, seed_1, seed_2 = uniform(seed_1, seed_2)
+    v, seed_1, seed_2 = uniform(seed_1, seed_2)
+    return sqrt(-2.0 * log(u)) * cos(2.0 * math.pi * v), seed_1, seed_2
+
+
+def sample(sensor: Sensor, state: SensorState, t: float, depth: float) -> SensorState:
+    """The state after one more sample, taken at time t."""
+    n, seed_1, seed_2 = normal(state.seed_1, state.seed_2)
+    true = depth + sensor.bias + sensor.drift * (t - state.start)
+    newest = quantise(true + sensor.noise * n, sensor.resolution)
+    return SensorState((newest, *state.samples[:-1]), state.start, t, seed_1, seed_2)
+
+
+def first_sample(sensor: Sensor, t: float, depth: float, seed: int) -> SensorState:
+    """At the start the sensor has been reading this depth for ever; `seed` is 1 or more."""
+    seed_1, seed_2 = modulo(1.0 * seed, _M_1 - 1.0) + 1.0, modulo(1.0 * seed, _M_2 - 1.0) + 1.0
+    for _ in range(HISTORY):  # neighbouring seeds need some steps to part
+        _, seed_1, seed_2 = uniform(seed_1, seed_2)
+    state = sample(sensor, SensorState((), t, t, seed_1, seed_2), t, depth)
+    return SensorState((state.samples[0],) * HISTORY, t, t, state.seed_1, state.seed_2)
+
+
+def sample_when_due(sensor: Sensor, state: SensorState, t: float, depth: float) -> SensorState:
+    """`sample` if a sampling period has passed, else the state as it was."""
+    due = t >= state.last_sample + sensor.period * (1.0 - 1e-6)  # t and the clock round differently
+    taken = sample(sensor, state, t, depth)
+    return SensorState(
+        samples=tuple(
+            where(due, new, old) for new, old in zip(taken.samples, state.samples, strict=True)
+        ),
+        start=state.start,
+        last_sample=where(
+            due, maximum(state.last_sample + sensor.period, t - 0.5 * sensor.period),
+            state.last_sample,
+        ),
+        seed_1=where(due, taken.seed_1, state.seed_1),
+        seed_2=where(due, taken.seed_2, state.seed_2),
+    )  # fmt: skip
+
+
+def reading(sensor: Sensor, state: SensorState, t: float, depth: float) -> float:
+    """What the sensor reports at time t: the newest sample that has had time to arrive."""
+    arrived = state.samples[-1]
+    for age, value in reversed(list(enumerate(state.samples))):
+        waited = t - state.last_sample + age * sensor.period
+        arrived = where(waited >= sensor.delay - 1e-6 * sensor.period, value, arrived)
+    return where(sensor.ideal, depth, arrived)
+
+
+def delay_fits(sensor: Sensor) -> tuple:
+    """The requirement that the samples kept reach back as far as the delay."""
+    fits = both(sensor.delay >= 0.0, sensor.delay <= (HISTORY - 1) * sensor.period)
+    return fits, f"sensor_delay at most {HISTORY - 1} times sensor_period"
