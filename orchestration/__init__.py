@@ -1,0 +1,1 @@
+"""Everything that uses FMUs, through their model descriptions alone."""

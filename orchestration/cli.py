@@ -1,0 +1,177 @@
+"""The command line `l1-depth`."""
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from fmpy.validation import validate_fmu
+from rich.console import Console
+from rich.table import Table
+from tqdm import tqdm
+
+from fmus import catalogue
+from fmus.errors import ExportError
+from orchestration import identify as identification
+from orchestration import report, reproduce, scenario
+from orchestration.errors import OrchestrationError
+from orchestration.system import describe
+
+app = typer.Typer(
+    help="Extended L1 adaptive depth control of an underwater vehicle: FMUs and their master.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+_console = Console()
+_BEFORE_A_BAR_S = 2.0
+_IDENTIFIED = Path(__file__).parent / "scenarios" / "parameters" / "identified.toml"
+
+OutFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write to.")]
+
+
+@contextmanager
+def _bar(total: float, unit: str, description: str) -> Iterator[Any]:
+    """A progress bar on standard error, if that is a terminal and the work takes over two seconds."""
+    with tqdm(
+        total=total, unit=unit, desc=description, delay=_BEFORE_A_BAR_S, disable=None, file=sys.stderr
+    ) as bar:
+        yield bar
+
+
+@app.command()
+def build(
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[NAME]...", help="Blocks; all by default.")
+    ] = None,
+    flavour: Annotated[str, typer.Option(help="How the FMU runs: python.")] = "python",
+    out: OutFolder = catalogue.DIST,
+) -> None:
+    """Write DIR/NAME.fmu for each block."""
+    if flavour != "python":
+        raise OrchestrationError(f"flavour {flavour!r}: expected python")
+    chosen = names or catalogue.block_names()
+    for name in chosen:
+        catalogue.load_block(name)
+    with _bar(len(chosen), "FMU", "build") as bar:
+        for name in chosen:
+            _console.print(str(catalogue.build(name, out)), soft_wrap=True)
+            bar.update()
+
+
+@app.command()
+def check(fmus: Annotated[list[Path], typer.Argument(metavar="FMU...")]) -> None:
+    """Validate FMUs with FMPy's validator; fails if it finds any problem."""
+    problems = {path: _problems(path) for path in fmus}
+    for path, found in problems.items():
+        print(f"{path}: {len(found)} problems" if found else f"{path}: no problems")
+        for problem in found:
+            print(f"  {' '.join(problem.split())}")
+    count = sum(len(found) for found in problems.values())
+    if count:
+        raise OrchestrationError(f"{count} problems found: expected none")
+
+
+def _problems(path: Path) -> list[str]:
+    describe(path)
+    return validate_fmu(str(path))
+
+
+@app.command()
+def inspect(fmu: Annotated[Path, typer.Argument(metavar="FMU")]) -> None:
+    """Show what an FMU is and every variable with its unit, range and start value."""
+    description = describe(fmu)
+    print(f"{description.modelName}: {description.description or ''}")
+    tool = description.generationTool or "an unknown tool"
+    print(f"FMI {description.fmiVersion}, GUID {description.guid}, made by {tool}")
+    table = Table()
+    for heading in ("Variable", "Causality", "Type", "Unit", "Start", "Range", "Description"):
+        table.add_column(heading, overflow="fold")
+    for v in description.modelVariables:
+        limits = "" if v.min is None and v.max is None else f"{v.min or ''}..{v.max or ''}"
+        kind = v.declaredType.name if v.declaredType else v.type
+        table.add_row(
+            v.name, v.causality, kind, v.unit or "", str(v.start or ""), limits, v.description or ""
+        )
+    _console.print(table)
+
+
+@app.command()
+def run(
+    name: Annotated[str, typer.Argument(metavar="SCENARIO", help="A shipped scenario or a .toml file.")],
+    out: OutFolder = Path("results"),
+) -> None:
+    """Run one scenario: recording (CSV), what was run and metrics (JSON), a figure."""
+    chosen = scenario.load(scenario.find(name))
+    reproduce.build_what_is_missing([chosen])
+    with _bar(1, "run", chosen.name) as bar:
+
+        def progress(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        result = reproduce.run(chosen, out, progress)
+    figures = report.run_figure(chosen.title, result.recording, out / chosen.name)
+    _console.print(report.metrics_table(chosen.title, result.metrics))
+    for path in (out / f"{chosen.name}.csv", out / f"{chosen.name}.json", *figures):
+        print(path)
+
+
+@app.command()
+def scenarios() -> None:
+    """List the scenarios that ship with the package."""
+    for name, path in scenario.shipped().items():
+        print(f"{name:28} {scenario.load(path).title}")
+
+
+@app.command()
+def identify(
+    seed: Annotated[int, typer.Option(help="Seed of the starting points.", min=0)] = 1,
+    evaluations: Annotated[int, typer.Option(help="Pairs of runs allowed in all.", min=2)] = 60,
+    starts: Annotated[int, typer.Option(help="Pairs of runs on drawn starting points.", min=1)] = 8,
+    out: Annotated[
+        Path, typer.Option(metavar="FILE", help="Parameter file; by default the one the scenarios use.")
+    ] = _IDENTIFIED,
+) -> None:
+    """Fit the gains that the paper does not publish to the nominal row of its Table 1."""
+    reproduce.build_what_is_missing(scenario.load(scenario.find(name)) for name in identification.SCENARIOS)
+    with _bar(evaluations, "run", "identify") as bar:
+
+        def progress(cost: float) -> None:
+            bar.set_postfix(cost=f"{cost:.3g}")
+            bar.update()
+
+        fit = identification.identify(seed, evaluations, starts, progress)
+    identification.write(fit, out)
+    for name, measured in fit.metrics.items():
+        _console.print(report.metrics_table(name, measured))
+    for name, value in fit.gains.items():
+        print(f"{name} = {value}")
+    print(out)
+
+
+@app.command(name="reproduce")
+def reproduce_all(
+    out: OutFolder = Path("results"),
+    workers: Annotated[int, typer.Option(help="Processes.", min=1)] = os.cpu_count() or 1,
+) -> None:
+    """Run every scenario and give the paper's tables and figures back."""
+    with _bar(len(scenario.shipped()), "scenario", "reproduce") as bar:
+        results = reproduce.run_all(out, workers, lambda name: bar.update() and None)
+    written = reproduce.write_report(results, out)
+    _console.print(report.comparison_table({name: r.metrics for name, r in results.items()}))
+    for path in written:
+        print(path)
+
+
+def main() -> None:
+    """Entry point: every expected failure is one line on standard error and exit status 1."""
+    try:
+        app()
+    except (OrchestrationError, ExportError, OSError) as error:
+        message = " ".join(str(error).split())
+        print(f"l1-depth: {message}", file=sys.stderr)
+        sys.exit(1)

@@ -1,0 +1,220 @@
+"""One FMU instance: loaded, called through arrays bound once, and always freed.
+
+Every call that an FMU refuses becomes a SlaveError with the FMU's own words.
+"""
+
+import ctypes
+import tempfile
+import warnings
+from collections.abc import Iterable
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import fmpy
+import numpy as np
+from fmpy import fmi2
+from fmpy.fmi1 import FMICallException
+from fmpy.logging import addLoggerProxy
+from fmpy.model_description import ModelDescription, ScalarVariable
+
+from orchestration.errors import FmuLoadError, SlaveError, SlaveWarning
+
+_STATUS = ("ok", "warning", "discard", "error", "fatal", "pending")
+_REFUSED_FROM = 2  # discard and worse
+_ERROR, _FATAL = 3, 4
+
+# FMI type -> (ctypes element, name of getter and setter)
+_TYPES = {
+    "Real": (fmi2.fmi2Real, "Real"),
+    "Integer": (fmi2.fmi2Integer, "Integer"),
+    "Enumeration": (fmi2.fmi2Integer, "Integer"),
+    "Boolean": (fmi2.fmi2Boolean, "Boolean"),
+}
+
+_logs: dict[str, list[tuple[int, str]]] = {}
+
+
+def _keep_log(environment: Any, instance: bytes, status: int, category: bytes, message: bytes) -> None:
+    _logs.setdefault(instance.decode("utf-8", "replace"), []).append(
+        (status, message.decode("utf-8", "replace").strip())
+    )
+
+
+# One set of callbacks for every instance: the proxy that formats messages serves one logger only,
+# and an FMU may log for as long as its library is loaded.
+_callbacks = fmi2.fmi2CallbackFunctions()
+_callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(_keep_log)
+_callbacks.allocateMemory = fmi2.defaultCallbacks.allocateMemory
+_callbacks.freeMemory = fmi2.defaultCallbacks.freeMemory
+addLoggerProxy(ctypes.byref(_callbacks))
+
+
+class Values:
+    """Variables of one FMI type, read or written in one call through arrays that never move.
+
+    `array` is a NumPy view of what the FMU reads and writes.
+    """
+
+    def __init__(self, component: "Component", fmi_type: str, variables: list[ScalarVariable]) -> None:
+        element, name = _TYPES[fmi_type]
+        count = len(variables)
+        self.variables = variables
+        self._component = component
+        self._buffer = (element * count)()
+        self.array = np.ctypeslib.as_array(self._buffer)
+        references = (fmi2.fmi2ValueReference * count)(*[v.valueReference for v in variables])
+        self._arguments = (component.handle, references, ctypes.c_size_t(count), self._buffer)
+        self._get_name, self._set_name = f"fmi2Get{name}", f"fmi2Set{name}"
+        self._getter = getattr(component.library, self._get_name)
+        self._setter = getattr(component.library, self._set_name)
+
+    def read(self) -> None:
+        """FMU -> array."""
+        status = self._getter(*self._arguments)
+        if status or self._component.log:
+            self._component.judge(self._get_name, status)
+
+    def write(self) -> None:
+        """Array -> FMU."""
+        status = self._setter(*self._arguments)
+        if status or self._component.log:
+            self._component.judge(self._set_name, status)
+
+
+class Component:
+    """An instance of an FMI 2.0 co-simulation FMU, between instantiation and `close`."""
+
+    def __init__(self, name: str, path: Path, description: ModelDescription) -> None:
+        self.name, self.description, self.time = name, description, 0.0
+        self._folder = tempfile.TemporaryDirectory(prefix="l1-depth-", ignore_cleanup_errors=True)
+        self._initialised = self._dead = False
+        self._slave: Any = None
+        try:
+            _check_platform(path, description)
+            fmpy.extract(str(path), self._folder.name)
+            self.log = _logs[name] = []
+            self._slave = fmi2.FMU2Slave(
+                guid=description.guid,
+                unzipDirectory=self._folder.name,
+                modelIdentifier=_identifier(description),
+                instanceName=name,
+            )
+            self._slave.instantiate(callbacks=_callbacks, loggingOn=True)
+        except BaseException as error:
+            self._unload()
+            if isinstance(error, FmuLoadError) or not isinstance(error, Exception):
+                raise
+            said = "; ".join(message for _, message in _logs.get(name, [])) or str(error)
+            raise FmuLoadError(f"{name}: {path} cannot be instantiated: {said}") from error
+
+    @property
+    def handle(self) -> Any:
+        return ctypes.c_void_p(self._slave.component)
+
+    @property
+    def library(self) -> Any:
+        return self._slave.dll
+
+    def values(self, variables: Iterable[ScalarVariable]) -> list[Values]:
+        """The variables grouped by FMI type, each group bound for fast reading and writing."""
+        groups: dict[str, list[ScalarVariable]] = {}
+        for variable in variables:
+            if variable.type in _TYPES:
+                groups.setdefault(variable.type, []).append(variable)
+        return [Values(self, fmi_type, members) for fmi_type, members in groups.items()]
+
+    def set(self, variable: ScalarVariable, value: Any) -> None:
+        """Set one variable, outside the loop."""
+        if variable.type == "String":
+            self._call("setString", [variable.valueReference], [str(value)])
+            return
+        (group,) = self.values([variable])
+        group.array[0] = value
+        group.write()
+
+    def get(self, variable: ScalarVariable) -> Any:
+        """Read one variable, outside the loop."""
+        (group,) = self.values([variable])
+        group.read()
+        return group.array[0].item()
+
+    def initialise(self, start_time: float, stop_time: float | None) -> None:
+        """Set the experiment up and enter initialisation mode."""
+        self.time = start_time
+        self._call("setupExperiment", startTime=start_time, stopTime=stop_time)
+        self._call("enterInitializationMode")
+
+    def begin_stepping(self) -> None:
+        self._call("exitInitializationMode")
+        self._initialised = True
+
+    def do_step(self, t: float, h: float) -> None:
+        """Advance from t to t + h seconds."""
+        self.time = t
+        status = self.library.fmi2DoStep(self.handle, ctypes.c_double(t), ctypes.c_double(h), 1)
+        if status or self.log:
+            self.judge("fmi2DoStep", status)
+
+    def judge(self, call: str, status: int) -> None:
+        """Raise SlaveError for a refused call, warn for a warning; keep the log empty.
+
+        A call that returned ok but logged an error is refused too: some FMUs can say it only so.
+        """
+        log = list(self.log)
+        self.log.clear()
+        worst = max([status, *(s for s, _ in log if s in (_ERROR, _FATAL))])
+        self._dead = self._dead or status == _FATAL
+        name = _STATUS[worst] if worst < len(_STATUS) else f"status {worst}"
+        messages = [message for _, message in log]
+        if worst >= _REFUSED_FROM:
+            raise SlaveError(self.name, self.time, call, name, messages)
+        if worst:
+            said = "; ".join(messages) or "it logged nothing"
+            warnings.warn(f"{self.name} at t = {self.time:.9g} s: {call}: {said}", SlaveWarning, stacklevel=2)
+
+    def close(self) -> None:
+        """Terminate and free the instance, unload its library, remove its folder."""
+        try:
+            if self._slave is not None and not self._dead:
+                if self._initialised:
+                    self._slave.dll.fmi2Terminate(self.handle)
+                self._slave.dll.fmi2FreeInstance(self.handle)
+        finally:
+            self._unload()
+
+    def _unload(self) -> None:
+        if self._slave is not None:
+            self._slave.freeLibrary()
+            self._slave = None
+        _logs.pop(self.name, None)
+        self._folder.cleanup()
+
+    def _call(self, method: str, *arguments: Any, **options: Any) -> None:
+        call = f"fmi2{method[0].upper()}{method[1:]}"
+        try:
+            status = getattr(self._slave, method)(*arguments, **options) or 0
+        except FMICallException as error:
+            status = error.status
+        self.judge(call, status)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _identifier(description: ModelDescription) -> str:
+    interface = description.coSimulation
+    return str(interface.modelIdentifier) if interface else ""
+
+
+def _check_platform(path: Path, description: ModelDescription) -> None:
+    available = fmpy.supported_platforms(str(path))
+    if fmpy.platform not in available:
+        raise FmuLoadError(
+            f"{path} has no binary for {fmpy.platform}: it has {', '.join(available) or 'none at all'}"
+        )

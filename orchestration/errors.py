@@ -1,0 +1,40 @@
+"""What can go wrong around FMUs, in words that say what to do next."""
+
+from typing import Any
+
+
+class OrchestrationError(Exception):
+    """Base of every error that a user can put right; its message is one line."""
+
+
+class ScenarioError(OrchestrationError):
+    """A scenario file that says something wrong or not enough."""
+
+
+class SystemDefinitionError(OrchestrationError):
+    """Components and connections that do not fit; found before anything is loaded."""
+
+
+class FmuLoadError(OrchestrationError):
+    """A file that is not an FMI 2.0 co-simulation FMU for this platform."""
+
+
+class SlaveError(OrchestrationError):
+    """An FMU refused a call. Names the instance, the time and the FMU's own log line."""
+
+    def __init__(self, instance: str, time: float, call: str, status: str, log: list[str]) -> None:
+        said = "; ".join(log) or "it logged nothing"
+        super().__init__(f"{instance} at t = {time:.9g} s: {call} returned {status}: {said}")
+        self.instance, self.time, self.call, self.status, self.log = instance, time, call, status, log
+
+
+class SlaveWarning(UserWarning):
+    """An FMU returned fmi2Warning: the simulation goes on."""
+
+
+class SimulationError(OrchestrationError):
+    """A run that ended early; `recording` holds what was recorded until then."""
+
+    def __init__(self, cause: Exception, recording: Any) -> None:
+        super().__init__(str(cause))
+        self.recording = recording

@@ -1,0 +1,43 @@
+"""The published figures that reproductions are compared with, and how scenarios map onto them.
+
+Source: Maalouf, Chemori and Creuze (NOLCOS 2013): Tables 1 and 2, sections 5.2 and 5.3. The example has
+no published figures: its oracles were computed independently (docs/fidelity.md).
+"""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Published:
+    """One figure: where it stands, which scenario and metric reproduce it, its value."""
+
+    where: str
+    case: str
+    controller: str
+    metric: str
+    label: str
+    value: float
+
+    @property
+    def scenario(self) -> str:
+        return f"{self.case}-{self.controller}"
+
+
+def _row(where: str, case: str, metric: str, label: str, l1: float, extended: float) -> list[Published]:
+    return [
+        Published(where, case, "l1", metric, label, l1),
+        Published(where, case, "extended", metric, label, extended),
+    ]
+
+
+PUBLISHED = (
+    *_row("Table 1", "nominal", "settling_time_s", "Settling time [s]", 65.0, 45.0),
+    *_row("Table 1", "nominal", "rmse_cm", "RMSE [cm]", 12.1, 4.35),
+    *_row("Table 2", "buoyancy", "settling_time_s", "Settling time [s]", 68.0, 45.0),
+    *_row("Table 2", "buoyancy", "rmse_cm", "RMSE [cm]", 13.8, 4.86),
+    *_row("Section 5.2", "nominal", "holding_thrust_n", "Holding thrust [N]", 1.2, 1.2),
+    Published("Section 5.3", "buoyancy", "extended", "holding_thrust_n", "Holding thrust [N]", 1.4),
+    *_row("Oracle, x(0) = 0", "example", "lag_s", "Lag [s]", 1.403, 0.048),
+    *_row("Oracle, x(0) = 0", "example", "rmse", "RMSE [1]", 19.80, 0.798),
+)
+"""Published figures and, for the example, the independent oracles."""

@@ -1,0 +1,99 @@
+"""Running scenarios into a folder: one, or all that ship, side by side."""
+
+import json
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+from fmus import catalogue
+from orchestration import metrics, report, scenario
+from orchestration.errors import SimulationError
+from orchestration.master import simulate
+from orchestration.recording import Recording, write_whole
+from orchestration.scenario import Scenario
+
+_LONGEST_FIRST = ("example-extended", "example-l1")  # so that no core idles at the end
+
+
+@dataclass(frozen=True)
+class Result:
+    """A finished run: its recording and the metrics that its scenario declares."""
+
+    scenario: Scenario
+    recording: Recording
+    metrics: dict[str, float]
+
+
+def build_what_is_missing(scenarios: Iterable[Scenario]) -> list[str]:
+    """Build the FMUs of our own blocks that these scenarios need and that are missing or stale."""
+    needed = {path.stem for each in scenarios for path in each.system.components.values() if _is_ours(path)}
+    return [name for name in sorted(needed) if catalogue.build_if_stale(name)]
+
+
+def _is_ours(path: Path) -> bool:
+    return path.parent == catalogue.DIST and path.stem in catalogue.block_names()
+
+
+def run(chosen: Scenario, folder: Path, progress: Callable[[int, int], None] | None = None) -> Result:
+    """Run one scenario and write NAME.csv and NAME.json (what was run, metrics) to `folder`.
+
+    A run that ends early leaves what was recorded as NAME.partial.csv.
+    """
+    try:
+        recording = simulate(chosen.system, chosen.experiment, progress)
+    except SimulationError as error:
+        if len(error.recording.time):
+            error.recording.write_csv(folder / f"{chosen.name}.partial.csv")
+        raise
+    measured = metrics.evaluate(recording, chosen.metrics)
+    recording.write_csv(folder / f"{chosen.name}.csv")
+    document = {
+        "scenario": chosen.resolved,
+        "run": recording.provenance,
+        "metrics": measured,
+    }
+    write_whole(folder / f"{chosen.name}.json", lambda stream: json.dump(document, stream, indent=2))
+    return Result(chosen, recording, measured)
+
+
+def run_all(
+    folder: Path, workers: int, progress: Callable[[str], None] = lambda name: None
+) -> dict[str, Result]:
+    """Run every shipped scenario in `workers` processes; `progress` hears of each that is done."""
+    paths = scenario.shipped()
+    names = sorted(paths, key=lambda name: name not in _LONGEST_FIRST)
+    build_what_is_missing(scenario.load(path) for path in paths.values())
+    results = {}
+    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+        futures = {pool.submit(_run_named, name, folder): name for name in names}
+        try:
+            for future in as_completed(futures):
+                result = future.result()
+                results[futures[future]] = Result(scenario.load(paths[futures[future]]), *result)
+                progress(futures[future])
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+    return results
+
+
+def _run_named(name: str, folder: Path) -> tuple[Recording, dict[str, float]]:
+    result = run(scenario.load(scenario.find(name)), folder)
+    return result.recording, result.metrics
+
+
+def write_report(results: dict[str, Result], folder: Path) -> list[Path]:
+    """The figures of the paper and summary.json."""
+    recordings = {name: result.recording for name, result in results.items()}
+    measured = {name: result.metrics for name, result in results.items()}
+    path = folder / "summary.json"
+    content = report.summary(measured)
+    write_whole(path, lambda stream: json.dump(content, stream, indent=2))
+    return [
+        path,
+        *report.figure_3(recordings, folder / "figure_3"),
+        *report.figure_5(recordings, folder / "figure_5"),
+        *report.figure_6(recordings, folder / "figure_6"),
+    ]

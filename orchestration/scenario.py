@@ -1,0 +1,193 @@
+"""A scenario file (TOML) -> a system, an experiment and metrics, all plain data.
+
+title = "..."
+base = "other.toml"                       what is not said here is taken from there
+parameter_files = ["parameters/x.toml"]   values with their provenance
+[components]                              name = block name, or path of an .fmu
+connections = [["a.output", "b.input"]]
+[experiment]                              stop_time, step_size, algorithm, start_time
+[parameters] / [inputs]                   "component.variable" = value
+[signals."component.variable"]            kind = "ramps" | "cosine" | "constant", ...
+[[events]]                                time = ..., set = { "component.variable" = value }
+record = ["component.variable"]
+[metrics.name]                            function = "rmse", ...
+"""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from fmus import catalogue
+from fmus.errors import nearest
+from orchestration.errors import ScenarioError
+from orchestration.master import Algorithm, Event, Experiment
+from orchestration.reference import signal
+from orchestration.system import System
+
+_TABLES = {"components", "experiment", "parameters", "inputs", "signals", "metrics"}
+_KEYS = _TABLES | {"title", "connections", "events", "record", "base", "parameter_files"}
+_EXPERIMENT_KEYS = {"start_time", "stop_time", "step_size", "algorithm"}
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """What to run and what to measure; `resolved` is the same as one self-contained file."""
+
+    name: str
+    title: str
+    system: System
+    experiment: Experiment
+    metrics: Mapping[str, Mapping[str, Any]]
+    resolved: Mapping[str, Any] = field(default_factory=dict)
+
+
+def shipped() -> dict[str, Path]:
+    """Scenarios that come with the package, by name."""
+    folder = Path(str(resources.files("orchestration.scenarios")))
+    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+
+
+def find(name_or_path: str) -> Path:
+    """The scenario file of that path, or of that name among the shipped ones."""
+    if name_or_path.endswith(".toml"):
+        path = Path(name_or_path)
+        if path.is_file():
+            return path
+        beside = [each.name for each in path.parent.glob("*.toml")] if path.parent.is_dir() else []
+        raise ScenarioError(f"no scenario file {name_or_path}; beside it, {nearest(path.name, beside)}")
+    known = shipped()
+    if name_or_path not in known:
+        raise ScenarioError(f"no scenario {name_or_path!r}; {nearest(name_or_path, known)}")
+    return known[name_or_path]
+
+
+def load(path: Path, overrides: Mapping[str, Any] | None = None) -> Scenario:
+    """Read a scenario file; `overrides` is laid over it as a scenario over its base."""
+    data = _merge(_read(path, seen=()), dict(overrides or {}))
+    _check_keys(data, _KEYS, path)
+    for table in _TABLES:
+        if not isinstance(data.setdefault(table, {}), dict):
+            raise ScenarioError(f"{path}: {table}: expected a table")
+    return Scenario(
+        name=path.stem,
+        title=str(data.get("title", path.stem)),
+        system=System(
+            components={n: _fmu(str(v), path) for n, v in _need(data, "components", path).items()},
+            connections=_connections(data, path),
+        ),
+        experiment=_experiment(data, path),
+        metrics=data["metrics"],
+        resolved=data,
+    )
+
+
+def _read(path: Path, seen: tuple[Path, ...]) -> dict[str, Any]:
+    """One file with its base and parameter files laid under it."""
+    if path.resolve() in seen:
+        raise ScenarioError(f"{path}: is its own base")
+    data = read_toml(path)
+    base = data.pop("base", None)
+    below = _read(path.parent / base, (*seen, path.resolve())) if base else {}
+    for file in data.pop("parameter_files", []):
+        below = _merge(below, {"parameters": parameter_values(path.parent / file)})
+    return _merge(below, data)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """A TOML file; ScenarioError says what is wrong with it."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        beside = [each.name for each in path.parent.glob("*.toml")] if path.parent.is_dir() else []
+        raise ScenarioError(f"no file {path}; beside it, {nearest(path.name, beside)}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"{path}: expected TOML: {error}") from error
+
+
+def parameter_values(path: Path) -> dict[str, Any]:
+    """ "component.variable" -> value of a parameter file, whose entries also tell provenance."""
+    values = {}
+    for name, entry in read_toml(path).get("parameters", {}).items():
+        if "value" not in entry:
+            raise ScenarioError(f"{path}: {name}: expected a value")
+        values[name] = entry["value"]
+    return values
+
+
+def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(below)
+    for key, value in above.items():
+        both_tables = isinstance(value, dict) and isinstance(merged.get(key), dict)
+        merged[key] = _merge(merged[key], value) if both_tables and key in _TABLES else value
+    return merged
+
+
+def _check_keys(data: Mapping[str, Any], known: set[str], path: Path) -> None:
+    for key in data:
+        if key not in known:
+            raise ScenarioError(f"{path}: unknown key {key!r}; {nearest(key, known)}")
+
+
+def _need(data: Mapping[str, Any], key: str, path: Path) -> Any:
+    if not data.get(key):
+        raise ScenarioError(f"{path}: {key} is missing")
+    return data[key]
+
+
+def _fmu(name: str, scenario: Path) -> Path:
+    """A block's FMU in the package's own folder, or a path relative to the scenario file."""
+    if name.endswith(".fmu"):
+        return scenario.parent / name
+    if name not in catalogue.block_names():
+        raise ScenarioError(
+            f"{scenario}: no block {name!r}, and a path must end in .fmu; "
+            f"{nearest(name, catalogue.block_names())}"
+        )
+    return catalogue.DIST / f"{name}.fmu"
+
+
+def _connections(data: Mapping[str, Any], path: Path) -> tuple[tuple[str, str], ...]:
+    found = []
+    for entry in data.get("connections", []):
+        if not (isinstance(entry, list) and len(entry) == 2 and all(isinstance(e, str) for e in entry)):
+            raise ScenarioError(f'{path}: connections: expected ["a.output", "b.input"], got {entry!r}')
+        found.append((entry[0], entry[1]))
+    return tuple(found)
+
+
+def _experiment(data: Mapping[str, Any], path: Path) -> Experiment:
+    declared = _need(data, "experiment", path)
+    _check_keys(declared, _EXPERIMENT_KEYS, path)
+    return Experiment(
+        stop_time=_seconds(_need(declared, "stop_time", path), "stop_time", path),
+        step_size=_seconds(declared.get("step_size", 0.0), "step_size", path),
+        start_time=_seconds(declared.get("start_time", 0.0), "start_time", path),
+        algorithm=_algorithm(declared.get("algorithm", Algorithm.JACOBI), path),
+        parameters=data["parameters"],
+        inputs=data["inputs"],
+        signals={n: signal(d, f"{path}: signal {n}") for n, d in data["signals"].items()},
+        events=tuple(_event(entry, path) for entry in data.get("events", [])),
+        record=tuple(data.get("record", ())),
+    )
+
+
+def _seconds(value: Any, name: str, path: Path) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ScenarioError(f"{path}: {name} = {value!r}: expected a number of seconds")
+    return float(value)
+
+
+def _algorithm(name: str, path: Path) -> Algorithm:
+    try:
+        return Algorithm(name)
+    except ValueError:
+        raise ScenarioError(f"{path}: unknown algorithm {name!r}; {nearest(name, Algorithm)}") from None
+
+
+def _event(entry: Any, path: Path) -> Event:
+    if not isinstance(entry, dict) or set(entry) != {"time", "set"}:
+        raise ScenarioError(f"{path}: events: expected time and set, got {entry!r}")
+    return Event(_seconds(entry["time"], "time", path), entry["set"])

@@ -1,0 +1,169 @@
+"""Components and connections, checked against the model descriptions before anything is loaded."""
+
+import zipfile
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+from typing import Any
+
+import fmpy
+from fmpy.model_description import ModelDescription, ScalarVariable
+
+from fmus.errors import nearest
+from orchestration.errors import FmuLoadError, SystemDefinitionError
+
+
+@dataclass(frozen=True)
+class Port:
+    """A variable of a component."""
+
+    component: str
+    variable: ScalarVariable
+
+    @property
+    def name(self) -> str:
+        return f"{self.component}.{self.variable.name}"
+
+
+@dataclass(frozen=True)
+class System:
+    """Named FMUs and the connections between them, (source, target) as "component.variable"."""
+
+    components: Mapping[str, Path]
+    connections: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class CheckedSystem:
+    """A system whose every name exists and fits."""
+
+    components: Mapping[str, Path]
+    descriptions: Mapping[str, ModelDescription]
+    ports: Mapping[str, Port]
+    connections: tuple[tuple[Port, Port], ...]
+
+    def port(self, name: str, purpose: str) -> Port:
+        """The variable called "component.variable"; an unknown one offers the nearest."""
+        component = name.partition(".")[0]
+        if component not in self.components:
+            raise SystemDefinitionError(
+                f"{purpose}: no component {component!r} for {name!r}; {nearest(component, self.components)}"
+            )
+        if name not in self.ports:
+            candidates = [known for known in self.ports if known.startswith(component + ".")]
+            raise SystemDefinitionError(f"{purpose}: no variable {name!r}; {nearest(name, candidates)}")
+        return self.ports[name]
+
+    def initial_order(self) -> tuple[tuple[tuple[Port, Port], ...], bool]:
+        """(connections, whether they form a loop) in the order in which initial values flow.
+
+        Without a loop one pass settles every value; with one, passes must be repeated.
+        """
+        feeding = {target.name: (source, target) for source, target in self.connections}
+        graph = {}
+        for source, target in self.connections:
+            needed = self._initial_inputs(source)
+            graph[target.name] = [name for name in needed if name in feeding]
+        try:
+            order = list(TopologicalSorter(graph).static_order())
+        except CycleError:
+            return self.connections, True
+        return tuple(feeding[name] for name in order), False
+
+    def _initial_inputs(self, output: Port) -> list[str]:
+        """Names of the inputs that an output follows in initialisation mode; unstated means all."""
+        description = self.descriptions[output.component]
+        inputs = [v for v in description.modelVariables if v.causality == "input"]
+        for unknown in description.initialUnknowns:
+            if unknown.variable is output.variable and unknown.dependencies is not None:
+                known = {id(each) for each in unknown.dependencies}
+                inputs = [v for v in inputs if id(v) in known]
+        return [f"{output.component}.{v.name}" for v in inputs]
+
+
+def check(system: System, driven: Iterable[str] = ()) -> CheckedSystem:
+    """Read every model description and check every name, type and unit of the system.
+
+    driven: the inputs that are set by something else than a connection: a signal or a constant.
+    Raises FmuLoadError for a file that is no FMU, SystemDefinitionError for what does not fit.
+    """
+    descriptions = {name: describe(path) for name, path in system.components.items()}
+    ports = {
+        f"{component}.{variable.name}": Port(component, variable)
+        for component, description in descriptions.items()
+        for variable in description.modelVariables
+    }
+    checked = CheckedSystem(system.components, descriptions, ports, ())
+    connections = tuple(_connection(checked, source, target) for source, target in system.connections)
+    drivers = [target.name for _, target in connections]
+    for name in driven:
+        port = checked.port(name, "driven input")
+        if port.variable.causality != "input":
+            raise SystemDefinitionError(f"{name} is driven: expected an input, got {port.variable.causality}")
+        drivers.append(name)
+    _check_each_input_is_driven_once(ports, drivers)
+    return CheckedSystem(system.components, descriptions, ports, connections)
+
+
+def describe(path: Path) -> ModelDescription:
+    """The model description of an FMI 2.0 co-simulation FMU; FmuLoadError says what is wrong."""
+    if not path.is_file():
+        folder = path.parent
+        beside = [each.name for each in folder.glob("*.fmu")] if folder.is_dir() else []
+        raise FmuLoadError(f"no FMU at {path}; in that folder, {nearest(path.name, beside)}")
+    try:
+        description: Any = fmpy.read_model_description(str(path), validate=False)
+    except (zipfile.BadZipFile, EOFError, KeyError) as error:
+        raise FmuLoadError(
+            f"{path} is not an FMU: expected a zip with a modelDescription.xml: {error}"
+        ) from error
+    except Exception as error:  # fmpy raises bare exceptions on malformed XML
+        reason = " ".join(str(error).split())
+        raise FmuLoadError(f"{path}: the model description cannot be read: {reason}") from error
+    if description.fmiVersion != "2.0" or description.coSimulation is None:
+        raise FmuLoadError(f"{path}: expected FMI 2.0 for co-simulation, got FMI {description.fmiVersion}")
+    return description
+
+
+def _connection(checked: CheckedSystem, source: str, target: str) -> tuple[Port, Port]:
+    purpose = f"connection {source} -> {target}"
+    begin, end = checked.port(source, purpose), checked.port(target, purpose)
+    if begin.variable.causality != "output":
+        raise SystemDefinitionError(f"{purpose}: expected an output first, got {begin.variable.causality}")
+    if end.variable.causality != "input":
+        raise SystemDefinitionError(f"{purpose}: expected an input second, got {end.variable.causality}")
+    if begin.variable.type != end.variable.type:
+        raise SystemDefinitionError(
+            f"{purpose}: expected equal types, got {begin.variable.type} and {end.variable.type}"
+        )
+    units = _unit(checked, begin), _unit(checked, end)
+    if units[0] != units[1]:
+        raise SystemDefinitionError(
+            f"{purpose}: expected equal units, got "
+            f"{begin.variable.unit or 'none'} and {end.variable.unit or 'none'}"
+        )
+    return begin, end
+
+
+def _unit(checked: CheckedSystem, port: Port) -> object:
+    """What makes two units equal: base units, factor and offset if the FMU gives them, else the name."""
+    name = port.variable.unit
+    for unit in checked.descriptions[port.component].unitDefinitions:
+        base = unit.baseUnit
+        if unit.name == name and base is not None:
+            exponents = (base.kg, base.m, base.s, base.A, base.K, base.mol, base.cd, base.rad)
+            return (*exponents, base.factor, base.offset)
+    return name
+
+
+def _check_each_input_is_driven_once(ports: Mapping[str, Port], drivers: list[str]) -> None:
+    for name in drivers:
+        if drivers.count(name) > 1:
+            raise SystemDefinitionError(f"{name} is driven {drivers.count(name)} times: expected once")
+    idle = [n for n, p in ports.items() if p.variable.causality == "input" and n not in drivers]
+    if idle:
+        raise SystemDefinitionError(
+            f"{', '.join(idle)}: driven by nothing; connect each input, drive it by a signal "
+            "or give it a constant value"
+        )
