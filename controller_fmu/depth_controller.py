@@ -29,14 +29,14 @@ class Parameters(LawParameters):
         source="guess: the paper gives none",
     )  # fmt: skip
     depth_feedback_gain: float = variable(
-        3.3, "k_m of the depth", unit="N/m", min=1e-6, max=1e6, source="identified"
+        1.833, "k_m of the depth", unit="N/m", min=1e-6, max=1e6, source="identified, docs/fidelity.md"
     )
     rate_feedback_gain: float = variable(
-        34.9, "k_m of the depth rate", unit="N.s/m", min=0.0, max=1e6, source="identified"
+        19.55, "k_m of the depth rate", unit="N.s/m", min=0.0, max=1e6, source="identified, docs/fidelity.md"
     )
     filter_bandwidth: float = variable(
-        0.222, "Bandwidth w of the low-pass filter C(s)", unit="rad/s", min=1e-6, max=1e6,
-        source="identified",
+        0.3057, "Bandwidth w of the low-pass filter C(s)", unit="rad/s", min=1e-6, max=1e6,
+        source="identified, docs/fidelity.md",
     )  # fmt: skip
     lyapunov_weight: l1.Vector = variable(
         (1.0, 1.0), "Diagonal of Q in the Lyapunov equation", min=1e-9, max=1e9, source="guess"
@@ -47,10 +47,10 @@ class Parameters(LawParameters):
     )  # fmt: skip
     sigma_bound: float = variable(10.0, "Bound of |sigma_hat|", unit="N", min=0.0, max=1e6, source="guess")
     proportional_gain: float = variable(
-        6.85, "K_P of the PI", unit="N/m", min=0.0, max=1e6, source="identified"
+        3.869, "K_P of the PI", unit="N/m", min=0.0, max=1e6, source="identified, docs/fidelity.md"
     )
     integral_gain: float = variable(
-        0.01, "K_I of the PI", unit="N/(m.s)", min=0.0, max=1e6, source="identified"
+        0.003031, "K_I of the PI", unit="N/(m.s)", min=0.0, max=1e6, source="identified, docs/fidelity.md"
     )
     large_error_gain: float = variable(
         1.0, "a_1 of the nonlinear P, in N per m^alpha", min=0.0, max=1e6, source="guess"
@@ -65,11 +65,12 @@ class Parameters(LawParameters):
         0.01, "Least delta of the nonlinear P", unit="m", min=1e-9, max=1e6, source="guess"
     )
     observer_alpha: float = variable(
-        0.5, "alpha of the observer", min=0.0, max=1.0, source="guess: not published"
+        0.4, "alpha of the observer", min=0.0, max=1.0, source="guess: not published"
     )
     observer_beta: float = variable(
-        0.15, "beta of the observer", min=0.0, max=2.0, source="guess: not published"
-    )
+        0.1, "beta of the observer", min=0.0, max=2.0,
+        source="alpha^2 / (2 - alpha), Benedict and Bordner (1962); not published",
+    )  # fmt: skip
     observer_period: float = variable(
         0.04, "Sampling period of the observer", unit="s", min=1e-4, max=10.0, variability="fixed",
         source="proxy: reading time of a Bar30 depth sensor",

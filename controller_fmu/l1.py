@@ -260,16 +260,15 @@ def law_step(
     g_1 = projection_factor(law.theta_hat[0], -s_free * phi[0], p.theta_bound[0], tolerance)
     g_2 = projection_factor(law.theta_hat[1], -s_free * phi[1], p.theta_bound[1], tolerance)
     g_sigma = projection_factor(law.sigma_hat, -s_free, p.sigma_bound, tolerance)
-    g_omega = projection_factor(omega - p.input_gain, -s_free * u_a, p.input_gain_uncertainty, tolerance)
+    g_omega = projection_factor(
+        omega - p.input_gain, -s_free * u_without_s, p.input_gain_uncertainty, tolerance
+    )
     rate = half * p.adaptation_gain
     eta_per_s = rate * (g_1 * phi[0] ** 2 + g_2 * phi[1] ** 2 + g_sigma)
-    eta_hat_per_s = eta_per_s + rate * g_omega * u_a * u_a
+    eta_hat_per_s = eta_per_s + rate * g_omega * u_without_s**2
     # omega_hat acts on u_a + u_p but learns from u_a alone: implicit only where that is damping
-    forcing_per_s = (
-        eta_per_s
-        + rate * g_omega * maximum(u_a * (u_a + u_p + shortfall), 0.0)
-        - omega * gain * eta_hat_per_s / loop
-    )
+    omega_per_s = rate * g_omega * maximum(u_without_s * (u_without_s + u_p + shortfall), 0.0)
+    forcing_per_s = eta_per_s + omega_per_s - omega * gain * eta_hat_per_s / loop
     s = s_free / (1.0 + _dot(pb, forced_x) * forcing_per_s)
 
     u_midway = u_without_s + gain * eta_hat_per_s / loop * s
@@ -288,7 +287,7 @@ def law_step(
         ),
         sigma_hat=keep_within(law.sigma_hat + change * g_sigma, p.sigma_bound),
         omega_hat=p.input_gain
-        + keep_within(omega + change * g_omega * u_a - p.input_gain, p.input_gain_uncertainty),
+        + keep_within(omega + change * g_omega * u_without_s - p.input_gain, p.input_gain_uncertainty),
         filter=_select(negate(frozen), filtered, law.filter),
         error_integral=law.error_integral + integral_growth,
     )

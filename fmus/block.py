@@ -227,9 +227,9 @@ def unflatten(template: Any, scalars: list[Any]) -> Any:
     try:
         value = _fill(template, remaining)
     except StopIteration:
-        raise ValueError(f"{len(scalars)} scalars are too few for {template!r}") from None
+        raise ValueError(f"{len(scalars)} scalars are too few") from None
     if next(remaining, None) is not None:
-        raise ValueError(f"{len(scalars)} scalars are too many for {template!r}")
+        raise ValueError(f"{len(scalars)} scalars are too many")
     return value
 
 

@@ -138,7 +138,10 @@ class Instance:
         restored._values = [v.cast(value) for v, value in zip(self.block.variables, values, strict=True)]
         restored.time = time
         restored._prepare()
-        restored._state = unflatten(restored._initial_state(), scalars)
+        try:
+            restored._state = unflatten(restored._initial_state(), scalars)
+        except ValueError as error:
+            raise BlockError(f"state of {self.block.name}: {error}") from error
         restored._stepping = stepping
         self.__dict__.update(restored.__dict__)
 

@@ -130,8 +130,8 @@ def scenarios() -> None:
 @app.command()
 def identify(
     seed: Annotated[int, typer.Option(help="Seed of the starting points.", min=0)] = 1,
-    evaluations: Annotated[int, typer.Option(help="Pairs of runs allowed in all.", min=2)] = 60,
-    starts: Annotated[int, typer.Option(help="Pairs of runs on drawn starting points.", min=1)] = 8,
+    evaluations: Annotated[int, typer.Option(help="Pairs of runs allowed in all.", min=2)] = 80,
+    starts: Annotated[int, typer.Option(help="Pairs of runs on drawn starting points.", min=1)] = 10,
     out: Annotated[
         Path, typer.Option(metavar="FILE", help="Parameter file; by default the one the scenarios use.")
     ] = _IDENTIFIED,

@@ -37,7 +37,7 @@ _logs: dict[str, list[tuple[int, str]]] = {}
 
 def _keep_log(environment: Any, instance: bytes, status: int, category: bytes, message: bytes) -> None:
     _logs.setdefault(instance.decode("utf-8", "replace"), []).append(
-        (status, message.decode("utf-8", "replace").strip())
+        (status, " ".join(message.decode("utf-8", "replace").split()))
     )
 
 

@@ -62,10 +62,10 @@ class Gain:
 
 GAINS = (
     Gain("controller.depth_feedback_gain", "N/m", 1.0, 10.0, "restoring force of 0.1 N to 1 N at 0.1 m"),
-    Gain("controller.rate_feedback_gain", "N.s/m", 15.0, 50.0, "velocity loop of 3 to 10 rad/s"),
+    Gain("controller.rate_feedback_gain", "N.s/m", 10.0, 25.0, "2 to 5 rad/s, below the observer's 8 rad/s"),
     Gain("controller.filter_bandwidth", "rad/s", 0.05, 1.0, "below the velocity loop"),
     Gain("controller.proportional_gain", "N/m", 2.0, 20.0, "of the order of the depth feedback"),
-    Gain("controller.integral_gain", "N/(m.s)", 0.003, 0.1, "small: the filter integrates already"),
+    Gain("controller.integral_gain", "N/(m.s)", 0.003, 0.03, "small: sigma_hat integrates already"),
 )
 
 
@@ -98,8 +98,8 @@ def run_with(name: str, gains: Mapping[str, float]) -> dict[str, float]:
 
 def identify(
     seed: int = 1,
-    evaluations: int = 60,
-    starts: int = 8,
+    evaluations: int = 80,
+    starts: int = 10,
     progress: Callable[[float], None] = lambda cost: None,
 ) -> Fit:
     """Search the gains; the same seed gives the same fit.

@@ -111,9 +111,7 @@ def simulate(
 
 def _settings(checked: CheckedSystem, experiment: Experiment) -> list[tuple[Port, Any]]:
     """Parameters and constant inputs as (port, value), each checked against its declaration."""
-    for event in experiment.events:
-        for name, value in event.values.items():
-            checked_value(checked.port(name, f"event at {event.time} s"), value)
+    _check_events(checked, experiment)
     given = [("parameter", experiment.parameters), ("input", experiment.inputs)]
     found = []
     for causality, values in given:
@@ -125,6 +123,23 @@ def _settings(checked: CheckedSystem, experiment: Experiment) -> list[tuple[Port
                 )
             found.append((port, checked_value(port, value)))
     return found
+
+
+def _check_events(checked: CheckedSystem, experiment: Experiment) -> None:
+    driven = {target.name for _, target in checked.connections} | set(experiment.signals)
+    for event in experiment.events:
+        purpose = f"event at {event.time} s"
+        for name, value in event.values.items():
+            port = checked.port(name, purpose)
+            checked_value(port, value)
+            if port.variable.causality not in ("parameter", "input"):
+                raise SystemDefinitionError(
+                    f"{purpose}: {name}: expected a parameter or an input, got {port.variable.causality}"
+                )
+            if port.variable.variability == "fixed":
+                raise SystemDefinitionError(f"{purpose}: {name} is fixed: only tunable parameters may change")
+            if name in driven:
+                raise SystemDefinitionError(f"{purpose}: {name} is driven already, by a connection or signal")
 
 
 def checked_value(port: Port, value: Any) -> Any:
@@ -296,6 +311,8 @@ class _Run:
         for i, t in enumerate(self._points.tolist()):
             for array, place, signal in self._signals:
                 array[place] = signal(t)
+            for component in self._components.values():
+                component.time = t
             for name, value in due(t):
                 port = self._checked.ports[name]
                 self._components[port.component].set(port.variable, checked_value(port, value))

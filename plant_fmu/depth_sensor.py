@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from fmus.numerics import both, cos, floor, log, maximum, modulo, sqrt, where
 
 HISTORY = 8  # samples kept: the delay may be HISTORY - 1 sampling periods
+_FINEST = 1e-9  # m; a finer resolution counts as none
 _M_1, _A_1 = 2147483563.0, 40014.0
 _M_2, _A_2 = 2147483399.0, 40692.0
 
@@ -47,8 +48,8 @@ class SensorState:
 
 def quantise(value: float, resolution: float) -> float:
     """The multiple of `resolution` nearest to `value`; `value` itself for a resolution of 0."""
-    step = where(resolution > 0.0, resolution, 1.0)
-    return where(resolution > 0.0, step * floor(value / step + 0.5), value)
+    step = where(resolution > _FINEST, resolution, 1.0)
+    return where(resolution > _FINEST, step * floor(value / step + 0.5), value)
 
 
 def uniform(seed_1: float, seed_2: float) -> tuple[float, float, float]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from fmus.numerics import absolute, clip, exp, maximum, sign, where
 
-_SHORTEST_LAG = 1e-9  # s; a lag of zero answers within any step
+_SHORTEST_LAG = 1e-9  # s; what is shorter counts as no lag
 
 
 @dataclass(frozen=True)
@@ -34,5 +34,6 @@ def steady_force(thruster: Thruster, voltage: float, efficiency: float) -> float
 
 def force_after(thruster: Thruster, force: float, steady: float, elapsed: float) -> float:
     """Force [N] `elapsed` s after it was `force`: the exact answer of the lag to a held voltage."""
-    lag = where(thruster.ideal, _SHORTEST_LAG, maximum(thruster.lag, _SHORTEST_LAG))
-    return steady + (force - steady) * exp(-elapsed / lag)
+    lag = where(thruster.ideal, 0.0, thruster.lag)
+    left = where(lag > _SHORTEST_LAG, exp(-elapsed / maximum(lag, _SHORTEST_LAG)), 0.0)
+    return steady + (force - steady) * left

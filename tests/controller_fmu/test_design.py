@@ -1,0 +1,79 @@
+"""Offline design: SciPy's results, the block's closed forms, and the oracle of the example."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from controller_fmu import design, l1
+from controller_fmu.l1 import Regressor
+from controller_fmu.lowpass import FilterOrder
+
+A_M = np.array([[0.0, 1.0], [-1.0, -1.4]])
+B = np.array([0.0, 1.0])
+C = np.array([1.0, 0.0])
+ENTRIES = st.floats(-3.0, 3.0)
+
+
+@given(ENTRIES, ENTRIES, ENTRIES, st.floats(0.1, 10.0), st.floats(0.1, 10.0))
+def test_the_blocks_lyapunov_solution_is_scipys(
+    b: float, c: float, skew: float, q1: float, q2: float
+) -> None:
+    a_m = np.array([[-1.0 - abs(skew), b], [c, -0.5]])
+    if np.linalg.eigvals(a_m).real.max() > -1e-2:  # nearly unstable: P grows without limit
+        a_m -= 4.0 * np.eye(2)
+    p = l1.lyapunov_solution(tuple(map(tuple, a_m.tolist())), (q1, q2))
+    np.testing.assert_allclose(p, design.lyapunov_matrix(a_m, np.diag([q1, q2])), rtol=1e-9, atol=1e-12)
+
+
+def test_p_and_k_g_of_the_example() -> None:
+    matrices = l1.law_matrices(((0.0, 1.0), (-1.0, -1.4)), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0))
+    np.testing.assert_allclose(matrices.lyapunov_matrix, [[1.41429, 0.5], [0.5, 0.714286]], rtol=1e-5)
+    assert matrices.feedforward_gain == pytest.approx(1.0)
+    assert design.feedforward_gain(A_M, B, C) == pytest.approx(1.0)
+
+
+def test_the_l1_condition_of_the_example_is_the_oracle() -> None:
+    lipschitz = design.lipschitz_constant(Regressor.STATE, (10.0, 10.0))
+    assert lipschitz == 20.0
+    value = design.l1_condition(A_M, B, FilterOrder.FIRST, 160.0, lipschitz)
+    assert value == pytest.approx(0.295, abs=5e-4)  # the oracle is given to three digits
+
+
+def test_the_l1_norm_of_a_first_order_lag_and_of_a_resonance_are_analytic() -> None:
+    lag = design.StateSpace(np.array([[-2.0]]), np.array([[1.0]]), np.array([[3.0]]))
+    assert design.l1_norm(lag) == pytest.approx(1.5, rel=1e-4)
+    # g = e^(-zt) sin(t): integral of |g| = coth(z pi / 2) / (1 + z^2)
+    z = 0.2
+    resonance = design.StateSpace(
+        np.array([[0.0, 1.0], [-(1.0 + z * z), -2.0 * z]]), np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]])
+    )
+    assert design.l1_norm(resonance) == pytest.approx(1.0 / np.tanh(z * np.pi / 2) / (1.0 + z * z), rel=1e-4)
+
+
+@pytest.mark.parametrize("order", list(FilterOrder))
+def test_g_is_the_transfer_function_it_says(order: FilterOrder) -> None:
+    system = design.uncompensated(A_M, B, order, 5.0)
+    s = 0.7j
+    g = system.c @ np.linalg.solve(s * np.eye(len(system.a)) - system.a, system.b)
+    c = 5.0 / (s + 5.0) if order == FilterOrder.FIRST else (75.0 * s + 125.0) / (s + 5.0) ** 3
+    expected = np.linalg.solve(s * np.eye(2) - A_M, B.reshape(-1, 1)) * (c - 1.0)
+    np.testing.assert_allclose(g, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("order", list(FilterOrder))
+@pytest.mark.parametrize("kind", list(Regressor))
+def test_the_smallest_bandwidth_is_on_the_edge_of_the_condition(order: FilterOrder, kind: Regressor) -> None:
+    lipschitz = design.lipschitz_constant(kind, (10.0, 10.0))
+    w = design.smallest_bandwidth(A_M, B, order, lipschitz)
+    assert design.l1_condition(A_M, B, order, 1.01 * w, lipschitz) < 1.0
+    assert design.l1_condition(A_M, B, order, 0.99 * w, lipschitz) > 1.0
+
+
+def test_bad_designs_are_refused() -> None:
+    with pytest.raises(ValueError, match="must be Hurwitz"):
+        design.lyapunov_matrix(-A_M, np.eye(2))
+    with pytest.raises(ValueError, match="must be stable"):
+        design.l1_norm(design.StateSpace(-A_M, B.reshape(-1, 1), np.eye(2)))
+    with pytest.raises(ValueError, match="no bandwidth up to"):
+        design.smallest_bandwidth(A_M, B, FilterOrder.FIRST, 20.0, largest=10.0)

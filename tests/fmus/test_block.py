@@ -1,0 +1,88 @@
+"""One declaration gives every name, reference, type and limit."""
+
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import Any
+
+import pytest
+
+from fmus.block import Block, flatten, unflatten, variable
+
+
+class Mode(IntEnum):
+    """A choice."""
+
+    SLOW = 1
+    FAST = 2
+
+
+@dataclass(frozen=True)
+class Parameters:
+    internal_step: float = variable(0.1, "Step", unit="s", min=1e-3, max=1.0, variability="fixed")
+    mode: Mode = variable(Mode.SLOW, "Mode", variability="fixed")
+    matrix: tuple = variable(((1.0, 2.0), (3.0, 4.0)), "Matrix", unit=(("m", "m/s"), ("m", "m/s")))
+
+
+@dataclass(frozen=True)
+class Inputs:
+    count: int = variable(0, "Count", min=0, max=3)
+
+
+@dataclass(frozen=True)
+class State:
+    x: float = 0.0
+    pair: tuple = (0.0, (1.0, 2.0))
+
+
+@dataclass(frozen=True)
+class Outputs:
+    active: bool = variable(False, "Active")
+
+
+BLOCK = Block("Tiny", "", Parameters, Inputs, State, Outputs, *[lambda *_: State()] * 3)
+
+
+def test_vectors_and_matrices_become_scalars_in_row_order() -> None:
+    names = [v.name for v in BLOCK.variables]
+    assert names == [
+        "internal_step", "mode", "matrix[1,1]", "matrix[1,2]", "matrix[2,1]", "matrix[2,2]",
+        "count", "active",
+    ]  # fmt: skip
+    assert [v.value_reference for v in BLOCK.variables] == list(range(8))
+    assert [v.unit for v in BLOCK.variables[2:6]] == ["m", "m/s", "m", "m/s"]
+
+
+def test_the_class_decides_causality_and_the_type_decides_variability() -> None:
+    by_name = {v.name: v for v in BLOCK.variables}
+    assert (by_name["mode"].type, by_name["mode"].variability) == ("Enumeration", "fixed")
+    assert (by_name["matrix[1,1]"].causality, by_name["matrix[1,1]"].variability) == ("parameter", "tunable")
+    assert (by_name["count"].type, by_name["count"].variability) == ("Integer", "discrete")
+    assert (by_name["active"].type, by_name["active"].initial) == ("Boolean", "calculated")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("internal_step", 2.0, "internal_step = 2.0: expected 0.001..1.0 s"),
+        ("internal_step", float("nan"), "internal_step = nan: expected a finite number"),
+        ("mode", 3, "mode = 3: expected one of 1 (slow), 2 (fast)"),
+        ("count", -1, "count = -1: expected 0..3"),
+    ],
+)
+def test_a_refused_value_is_named_with_what_was_expected(name: str, value: Any, message: str) -> None:
+    declared = next(v for v in BLOCK.variables if v.name == name)
+    assert declared.refuse(value) == message
+    assert declared.refuse(declared.start) is None
+
+
+def test_flatten_and_unflatten_are_inverse() -> None:
+    state = State(5.0, (6.0, (7.0, 8.0)))
+    assert flatten(state) == [5.0, 6.0, 7.0, 8.0]
+    assert unflatten(State, flatten(state)) == state
+    assert unflatten(replace(state, x=0.0), flatten(state)) == state
+
+
+@pytest.mark.parametrize("count", [3, 5])
+def test_a_wrong_number_of_scalars_is_refused(count: int) -> None:
+    with pytest.raises(ValueError, match=f"{count} scalars are too"):
+        unflatten(State, [0.0] * count)

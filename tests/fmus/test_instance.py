@@ -1,0 +1,130 @@
+"""An instance does what it says or refuses and stays as it was."""
+
+import json
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fmus import catalogue
+from fmus.instance import BlockError, Instance
+
+NAMES = catalogue.block_names()
+
+
+def outputs(instance: Instance) -> list[float]:
+    return [instance.get(v.value_reference) for v in instance.block.of_causality("output")]
+
+
+@pytest.mark.parametrize("name", NAMES)
+@settings(max_examples=25, deadline=None)
+@given(data=st.data())
+def test_save_step_restore_step_gives_identical_results(name: str, data: st.DataObject) -> None:
+    block = catalogue.load_block(name)
+    instance = Instance(block, "x")
+    values = st.floats(-1.0, 1.0)
+    inputs = [v for v in block.of_causality("input") if v.minimum is None and v.type == "Real"]
+    instance.start(0.0)
+    for v in inputs:
+        instance.set(v.value_reference, data.draw(values))
+    instance.begin_stepping()
+    h = block.step_size
+    for _ in range(data.draw(st.integers(0, 5))):
+        instance.do_step(instance.time, h)
+    saved = instance.snapshot()
+    for v in inputs:
+        instance.set(v.value_reference, data.draw(values))
+    for _ in range(3):
+        instance.do_step(instance.time, h)
+    instance.restore(saved)
+    other = Instance(block, "x")
+    other.restore(saved)
+    for _ in range(3):
+        instance.do_step(instance.time, h)
+        other.do_step(other.time, h)
+        assert outputs(instance) == outputs(other)
+    assert instance.snapshot() == other.snapshot()
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        (lambda d: d.__setitem__("inertia", -1.0), r"inertia = -1.0: expected 0.1..1000000.0 kg"),
+        (lambda d: d.__setitem__("voltage[1]", float("inf")), r"voltage\[1\] = inf: expected a finite"),
+        (lambda d: d.__setitem__("initial_depth", 1.0), "initial_depth: is fixed"),
+        (lambda d: d.__setitem__("depth", 1.0), "depth: cannot be set, it is a output"),
+        (lambda d: d.instance.do_step(0.0, 0.0), "communication step size 0.0 s: expected more than 0"),
+        (lambda d: d.instance.do_step(0.0, -1.0), "communication step size -1.0 s"),
+        (lambda d: d.instance.do_step(0.0, float("nan")), "communication step size nan s"),
+        (lambda d: d.instance.do_step(5.0, 0.1), "communication point 5.0 s: expected 0.0"),
+        (lambda d: d.instance.restore("{}"), "not a serialised state of RovDepthPlant"),
+        (lambda d: d.instance.restore("nonsense"), "not a serialised state of RovDepthPlant"),
+    ],
+)
+def test_a_refused_call_leaves_everything_as_it_was(driver: Any, action: Any, message: str) -> None:
+    plant = driver(catalogue.load_block("RovDepthPlant")).begin()
+    before = plant.instance.snapshot()
+    with pytest.raises(BlockError, match=message):
+        action(plant)
+    assert plant.instance.snapshot() == before
+
+
+def test_another_blocks_state_is_refused() -> None:
+    plant = Instance(catalogue.load_block("RovDepthPlant"), "one")
+    other = Instance(catalogue.load_block("RovDepthPlant"), "two")
+    with pytest.raises(BlockError, match="expected"):
+        other.restore(plant.snapshot())
+
+
+def test_a_state_of_another_length_is_refused() -> None:
+    plant = Instance(catalogue.load_block("RovDepthPlant"), "one")
+    saved = json.loads(plant.snapshot())
+    saved["state"].append(0.0)
+    with pytest.raises(BlockError, match="too many"):
+        plant.restore(json.dumps(saved))
+
+
+def test_a_diverging_step_is_refused_and_the_state_kept(driver: Any) -> None:
+    plant = driver(catalogue.load_block("BenchmarkPlant")).begin()
+    plant["control"] = 1e300
+    plant["omega"] = 1e300
+    before = plant.instance.snapshot()
+    with pytest.raises(BlockError, match="not finite any more"):
+        plant.step(1.0)
+    assert plant.instance.snapshot() == before
+
+
+def test_internal_steps_are_equal_and_land_on_the_communication_point(driver: Any) -> None:
+    """One long communication step equals the internal steps that it must take."""
+    one = driver(catalogue.load_block("RovDepthPlant"), internal_step=0.01).begin()
+    many = driver(catalogue.load_block("RovDepthPlant"), internal_step=0.01).begin()
+    one["voltage[1]"] = many["voltage[1]"] = 3.0
+    one.step(0.04)
+    for _ in range(4):
+        many.step(0.01)
+    assert one["depth"] == pytest.approx(many["depth"], rel=1e-14)  # t differs by rounding
+
+
+def test_a_tuned_gain_acts_from_the_next_step(driver: Any) -> None:
+    controller = driver(catalogue.load_block("L1DepthController"), measured_depth=0.5).begin()
+    controller["depth_feedback_gain"] = 5.0
+    controller.step(0.02)
+    assert controller["u_m"] == pytest.approx(-5.0 * 0.5)
+    assert controller["feedforward_gain"] == pytest.approx(5.0)
+
+
+def test_outputs_follow_inputs_during_initialisation(driver: Any) -> None:
+    controller = driver(catalogue.load_block("L1DepthController"))
+    controller.instance.start(0.0)
+    controller["depth_reference"] = 0.3
+    assert controller["tracking_error"] == -0.3
+    controller["measured_depth"] = 0.1
+    assert controller["tracking_error"] == pytest.approx(-0.2)
+    assert controller["predicted_depth"] == 0.1
+
+
+def test_contradicting_parameters_are_refused(driver: Any) -> None:
+    plant = driver(catalogue.load_block("RovDepthPlant"), sensor_period=0.001)
+    with pytest.raises(BlockError, match="internal_step at most sensor_period"):
+        plant.begin()

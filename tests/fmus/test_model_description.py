@@ -1,0 +1,116 @@
+"""The model description is complete, legal and derived."""
+
+import zipfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import fmpy
+import pytest
+from fmpy.validation import validate_fmu
+
+from fmus import catalogue, python_flavour
+from fmus.block import variable
+from fmus.errors import ExportError
+from fmus.model_description import model_description
+from fmus.units import BASE_UNITS, base_units
+
+NAMES = catalogue.block_names()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_fmpy_finds_no_problem(built: dict[str, Path], name: str) -> None:
+    assert validate_fmu(str(built[name])) == []
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_everything_is_explicit(built: dict[str, Path], name: str) -> None:
+    description = fmpy.read_model_description(str(built[name]))
+    units = {unit.name for unit in description.unitDefinitions}
+    for v in description.modelVariables:
+        assert v.causality
+        assert v.variability
+        assert v.description
+        assert len(v.name) <= 55, "Simulink truncates longer names"
+        assert v.type != "Real" or v.unit in units
+    assert all(unknown.dependencies == [] for unknown in description.outputs)
+    indices = [description.modelVariables.index(u.variable) for u in description.initialUnknowns]
+    assert indices == sorted(indices)
+    assert all(unknown.dependencies is not None for unknown in description.initialUnknowns)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_capabilities_and_enumerations(built: dict[str, Path], name: str) -> None:
+    description = fmpy.read_model_description(str(built[name]))
+    interface = description.coSimulation
+    assert interface is not None
+    assert not interface.needsExecutionTool
+    assert interface.canGetAndSetFMUstate
+    assert interface.canSerializeFMUstate
+    assert interface.canHandleVariableCommunicationStepSize
+    block = catalogue.load_block(name)
+    declared = {d.name: [i.name for i in d.items or []] for d in description.typeDefinitions}
+    for v in block.variables:
+        if v.enumeration:
+            assert declared[v.enumeration.__name__] == [m.name.lower() for m in v.enumeration]
+
+
+def test_the_guid_follows_the_content() -> None:
+    block = catalogue.load_block("BenchmarkPlant")
+    guid, _ = python_flavour.content(block)
+    assert python_flavour.content(block)[0] == guid
+    assert python_flavour.content(replace(block, description="another"))[0] != guid
+
+
+def test_builds_are_reproducible_byte_for_byte(built: dict[str, Path], tmp_path: Path) -> None:
+    for name, path in built.items():
+        assert catalogue.build(name, tmp_path).read_bytes() == path.read_bytes()
+
+
+def test_a_build_leaves_nothing_beside_the_fmu(tmp_path: Path) -> None:
+    catalogue.build("BenchmarkPlant", tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["BenchmarkPlant.fmu"]
+
+
+def test_a_stale_fmu_is_rebuilt_and_a_fresh_one_kept(tmp_path: Path) -> None:
+    path = tmp_path / "BenchmarkPlant.fmu"
+    path.write_bytes(b"stale")
+    catalogue.build_if_stale("BenchmarkPlant", tmp_path)
+    assert zipfile.is_zipfile(path)
+    before = path.stat().st_mtime_ns
+    catalogue.build_if_stale("BenchmarkPlant", tmp_path)
+    assert path.stat().st_mtime_ns == before
+
+
+def test_the_generation_date_is_utc_and_only_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    block = catalogue.load_block("BenchmarkPlant")
+    monkeypatch.delenv("SOURCE_DATE_EPOCH", raising=False)
+    assert b"generationDateAndTime" not in model_description(block, "", {})
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")
+    assert b'generationDateAndTime="1970-01-01T00:00:00Z"' in model_description(block, "", {})
+
+
+def test_an_unknown_unit_is_refused_with_the_nearest() -> None:
+    @dataclass(frozen=True)
+    class Outputs:
+        state: float = variable(0.0, "A state", unit="N/Volt")
+
+    block = replace(catalogue.load_block("BenchmarkPlant"), outputs=Outputs)
+    block = replace(block, output=lambda t, state, p, c: Outputs(state.x[0]))
+    with pytest.raises(ExportError, match="unknown unit 'N/Volt'; nearest is 'N/V'"):
+        model_description(block, "", {})
+
+
+def test_derived_units_have_the_exponents_of_their_definitions() -> None:
+    def product(*terms: tuple[str, int]) -> dict[str, int]:
+        total: dict[str, int] = {}
+        for unit, power in terms:
+            for base, exponent in BASE_UNITS[unit].items():
+                total[base] = total.get(base, 0) + power * exponent
+        return {base: exponent for base, exponent in total.items() if exponent}
+
+    assert base_units("N") == product(("kg", 1), ("m", 1), ("s", -2))
+    assert base_units("N/m") == product(("N", 1), ("m", -1))
+    assert base_units("N/(m.s)") == product(("N", 1), ("m", -1), ("s", -1))
+    assert base_units("N.s/m") == product(("N", 1), ("s", 1), ("m", -1))
+    assert base_units("N.s2/m2") == product(("N", 1), ("s", 2), ("m", -2))
+    assert base_units("N/V") == product(("N", 1), ("V", -1))

@@ -1,0 +1,191 @@
+"""The FMU of the python flavour, through FMPy, does what the block does."""
+
+import subprocess
+import sys
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import pytest
+from fmpy.fmi1 import FMICallException
+from fmpy.fmi2 import FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
+
+from fmus import catalogue
+
+
+class Loaded:
+    """An FMU loaded by FMPy, its variables by name, its log lines kept."""
+
+    def __init__(self, path: Path, folder: Path, name: str = "it") -> None:
+        description: Any = fmpy.read_model_description(str(path))
+        fmpy.extract(str(path), folder)
+        self.references = {v.name: v.valueReference for v in description.modelVariables}
+        self.log: list[str] = []
+        self._callbacks = fmi2CallbackFunctions()
+        self._callbacks.logger = fmi2CallbackLoggerTYPE(
+            lambda environment, instance, status, category, text: self.log.append(text.decode())
+        )
+        self.slave: Any = FMU2Slave(
+            guid=description.guid,
+            unzipDirectory=str(folder),
+            modelIdentifier=description.coSimulation.modelIdentifier,
+            instanceName=name,
+        )
+        self.slave.instantiate(callbacks=self._callbacks, loggingOn=True)
+
+    def begin(self) -> "Loaded":
+        self.slave.setupExperiment(startTime=0.0)
+        self.slave.enterInitializationMode()
+        self.slave.exitInitializationMode()
+        return self
+
+    def __getitem__(self, name: str) -> float:
+        return self.slave.getReal([self.references[name]])[0]
+
+    def __setitem__(self, name: str, value: float) -> None:
+        self.slave.setReal([self.references[name]], [value])
+
+    def free(self) -> None:
+        self.slave.terminate()
+        self.slave.freeInstance()
+
+
+@pytest.fixture
+def load(tmp_path: Path) -> Iterator[Any]:
+    loaded: list[Loaded] = []
+
+    def one(path: Path) -> Loaded:
+        loaded.append(Loaded(path, tmp_path / f"fmu{len(loaded)}", f"it{len(loaded)}"))
+        return loaded[-1]
+
+    yield one
+    for each in loaded:
+        each.free()
+
+
+def test_the_trace_equals_the_block_stepped_directly(built: dict[str, Path], load: Any, driver: Any) -> None:
+    """Bit for bit: the FMU runs the same functions on the same numbers."""
+    fmu = load(built["RovDepthPlant"]).begin()
+    block = driver(catalogue.load_block("RovDepthPlant")).begin()
+    names = [v.name for v in block.instance.block.of_causality("output")]
+    for i in range(100):
+        fmu["voltage[1]"] = block["voltage[1]"] = 3.0 - 0.1 * i
+        fmu.slave.doStep(i * 0.02, 0.02)
+        block.instance.do_step(i * 0.02, 0.02)
+        assert [fmu[name] for name in names] == [block[name] for name in names]
+
+
+def test_state_is_restored_exactly_also_from_bytes_and_in_another_instance(
+    built: dict[str, Path], load: Any
+) -> None:
+    first, second = load(built["RovDepthPlant"]).begin(), load(built["RovDepthPlant"]).begin()
+    first["voltage[1]"] = 2.0
+    for i in range(10):
+        first.slave.doStep(i * 0.02, 0.02)
+    state = first.slave.getFMUstate()
+    data = first.slave.serializeFMUstate(state)
+    first.slave.doStep(0.2, 0.02)
+    expected = first["measured_depth"], first["depth"]
+    first.slave.setFMUstate(state)
+    first.slave.freeFMUstate(state)
+    second.slave.setFMUstate(second.slave.deSerializeFMUstate(data))
+    for fmu in (first, second):
+        fmu.slave.doStep(0.2, 0.02)
+        assert (fmu["measured_depth"], fmu["depth"]) == expected
+
+
+def test_the_bytes_of_another_fmu_are_refused(built: dict[str, Path], load: Any) -> None:
+    plant, other = load(built["RovDepthPlant"]).begin(), load(built["BenchmarkPlant"]).begin()
+    data = other.slave.serializeFMUstate(other.slave.getFMUstate())
+    plant.slave.setFMUstate(plant.slave.deSerializeFMUstate(data))
+    assert "expected" in plant.log[-1]
+    with pytest.raises(FMICallException):
+        plant.slave.doStep(0.0, 0.02)
+
+
+def test_reset_gives_a_new_instance(built: dict[str, Path], load: Any) -> None:
+    plant = load(built["RovDepthPlant"])
+    plant["initial_depth"] = 1.0
+    plant.begin()
+    plant.slave.reset()
+    plant.begin()
+    assert plant["depth"] == 0.0
+
+
+def test_a_failing_step_is_logged_and_discarded_and_the_instance_lives(
+    built: dict[str, Path], load: Any
+) -> None:
+    plant = load(built["BenchmarkPlant"]).begin()
+    plant["omega"] = 1e300
+    plant["control"] = 1e300
+    with pytest.raises(FMICallException, match="discard"):
+        plant.slave.doStep(0.0, 1.0)
+    assert "not finite any more" in plant.log[-1]
+    plant["omega"], plant["control"] = 1.0, 0.0
+    plant.slave.doStep(0.0, 1.0)
+    assert plant["output"] == 0.0
+
+
+def test_a_refused_value_is_logged_and_steps_are_discarded_until_it_is_right(
+    built: dict[str, Path], load: Any
+) -> None:
+    plant = load(built["RovDepthPlant"]).begin()
+    plant["inertia"] = -1.0
+    assert plant.log == ["inertia = -1.0: expected 0.1..1000000.0 kg"]
+    with pytest.raises(FMICallException, match="discard"):
+        plant.slave.doStep(0.0, 0.02)
+    assert "inertia = -1.0" in plant.log[-1]
+    plant["inertia"] = 6.0
+    plant.slave.doStep(0.0, 0.02)
+
+
+def test_a_percent_sign_in_a_message_is_escaped(built: dict[str, Path], load: Any) -> None:
+    """FMI's logger takes a printf format: an unescaped %n would write to memory."""
+    plant = load(built["BenchmarkPlant"]).begin()
+    plant.slave.setFMUstate(plant.slave.deSerializeFMUstate(b'{"format": "%s%n", "fmu": "%s"}'))
+    assert "%%s%%n" in plant.log[-1]
+
+
+def test_two_versions_of_an_fmu_do_not_see_each_other(
+    built: dict[str, Path], load: Any, tmp_path: Path
+) -> None:
+    """A plant built from changed sources beside the original: each runs its own."""
+    changed = _with_another_source(built["BenchmarkPlant"], tmp_path)
+    original, other = load(built["BenchmarkPlant"]).begin(), load(changed).begin()
+    for fmu in (original, other):
+        fmu["control"] = 1.0
+        fmu.slave.doStep(0.0, 0.001)
+    assert other["state[2]"] == pytest.approx(2.0 * original["state[2]"], rel=1e-2)
+
+
+def _with_another_source(path: Path, folder: Path) -> Path:
+    """Builds the FMU in a process whose benchmark plant feels twice the control."""
+    script = (
+        "import pathlib, sys, inspect, importlib\n"
+        "import fmus.sources as sources\n"
+        "read = sources._read\n"
+        "sources._read = lambda n: read(n).replace('p.omega * inputs.control', '2.0 * inputs.control')\n"
+        "from fmus import catalogue\n"
+        "catalogue.build('BenchmarkPlant', pathlib.Path(sys.argv[1]))\n"
+    )
+    subprocess.run([sys.executable, "-c", script, str(folder)], check=True)
+    assert (folder / path.name).read_bytes() != path.read_bytes()
+    return folder / path.name
+
+
+def test_loading_leaves_the_import_path_as_it_was(built: dict[str, Path], load: Any) -> None:
+    before = list(sys.path)
+    load(built["RovDepthPlant"])
+    assert sys.path == before
+
+
+def test_many_instances_one_after_another(built: dict[str, Path], tmp_path: Path) -> None:
+    """PythonFMU alone crashes at the second: it drops a reference that it does not own."""
+    for i in range(20):
+        fmu = Loaded(built["BenchmarkPlant"], tmp_path / str(i)).begin()
+        fmu.slave.doStep(0.0, 0.01)
+        fmu.free()
+    module = zipfile.ZipFile(built["BenchmarkPlant"]).read("resources/slavemodule.txt").decode()
+    assert sys.getrefcount(sys.modules[module].__dict__) < 20

@@ -1,0 +1,92 @@
+"""Foreign FMUs: written by PythonFMU's own builder, knowing nothing of this project."""
+
+import textwrap
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pythonfmu.builder import FmuBuilder
+
+_HEAD = """
+    import ctypes
+
+    from pythonfmu import Boolean, Fmi2Causality, Fmi2Slave, Fmi2Variability, Integer, Real
+
+    from pythonfmu.enums import Fmi2Status
+
+    # PythonFMU 0.7 frees this dictionary at the second instance (docs/fidelity.md)
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(globals()))
+
+    INPUT, OUTPUT = Fmi2Causality.input, Fmi2Causality.output
+"""
+
+_SOURCES = {
+    # x' = -x + u, exact for held u; y = x
+    "Lag": """
+        import math
+
+        class Lag(Fmi2Slave):
+            def __init__(self, **kwargs):
+                super().__init__(**kwargs)
+                self.u, self.y = 0.0, 1.0
+                self.register_variable(Real("u", causality=INPUT, start=0.0))
+                self.register_variable(Real("y", causality=OUTPUT))
+
+            def do_step(self, t, h):
+                self.y = self.u + (self.y - self.u) * math.exp(-h)
+                return True
+    """,
+    # passes every type through, at once
+    "Types": """
+        class Types(Fmi2Slave):
+            def __init__(self, **kwargs):
+                super().__init__(**kwargs)
+                self.a, self.b = 0, False
+                self.register_variable(Integer("a", causality=INPUT, variability=Fmi2Variability.discrete, start=0))
+                self.register_variable(Boolean("b", causality=INPUT, variability=Fmi2Variability.discrete, start=False))
+                self.register_variable(Integer("c", causality=OUTPUT, variability=Fmi2Variability.discrete, getter=lambda: self.a + 1))
+                self.register_variable(Boolean("d", causality=OUTPUT, variability=Fmi2Variability.discrete, getter=lambda: not self.b))
+
+            def do_step(self, t, h):
+                return True
+    """,
+    "Discards": """
+        class Discards(Fmi2Slave):
+            def __init__(self, **kwargs):
+                super().__init__(**kwargs)
+                self.y = 0.0
+                self.register_variable(Real("y", causality=OUTPUT))
+
+            def do_step(self, t, h):
+                self.y = t + h
+                if t > 0.45:
+                    self.log("the battery is empty", Fmi2Status.discard)
+                    return False
+                return True
+    """,
+    "Raises": """
+        class Raises(Fmi2Slave):
+            def __init__(self, **kwargs):
+                super().__init__(**kwargs)
+                self.y = 0.0
+                self.register_variable(Real("y", causality=OUTPUT))
+
+            def do_step(self, t, h):
+                if t > 0.45:
+                    raise RuntimeError("the hull is breached")
+                self.y = t + h
+                return True
+    """,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def foreign(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """PythonFMU's FMUs by name."""
+    folder = tmp_path_factory.mktemp("foreign")
+    made: dict[str, Any] = {}
+    for name, source in _SOURCES.items():
+        script = folder / f"{name.lower()}_slave.py"
+        script.write_text(textwrap.dedent(_HEAD) + textwrap.dedent(source))
+        made[name] = FmuBuilder.build_FMU(script, folder)
+    return made

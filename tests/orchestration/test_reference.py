@@ -1,0 +1,53 @@
+"""Signals are what they say at every time."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from orchestration.errors import ScenarioError
+from orchestration.reference import constant, cosine, ramps, signal
+
+POINTS = [[0.0, 0.0], [40.0, 0.8], [140.0, 0.8], [180.0, 0.4]]
+
+
+def test_straight_ramps_interpolate_and_hold() -> None:
+    r = ramps(POINTS)
+    assert [r(t) for t in (-1.0, 0.0, 20.0, 40.0, 100.0, 160.0, 500.0)] == pytest.approx(
+        [0.0, 0.0, 0.4, 0.8, 0.8, 0.6, 0.4]
+    )
+
+
+@pytest.mark.parametrize("t", [0.0, 40.0, 140.0, 180.0])
+def test_quintic_ramps_start_and_end_at_rest(t: float) -> None:
+    r, h = ramps(POINTS, smooth=True), 1e-3
+    assert (r(t + h) - r(t - h)) / (2 * h) == pytest.approx(0.0, abs=1e-8)  # 10 s^3 / T at s = h / T
+    assert (r(t + h) - 2 * r(t) + r(t - h)) / h**2 == pytest.approx(0.0, abs=1e-5)
+
+
+@given(st.floats(0.0, 40.0))
+def test_quintic_ramps_are_monotonic_and_pass_the_middle(t: float) -> None:
+    r = ramps(POINTS, smooth=True)
+    assert -1e-12 <= r(t) <= 0.8 + 1e-12
+    assert r(20.0) == pytest.approx(0.4)
+
+
+def test_cosine_and_constant() -> None:
+    assert cosine(100.0, 0.2, 0.1, 5.0)(3.0) == pytest.approx(5.0 + 100.0 * math.cos(0.7))
+    assert constant(2.0)(99.0) == 2.0
+
+
+@pytest.mark.parametrize(
+    ("declaration", "message"),
+    [
+        ({"kind": "ramp", "points": POINTS}, "here: unknown kind 'ramp'; nearest is 'ramps'"),
+        ({"kind": "ramps"}, "points"),
+        ({"kind": "ramps", "points": [[1.0, 0.0], [1.0, 2.0]]}, "ascending time"),
+        ({"kind": "ramps", "points": [[1.0]]}, r"\[time, value\]"),
+        ({"kind": "cosine", "amplitud": 1.0}, "amplitud"),
+    ],
+)
+def test_bad_signals_are_refused(declaration: dict, message: str) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        signal(declaration, "here")

@@ -1,0 +1,102 @@
+"""The depth sensor: reproducible, bounded, quantised, late."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from plant_fmu.depth_sensor import (
+    HISTORY,
+    LARGEST_NOISE,
+    Sensor,
+    first_sample,
+    normal,
+    quantise,
+    reading,
+    sample_when_due,
+)
+
+SENSOR = Sensor(period=0.04, noise=0.0, bias=0.0, drift=0.0, resolution=0.0, delay=0.0, ideal=False)
+
+
+def readings(sensor: Sensor, seed: int = 1, count: int = 200, depth: float = 1.0) -> list[float]:
+    state = first_sample(sensor, 0.0, depth, seed)
+    values = [reading(sensor, state, 0.0, depth)]
+    for k in range(1, count):
+        state = sample_when_due(sensor, state, k * sensor.period, depth)
+        values.append(reading(sensor, state, k * sensor.period, depth))
+    return values
+
+
+def test_the_noise_is_standard_normal_and_white() -> None:
+    seed_1, seed_2, values = 12345.0, 67890.0, []
+    for _ in range(20000):
+        n, seed_1, seed_2 = normal(seed_1, seed_2)
+        values.append(n)
+    # a true generator fails each of these once in a thousand seeds; this seed is fixed
+    assert stats.kstest(values, "norm").pvalue > 1e-3
+    correlation = np.corrcoef(values[:-1], values[1:])[0, 1]
+    assert abs(correlation) < 3.3 / math.sqrt(20000)
+
+
+def test_one_seed_one_sequence() -> None:
+    noisy = replace(SENSOR, noise=0.01)
+    assert readings(noisy, seed=7) == readings(noisy, seed=7)
+    assert readings(noisy, seed=7) != readings(noisy, seed=8)
+    assert abs(np.corrcoef(readings(noisy, seed=7), readings(noisy, seed=8))[0, 1]) < 0.3
+
+
+@given(
+    st.integers(1, 2147483397), st.floats(0.0, 0.1), st.floats(0.0, 0.01), st.floats(-1.0, 1.0),
+    st.floats(-2.0, 2.0),
+)  # fmt: skip
+def test_readings_stay_within_noise_and_half_a_resolution(
+    seed: int, noise: float, resolution: float, bias: float, depth: float
+) -> None:
+    sensor = replace(SENSOR, noise=noise, resolution=resolution, bias=bias)
+    bound = noise * LARGEST_NOISE + 0.5 * resolution + 1e-12
+    assert all(abs(value - depth - bias) <= bound for value in readings(sensor, seed, 20, depth))
+
+
+@given(st.floats(-10.0, 10.0), st.floats(1e-4, 0.1))
+def test_quantisation_gives_the_nearest_multiple(value: float, resolution: float) -> None:
+    quantised = quantise(value, resolution)
+    assert abs(quantised - value) <= 0.5 * resolution * (1.0 + 1e-9)
+    assert quantised / resolution == pytest.approx(round(quantised / resolution), abs=1e-9)
+    assert quantise(value, 0.0) == value
+
+
+def test_a_sample_is_held_for_a_period() -> None:
+    state = first_sample(SENSOR, 0.0, 0.0, 1)
+    for i in range(1, 13):
+        t = 0.01 * i
+        state = sample_when_due(SENSOR, state, t, t)
+        assert reading(SENSOR, state, t, t) == pytest.approx(0.04 * (i // 4))
+
+
+@pytest.mark.parametrize("delay", [0.04, 0.1, 0.28])
+def test_a_reading_is_as_old_as_the_delay(delay: float) -> None:
+    sensor = replace(SENSOR, delay=delay)
+    state = first_sample(sensor, 0.0, 0.0, 1)
+    for i in range(1, 400):
+        t = 0.01 * i
+        state = sample_when_due(sensor, state, t, t)
+        if t > 1.0:
+            age = t - reading(sensor, state, t, t)
+            assert delay - 1e-9 <= age < delay + sensor.period
+    assert delay <= (HISTORY - 1) * sensor.period
+
+
+def test_drift_grows_with_time() -> None:
+    values = readings(replace(SENSOR, drift=0.5))
+    assert values[-1] - values[0] == pytest.approx(0.5 * 0.04 * 199)
+
+
+def test_an_ideal_sensor_reports_the_depth_itself() -> None:
+    sensor = replace(SENSOR, ideal=True, noise=1.0, delay=0.1)
+    state = first_sample(sensor, 0.0, 0.0, 1)
+    assert reading(sensor, state, 0.013, 0.7) == 0.7

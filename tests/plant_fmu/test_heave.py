@@ -1,0 +1,78 @@
+"""The vehicle's dynamics against analytic solutions."""
+
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fmus import catalogue
+from plant_fmu import heave
+
+PLANT = catalogue.load_block("RovDepthPlant")
+IDEAL = {"thruster_ideal": True, "sensor_ideal": True}
+
+
+def test_it_floats_five_and_a_half_millimetres_out_of_the_water(driver: Any) -> None:
+    """W - B = -1.2 N over 217 N/m of waterplane."""
+    plant = driver(PLANT).begin()
+    for _ in range(5000):
+        plant.step(0.02)
+    assert plant["depth"] == pytest.approx(-1.2 / (1000.0 * 9.81 * 0.152 * 0.146), rel=1e-3)
+
+
+def test_it_sinks_at_the_terminal_velocity_of_its_damping(driver: Any) -> None:
+    plant = driver(PLANT, initial_depth=1.0, net_weight=2.0, **IDEAL).begin()
+    for _ in range(3000):
+        plant.step(0.02)
+    w = plant["heave_velocity"]
+    assert 2.5 * w + 7.0 * w * w == pytest.approx(2.0, rel=1e-9)
+
+
+def test_the_linear_response_to_a_force_is_exponential(driver: Any) -> None:
+    plant = driver(PLANT, initial_depth=1.0, net_weight=0.0, quadratic_damping=0.0, **IDEAL).begin()
+    plant["external_force"] = 1.0
+    for _ in range(100):
+        plant.step(0.02)
+    rate = 2.5 / 5.5
+    velocity = (1.0 - math.exp(-rate * 2.0)) / 2.5
+    assert plant["heave_velocity"] == pytest.approx(velocity, rel=1e-9)  # RK4 at h rate = 0.009
+    assert plant["depth"] == pytest.approx(1.0 + 2.0 / 2.5 - velocity / rate, rel=1e-9)
+
+
+def test_a_current_carries_a_neutral_vehicle_along(driver: Any) -> None:
+    plant = driver(PLANT, free_surface=False, net_weight=0.0, current_velocity=-0.2, **IDEAL).begin()
+    for _ in range(5000):
+        plant.step(0.02)
+    assert plant["depth_rate"] == pytest.approx(-0.2, rel=1e-6)
+
+
+def test_a_change_of_buoyancy_lifts(driver: Any) -> None:
+    plant = driver(PLANT, initial_depth=1.0, buoyancy_change=0.2, **IDEAL).begin().step(0.001)
+    assert plant["heave_velocity"] == pytest.approx(-1.4 / 5.5 * 0.001, rel=1e-3)
+
+
+def test_a_tilted_body_moves_along_its_own_axis(driver: Any) -> None:
+    roll, pitch = 0.4, -0.3
+    plant = driver(PLANT, initial_depth=1.0, roll=roll, pitch=pitch, **IDEAL).begin()
+    plant["voltage[1]"] = plant["voltage[2]"] = 4.0
+    plant.step(0.001)
+    j = math.cos(roll) * math.cos(pitch)
+    assert plant["heave_velocity"] == pytest.approx((2.0 - 1.2 * j) / 5.5 * 0.001, rel=1e-3)
+    assert plant["depth_rate"] == pytest.approx(j * plant["heave_velocity"])
+
+
+@given(st.floats(-10.0, 10.0))
+def test_buoyancy_is_never_negative_and_never_above_submerged(z: float) -> None:
+    assert 0.0 <= heave.buoyancy(z, 30.0, 1000.0, 0.022) <= 30.0
+
+
+@given(st.floats(-2.0, 2.0))
+def test_damping_takes_energy_out(w: float) -> None:
+    assert heave.damping(w, 2.5, 7.0) * w >= 0.0
+
+
+def test_without_a_free_surface_buoyancy_stays(driver: Any) -> None:
+    plant = driver(PLANT, initial_depth=-1.0, free_surface=False, **IDEAL).begin().step(0.001)
+    assert plant["heave_velocity"] < 0.0
