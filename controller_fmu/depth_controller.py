@@ -34,6 +34,10 @@ class Parameters(LawParameters):
     rate_feedback_gain: float = variable(
         19.55, "k_m of the depth rate", unit="N.s/m", min=0.0, max=1e6, source="identified, docs/fidelity.md"
     )
+    adaptation_gain: float = variable(
+        1e3, "Adaptation gain Gamma", min=0.0, max=1e9,
+        source="guess: the paper gives it for the example alone; 1e4 tracks alike, with noisier estimates",
+    )  # fmt: skip
     filter_bandwidth: float = variable(
         0.3057, "Bandwidth w of the low-pass filter C(s)", unit="rad/s", min=1e-6, max=1e6,
         source="identified, docs/fidelity.md",

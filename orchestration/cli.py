@@ -26,7 +26,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-_console = Console()
+_console = Console(width=None if sys.stdout.isatty() else 110)
 _BEFORE_A_BAR_S = 2.0
 _IDENTIFIED = Path(__file__).parent / "scenarios" / "parameters" / "identified.toml"
 

@@ -3,6 +3,7 @@
 Every call that an FMU refuses becomes a SlaveError with the FMU's own words.
 """
 
+import contextlib
 import ctypes
 import tempfile
 import warnings
@@ -94,12 +95,13 @@ class Component:
             _check_platform(path, description)
             fmpy.extract(str(path), self._folder.name)
             self.log = _logs[name] = []
-            self._slave = fmi2.FMU2Slave(
-                guid=description.guid,
-                unzipDirectory=self._folder.name,
-                modelIdentifier=_identifier(description),
-                instanceName=name,
-            )
+            with contextlib.chdir(Path.cwd()):  # fmpy changes the folder, and stays there if it fails
+                self._slave = fmi2.FMU2Slave(
+                    guid=description.guid,
+                    unzipDirectory=self._folder.name,
+                    modelIdentifier=_identifier(description),
+                    instanceName=name,
+                )
             self._slave.instantiate(callbacks=_callbacks, loggingOn=True)
         except BaseException as error:
             self._unload()

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+from rich.markup import escape
 from rich.table import Table
 
 from orchestration.paper import PUBLISHED
@@ -35,7 +36,7 @@ def comparison_table(measured: Measured) -> Table:
     table = Table(title="Published and reproduced", title_justify="left")
     for heading in ("Source", "Case", "Controller", "Figure"):
         table.add_column(heading)
-    for heading in ("Published", "Ours", "Deviation"):
+    for heading in ("Published", "Ours", "Deviation", "in %"):
         table.add_column(heading, justify="right")
     before = None
     for figure in PUBLISHED:
@@ -48,10 +49,11 @@ def comparison_table(measured: Measured) -> Table:
             figure.where,
             figure.case,
             _CONTROLLERS[figure.controller][0],
-            figure.label,
+            escape(figure.label),
             f"{figure.value:.4g}",
             f"{ours:.4g}",
-            f"{deviation:+.3g} ({100.0 * deviation / figure.value:+.1f} %)",
+            f"{deviation:+.2g}",
+            f"{100.0 * deviation / figure.value:+.1f}",
         )
     return table
 

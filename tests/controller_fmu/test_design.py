@@ -22,7 +22,8 @@ def test_the_blocks_lyapunov_solution_is_scipys(
     a_m = np.array([[-1.0 - abs(skew), b], [c, -0.5]])
     if np.linalg.eigvals(a_m).real.max() > -1e-2:  # nearly unstable: P grows without limit
         a_m -= 4.0 * np.eye(2)
-    p = l1.lyapunov_solution(tuple(map(tuple, a_m.tolist())), (q1, q2))
+    (a11, a12), (a21, a22) = a_m.tolist()
+    p = l1.lyapunov_solution(((a11, a12), (a21, a22)), (q1, q2))
     np.testing.assert_allclose(p, design.lyapunov_matrix(a_m, np.diag([q1, q2])), rtol=1e-9, atol=1e-12)
 
 

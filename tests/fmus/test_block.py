@@ -39,7 +39,17 @@ class Outputs:
     active: bool = variable(False, "Active")
 
 
-BLOCK = Block("Tiny", "", Parameters, Inputs, State, Outputs, *[lambda *_: State()] * 3)
+BLOCK = Block(
+    "Tiny",
+    "",
+    Parameters,
+    Inputs,
+    State,
+    Outputs,
+    initial_state=lambda *_: State(),
+    step=lambda *_: State(),
+    output=lambda *_: Outputs(),
+)
 
 
 def test_vectors_and_matrices_become_scalars_in_row_order() -> None:

@@ -33,7 +33,8 @@ def test_everything_is_explicit(built: dict[str, Path], name: str) -> None:
         assert len(v.name) <= 55, "Simulink truncates longer names"
         assert v.type != "Real" or v.unit in units
     assert all(unknown.dependencies == [] for unknown in description.outputs)
-    indices = [description.modelVariables.index(u.variable) for u in description.initialUnknowns]
+    places = {id(v): i for i, v in enumerate(description.modelVariables)}
+    indices = [places[id(unknown.variable)] for unknown in description.initialUnknowns]
     assert indices == sorted(indices)
     assert all(unknown.dependencies is not None for unknown in description.initialUnknowns)
 

@@ -42,10 +42,11 @@ _SOURCES = {
             def __init__(self, **kwargs):
                 super().__init__(**kwargs)
                 self.a, self.b = 0, False
-                self.register_variable(Integer("a", causality=INPUT, variability=Fmi2Variability.discrete, start=0))
-                self.register_variable(Boolean("b", causality=INPUT, variability=Fmi2Variability.discrete, start=False))
-                self.register_variable(Integer("c", causality=OUTPUT, variability=Fmi2Variability.discrete, getter=lambda: self.a + 1))
-                self.register_variable(Boolean("d", causality=OUTPUT, variability=Fmi2Variability.discrete, getter=lambda: not self.b))
+                common = {"variability": Fmi2Variability.discrete}
+                self.register_variable(Integer("a", causality=INPUT, start=0, **common))
+                self.register_variable(Boolean("b", causality=INPUT, start=False, **common))
+                self.register_variable(Integer("c", causality=OUTPUT, getter=lambda: self.a + 1, **common))
+                self.register_variable(Boolean("d", causality=OUTPUT, getter=lambda: not self.b, **common))
 
             def do_step(self, t, h):
                 return True

@@ -100,7 +100,7 @@ def test_a_loop_in_initialisation_settles_by_repeated_exchange(foreign: dict[str
 
 def test_a_loop_that_does_not_settle_is_said(foreign: dict[str, Path]) -> None:
     system = System({"t": foreign["Types"]}, (("t.c", "t.a"),))
-    with pytest.raises(SimulationError, match="t.a did not settle in 100 passes"):
+    with pytest.raises(SimulationError, match=r"t.a did not settle in 100 passes"):
         simulate(system, Experiment(1.0, 0.1, inputs={"t.b": False}))
 
 
@@ -119,7 +119,7 @@ def test_a_slave_that_fails_in_mid_run_keeps_what_was_recorded(
     foreign: dict[str, Path], temporary: Path, name: str, status: str, words: str
 ) -> None:
     with pytest.raises(
-        SimulationError, match=f"bad at t = 0.5 s: fmi2DoStep returned {status}: .*{words}"
+        SimulationError, match=rf"bad at t = 0.5 s: fmi2DoStep returned {status}: .*{words}"
     ) as caught:
         simulate(System({"bad": foreign[name]}), Experiment(1.0, 0.1))
     recording = caught.value.recording
@@ -133,7 +133,7 @@ def test_an_interruption_keeps_what_was_recorded(foreign: dict[str, Path], tempo
         if done == 3:
             raise KeyboardInterrupt
 
-    with pytest.raises(SimulationError, match="interrupted") as caught:
+    with pytest.raises(SimulationError, match=r"interrupted") as caught:
         simulate(System({"lag": foreign["Lag"]}), Experiment(1.0, 0.1, inputs={"lag.u": 0.0}), interrupt)
     assert len(caught.value.recording.time) == 4
     assert not list(temporary.iterdir())
@@ -150,20 +150,18 @@ def test_a_missing_binary_is_said_with_those_there_are(built: dict[str, Path], t
         for member in source.namelist():
             target.writestr(member.replace("linux64", "alien64"), source.read(member))
     inputs = {"p.control": 0.0, "p.disturbance": 0.0}
-    with pytest.raises(FmuLoadError, match="has no binary for linux64: it has win64"):
+    with pytest.raises(FmuLoadError, match=r"has no binary for linux64: it has win64"):
         simulate(System({"p": path}), Experiment(1.0, 0.1, inputs=inputs))
     assert list(temporary.iterdir()) == [path]
 
 
-def test_an_fmu_that_cannot_be_instantiated_says_why(built: dict[str, Path], temporary: Path) -> None:
+def test_a_binary_that_cannot_be_loaded_says_why(built: dict[str, Path], temporary: Path) -> None:
     path = temporary / "empty.fmu"
     with zipfile.ZipFile(built["BenchmarkPlant"]) as source, zipfile.ZipFile(path, "w") as target:
         for member in source.namelist():
-            lost = member.endswith("slavemodule.txt")
-            target.writestr(member, b"no_such_module" if lost else source.read(member))
-    inputs = {"p.control": 0.0, "p.disturbance": 0.0}
-    with pytest.raises(FmuLoadError, match="cannot be instantiated: .*No module named"):
-        simulate(System({"p": path}), Experiment(1.0, 0.1, inputs=inputs))
+            target.writestr(member, b"text" if member.endswith(".so") else source.read(member))
+    with pytest.raises(FmuLoadError, match=r"p: .*empty.fmu cannot be instantiated: .*BenchmarkPlant.so"):
+        simulate(System({"p": path}), Experiment(1.0, 0.1, inputs=PLANT_INPUTS))
     assert list(temporary.iterdir()) == [path]
 
 
@@ -196,13 +194,13 @@ def test_bad_values_are_refused_before_the_run(
 
 @pytest.mark.parametrize("step", [0.0, -0.1, math.nan, math.inf])
 def test_a_step_must_be_positive(step: float) -> None:
-    with pytest.raises(SystemDefinitionError, match="communication step size .* expected more than 0"):
+    with pytest.raises(SystemDefinitionError, match=r"communication step size .* expected more than 0"):
         Experiment(1.0, step)
 
 
 def test_the_stop_must_come_after_the_start() -> None:
     with pytest.raises(
-        SystemDefinitionError, match="stop time 1.0 s: expected more than the start time 1.0 s"
+        SystemDefinitionError, match=r"stop time 1.0 s: expected more than the start time 1.0 s"
     ):
         Experiment(1.0, 0.1, start_time=1.0)
 
@@ -217,6 +215,6 @@ def test_an_unknown_enumeration_item_lists_them(built: dict[str, Path]) -> None:
     inputs = {"c.reference": 0.0, "c.measured_state[1]": 0.0, "c.measured_state[2]": 0.0}
     experiment = Experiment(1.0, 0.1, parameters={"c.augmentation": "pid"}, inputs=inputs)
     with pytest.raises(
-        OrchestrationError, match="c.augmentation = 'pid': expected one of none, pi, nonlinear_p"
+        OrchestrationError, match=r"c.augmentation = 'pid': expected one of none, pi, nonlinear_p"
     ):
         simulate(System({"c": built["L1Controller"]}), experiment)

@@ -55,11 +55,11 @@ def test_both_lags_find_a_known_delay() -> None:
 
 def test_unknown_names_offer_the_nearest() -> None:
     run = recording(z=TIME)
-    with pytest.raises(ScenarioError, match="metric a: unknown function 'rms'; nearest is 'rmse'"):
+    with pytest.raises(ScenarioError, match=r"metric a: unknown function 'rms'; nearest is 'rmse'"):
         metrics.evaluate(run, {"a": {"function": "rms"}})
-    with pytest.raises(ScenarioError, match="metric a: .*reference"):
+    with pytest.raises(ScenarioError, match=r"metric a: .*reference"):
         metrics.evaluate(run, {"a": {"function": "rmse", "signal": "z"}})
-    with pytest.raises(OrchestrationError, match="'zz' was not recorded; nearest is 'z'"):
+    with pytest.raises(OrchestrationError, match=r"'zz' was not recorded; nearest is 'z'"):
         metrics.evaluate(run, {"a": {"function": "mean", "signal": "zz"}})
-    with pytest.raises(ScenarioError, match="expected to overlap the run"):
+    with pytest.raises(ScenarioError, match=r"expected to overlap the run"):
         metrics.mean(run, "z", [200.0, 300.0])

@@ -33,13 +33,13 @@ def test_wiring_mistakes(foreign: dict[str, Path], connections: list, driven: li
 
 def test_types_must_be_equal(foreign: dict[str, Path]) -> None:
     system = System({"lag": foreign["Lag"], "types": foreign["Types"]}, (("lag.y", "types.a"),))
-    with pytest.raises(SystemDefinitionError, match="expected equal types, got Real and Integer"):
+    with pytest.raises(SystemDefinitionError, match=r"expected equal types, got Real and Integer"):
         check(system, ["lag.u", "types.b"])
 
 
 def test_units_must_be_equal(built: dict[str, Path]) -> None:
     system = System({"plant": built["RovDepthPlant"]}, (("plant.depth", "plant.voltage[1]"),))
-    with pytest.raises(SystemDefinitionError, match="expected equal units, got m and V"):
+    with pytest.raises(SystemDefinitionError, match=r"expected equal units, got m and V"):
         check(system)
 
 
@@ -53,7 +53,7 @@ def test_a_missing_file_offers_the_nearest(built: dict[str, Path]) -> None:
 def test_a_corrupt_fmu_is_named(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "broken.fmu"
     path.write_bytes(content)
-    with pytest.raises(FmuLoadError, match="broken.fmu is not an FMU: expected a zip"):
+    with pytest.raises(FmuLoadError, match=r"broken.fmu is not an FMU: expected a zip"):
         describe(path)
 
 
@@ -61,7 +61,7 @@ def test_a_truncated_fmu_is_named(built: dict[str, Path], tmp_path: Path) -> Non
     path = tmp_path / "half.fmu"
     data = built["RovDepthPlant"].read_bytes()
     path.write_bytes(data[: len(data) // 2])
-    with pytest.raises(FmuLoadError, match="half.fmu is not an FMU"):
+    with pytest.raises(FmuLoadError, match=r"half.fmu is not an FMU"):
         describe(path)
 
 

@@ -1,0 +1,107 @@
+"""The paper's tables come back out of the FMUs, within the tolerances of a reproduction.
+
+The nominal row was fitted (the gains are unpublished); the buoyancy row is a prediction. The
+tolerances are those that the reading of a settling time from the paper's tables, and one
+realisation of a sensor that is not the paper's, allow.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fmus import catalogue
+from orchestration import scenario
+from orchestration.identify import GAINS
+from orchestration.paper import PUBLISHED
+from orchestration.reproduce import Result
+
+METRICS = {
+    "settling_time_s", "rmse_cm", "overshoot_pct", "holding_thrust_n", "lag_s", "control_effort_ns",
+    "total_variation_n",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("case", "controller", "metric", "value", "tolerance"),
+    [
+        ("nominal", "l1", "settling_time_s", 65.0, 3.0),
+        ("nominal", "l1", "rmse_cm", 12.1, 0.6),
+        ("nominal", "extended", "settling_time_s", 45.0, 3.0),
+        ("nominal", "extended", "rmse_cm", 4.35, 0.25),
+        ("buoyancy", "l1", "settling_time_s", 68.0, 4.0),
+        ("buoyancy", "l1", "rmse_cm", 13.8, 0.12 * 13.8),
+        ("buoyancy", "extended", "settling_time_s", 45.0, 3.0),
+        ("buoyancy", "extended", "rmse_cm", 4.86, 0.12 * 4.86),
+        ("nominal", "l1", "holding_thrust_n", 1.2, 0.05),
+        ("nominal", "extended", "holding_thrust_n", 1.2, 0.05),
+        ("buoyancy", "l1", "holding_thrust_n", 1.4, 0.05),
+        ("buoyancy", "extended", "holding_thrust_n", 1.4, 0.05),
+    ],
+)
+def test_a_published_figure_comes_back(
+    summary: dict[str, Any], case: str, controller: str, metric: str, value: float, tolerance: float
+) -> None:
+    assert summary[case][controller][metric] == pytest.approx(value, abs=tolerance)
+
+
+@pytest.mark.parametrize("case", ["nominal", "buoyancy"])
+@pytest.mark.parametrize("controller", ["l1", "extended"])
+def test_there_is_no_significant_overshoot(summary: dict[str, Any], case: str, controller: str) -> None:
+    assert summary[case][controller]["overshoot_pct"] <= 1.0
+
+
+def test_the_extension_removes_most_of_the_lag(summary: dict[str, Any]) -> None:
+    """RMSE about three times smaller, 20 s faster: the paper's claim."""
+    for case in ("nominal", "buoyancy"):
+        plain, extended = summary[case]["l1"], summary[case]["extended"]
+        assert plain["rmse_cm"] > 2.5 * extended["rmse_cm"]
+        assert plain["settling_time_s"] - extended["settling_time_s"] == pytest.approx(20.0, abs=3.0)
+        assert plain["lag_s"] > 2.5 * extended["lag_s"]
+
+
+def test_the_summary_has_the_layout_that_it_promises(summary: dict[str, Any]) -> None:
+    assert set(summary) == {"nominal", "buoyancy", "example"}
+    for case in ("nominal", "buoyancy"):
+        for controller in ("l1", "extended"):
+            assert set(summary[case][controller]) == METRICS
+    for controller in ("l1", "extended"):
+        assert set(summary["example"][controller]) == {"lag_s", "rmse", "total_variation"}
+
+
+def test_every_published_figure_has_a_run_that_measures_it(results: dict[str, Result]) -> None:
+    for figure in PUBLISHED:
+        assert figure.metric in results[figure.scenario].metrics
+
+
+def test_only_the_augmentation_differs_between_controllers() -> None:
+    shipped = scenario.shipped()
+    for case in ("nominal", "buoyancy", "example"):
+        plain, extended = (
+            dict(scenario.load(shipped[f"{case}-{name}"]).resolved) for name in ("l1", "extended")
+        )
+        assert plain.pop("title") != extended.pop("title")
+        parameters = [dict(each.pop("parameters")) for each in (plain, extended)]
+        kinds = [each.pop("controller.augmentation") for each in parameters]
+        assert kinds[0] == "none" != kinds[1]
+        assert parameters[0] == parameters[1]
+        assert plain == extended
+
+
+def test_the_fmus_defaults_are_the_identified_gains() -> None:
+    """The parameter file and the block must not drift apart."""
+    path = Path(scenario.__file__).parent / "scenarios" / "parameters" / "identified.toml"
+    identified = scenario.parameter_values(path)
+    starts = {v.name: v.start for v in catalogue.load_block("L1DepthController").variables}
+    assert set(identified) == {gain.name for gain in GAINS}
+    for name, value in identified.items():
+        assert starts[name.removeprefix("controller.")] == value
+
+
+def test_figures_and_recordings_are_written(summary: dict[str, Any], folder: Path) -> None:
+    for number in (3, 5, 6):
+        assert (folder / f"figure_{number}.png").read_bytes().startswith(b"\x89PNG")
+        assert "</svg>" in (folder / f"figure_{number}.svg").read_text()
+    for name in scenario.shipped():
+        header = (folder / f"{name}.csv").open().readline()
+        assert header.startswith("time [s],")
