@@ -158,11 +158,17 @@ def law_matrices(a_m: Matrix, b: Vector, c: Vector, q: Vector) -> LawMatrices:
     )
 
 
-def hurwitz_requirement(a_m: Matrix) -> tuple[Any, str]:
-    """Both eigenvalues of a 2x2 matrix lie in the left half-plane: trace < 0 < determinant."""
+def law_requirements(parameters: Any, a_m: Matrix) -> tuple[tuple[Any, str], ...]:
+    """A_m is Hurwitz (trace < 0 < determinant) and omega_hat cannot reach zero."""
     (a, b), (c, d) = a_m
     trace, determinant = a + d, a * d - b * c
-    return maximum(trace, -determinant) < 0.0, "a Hurwitz A_m (trace < 0 and determinant > 0)"
+    return (
+        (maximum(trace, -determinant) < 0.0, "a Hurwitz A_m (trace < 0 and determinant > 0)"),
+        (
+            parameters.input_gain_uncertainty < parameters.input_gain,
+            "input_gain_uncertainty below input_gain, so that omega_hat stays positive",
+        ),
+    )
 
 
 def infinity_norm(x: Vector) -> float:
@@ -266,9 +272,14 @@ def law_step(
     rate = half * p.adaptation_gain
     eta_per_s = rate * (g_1 * phi[0] ** 2 + g_2 * phi[1] ** 2 + g_sigma)
     eta_hat_per_s = eta_per_s + rate * g_omega * u_without_s**2
-    # omega_hat acts on u_a + u_p but learns from u_a alone: implicit only where that is damping
-    omega_per_s = rate * g_omega * maximum(u_without_s * (u_without_s + u_p + shortfall), 0.0)
-    forcing_per_s = eta_per_s + omega_per_s - omega * gain * eta_hat_per_s / loop
+    filtered_share = omega * gain / loop  # of eta_hat_per_s, 0..1
+    # omega_hat acts on u_a + u_p but learns from u_a alone: implicit only as far as that is damping
+    omega_per_s = (
+        rate
+        * g_omega
+        * maximum(u_without_s * (u_without_s + u_p + shortfall), filtered_share * u_without_s**2)
+    )
+    forcing_per_s = eta_per_s + omega_per_s - filtered_share * eta_hat_per_s
     s = s_free / (1.0 + _dot(pb, forced_x) * forcing_per_s)
 
     u_midway = u_without_s + gain * eta_hat_per_s / loop * s

@@ -96,7 +96,7 @@ def calculate(p: Parameters) -> LawMatrices:
 
 
 def requirements(p: Parameters, matrices: LawMatrices) -> tuple:
-    return (l1.hurwitz_requirement(p.state_matrix),)
+    return l1.law_requirements(p, p.state_matrix)
 
 
 def initial_state(t: float, inputs: Inputs, p: Parameters, matrices: LawMatrices) -> State:
