@@ -24,7 +24,7 @@ from fmus import catalogue
 from fmus.errors import nearest
 from orchestration.errors import ScenarioError
 from orchestration.master import Algorithm, Event, Experiment
-from orchestration.reference import signal
+from orchestration.reference import Signal, signal
 from orchestration.system import System
 
 _TABLES = {"components", "experiment", "parameters", "inputs", "signals", "metrics"}
@@ -69,8 +69,9 @@ def load(path: Path, overrides: Mapping[str, Any] | None = None) -> Scenario:
     data = _merge(_read(path, seen=()), dict(overrides or {}))
     _check_keys(data, _KEYS, path)
     for table in _TABLES:
-        if not isinstance(data.setdefault(table, {}), dict):
-            raise ScenarioError(f"{path}: {table}: expected a table")
+        _typed(data.setdefault(table, {}), dict, f"{path}: {table}")
+    for name, metric in data["metrics"].items():
+        _typed(metric, dict, f"{path}: metric {name}")
     return Scenario(
         name=path.stem,
         title=str(data.get("title", path.stem)),
@@ -89,10 +90,11 @@ def _read(path: Path, seen: tuple[Path, ...]) -> dict[str, Any]:
     if path.resolve() in seen:
         raise ScenarioError(f"{path}: is its own base")
     data = read_toml(path)
-    base = data.pop("base", None)
+    base = _typed(data.pop("base", ""), str, f"{path}: base")
     below = _read(path.parent / base, (*seen, path.resolve())) if base else {}
-    for file in data.pop("parameter_files", []):
-        below = _merge(below, {"parameters": parameter_values(path.parent / file)})
+    for file in _typed(data.pop("parameter_files", []), list, f"{path}: parameter_files"):
+        named = path.parent / _typed(file, str, f"{path}: parameter_files")
+        below = _merge(below, {"parameters": parameter_values(named)})
     return _merge(below, data)
 
 
@@ -110,9 +112,9 @@ def read_toml(path: Path) -> dict[str, Any]:
 def parameter_values(path: Path) -> dict[str, Any]:
     """ "component.variable" -> value of a parameter file, whose entries also tell provenance."""
     values = {}
-    for name, entry in read_toml(path).get("parameters", {}).items():
-        if "value" not in entry:
-            raise ScenarioError(f"{path}: {name}: expected a value")
+    for name, entry in _typed(read_toml(path).get("parameters", {}), dict, f"{path}: parameters").items():
+        if not isinstance(entry, dict) or "value" not in entry:
+            raise ScenarioError(f"{path}: {name}: expected a table with a value")
         values[name] = entry["value"]
     return values
 
@@ -131,8 +133,18 @@ def _check_keys(data: Mapping[str, Any], known: set[str], path: Path) -> None:
             raise ScenarioError(f"{path}: unknown key {key!r}; {nearest(key, known)}")
 
 
+_NAMES = {dict: "a table", list: "a list", str: "a text"}
+
+
+def _typed(value: Any, kind: type, what: str) -> Any:
+    """The value if it is of that TOML type; the message says what it should be."""
+    if not isinstance(value, kind):
+        raise ScenarioError(f"{what}: expected {_NAMES[kind]}, got {value!r}")
+    return value
+
+
 def _need(data: Mapping[str, Any], key: str, path: Path) -> Any:
-    if not data.get(key):
+    if key not in data or data[key] == {}:
         raise ScenarioError(f"{path}: {key} is missing")
     return data[key]
 
@@ -151,7 +163,7 @@ def _fmu(name: str, scenario: Path) -> Path:
 
 def _connections(data: Mapping[str, Any], path: Path) -> tuple[tuple[str, str], ...]:
     found = []
-    for entry in data.get("connections", []):
+    for entry in _typed(data.get("connections", []), list, f"{path}: connections"):
         if not (isinstance(entry, list) and len(entry) == 2 and all(isinstance(e, str) for e in entry)):
             raise ScenarioError(f'{path}: connections: expected ["a.output", "b.input"], got {entry!r}')
         found.append((entry[0], entry[1]))
@@ -163,15 +175,19 @@ def _experiment(data: Mapping[str, Any], path: Path) -> Experiment:
     _check_keys(declared, _EXPERIMENT_KEYS, path)
     return Experiment(
         stop_time=_seconds(_need(declared, "stop_time", path), "stop_time", path),
-        step_size=_seconds(declared.get("step_size", 0.0), "step_size", path),
+        step_size=_seconds(_need(declared, "step_size", path), "step_size", path),
         start_time=_seconds(declared.get("start_time", 0.0), "start_time", path),
         algorithm=_algorithm(declared.get("algorithm", Algorithm.JACOBI), path),
         parameters=data["parameters"],
         inputs=data["inputs"],
-        signals={n: signal(d, f"{path}: signal {n}") for n, d in data["signals"].items()},
-        events=tuple(_event(entry, path) for entry in data.get("events", [])),
-        record=tuple(data.get("record", ())),
+        signals={n: _signal(d, f"{path}: signal {n}") for n, d in data["signals"].items()},
+        events=tuple(_event(e, path) for e in _typed(data.get("events", []), list, f"{path}: events")),
+        record=tuple(_typed(data.get("record", []), list, f"{path}: record")),
     )
+
+
+def _signal(declared: Any, what: str) -> Signal:
+    return signal(_typed(declared, dict, what), what)
 
 
 def _seconds(value: Any, name: str, path: Path) -> float:
@@ -184,10 +200,13 @@ def _algorithm(name: str, path: Path) -> Algorithm:
     try:
         return Algorithm(name)
     except ValueError:
-        raise ScenarioError(f"{path}: unknown algorithm {name!r}; {nearest(name, Algorithm)}") from None
+        raise ScenarioError(
+            f"{path}: unknown algorithm {name!r}; {nearest(str(name), [str(a) for a in Algorithm])}"
+        ) from None
 
 
 def _event(entry: Any, path: Path) -> Event:
     if not isinstance(entry, dict) or set(entry) != {"time", "set"}:
         raise ScenarioError(f"{path}: events: expected time and set, got {entry!r}")
-    return Event(_seconds(entry["time"], "time", path), entry["set"])
+    changes = _typed(entry["set"], dict, f"{path}: events: set")
+    return Event(_seconds(entry["time"], "time", path), changes)
