@@ -6,7 +6,7 @@ tau is the demand in the earth frame, J = cos(roll) cos(pitch). T is 1x2, so its
 pseudo-inverse. Source: Maalouf et al. (2013), section 4.3 and (11).
 """
 
-from fmus.numerics import clip, cos, maximum
+from fmus.numerics import clip, cos, maximum, minimum, where
 
 _SMALLEST_J = 0.1  # a vehicle on its side cannot push vertically; keeps the inverse finite
 
@@ -33,6 +33,9 @@ def shortfall(
     j: float,
     gains: tuple[float, float],
 ) -> float:
-    """Force delivered minus force demanded [N], earth frame; 0 without saturation."""
+    """Force delivered minus force demanded [N], earth frame; 0 without saturation.
+
+    The inverse of `allocate`: tau = T K u / J, with |J| kept from 0.
+    """
     missing = gains[0] * (possible[0] - wanted[0]) + gains[1] * (possible[1] - wanted[1])
-    return missing / maximum(j, _SMALLEST_J)
+    return missing / where(j < 0.0, minimum(j, -_SMALLEST_J), maximum(j, _SMALLEST_J))

@@ -23,12 +23,10 @@ from typing import Any
 from controller_fmu import augmentation, lowpass
 from controller_fmu.augmentation import Augmentation, Threshold
 from controller_fmu.lowpass import FilterOrder, FilterState
+from controller_fmu.matrices import LawMatrices, Vector, dot
 from controller_fmu.projection import keep_within, projection_factor
 from fmus.block import variable
-from fmus.numerics import absolute, maximum, negate, where
-
-Vector = tuple[float, float]
-Matrix = tuple[Vector, Vector]
+from fmus.numerics import absolute, maximum, where
 
 
 class Regressor(IntEnum):
@@ -80,17 +78,6 @@ class LawParameters:
 
 
 @dataclass(frozen=True)
-class LawMatrices:
-    """What follows from the parameters alone."""
-
-    predictor_matrix: Matrix = variable(((0.0, 1.0), (-1.0, -1.4)), "A_m, desired dynamics")
-    predictor_input: Vector = variable((0.0, 1.0), "B_m, input column")
-    lyapunov_matrix: Matrix = variable(((1.0, 0.0), (0.0, 1.0)), "P, solution of A_m' P + P A_m = -Q")
-    adaptation_vector: Vector = variable((0.0, 1.0), "P B_m, weight of the prediction error")
-    feedforward_gain: float = variable(1.0, "k_g = -1 / (C A_m^-1 B_m)")
-
-
-@dataclass(frozen=True)
 class LawState:
     """What evolves: prediction, estimates, filter, and the integral of the tracking error."""
 
@@ -129,48 +116,6 @@ class Control:
         return self.u_m + self.u_a + self.u_p
 
 
-def lyapunov_solution(a_m: Matrix, q: Vector) -> Matrix:
-    """P of A_m' P + P A_m = -diag(q), by Cramer's rule on (p_11, p_12, p_22)."""
-    (a, b), (c, d) = a_m
-    trace, determinant = a + d, a * d - b * c
-    scale = -0.5 / (trace * determinant)
-    p_11 = scale * (q[0] * (determinant + d * d) + q[1] * c * c)
-    p_12 = -scale * (q[0] * b * d + q[1] * a * c)
-    p_22 = scale * (q[0] * b * b + q[1] * (determinant + a * a))
-    return (p_11, p_12), (p_12, p_22)
-
-
-def law_matrices(a_m: Matrix, b: Vector, c: Vector, q: Vector) -> LawMatrices:
-    """P, P B_m and k_g of a design; A_m must be Hurwitz and C A_m^-1 B_m not zero."""
-    (a_11, a_12), (a_21, a_22) = a_m
-    determinant = a_11 * a_22 - a_12 * a_21
-    p = lyapunov_solution(a_m, q)
-    steady_state = (
-        (a_22 * b[0] - a_12 * b[1]) / determinant,
-        (a_11 * b[1] - a_21 * b[0]) / determinant,
-    )
-    return LawMatrices(
-        predictor_matrix=a_m,
-        predictor_input=b,
-        lyapunov_matrix=p,
-        adaptation_vector=(_dot(p[0], b), _dot(p[1], b)),
-        feedforward_gain=-1.0 / _dot(c, steady_state),
-    )
-
-
-def law_requirements(parameters: Any, a_m: Matrix) -> tuple[tuple[Any, str], ...]:
-    """A_m is Hurwitz (trace < 0 < determinant) and omega_hat cannot reach zero."""
-    (a, b), (c, d) = a_m
-    trace, determinant = a + d, a * d - b * c
-    return (
-        (maximum(trace, -determinant) < 0.0, "a Hurwitz A_m (trace < 0 and determinant > 0)"),
-        (
-            parameters.input_gain_uncertainty < parameters.input_gain,
-            "input_gain_uncertainty below input_gain, so that omega_hat stays positive",
-        ),
-    )
-
-
 def infinity_norm(x: Vector) -> float:
     """|x|_inf, over the numbers in SI units."""
     return maximum(absolute(x[0]), absolute(x[1]))
@@ -202,7 +147,7 @@ def extension(parameters: Any, e: float, integral: float, r: float) -> float:
 def control(law: LawState, seen: Measurement, k_m: Vector, parameters: Any) -> Control:
     """u = u_m + u_a + u_p."""
     return Control(
-        u_m=-_dot(k_m, seen.x),
+        u_m=-dot(k_m, seen.x),
         u_a=law.filter.u_a,
         u_p=extension(parameters, seen.error, law.error_integral, seen.r),
     )
@@ -235,7 +180,7 @@ def law_step(
     (a_11, a_12), (a_21, a_22) = matrices.predictor_matrix
     b, pb = matrices.predictor_input, matrices.adaptation_vector
     phi = regressor(p.regressor, seen.x)
-    eta = _dot(law.theta_hat, phi) + law.sigma_hat
+    eta = dot(law.theta_hat, phi) + law.sigma_hat
     feedforward = matrices.feedforward_gain * seen.r
     u_a, omega = law.filter.u_a, law.omega_hat
 
@@ -253,7 +198,8 @@ def law_step(
     forced_x = half * (m_22 * b[0] - m_12 * b[1]) / m, half * (m_11 * b[1] - m_21 * b[0]) / m
 
     # u_a = u_free - gain v midway, v = omega u_a + eta - k_g r; frozen where it winds up
-    frozen = shortfall * -(omega * u_a + eta - feedforward) < 0.0
+    v_before = omega * u_a + eta - feedforward
+    frozen = shortfall * lowpass.rate(p.filter_order, p.filter_bandwidth, law.filter, v_before) < 0.0
     u_free, gain = lowpass.midpoint_response(p.filter_order, p.filter_bandwidth, law.filter, half)
     u_free, gain = where(frozen, u_a, u_free), where(frozen, 0.0, gain)
     loop = 1.0 + gain * omega
@@ -261,7 +207,7 @@ def law_step(
     forcing_without_s = omega * (u_without_s + u_p + shortfall) + eta
 
     # s = s_free / (1 + stiffness): its sign is known before the projection factors are
-    s_free = _dot(pb, free_x) - _dot(pb, seen.x) + _dot(pb, forced_x) * forcing_without_s
+    s_free = dot(pb, free_x) - dot(pb, seen.x) + dot(pb, forced_x) * forcing_without_s
     tolerance = p.projection_tolerance
     g_1 = projection_factor(law.theta_hat[0], -s_free * phi[0], p.theta_bound[0], tolerance)
     g_2 = projection_factor(law.theta_hat[1], -s_free * phi[1], p.theta_bound[1], tolerance)
@@ -280,12 +226,12 @@ def law_step(
         * maximum(u_without_s * (u_without_s + u_p + shortfall), filtered_share * u_without_s**2)
     )
     forcing_per_s = eta_per_s + omega_per_s - filtered_share * eta_hat_per_s
-    s = s_free / (1.0 + _dot(pb, forced_x) * forcing_per_s)
+    s = s_free / (1.0 + dot(pb, forced_x) * forcing_per_s)
 
     u_midway = u_without_s + gain * eta_hat_per_s / loop * s
     v = omega * u_midway + eta - eta_hat_per_s * s - feedforward
     forcing = forcing_without_s - forcing_per_s * s
-    filtered = lowpass.advance(p.filter_order, p.filter_bandwidth, law.filter, half, v)
+    filtered = lowpass.advance(p.filter_order, p.filter_bandwidth, law.filter, half, v, shortfall)
     change = -2.0 * rate * s
     return LawState(
         x_hat=(
@@ -299,18 +245,6 @@ def law_step(
         sigma_hat=keep_within(law.sigma_hat + change * g_sigma, p.sigma_bound),
         omega_hat=p.input_gain
         + keep_within(omega + change * g_omega * u_without_s - p.input_gain, p.input_gain_uncertainty),
-        filter=_select(negate(frozen), filtered, law.filter),
+        filter=filtered,
         error_integral=law.error_integral + integral_growth,
-    )
-
-
-def _dot(first: Vector, second: Vector) -> float:
-    return first[0] * second[0] + first[1] * second[1]
-
-
-def _select(condition: Any, if_true: FilterState, if_false: FilterState) -> FilterState:
-    return FilterState(
-        u_a=where(condition, if_true.u_a, if_false.u_a),
-        p_1=where(condition, if_true.p_1, if_false.p_1),
-        p_2=where(condition, if_true.p_2, if_false.p_2),
     )

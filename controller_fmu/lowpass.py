@@ -33,6 +33,11 @@ class FilterState:
     p_2: float = 0.0
 
 
+def rate(order: FilterOrder, w: float, filter: FilterState, v: float) -> float:
+    """u_a' under the input v."""
+    return where(order == FilterOrder.THIRD, 3.0 * w**2 * filter.p_1 + w**3 * filter.p_2, -w * v)
+
+
 def midpoint_response(order: FilterOrder, w: float, filter: FilterState, half: float) -> tuple[float, float]:
     """(free, gain) of u_a = free - gain v at the middle of a step of 2 `half` s, v the mean input."""
     slope = half * (3.0 * w**2 + half * w**3) / (1.0 + 3.0 * w * half)
@@ -42,15 +47,26 @@ def midpoint_response(order: FilterOrder, w: float, filter: FilterState, half: f
     return free, gain
 
 
-def advance(order: FilterOrder, w: float, filter: FilterState, half: float, v: float) -> FilterState:
-    """The filter 2 `half` s later by the implicit midpoint rule, its input being `v` midway."""
+def advance(
+    order: FilterOrder, w: float, filter: FilterState, half: float, v: float, shortfall: float = 0.0
+) -> FilterState:
+    """The filter 2 `half` s later by the implicit midpoint rule, its input being `v` midway.
+
+    shortfall: what the actuator delivers minus what is demanded. While it is not 0, a state whose
+    change would widen it is held: u_a grows with every state, so each tells by its own sign.
+    """
     free, gain = midpoint_response(order, w, filter, half)
     u_a = free - gain * v
     p_1 = (filter.p_1 - half * v) / (1.0 + 3.0 * w * half)
     p_2 = filter.p_2 + half * p_1
     third = order == FilterOrder.THIRD
     return FilterState(
-        u_a=2.0 * u_a - filter.u_a,
-        p_1=where(third, 2.0 * p_1 - filter.p_1, 0.0),
-        p_2=where(third, 2.0 * p_2 - filter.p_2, 0.0),
+        u_a=_held(filter.u_a, u_a, shortfall),
+        p_1=where(third, _held(filter.p_1, p_1, shortfall), 0.0),
+        p_2=where(third, _held(filter.p_2, p_2, shortfall), 0.0),
     )
+
+
+def _held(before: float, midway: float, shortfall: float) -> float:
+    """The value after the step, or before it where the change would widen the shortfall."""
+    return where(shortfall * (midway - before) < 0.0, before, 2.0 * midway - before)

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 from controller_fmu import l1
 from controller_fmu.augmentation import Threshold
-from controller_fmu.l1 import LawMatrices, LawParameters, LawState, Measurement, Regressor
+from controller_fmu.l1 import LawParameters, LawState, Measurement, Regressor
+from controller_fmu.matrices import LawMatrices, Matrix, Vector, law_matrices, law_requirements
 from fmus.block import Block, variable
 from fmus.numerics import clip
 
@@ -31,18 +32,16 @@ class Parameters(LawParameters):
         160.0, "Bandwidth w of the low-pass filter C(s)", unit="rad/s", min=1e-6, max=1e6,
         source="published",
     )  # fmt: skip
-    state_matrix: l1.Matrix = variable(
+    state_matrix: Matrix = variable(
         ((0.0, 1.0), (-1.0, -1.4)), "A_m, desired dynamics, Hurwitz", source="published"
     )
-    input_vector: l1.Vector = variable((0.0, 1.0), "B_m, input column", source="published")
-    output_vector: l1.Vector = variable((1.0, 0.0), "C, output row", source="published")
-    feedback_gain: l1.Vector = variable((0.0, 0.0), "k_m, state feedback", source="published")
-    lyapunov_weight: l1.Vector = variable(
+    input_vector: Vector = variable((0.0, 1.0), "B_m, input column", source="published")
+    output_vector: Vector = variable((1.0, 0.0), "C, output row", source="published")
+    feedback_gain: Vector = variable((0.0, 0.0), "k_m, state feedback", source="published")
+    lyapunov_weight: Vector = variable(
         (1.0, 1.0), "Diagonal of Q in the Lyapunov equation", min=1e-9, max=1e9, source="published"
     )
-    theta_bound: l1.Vector = variable(
-        (10.0, 10.0), "Bound of |theta_hat|", min=0.0, max=1e6, source="published"
-    )
+    theta_bound: Vector = variable((10.0, 10.0), "Bound of |theta_hat|", min=0.0, max=1e6, source="published")
     sigma_bound: float = variable(
         0.0, "Bound of |sigma_hat|; 0 holds it at zero", min=0.0, max=1e6,
         source="published: sigma = 0",
@@ -68,7 +67,7 @@ class Parameters(LawParameters):
 @dataclass(frozen=True)
 class Inputs:
     reference: float = variable(0.0, "Reference r")
-    measured_state: l1.Vector = variable((0.0, 0.0), "Measured state x")
+    measured_state: Vector = variable((0.0, 0.0), "Measured state x")
 
 
 @dataclass(frozen=True)
@@ -83,20 +82,20 @@ class Outputs:
     u_m: float = variable(0.0, "State feedback -k_m x")
     u_a: float = variable(0.0, "Adaptive control")
     u_p: float = variable(0.0, "Extension: PI or nonlinear P")
-    theta_hat: l1.Vector = variable((0.0, 0.0), "Estimate theta_hat")
+    theta_hat: Vector = variable((0.0, 0.0), "Estimate theta_hat")
     sigma_hat: float = variable(0.0, "Estimate sigma_hat")
     omega_hat: float = variable(1.0, "Estimate omega_hat of the input gain")
-    predicted_state: l1.Vector = variable((0.0, 0.0), "Predicted state x_hat")
-    prediction_error: l1.Vector = variable((0.0, 0.0), "x_tilde = x_hat - x")
+    predicted_state: Vector = variable((0.0, 0.0), "Predicted state x_hat")
+    prediction_error: Vector = variable((0.0, 0.0), "x_tilde = x_hat - x")
     tracking_error: float = variable(0.0, "e = y - r")
 
 
 def calculate(p: Parameters) -> LawMatrices:
-    return l1.law_matrices(p.state_matrix, p.input_vector, p.output_vector, p.lyapunov_weight)
+    return law_matrices(p.state_matrix, p.input_vector, p.output_vector, p.lyapunov_weight)
 
 
 def requirements(p: Parameters, matrices: LawMatrices) -> tuple:
-    return l1.law_requirements(p, p.state_matrix)
+    return law_requirements(p, p.state_matrix)
 
 
 def initial_state(t: float, inputs: Inputs, p: Parameters, matrices: LawMatrices) -> State:

@@ -5,7 +5,7 @@ way: `MyBlock = "my_package.my_module:BLOCK"`.
 """
 
 import zipfile
-from collections.abc import Iterable
+import zlib
 from importlib.metadata import entry_points
 from pathlib import Path
 from xml.etree import ElementTree
@@ -46,19 +46,12 @@ def build_if_stale(name: str, folder: Path = DIST) -> Path:
     return path
 
 
-def missing_or_stale(names: Iterable[str], folder: Path = DIST) -> list[str]:
-    """Those of the blocks whose FMU has to be built."""
-    return [
-        name
-        for name in names
-        if _guid_of(folder / f"{name}.fmu") != python_flavour.content(load_block(name))[0]
-    ]
-
-
 def _guid_of(path: Path) -> str | None:
     try:
         with zipfile.ZipFile(path) as archive:
+            if archive.testzip():
+                return None
             root = ElementTree.fromstring(archive.read("modelDescription.xml"))
-    except (OSError, zipfile.BadZipFile, KeyError, ElementTree.ParseError):
+    except (OSError, zipfile.BadZipFile, zlib.error, KeyError, ElementTree.ParseError):
         return None
     return root.get("guid")

@@ -35,13 +35,14 @@ class Instance:
         self._parameters: Any = None
         self._calculated: Any = None
         self._inputs: Any = None
-        self._outputs_are_stale = True
+        self._parameters_are_stale = self._inputs_are_stale = self._outputs_are_stale = True
 
     # values
 
     def get(self, reference: int) -> Any:
         """Value of a variable; an output follows the inputs until stepping begins."""
-        if reference >= self._parameters_end:
+        is_set = reference < self._parameters_end or self._calculated_end <= reference < self._inputs_end
+        if not is_set:
             self._refresh()
         return self._values[reference]
 
@@ -54,10 +55,10 @@ class Instance:
         if self._values[reference] != value:
             self._values[reference] = variable.cast(value)
             if reference < self._parameters_end:
-                self._parameters = None
+                self._parameters_are_stale = True
             else:
-                self._inputs = None
-            self._outputs_are_stale = True
+                self._inputs_are_stale = True
+            self._outputs_are_stale = self._outputs_are_stale or not self._stepping
 
     def _refusal(self, variable: ScalarVariable, value: Value) -> str | None:
         if not variable.settable:
@@ -82,6 +83,8 @@ class Instance:
 
     def do_step(self, t: float, h: float) -> None:
         """Advance from t to t + h [s] in equal internal steps, the inputs held."""
+        if not self._stepping:
+            raise BlockError("a step before the initialisation has ended: expected begin_stepping first")
         if not (math.isfinite(h) and h > 0.0):
             raise BlockError(f"communication step size {h!r} s: expected more than 0")
         if not abs(t - self.time) <= _TIME_TOLERANCE * max(1.0, abs(t), h):
@@ -107,7 +110,8 @@ class Instance:
 
     def snapshot(self) -> str:
         """Everything that the instance is, as text; floats survive exactly."""
-        self._refresh()
+        if not self._stepping:
+            self._refresh()
         return json.dumps(
             {
                 "format": _FORMAT,
@@ -127,13 +131,19 @@ class Instance:
             if format_and_origin != (_FORMAT, self.fingerprint):
                 raise BlockError(f"state of {format_and_origin!r}: expected {(_FORMAT, self.fingerprint)!r}")
             values, time = list(saved["values"]), float(saved["time"])
-            stepping, scalars = bool(saved["stepping"]), list(saved["state"])
+            stepping, scalars = bool(saved["stepping"]), [float(x) for x in saved["state"]]
+            if not all(map(math.isfinite, [time, *scalars, *map(float, values)])):
+                raise ValueError("a number that is not finite")
         except (ValueError, KeyError, TypeError) as error:
             if isinstance(error, BlockError):
                 raise
             raise BlockError(f"not a serialised state of {self.block.name}: {error}") from error
         if len(values) != len(self._values):
             raise BlockError(f"state with {len(values)} values: expected {len(self._values)}")
+        for v, value in zip(self.block.variables, values, strict=True):
+            reason = v.refuse(value) if v.settable else None
+            if reason:
+                raise BlockError(f"state of {self.block.name}: {reason}")
         restored = Instance(self.block, self.fingerprint)
         restored._values = [v.cast(value) for v, value in zip(self.block.variables, values, strict=True)]
         restored.time = time
@@ -148,14 +158,16 @@ class Instance:
     # what is derived, each when it is needed and stale
 
     def _prepare(self) -> None:
-        if self._parameters is None:
+        if self._parameters_are_stale:
             parameters = unflatten(self.block.parameters, self._values[: self._parameters_end])
             calculated = self._calculate(parameters)
             self._parameters, self._calculated = parameters, calculated
             self._values[self._parameters_end : self._calculated_end] = flatten(calculated)
-        if self._inputs is None:
+            self._parameters_are_stale = False
+        if self._inputs_are_stale:
             scalars = self._values[self._calculated_end : self._inputs_end]
             self._inputs = unflatten(self.block.inputs, scalars)
+            self._inputs_are_stale = False
 
     def _calculate(self, parameters: Any) -> Any:
         try:
@@ -173,8 +185,8 @@ class Instance:
     def _refresh(self) -> None:
         if not self._outputs_are_stale:
             return
-        self._prepare()
         if not self._stepping:
+            self._prepare()
             self._state = self._initial_state()
         outputs = self.block.output(self.time, self._state, self._parameters, self._calculated)
         self._values[self._inputs_end :] = flatten(outputs)

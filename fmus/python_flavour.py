@@ -30,8 +30,6 @@ _CAPABILITIES = {
     "providesDirectionalDerivative": "false",
 }
 
-# At every instantiation the binary runs this file again in the module's dictionary and then drops a
-# reference to that dictionary which it does not own; the second instance would find it freed.
 _ENTRY = '''"""Entry point of the FMU {name}: the class that PythonFMU's binary instantiates."""
 
 import ctypes
@@ -50,22 +48,22 @@ class {name}(BlockSlave):
 
 
 def content(block: Block) -> tuple[str, dict[str, bytes]]:
-    """(GUID, path -> content) of the FMU; the GUID is derived from everything else inside."""
-    module = block.step.__module__
-    sources = source_closure(module)
-    binaries = _binaries(block.name)
-    without_guid = model_description(block, "", _CAPABILITIES)
-    guid = _guid([without_guid, *(f"{k}\n{v}".encode() for k, v in sources.items()), *binaries.values()])
+    """(GUID, path -> content) of the FMU; the GUID is derived from everything inside."""
+    guid = _guid(_members(block, str(uuid.UUID(int=0))))
+    return guid, _members(block, guid)
 
+
+def _members(block: Block, guid: str) -> dict[str, bytes]:
+    module = block.step.__module__
     entry = f"{block.name.lower()}_{guid.replace('-', '')[:16]}"
     package = f"{entry}_sources"
-    text = in_package(sources, package)
+    text = in_package(source_closure(module), package)
     text[f"{entry}.py"] = _ENTRY.format(name=block.name, package=package, module=module, guid=guid)
     text["slavemodule.txt"] = entry
     members = {f"resources/{path}": source.encode() for path, source in text.items()}
-    members |= binaries | _licenses()
+    members |= _binaries(block.name) | _licenses()
     members["modelDescription.xml"] = model_description(block, guid, _CAPABILITIES)
-    return guid, members
+    return members
 
 
 def build(block: Block, path: Path) -> Path:
@@ -74,10 +72,10 @@ def build(block: Block, path: Path) -> Path:
     return write_archive(path, members)
 
 
-def _guid(parts: list[bytes]) -> str:
+def _guid(members: dict[str, bytes]) -> str:
     digest = hashlib.sha256()
-    for part in parts:
-        digest.update(hashlib.sha256(part).digest())
+    for name, data in sorted(members.items()):
+        digest.update(hashlib.sha256(name.encode()).digest() + hashlib.sha256(data).digest())
     return str(uuid.uuid5(uuid.NAMESPACE_OID, digest.hexdigest()))
 
 

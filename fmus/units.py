@@ -14,6 +14,7 @@ BASE_UNITS: dict[str, dict[str, int]] = {
     "rad": {"rad": 1},
     "rad/s": {"rad": 1, "s": -1},
     "kg": {"kg": 1},
+    "s/kg": {"s": 1, "kg": -1},
     "1/kg": {"kg": -1},
     "kg/m3": {"kg": 1, "m": -3},
     "N": {"kg": 1, "m": 1, "s": -2},

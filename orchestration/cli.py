@@ -2,6 +2,7 @@
 
 import os
 import sys
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Annotated, Any
 import typer
 from fmpy.validation import validate_fmu
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 from tqdm import tqdm
 
@@ -22,7 +24,6 @@ from orchestration.system import describe
 
 app = typer.Typer(
     help="Extended L1 adaptive depth control of an underwater vehicle: FMUs and their master.",
-    no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
 )
@@ -58,7 +59,7 @@ def build(
         catalogue.load_block(name)
     with _bar(len(chosen), "FMU", "build") as bar:
         for name in chosen:
-            _console.print(str(catalogue.build(name, out)), soft_wrap=True)
+            print(catalogue.build(name, out))
             bar.update()
 
 
@@ -77,7 +78,9 @@ def check(fmus: Annotated[list[Path], typer.Argument(metavar="FMU...")]) -> None
 
 def _problems(path: Path) -> list[str]:
     describe(path)
-    return validate_fmu(str(path))
+    with zipfile.ZipFile(path) as archive:
+        damaged = archive.testzip()
+    return [f"{damaged} is damaged"] if damaged else validate_fmu(str(path))
 
 
 @app.command()
@@ -93,9 +96,8 @@ def inspect(fmu: Annotated[Path, typer.Argument(metavar="FMU")]) -> None:
     for v in description.modelVariables:
         limits = "" if v.min is None and v.max is None else f"{v.min or ''}..{v.max or ''}"
         kind = v.declaredType.name if v.declaredType else v.type
-        table.add_row(
-            v.name, v.causality, kind, v.unit or "", str(v.start or ""), limits, v.description or ""
-        )
+        cells = (v.name, v.causality, kind, v.unit, v.start, limits, v.description)
+        table.add_row(*(escape(str(cell)) if cell is not None else "" for cell in cells))
     _console.print(table)
 
 
@@ -168,10 +170,27 @@ def reproduce_all(
 
 
 def main() -> None:
-    """Entry point: every expected failure is one line on standard error and exit status 1."""
+    """Entry point: every failure is one line on standard error; exit status 1, or 2 for bad usage.
+
+    With L1_DEPTH_DEBUG set, an error that nobody foresaw comes with its traceback.
+    """
+    if len(sys.argv) == 1:
+        sys.argv.append("--help")
     try:
-        app()
+        app(standalone_mode=False)
+    except (typer.Abort, KeyboardInterrupt):
+        _fail("interrupted", 1)
     except (OrchestrationError, ExportError, OSError) as error:
-        message = " ".join(str(error).split())
-        print(f"l1-depth: {message}", file=sys.stderr)
-        sys.exit(1)
+        _fail(str(error), 1)
+    except Exception as error:
+        usage = getattr(error, "format_message", None)  # click's own errors, wherever typer keeps them
+        if usage:
+            _fail(f"{usage()} Try --help.", 2)
+        if os.environ.get("L1_DEPTH_DEBUG"):
+            raise
+        _fail(f"unforeseen {type(error).__name__}: {error}; set L1_DEPTH_DEBUG=1 for the traceback", 1)
+
+
+def _fail(message: str, status: int) -> None:
+    print(f"l1-depth: {' '.join(message.split())}", file=sys.stderr)
+    sys.exit(status)

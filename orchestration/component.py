@@ -36,10 +36,12 @@ _TYPES = {
 _logs: dict[str, list[tuple[int, str]]] = {}
 
 
-def _keep_log(environment: Any, instance: bytes, status: int, category: bytes, message: bytes) -> None:
-    _logs.setdefault(instance.decode("utf-8", "replace"), []).append(
-        (status, " ".join(message.decode("utf-8", "replace").split()))
-    )
+def _keep_log(
+    environment: Any, instance: bytes | None, status: int, category: bytes | None, message: bytes | None
+) -> None:
+    log = _logs.get((instance or b"").decode("utf-8", "replace"))
+    if log is not None:
+        log.append((status, " ".join((message or b"").decode("utf-8", "replace").split())))
 
 
 # One set of callbacks for every instance: the proxy that formats messages serves one logger only,

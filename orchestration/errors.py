@@ -23,9 +23,12 @@ class SlaveError(OrchestrationError):
     """An FMU refused a call. Names the instance, the time and the FMU's own log line."""
 
     def __init__(self, instance: str, time: float, call: str, status: str, log: list[str]) -> None:
-        said = "; ".join(log) or "it logged nothing"
-        super().__init__(f"{instance} at t = {time:.9g} s: {call} returned {status}: {said}")
+        super().__init__(instance, time, call, status, log)
         self.instance, self.time, self.call, self.status, self.log = instance, time, call, status, log
+
+    def __str__(self) -> str:
+        said = "; ".join(self.log) or "it logged nothing"
+        return f"{self.instance} at t = {self.time:.9g} s: {self.call} returned {self.status}: {said}"
 
 
 class SlaveWarning(UserWarning):
@@ -35,6 +38,9 @@ class SlaveWarning(UserWarning):
 class SimulationError(OrchestrationError):
     """A run that ended early; `recording` holds what was recorded until then."""
 
-    def __init__(self, cause: Exception, recording: Any) -> None:
-        super().__init__(str(cause))
-        self.recording = recording
+    def __init__(self, reason: str, recording: Any) -> None:
+        super().__init__(reason, recording)
+        self.reason, self.recording = reason, recording
+
+    def __str__(self) -> str:
+        return self.reason

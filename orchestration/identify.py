@@ -23,28 +23,16 @@ from scipy.stats import qmc
 from orchestration import metrics, scenario
 from orchestration.errors import OrchestrationError
 from orchestration.master import simulate
+from orchestration.paper import PUBLISHED, Published
 from orchestration.recording import write_whole
 
 SCENARIOS = ("nominal-l1", "nominal-extended")
 
 
-@dataclass(frozen=True)
-class Target:
-    """A published figure and how far from it a fit may end."""
-
-    scenario: str
-    metric: str
-    value: float
-    tolerance: float
-
-
-# Maalouf et al. (2013), Table 1
-TARGETS = (
-    Target("nominal-l1", "settling_time_s", 65.0, 3.0),
-    Target("nominal-l1", "rmse_cm", 12.1, 0.6),
-    Target("nominal-extended", "settling_time_s", 45.0, 3.0),
-    Target("nominal-extended", "rmse_cm", 4.35, 0.25),
-)
+# How far a fit may end from each figure of the nominal row: plain L1, extended L1
+TOLERANCES = {"settling_time_s": (3.0, 3.0), "rmse_cm": (0.6, 0.25)}
+TARGETS = tuple(figure for figure in PUBLISHED if figure.where == "Table 1")
+AT_A_LIMIT = 1.05  # a gain this near to a limit of its search was stopped by it
 LARGEST_OVERSHOOT_PCT = 1.0  # "no significant overshoot", section 5.2
 OVERSHOOT_TOLERANCE_PCT = 0.25
 
@@ -80,9 +68,14 @@ class Fit:
     seed: int
 
 
+def tolerance(target: Published) -> float:
+    """The deviation from a published figure that counts as 1."""
+    return TOLERANCES[target.metric][SCENARIOS.index(target.scenario)]
+
+
 def residuals(measured: Mapping[str, Mapping[str, float]]) -> np.ndarray:
     """Deviation of each target over its tolerance, then the excess overshoot of each scenario."""
-    fit = [(measured[t.scenario][t.metric] - t.value) / t.tolerance for t in TARGETS]
+    fit = [(measured[t.scenario][t.metric] - t.value) / tolerance(t) for t in TARGETS]
     excess = [
         max(0.0, measured[name]["overshoot_pct"] - LARGEST_OVERSHOOT_PCT) / OVERSHOOT_TOLERANCE_PCT
         for name in SCENARIOS
@@ -110,14 +103,12 @@ def identify(
     """
     if not 1 <= starts < evaluations:
         raise OrchestrationError(f"evaluations {evaluations}: expected more than the {starts} starts")
-    low = np.log([gain.low for gain in GAINS])
-    high = np.log([gain.high for gain in GAINS])
     with ProcessPoolExecutor(len(SCENARIOS), get_context("spawn")) as pool:
         search = _Search(pool, evaluations, progress)
-        drawn = qmc.LatinHypercube(len(GAINS), rng=seed).random(starts)
-        begin = min(qmc.scale(drawn, low, high), key=lambda point: float(np.sum(search(point) ** 2)))
+        drawn = _SCALED_LOW + qmc.LatinHypercube(len(GAINS), rng=seed).random(starts)
+        begin = min(drawn, key=lambda point: float(np.sum(search(point) ** 2)))
         with suppress(_OutOfEvaluations):
-            least_squares(search, begin, bounds=(low, high), diff_step=0.02, x_scale=high - low, ftol=1e-3)
+            least_squares(search, begin, bounds=(_SCALED_LOW, _SCALED_HIGH), diff_step=_STEP, ftol=1e-3)
         return Fit(
             gains=search.best_gains,
             metrics=search.best_metrics,
@@ -125,6 +116,17 @@ def identify(
             evaluations=search.count,
             seed=seed,
         )
+
+
+# A gain is searched as the place of its logarithm between its limits, scaled to 1..2: SciPy's finite
+# differences take a step relative to the value, which must therefore stay away from 0.
+_SCALED_LOW, _SCALED_HIGH = 1.0, 2.0
+_STEP = 0.01  # 1 to 2 % of the range of each gain
+
+
+def _unscaled(gain: Gain, place: float) -> float:
+    value = gain.low * (gain.high / gain.low) ** (place - _SCALED_LOW)
+    return float(f"{value:.4g}")  # what is written is what was run
 
 
 class _OutOfEvaluations(Exception):  # noqa: N818  (a signal to stop, not an error)
@@ -140,10 +142,10 @@ class _Search:
         self.best_gains: dict[str, float] = {}
         self.best_metrics: dict[str, dict[str, float]] = {}
 
-    def __call__(self, logarithms: np.ndarray) -> np.ndarray:
+    def __call__(self, places: np.ndarray) -> np.ndarray:
         if self.count >= self._evaluations:
             raise _OutOfEvaluations
-        gains = {g.name: _round(math.exp(x)) for g, x in zip(GAINS, logarithms, strict=True)}
+        gains = {g.name: _unscaled(g, float(x)) for g, x in zip(GAINS, places, strict=True)}
         runs = self._pool.map(run_with, SCENARIOS, [gains] * len(SCENARIOS))
         measured: dict[str, dict[str, float]] = dict(zip(SCENARIOS, runs, strict=True))
         found = residuals(measured)
@@ -153,11 +155,6 @@ class _Search:
             self.lowest, self.best_gains, self.best_metrics = cost, gains, measured
         self._progress(self.lowest)
         return found
-
-
-def _round(value: float) -> float:
-    """Four significant digits: what is written is what was run."""
-    return float(f"{value:.4g}")
 
 
 def write(fit: Fit, path: Path) -> None:
@@ -171,6 +168,7 @@ def write(fit: Fit, path: Path) -> None:
             "value": fit.gains[gain.name],
             "unit": gain.unit,
             "limits": [gain.low, gain.high],
+            "at_a_limit": min(fit.gains[gain.name] / gain.low, gain.high / fit.gains[gain.name]) < AT_A_LIMIT,
             "why_these_limits": gain.reason,
             "source": source,
         }

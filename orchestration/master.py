@@ -9,11 +9,10 @@ time. At each point: outputs are read, exchanged and recorded, scheduled changes
 Both hold inputs over a step: first order in h. The loop delays are given in docs/architecture.md.
 """
 
-import math
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack
-from dataclasses import dataclass, field
-from enum import StrEnum
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,64 +20,12 @@ import numpy as np
 
 from orchestration.component import Component, Values
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
+from orchestration.experiment import GRID_TOLERANCE, Algorithm, Experiment, checked_settings, checked_value
 from orchestration.recording import Recording
-from orchestration.reference import Signal
 from orchestration.system import CheckedSystem, Port, System, check
 
-_GRID_TOLERANCE = 1e-9  # of a step: a stop time this close to a communication point is on it
 _LOOP_PASSES = 100
 _LOOP_TOLERANCE = 1e-12
-
-
-class Algorithm(StrEnum):
-    """Order in which components step and exchange."""
-
-    JACOBI = "jacobi"
-    GAUSS_SEIDEL = "gauss-seidel"
-
-
-@dataclass(frozen=True)
-class Event:
-    """Variables to set at the first communication point at or after `time` [s]."""
-
-    time: float
-    values: Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class Experiment:
-    """What to do with a system.
-
-    parameters, inputs: "component.variable" -> value, set before the initialisation
-    signals: "component.variable" -> function of time, set at every communication point
-    record: names of outputs and signals; empty means all of them
-    """
-
-    stop_time: float
-    step_size: float
-    start_time: float = 0.0
-    algorithm: Algorithm = Algorithm.JACOBI
-    parameters: Mapping[str, Any] = field(default_factory=dict)
-    inputs: Mapping[str, Any] = field(default_factory=dict)
-    signals: Mapping[str, Signal] = field(default_factory=dict)
-    events: tuple[Event, ...] = ()
-    record: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.step_size) and self.step_size > 0.0):
-            raise SystemDefinitionError(f"communication step size {self.step_size!r} s: expected more than 0")
-        if not (math.isfinite(self.stop_time) and self.stop_time > self.start_time):
-            raise SystemDefinitionError(
-                f"stop time {self.stop_time!r} s: expected more than the start time {self.start_time!r} s"
-            )
-
-    def points(self) -> np.ndarray:
-        """Communication points, first and last included."""
-        duration = self.stop_time - self.start_time
-        count = math.ceil(duration / self.step_size - _GRID_TOLERANCE)
-        points = self.start_time + np.arange(count + 1) * self.step_size
-        points[-1] = self.stop_time
-        return points
 
 
 def simulate(
@@ -93,7 +40,7 @@ def simulate(
     `recording` is what there is until then. Every FMU is freed either way.
     """
     checked = check(system, [*experiment.inputs, *experiment.signals])
-    settings = _settings(checked, experiment)
+    settings = checked_settings(checked, experiment)
     with ExitStack() as stack:
         components = {
             name: stack.enter_context(Component(name, Path(path), checked.descriptions[name]))
@@ -101,77 +48,37 @@ def simulate(
         }
         run = _Run(checked, experiment, components)
         try:
-            run.initialise(settings)
-            run.loop(progress)
-        except (OrchestrationError, KeyboardInterrupt) as error:
-            cause = error if isinstance(error, Exception) else OrchestrationError("interrupted")
-            raise SimulationError(cause, run.recorder.recording()) from error
+            with deferred_interrupt() as check_interrupt:
+                run.initialise(settings)
+                run.loop(progress, check_interrupt)
+        except KeyboardInterrupt as error:
+            raise SimulationError("interrupted", run.recorder.recording()) from error
+        except Exception as error:  # also of a signal: what was recorded must not be lost
+            reason = str(error) if isinstance(error, OrchestrationError) else repr(error)
+            raise SimulationError(reason, run.recorder.recording()) from error
         return run.recorder.recording()
 
 
-def _settings(checked: CheckedSystem, experiment: Experiment) -> list[tuple[Port, Any]]:
-    """Parameters and constant inputs as (port, value), each checked against its declaration."""
-    _check_events(checked, experiment)
-    given = [("parameter", experiment.parameters), ("input", experiment.inputs)]
-    found = []
-    for causality, values in given:
-        for name, value in values.items():
-            port = checked.port(name, causality)
-            if port.variable.causality != causality:
-                raise SystemDefinitionError(
-                    f"{name}: expected a variable with causality {causality}, got {port.variable.causality}"
-                )
-            found.append((port, checked_value(port, value)))
-    return found
+@contextmanager
+def deferred_interrupt() -> Iterator[Callable[[], None]]:
+    """Keep an interrupt until the function given is called: it must not strike inside an FMU.
 
+    Outside the main thread, which receives no interrupts, nothing is changed.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: None
+        return
+    received: list[int] = []
 
-def _check_events(checked: CheckedSystem, experiment: Experiment) -> None:
-    driven = {target.name for _, target in checked.connections} | set(experiment.signals)
-    for event in experiment.events:
-        purpose = f"event at {event.time} s"
-        for name, value in event.values.items():
-            port = checked.port(name, purpose)
-            checked_value(port, value)
-            if port.variable.causality not in ("parameter", "input"):
-                raise SystemDefinitionError(
-                    f"{purpose}: {name}: expected a parameter or an input, got {port.variable.causality}"
-                )
-            if port.variable.variability == "fixed":
-                raise SystemDefinitionError(f"{purpose}: {name} is fixed: only tunable parameters may change")
-            if name in driven:
-                raise SystemDefinitionError(f"{purpose}: {name} is driven already, by a connection or signal")
+    def check_interrupt() -> None:
+        if received:
+            raise KeyboardInterrupt
 
-
-def checked_value(port: Port, value: Any) -> Any:
-    """The value as the FMU wants it: enumeration items by name or number, numbers within min..max."""
-    variable, name = port.variable, port.name
-    if variable.type == "Enumeration" and isinstance(value, str):
-        return _item(port, value)
-    if variable.type == "String":
-        return str(value)
-    wanted = {"Real": (int, float), "Boolean": (bool,)}.get(variable.type, (int,))
-    if not isinstance(value, wanted) or (variable.type != "Boolean" and isinstance(value, bool)):
-        raise SystemDefinitionError(f"{name} = {value!r}: expected a value of type {variable.type}")
-    if not math.isfinite(value):
-        raise SystemDefinitionError(f"{name} = {value!r}: expected a finite number")
-    low, high = _limit(variable.min, -math.inf), _limit(variable.max, math.inf)
-    if not low <= value <= high:
-        unit = f" {variable.unit}" if variable.unit not in (None, "1") else ""
-        raise SystemDefinitionError(f"{name} = {value!r}: expected {low:g}..{high:g}{unit}")
-    return value
-
-
-def _item(port: Port, name: str) -> int:
-    """The number of an enumeration item."""
-    declared = port.variable.declaredType
-    items = {str(item.name): int(str(item.value)) for item in (declared.items or [])} if declared else {}
-    if name not in items:
-        raise SystemDefinitionError(f"{port.name} = {name!r}: expected one of {', '.join(items)}")
-    return items[name]
-
-
-def _limit(text: str | None, default: float) -> float:
-    return default if text is None else float(text)
+    before = signal.signal(signal.SIGINT, lambda number, frame: received.append(number))
+    try:
+        yield check_interrupt
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 class _Recorder:
@@ -215,7 +122,7 @@ class _Run:
         self._links: dict[str, list[tuple[np.ndarray, int, np.ndarray, int]]] = {n: [] for n in components}
         for source, target in checked.connections:
             self._links[target.component].append((*self._places[source.name], *self._places[target.name]))
-        self._signals = [(*self._places[name], signal) for name, signal in experiment.signals.items()]
+        self._signals = [(*self._places[name], value_at) for name, value_at in experiment.signals.items()]
         self._events = sorted(experiment.events, key=lambda event: event.time)
         self.recorder = self._make_recorder()
 
@@ -265,18 +172,23 @@ class _Run:
         }
 
     def initialise(self, settings: list[tuple[Port, Any]]) -> None:
-        """Set values, enter initialisation mode, exchange in dependency order, leave it."""
+        """Set parameters, enter initialisation mode, set inputs, exchange in dependency order, leave it."""
         experiment = self._experiment
-        for port, value in settings:
-            self._components[port.component].set(port.variable, value)
+        self._set(settings, "parameter")
         for component in self._components.values():
             component.initialise(experiment.start_time, experiment.stop_time)
-        for name, signal in experiment.signals.items():
+        self._set(settings, "input")
+        for name, value_at in experiment.signals.items():
             port = self._checked.ports[name]
-            self._components[port.component].set(port.variable, signal(experiment.start_time))
+            self._components[port.component].set(port.variable, value_at(experiment.start_time))
         self._exchange_initial_values()
         for component in self._components.values():
             component.begin_stepping()
+
+    def _set(self, settings: list[tuple[Port, Any]], causality: str) -> None:
+        for port, value in settings:
+            if port.variable.causality == causality:
+                self._components[port.component].set(port.variable, value)
 
     def _exchange_initial_values(self) -> None:
         order, loop = self._checked.initial_order()
@@ -299,7 +211,7 @@ class _Run:
             "fixed point that repeated exchange finds; break it or give start values"
         )
 
-    def loop(self, progress: Callable[[int, int], None] | None) -> None:
+    def loop(self, progress: Callable[[int, int], None] | None, check_interrupt: Callable[[], None]) -> None:
         """From the first communication point to the last."""
         step = {Algorithm.JACOBI: self._jacobi, Algorithm.GAUSS_SEIDEL: self._gauss_seidel}[
             self._experiment.algorithm
@@ -309,14 +221,15 @@ class _Run:
             self._read(name)
         due = self._due_events()
         for i, t in enumerate(self._points.tolist()):
-            for array, place, signal in self._signals:
-                array[place] = signal(t)
+            for array, place, value_at in self._signals:
+                array[place] = value_at(t)
             for component in self._components.values():
                 component.time = t
             for name, value in due(t):
                 port = self._checked.ports[name]
                 self._components[port.component].set(port.variable, checked_value(port, value))
             self.recorder.take(i)
+            check_interrupt()
             if progress:
                 progress(i, last)
             if i < last:
@@ -324,7 +237,7 @@ class _Run:
 
     def _due_events(self) -> Callable[[float], Iterator[tuple[str, Any]]]:
         waiting = list(self._events)
-        tolerance = _GRID_TOLERANCE * self._experiment.step_size
+        tolerance = GRID_TOLERANCE * self._experiment.step_size
 
         def due(t: float) -> Iterator[tuple[str, Any]]:
             while waiting and waiting[0].time <= t + tolerance:

@@ -4,6 +4,7 @@ Every function takes the recording, the names of signals, and what else it needs
 the function and its arguments. Windows are [start, end] in seconds and default to the whole run.
 """
 
+import inspect
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -122,11 +123,28 @@ def evaluate(recording: Recording, declared: Mapping[str, Mapping[str, Any]]) ->
     return {name: _one(recording, name, dict(call)) for name, call in declared.items()}
 
 
+def check(declared: Mapping[str, Mapping[str, Any]], what: str) -> None:
+    """Refuse an unknown function or argument before a run that would end in it."""
+    for name, call in declared.items():
+        function = call.get("function", "")
+        if not isinstance(function, str) or function not in FUNCTIONS:
+            raise ScenarioError(
+                f"{what}: metric {name}: unknown function {function!r}; {nearest(str(function), FUNCTIONS)}"
+            )
+        arguments = {key: value for key, value in call.items() if key != "function"}
+        try:
+            inspect.signature(FUNCTIONS[function]).bind(None, **arguments)
+        except TypeError as error:
+            raise ScenarioError(f"{what}: metric {name}: {function}: {error}") from error
+
+
 def _one(recording: Recording, name: str, call: dict[str, Any]) -> float:
-    function = str(call.pop("function", ""))
-    if function not in FUNCTIONS:
-        raise ScenarioError(f"metric {name}: unknown function {function!r}; {nearest(function, FUNCTIONS)}")
+    check({name: call}, "scenario")
+    function = FUNCTIONS[call.pop("function")]
     try:
-        return FUNCTIONS[function](recording, **call)
-    except TypeError as error:
-        raise ScenarioError(f"metric {name}: {error}") from error
+        value = function(recording, **call)
+    except (TypeError, ValueError, ArithmeticError, IndexError) as error:
+        raise ScenarioError(f"metric {name}: {call}: {error}") from error
+    if not np.isfinite(value):
+        raise ScenarioError(f"metric {name} is {value}: expected a finite number; check {call}")
+    return value

@@ -39,7 +39,7 @@ class Recording:
         try:
             return self.values[:, self.names.index(name)]
         except ValueError:
-            raise OrchestrationError(f"{name!r} was not recorded; {nearest(name, self.names)}") from None
+            raise OrchestrationError(f"{name!r} was not recorded; {nearest(str(name), self.names)}") from None
 
     def unit(self, name: str) -> str:
         return "s" if name == TIME else self.units[self.names.index(name)]
@@ -56,9 +56,6 @@ class Recording:
 
         write_whole(path, write)
 
-    def write_provenance(self, path: Path) -> None:
-        write_whole(path, lambda stream: json.dump(self.provenance, stream, indent=2))
-
 
 def read_csv(path: Path) -> Recording:
     """The inverse of `write_csv`, without the provenance."""
@@ -72,6 +69,11 @@ def read_csv(path: Path) -> Recording:
         time=data[:, 0],
         values=data[:, 1:],
     )
+
+
+def write_json(content: Any, path: Path) -> None:
+    """Plain data as JSON; ValueError for a number that JSON does not have."""
+    write_whole(path, lambda stream: json.dump(content, stream, indent=2, allow_nan=False))
 
 
 def write_whole(path: Path, write: Callable[[TextIO], object]) -> None:

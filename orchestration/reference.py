@@ -1,6 +1,7 @@
 """Reference trajectories and other signals: functions of time that drive an input."""
 
 import math
+import sys
 from collections.abc import Callable, Mapping
 from itertools import pairwise
 from typing import Any
@@ -16,7 +17,7 @@ def ramps(points: list[list[float]], smooth: bool = False) -> Signal:
 
     smooth: quintic ramps instead, with zero speed and acceleration at both ends of each.
     """
-    if len(points) < 1 or any(len(point) != 2 for point in points):
+    if not isinstance(points, list) or not points or any(not _is_pair(point) for point in points):
         raise ScenarioError(f"ramps: expected points as [time, value], got {points!r}")
     if any(later[0] <= earlier[0] for earlier, later in pairwise(points)):
         raise ScenarioError(f"ramps: expected points in ascending time, got {points!r}")
@@ -31,6 +32,10 @@ def ramps(points: list[list[float]], smooth: bool = False) -> Signal:
         return float(points[-1][1])
 
     return value
+
+
+def _is_pair(point: Any) -> bool:
+    return isinstance(point, list) and len(point) == 2 and not any(isinstance(x, (bool, list)) for x in point)
 
 
 def _quintic(s: float) -> float:
@@ -54,9 +59,20 @@ def signal(declaration: Mapping[str, Any], purpose: str) -> Signal:
     """The signal that a scenario declares: its `kind`, and the arguments of that kind."""
     arguments = dict(declaration)
     kind = arguments.pop("kind", None)
-    if kind not in _KINDS:
+    if not isinstance(kind, str) or kind not in _KINDS:
         raise ScenarioError(f"{purpose}: unknown kind {kind!r}; {nearest(str(kind), _KINDS)}")
+    for name, value in arguments.items():
+        _check_numbers(value, f"{purpose}: {name}")
     try:
         return _KINDS[kind](**arguments)
     except TypeError as error:
         raise ScenarioError(f"{purpose}: {kind}: {error}") from error
+
+
+def _check_numbers(value: Any, what: str) -> None:
+    """Only finite numbers, switches and lists of numbers make up a signal."""
+    if isinstance(value, list):
+        for element in value:
+            _check_numbers(element, what)
+    elif not isinstance(value, (int, float)) or not abs(value) <= sys.float_info.max:
+        raise ScenarioError(f"{what}: expected finite numbers, got {value!r}")

@@ -60,11 +60,11 @@ def comparison_table(measured: Measured) -> Table:
 
 def metrics_table(title: str, measured: Mapping[str, float]) -> Table:
     """The metrics of one run."""
-    table = Table(title=title, title_justify="left")
+    table = Table(title=escape(title), title_justify="left")
     table.add_column("Metric")
     table.add_column("Value", justify="right")
     for name, value in measured.items():
-        table.add_row(name, f"{value:.5g}")
+        table.add_row(escape(name), f"{value:.5g}")
     return table
 
 
@@ -138,7 +138,7 @@ def _finish(figure: Any, title: str, axes: list[Any], path: Path) -> list[Path]:
     path.parent.mkdir(parents=True, exist_ok=True)
     written = []
     for extension, metadata in _FORMATS.items():
-        file = path.with_suffix(f".{extension}")
+        file = path.with_name(f"{path.name}.{extension}")
         figure.savefig(file, dpi=150, metadata=metadata)
         written.append(file)
     plt.close(figure)

@@ -1,6 +1,5 @@
 """Running scenarios into a folder: one, or all that ship, side by side."""
 
-import json
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ from fmus import catalogue
 from orchestration import metrics, report, scenario
 from orchestration.errors import SimulationError
 from orchestration.master import simulate
-from orchestration.recording import Recording, write_whole
+from orchestration.recording import Recording, write_json
 from orchestration.scenario import Scenario
 
 _LONGEST_FIRST = ("example-extended", "example-l1")  # so that no core idles at the end
@@ -47,14 +46,14 @@ def run(chosen: Scenario, folder: Path, progress: Callable[[int, int], None] | N
         if len(error.recording.time):
             error.recording.write_csv(folder / f"{chosen.name}.partial.csv")
         raise
-    measured = metrics.evaluate(recording, chosen.metrics)
     recording.write_csv(folder / f"{chosen.name}.csv")
+    measured = metrics.evaluate(recording, chosen.metrics)
     document = {
         "scenario": chosen.resolved,
         "run": recording.provenance,
         "metrics": measured,
     }
-    write_whole(folder / f"{chosen.name}.json", lambda stream: json.dump(document, stream, indent=2))
+    write_json(document, folder / f"{chosen.name}.json")
     return Result(chosen, recording, measured)
 
 
@@ -90,7 +89,7 @@ def write_report(results: dict[str, Result], folder: Path) -> list[Path]:
     measured = {name: result.metrics for name, result in results.items()}
     path = folder / "summary.json"
     content = report.summary(measured)
-    write_whole(path, lambda stream: json.dump(content, stream, indent=2))
+    write_json(content, path)
     return [
         path,
         *report.figure_3(recordings, folder / "figure_3"),

@@ -13,6 +13,7 @@ record = ["component.variable"]
 [metrics.name]                            function = "rmse", ...
 """
 
+import sys
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -22,8 +23,9 @@ from typing import Any
 
 from fmus import catalogue
 from fmus.errors import nearest
+from orchestration import metrics
 from orchestration.errors import ScenarioError
-from orchestration.master import Algorithm, Event, Experiment
+from orchestration.experiment import Algorithm, Event, Experiment
 from orchestration.reference import Signal, signal
 from orchestration.system import System
 
@@ -70,13 +72,15 @@ def load(path: Path, overrides: Mapping[str, Any] | None = None) -> Scenario:
     _check_keys(data, _KEYS, path)
     for table in _TABLES:
         _typed(data.setdefault(table, {}), dict, f"{path}: {table}")
+    data["metrics"] = {name: metric for name, metric in data["metrics"].items() if metric is not False}
     for name, metric in data["metrics"].items():
         _typed(metric, dict, f"{path}: metric {name}")
+    metrics.check(data["metrics"], str(path))
     return Scenario(
         name=path.stem,
-        title=str(data.get("title", path.stem)),
+        title=_typed(data.get("title", path.stem), str, f"{path}: title"),
         system=System(
-            components={n: _fmu(str(v), path) for n, v in _need(data, "components", path).items()},
+            components={name: Path(fmu) for name, fmu in _need(data, "components", path).items()},
             connections=_connections(data, path),
         ),
         experiment=_experiment(data, path),
@@ -90,6 +94,8 @@ def _read(path: Path, seen: tuple[Path, ...]) -> dict[str, Any]:
     if path.resolve() in seen:
         raise ScenarioError(f"{path}: is its own base")
     data = read_toml(path)
+    if isinstance(data.get("components"), dict):
+        data["components"] = {name: _fmu(fmu, path) for name, fmu in data["components"].items()}
     base = _typed(data.pop("base", ""), str, f"{path}: base")
     below = _read(path.parent / base, (*seen, path.resolve())) if base else {}
     for file in _typed(data.pop("parameter_files", []), list, f"{path}: parameter_files"):
@@ -149,16 +155,17 @@ def _need(data: Mapping[str, Any], key: str, path: Path) -> Any:
     return data[key]
 
 
-def _fmu(name: str, scenario: Path) -> Path:
-    """A block's FMU in the package's own folder, or a path relative to the scenario file."""
+def _fmu(name: Any, scenario: Path) -> str:
+    """Path of a block's FMU in the package's own folder, or of one named relative to its scenario file."""
+    _typed(name, str, f"{scenario}: components")
     if name.endswith(".fmu"):
-        return scenario.parent / name
+        return str((scenario.parent / name).absolute())
     if name not in catalogue.block_names():
         raise ScenarioError(
             f"{scenario}: no block {name!r}, and a path must end in .fmu; "
             f"{nearest(name, catalogue.block_names())}"
         )
-    return catalogue.DIST / f"{name}.fmu"
+    return str(catalogue.DIST / f"{name}.fmu")
 
 
 def _connections(data: Mapping[str, Any], path: Path) -> tuple[tuple[str, str], ...]:
@@ -182,7 +189,10 @@ def _experiment(data: Mapping[str, Any], path: Path) -> Experiment:
         inputs=data["inputs"],
         signals={n: _signal(d, f"{path}: signal {n}") for n, d in data["signals"].items()},
         events=tuple(_event(e, path) for e in _typed(data.get("events", []), list, f"{path}: events")),
-        record=tuple(_typed(data.get("record", []), list, f"{path}: record")),
+        record=tuple(
+            _typed(name, str, f"{path}: record")
+            for name in _typed(data.get("record", []), list, f"{path}: record")
+        ),
     )
 
 
@@ -191,14 +201,15 @@ def _signal(declared: Any, what: str) -> Signal:
 
 
 def _seconds(value: Any, name: str, path: Path) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not number or not abs(value) <= sys.float_info.max:
         raise ScenarioError(f"{path}: {name} = {value!r}: expected a number of seconds")
     return float(value)
 
 
 def _algorithm(name: str, path: Path) -> Algorithm:
     try:
-        return Algorithm(name)
+        return Algorithm(str(name))
     except ValueError:
         raise ScenarioError(
             f"{path}: unknown algorithm {name!r}; {nearest(str(name), [str(a) for a in Algorithm])}"

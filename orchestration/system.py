@@ -123,7 +123,18 @@ def describe(path: Path) -> ModelDescription:
         raise FmuLoadError(f"{path}: the model description cannot be read: {reason}") from error
     if description.fmiVersion != "2.0" or description.coSimulation is None:
         raise FmuLoadError(f"{path}: expected FMI 2.0 for co-simulation, got FMI {description.fmiVersion}")
+    _take_over_declared_types(description)
     return description
+
+
+def _take_over_declared_types(description: ModelDescription) -> None:
+    """Give each variable what only its SimpleType states: unit, range, nominal (FMI 2.0.5, 2.2.3)."""
+    for variable in description.modelVariables:
+        declared = variable.declaredType
+        if declared is not None:
+            for attribute in ("unit", "min", "max", "nominal"):
+                if getattr(variable, attribute) is None:
+                    setattr(variable, attribute, getattr(declared, attribute))
 
 
 def _connection(checked: CheckedSystem, source: str, target: str) -> tuple[Port, Port]:
@@ -137,11 +148,12 @@ def _connection(checked: CheckedSystem, source: str, target: str) -> tuple[Port,
         raise SystemDefinitionError(
             f"{purpose}: expected equal types, got {begin.variable.type} and {end.variable.type}"
         )
-    units = _unit(checked, begin), _unit(checked, end)
-    if units[0] != units[1]:
+    if begin.variable.type == "String":
+        raise SystemDefinitionError(f"{purpose}: expected numbers, Strings are not exchanged")
+    stated = begin.variable.unit and end.variable.unit  # an FMU need not state units
+    if stated and _unit(checked, begin) != _unit(checked, end):
         raise SystemDefinitionError(
-            f"{purpose}: expected equal units, got "
-            f"{begin.variable.unit or 'none'} and {end.variable.unit or 'none'}"
+            f"{purpose}: expected equal units, got {begin.variable.unit} and {end.variable.unit}"
         )
     return begin, end
 

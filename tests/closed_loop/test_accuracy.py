@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from controller_fmu import depth_controller, l1
+from controller_fmu import depth_controller
 from controller_fmu.augmentation import Augmentation
+from controller_fmu.matrices import LawMatrices
 from controller_fmu.projection import project
 from orchestration import scenario
-from orchestration.master import Algorithm, simulate
+from orchestration.experiment import Algorithm
+from orchestration.master import simulate
 from orchestration.recording import Recording
 from plant_fmu import depth_plant
 
@@ -103,4 +105,4 @@ def test_the_assumed_matrices_are_those_of_the_paper() -> None:
     matrices = depth_controller.calculate(p)
     np.testing.assert_allclose(matrices.predictor_matrix, a - np.outer(b, k_m), rtol=1e-15)
     np.testing.assert_allclose(matrices.predictor_input, b)
-    assert isinstance(matrices, l1.LawMatrices)
+    assert isinstance(matrices, LawMatrices)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller_fmu import design, l1
+from controller_fmu import depth_controller, design, matrices
 from controller_fmu.l1 import Regressor
 from controller_fmu.lowpass import FilterOrder
 
@@ -23,14 +23,14 @@ def test_the_blocks_lyapunov_solution_is_scipys(
     if np.linalg.eigvals(a_m).real.max() > -1e-2:  # nearly unstable: P grows without limit
         a_m -= 4.0 * np.eye(2)
     (a11, a12), (a21, a22) = a_m.tolist()
-    p = l1.lyapunov_solution(((a11, a12), (a21, a22)), (q1, q2))
+    p = matrices.lyapunov_solution(((a11, a12), (a21, a22)), (q1, q2))
     np.testing.assert_allclose(p, design.lyapunov_matrix(a_m, np.diag([q1, q2])), rtol=1e-9, atol=1e-12)
 
 
 def test_p_and_k_g_of_the_example() -> None:
-    matrices = l1.law_matrices(((0.0, 1.0), (-1.0, -1.4)), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0))
-    np.testing.assert_allclose(matrices.lyapunov_matrix, [[1.41429, 0.5], [0.5, 0.714286]], rtol=1e-5)
-    assert matrices.feedforward_gain == pytest.approx(1.0)
+    found = matrices.law_matrices(((0.0, 1.0), (-1.0, -1.4)), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0))
+    np.testing.assert_allclose(found.lyapunov_matrix, [[1.41429, 0.5], [0.5, 0.714286]], rtol=1e-5)
+    assert found.feedforward_gain == pytest.approx(1.0)
     assert design.feedforward_gain(A_M, B, C) == pytest.approx(1.0)
 
 
@@ -78,3 +78,11 @@ def test_bad_designs_are_refused() -> None:
         design.l1_norm(design.StateSpace(-A_M, B.reshape(-1, 1), np.eye(2)))
     with pytest.raises(ValueError, match="no bandwidth up to"):
         design.smallest_bandwidth(A_M, B, FilterOrder.FIRST, 20.0, largest=10.0)
+
+
+def test_the_shipped_vehicle_design_satisfies_the_l1_norm_condition() -> None:
+    p = depth_controller.Parameters()
+    found = depth_controller.calculate(p)
+    a_m, b = np.array(found.predictor_matrix), np.array(found.predictor_input)
+    lipschitz = design.lipschitz_constant(p.regressor, p.theta_bound)
+    assert design.l1_condition(a_m, b, p.filter_order, p.filter_bandwidth, lipschitz) < 1.0

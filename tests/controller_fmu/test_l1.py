@@ -111,17 +111,44 @@ def test_no_step_size_or_gain_makes_it_leave_its_bounds(
         assert math.isfinite(law.filter.u_a)
 
 
-def test_estimates_do_not_learn_the_saturation(driver: Any) -> None:
-    """A demand beyond the limit: the predictor is told, u_a and the integral stop winding up."""
-    values = {"augmentation": Augmentation.PI, "depth_reference": 5.0}
-    controller = driver(catalogue.load_block("L1DepthController"), **values).begin()
+def saturated_controller(driver: Any, **values: Any) -> Any:
+    """Held at 0 m for 40 s under a reference of 5 m: the thrusters saturate at 6 N."""
+    block = catalogue.load_block("L1DepthController")
+    controller = driver(block, augmentation=Augmentation.PI, depth_reference=5.0, **values).begin()
     for _ in range(2000):
         controller.step(0.02)
     assert controller["voltage[1]"] == 12.0
-    # the vehicle is held at 0 m while 6 N push it: the model explains that by 6 N against, not by
-    # the demand, which grows without limit when integrators wind up
-    assert controller["demanded_force"] < 50.0
-    assert controller["sigma_hat"] == pytest.approx(-6.0, rel=0.05)
+    return controller
+
+
+def test_estimates_do_not_learn_the_saturation(driver: Any) -> None:
+    """The vehicle does not move although 6 N push it: the model explains that by 6 N against."""
+    assert saturated_controller(driver)["sigma_hat"] == pytest.approx(-6.0, rel=0.05)
+
+
+@pytest.mark.parametrize("order", list(FilterOrder))
+def test_integrators_do_not_wind_up(driver: Any, order: FilterOrder) -> None:
+    """Held in saturation, neither u_a nor the integral of the PI goes on demanding more."""
+    controller = saturated_controller(driver, filter_order=order, integral_gain=1.0)
+    u_a, u_p = controller["u_a"], controller["u_p"]
+    for _ in range(500):
+        controller.step(0.02)
+    assert controller["u_a"] <= u_a
+    assert controller["u_p"] <= u_p
+    controller["depth_reference"] = 0.0  # and the demand leaves saturation with its cause
+    controller.step(0.02)
+    assert abs(controller["voltage[1]"]) < 12.0
+
+
+def test_a_third_order_filter_is_frozen_by_its_own_rate_of_u_a() -> None:
+    """Whether u_a rises is told by p_1 and p_2, not by the sign of its input."""
+    p = parameters(filter_order=FilterOrder.THIRD, filter_bandwidth=1.0)
+    matrices = siso_controller.calculate(p)
+    for side in (1.0, -1.0):
+        law = LawState(x_hat=SEEN.x, filter=FilterState(u_a=0.0, p_1=5.0 * side, p_2=5.0 * side))
+        after = l1.law_step(1e-3, law, SEEN, -1.0, p, matrices)
+        assert (after.filter.u_a == 0.0) == (side > 0.0)
+        assert (after.filter.p_2 == 5.0) == (side > 0.0)
 
 
 def test_a_measured_velocity_bypasses_the_observer(driver: Any) -> None:

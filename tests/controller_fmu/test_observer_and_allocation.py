@@ -53,3 +53,15 @@ def test_the_shortfall_is_what_saturation_takes_away() -> None:
     possible = saturate(wanted, 12.0)
     assert possible == (12.0, 12.0)
     assert shortfall(wanted, possible, 1.0, gains) == pytest.approx(6.0 - 10.0)
+
+
+@given(st.floats(-20.0, 20.0), st.floats(-3.0, 3.0))
+def test_force_delivered_is_force_demanded_and_the_shortfall(force: float, roll: float) -> None:
+    """Upright or upside down: T K u / J is what the earth frame sees."""
+    j, gains = math.cos(roll), (0.25, 0.25)
+    if abs(j) > 0.1:
+        wanted = allocate(force, j, gains)
+        possible = saturate(wanted, 12.0)
+        delivered = (gains[0] * possible[0] + gains[1] * possible[1]) / j
+        demanded = (gains[0] * wanted[0] + gains[1] * wanted[1]) / j
+        assert shortfall(wanted, possible, j, gains) == pytest.approx(delivered - demanded, abs=1e-9)

@@ -1,6 +1,7 @@
 """An instance does what it says or refuses and stays as it was."""
 
 import json
+import math
 from typing import Any
 
 import pytest
@@ -47,6 +48,13 @@ def test_save_step_restore_step_gives_identical_results(name: str, data: st.Data
     assert instance.snapshot() == other.snapshot()
 
 
+def damaged(driver: Any, key: str, place: int, value: Any) -> str:
+    """A snapshot with one entry changed."""
+    saved = json.loads(driver.instance.snapshot())
+    saved[key][place] = value
+    return json.dumps(saved)
+
+
 @pytest.mark.parametrize(
     ("action", "message"),
     [
@@ -60,6 +68,9 @@ def test_save_step_restore_step_gives_identical_results(name: str, data: st.Data
         (lambda d: d.instance.do_step(5.0, 0.1), "communication point 5.0 s: expected 0.0"),
         (lambda d: d.instance.restore("{}"), "not a serialised state of RovDepthPlant"),
         (lambda d: d.instance.restore("nonsense"), "not a serialised state of RovDepthPlant"),
+        (lambda d: d.instance.restore(damaged(d, "state", 0, "x")), "not a serialised state"),
+        (lambda d: d.instance.restore(damaged(d, "state", 0, math.nan)), "not finite"),
+        (lambda d: d.instance.restore(damaged(d, "values", 3, -7.0)), r"inertia = -7.0: expected 0.1"),
     ],
 )
 def test_a_refused_call_leaves_everything_as_it_was(driver: Any, action: Any, message: str) -> None:
@@ -122,6 +133,24 @@ def test_outputs_follow_inputs_during_initialisation(driver: Any) -> None:
     controller["measured_depth"] = 0.1
     assert controller["tracking_error"] == pytest.approx(-0.2)
     assert controller["predicted_depth"] == 0.1
+
+
+def test_a_contradicting_gain_stops_steps_and_nothing_else(driver: Any) -> None:
+    controller = driver(catalogue.load_block("L1Controller"), reference=1.0).begin().step(0.001)
+    before = controller["control"]
+    controller["state_matrix[2,2]"] = 1.4
+    with pytest.raises(BlockError, match="expected a Hurwitz A_m"):
+        controller.step(0.001)
+    assert (controller["control"], controller["reference"]) == (before, 1.0)
+    controller["state_matrix[2,2]"] = -1.4
+    controller.step(0.001)
+
+
+def test_a_step_before_the_initialisation_has_ended_is_refused(driver: Any) -> None:
+    plant = driver(catalogue.load_block("RovDepthPlant"))
+    plant.instance.start(0.0)
+    with pytest.raises(BlockError, match="before the initialisation has ended"):
+        plant.step(0.02)
 
 
 def test_contradicting_parameters_are_refused(driver: Any) -> None:

@@ -12,7 +12,8 @@ import pytest
 from scipy.linalg import expm
 
 from orchestration.errors import FmuLoadError, OrchestrationError, SimulationError, SystemDefinitionError
-from orchestration.master import Algorithm, Event, Experiment, simulate
+from orchestration.experiment import Algorithm, Event, Experiment
+from orchestration.master import simulate
 from orchestration.reference import constant, cosine
 from orchestration.system import System
 

@@ -61,5 +61,10 @@ def test_unknown_names_offer_the_nearest() -> None:
         metrics.evaluate(run, {"a": {"function": "rmse", "signal": "z"}})
     with pytest.raises(OrchestrationError, match=r"'zz' was not recorded; nearest is 'z'"):
         metrics.evaluate(run, {"a": {"function": "mean", "signal": "zz"}})
+    for wrong in ({"window": [0.0]}, {"window": 3}, {"signal": 5}):
+        with pytest.raises((ScenarioError, OrchestrationError), match=r"metric a|was not recorded"):
+            metrics.evaluate(run, {"a": {"function": "mean", "signal": "z", **wrong}})
+    with pytest.raises(ScenarioError, match=r"metric a is inf"):
+        metrics.evaluate(run, {"a": {"function": "overshoot", "signal": "z", "target": 0.0}})
     with pytest.raises(ScenarioError, match=r"expected to overlap the run"):
         metrics.mean(run, "z", [200.0, 300.0])

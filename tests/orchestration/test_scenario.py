@@ -6,7 +6,7 @@ import pytest
 
 from orchestration import scenario
 from orchestration.errors import ScenarioError
-from orchestration.master import Algorithm
+from orchestration.experiment import Algorithm
 
 MINIMAL = """
 [components]
@@ -51,6 +51,20 @@ def test_parameter_files_lie_under_the_scenario_that_names_them(tmp_path: Path) 
     assert scenario.load(write(tmp_path, over)).experiment.parameters == {"p.omega": 3.0}
 
 
+def test_a_metric_of_the_base_can_be_dropped(tmp_path: Path) -> None:
+    base = MINIMAL + '[metrics.a]\nfunction = "mean"\nsignal = "p.output"\n'
+    write(tmp_path, base, "base.toml")
+    assert set(scenario.load(tmp_path / "base.toml").metrics) == {"a"}
+    assert not scenario.load(write(tmp_path, 'base = "base.toml"\n[metrics]\na = false\n')).metrics
+
+
+def test_an_fmu_of_the_base_is_found_beside_the_base(tmp_path: Path) -> None:
+    (tmp_path / "lib").mkdir()
+    write(tmp_path / "lib", MINIMAL.replace('"BenchmarkPlant"', '"mine.fmu"'), "base.toml")
+    loaded = scenario.load(write(tmp_path, 'base = "lib/base.toml"'))
+    assert loaded.system.components["p"] == tmp_path / "lib" / "mine.fmu"
+
+
 def test_an_fmu_path_is_relative_to_the_scenario_file(tmp_path: Path) -> None:
     text = MINIMAL.replace('"BenchmarkPlant"', '"models/mine.fmu"')
     assert scenario.load(write(tmp_path, text)).system.components["p"] == tmp_path / "models/mine.fmu"
@@ -93,6 +107,18 @@ def test_scenarios_are_found_by_name_or_path_and_misspelt_ones_offer_the_nearest
         ('components = "p"\n', r"components: expected a table"),
         (MINIMAL + '[signals]\n"p.control" = 3\n', r"signal p.control: expected a table"),
         (MINIMAL + "[metrics]\na = 3\n", r"metric a: expected a table"),
+        ("record = [5]\n" + MINIMAL, r"record: expected a text"),
+        ("title = 2020-01-01\n" + MINIMAL, r"title: expected a text"),
+        (MINIMAL.replace('"BenchmarkPlant"', "5"), r"components: expected a text"),
+        (MINIMAL.replace("step_size = 0.1", "step_size = 1e-14"), r"1e\+14 .*steps: expected at most 1e\+09"),
+        (MINIMAL.replace("[inputs]", "start_time = -inf\n[inputs]"), r"start_time = -inf: expected a number"),
+        (MINIMAL.replace("stop_time = 1", "stop_time = 1" + 400 * "0"), r"expected a number of seconds"),
+        ("events = [{ time = 5, set = {} }]\n" + MINIMAL, r"event at 5.0 s: expected a time within the run"),
+        ("events = [{ time = nan, set = {} }]\n" + MINIMAL, r"time = nan: expected a number"),
+        ("events = [{ time = 1, set = 5 }]\n" + MINIMAL, r"events: set: expected a table"),
+        (MINIMAL + '[metrics.a]\nfunction = "rms"\n', r"metric a: unknown function 'rms'; nearest is 'rmse'"),
+        (MINIMAL + '[metrics.a]\nfunction = "mean"\n', r"metric a: mean: missing .*'signal'"),
+        (MINIMAL + '[metrics.a]\nfunction = "mean"\nsignal = "x"\nwind = 3\n', r"metric a: mean: .*'wind'"),
         ('base = "none.toml"\n' + MINIMAL, r"no file .*none.toml"),
         ('base = "mine.toml"\n' + MINIMAL, r"is its own base"),
         ("base = 3\n" + MINIMAL, r"base: expected a text"),

@@ -1,0 +1,66 @@
+"""Every parameter and input of the plant reaches the thruster or sensor that it belongs to."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fmus import catalogue
+
+PLANT = catalogue.load_block("RovDepthPlant")
+DEEP = {"initial_depth": 5.0, "net_weight": 0.0}
+
+
+def readings(driver: Any, count: int = 500, **values: Any) -> np.ndarray:
+    """Depth errors of a sensor on a vehicle at rest."""
+    plant = driver(PLANT, **DEEP, **values).begin()
+    found = []
+    for _ in range(count):
+        plant.step(0.04)
+        found.append(plant["measured_depth"] - plant["depth"])
+    return np.array(found)
+
+
+@pytest.mark.parametrize(("alive", "dead"), [(1, 2), (2, 1)])
+def test_each_efficiency_acts_on_its_own_thruster(driver: Any, alive: int, dead: int) -> None:
+    plant = driver(PLANT, **{f"thruster_efficiency[{dead}]": 0.0, "voltage[1]": 4.0, "voltage[2]": 4.0})
+    plant.begin().step(1.0)
+    assert plant[f"thruster_force[{dead}]"] == 0.0
+    assert plant[f"thruster_force[{alive}]"] == pytest.approx(1.0, rel=1e-6)  # after 20 time constants
+    assert plant["total_force"] == plant["thruster_force[1]"] + plant["thruster_force[2]"]
+
+
+@pytest.mark.parametrize("which", [1, 2])
+def test_each_thruster_has_its_own_gain_dead_zone_limit_and_lag(driver: Any, which: int) -> None:
+    own = {
+        f"thruster_gain[{which}]": 0.5,
+        f"thruster_dead_zone[{which}]": 1.0,
+        f"thruster_voltage_limit[{which}]": 6.0,
+        f"thruster_lag[{which}]": 0.2,
+    }
+    plant = driver(PLANT, **own, **{"voltage[1]": 10.0, "voltage[2]": 10.0}).begin().step(0.2)
+    assert plant[f"thruster_force[{which}]"] == pytest.approx(0.5 * 5.0 * (1.0 - np.exp(-1.0)))
+    assert plant[f"thruster_force[{3 - which}]"] == pytest.approx(2.5 * (1.0 - np.exp(-4.0)))
+
+
+def test_the_sensor_has_the_noise_bias_and_seed_that_were_set(driver: Any) -> None:
+    fine: dict[str, Any] = {"sensor_resolution": 0.0, "sensor_noise": 0.01, "sensor_bias": 0.3}
+    errors = readings(driver, **fine)
+    assert errors.std() == pytest.approx(0.01, rel=0.15)  # 4.7 standard errors of 500 samples
+    assert errors.mean() == pytest.approx(0.3, abs=0.002)  # 4.5 standard errors
+    assert not np.array_equal(errors, readings(driver, **fine, sensor_seed=2))
+
+
+def test_the_sensor_drifts_and_quantises_as_set(driver: Any) -> None:
+    drifting = readings(driver, 100, sensor_noise=0.0, sensor_resolution=0.0, sensor_drift=0.01)
+    assert drifting[-1] == pytest.approx(0.01 * 4.0)
+    coarse = readings(driver, 10, sensor_noise=0.0, sensor_resolution=0.3)
+    assert coarse == pytest.approx(0.1)  # 5.1 is the multiple of 0.3 nearest to 5
+    assert readings(driver, 10, sensor_ideal=True) == pytest.approx(0.0)
+
+
+def test_the_reading_is_late_by_the_delay(driver: Any) -> None:
+    values: dict[str, Any] = {"sensor_noise": 0.0, "sensor_resolution": 0.0, "initial_heave_velocity": 0.1}
+    still: dict[str, Any] = {"linear_damping": 0.0, "quadratic_damping": 0.0}
+    errors = readings(driver, 100, sensor_delay=0.12, **values, **still)
+    assert errors[-1] == pytest.approx(-0.1 * 0.12)
