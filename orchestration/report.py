@@ -117,8 +117,8 @@ def _vehicle_figure(title: str, runs: Mapping[str, tuple[Recording, str]], path:
     for label, (run, line) in runs.items():
         depth.plot(run.time, run["plant.depth"], line, label=label)
         force.plot(run.time, run["plant.total_force"], line, label=label, linewidth=0.7)
-        theta.plot(run.time, run["controller.theta_hat[1]"], line, label=label)
-        sigma.plot(run.time, run["controller.sigma_hat"], line, label=label)
+        theta.plot(run.time, run["controller.theta_hat[1]"], line, label=label, linewidth=0.7)
+        sigma.plot(run.time, run["controller.sigma_hat"], line, label=label, linewidth=0.7)
     first, _ = next(iter(runs.values()))
     depth.plot(first.time, first["controller.depth_reference"], "r:", label="reference")
     depth.invert_yaxis()

@@ -16,9 +16,11 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {name: catalogue.build(name, folder) for name in catalogue.block_names()}
 
 
-@pytest.fixture(scope="session")
-def blocks() -> dict[str, Block]:
-    return {name: catalogue.load_block(name) for name in catalogue.block_names()}
+@pytest.fixture(scope="session", autouse=True)
+def _fmus_of_the_scenarios() -> None:
+    """Scenarios find the present blocks' FMUs in the default folder, as after `l1-depth build`."""
+    for name in catalogue.block_names():
+        catalogue.build_if_stale(name)
 
 
 class Driver:

@@ -1,0 +1,59 @@
+"""What the README shows runs as it stands."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from fmus import catalogue
+from orchestration import scenario
+from orchestration.experiment import checked_settings
+from orchestration.reproduce import build_what_is_missing
+from orchestration.system import check
+
+ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def block(language: str) -> str:
+    """The only fenced block of a language."""
+    (found,) = re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
+    return found
+
+
+def test_the_python_example_runs(tmp_path: Path) -> None:
+    catalogue.build("BenchmarkPlant", tmp_path / "fmus" / "dist")
+    done = subprocess.run(
+        [sys.executable, "-c", block("python")], capture_output=True, text=True, check=True, cwd=tmp_path
+    )
+    assert "plant.output" in done.stdout
+
+
+def test_the_scenario_example_fits_the_fmus(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(block("toml").replace('base = "', f'base = "{ROOT}/'))
+    mine = scenario.load(path)
+    build_what_is_missing([mine])
+    experiment = mine.experiment
+    assert checked_settings(check(mine.system, [*experiment.inputs, *experiment.signals]), experiment)
+    assert experiment.events[0].time == 90.0
+
+
+@pytest.mark.parametrize(
+    "command", ["pip install -e . && l1-depth reproduce", "pip install -e '.[test]' && pytest"]
+)
+def test_the_two_set_up_commands_are_there(command: str) -> None:
+    assert f"```sh\n{command}\n```" in README
+
+
+def test_every_command_shown_exists() -> None:
+    help_text = subprocess.run(
+        [sys.executable, "-c", "from orchestration.cli import main; main()", "--help"],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    for command in set(re.findall(r"^l1-depth (\w+)", README, re.MULTILINE)):
+        assert command in help_text
