@@ -52,7 +52,9 @@ def rmse(
 
 
 def overshoot(recording: Recording, signal: str, target: float, window: list[float] | None = None) -> float:
-    """(max(signal) - target) in percent of the target, never below 0."""
+    """(max(signal) - target) in percent of the target, never below 0; the target must not be 0."""
+    if target == 0.0:
+        raise ScenarioError("overshoot: target = 0: expected another, the overshoot is relative to it")
     highest = recording[signal][_window(recording, window)].max()
     return float(max(0.0, 100.0 * (highest - target) / abs(target)))
 

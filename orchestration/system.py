@@ -10,6 +10,7 @@ from typing import Any
 import fmpy
 from fmpy.model_description import ModelDescription, ScalarVariable
 
+from fmus import catalogue
 from fmus.errors import nearest
 from orchestration.errors import FmuLoadError, SystemDefinitionError
 
@@ -111,7 +112,8 @@ def describe(path: Path) -> ModelDescription:
     if not path.is_file():
         folder = path.parent
         beside = [each.name for each in folder.glob("*.fmu")] if folder.is_dir() else []
-        raise FmuLoadError(f"no FMU at {path}; in that folder, {nearest(path.name, beside)}")
+        hint = "; `l1-depth build` makes it" if path.parent == catalogue.DIST else ""
+        raise FmuLoadError(f"no FMU at {path}; in that folder, {nearest(path.name, beside)}{hint}")
     try:
         description: Any = fmpy.read_model_description(str(path), validate=False)
     except (zipfile.BadZipFile, EOFError, KeyError) as error:
