@@ -23,7 +23,7 @@ from typing import Any
 from controller_fmu import augmentation, lowpass
 from controller_fmu.augmentation import Augmentation, Threshold
 from controller_fmu.lowpass import FilterOrder, FilterState
-from controller_fmu.matrices import LawMatrices, Vector, dot
+from controller_fmu.matrices import LawMatrices, Matrix, Vector, dot
 from controller_fmu.projection import keep_within, projection_factor
 from fmus.block import variable
 from fmus.numerics import absolute, maximum, where
@@ -177,8 +177,7 @@ def law_step(
     than the period of the fast adaptation loop neither diverges nor limit-cycles.
     """
     p, half = parameters, 0.5 * h
-    (a_11, a_12), (a_21, a_22) = matrices.predictor_matrix
-    b, pb = matrices.predictor_input, matrices.adaptation_vector
+    pb = matrices.adaptation_vector
     phi = regressor(p.regressor, seen.x)
     eta = dot(law.theta_hat, phi) + law.sigma_hat
     feedforward = matrices.feedforward_gain * seen.r
@@ -190,12 +189,10 @@ def law_step(
     midway_integral = law.error_integral + 0.5 * integral_growth
     u_p = extension(p, seen.error, midway_integral, seen.r)
 
-    # (I - h/2 A_m)^-1 applied to x_hat and to B_m
-    m_11, m_12, m_21, m_22 = 1 - half * a_11, -half * a_12, -half * a_21, 1 - half * a_22
-    m = m_11 * m_22 - m_12 * m_21
-    x_1, x_2 = law.x_hat
-    free_x = (m_22 * x_1 - m_12 * x_2) / m, (m_11 * x_2 - m_21 * x_1) / m
-    forced_x = half * (m_22 * b[0] - m_12 * b[1]) / m, half * (m_11 * b[1] - m_21 * b[0]) / m
+    # x_hat = free_x + forced_x (forcing) midway
+    free_x = _resolved(matrices.predictor_matrix, half, law.x_hat)
+    b_1, b_2 = _resolved(matrices.predictor_matrix, half, matrices.predictor_input)
+    forced_x = half * b_1, half * b_2
 
     # u_a = u_free - gain v midway, v = omega u_a + eta - k_g r; frozen where it winds up
     v_before = omega * u_a + eta - feedforward
@@ -208,43 +205,62 @@ def law_step(
 
     # s = s_free / (1 + stiffness): its sign is known before the projection factors are
     s_free = dot(pb, free_x) - dot(pb, seen.x) + dot(pb, forced_x) * forcing_without_s
-    tolerance = p.projection_tolerance
-    g_1 = projection_factor(law.theta_hat[0], -s_free * phi[0], p.theta_bound[0], tolerance)
-    g_2 = projection_factor(law.theta_hat[1], -s_free * phi[1], p.theta_bound[1], tolerance)
-    g_sigma = projection_factor(law.sigma_hat, -s_free, p.sigma_bound, tolerance)
-    g_omega = projection_factor(
-        omega - p.input_gain, -s_free * u_without_s, p.input_gain_uncertainty, tolerance
-    )
+    g = _projection_factors(law, phi, s_free, u_without_s, p)
     rate = half * p.adaptation_gain
-    eta_per_s = rate * (g_1 * phi[0] ** 2 + g_2 * phi[1] ** 2 + g_sigma)
-    eta_hat_per_s = eta_per_s + rate * g_omega * u_without_s**2
+    eta_per_s = rate * (g.theta[0] * phi[0] ** 2 + g.theta[1] * phi[1] ** 2 + g.sigma)
+    eta_hat_per_s = eta_per_s + rate * g.omega * u_without_s**2
     filtered_share = omega * gain / loop  # of eta_hat_per_s, 0..1
     # omega_hat acts on u_a + u_p but learns from u_a alone: implicit only as far as that is damping
-    omega_per_s = (
-        rate
-        * g_omega
-        * maximum(u_without_s * (u_without_s + u_p + shortfall), filtered_share * u_without_s**2)
-    )
-    forcing_per_s = eta_per_s + omega_per_s - filtered_share * eta_hat_per_s
+    learnt = maximum(u_without_s * (u_without_s + u_p + shortfall), filtered_share * u_without_s**2)
+    forcing_per_s = eta_per_s + rate * g.omega * learnt - filtered_share * eta_hat_per_s
     s = s_free / (1.0 + dot(pb, forced_x) * forcing_per_s)
 
     u_midway = u_without_s + gain * eta_hat_per_s / loop * s
     v = omega * u_midway + eta - eta_hat_per_s * s - feedforward
     forcing = forcing_without_s - forcing_per_s * s
-    filtered = lowpass.advance(p.filter_order, p.filter_bandwidth, law.filter, half, v, shortfall)
     change = -2.0 * rate * s
+    theta_1 = law.theta_hat[0] + change * g.theta[0] * phi[0]
+    theta_2 = law.theta_hat[1] + change * g.theta[1] * phi[1]
+    away = omega + change * g.omega * u_without_s - p.input_gain
     return LawState(
         x_hat=(
-            2.0 * (free_x[0] + forced_x[0] * forcing) - x_1,
-            2.0 * (free_x[1] + forced_x[1] * forcing) - x_2,
+            2.0 * (free_x[0] + forced_x[0] * forcing) - law.x_hat[0],
+            2.0 * (free_x[1] + forced_x[1] * forcing) - law.x_hat[1],
         ),
-        theta_hat=(
-            keep_within(law.theta_hat[0] + change * g_1 * phi[0], p.theta_bound[0]),
-            keep_within(law.theta_hat[1] + change * g_2 * phi[1], p.theta_bound[1]),
-        ),
-        sigma_hat=keep_within(law.sigma_hat + change * g_sigma, p.sigma_bound),
-        omega_hat=p.input_gain
-        + keep_within(omega + change * g_omega * u_without_s - p.input_gain, p.input_gain_uncertainty),
-        filter=filtered,
+        theta_hat=(keep_within(theta_1, p.theta_bound[0]), keep_within(theta_2, p.theta_bound[1])),
+        sigma_hat=keep_within(law.sigma_hat + change * g.sigma, p.sigma_bound),
+        omega_hat=p.input_gain + keep_within(away, p.input_gain_uncertainty),
+        filter=lowpass.advance(p.filter_order, p.filter_bandwidth, law.filter, half, v, shortfall),
         error_integral=law.error_integral + integral_growth,
     )
+
+
+@dataclass(frozen=True)
+class _Factors:
+    """Proj(th, y) / y of each estimate."""
+
+    theta: Vector
+    sigma: float
+    omega: float
+
+
+def _projection_factors(law: LawState, phi: Vector, s: float, u_a: float, parameters: Any) -> _Factors:
+    """Factors of the rates -s phi, -s and -s u_a, of which only the direction matters."""
+    p, eps = parameters, parameters.projection_tolerance
+    away = law.omega_hat - p.input_gain
+    return _Factors(
+        theta=(
+            projection_factor(law.theta_hat[0], -s * phi[0], p.theta_bound[0], eps),
+            projection_factor(law.theta_hat[1], -s * phi[1], p.theta_bound[1], eps),
+        ),
+        sigma=projection_factor(law.sigma_hat, -s, p.sigma_bound, eps),
+        omega=projection_factor(away, -s * u_a, p.input_gain_uncertainty, eps),
+    )
+
+
+def _resolved(a_m: Matrix, half: float, vector: Vector) -> Vector:
+    """(I - half A_m)^-1 vector."""
+    (a_11, a_12), (a_21, a_22) = a_m
+    m_11, m_12, m_21, m_22 = 1 - half * a_11, -half * a_12, -half * a_21, 1 - half * a_22
+    m = m_11 * m_22 - m_12 * m_21
+    return (m_22 * vector[0] - m_12 * vector[1]) / m, (m_11 * vector[1] - m_21 * vector[0]) / m
