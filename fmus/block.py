@@ -69,7 +69,7 @@ class ScalarVariable:
     source: str
     enumeration: type[IntEnum] | None
 
-    @property
+    @cached_property
     def type(self) -> str:
         """FMI type: Real, Integer, Boolean or Enumeration."""
         if self.enumeration:

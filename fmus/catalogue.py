@@ -14,6 +14,7 @@ from fmus import python_flavour
 from fmus.archive import write_archive
 from fmus.block import Block
 from fmus.errors import ExportError, nearest
+from fmus.instance import Instance
 
 GROUP = "l1_depth.blocks"
 DIST = Path(__file__).parent / "dist"
@@ -28,8 +29,24 @@ def load_block(name: str) -> Block:
     """The block of that name; ExportError offers the nearest one."""
     for point in entry_points(group=GROUP):
         if point.name == name:
-            return point.load()
+            return _verified(name, point.load())
     raise ExportError(f"no block named {name!r}; {nearest(name, block_names())}")
+
+
+def _verified(name: str, block: Block) -> Block:
+    """The block, if it bears the name it goes by and takes a step at its start values."""
+    if block.name != name:
+        raise ExportError(f"entry point {name!r} loads a block named {block.name!r}: expected one name")
+    if "internal_step" not in {v.name for v in block.of_causality("parameter")}:
+        raise ExportError(f"block {name!r}: expected a parameter internal_step, its longest step in s")
+    trial = Instance(block)
+    try:
+        trial.begin_stepping()
+        trial.do_step(0.0, block.step_size)
+        trial.get(len(block.variables) - 1)
+    except Exception as error:
+        raise ExportError(f"block {name!r} cannot take a step at its start values: {error!r}") from error
+    return block
 
 
 def build(name: str, folder: Path = DIST) -> Path:

@@ -41,14 +41,22 @@ class Instance:
 
     def get(self, reference: int) -> Any:
         """Value of a variable; an output follows the inputs until stepping begins."""
+        self.variable(reference)
         is_set = reference < self._parameters_end or self._calculated_end <= reference < self._inputs_end
         if not is_set:
             self._refresh()
         return self._values[reference]
 
+    def variable(self, reference: int) -> ScalarVariable:
+        """The variable with this value reference."""
+        if not 0 <= reference < len(self.block.variables):
+            last = len(self.block.variables) - 1
+            raise BlockError(f"value reference {reference}: expected 0..{last} of {self.block.name}")
+        return self.block.variables[reference]
+
     def set(self, reference: int, value: Value) -> None:
         """Set a parameter or an input; refuses what is out of range, not finite or fixed by now."""
-        variable = self.block.variables[reference]
+        variable = self.variable(reference)
         reason = self._refusal(variable, value)
         if reason:
             raise BlockError(reason)
@@ -60,9 +68,17 @@ class Instance:
                 self._inputs_are_stale = True
             self._outputs_are_stale = self._outputs_are_stale or not self._stepping
 
+    def can_be_set(self, reference: int) -> bool:
+        """Whether some value would be accepted now."""
+        known = 0 <= reference < len(self.block.variables)
+        variable = self.block.variables[reference] if known else None
+        return bool(
+            variable and variable.settable and not (self._stepping and variable.variability == "fixed")
+        )
+
     def _refusal(self, variable: ScalarVariable, value: Value) -> str | None:
         if not variable.settable:
-            return f"{variable.name}: cannot be set, it is a {variable.causality}"
+            return f"{variable.name}: cannot be set, its causality is {variable.causality}"
         if self._stepping and variable.variability == "fixed":
             return f"{variable.name}: is fixed, set it before the initialisation ends"
         return variable.refuse(value)

@@ -2,7 +2,8 @@
 
 The binary turns any exception into fmi2Fatal and drops the instance, so none leaves this class.
 A call that is refused is logged as an error and leaves the state as it was; as the binary has no
-way to return fmi2Error for it, every step is discarded until the cause is gone.
+way to return fmi2Error for it, every step is discarded until the value is put right, and one step
+for a call that nothing can put right (setting an output, an unknown value reference).
 """
 
 import sys
@@ -14,7 +15,7 @@ from pythonfmu.enums import Fmi2Status
 from pythonfmu.fmi2slave import Fmi2Slave
 
 from fmus.block import Block
-from fmus.instance import Instance
+from fmus.instance import BlockError, Instance
 
 
 class BlockSlave(Fmi2Slave):
@@ -42,6 +43,7 @@ class BlockSlave(Fmi2Slave):
     def do_step(self, current_time: float, step_size: float) -> bool:
         if self._refused:
             self._error("step refused until this is put right: " + "; ".join(self._refused.values()))
+            self._refused = {what: why for what, why in self._refused.items() if self._can_be_righted(what)}
             return False
         try:
             self._instance.do_step(current_time, step_size)
@@ -50,42 +52,53 @@ class BlockSlave(Fmi2Slave):
             return False
         return True
 
-    def _get(self, vrs: list[int]) -> list[Any]:
-        get = self._instance.get
+    def _can_be_righted(self, what: object) -> bool:
+        return not isinstance(what, int) or self._instance.can_be_set(what)
+
+    def _get(self, vrs: list[int], *types: str) -> list[Any]:
         try:
-            return [get(reference) for reference in vrs]
+            self._check_types(vrs, types)
+            return [self._instance.get(reference) for reference in vrs]
         except Exception as error:
             self._error(str(error))
             return [0] * len(vrs)
 
-    def _set(self, vrs: list[int], values: list[Any]) -> None:
+    def _set(self, vrs: list[int], values: list[Any], *types: str) -> None:
         for reference, value in zip(vrs, values, strict=True):
-            self._attempt(reference, self._instance.set, reference, value)
+            self._attempt(reference, self._set_one, reference, value, types)
+
+    def _set_one(self, reference: int, value: Any, types: tuple[str, ...]) -> None:
+        self._check_types([reference], types)
+        self._instance.set(reference, value)
+
+    def _check_types(self, vrs: list[int], types: tuple[str, ...]) -> None:
+        for variable in map(self._instance.variable, vrs):
+            if variable.type not in types:
+                raise BlockError(f"{variable.name} is {variable.type}: expected {' or '.join(types)}")
 
     def get_real(self, vrs: list[int]) -> list[float]:
-        return self._get(vrs)
+        return self._get(vrs, "Real")
 
     def get_integer(self, vrs: list[int]) -> list[int]:
-        return self._get(vrs)
+        return self._get(vrs, "Integer", "Enumeration")
 
     def get_boolean(self, vrs: list[int]) -> list[bool]:
-        return self._get(vrs)
+        return self._get(vrs, "Boolean")
 
     def get_string(self, vrs: list[int]) -> list[str]:
-        self._error(f"{self.block.name} has no String variables")
-        return [""] * len(vrs)
+        return [str(value) for value in self._get(vrs, "String")]
 
     def set_real(self, vrs: list[int], values: list[float]) -> None:
-        self._set(vrs, values)
+        self._set(vrs, values, "Real")
 
     def set_integer(self, vrs: list[int], values: list[int]) -> None:
-        self._set(vrs, values)
+        self._set(vrs, values, "Integer", "Enumeration")
 
     def set_boolean(self, vrs: list[int], values: list[bool]) -> None:
-        self._set(vrs, values)
+        self._set(vrs, values, "Boolean")
 
     def set_string(self, vrs: list[int], values: list[str]) -> None:
-        self._error(f"{self.block.name} has no String variables")
+        self._set(vrs, values, "String")
 
     def _get_fmu_state(self) -> Any:
         try:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from fmpy.model_description import ScalarVariable
 from fmpy.validation import validate_fmu
 from rich.console import Console
 from rich.markup import escape
@@ -27,8 +28,9 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-_console = Console(width=None if sys.stdout.isatty() else 110)
+_console = Console(width=None if sys.stdout.isatty() else 130)
 _BEFORE_A_BAR_S = 2.0
+_PIPED_WIDTH = 260  # a line a variable, for grep
 _IDENTIFIED = Path(__file__).parent / "scenarios" / "parameters" / "identified.toml"
 
 OutFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write to.")]
@@ -91,14 +93,25 @@ def inspect(fmu: Annotated[Path, typer.Argument(metavar="FMU")]) -> None:
     tool = description.generationTool or "an unknown tool"
     print(f"FMI {description.fmiVersion}, GUID {description.guid}, made by {tool}")
     table = Table()
-    for heading in ("Variable", "Causality", "Type", "Unit", "Start", "Range", "Description"):
+    table.add_column("Variable", no_wrap=True)
+    for heading in ("Causality", "Type", "Unit", "Start", "Permitted", "Description"):
         table.add_column(heading, overflow="fold")
     for v in description.modelVariables:
-        limits = "" if v.min is None and v.max is None else f"{v.min or ''}..{v.max or ''}"
+        limits = _permitted(v)
         kind = v.declaredType.name if v.declaredType else v.type
         cells = (v.name, v.causality, kind, v.unit, v.start, limits, v.description)
         table.add_row(*(escape(str(cell)) if cell is not None else "" for cell in cells))
-    _console.print(table)
+    (_console if sys.stdout.isatty() else Console(width=_PIPED_WIDTH)).print(table)
+
+
+def _permitted(variable: ScalarVariable) -> str:
+    """Enumeration items, or the range."""
+    declared = variable.declaredType
+    if declared is not None and declared.items:
+        return ", ".join(f"{item.value} ({item.name})" for item in declared.items)
+    if variable.min is None and variable.max is None:
+        return ""
+    return f"{variable.min or ''}..{variable.max or ''}"
 
 
 @app.command()

@@ -5,14 +5,14 @@ the function and its arguments. Windows are [start, end] in seconds and default 
 """
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from fmus.errors import nearest
-from orchestration.errors import ScenarioError
+from orchestration.errors import OrchestrationError, ScenarioError
 from orchestration.recording import Recording
 
 
@@ -31,7 +31,10 @@ def _window(recording: Recording, window: list[float] | None) -> np.ndarray:
 def settling_time(
     recording: Recording, signal: str, target: float, band: float, window: list[float] | None = None
 ) -> float:
-    """Last time [s] in the window at which |signal - target| > band; its beginning if never."""
+    """Last time [s] in the window at which |signal - target| > band; its beginning if never.
+
+    A signal that never settles gives (nearly) the end of the window: look at the figure.
+    """
     inside = _window(recording, window)
     time = recording.time[inside]
     outside = np.abs(recording[signal][inside] - target) > band
@@ -140,11 +143,41 @@ def check(declared: Mapping[str, Mapping[str, Any]], what: str) -> None:
             raise ScenarioError(f"{what}: metric {name}: {function}: {error}") from error
 
 
+def check_run(
+    declared: Mapping[str, Mapping[str, Any]],
+    start: float,
+    stop: float,
+    record: Collection[str],
+    what: str,
+) -> None:
+    """Refuse a window outside the run, or a signal that is not recorded (an empty record is all)."""
+    for name, call in declared.items():
+        window = call.get("window", [start, stop])
+        pair = (
+            isinstance(window, list) and len(window) == 2 and all(isinstance(t, (int, float)) for t in window)
+        )
+        if not pair or not window[0] <= window[1]:
+            raise ScenarioError(f"{what}: metric {name}: window {window!r}: expected [start, end] in s")
+        if window[0] >= stop or window[1] <= start:
+            raise ScenarioError(
+                f"{what}: metric {name}: window {window}: expected to overlap {start:g}..{stop:g} s; "
+                f"{name} = false drops it"
+            )
+        for key in ("signal", "reference"):
+            signal = call.get(key)
+            if record and signal is not None and signal not in record:
+                raise ScenarioError(
+                    f"{what}: metric {name}: {signal!r} is not recorded; {nearest(str(signal), record)}"
+                )
+
+
 def _one(recording: Recording, name: str, call: dict[str, Any]) -> float:
     check({name: call}, "scenario")
     function = FUNCTIONS[call.pop("function")]
     try:
         value = function(recording, **call)
+    except OrchestrationError as error:
+        raise ScenarioError(f"metric {name}: {error}") from error
     except (TypeError, ValueError, ArithmeticError, IndexError) as error:
         raise ScenarioError(f"metric {name}: {call}: {error}") from error
     if not np.isfinite(value):

@@ -1,10 +1,11 @@
 """Tables, figures and the summary of a reproduction. The only room that imports a plotting library."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
@@ -36,8 +37,9 @@ def comparison_table(measured: Measured) -> Table:
     table = Table(title="Published and reproduced", title_justify="left")
     for heading in ("Source", "Case", "Controller", "Figure"):
         table.add_column(heading)
-    for heading in ("Published", "Ours", "Deviation", "in %"):
+    for heading in ("Reference", "Ours", "Deviation", "in %"):
         table.add_column(heading, justify="right")
+    table.add_column("Ours is")
     before = None
     for figure in PUBLISHED:
         ours = measured[figure.scenario][figure.metric]
@@ -54,6 +56,7 @@ def comparison_table(measured: Measured) -> Table:
             f"{ours:.4g}",
             f"{deviation:+.2g}",
             f"{100.0 * deviation / figure.value:+.1f}",
+            figure.status,
         )
     return table
 
@@ -70,7 +73,7 @@ def metrics_table(title: str, measured: Mapping[str, float]) -> Table:
 
 def figure_3(recordings: Recordings, path: Path) -> list[Path]:
     """The illustrative example: both controllers against the reference, and their errors."""
-    figure, (outputs, errors) = plt.subplots(2, 1, sharex=True, figsize=(8, 6), layout="constrained")
+    figure, (outputs, errors) = plt.subplots(2, 1, sharex=True, figsize=(10, 6), layout="constrained")
     plain = recordings["example-l1"]
     reference = plain["controller.reference"]
     for controller, (label, line) in _CONTROLLERS.items():
@@ -100,19 +103,23 @@ def run_figure(title: str, recording: Recording, path: Path) -> list[Path]:
     """Every signal of any run, those of one unit together."""
     units = list(dict.fromkeys(recording.units))
     figure, axes = plt.subplots(
-        len(units), 1, sharex=True, squeeze=False, figsize=(8, 2.5 * len(units)), layout="constrained"
+        len(units), 1, sharex=True, squeeze=False, figsize=(10, 2.5 * len(units)), layout="constrained"
     )
     for unit, axis in zip(units, axes[:, 0], strict=True):
-        for name, its_unit in zip(recording.names, recording.units, strict=True):
-            if its_unit == unit:
-                axis.plot(recording.time, recording[name], label=name)
+        names = [n for n, u in zip(recording.names, recording.units, strict=True) if u == unit]
+        for name in sorted(names, key=_roughness(recording), reverse=True):  # smooth ones on top
+            axis.plot(recording.time, recording[name], label=name, linewidth=0.8)
         axis.set_ylabel(f"[{unit or '1'}]")
     axes[-1, 0].set_xlabel("time [s]")
     return _finish(figure, title, list(axes[:, 0]), path)
 
 
+def _roughness(recording: Recording) -> Callable[[str], float]:
+    return lambda name: float(np.abs(np.diff(recording[name])).sum())
+
+
 def _vehicle_figure(title: str, runs: Mapping[str, tuple[Recording, str]], path: Path) -> list[Path]:
-    figure, axes = plt.subplots(4, 1, sharex=True, figsize=(8, 10), layout="constrained")
+    figure, axes = plt.subplots(4, 1, sharex=True, figsize=(10, 10), layout="constrained")
     depth, force, theta, sigma = axes
     for label, (run, line) in runs.items():
         depth.plot(run.time, run["plant.depth"], line, label=label)
@@ -134,7 +141,7 @@ def _finish(figure: Any, title: str, axes: list[Any], path: Path) -> list[Path]:
     figure.suptitle(title)
     for axis in axes:
         axis.grid(alpha=0.3)
-        axis.legend(fontsize="small", loc="best")
+        axis.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
     path.parent.mkdir(parents=True, exist_ok=True)
     written = []
     for extension, metadata in _FORMATS.items():

@@ -76,14 +76,18 @@ def load(path: Path, overrides: Mapping[str, Any] | None = None) -> Scenario:
     for name, metric in data["metrics"].items():
         _typed(metric, dict, f"{path}: metric {name}")
     metrics.check(data["metrics"], str(path))
+    experiment = _experiment(data, path)
+    metrics.check_run(
+        data["metrics"], experiment.start_time, experiment.stop_time, experiment.record, str(path)
+    )
     return Scenario(
         name=path.stem,
         title=_typed(data.get("title", path.stem), str, f"{path}: title"),
         system=System(
-            components={name: Path(fmu) for name, fmu in _need(data, "components", path).items()},
+            components={name: _path(fmu) for name, fmu in _need(data, "components", path).items()},
             connections=_connections(data, path),
         ),
-        experiment=_experiment(data, path),
+        experiment=experiment,
         metrics=data["metrics"],
         resolved=data,
     )
@@ -97,7 +101,8 @@ def _read(path: Path, seen: tuple[Path, ...]) -> dict[str, Any]:
     if isinstance(data.get("components"), dict):
         data["components"] = {name: _fmu(fmu, path) for name, fmu in data["components"].items()}
     base = _typed(data.pop("base", ""), str, f"{path}: base")
-    below = _read(path.parent / base, (*seen, path.resolve())) if base else {}
+    named = path.parent / base if base.endswith(".toml") or not base else find(base)
+    below = _read(named, (*seen, path.resolve())) if base else {}
     for file in _typed(data.pop("parameter_files", []), list, f"{path}: parameter_files"):
         named = path.parent / _typed(file, str, f"{path}: parameter_files")
         below = _merge(below, {"parameters": parameter_values(named)})
@@ -156,7 +161,7 @@ def _need(data: Mapping[str, Any], key: str, path: Path) -> Any:
 
 
 def _fmu(name: Any, scenario: Path) -> str:
-    """Path of a block's FMU in the package's own folder, or of one named relative to its scenario file."""
+    """The name of a block, or the absolute path of an FMU named relative to its scenario file."""
     _typed(name, str, f"{scenario}: components")
     if name.endswith(".fmu"):
         return str((scenario.parent / name).absolute())
@@ -165,7 +170,12 @@ def _fmu(name: Any, scenario: Path) -> str:
             f"{scenario}: no block {name!r}, and a path must end in .fmu; "
             f"{nearest(name, catalogue.block_names())}"
         )
-    return str(catalogue.DIST / f"{name}.fmu")
+    return name
+
+
+def _path(fmu: str) -> Path:
+    """Where an FMU stands; a block's, in the package's own folder."""
+    return Path(fmu) if fmu.endswith(".fmu") else catalogue.DIST / f"{fmu}.fmu"
 
 
 def _connections(data: Mapping[str, Any], path: Path) -> tuple[tuple[str, str], ...]:

@@ -61,7 +61,7 @@ def damaged(driver: Any, key: str, place: int, value: Any) -> str:
         (lambda d: d.__setitem__("inertia", -1.0), r"inertia = -1.0: expected 0.1..1000000.0 kg"),
         (lambda d: d.__setitem__("voltage[1]", float("inf")), r"voltage\[1\] = inf: expected a finite"),
         (lambda d: d.__setitem__("initial_depth", 1.0), "initial_depth: is fixed"),
-        (lambda d: d.__setitem__("depth", 1.0), "depth: cannot be set, it is a output"),
+        (lambda d: d.__setitem__("depth", 1.0), "depth: cannot be set, its causality is output"),
         (lambda d: d.instance.do_step(0.0, 0.0), "communication step size 0.0 s: expected more than 0"),
         (lambda d: d.instance.do_step(0.0, -1.0), "communication step size -1.0 s"),
         (lambda d: d.instance.do_step(0.0, float("nan")), "communication step size nan s"),

@@ -147,6 +147,28 @@ def test_a_refused_value_is_logged_and_steps_are_discarded_until_it_is_right(
     plant.slave.doStep(0.0, 0.02)
 
 
+def test_a_call_that_nothing_can_put_right_costs_one_step(built: dict[str, Path], load: Any) -> None:
+    plant = load(built["BenchmarkPlant"]).begin()
+    for refused, words in (
+        (lambda: plant.__setitem__("output", 1.0), "output: cannot be set, its causality is output"),
+        (lambda: plant.__setitem__("internal_step", 1.0), "internal_step: is fixed"),
+        (lambda: plant.slave.setReal([99], [1.0]), "value reference 99: expected 0.."),
+    ):
+        refused()
+        assert words in plant.log[-1]
+        with pytest.raises(FMICallException, match="discard"):
+            plant.slave.doStep(0.0, 0.01)
+    plant.slave.doStep(0.0, 0.01)
+
+
+def test_a_getter_of_the_wrong_type_is_an_error_in_the_log(built: dict[str, Path], load: Any) -> None:
+    plant = load(built["BenchmarkPlant"]).begin()
+    assert plant.slave.getInteger([plant.references["output"]]) == [0]
+    assert plant.log[-1] == "output is Real: expected Integer or Enumeration"
+    plant.slave.setBoolean([plant.references["control"]], [True])
+    assert plant.log[-1] == "control is Real: expected Boolean"
+
+
 def test_a_percent_sign_in_a_message_is_escaped(built: dict[str, Path], load: Any) -> None:
     """FMI's logger takes a printf format: an unescaped %n would write to memory."""
     plant = load(built["BenchmarkPlant"]).begin()

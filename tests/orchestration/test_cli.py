@@ -79,6 +79,10 @@ def test_build_check_inspect(tmp_path: Path) -> None:
     assert l1_depth("check", "out/BenchmarkPlant.fmu", folder=tmp_path).stdout.endswith(": no problems\n")
     table = l1_depth("inspect", "out/BenchmarkPlant.fmu", folder=tmp_path).stdout
     assert "disturbance" in table
+    l1_depth("build", "L1Controller", "--out", "out", folder=tmp_path)
+    lines = l1_depth("inspect", "out/L1Controller.fmu", folder=tmp_path).stdout.splitlines()
+    (augmentation,) = [line for line in lines if "augmentation" in line]
+    assert "1 (none), 2 (pi), 3 (nonlinear_p)" in augmentation
     assert "theta[1]" in table
 
 

@@ -51,6 +51,20 @@ def test_parameter_files_lie_under_the_scenario_that_names_them(tmp_path: Path) 
     assert scenario.load(write(tmp_path, over)).experiment.parameters == {"p.omega": 3.0}
 
 
+def test_a_shipped_scenario_can_be_the_base_by_its_name(tmp_path: Path) -> None:
+    mine = scenario.load(write(tmp_path, 'base = "nominal-extended"'))
+    assert mine.resolved["components"] == {"plant": "RovDepthPlant", "controller": "L1DepthController"}
+    with pytest.raises(ScenarioError, match=r"no scenario 'nominal'; nearest is 'nominal-"):
+        scenario.load(write(tmp_path, 'base = "nominal"'))
+
+
+def test_a_window_beyond_the_run_is_refused_before_it(tmp_path: Path) -> None:
+    text = 'base = "nominal-extended"\n[experiment]\nstop_time = 60.0\nstep_size = 0.02\n'
+    with pytest.raises(ScenarioError, match=r"metric holding_thrust_n: window \[290.0, 310.0\]: .*0..60 s"):
+        scenario.load(write(tmp_path, text))
+    assert scenario.load(write(tmp_path, text + "[metrics]\nholding_thrust_n = false\n"))
+
+
 def test_a_metric_of_the_base_can_be_dropped(tmp_path: Path) -> None:
     base = MINIMAL + '[metrics.a]\nfunction = "mean"\nsignal = "p.output"\n'
     write(tmp_path, base, "base.toml")
@@ -117,6 +131,10 @@ def test_scenarios_are_found_by_name_or_path_and_misspelt_ones_offer_the_nearest
         ("events = [{ time = nan, set = {} }]\n" + MINIMAL, r"time = nan: expected a number"),
         ("events = [{ time = 1, set = 5 }]\n" + MINIMAL, r"events: set: expected a table"),
         (MINIMAL + '[metrics.a]\nfunction = "rms"\n', r"metric a: unknown function 'rms'; nearest is 'rmse'"),
+        (
+            'record = ["p.output"]\n' + MINIMAL + '[metrics.a]\nfunction = "mean"\nsignal = "p.outpt"\n',
+            r"metric a: 'p.outpt' is not recorded; nearest is 'p.output'",
+        ),
         (MINIMAL + '[metrics.a]\nfunction = "mean"\n', r"metric a: mean: missing .*'signal'"),
         (MINIMAL + '[metrics.a]\nfunction = "mean"\nsignal = "x"\nwind = 3\n', r"metric a: mean: .*'wind'"),
         ('base = "none.toml"\n' + MINIMAL, r"no file .*none.toml"),

@@ -1,0 +1,52 @@
+"""Which blocks there are, and that each is what it says before it becomes an FMU."""
+
+from dataclasses import dataclass, replace
+from importlib.metadata import EntryPoint
+
+import pytest
+
+from fmus import catalogue
+from fmus.block import Block, variable
+from fmus.errors import ExportError
+
+
+@pytest.fixture
+def offer(monkeypatch: pytest.MonkeyPatch) -> object:
+    """Make the catalogue find one block only, under the name given."""
+
+    def one(name: str, block: Block) -> None:
+        point = EntryPoint(name, "somewhere:BLOCK", catalogue.GROUP)
+        monkeypatch.setattr(EntryPoint, "load", lambda self: block)
+        monkeypatch.setattr(catalogue, "entry_points", lambda group: [point])
+
+    return one
+
+
+def test_the_four_blocks_are_found() -> None:
+    assert catalogue.block_names() == ["BenchmarkPlant", "L1Controller", "L1DepthController", "RovDepthPlant"]
+
+
+def test_a_block_must_bear_the_name_of_its_entry_point(offer: object) -> None:
+    block = catalogue.load_block("BenchmarkPlant")
+    offer("Mine", block)  # type: ignore[operator]
+    with pytest.raises(ExportError, match=r"'Mine' loads a block named 'BenchmarkPlant'"):
+        catalogue.load_block("Mine")
+
+
+def test_a_block_needs_an_internal_step(offer: object) -> None:
+    @dataclass(frozen=True)
+    class Parameters:
+        gain: float = variable(1.0, "Gain")
+
+    offer("Mine", replace(catalogue.load_block("BenchmarkPlant"), name="Mine", parameters=Parameters))  # type: ignore[operator]
+    with pytest.raises(ExportError, match=r"block 'Mine': expected a parameter internal_step"):
+        catalogue.load_block("Mine")
+
+
+def test_a_block_that_cannot_take_a_step_is_refused(offer: object) -> None:
+    def broken(*arguments: object) -> object:
+        raise AttributeError("no such thing")
+
+    offer("Mine", replace(catalogue.load_block("BenchmarkPlant"), name="Mine", step=broken))  # type: ignore[operator]
+    with pytest.raises(ExportError, match=r"cannot take a step at its start values: .*no such thing"):
+        catalogue.load_block("Mine")
