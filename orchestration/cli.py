@@ -122,7 +122,7 @@ def run(
     """Run one scenario: recording (CSV), what was run and metrics (JSON), a figure."""
     chosen = scenario.load(scenario.find(name))
     reproduce.build_what_is_missing([chosen])
-    with _bar(1, "run", chosen.name) as bar:
+    with _bar(1, "step", chosen.name) as bar:
 
         def progress(done: int, total: int) -> None:
             bar.total = total

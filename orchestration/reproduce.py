@@ -25,10 +25,11 @@ class Result:
     metrics: dict[str, float]
 
 
-def build_what_is_missing(scenarios: Iterable[Scenario]) -> list[str]:
+def build_what_is_missing(scenarios: Iterable[Scenario]) -> None:
     """Build the FMUs of our own blocks that these scenarios need and that are missing or stale."""
     needed = {path.stem for each in scenarios for path in each.system.components.values() if _is_ours(path)}
-    return [name for name in sorted(needed) if catalogue.build_if_stale(name)]
+    for name in sorted(needed):
+        catalogue.build_if_stale(name)
 
 
 def _is_ours(path: Path) -> bool:
