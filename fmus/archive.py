@@ -1,10 +1,14 @@
 """Writing an .fmu: a zip that is the same, byte for byte, whenever its content is the same."""
 
+import hashlib
 import os
 import tempfile
+import uuid
 import zipfile
+from importlib.metadata import distribution
 from pathlib import Path
 
+NO_GUID = str(uuid.UUID(int=0))  # stands for the GUID while it is being derived
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest date that a zip can hold
 
 
@@ -25,3 +29,21 @@ def write_archive(path: Path, members: dict[str, bytes]) -> Path:
         Path(temporary).unlink(missing_ok=True)
         raise
     return path
+
+
+def guid_of(members: dict[str, bytes]) -> str:
+    """A GUID that follows from the content: equal members have the same, others another one."""
+    digest = hashlib.sha256()
+    for name, data in sorted(members.items()):
+        digest.update(hashlib.sha256(name.encode()).digest() + hashlib.sha256(data).digest())
+    return str(uuid.uuid5(uuid.NAMESPACE_OID, digest.hexdigest()))
+
+
+def licenses(*projects: str) -> dict[str, bytes]:
+    """Path inside the FMU -> licence of each of these installed projects."""
+    found = {}
+    for project in projects:
+        for file in distribution(project).files or ():
+            if file.name == "LICENSE":
+                found[f"documentation/licenses/{project}.txt"] = Path(str(file.locate())).read_bytes()
+    return found

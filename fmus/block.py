@@ -93,14 +93,23 @@ class ScalarVariable:
         low, high = self.minimum, self.maximum
         if not math.isfinite(value):
             return f"{self.name} = {value!r}: expected a finite number"
-        if self.enumeration and value not in list(self.enumeration):
-            wanted = "one of " + ", ".join(f"{m.value} ({m.name.lower()})" for m in self.enumeration)
-        elif (low is not None and value < low) or (high is not None and value > high):
-            wanted = f"{'-inf' if low is None else low}..{'inf' if high is None else high}"
-        else:
-            return None
+        unknown = self.enumeration and value not in list(self.enumeration)
+        outside = (low is not None and value < low) or (high is not None and value > high)
+        return f"{self.name} = {value!r}: expected {self.expected}" if unknown or outside else None
+
+    @property
+    def expected(self) -> str:
+        """Which values are acceptable, in words."""
+        if self.enumeration:
+            return "one of " + ", ".join(f"{m.value} ({m.name.lower()})" for m in self.enumeration)
         unit = f" {self.unit}" if self.unit not in (None, "1") else ""
-        return f"{self.name} = {value!r}: expected {wanted}{unit}"
+        if self.type == "Boolean":
+            return "0 (false) or 1 (true)"
+        if self.minimum is None and self.maximum is None:
+            return f"a finite number{unit}"
+        low = "-inf" if self.minimum is None else self.minimum
+        high = "inf" if self.maximum is None else self.maximum
+        return f"{low}..{high}{unit}"
 
 
 # causality, FMI variability, initial of each of a block's interface classes

@@ -6,18 +6,36 @@ way: `MyBlock = "my_package.my_module:BLOCK"`.
 
 import zipfile
 import zlib
+from collections.abc import Sequence
+from enum import StrEnum
 from importlib.metadata import entry_points
 from pathlib import Path
 from xml.etree import ElementTree
 
-from fmus import python_flavour
+from fmus import native_flavour, python_flavour
 from fmus.archive import write_archive
 from fmus.block import Block
 from fmus.errors import ExportError, nearest
 from fmus.instance import Instance
+from fmus.toolchain import host_platform, library_name
 
 GROUP = "l1_depth.blocks"
 DIST = Path(__file__).parent / "dist"
+
+
+class Flavour(StrEnum):
+    """How an FMU runs."""
+
+    NATIVE = "native"
+    PYTHON = "python"
+
+    @property
+    def folder(self) -> Path:
+        """Where its FMUs stand by default."""
+        return DIST if self is Flavour.NATIVE else DIST / self.value
+
+
+_EXPORTS = {Flavour.NATIVE: native_flavour, Flavour.PYTHON: python_flavour}
 
 
 def block_names() -> list[str]:
@@ -49,26 +67,35 @@ def _verified(name: str, block: Block) -> Block:
     return block
 
 
-def build(name: str, folder: Path = DIST) -> Path:
-    """Write `folder/NAME.fmu`, whatever stands there."""
-    return python_flavour.build(load_block(name), folder / f"{name}.fmu")
+def build(
+    name: str,
+    folder: Path | None = None,
+    flavour: Flavour = Flavour.NATIVE,
+    platforms: Sequence[str] = (),
+) -> Path:
+    """Write `folder/NAME.fmu`, whatever stands there.
+
+    platforms: of the libraries in a native FMU, by default this one; those in a python one are PythonFMU's.
+    """
+    block, export = load_block(name), _EXPORTS[flavour]
+    _, members = export.content(block)
+    libraries = export.libraries(block.name, members, platforms)
+    return write_archive((folder or flavour.folder) / f"{name}.fmu", members | libraries)
 
 
-def build_if_stale(name: str, folder: Path = DIST) -> Path:
-    """`folder/NAME.fmu`, built if it is missing or its GUID is not that of the present sources."""
-    path = folder / f"{name}.fmu"
-    guid, members = python_flavour.content(load_block(name))
-    if _guid_of(path) != guid:
-        write_archive(path, members)
-    return path
+def build_if_stale(name: str, folder: Path | None = None, flavour: Flavour = Flavour.NATIVE) -> Path:
+    """`folder/NAME.fmu`, built if it is missing, not of the present sources, or of another platform."""
+    path = (folder or flavour.folder) / f"{name}.fmu"
+    guid, _ = _EXPORTS[flavour].content(load_block(name))
+    needed = library_name(name, host_platform()) if flavour is Flavour.NATIVE else None
+    return path if _is_present(path, guid, needed) else build(name, path.parent, flavour)
 
 
-def _guid_of(path: Path) -> str | None:
+def _is_present(path: Path, guid: str, library: str | None) -> bool:
     try:
         with zipfile.ZipFile(path) as archive:
-            if archive.testzip():
-                return None
             root = ElementTree.fromstring(archive.read("modelDescription.xml"))
+            whole = not archive.testzip() and (library is None or library in archive.namelist())
     except (OSError, zipfile.BadZipFile, zlib.error, KeyError, ElementTree.ParseError):
-        return None
-    return root.get("guid")
+        return False
+    return whole and root.get("guid") == guid

@@ -6,11 +6,13 @@ does what it says or raises `BlockError` and leaves the instance as it was.
 
 import json
 import math
+from contextlib import suppress
 from typing import Any
 
 from fmus.block import Block, ScalarVariable, Value, flatten, unflatten
 
 _FORMAT = 1  # of the serialised snapshot
+_MOST_INTERNAL_STEPS = 1e9
 _TIME_TOLERANCE = 1e-9  # relative; communication points are computed in floating point
 
 
@@ -99,28 +101,46 @@ class Instance:
 
     def do_step(self, t: float, h: float) -> None:
         """Advance from t to t + h [s] in equal internal steps, the inputs held."""
+        self._check_step(t, h)
+        values = self._values[: self._inputs_end]
+        derived = self._parameters, self._calculated, self._parameters_are_stale
+        try:
+            self._prepare()
+            self._state = self._advance(t, h)
+        except BlockError:
+            self._values[: self._inputs_end] = values
+            self._parameters, self._calculated, self._parameters_are_stale = derived
+            raise
+        self.time = t + h
+        self._outputs_are_stale = True
+
+    def _check_step(self, t: float, h: float) -> None:
         if not self._stepping:
             raise BlockError("a step before the initialisation has ended: expected begin_stepping first")
         if not (math.isfinite(h) and h > 0.0):
             raise BlockError(f"communication step size {h!r} s: expected more than 0")
-        if not abs(t - self.time) <= _TIME_TOLERANCE * max(1.0, abs(t), h):
+        if not (math.isfinite(t) and abs(t - self.time) <= _TIME_TOLERANCE * max(1.0, abs(t), h)):
             raise BlockError(f"communication point {t!r} s: expected {self.time!r}, the current time")
-        self._prepare()
-        block, state = self.block, self._state
-        parameters, calculated, inputs = self._parameters, self._calculated, self._inputs
-        count = max(1, math.ceil(h / parameters.internal_step * (1.0 - 1e-9)))
-        internal = h / count
+
+    def _advance(self, t: float, h: float) -> Any:
+        """The state after h seconds."""
+        wanted = h / self._parameters.internal_step * (1.0 - 1e-9)
+        if wanted > _MOST_INTERNAL_STEPS:
+            raise BlockError(
+                f"communication step size {h!r} s: expected at most {_MOST_INTERNAL_STEPS:.0e} internal steps"
+            )
+        count = max(1, math.ceil(wanted))
+        internal, state, step = h / count, self._state, self.block.step
+        held = self._inputs, self._parameters, self._calculated
         try:
             for i in range(count):
-                state = block.step(t + i * internal, internal, state, inputs, parameters, calculated)
-            scalars = flatten(state)
+                state = step(t + i * internal, internal, state, *held)
+            finite = math.isfinite(sum(flatten(state)))
         except ArithmeticError as error:
             raise BlockError(f"step at {t!r} s: {error}; the state left the range of numbers") from error
-        if not math.isfinite(sum(scalars)):
+        if not finite:
             raise BlockError(f"step at {t!r} s: the state is not finite any more; take shorter steps")
-        self._state = state
-        self.time = t + h
-        self._outputs_are_stale = True
+        return state
 
     # snapshots
 
@@ -196,7 +216,11 @@ class Instance:
         return calculated
 
     def _initial_state(self) -> Any:
-        return self.block.initial_state(self.time, self._inputs, self._parameters, self._calculated)
+        with suppress(ArithmeticError):
+            state = self.block.initial_state(self.time, self._inputs, self._parameters, self._calculated)
+            if math.isfinite(sum(flatten(state))):
+                return state
+        raise BlockError(f"parameters and inputs of {self.block.name}: expected a finite initial state")
 
     def _refresh(self) -> None:
         if not self._outputs_are_stale:

@@ -5,6 +5,7 @@ step mode no output depends directly on an input; in initialisation mode outputs
 """
 
 import os
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any
@@ -23,8 +24,12 @@ LOG_CATEGORIES = {
 }
 
 
-def model_description(block: Block, guid: str, capabilities: dict[str, str]) -> bytes:
+def model_description(
+    block: Block, guid: str, capabilities: dict[str, str], source_files: Sequence[str] = ()
+) -> bytes:
     """The XML of a block; `capabilities` are the flavour's attributes of `CoSimulation`.
+
+    source_files: what an importer must compile to rebuild the FMU, inside the folder `sources`.
 
     Raises ExportError for a unit that `units.py` does not know.
     """
@@ -41,7 +46,11 @@ def model_description(block: Block, guid: str, capabilities: dict[str, str]) -> 
         "variableNamingConvention": "structured",
     }
     root = ElementTree.Element("fmiModelDescription", attributes)
-    _add(root, "CoSimulation", modelIdentifier=block.name, **capabilities)
+    interface = _add(root, "CoSimulation", modelIdentifier=block.name, **capabilities)
+    if source_files:
+        listed = _add(interface, "SourceFiles")
+        for file in source_files:
+            _add(listed, "File", name=file)
     _units(root, block)
     _enumerations(root, block)
     categories = _add(root, "LogCategories")

@@ -4,18 +4,14 @@ PythonFMU gives the binary and the interface of the slave. Model description, GU
 names are our own; what its binary makes impossible is listed in docs/fidelity.md.
 """
 
-import hashlib
-import uuid
+from collections.abc import Sequence
 from importlib import resources
-from importlib.metadata import distribution
-from pathlib import Path
 
-from fmus.archive import write_archive
+from fmus.archive import NO_GUID, guid_of, licenses
 from fmus.block import Block
+from fmus.errors import ExportError
 from fmus.model_description import model_description
 from fmus.sources import in_package, source_closure
-
-FLAVOUR = "python"
 
 _CAPABILITIES = {
     "needsExecutionTool": "false",
@@ -49,7 +45,7 @@ class {name}(BlockSlave):
 
 def content(block: Block) -> tuple[str, dict[str, bytes]]:
     """(GUID, path -> content) of the FMU; the GUID is derived from everything inside."""
-    guid = _guid(_members(block, str(uuid.UUID(int=0))))
+    guid = guid_of(_members(block, NO_GUID))
     return guid, _members(block, guid)
 
 
@@ -61,39 +57,23 @@ def _members(block: Block, guid: str) -> dict[str, bytes]:
     text[f"{entry}.py"] = _ENTRY.format(name=block.name, package=package, module=module, guid=guid)
     text["slavemodule.txt"] = entry
     members = {f"resources/{path}": source.encode() for path, source in text.items()}
-    members |= _binaries(block.name) | _licenses()
+    members |= _binaries(block.name) | licenses("l1-depth", "pythonfmu")
     members["modelDescription.xml"] = model_description(block, guid, _CAPABILITIES)
     return members
 
 
-def build(block: Block, path: Path) -> Path:
-    """Write the FMU of a block to `path`."""
-    _, members = content(block)
-    return write_archive(path, members)
-
-
-def _guid(members: dict[str, bytes]) -> str:
-    digest = hashlib.sha256()
-    for name, data in sorted(members.items()):
-        digest.update(hashlib.sha256(name.encode()).digest() + hashlib.sha256(data).digest())
-    return str(uuid.uuid5(uuid.NAMESPACE_OID, digest.hexdigest()))
+def libraries(name: str, members: dict[str, bytes], platforms: Sequence[str]) -> dict[str, bytes]:
+    """Nothing to compile: PythonFMU's binaries are among the members. Raises ExportError for any platform."""
+    if platforms:
+        raise ExportError("platforms of the python flavour: expected none, its libraries are PythonFMU's")
+    return {}
 
 
 def _binaries(name: str) -> dict[str, bytes]:
     folder = resources.files("pythonfmu") / "resources" / "binaries"
     return {
-        f"binaries/{platform.name}/{name}{Path(library.name).suffix}": library.read_bytes()
+        f"binaries/{platform.name}/{name}{library.name[library.name.rindex('.') :]}": library.read_bytes()
         for platform in folder.iterdir()
         for library in platform.iterdir()
         if library.name.endswith((".so", ".dll", ".dylib"))
     }
-
-
-def _licenses() -> dict[str, bytes]:
-    found = {}
-    for project in ("l1-depth", "pythonfmu"):
-        for file in distribution(project).files or ():
-            if file.name == "LICENSE":
-                text = Path(str(file.locate())).read_bytes()
-                found[f"documentation/licenses/{project}.txt"] = text
-    return found

@@ -17,9 +17,11 @@ from rich.table import Table
 from tqdm import tqdm
 
 from fmus import catalogue
+from fmus.catalogue import Flavour
 from fmus.errors import ExportError
+from fmus.toolchain import PLATFORMS, check_platforms
+from orchestration import bench, report, reproduce, scenario
 from orchestration import identify as identification
-from orchestration import report, reproduce, scenario
 from orchestration.errors import OrchestrationError
 from orchestration.system import describe
 
@@ -33,6 +35,7 @@ _BEFORE_A_BAR_S = 2.0
 _PIPED_WIDTH = 260  # a line a variable, for grep
 _IDENTIFIED = Path(__file__).parent / "scenarios" / "parameters" / "identified.toml"
 
+FlavourOption = Annotated[Flavour, typer.Option(help="How our own FMUs run: compiled, or on Python.")]
 OutFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write to.")]
 
 
@@ -50,18 +53,35 @@ def build(
     names: Annotated[
         list[str] | None, typer.Argument(metavar="[NAME]...", help="Blocks; all by default.")
     ] = None,
-    flavour: Annotated[str, typer.Option(help="How the FMU runs: python.")] = "python",
-    out: OutFolder = catalogue.DIST,
+    flavour: FlavourOption = Flavour.NATIVE,
+    platform: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME,NAME", help=f"Of a native FMU: {', '.join(PLATFORMS)}; this one by default."
+        ),
+    ] = "",
+    all_platforms: Annotated[
+        bool, typer.Option("--all-platforms", help="Of a native FMU: all of them.")
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help=f"Folder to write to; by default {catalogue.DIST.name} of the package."
+        ),
+    ] = None,
 ) -> None:
     """Write DIR/NAME.fmu for each block."""
-    if flavour != "python":
-        raise OrchestrationError(f"flavour {flavour!r}: expected python")
+    platforms = (
+        PLATFORMS
+        if all_platforms
+        else check_platforms([each.strip() for each in platform.split(",") if each])
+    )
     chosen = names or catalogue.block_names()
     for name in chosen:
         catalogue.load_block(name)
     with _bar(len(chosen), "FMU", "build") as bar:
         for name in chosen:
-            print(catalogue.build(name, out))
+            print(catalogue.build(name, out, flavour, platforms))
             bar.update()
 
 
@@ -118,9 +138,10 @@ def _permitted(variable: ScalarVariable) -> str:
 def run(
     name: Annotated[str, typer.Argument(metavar="SCENARIO", help="A shipped scenario or a .toml file.")],
     out: OutFolder = Path("results"),
+    flavour: FlavourOption = Flavour.NATIVE,
 ) -> None:
     """Run one scenario: recording (CSV), what was run and metrics (JSON), a figure."""
-    chosen = scenario.load(scenario.find(name))
+    chosen = scenario.load(scenario.find(name), flavour=flavour)
     reproduce.build_what_is_missing([chosen])
     with _bar(1, "step", chosen.name) as bar:
 
@@ -172,14 +193,35 @@ def identify(
 def reproduce_all(
     out: OutFolder = Path("results"),
     workers: Annotated[int, typer.Option(help="Processes.", min=1)] = os.cpu_count() or 1,
+    flavour: FlavourOption = Flavour.NATIVE,
 ) -> None:
     """Run every scenario and give the paper's tables and figures back."""
     with _bar(len(scenario.shipped()), "scenario", "reproduce") as bar:
-        results = reproduce.run_all(out, workers, lambda name: bar.update() and None)
+        results = reproduce.run_all(out, workers, lambda name: bar.update() and None, flavour)
     written = reproduce.write_report(results, out)
     _console.print(report.comparison_table({name: r.metrics for name, r in results.items()}))
     for path in written:
         print(path)
+
+
+@app.command(name="bench")
+def measure(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[SCENARIO]...", help="Shipped scenarios (Jacobi, no events)."),
+    ] = None,
+    rounds: Annotated[int, typer.Option(help="Of which the median is taken.", min=1)] = 7,
+) -> None:
+    """Measure the FMUs: FMI against bare C, native against python, a scenario against one C program."""
+    chosen, blocks = names or ["nominal-extended"], catalogue.block_names()
+    for name in chosen:
+        scenario.find(name)
+    with _bar(len(blocks) + len(chosen), "part", "bench") as bar:
+        layers = [bar.update() or bench.layer(name, rounds=rounds) for name in blocks]
+        loops = [bar.update() or bench.loop(name, rounds=rounds) for name in chosen]
+    for table in bench.tables(layers, loops):
+        _console.print(table)
+    print(f"medians of {rounds} rounds on {bench.machine()}")
 
 
 def main() -> None:

@@ -7,6 +7,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from fmus import catalogue
+from fmus.catalogue import Flavour
 from orchestration import metrics, report, scenario
 from orchestration.errors import SimulationError
 from orchestration.master import simulate
@@ -27,13 +28,11 @@ class Result:
 
 def build_what_is_missing(scenarios: Iterable[Scenario]) -> None:
     """Build the FMUs of our own blocks that these scenarios need and that are missing or stale."""
-    needed = {path.stem for each in scenarios for path in each.system.components.values() if _is_ours(path)}
-    for name in sorted(needed):
-        catalogue.build_if_stale(name)
-
-
-def _is_ours(path: Path) -> bool:
-    return path.parent == catalogue.DIST and path.stem in catalogue.block_names()
+    needed = {path for each in scenarios for path in each.system.components.values()}
+    for flavour in Flavour:
+        for name in catalogue.block_names():
+            if flavour.folder / f"{name}.fmu" in needed:
+                catalogue.build_if_stale(name, flavour=flavour)
 
 
 def run(chosen: Scenario, folder: Path, progress: Callable[[int, int], None] | None = None) -> Result:
@@ -59,28 +58,32 @@ def run(chosen: Scenario, folder: Path, progress: Callable[[int, int], None] | N
 
 
 def run_all(
-    folder: Path, workers: int, progress: Callable[[str], None] = lambda name: None
+    folder: Path,
+    workers: int,
+    progress: Callable[[str], None] = lambda name: None,
+    flavour: Flavour = Flavour.NATIVE,
 ) -> dict[str, Result]:
     """Run every shipped scenario in `workers` processes; `progress` hears of each that is done."""
     paths = scenario.shipped()
     names = sorted(paths, key=lambda name: name not in _LONGEST_FIRST)
-    build_what_is_missing(scenario.load(path) for path in paths.values())
+    scenarios = {name: scenario.load(paths[name], flavour=flavour) for name in names}
+    build_what_is_missing(scenarios.values())
     results = {}
     with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
-        futures = {pool.submit(_run_named, name, folder): name for name in names}
+        futures = {pool.submit(_run_named, name, folder, flavour): name for name in names}
         try:
             for future in as_completed(futures):
-                result = future.result()
-                results[futures[future]] = Result(scenario.load(paths[futures[future]]), *result)
-                progress(futures[future])
+                name = futures[future]
+                results[name] = Result(scenarios[name], *future.result())
+                progress(name)
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
     return results
 
 
-def _run_named(name: str, folder: Path) -> tuple[Recording, dict[str, float]]:
-    result = run(scenario.load(scenario.find(name)), folder)
+def _run_named(name: str, folder: Path, flavour: Flavour) -> tuple[Recording, dict[str, float]]:
+    result = run(scenario.load(scenario.find(name), flavour=flavour), folder)
     return result.recording, result.metrics
 
 

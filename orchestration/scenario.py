@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from fmus import catalogue
+from fmus.catalogue import Flavour
 from fmus.errors import nearest
 from orchestration import metrics
 from orchestration.errors import ScenarioError
@@ -66,8 +67,13 @@ def find(name_or_path: str) -> Path:
     return known[name_or_path]
 
 
-def load(path: Path, overrides: Mapping[str, Any] | None = None) -> Scenario:
-    """Read a scenario file; `overrides` is laid over it as a scenario over its base."""
+def load(
+    path: Path, overrides: Mapping[str, Any] | None = None, flavour: Flavour = Flavour.NATIVE
+) -> Scenario:
+    """Read a scenario file; `overrides` is laid over it as a scenario over its base.
+
+    flavour: of our own blocks' FMUs.
+    """
     data = _merge(_read(path, seen=()), dict(overrides or {}))
     _check_keys(data, _KEYS, path)
     for table in _TABLES:
@@ -84,7 +90,7 @@ def load(path: Path, overrides: Mapping[str, Any] | None = None) -> Scenario:
         name=path.stem,
         title=_typed(data.get("title", path.stem), str, f"{path}: title"),
         system=System(
-            components={name: _path(fmu) for name, fmu in _need(data, "components", path).items()},
+            components={name: _path(fmu, flavour) for name, fmu in _need(data, "components", path).items()},
             connections=_connections(data, path),
         ),
         experiment=experiment,
@@ -173,9 +179,9 @@ def _fmu(name: Any, scenario: Path) -> str:
     return name
 
 
-def _path(fmu: str) -> Path:
+def _path(fmu: str, flavour: Flavour) -> Path:
     """Where an FMU stands; a block's, in the package's own folder."""
-    return Path(fmu) if fmu.endswith(".fmu") else catalogue.DIST / f"{fmu}.fmu"
+    return Path(fmu) if fmu.endswith(".fmu") else flavour.folder / f"{fmu}.fmu"
 
 
 def _connections(data: Mapping[str, Any], path: Path) -> tuple[tuple[str, str], ...]:

@@ -112,7 +112,11 @@ def describe(path: Path) -> ModelDescription:
     if not path.is_file():
         folder = path.parent
         beside = [each.name for each in folder.glob("*.fmu")] if folder.is_dir() else []
-        hint = "; `l1-depth build` makes it" if path.parent == catalogue.DIST else ""
+        hint = (
+            "; `l1-depth build` makes it"
+            if path.parent in [flavour.folder for flavour in catalogue.Flavour]
+            else ""
+        )
         raise FmuLoadError(f"no FMU at {path}; in that folder, {nearest(path.name, beside)}{hint}")
     try:
         description: Any = fmpy.read_model_description(str(path), validate=False)

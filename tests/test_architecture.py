@@ -59,3 +59,8 @@ def test_orchestration_knows_no_model() -> None:
 def test_models_do_not_know_each_other() -> None:
     assert not {file for file in importers("plant_fmu") if file.startswith("controller_fmu")}
     assert not {file for file in importers("controller_fmu") if file.startswith("plant_fmu")}
+
+
+def test_one_file_runs_the_compiler() -> None:
+    named = {path.name for path in FILES if '"ziglang"' in path.read_text(encoding="utf-8")}
+    assert named == {"toolchain.py"}

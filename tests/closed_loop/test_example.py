@@ -52,6 +52,20 @@ def test_halving_the_internal_step_changes_nothing(summary: dict[str, Any], cont
         assert halved[name] == pytest.approx(summary["example"][controller][name], rel=0.005)
 
 
+@pytest.mark.parametrize("controller", list(ORACLES))
+def test_five_times_the_step_is_stable_and_as_accurate(summary: dict[str, Any], controller: str) -> None:
+    """One internal step of 5 ms over an adaptation that oscillates at up to 8452 rad/s (docs/theory.md).
+
+    At 7 ms the delay of the coupling, 1.5 steps, makes a limit cycle even with internal steps of 0.1 ms.
+    """
+    parameters = {"controller.internal_step": 5e-3, "plant.internal_step": 5e-3}
+    overrides = {"experiment": {"step_size": 5e-3}, "parameters": parameters}
+    chosen = scenario.load(scenario.find(f"example-{controller}"), overrides)
+    coarse = metrics.evaluate(simulate(chosen.system, chosen.experiment), chosen.metrics)
+    for name in ("lag_s", "rmse"):
+        assert coarse[name] == pytest.approx(summary["example"][controller][name], rel=0.005)
+
+
 MISTAKES = {
     "the predictor does not receive u_p": [
         ("omega * (u_without_s + u_p + shortfall) + eta", "omega * (u_without_s + shortfall) + eta"),

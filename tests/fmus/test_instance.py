@@ -157,3 +157,36 @@ def test_contradicting_parameters_are_refused(driver: Any) -> None:
     plant = driver(catalogue.load_block("RovDepthPlant"), sensor_period=0.001)
     with pytest.raises(BlockError, match="internal_step at most sensor_period"):
         plant.begin()
+
+
+def test_a_step_that_would_take_for_ever_is_refused(driver: Any) -> None:
+    plant = driver(catalogue.load_block("BenchmarkPlant")).begin()
+    with pytest.raises(BlockError, match=r"step size 1e\+300 s: expected at most 1e\+09 internal steps"):
+        plant.step(1e300)
+    assert plant.instance.time == 0.0
+
+
+def test_a_refused_step_leaves_calculated_parameters_as_they_were(driver: Any) -> None:
+    """Also when the parameter that changed them is fine, and the step fails for another reason."""
+    controller = driver(catalogue.load_block("L1DepthController")).begin()
+    before = controller["feedforward_gain"]
+    controller["depth_feedback_gain"] = 3.0
+    with pytest.raises(BlockError, match="expected at most"):
+        controller.step(1e300)
+    assert controller["feedforward_gain"] == before
+    controller.step(0.02)
+    assert controller["feedforward_gain"] == pytest.approx(3.0, rel=1e-12)
+
+
+def test_an_initial_state_that_is_not_finite_is_refused(driver: Any) -> None:
+    plant = driver(catalogue.load_block("RovDepthPlant"), initial_depth=1e308)
+    with pytest.raises(BlockError, match="expected a finite initial state"):
+        plant.begin()
+    plant["initial_depth"] = 1.0
+    assert plant.begin()["depth"] == 1.0
+
+
+def test_infinity_is_no_communication_point(driver: Any) -> None:
+    plant = driver(catalogue.load_block("BenchmarkPlant")).begin()
+    with pytest.raises(BlockError, match="communication point inf s"):
+        plant.instance.do_step(math.inf, 0.1)

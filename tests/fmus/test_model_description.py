@@ -3,28 +3,36 @@
 import zipfile
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import fmpy
 import pytest
 from fmpy.validation import validate_fmu
 
-from fmus import catalogue, python_flavour
+from fmus import catalogue, native_flavour, python_flavour
 from fmus.block import variable
+from fmus.catalogue import Flavour
 from fmus.errors import ExportError
 from fmus.model_description import model_description
+from fmus.toolchain import PLATFORMS, host_platform, library_name
 from fmus.units import BASE_UNITS, base_units
 
 NAMES = catalogue.block_names()
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_fmpy_finds_no_problem(built: dict[str, Path], name: str) -> None:
-    assert validate_fmu(str(built[name])) == []
+@pytest.fixture(params=[f"{flavour}-{name}" for flavour in Flavour for name in NAMES])
+def fmu(request: pytest.FixtureRequest, built: dict[str, Path], python_built: dict[str, Path]) -> Path:
+    """Each FMU of each flavour."""
+    flavour, _, name = request.param.partition("-")
+    return (built if flavour == Flavour.NATIVE else python_built)[name]
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_everything_is_explicit(built: dict[str, Path], name: str) -> None:
-    description = fmpy.read_model_description(str(built[name]))
+def test_fmpy_finds_no_problem(fmu: Path) -> None:
+    assert validate_fmu(str(fmu)) == []
+
+
+def test_everything_is_explicit(fmu: Path) -> None:
+    description = fmpy.read_model_description(str(fmu))
     units = {unit.name for unit in description.unitDefinitions}
     for v in description.modelVariables:
         assert v.causality
@@ -39,32 +47,45 @@ def test_everything_is_explicit(built: dict[str, Path], name: str) -> None:
     assert all(unknown.dependencies is not None for unknown in description.initialUnknowns)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_capabilities_and_enumerations(built: dict[str, Path], name: str) -> None:
-    description = fmpy.read_model_description(str(built[name]))
+def test_capabilities_and_enumerations(fmu: Path) -> None:
+    description = fmpy.read_model_description(str(fmu))
     interface = description.coSimulation
     assert interface is not None
     assert not interface.needsExecutionTool
     assert interface.canGetAndSetFMUstate
     assert interface.canSerializeFMUstate
     assert interface.canHandleVariableCommunicationStepSize
-    block = catalogue.load_block(name)
+    block = catalogue.load_block(fmu.stem)
     declared = {d.name: [i.name for i in d.items or []] for d in description.typeDefinitions}
     for v in block.variables:
         if v.enumeration:
             assert declared[v.enumeration.__name__] == [m.name.lower() for m in v.enumeration]
 
 
-def test_the_guid_follows_the_content() -> None:
+@pytest.mark.parametrize("name", NAMES)
+def test_both_flavours_have_the_same_variables(
+    built: dict[str, Path], python_built: dict[str, Path], name: str
+) -> None:
+    native, python = (fmpy.read_model_description(str(each[name])) for each in (built, python_built))
+    for one, other in zip(native.modelVariables, python.modelVariables, strict=True):
+        assert (one.name, one.valueReference, one.start) == (other.name, other.valueReference, other.start)
+    assert native.guid != python.guid
+
+
+@pytest.mark.parametrize("content", [native_flavour.content, python_flavour.content])
+def test_the_guid_follows_the_content(content: Any) -> None:
     block = catalogue.load_block("BenchmarkPlant")
-    guid, _ = python_flavour.content(block)
-    assert python_flavour.content(block)[0] == guid
-    assert python_flavour.content(replace(block, description="another"))[0] != guid
+    guid, _ = content(block)
+    assert content(block)[0] == guid
+    assert content(replace(block, description="another"))[0] != guid
 
 
-def test_builds_are_reproducible_byte_for_byte(built: dict[str, Path], tmp_path: Path) -> None:
-    for name, path in built.items():
-        assert catalogue.build(name, tmp_path).read_bytes() == path.read_bytes()
+@pytest.mark.parametrize("flavour", list(Flavour))
+def test_builds_are_reproducible_byte_for_byte(
+    built: dict[str, Path], python_built: dict[str, Path], tmp_path: Path, flavour: Flavour
+) -> None:
+    for name, path in (built if flavour is Flavour.NATIVE else python_built).items():
+        assert catalogue.build(name, tmp_path, flavour).read_bytes() == path.read_bytes()
 
 
 def test_a_build_leaves_nothing_beside_the_fmu(tmp_path: Path) -> None:
@@ -80,6 +101,13 @@ def test_a_stale_fmu_is_rebuilt_and_a_fresh_one_kept(tmp_path: Path) -> None:
     before = path.stat().st_mtime_ns
     catalogue.build_if_stale("BenchmarkPlant", tmp_path)
     assert path.stat().st_mtime_ns == before
+
+
+def test_a_native_fmu_of_another_platform_only_is_rebuilt_for_this_one(tmp_path: Path) -> None:
+    other = next(each for each in PLATFORMS if each != host_platform())
+    path = catalogue.build("BenchmarkPlant", tmp_path, platforms=[other])
+    catalogue.build_if_stale("BenchmarkPlant", tmp_path)
+    assert library_name("BenchmarkPlant", host_platform()) in zipfile.ZipFile(path).namelist()
 
 
 def test_the_generation_date_is_utc_and_only_on_request(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,74 +4,21 @@ import math
 import subprocess
 import sys
 import zipfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import fmpy
 import pytest
 from fmpy.fmi1 import FMICallException
-from fmpy.fmi2 import FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 
 from fmus import catalogue
 
 
-class Loaded:
-    """An FMU loaded by FMPy, its variables by name, its log lines kept."""
-
-    def __init__(self, path: Path, folder: Path, name: str = "it") -> None:
-        description: Any = fmpy.read_model_description(str(path))
-        fmpy.extract(str(path), folder)
-        self.references = {v.name: v.valueReference for v in description.modelVariables}
-        self.log: list[str] = []
-        self._callbacks = fmi2CallbackFunctions()
-        self._callbacks.logger = fmi2CallbackLoggerTYPE(
-            lambda environment, instance, status, category, text: self.log.append(text.decode())
-        )
-        self.slave: Any = FMU2Slave(
-            guid=description.guid,
-            unzipDirectory=str(folder),
-            modelIdentifier=description.coSimulation.modelIdentifier,
-            instanceName=name,
-        )
-        self.slave.instantiate(callbacks=self._callbacks, loggingOn=True)
-
-    def begin(self) -> "Loaded":
-        self.slave.setupExperiment(startTime=0.0)
-        self.slave.enterInitializationMode()
-        self.slave.exitInitializationMode()
-        return self
-
-    def __getitem__(self, name: str) -> float:
-        return self.slave.getReal([self.references[name]])[0]
-
-    def __setitem__(self, name: str, value: float) -> None:
-        self.slave.setReal([self.references[name]], [value])
-
-    def free(self) -> None:
-        self.slave.terminate()
-        self.slave.freeInstance()
-
-
-@pytest.fixture
-def load(tmp_path: Path) -> Iterator[Any]:
-    loaded: list[Loaded] = []
-
-    def one(path: Path) -> Loaded:
-        loaded.append(Loaded(path, tmp_path / f"fmu{len(loaded)}", f"it{len(loaded)}"))
-        return loaded[-1]
-
-    yield one
-    for each in loaded:
-        each.free()
-
-
 @pytest.mark.parametrize("name", catalogue.block_names())
 def test_the_trace_equals_the_block_stepped_directly(
-    built: dict[str, Path], load: Any, driver: Any, name: str
+    python_built: dict[str, Path], load: Any, driver: Any, name: str
 ) -> None:
     """Bit for bit: the FMU runs the same functions on the same numbers."""
-    fmu = load(built[name]).begin()
+    fmu = load(python_built[name]).begin()
     block = driver(catalogue.load_block(name)).begin()
     outputs = [v.name for v in block.instance.block.of_causality("output")]
     inputs = [v.name for v in block.instance.block.of_causality("input") if v.minimum is None]
@@ -84,9 +31,9 @@ def test_the_trace_equals_the_block_stepped_directly(
 
 
 def test_state_is_restored_exactly_also_from_bytes_and_in_another_instance(
-    built: dict[str, Path], load: Any
+    python_built: dict[str, Path], load: Any
 ) -> None:
-    first, second = load(built["RovDepthPlant"]).begin(), load(built["RovDepthPlant"]).begin()
+    first, second = load(python_built["RovDepthPlant"]).begin(), load(python_built["RovDepthPlant"]).begin()
     first["voltage[1]"] = 2.0
     for i in range(10):
         first.slave.doStep(i * 0.02, 0.02)
@@ -102,8 +49,8 @@ def test_state_is_restored_exactly_also_from_bytes_and_in_another_instance(
         assert (fmu["measured_depth"], fmu["depth"]) == expected
 
 
-def test_the_bytes_of_another_fmu_are_refused(built: dict[str, Path], load: Any) -> None:
-    plant, other = load(built["RovDepthPlant"]).begin(), load(built["BenchmarkPlant"]).begin()
+def test_the_bytes_of_another_fmu_are_refused(python_built: dict[str, Path], load: Any) -> None:
+    plant, other = load(python_built["RovDepthPlant"]).begin(), load(python_built["BenchmarkPlant"]).begin()
     data = other.slave.serializeFMUstate(other.slave.getFMUstate())
     plant.slave.setFMUstate(plant.slave.deSerializeFMUstate(data))
     assert "expected" in plant.log[-1]
@@ -111,8 +58,8 @@ def test_the_bytes_of_another_fmu_are_refused(built: dict[str, Path], load: Any)
         plant.slave.doStep(0.0, 0.02)
 
 
-def test_reset_gives_a_new_instance(built: dict[str, Path], load: Any) -> None:
-    plant = load(built["RovDepthPlant"])
+def test_reset_gives_a_new_instance(python_built: dict[str, Path], load: Any) -> None:
+    plant = load(python_built["RovDepthPlant"])
     plant["initial_depth"] = 1.0
     plant.begin()
     plant.slave.reset()
@@ -121,9 +68,9 @@ def test_reset_gives_a_new_instance(built: dict[str, Path], load: Any) -> None:
 
 
 def test_a_failing_step_is_logged_and_discarded_and_the_instance_lives(
-    built: dict[str, Path], load: Any
+    python_built: dict[str, Path], load: Any
 ) -> None:
-    plant = load(built["BenchmarkPlant"]).begin()
+    plant = load(python_built["BenchmarkPlant"]).begin()
     plant["omega"] = 1e300
     plant["control"] = 1e300
     with pytest.raises(FMICallException, match="discard"):
@@ -135,9 +82,9 @@ def test_a_failing_step_is_logged_and_discarded_and_the_instance_lives(
 
 
 def test_a_refused_value_is_logged_and_steps_are_discarded_until_it_is_right(
-    built: dict[str, Path], load: Any
+    python_built: dict[str, Path], load: Any
 ) -> None:
-    plant = load(built["RovDepthPlant"]).begin()
+    plant = load(python_built["RovDepthPlant"]).begin()
     plant["inertia"] = -1.0
     assert plant.log == ["inertia = -1.0: expected 0.1..1000000.0 kg"]
     with pytest.raises(FMICallException, match="discard"):
@@ -147,8 +94,8 @@ def test_a_refused_value_is_logged_and_steps_are_discarded_until_it_is_right(
     plant.slave.doStep(0.0, 0.02)
 
 
-def test_a_call_that_nothing_can_put_right_costs_one_step(built: dict[str, Path], load: Any) -> None:
-    plant = load(built["BenchmarkPlant"]).begin()
+def test_a_call_that_nothing_can_put_right_costs_one_step(python_built: dict[str, Path], load: Any) -> None:
+    plant = load(python_built["BenchmarkPlant"]).begin()
     for refused, words in (
         (lambda: plant.__setitem__("output", 1.0), "output: cannot be set, its causality is output"),
         (lambda: plant.__setitem__("internal_step", 1.0), "internal_step: is fixed"),
@@ -161,27 +108,27 @@ def test_a_call_that_nothing_can_put_right_costs_one_step(built: dict[str, Path]
     plant.slave.doStep(0.0, 0.01)
 
 
-def test_a_getter_of_the_wrong_type_is_an_error_in_the_log(built: dict[str, Path], load: Any) -> None:
-    plant = load(built["BenchmarkPlant"]).begin()
+def test_a_getter_of_the_wrong_type_is_an_error_in_the_log(python_built: dict[str, Path], load: Any) -> None:
+    plant = load(python_built["BenchmarkPlant"]).begin()
     assert plant.slave.getInteger([plant.references["output"]]) == [0]
     assert plant.log[-1] == "output is Real: expected Integer or Enumeration"
     plant.slave.setBoolean([plant.references["control"]], [True])
     assert plant.log[-1] == "control is Real: expected Boolean"
 
 
-def test_a_percent_sign_in_a_message_is_escaped(built: dict[str, Path], load: Any) -> None:
+def test_a_percent_sign_in_a_message_is_escaped(python_built: dict[str, Path], load: Any) -> None:
     """FMI's logger takes a printf format: an unescaped %n would write to memory."""
-    plant = load(built["BenchmarkPlant"]).begin()
+    plant = load(python_built["BenchmarkPlant"]).begin()
     plant.slave.setFMUstate(plant.slave.deSerializeFMUstate(b'{"format": "%s%n", "fmu": "%s"}'))
     assert "%%s%%n" in plant.log[-1]
 
 
 def test_two_versions_of_an_fmu_do_not_see_each_other(
-    built: dict[str, Path], load: Any, tmp_path: Path
+    python_built: dict[str, Path], load: Any, tmp_path: Path
 ) -> None:
     """A plant built from changed sources beside the original: each runs its own."""
-    changed = _with_another_source(built["BenchmarkPlant"], tmp_path)
-    original, other = load(built["BenchmarkPlant"]).begin(), load(changed).begin()
+    changed = _with_another_source(python_built["BenchmarkPlant"], tmp_path)
+    original, other = load(python_built["BenchmarkPlant"]).begin(), load(changed).begin()
     for fmu in (original, other):
         fmu["control"] = 1.0
         fmu.slave.doStep(0.0, 0.001)
@@ -196,24 +143,24 @@ def _with_another_source(path: Path, folder: Path) -> Path:
         "read = sources._read\n"
         "sources._read = lambda n: read(n).replace('p.omega * inputs.control', '2.0 * inputs.control')\n"
         "from fmus import catalogue\n"
-        "catalogue.build('BenchmarkPlant', pathlib.Path(sys.argv[1]))\n"
+        "catalogue.build('BenchmarkPlant', pathlib.Path(sys.argv[1]), catalogue.Flavour.PYTHON)\n"
     )
     subprocess.run([sys.executable, "-c", script, str(folder)], check=True)
     assert (folder / path.name).read_bytes() != path.read_bytes()
     return folder / path.name
 
 
-def test_loading_leaves_the_import_path_as_it_was(built: dict[str, Path], load: Any) -> None:
+def test_loading_leaves_the_import_path_as_it_was(python_built: dict[str, Path], load: Any) -> None:
     before = list(sys.path)
-    load(built["RovDepthPlant"])
+    load(python_built["RovDepthPlant"])
     assert sys.path == before
 
 
-def test_many_instances_one_after_another(built: dict[str, Path], tmp_path: Path) -> None:
+def test_many_instances_one_after_another(python_built: dict[str, Path], load: Any) -> None:
     """PythonFMU alone crashes at the second: it drops a reference that it does not own."""
-    for i in range(20):
-        fmu = Loaded(built["BenchmarkPlant"], tmp_path / str(i)).begin()
+    for _ in range(20):
+        fmu = load(python_built["BenchmarkPlant"]).begin()
         fmu.slave.doStep(0.0, 0.01)
         fmu.free()
-    module = zipfile.ZipFile(built["BenchmarkPlant"]).read("resources/slavemodule.txt").decode()
+    module = zipfile.ZipFile(python_built["BenchmarkPlant"]).read("resources/slavemodule.txt").decode()
     assert sys.getrefcount(sys.modules[module].__dict__) < 20

@@ -43,16 +43,18 @@ def test_traced_functions_equal_the_floats_at_random_points(name: str) -> None:
         calculated = block.calculate(parameters)
         t, h = rng.uniform(0.0, 10.0), parameters.internal_step
         state = block.initial_state(t, inputs, parameters, calculated)
-        at_start = traced.initial_state(t, inputs_scalars, scalars)
-        assert_equal(at_start, state)
+        derived = flatten(calculated)
+        assert_equal(traced.calculate(scalars), calculated)
+        assert_equal(traced.initial_state(t, inputs_scalars, scalars, derived), state)
 
         perturbed = [x + rng.uniform(-0.1, 0.1) for x in flatten(state)]
         state = unflatten(state, perturbed)
         assert_equal(
-            traced.step(t, h, perturbed, inputs_scalars, scalars),
+            traced.step(t, h, perturbed, inputs_scalars, scalars, derived),
             block.step(t, h, state, inputs, parameters, calculated),
         )
-        assert_equal(traced.output(t, perturbed, scalars), block.output(t, state, parameters, calculated))
+        outputs = block.output(t, state, parameters, calculated)
+        assert_equal(traced.output(t, perturbed, scalars, derived), outputs)
 
 
 def assert_equal(column: object, value: object) -> None:

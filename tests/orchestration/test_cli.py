@@ -124,7 +124,8 @@ def test_a_run_that_fails_keeps_what_was_recorded(tmp_path: Path) -> None:
         (["run", "nominal-l2"], "no scenario 'nominal-l2'; nearest is 'nominal-l1'"),
         (["run", "none.toml"], "no scenario file none.toml"),
         (["build", "Benchmarkplan"], "no block named 'Benchmarkplan'; nearest is 'BenchmarkPlant'"),
-        (["build", "--flavour", "wasm"], "flavour 'wasm': expected python"),
+        (["build", "--platform", "linux46"], "no platform 'linux46'; nearest is 'linux64'"),
+        (["build", "--flavour", "python", "--platform", "win64"], "python flavour: expected none"),
         (["check", "none.fmu"], "no FMU at none.fmu"),
         (["inspect", "broken.fmu"], "broken.fmu is not an FMU: expected a zip"),
         (["check", "broken.fmu"], "broken.fmu is not an FMU: expected a zip"),
@@ -148,3 +149,5 @@ def test_a_value_out_of_range_is_refused_before_the_run(tmp_path: Path) -> None:
 def test_bad_usage_is_exit_status_2(tmp_path: Path) -> None:
     done = l1_depth("run", folder=tmp_path, expect=2)
     assert "SCENARIO" in done.stderr
+    done = l1_depth("build", "--flavour", "wasm", folder=tmp_path, expect=2)
+    assert "'wasm' is not one of 'native', 'python'" in done.stderr

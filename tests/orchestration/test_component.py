@@ -92,14 +92,14 @@ def test_errors_cross_processes_with_all_they_say() -> None:
     assert copy.recording.time.tolist() == [0.0]
 
 
-def test_an_interrupt_waits_for_the_end_of_a_step(built: dict[str, Path]) -> None:
+def test_an_interrupt_waits_for_the_end_of_a_step(python_built: dict[str, Path]) -> None:
     """Inside an FMU it would strike the FMU's Python and look like the FMU's failure."""
     inputs = {"p.control": 0.0, "p.disturbance": 0.0}
     before = signal.getsignal(signal.SIGINT)
     timer = threading.Timer(0.5, lambda: signal.raise_signal(signal.SIGINT))
     timer.start()
     with pytest.raises(SimulationError, match=r"^interrupted$") as caught:
-        simulate(System({"p": built["BenchmarkPlant"]}), Experiment(100.0, 1e-3, inputs=inputs))
+        simulate(System({"p": python_built["BenchmarkPlant"]}), Experiment(100.0, 1e-3, inputs=inputs))
     timer.join()
     assert len(caught.value.recording.time) > 1
     assert signal.getsignal(signal.SIGINT) is before

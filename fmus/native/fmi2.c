@@ -1,0 +1,510 @@
+/* FMI 2.0.5 for co-simulation: checks of calls and arguments around an instance of the model.
+ *
+ *   discard   a value or a step that is refused; nothing has changed, another one can be tried
+ *   error     an illegal call; nothing has changed, but FMI allows only to read, restore, reset or free then
+ *   fatal     never: no call can damage an instance
+ *
+ * All that an instance is lies in one block of the importer's memory. There are no globals.
+ */
+
+#include "instance.h"
+#include "log.h"
+#include "snapshot.h"
+
+typedef struct {
+    Data data;
+    Log log;
+    fmi2CallbackAllocateMemory allocate;
+    fmi2CallbackFreeMemory release;
+} Instance;
+
+static const char *const TYPE_NAMES[] = {"Real", "Integer or Enumeration", "Boolean"};
+
+/* Refusals. `fmi2Error` ends what may be done with an instance until it is restored or reset. */
+
+static fmi2Status refuse(Instance *it, fmi2Status status, const char *format, ...) {
+    va_list arguments;
+    va_start(arguments, format);
+    log_send(&it->log, status, format, arguments);
+    va_end(arguments);
+    if (status == fmi2Error) it->data.mode = IN_ERROR;
+    return status;
+}
+
+static const char *mode_name(int mode) {
+    return mode == INSTANTIATED     ? "instantiated"
+           : mode == INITIALIZATION ? "initialization mode"
+           : mode == STEPPING       ? "step complete"
+           : mode == TERMINATED     ? "terminated"
+                                    : "error";
+}
+
+static int is_allowed(Instance *it, int modes, const char *function) {
+    if (!it) return 0;
+    if (it->data.mode & modes) return 1;
+    refuse(it, fmi2Error, "%s is not allowed in the state '%s'", function, mode_name((int)it->data.mode));
+    return 0;
+}
+
+static fmi2Status missing(Instance *it, const char *function, const char *argument) {
+    return refuse(it, fmi2Error, "%s: %s is NULL", function, argument);
+}
+
+/* `broken` is a pointer as it becomes known with the outcome, which may be evaluated after the other arguments. */
+static fmi2Status report(Instance *it, Outcome outcome, const int *broken, const char *function, double h) {
+    if (outcome == DONE) return fmi2OK;
+    if (outcome == CONTRADICTORY)
+        return refuse(it, fmi2Discard, "%s: parameters of " MODEL_NAME ": expected %s", function, REQUIRED[*broken]);
+    if (outcome == TOO_MANY_STEPS)
+        return refuse(it, fmi2Discard, "%s: communication step size %s s: expected at most %s internal steps", function,
+                      DECIMAL(h), DECIMAL(MOST_INTERNAL_STEPS));
+    if (it->data.mode != STEPPING)
+        return refuse(it, fmi2Discard, "%s: parameters and inputs of " MODEL_NAME ": expected a finite initial state",
+                      function);
+    return refuse(it, fmi2Discard, "%s at %s s: the state is not finite any more; take shorter steps", function,
+                  DECIMAL(it->data.time));
+}
+
+/* Values */
+
+enum { READABLE = INITIALIZATION | STEPPING | TERMINATED | IN_ERROR | INSTANTIATED };
+enum { WRITABLE = INSTANTIATED | INITIALIZATION | STEPPING };
+
+static int has_type(fmi2ValueReference reference, Type type) {
+    return reference < N_VARIABLES && VARIABLES[reference].type == type;
+}
+
+static fmi2Status not_of_type(Instance *it, Type type, fmi2ValueReference reference, const char *function) {
+    if (reference >= N_VARIABLES)
+        return refuse(it, fmi2Error, "%s: value reference %u: expected 0..%d of " MODEL_NAME, function, reference,
+                      N_VARIABLES - 1);
+    return refuse(it, fmi2Error, "%s: %s is %s: expected %s", function, VARIABLES[reference].name,
+                  TYPE_NAMES[VARIABLES[reference].type], TYPE_NAMES[type]);
+}
+
+static int are_allowed(Instance *it, int modes, Type type, const fmi2ValueReference references[], size_t count,
+                       const void *values, const char *function) {
+    if (!is_allowed(it, modes, function)) return 0;
+    if (count && (!references || !values)) {
+        missing(it, function, references ? "value" : "vr");
+        return 0;
+    }
+    for (size_t i = 0; i < count; i++) {
+        if (has_type(references[i], type)) continue;
+        not_of_type(it, type, references[i], function);
+        return 0;
+    }
+    return 1;
+}
+
+/* Until stepping begins, what is calculated follows what was set, also when an error has ended that; later it is
+ * what the last step left, and nothing is stale. */
+static fmi2Status refreshed(Instance *it, const fmi2ValueReference references[], size_t count, const char *function) {
+    int broken = 0;
+    for (size_t i = 0; i < count; i++)
+        if (!is_settable((int)references[i]))
+            return report(it, data_refresh(&it->data, &broken), &broken, function, 0);
+    return fmi2OK;
+}
+
+static int can_be_set(const Data *d, int reference, double value) {
+    return is_settable(reference) && !(VARIABLES[reference].is_fixed && d->mode == STEPPING) &&
+           is_acceptable(reference, value);
+}
+
+static fmi2Status cannot_be_set(Instance *it, int reference, double value, const char *function) {
+    const Variable *v = VARIABLES + reference;
+    if (!is_settable(reference))
+        return refuse(it, fmi2Error, "%s: %s can not be set, it is calculated", function, v->name);
+    if (v->is_fixed && it->data.mode == STEPPING)
+        return refuse(it, fmi2Error, "%s: %s is fixed, set it before the initialization ends", function, v->name);
+    return refuse(it, fmi2Discard, "%s: %s = %s: expected %s", function, v->name, DECIMAL(value), v->expected);
+}
+
+#define DEFINE_GET(Name, CType, TYPE)                                                                            \
+    fmi2Status fmi2Get##Name(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, CType value[]) {        \
+        Instance *it = c;                                                                                        \
+        fmi2Status status;                                                                                       \
+        if (!are_allowed(it, READABLE, TYPE, vr, nvr, value, "fmi2Get" #Name)) return fmi2Error;                 \
+        status = refreshed(it, vr, nvr, "fmi2Get" #Name);                                                        \
+        for (size_t i = 0; i < nvr && status == fmi2OK; i++) value[i] = (CType)it->data.value[vr[i]];            \
+        return status;                                                                                           \
+    }
+
+/* All values or none: the first that is refused leaves every variable as it was. */
+#define DEFINE_SET(Name, CType, TYPE)                                                                            \
+    fmi2Status fmi2Set##Name(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const CType value[]) {  \
+        Instance *it = c;                                                                                        \
+        if (!are_allowed(it, WRITABLE, TYPE, vr, nvr, value, "fmi2Set" #Name)) return fmi2Error;                 \
+        for (size_t i = 0; i < nvr; i++)                                                                         \
+            if (!can_be_set(&it->data, (int)vr[i], (double)value[i]))                                            \
+                return cannot_be_set(it, (int)vr[i], (double)value[i], "fmi2Set" #Name);                         \
+        for (size_t i = 0; i < nvr; i++) data_set(&it->data, (int)vr[i], (double)value[i]);                      \
+        return fmi2OK;                                                                                           \
+    }
+
+DEFINE_GET(Real, fmi2Real, REAL)
+DEFINE_GET(Integer, fmi2Integer, INTEGER)
+DEFINE_GET(Boolean, fmi2Boolean, BOOLEAN)
+DEFINE_SET(Real, fmi2Real, REAL)
+DEFINE_SET(Integer, fmi2Integer, INTEGER)
+DEFINE_SET(Boolean, fmi2Boolean, BOOLEAN)
+
+static fmi2Status no_strings(Instance *it, int modes, size_t count, const char *function) {
+    if (!is_allowed(it, modes, function)) return fmi2Error;
+    return count ? refuse(it, fmi2Error, "%s: " MODEL_NAME " has no String variables", function) : fmi2OK;
+}
+
+fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2String value[]) {
+    (void)vr, (void)value;
+    return no_strings(c, READABLE, nvr, "fmi2GetString");
+}
+
+fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2String value[]) {
+    (void)vr, (void)value;
+    return no_strings(c, WRITABLE, nvr, "fmi2SetString");
+}
+
+/* Inquiry, creation, destruction */
+
+const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
+
+const char *fmi2GetVersion(void) { return fmi2Version; }
+
+fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nCategories,
+                               const fmi2String categories[]) {
+    Instance *it = c;
+    unsigned enabled = 0;
+    if (!it) return fmi2Error;
+    if (loggingOn && nCategories && !categories) return missing(it, "fmi2SetDebugLogging", "categories");
+    for (size_t i = 0; loggingOn && i < nCategories; i++) {
+        if (!log_category(categories[i]))
+            return refuse(it, fmi2Discard, "fmi2SetDebugLogging: log category '%s': expected one of the model description",
+                          categories[i] ? categories[i] : "NULL");
+        enabled |= log_category(categories[i]);
+    }
+    it->log.enabled = loggingOn && nCategories ? enabled : log_mask(loggingOn);
+    return fmi2OK;
+}
+
+static void cannot_instantiate(const fmi2CallbackFunctions *functions, fmi2String name, const char *format, ...) {
+    const Log log = {functions->logger, functions->componentEnvironment, name ? name : "", LOG_ALL};
+    va_list arguments;
+    va_start(arguments, format);
+    log_send(&log, fmi2Error, format, arguments);
+    va_end(arguments);
+}
+
+/* The resource location is not looked at: the model needs no file, so that every URI is as good. */
+fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID,
+                              fmi2String fmuResourceLocation, const fmi2CallbackFunctions *functions,
+                              fmi2Boolean visible, fmi2Boolean loggingOn) {
+    Instance *it;
+    char *name;
+    (void)fmuResourceLocation, (void)visible;
+    if (!functions) return NULL;
+    const int has_memory = functions->allocateMemory && functions->freeMemory; /* some importers give none */
+    const fmi2CallbackAllocateMemory allocate = has_memory ? functions->allocateMemory : calloc;
+    if (!instanceName || !*instanceName) {
+        cannot_instantiate(functions, instanceName, "fmi2Instantiate: expected an instance name");
+        return NULL;
+    }
+    if (fmuType != fmi2CoSimulation) {
+        cannot_instantiate(functions, instanceName, "fmi2Instantiate: fmuType %d: expected fmi2CoSimulation", fmuType);
+        return NULL;
+    }
+    if (!fmuGUID || strcmp(fmuGUID, MODEL_GUID)) {
+        cannot_instantiate(functions, instanceName, "fmi2Instantiate: GUID %s: expected %s", fmuGUID ? fmuGUID : "NULL",
+                           MODEL_GUID);
+        return NULL;
+    }
+    it = allocate(1, sizeof *it + strlen(instanceName) + 1);
+    if (!it) {
+        cannot_instantiate(functions, instanceName, "fmi2Instantiate: no memory");
+        return NULL;
+    }
+    name = strcpy((char *)(it + 1), instanceName);
+    it->log = (Log){functions->logger, functions->componentEnvironment, name, log_mask(loggingOn)};
+    it->allocate = allocate;
+    it->release = has_memory ? functions->freeMemory : free;
+    data_reset(&it->data);
+    return it;
+}
+
+void fmi2FreeInstance(fmi2Component c) {
+    Instance *it = c;
+    if (it) it->release(it);
+}
+
+/* Modes */
+
+fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fmi2Real tolerance, fmi2Real startTime,
+                               fmi2Boolean stopTimeDefined, fmi2Real stopTime) {
+    Instance *it = c;
+    (void)toleranceDefined, (void)tolerance; /* no solver with error control inside */
+    if (!is_allowed(it, INSTANTIATED, "fmi2SetupExperiment")) return fmi2Error;
+    if (!isfinite(startTime))
+        return refuse(it, fmi2Error, "fmi2SetupExperiment: start time %s s: expected a finite number",
+                      DECIMAL(startTime));
+    if (stopTimeDefined && !(stopTime > startTime))
+        return refuse(it, fmi2Error, "fmi2SetupExperiment: stop time %s s: expected more than the start time %s s",
+                      DECIMAL(stopTime), DECIMAL(startTime));
+    it->data.time = startTime;
+    it->data.stop_time = stopTimeDefined ? fmin(stopTime, DBL_MAX) : DBL_MAX; /* infinity: no end */
+    it->data.outputs_are_stale = 1;
+    return fmi2OK;
+}
+
+fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
+    Instance *it = c;
+    if (!is_allowed(it, INSTANTIATED, "fmi2EnterInitializationMode")) return fmi2Error;
+    it->data.mode = INITIALIZATION;
+    return fmi2OK;
+}
+
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
+    Instance *it = c;
+    fmi2Status status;
+    int broken = 0;
+    if (!is_allowed(it, INITIALIZATION, "fmi2ExitInitializationMode")) return fmi2Error;
+    status = report(it, data_refresh(&it->data, &broken), &broken, "fmi2ExitInitializationMode", 0);
+    if (status == fmi2OK) it->data.mode = STEPPING;
+    return status;
+}
+
+fmi2Status fmi2Terminate(fmi2Component c) {
+    Instance *it = c;
+    if (!is_allowed(it, STEPPING, "fmi2Terminate")) return fmi2Error;
+    it->data.mode = TERMINATED;
+    return fmi2OK;
+}
+
+fmi2Status fmi2Reset(fmi2Component c) {
+    Instance *it = c;
+    if (!it) return fmi2Error;
+    data_reset(&it->data);
+    return fmi2OK;
+}
+
+/* Steps */
+
+static double tolerance_at(double t, double h) { return TIME_TOLERANCE * fmax(fmax(1, fabs(t)), h); }
+
+fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2Real communicationStepSize,
+                      fmi2Boolean noSetFMUStatePriorToCurrentPoint) {
+    Instance *it = c;
+    const double t = currentCommunicationPoint, h = communicationStepSize;
+    int broken = 0;
+    (void)noSetFMUStatePriorToCurrentPoint; /* a state is never kept by the FMU itself */
+    if (!is_allowed(it, STEPPING, "fmi2DoStep")) return fmi2Error;
+    if (!(h > 0 && h <= DBL_MAX))
+        return refuse(it, fmi2Error, "fmi2DoStep: communication step size %s s: expected more than 0", DECIMAL(h));
+    if (!isfinite(t) || !(fabs(t - it->data.time) <= tolerance_at(t, h)))
+        return refuse(it, fmi2Error, "fmi2DoStep: communication point %s s: expected %s s, the current time",
+                      DECIMAL(t), DECIMAL(it->data.time));
+    if (!(t + h <= it->data.stop_time + tolerance_at(t, h)))
+        return refuse(it, fmi2Error, "fmi2DoStep: step to %s s: expected at most the stop time %s s",
+                      DECIMAL(t + h), DECIMAL(it->data.stop_time));
+    return report(it, data_step(&it->data, t, h, &broken), &broken, "fmi2DoStep", h);
+}
+
+fmi2Status fmi2CancelStep(fmi2Component c) {
+    return c ? refuse(c, fmi2Error, "fmi2CancelStep: expected a step in progress; steps are never asynchronous")
+             : fmi2Error;
+}
+
+fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+                                       const fmi2Integer order[], const fmi2Real value[]) {
+    static const char *const function = "fmi2SetRealInputDerivatives";
+    Instance *it = c;
+    if (!are_allowed(it, WRITABLE, REAL, vr, nvr, value, function)) return fmi2Error;
+    if (nvr && !order) return missing(it, function, "order");
+    for (size_t i = 0; i < nvr; i++) {
+        const char *name = VARIABLES[vr[i]].name;
+        if (vr[i] < FIRST_INPUT || vr[i] >= FIRST_OUTPUT)
+            return refuse(it, fmi2Error, "%s: %s: expected an input", function, name);
+        if (order[i] != 1)
+            return refuse(it, fmi2Error, "%s: %s: order %d: expected 1", function, name, order[i]);
+        if (!isfinite(value[i]))
+            return refuse(it, fmi2Discard, "%s: %s: derivative %s: expected a finite number", function, name,
+                          DECIMAL(value[i]));
+    }
+    for (size_t i = 0; i < nvr; i++) it->data.input_rate[vr[i] - FIRST_INPUT] = value[i];
+    if (nvr) it->data.inputs_have_rates = 1;
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+                                        const fmi2Integer order[], fmi2Real value[]) {
+    static const char *const function = "fmi2GetRealOutputDerivatives";
+    Instance *it = c;
+    const double *v;
+    double calculated[N_CALCULATED + 1], rate[N_OUTPUTS + 1];
+    fmi2Status status;
+    int broken = 0;
+    if (!are_allowed(it, STEPPING | TERMINATED, REAL, vr, nvr, value, function)) return fmi2Error;
+    if (nvr && !order) return missing(it, function, "order");
+    for (size_t i = 0; i < nvr; i++) {
+        if (vr[i] < FIRST_OUTPUT)
+            return refuse(it, fmi2Error, "%s: %s: expected an output", function, VARIABLES[vr[i]].name);
+        if (order[i] != 1)
+            return refuse(it, fmi2Error, "%s: %s: order %d: expected 1", function, VARIABLES[vr[i]].name, order[i]);
+    }
+    status = report(it, data_calculate(&it->data, calculated, &broken), &broken, function, 0);
+    if (status != fmi2OK) return status;
+    v = it->data.value;
+    model_output_rate(it->data.time, it->data.state, v + FIRST_INPUT, v, calculated, rate);
+    for (size_t i = 0; i < nvr; i++) value[i] = rate[vr[i] - FIRST_OUTPUT];
+    return fmi2OK;
+}
+
+/* In initialization mode of what is calculated by parameters and inputs; later, the state held, by
+ * parameters alone: at a communication point no output depends directly on an input. */
+fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference vUnknown_ref[], size_t nUnknown,
+                                        const fmi2ValueReference vKnown_ref[], size_t nKnown, const fmi2Real dvKnown[],
+                                        fmi2Real dvUnknown[]) {
+    static const char *const function = "fmi2GetDirectionalDerivative";
+    Instance *it = c;
+    double seed[N_PARAMETERS + N_INPUTS + 1] = {0}, along[N_CALCULATED + N_OUTPUTS + 1];
+    const int modes = INITIALIZATION | STEPPING | TERMINATED;
+    if (!are_allowed(it, modes, REAL, vUnknown_ref, nUnknown, dvUnknown, function)) return fmi2Error;
+    if (!are_allowed(it, modes, REAL, vKnown_ref, nKnown, dvKnown, function)) return fmi2Error;
+    for (size_t i = 0; i < nUnknown; i++)
+        if (is_settable((int)vUnknown_ref[i]))
+            return refuse(it, fmi2Error, "%s: unknown %s: expected an output or a calculated parameter", function,
+                          VARIABLES[vUnknown_ref[i]].name);
+    for (size_t i = 0; i < nKnown; i++) {
+        const int reference = (int)vKnown_ref[i];
+        if (!is_settable(reference))
+            return refuse(it, fmi2Error, "%s: known %s: expected a parameter or an input", function,
+                          VARIABLES[reference].name);
+        seed[reference < FIRST_CALCULATED ? reference : reference - N_CALCULATED] += dvKnown[i];
+    }
+    if (it->data.mode == INITIALIZATION) {
+        int broken = 0;
+        const fmi2Status status = report(it, data_refresh(&it->data, &broken), &broken, function, 0);
+        if (status != fmi2OK) return status;
+        model_initial_derivative(it->data.time, it->data.value, it->data.value + FIRST_INPUT, seed, along);
+    } else {
+        model_output_derivative(it->data.time, it->data.state, it->data.value, seed, along);
+    }
+    for (size_t i = 0; i < nUnknown; i++) {
+        const int reference = (int)vUnknown_ref[i];
+        const int output = reference - FIRST_OUTPUT;
+        dvUnknown[i] = along[output < 0 ? reference - FIRST_CALCULATED : output + N_CALCULATED];
+    }
+    return fmi2OK;
+}
+
+/* Status of a step. None is ever pending, so that only the last successful time and the end can be asked for. */
+
+static fmi2Status no_status(Instance *it, fmi2StatusKind kind, const char *function) {
+    if (!is_allowed(it, STEPPING | TERMINATED, function)) return fmi2Error;
+    return refuse(it, fmi2Discard, "%s: status kind %d: not available, steps are never asynchronous", function, kind);
+}
+
+fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind s, fmi2Status *value) {
+    (void)value;
+    return no_status(c, s, "fmi2GetStatus");
+}
+
+fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind s, fmi2Real *value) {
+    Instance *it = c;
+    if (s != fmi2LastSuccessfulTime) return no_status(it, s, "fmi2GetRealStatus");
+    if (!is_allowed(it, STEPPING | TERMINATED, "fmi2GetRealStatus")) return fmi2Error;
+    if (!value) return missing(it, "fmi2GetRealStatus", "value");
+    *value = it->data.time;
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind s, fmi2Integer *value) {
+    (void)value;
+    return no_status(c, s, "fmi2GetIntegerStatus");
+}
+
+fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boolean *value) {
+    Instance *it = c;
+    if (s != fmi2Terminated) return no_status(it, s, "fmi2GetBooleanStatus");
+    if (!is_allowed(it, STEPPING | TERMINATED, "fmi2GetBooleanStatus")) return fmi2Error;
+    if (!value) return missing(it, "fmi2GetBooleanStatus", "value");
+    *value = fmi2False; /* the model never wants the simulation to end */
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind s, fmi2String *value) {
+    (void)value;
+    return no_status(c, s, "fmi2GetStringStatus");
+}
+
+/* Saved states */
+
+fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
+    Instance *it = c;
+    Snapshot *snapshot;
+    if (!it) return fmi2Error;
+    if (!FMUstate) return missing(it, "fmi2GetFMUstate", "FMUstate");
+    snapshot = *FMUstate ? *FMUstate : it->allocate(1, sizeof *snapshot);
+    if (!snapshot) return refuse(it, fmi2Error, "fmi2GetFMUstate: no memory");
+    memcpy(snapshot->guid, MODEL_GUID, sizeof snapshot->guid);
+    snapshot->data = it->data;
+    *FMUstate = snapshot;
+    return fmi2OK;
+}
+
+static const Snapshot *own_snapshot(Instance *it, fmi2FMUstate FMUstate, const char *function) {
+    const Snapshot *snapshot = FMUstate;
+    if (!it) return NULL;
+    if (snapshot && !strcmp(snapshot->guid, MODEL_GUID)) return snapshot;
+    refuse(it, fmi2Error, snapshot ? "%s: the state is another FMU's" : "%s: FMUstate is NULL", function);
+    return NULL;
+}
+
+fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate FMUstate) {
+    const Snapshot *snapshot = own_snapshot(c, FMUstate, "fmi2SetFMUstate");
+    if (!snapshot) return fmi2Error;
+    ((Instance *)c)->data = snapshot->data;
+    return fmi2OK;
+}
+
+fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
+    Instance *it = c;
+    if (!it) return fmi2Error;
+    if (!FMUstate || !*FMUstate) return fmi2OK; /* nothing to free, as FMI has it */
+    it->release(*FMUstate);
+    *FMUstate = NULL;
+    return fmi2OK;
+}
+
+fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate FMUstate, size_t *size) {
+    if (!own_snapshot(c, FMUstate, "fmi2SerializedFMUstateSize")) return fmi2Error;
+    if (!size) return missing(c, "fmi2SerializedFMUstateSize", "size");
+    *size = SERIALIZED_SIZE;
+    return fmi2OK;
+}
+
+fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate FMUstate, fmi2Byte serializedState[], size_t size) {
+    const Snapshot *snapshot = own_snapshot(c, FMUstate, "fmi2SerializeFMUstate");
+    if (!snapshot) return fmi2Error;
+    if (!serializedState) return missing(c, "fmi2SerializeFMUstate", "serializedState");
+    if (size < SERIALIZED_SIZE)
+        return refuse(c, fmi2Error, "fmi2SerializeFMUstate: size %lu: expected %d", (unsigned long)size,
+                      (int)SERIALIZED_SIZE);
+    serialize(snapshot, (unsigned char *)serializedState);
+    return fmi2OK;
+}
+
+fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedState[], size_t size,
+                                   fmi2FMUstate *FMUstate) {
+    Instance *it = c;
+    Snapshot restored;
+    const char *reason;
+    if (!it) return fmi2Error;
+    if (!serializedState) return missing(it, "fmi2DeSerializeFMUstate", "serializedState");
+    if (!FMUstate) return missing(it, "fmi2DeSerializeFMUstate", "FMUstate");
+    reason = deserialize((const unsigned char *)serializedState, size, &restored);
+    if (reason) return refuse(it, fmi2Error, "fmi2DeSerializeFMUstate: %s", reason);
+    if (!*FMUstate) *FMUstate = it->allocate(1, sizeof restored);
+    if (!*FMUstate) return refuse(it, fmi2Error, "fmi2DeSerializeFMUstate: no memory");
+    *(Snapshot *)*FMUstate = restored;
+    return fmi2OK;
+}

@@ -1,0 +1,79 @@
+/* Messages to the importer: formatted, escaped, and only those of an enabled category. */
+
+#ifndef LOG_H
+#define LOG_H
+
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "fmi2Functions.h"
+
+enum { LOG_WARNING = 1, LOG_DISCARD = 2, LOG_ERROR = 4, LOG_FATAL = 8, LOG_ALL = 15, MESSAGE_SIZE = 1024 };
+
+static const struct {
+    const char *name;
+    unsigned mask;
+} LOG_CATEGORIES[] = {
+    {"logStatusWarning", LOG_WARNING}, {"logStatusDiscard", LOG_DISCARD}, {"logStatusError", LOG_ERROR},
+    {"logStatusFatal", LOG_FATAL},     {"logAll", LOG_ALL},
+};
+
+enum { N_LOG_CATEGORIES = sizeof LOG_CATEGORIES / sizeof LOG_CATEGORIES[0] };
+
+/* What an instance needs to speak: copied from the importer's callbacks, which need not outlive a call. */
+typedef struct {
+    fmi2CallbackLogger logger;
+    fmi2ComponentEnvironment environment;
+    const char *instance;
+    unsigned enabled;
+} Log;
+
+/* FMI 2.0.5, 2.1.3: errors are always for the user; discards are shown in debug mode. */
+static unsigned log_mask(fmi2Boolean logging_on) {
+    return logging_on ? LOG_ALL : LOG_ALL & ~LOG_DISCARD;
+}
+
+/* The mask of a category's name, 0 if there is none of this name. */
+static unsigned log_category(const char *name) {
+    for (size_t i = 0; name && i < N_LOG_CATEGORIES; i++)
+        if (!strcmp(name, LOG_CATEGORIES[i].name)) return LOG_CATEGORIES[i].mask;
+    return 0;
+}
+
+/* The logger takes a printf format in which #r1# names a variable: '%' and '#' must be doubled. */
+static void log_escape(const char *text, char *escaped, size_t size) {
+    size_t length = 0;
+    for (; *text && length + 2 < size; text++) {
+        if (*text == '%' || *text == '#') escaped[length++] = *text;
+        escaped[length++] = *text;
+    }
+    escaped[length] = '\0';
+}
+
+static void log_send(const Log *log, fmi2Status status, const char *format, va_list arguments) {
+    static const int place[] = {0, 0, 1, 2, 3, 0}; /* of a status among the categories */
+    char text[MESSAGE_SIZE], escaped[2 * MESSAGE_SIZE];
+    int i = place[status];
+    if (!log->logger || !(log->enabled & LOG_CATEGORIES[i].mask)) return;
+    vsnprintf(text, sizeof text, format, arguments);
+    log_escape(text, escaped, sizeof escaped);
+    log->logger(log->environment, log->instance, status, LOG_CATEGORIES[i].name, escaped);
+}
+
+/* The shortest decimal that is this number again, whatever decimal point the host's locale has. */
+static const char *shortest(double number, char *text, size_t size) {
+    for (int digits = 1; digits <= 17; digits++) {
+        snprintf(text, size, "%.*g", digits, number);
+        if (strtod(text, NULL) == number) break;
+    }
+    for (char *c = text; *c; c++)
+        if (*c == ',') *c = '.';
+    return text;
+}
+
+/* As an argument of a message; the characters live as long as the block that it stands in. */
+#define DECIMAL(number) shortest(number, (char[32]){0}, 32)
+
+#endif

@@ -1,0 +1,40 @@
+/* Which variables the model has, and which values they accept. */
+
+#ifndef VARIABLES_H
+#define VARIABLES_H
+
+#include <stdint.h>
+
+/* Types of a variable, as the importer's functions distinguish them. */
+typedef enum { REAL, INTEGER, BOOLEAN } Type;
+
+typedef struct {
+    const char *name;
+    Type type;
+    int is_fixed; /* a parameter that can not be set once stepping has begun */
+    double start, min, max;
+    uint32_t items;       /* of an enumeration: bit i stands for the item i; 0 if it is none */
+    const char *expected; /* of a value, in words */
+} Variable;
+
+#include "model.h"
+
+/* Value references: parameters, calculated parameters, inputs, outputs. */
+enum {
+    FIRST_CALCULATED = N_PARAMETERS,
+    FIRST_INPUT = FIRST_CALCULATED + N_CALCULATED,
+    FIRST_OUTPUT = FIRST_INPUT + N_INPUTS,
+    N_VARIABLES = FIRST_OUTPUT + N_OUTPUTS
+};
+
+static int is_settable(int reference) {
+    return reference < FIRST_CALCULATED || (reference >= FIRST_INPUT && reference < FIRST_OUTPUT);
+}
+
+/* Within range; false for what is not finite, as a variable without range has the range of double. */
+static int is_acceptable(int reference, double value) {
+    const Variable *v = VARIABLES + reference;
+    return value >= v->min && value <= v->max && (!v->items || v->items >> (int)value & 1);
+}
+
+#endif

@@ -1,0 +1,95 @@
+"""C sources -> shared libraries for every platform, with the `ziglang` wheel: no system compiler, no network.
+
+No fast-math and no contraction of a product and a sum into one rounding: a trajectory is the same on every
+platform as far as the elementary functions of its C library are.
+"""
+
+import os
+import platform
+import struct
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+
+from fmus.errors import ExportError, nearest
+
+# FMI platform -> (zig targets, suffix); two targets become one universal library
+_PLATFORMS = {
+    "linux64": (("x86_64-linux-gnu.2.17",), "so"),
+    "win64": (("x86_64-windows-gnu",), "dll"),
+    "darwin64": (("x86_64-macos.11.0", "aarch64-macos.11.0"), "dylib"),
+    "aarch64-linux": (("aarch64-linux-gnu.2.17",), "so"),
+    "aarch64-darwin": (("aarch64-macos.11.0",), "dylib"),
+}
+PLATFORMS = tuple(_PLATFORMS)
+FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden", "-g0", "-s")
+COMPILER = ("ziglang", version("ziglang"))
+
+
+def host_platform() -> str:
+    """The FMI name of the platform that this runs on."""
+    arm = platform.machine().lower() in ("aarch64", "arm64")
+    known = {
+        "linux": "aarch64-linux" if arm else "linux64",
+        "darwin": "aarch64-darwin" if arm else "darwin64",
+        "win32": "win64",
+    }
+    if sys.platform not in known:
+        raise ExportError(f"no native FMU for {sys.platform}: expected one of {', '.join(PLATFORMS)}")
+    return known[sys.platform]
+
+
+def check_platforms(names: Sequence[str]) -> tuple[str, ...]:
+    """The names, each once; ExportError offers the nearest for an unknown one."""
+    for name in names:
+        if name not in _PLATFORMS:
+            raise ExportError(f"no platform {name!r}; {nearest(name, PLATFORMS)}")
+    return tuple(dict.fromkeys(names))
+
+
+def library_name(model: str, fmi_platform: str) -> str:
+    """Path of a library inside the FMU."""
+    return f"binaries/{fmi_platform}/{model}.{_PLATFORMS[fmi_platform][1]}"
+
+
+def compile_library(model: str, sources: dict[str, str], compiled: Sequence[str], fmi_platform: str) -> bytes:
+    """The shared library MODEL of some sources, of which `compiled` are given to the compiler."""
+    targets, suffix = _PLATFORMS[fmi_platform]
+    with tempfile.TemporaryDirectory(prefix="l1-depth-build-") as name:
+        folder = Path(name)
+        for file, text in sources.items():
+            (folder / file).write_text(text, encoding="utf-8", newline="\n")
+        slices = [_compile(folder, compiled, target, f"{model}.{suffix}") for target in targets]
+    return slices[0] if len(slices) == 1 else _universal(slices)
+
+
+def _compile(folder: Path, compiled: Sequence[str], target: str, library: str) -> bytes:
+    options = ["-target", target, "-shared", *FLAGS]
+    if "macos" in target:
+        options.append(f"-Wl,-install_name,@rpath/{library}")
+    zig(["cc", *options, "-o", library, *compiled], folder)
+    return (folder / library).read_bytes()
+
+
+def zig(arguments: Sequence[str], folder: Path) -> None:
+    """Run zig in a folder; ExportError with what it said if it fails."""
+    command = [sys.executable, "-m", "ziglang", *arguments]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, env=os.environ)
+    if done.returncode:
+        raise ExportError(f"zig {arguments[0]} failed: {(done.stderr or done.stdout).strip()[-2000:]}")
+
+
+def _universal(slices: Sequence[bytes]) -> bytes:
+    """A universal Mach-O of thin ones: big-endian header, each slice at a page boundary (mach-o/fat.h)."""
+    page = 14  # 2^14 bytes, the page size of Apple silicon
+    table, body = b"", b""
+    start = 1 << page
+    for each in slices:
+        _, cpu, subtype = struct.unpack_from("<III", each)
+        table += struct.pack(">IIIII", cpu, subtype, start + len(body), len(each), page)
+        body += each + b"\0" * (-len(each) % (1 << page))
+    header = struct.pack(">II", 0xCAFEBABE, len(slices)) + table
+    return header.ljust(start, b"\0") + body

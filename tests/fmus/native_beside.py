@@ -1,0 +1,189 @@
+"""A native FMU beside its model: what each rule of the state machine is made of."""
+
+import math
+from pathlib import Path
+from typing import Any, ClassVar
+
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize
+
+from fmus.block import Block, ScalarVariable
+
+from .native_model import DISCARD, ERROR, INITIALIZATION, INSTANTIATED, OK, STEPPING, TYPES, Data, Model, Null
+from .native_session import GUID, Answer, Session
+
+NOWHERE, TINY = Null(0), 5e-324
+SELDOM = st.integers(0, 24).map(lambda i: i == 13)
+NAMES = ("it", "a%n%s#r1#%", "long" * 1300)
+_CATEGORY = {DISCARD: "logStatusDiscard", ERROR: "logStatusError"}
+_WRITES = ("get", "get_output_derivatives", "directional_derivative", "get_status")
+
+
+class Pool:
+    """The process that serves the examples; one that has ended is replaced."""
+
+    def __init__(self, program: Path) -> None:
+        self.program, self._session = program, Session(program)
+
+    def session(self) -> Session:
+        if not self._session.is_alive:
+            self._session = Session(self.program)
+        return self._session
+
+
+class Beside(RuleBasedStateMachine):
+    """Two instances and three saved states of one FMU, beside their models."""
+
+    block: ClassVar[Block]
+    pool: ClassVar[Pool]
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.send = self.pool.session()
+        self.live = int(self.send("live").values[0])
+        self.models: dict[int, Model] = {}
+        self.names: dict[int, str] = {}
+        self.states: dict[int, Data] = {}
+        self.buffers: list[tuple[list[int], Data]] = []
+        self.by_kind = {k: [v for v in self.block.variables if TYPES[v.type] == k] for k in "RIB"}
+        self.kinds = [k for k in "RIB" if self.by_kind[k]]
+
+    # both sides
+
+    def call(self, slot: int, name: str, *arguments: Any) -> Answer:
+        """The call on FMU and model: same status, same values, the right message, and nothing lost."""
+        model = self.models[slot]
+        enabled = set(model.log)
+        expected = getattr(model, name)(*arguments)
+        return self.compare(slot, enabled, name, arguments, expected)
+
+    def compare(self, slot: int, enabled: set[str], name: str, arguments: Any, expected: Any) -> Answer:
+        if name in _WRITES:
+            arguments = (*arguments[:-1], "+" if arguments[-1] else NOWHERE)
+        answer = self.send(name, slot, *arguments)
+        status, values = expected
+        told = (name, slot, *arguments)
+        assert answer.status == status, (told, answer, expected)
+        if status != OK:
+            assert set(answer.values) <= {"untouched"}, (told, answer)
+        elif values is not None:
+            assert [_exactly(v) for v in answer.values] == [_exactly(float(v)) for v in values], told
+        self.check_messages(slot, enabled, answer)
+        if status != OK:
+            self.read_everything(slot)
+        return answer
+
+    def check_messages(self, slot: int, enabled: set[str], answer: Answer) -> None:
+        due = answer.status != OK and _CATEGORY[answer.status] in enabled
+        assert len(answer.messages) == due, answer
+        for message in answer.messages:
+            assert (message.status, message.category) == (answer.status, _CATEGORY[answer.status])
+            assert message.name == self.names[slot]
+            assert message.text
+
+    def read_everything(self, slot: int) -> None:
+        """What was set can be read always, what is calculated unless the parameters contradict each other."""
+        model = self.models[slot]
+        for kind in self.kinds:
+            every = [v.value_reference for v in self.by_kind[kind]]
+            for chosen in filter(model.is_settable, every), (r for r in every if not model.is_settable(r)):
+                references = list(chosen)
+                expected = model.get(kind, references, True)
+                answer = self.send("get", slot, kind, references, "+")
+                assert answer.status == expected[0]
+                found = [_exactly(v) for v in answer.values] if answer.status == OK else None
+                wanted = [_exactly(float(v)) for v in expected[1]] if expected[1] is not None else None
+                assert found == wanted, (kind, references)
+
+    # life
+
+    @initialize(data=st.data())
+    def begin(self, data: Any) -> None:
+        for slot in (0, 1):
+            self.instantiate(slot, data.draw(st.sampled_from(NAMES)), data.draw(st.booleans()))
+            for _ in range(data.draw(st.integers(0, 3))):
+                self.go_on(data, slot)
+
+    def is_time(self, data: Any, slot: int, *modes: str) -> bool:
+        """Usually a call waits for a mode that allows it, and the instance goes on instead."""
+        if self.models[slot].data.mode in modes or data.draw(SELDOM):
+            return True
+        self.go_on(data, slot)
+        return False
+
+    def instantiate(self, slot: int, name: str, logging: bool) -> None:
+        assert self.send("instantiate", slot, name, 1, GUID, "all", logging) == (OK, [], [])
+        self.models[slot], self.names[slot] = Model(self.block, logging), name
+
+    def teardown(self) -> None:
+        if self.send.is_alive and self.models:
+            for place in self.states:
+                self.send("free_state", 0, place)
+            for slot in self.models:
+                self.send("free", slot)
+            if int(self.send("live").values[0]) != self.live:
+                self.send.kill()  # the next example shall not find what this one has lost
+                raise AssertionError("memory is lost")
+
+    def go_on(self, data: Any, slot: int) -> None:
+        """The next state of a usual life; at its end, and in error, a saved one or a new beginning."""
+        mode = self.models[slot].data.mode
+        if mode == INSTANTIATED and data.draw(st.booleans()):
+            start = data.draw(st.sampled_from((0.0, -1.5, 1e6)))
+            self.call(
+                slot,
+                "setup",
+                start,
+                data.draw(st.booleans()),
+                start + data.draw(st.sampled_from((1.0, TINY + 9))),
+            )
+        following = {INSTANTIATED: "enter", INITIALIZATION: "leave", STEPPING: "step"}.get(mode, "reset")
+        if following == "step":
+            self.take_step(slot, data.draw(st.sampled_from((1.0, 0.3, 2.0, 4.4))))
+        elif following == "reset" and self.states and data.draw(st.booleans()):
+            place = data.draw(st.sampled_from(sorted(self.states)))
+            self.state_call(slot, "set_state", (place,), self.models[slot].restore(self.states[place]))
+        else:
+            self.call(slot, following)
+
+    def take_step(self, slot: int, internal_steps: float) -> None:
+        model = self.models[slot]
+        self.call(slot, "step", model.data.time, internal_steps * model.internal_step)
+
+    def state_call(self, slot: int, name: str, arguments: tuple, expected: Any = (OK, None)) -> Answer:
+        return self.compare(slot, set(self.models[slot].log), name, arguments, expected)
+
+    # arguments
+
+    def some(self, data: Any, slot: int, variables: list[ScalarVariable]) -> list[int]:
+        chosen = data.draw(st.lists(st.sampled_from(variables), max_size=4)) if variables else []
+        return [v.value_reference for v in chosen]
+
+    def settable(self, kind: str) -> list[ScalarVariable]:
+        return [v for v in self.by_kind[kind] if v.settable]
+
+    def one_wrong(self, data: Any, references: list[int]) -> list[int]:
+        """Now and then a value reference of any type or none among them."""
+        if data.draw(st.integers(0, 9)) != 4:
+            return references
+        wrong = data.draw(
+            st.sampled_from((0, len(self.block.variables) - 1, len(self.block.variables), 2**31, 2**32 - 1))
+        )
+        return [*references, wrong]
+
+    def array(self, data: Any, items: list) -> list | Null:
+        """Now and then NULL."""
+        return Null(len(items)) if data.draw(SELDOM) else items
+
+    def orders(self, data: Any, count: int) -> list[int]:
+        usual = [1] * count
+        if count and data.draw(SELDOM):
+            usual[-1] = data.draw(st.sampled_from((0, 2, -1, 2**31 - 1)))
+        return usual
+
+
+def _exactly(number: float | str) -> str:
+    """All bits but the sign of zero: which of two equal zeros is the lesser one, fmin leaves open."""
+    if isinstance(number, str):
+        number = float.fromhex(number)
+    return "nan" if math.isnan(number) else (number + 0.0).hex()

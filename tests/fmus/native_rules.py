@@ -1,0 +1,268 @@
+"""The calls that the state machine makes of a native FMU, legal and not."""
+
+import sys
+from typing import Any
+
+from hypothesis import strategies as st
+from hypothesis.stateful import rule
+
+from fmus.block import ScalarVariable
+
+from .native_beside import NAMES, SELDOM, TINY, Beside
+from .native_model import ALL, ERROR, INITIALIZATION, INSTANTIATED, OK, STEPPING, TERMINATED, WRITABLE
+from .native_session import GUID
+
+SLOTS = 3
+NAN, INF, HUGE = float("nan"), float("inf"), 1e300
+ALLOWED = {"enter": INSTANTIATED, "leave": INITIALIZATION, "terminate": STEPPING}
+
+
+class Calls(Beside):
+    """Two instances and three saved states of one FMU, beside their models."""
+
+    @rule(data=st.data(), slot=st.integers(0, 1))
+    def replace(self, data: Any, slot: int) -> None:
+        assert self.send("free", slot).status == OK
+        name, logging = data.draw(st.sampled_from(NAMES)), data.draw(st.booleans())
+        for wrong in (
+            (None, 1, GUID, "all"),
+            ("", 1, GUID, "all"),
+            (name, 0, GUID, "all"),
+            (name, 1, "{%n}", "all"),
+        ):
+            answer = self.send("instantiate", slot, *wrong, logging)
+            assert answer.status == ERROR
+            assert [m.category for m in answer.messages] == ["logStatusError"]
+        self.instantiate(slot, name, logging)
+        assert int(self.send("live").values[0]) == self.live + 2 + len(self.states)
+
+    @rule(
+        data=st.data(),
+        slot=st.integers(0, 1),
+        name=st.sampled_from(("enter", "leave", "terminate", "reset", "cancel")),
+    )
+    def change_mode(self, data: Any, slot: int, name: str) -> None:
+        if name == "reset" or self.is_time(data, slot, ALLOWED.get(name, "")):
+            self.call(slot, name)
+
+    @rule(
+        data=st.data(),
+        slot=st.integers(0, 1),
+        start=st.sampled_from((0.0, 0.0, -HUGE, -HUGE, -1.0, NAN, INF)),
+        has_stop=st.booleans(),
+        stop=st.sampled_from((1.0, 1.0, 2.0, HUGE, 0.0, NAN, INF, -HUGE)),
+    )
+    def set_up(self, data: Any, slot: int, start: float, has_stop: bool, stop: float) -> None:
+        if self.is_time(data, slot, INSTANTIATED):
+            self.call(slot, "setup", start, has_stop, stop)
+
+    # values
+
+    @rule(data=st.data(), slot=st.integers(0, 1), refused=st.integers(0, 3))
+    def set_values(self, data: Any, slot: int, refused: int) -> None:
+        if not self.is_time(data, slot, *WRITABLE):
+            return
+        kind = data.draw(st.sampled_from(self.kinds))
+        references = self.some(data, slot, self.settable(kind))
+        mode = self.models[slot].data.mode
+        if mode == STEPPING and not data.draw(SELDOM):
+            references = [r for r in references if self.block.variables[r].variability != "fixed"]
+        values = [data.draw(st.sampled_from(_acceptable(self.block.variables[r]))) for r in references]
+        if refused == 3 and references:
+            place = data.draw(st.integers(0, len(references) - 1))
+            values[place] = data.draw(st.sampled_from(_refused(self.block.variables[references[place]])))
+        asked = self.one_wrong(data, references)
+        values += [
+            type(v)(1) for v in (values or [1.0 if kind == "R" else 1])[: len(asked) - len(references)]
+        ]
+        self.call(slot, "set", kind, self.array(data, asked), self.array(data, values))
+
+    @rule(data=st.data(), slot=st.integers(0, 1))
+    def get_values(self, data: Any, slot: int) -> None:
+        kind = data.draw(st.sampled_from(self.kinds))
+        references = self.one_wrong(data, self.some(data, slot, self.by_kind[kind]))
+        self.call(slot, "get", kind, self.array(data, references), not data.draw(SELDOM))
+
+    @rule(slot=st.integers(0, 1))
+    def read(self, slot: int) -> None:
+        self.read_everything(slot)
+
+    # steps and derivatives
+
+    @rule(
+        data=st.data(),
+        slot=st.integers(0, 1),
+        late=st.sampled_from((*8 * (0.0,), 1e-12, -1e-12, 1.0, NAN, INF, -INF)),
+        h=st.sampled_from((*4 * (1e11, HUGE), 0.0, -0.0, -1.0, NAN, INF, sys.float_info.max)),
+    )
+    def step_wrongly(self, data: Any, slot: int, late: float, h: float) -> None:
+        """At another time, or by a length that is illegal or too long."""
+        if self.is_time(data, slot, STEPPING):
+            model = self.models[slot]
+            self.call(slot, "step", model.data.time + late, model.internal_step if late else h)
+
+    @rule(data=st.data(), slot=st.integers(0, 1), steps=st.sampled_from((1.0, 0.3, 2.0, 4.4, 1e-9)))
+    def step(self, data: Any, slot: int, steps: float) -> None:
+        if self.is_time(data, slot, STEPPING):
+            self.take_step(slot, steps)
+
+    @rule(data=st.data(), slot=st.integers(0, 1))
+    def set_input_derivatives(self, data: Any, slot: int) -> None:
+        if not self.is_time(data, slot, *WRITABLE):
+            return
+        inputs = [v for v in self.block.of_causality("input") if v.type == "Real"]
+        references = self.one_wrong(data, self.some(data, slot, inputs))
+        orders = self.array(data, self.orders(data, len(references)))
+        rates = [
+            data.draw(st.sampled_from((0.0, 1.0, -20.0, 1e3, TINY) * 3 + (HUGE, NAN, -INF)))
+            for _ in references
+        ]
+        self.call(
+            slot, "set_input_derivatives", self.array(data, references), orders, self.array(data, rates)
+        )
+
+    @rule(data=st.data(), slot=st.integers(0, 1))
+    def get_output_derivatives(self, data: Any, slot: int) -> None:
+        if not self.is_time(data, slot, STEPPING, TERMINATED):
+            return
+        references = self.one_wrong(data, self.some(data, slot, list(self.block.of_causality("output"))))
+        orders, out = self.array(data, self.orders(data, len(references))), not data.draw(SELDOM)
+        self.call(slot, "get_output_derivatives", self.array(data, references), orders, out)
+
+    @rule(data=st.data(), slot=st.integers(0, 1))
+    def directional_derivative(self, data: Any, slot: int) -> None:
+        if not self.is_time(data, slot, INITIALIZATION, STEPPING, TERMINATED):
+            return
+        reals = self.by_kind["R"]
+        unknown = self.one_wrong(data, self.some(data, slot, [v for v in reals if not v.settable]))
+        known = self.one_wrong(data, self.some(data, slot, self.settable("R")))
+        seed = [data.draw(st.sampled_from((1.0, 0.0, -2.5, HUGE, NAN))) for _ in known]
+        known, out = self.array(data, known), not data.draw(SELDOM)
+        self.call(
+            slot, "directional_derivative", self.array(data, unknown), known, self.array(data, seed), out
+        )
+
+    @rule(
+        data=st.data(),
+        slot=st.integers(0, 1),
+        value=st.sampled_from((1.0, -3.0, 1e308)),
+        moving=st.booleans(),
+    )
+    def step_on(self, data: Any, slot: int, value: float, moving: bool) -> None:
+        """Two steps with every unlimited input at a value or on its way there; some diverge."""
+        if not self.is_time(data, slot, STEPPING):
+            return
+        inputs = [v.value_reference for v in self.block.of_causality("input") if v.minimum is None]
+        if moving:
+            self.call(slot, "set_input_derivatives", inputs, [1] * len(inputs), [value] * len(inputs))
+        else:
+            self.call(slot, "set", "R", inputs, [value] * len(inputs))
+        for steps in (2.0, 1.0):
+            self.take_step(slot, steps)
+
+    # status and messages
+
+    @rule(
+        data=st.data(),
+        slot=st.integers(0, 1),
+        kind=st.sampled_from("RRBIN"),
+        what=st.sampled_from((2, 3, 2, 0, -1, 4)),
+    )
+    def get_status(self, data: Any, slot: int, kind: str, what: int) -> None:
+        if self.is_time(data, slot, STEPPING, TERMINATED):
+            self.call(slot, "get_status", kind, what, not data.draw(SELDOM))
+
+    @rule(
+        slot=st.integers(0, 1),
+        on=st.booleans(),
+        categories=st.lists(st.sampled_from((*ALL, *ALL, "logAll", "%n#", None)), max_size=3),
+    )
+    def set_debug_logging(self, slot: int, on: bool, categories: list[str | None]) -> None:
+        self.call(slot, "set_debug_logging", on, categories)
+
+    # saved states
+
+    @rule(slot=st.integers(0, 1), place=st.integers(0, SLOTS - 1))
+    def save(self, slot: int, place: int) -> None:
+        self.state_call(slot, "get_state", (place,))
+        self.states[place] = self.models[slot].saved()
+
+    @rule(data=st.data(), slot=st.integers(0, 1), place=st.integers(0, SLOTS - 1))
+    def restore(self, data: Any, slot: int, place: int) -> None:
+        """Of whichever instance and mode; without a saved state there it is an error."""
+        model = self.models[slot]
+        if place not in self.states and not data.draw(SELDOM):
+            return
+        self.state_call(slot, "set_state", (place,), model.restore(self.states.get(place)))
+        self.read_everything(slot)
+
+    @rule(slot=st.integers(0, 1), place=st.sampled_from((0, 1, 2, None)))
+    def free(self, slot: int, place: int | None) -> None:
+        self.state_call(slot, "free_state", (place,))
+        if place is not None:
+            self.states.pop(place, None)
+        assert int(self.send("live").values[0]) == self.live + 2 + len(self.states)
+
+    @rule(
+        data=st.data(),
+        slot=st.integers(0, 1),
+        place=st.integers(0, SLOTS - 1),
+        change=st.sampled_from((*8 * (0,), 1, -1)),
+    )
+    def serialize(self, data: Any, slot: int, place: int, change: int) -> None:
+        model = self.models[slot]
+        if place not in self.states and not data.draw(SELDOM):
+            return
+        saved = self.states.get(place)
+        told = self.state_call(slot, "state_size", (place, "+"), (OK, None) if saved else model.refuse())
+        size = int(told.values[0]) if saved else 9
+        whole = saved and change >= 0
+        answer = self.state_call(
+            slot, "serialize", (place, size + change, "+"), (OK, None) if whole else model.refuse()
+        )
+        if saved and whole:
+            self.buffers.append(([int(v) for v in answer.values[:size]], saved))
+
+    @rule(data=st.data(), slot=st.integers(0, 1), place=st.integers(0, SLOTS - 1))
+    def deserialize(self, data: Any, slot: int, place: int) -> None:
+        """Bytes as they were, or with one bit, the end or a piece wrong."""
+        if not self.buffers:
+            self.save(slot, place)
+            self.serialize(data, slot, place, 0)
+        content, saved = data.draw(st.sampled_from(self.buffers))
+        changed = data.draw(_changes(content))
+        intact = changed == content
+        expected = (OK, None) if intact else self.models[slot].refuse()
+        self.state_call(slot, "deserialize", (changed, place), expected)
+        if intact:
+            self.states[place] = saved
+
+
+def _acceptable(v: ScalarVariable) -> list:
+    if v.type == "Boolean":
+        return [0, 1]
+    if v.enumeration:
+        return [int(item) for item in v.enumeration]
+    numbers = [v.start, v.start, v.start * 1.25, v.minimum, v.maximum]
+    if v.name == "internal_step":
+        return [v.start, v.start / 2]
+    if v.type == "Real":
+        numbers += [0.5, 3.0, -1.0, 0.1, -0.0, TINY, HUGE, 1e308]
+    return [type(v.start)(x) for x in numbers if x is not None and not v.refuse(type(v.start)(x))]
+
+
+def _refused(v: ScalarVariable) -> list:
+    if v.type == "Boolean":
+        return [2, -1]
+    if v.type != "Real":
+        return [-1, 0, 2**31 - 1, -(2**31), 40]
+    beyond = [] if v.maximum is None else [v.maximum * (1 + 2e-16) or TINY]
+    return [NAN, INF, -INF, *beyond]
+
+
+def _changes(content: list[int]) -> st.SearchStrategy[list[int]]:
+    bit = st.integers(0, 8 * len(content) - 1).map(
+        lambda i: [b ^ (1 << i % 8) if k == i // 8 else b for k, b in enumerate(content)]
+    )
+    cut = st.integers(0, len(content) - 1).map(lambda n: content[:n])
+    return st.one_of(*4 * (st.just(content),), bit, cut, st.just([*content, 0]))
