@@ -9,6 +9,8 @@ import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 
+from fmus.catalogue import Flavour
+
 
 class Loaded:
     """An FMU loaded by FMPy, its variables by name, its log lines kept."""
@@ -69,3 +71,11 @@ def load(tmp_path: Path) -> Iterator[Any]:
     yield one
     for each in loaded:
         each.free()
+
+
+@pytest.fixture(params=list(Flavour))
+def either(
+    request: pytest.FixtureRequest, built: dict[str, Path], python_built: dict[str, Path]
+) -> dict[str, Path]:
+    """The FMUs of one flavour, then of the other."""
+    return built if request.param is Flavour.NATIVE else python_built

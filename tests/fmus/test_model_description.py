@@ -20,11 +20,10 @@ from fmus.units import BASE_UNITS, base_units
 NAMES = catalogue.block_names()
 
 
-@pytest.fixture(params=[f"{flavour}-{name}" for flavour in Flavour for name in NAMES])
-def fmu(request: pytest.FixtureRequest, built: dict[str, Path], python_built: dict[str, Path]) -> Path:
+@pytest.fixture(params=NAMES)
+def fmu(request: pytest.FixtureRequest, either: dict[str, Path]) -> Path:
     """Each FMU of each flavour."""
-    flavour, _, name = request.param.partition("-")
-    return (built if flavour == Flavour.NATIVE else python_built)[name]
+    return either[request.param]
 
 
 def test_fmpy_finds_no_problem(fmu: Path) -> None:

@@ -30,25 +30,6 @@ def test_the_trace_equals_the_block_stepped_directly(
         assert [fmu[each] for each in outputs] == [block[each] for each in outputs]
 
 
-def test_state_is_restored_exactly_also_from_bytes_and_in_another_instance(
-    python_built: dict[str, Path], load: Any
-) -> None:
-    first, second = load(python_built["RovDepthPlant"]).begin(), load(python_built["RovDepthPlant"]).begin()
-    first["voltage[1]"] = 2.0
-    for i in range(10):
-        first.slave.doStep(i * 0.02, 0.02)
-    state = first.slave.getFMUstate()
-    data = first.slave.serializeFMUstate(state)
-    first.slave.doStep(0.2, 0.02)
-    expected = first["measured_depth"], first["depth"]
-    first.slave.setFMUstate(state)
-    first.slave.freeFMUstate(state)
-    second.slave.setFMUstate(second.slave.deSerializeFMUstate(data))
-    for fmu in (first, second):
-        fmu.slave.doStep(0.2, 0.02)
-        assert (fmu["measured_depth"], fmu["depth"]) == expected
-
-
 def test_the_bytes_of_another_fmu_are_refused(python_built: dict[str, Path], load: Any) -> None:
     plant, other = load(python_built["RovDepthPlant"]).begin(), load(python_built["BenchmarkPlant"]).begin()
     data = other.slave.serializeFMUstate(other.slave.getFMUstate())
@@ -56,15 +37,6 @@ def test_the_bytes_of_another_fmu_are_refused(python_built: dict[str, Path], loa
     assert "expected" in plant.log[-1]
     with pytest.raises(FMICallException):
         plant.slave.doStep(0.0, 0.02)
-
-
-def test_reset_gives_a_new_instance(python_built: dict[str, Path], load: Any) -> None:
-    plant = load(python_built["RovDepthPlant"])
-    plant["initial_depth"] = 1.0
-    plant.begin()
-    plant.slave.reset()
-    plant.begin()
-    assert plant["depth"] == 0.0
 
 
 def test_a_failing_step_is_logged_and_discarded_and_the_instance_lives(
