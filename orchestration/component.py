@@ -219,6 +219,5 @@ def _identifier(description: ModelDescription) -> str:
 def _check_platform(path: Path, description: ModelDescription) -> None:
     available = fmpy.supported_platforms(str(path))
     if fmpy.platform not in available:
-        raise FmuLoadError(
-            f"{path} has no binary for {fmpy.platform}: it has {', '.join(available) or 'none at all'}"
-        )
+        found = ["C sources" if each == "c-code" else each for each in available]
+        raise FmuLoadError(f"{path} has no binary for {fmpy.platform}: it has {', '.join(found) or 'none'}")

@@ -149,10 +149,10 @@ def test_a_missing_binary_is_said_with_those_there_are(built: dict[str, Path], t
     path = temporary / "alien.fmu"
     with zipfile.ZipFile(built["BenchmarkPlant"]) as source, zipfile.ZipFile(path, "w") as target:
         for member in source.namelist():
-            target.writestr(member.replace("linux64", "alien64"), source.read(member))
-    inputs = {"p.control": 0.0, "p.disturbance": 0.0}
-    with pytest.raises(FmuLoadError, match=r"has no binary for linux64: it has win64"):
-        simulate(System({"p": path}), Experiment(1.0, 0.1, inputs=inputs))
+            alien = member.replace("linux64", "win64").replace(".so", ".dll")
+            target.writestr(alien, source.read(member))
+    with pytest.raises(FmuLoadError, match=r"has no binary for linux64: it has C sources, win64"):
+        simulate(System({"p": path}), Experiment(1.0, 0.1, inputs=PLANT_INPUTS))
     assert list(temporary.iterdir()) == [path]
 
 
@@ -208,7 +208,7 @@ def test_the_stop_must_come_after_the_start() -> None:
 
 def test_a_signal_that_leaves_the_numbers_is_refused_by_the_fmu(built: dict[str, Path]) -> None:
     signals = {"p.control": lambda t: math.nan if t > 0.45 else 0.0, "p.disturbance": constant(0.0)}
-    with pytest.raises(SimulationError, match=r"p at t = 0.5 s: fmi2SetReal returned error: control = nan"):
+    with pytest.raises(SimulationError, match=r"p at t = 0.5 s: fmi2SetReal returned discard: .*control = nan"):
         simulate(System({"p": built["BenchmarkPlant"]}), Experiment(1.0, 0.1, signals=signals))
 
 
