@@ -4,7 +4,6 @@
 to `model_code.h`.
 """
 
-import json
 import sys
 from importlib import resources
 
@@ -81,7 +80,7 @@ def _model_h(traced: Traced, guid: str) -> str:
     (internal_step,) = [v.value_reference for v in block.variables if v.name == "internal_step"]
     return _MODEL_H.format(
         name=block.name,
-        description=block.description.replace("*/", "* /"),
+        description=" ".join(block.description.split()).replace("*/", "* /"),
         guid=guid,
         parameters=count["parameter"],
         calculated=count["calculatedParameter"],
@@ -133,5 +132,6 @@ def _items(v: ScalarVariable) -> list[int]:
 
 
 def _string(text: str) -> str:
-    """A C string literal; a name is ASCII, as structured naming wants it."""
-    return json.dumps(text)
+    """A C string literal of the UTF-8 bytes: everything but plain printable ASCII as octal."""
+    plain = set(range(32, 127)) - set(b'"\\?')  # ?? would begin a trigraph
+    return '"' + "".join(chr(b) if b in plain else f"\\{b:03o}" for b in text.encode()) + '"'

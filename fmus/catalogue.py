@@ -4,6 +4,7 @@ Blocks are entry points of the group `l1_depth.blocks`, so another package's blo
 way: `MyBlock = "my_package.my_module:BLOCK"`.
 """
 
+import re
 import zipfile
 import zlib
 from collections.abc import Sequence
@@ -55,6 +56,8 @@ def _verified(name: str, block: Block) -> Block:
     """The block, if it bears the name it goes by and takes a step at its start values."""
     if block.name != name:
         raise ExportError(f"entry point {name!r} loads a block named {block.name!r}: expected one name")
+    if not re.fullmatch(r"[A-Za-z](_?[A-Za-z0-9])*", name):
+        raise ExportError(f"block {name!r}: expected ASCII letters, digits and single underscores")
     if "internal_step" not in {v.name for v in block.of_causality("parameter")}:
         raise ExportError(f"block {name!r}: expected a parameter internal_step, its longest step in s")
     trial = Instance(block)

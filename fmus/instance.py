@@ -6,14 +6,22 @@ does what it says or raises `BlockError` and leaves the instance as it was.
 
 import json
 import math
-from contextlib import suppress
+import sys
 from typing import Any
 
 from fmus.block import Block, ScalarVariable, Value, flatten, unflatten
 
 _FORMAT = 1  # of the serialised snapshot
 _MOST_INTERNAL_STEPS = 1e9
-_TIME_TOLERANCE = 1e-9  # relative; communication points are computed in floating point
+
+
+def _tolerance(t: float, h: float) -> float:
+    """Of a communication point [s], computed in floating point: far less than a step, more than rounding."""
+    return min(1e-9 * max(1.0, abs(t)), 1e-3 * h) + 8.0 * sys.float_info.epsilon * abs(t)
+
+
+def _are_finite(numbers: list[float]) -> bool:
+    return all(map(math.isfinite, numbers))
 
 
 class BlockError(ValueError):
@@ -106,20 +114,18 @@ class Instance:
         derived = self._parameters, self._calculated, self._parameters_are_stale
         try:
             self._prepare()
-            self._state = self._advance(t, h)
+            self._become(t + h, self._advance(t, h))
         except BlockError:
             self._values[: self._inputs_end] = values
             self._parameters, self._calculated, self._parameters_are_stale = derived
             raise
-        self.time = t + h
-        self._outputs_are_stale = True
 
     def _check_step(self, t: float, h: float) -> None:
         if not self._stepping:
             raise BlockError("a step before the initialisation has ended: expected begin_stepping first")
         if not (math.isfinite(h) and h > 0.0):
             raise BlockError(f"communication step size {h!r} s: expected more than 0")
-        if not (math.isfinite(t) and abs(t - self.time) <= _TIME_TOLERANCE * max(1.0, abs(t), h)):
+        if not (math.isfinite(t) and abs(t - self.time) <= _tolerance(t, h)):
             raise BlockError(f"communication point {t!r} s: expected {self.time!r}, the current time")
 
     def _advance(self, t: float, h: float) -> Any:
@@ -135,12 +141,24 @@ class Instance:
         try:
             for i in range(count):
                 state = step(t + i * internal, internal, state, *held)
-            finite = math.isfinite(sum(flatten(state)))
         except ArithmeticError as error:
             raise BlockError(f"step at {t!r} s: {error}; the state left the range of numbers") from error
-        if not finite:
-            raise BlockError(f"step at {t!r} s: the state is not finite any more; take shorter steps")
         return state
+
+    def _become(self, t: float, state: Any) -> None:
+        """The state at time t, if it is one, with its outputs."""
+        try:
+            outputs = flatten(self.block.output(t, state, self._parameters, self._calculated))
+            is_number = _are_finite(flatten(state)) and _are_finite(outputs)
+        except ArithmeticError:
+            outputs, is_number = [], False
+        if not is_number:
+            at = f"step to {t!r} s" if self._stepping else f"parameters and inputs of {self.block.name}"
+            hint = "any more; take shorter steps" if self._stepping else "at the start"
+            raise BlockError(f"{at}: state or outputs are not finite {hint}")
+        self.time, self._state = t, state
+        self._values[self._inputs_end :] = outputs
+        self._outputs_are_stale = False
 
     # snapshots
 
@@ -183,12 +201,14 @@ class Instance:
         restored = Instance(self.block, self.fingerprint)
         restored._values = [v.cast(value) for v, value in zip(self.block.variables, values, strict=True)]
         restored.time = time
+        saved_values = list(restored._values)
         restored._prepare()
         try:
             restored._state = unflatten(restored._initial_state(), scalars)
         except ValueError as error:
             raise BlockError(f"state of {self.block.name}: {error}") from error
-        restored._stepping = stepping
+        restored._values, restored._parameters_are_stale = saved_values, True
+        restored._stepping, restored._outputs_are_stale = stepping, not stepping
         self.__dict__.update(restored.__dict__)
 
     # what is derived, each when it is needed and stale
@@ -216,18 +236,13 @@ class Instance:
         return calculated
 
     def _initial_state(self) -> Any:
-        with suppress(ArithmeticError):
-            state = self.block.initial_state(self.time, self._inputs, self._parameters, self._calculated)
-            if math.isfinite(sum(flatten(state))):
-                return state
-        raise BlockError(f"parameters and inputs of {self.block.name}: expected a finite initial state")
+        try:
+            return self.block.initial_state(self.time, self._inputs, self._parameters, self._calculated)
+        except ArithmeticError as error:
+            raise BlockError(f"parameters and inputs of {self.block.name}: {error}") from error
 
     def _refresh(self) -> None:
-        if not self._outputs_are_stale:
-            return
-        if not self._stepping:
+        """Outputs before stepping begins; then they are those of the last step."""
+        if self._outputs_are_stale:
             self._prepare()
-            self._state = self._initial_state()
-        outputs = self.block.output(self.time, self._state, self._parameters, self._calculated)
-        self._values[self._inputs_end :] = flatten(outputs)
-        self._outputs_are_stale = False
+            self._become(self.time, self._initial_state())

@@ -12,6 +12,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from fmus.block import Block, ScalarVariable
+from fmus.errors import ExportError
 from fmus.symbolic import initial_dependencies
 from fmus.units import base_units
 
@@ -68,7 +69,12 @@ def model_description(
         _variable(variables, variable)
     _structure(root, block)
     ElementTree.indent(root)
-    return ElementTree.tostring(root, xml_declaration=True, encoding="UTF-8")
+    text = ElementTree.tostring(root, xml_declaration=True, encoding="UTF-8")
+    try:
+        ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise ExportError(f"{block.name}: expected texts that XML can hold: {error}") from error
+    return text
 
 
 def _add(parent: Any, tag: str, **attributes: str | None) -> Any:
@@ -96,7 +102,7 @@ def _enumerations(root: Any, block: Block) -> None:
         return
     definitions = _add(root, "TypeDefinitions")
     for name, enumeration in sorted(enumerations.items()):
-        description = (enumeration.__doc__ or "").splitlines()[0]
+        description = (enumeration.__doc__ or "").partition("\n")[0]
         simple = _add(definitions, "SimpleType", name=name, description=description)
         kind = _add(simple, "Enumeration")
         for member in enumeration:

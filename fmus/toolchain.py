@@ -4,7 +4,6 @@ No fast-math and no contraction of a product and a sum into one rounding: a traj
 platform as far as the elementary functions of its C library are.
 """
 
-import os
 import platform
 import struct
 import subprocess
@@ -26,20 +25,28 @@ _PLATFORMS = {
 }
 PLATFORMS = tuple(_PLATFORMS)
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden", "-g0", "-s")
+_PATIENCE_S = 600  # the first build for Windows takes a minute: its C library is compiled too
 COMPILER = ("ziglang", version("ziglang"))
 
 
 def host_platform() -> str:
     """The FMI name of the platform that this runs on."""
-    arm = platform.machine().lower() in ("aarch64", "arm64")
+    machine = platform.machine().lower()
+    architecture = {"amd64": "x86_64", "arm64": "aarch64"}.get(machine, machine)
     known = {
-        "linux": "aarch64-linux" if arm else "linux64",
-        "darwin": "aarch64-darwin" if arm else "darwin64",
-        "win32": "win64",
+        ("linux", "x86_64"): "linux64",
+        ("linux", "aarch64"): "aarch64-linux",
+        ("darwin", "x86_64"): "darwin64",
+        ("darwin", "aarch64"): "aarch64-darwin",
+        ("win32", "x86_64"): "win64",
     }
-    if sys.platform not in known:
-        raise ExportError(f"no native FMU for {sys.platform}: expected one of {', '.join(PLATFORMS)}")
-    return known[sys.platform]
+    found = known.get((sys.platform, architecture))
+    if found is None:
+        raise ExportError(
+            f"no native FMU for {sys.platform} on {machine}: expected one of {', '.join(PLATFORMS)}; "
+            "use the python flavour"
+        )
+    return found
 
 
 def check_platforms(names: Sequence[str]) -> tuple[str, ...]:
@@ -77,9 +84,14 @@ def _compile(folder: Path, compiled: Sequence[str], target: str, library: str) -
 def zig(arguments: Sequence[str], folder: Path) -> None:
     """Run zig in a folder; ExportError with what it said if it fails."""
     command = [sys.executable, "-m", "ziglang", *arguments]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, env=os.environ)
+    hint = "if its cache cannot be written, set ZIG_GLOBAL_CACHE_DIR to a folder that can"
+    try:
+        done = subprocess.run(command, cwd=folder, capture_output=True, timeout=_PATIENCE_S, check=False)
+    except subprocess.TimeoutExpired:
+        raise ExportError(f"zig {arguments[0]} did not end within {_PATIENCE_S} s; {hint}") from None
     if done.returncode:
-        raise ExportError(f"zig {arguments[0]} failed: {(done.stderr or done.stdout).strip()[-2000:]}")
+        said = (done.stderr or done.stdout).decode("utf-8", "replace").strip()[-2000:]
+        raise ExportError(f"zig {arguments[0]} failed: {said}; {hint}")
 
 
 def _universal(slices: Sequence[bytes]) -> bytes:

@@ -55,11 +55,11 @@ def build(
     ] = None,
     flavour: FlavourOption = Flavour.NATIVE,
     platform: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="NAME,NAME", help=f"Of a native FMU: {', '.join(PLATFORMS)}; this one by default."
         ),
-    ] = "",
+    ] = None,
     all_platforms: Annotated[
         bool, typer.Option("--all-platforms", help="Of a native FMU: all of them.")
     ] = False,
@@ -71,11 +71,10 @@ def build(
     ] = None,
 ) -> None:
     """Write DIR/NAME.fmu for each block."""
-    platforms = (
-        PLATFORMS
-        if all_platforms
-        else check_platforms([each.strip() for each in platform.split(",") if each])
-    )
+    if all_platforms and platform:
+        raise OrchestrationError(f"--platform {platform} and --all-platforms: expected one of them")
+    named = check_platforms([each.strip() for each in platform.split(",")]) if platform else ()
+    platforms = PLATFORMS if all_platforms else named
     chosen = names or catalogue.block_names()
     for name in chosen:
         catalogue.load_block(name)

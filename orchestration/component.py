@@ -7,6 +7,7 @@ import contextlib
 import ctypes
 import tempfile
 import warnings
+import zipfile
 from collections.abc import Iterable
 from pathlib import Path
 from types import TracebackType
@@ -19,6 +20,7 @@ from fmpy.fmi1 import FMICallException
 from fmpy.logging import addLoggerProxy
 from fmpy.model_description import ModelDescription, ScalarVariable
 
+from fmus.toolchain import host_platform, library_name
 from orchestration.errors import FmuLoadError, SlaveError, SlaveWarning
 
 _STATUS = ("ok", "warning", "discard", "error", "fatal", "pending")
@@ -103,6 +105,7 @@ class Component:
                     unzipDirectory=self._folder.name,
                     modelIdentifier=_identifier(description),
                     instanceName=name,
+                    libraryPath=_library(Path(self._folder.name), description),
                 )
             self._slave.instantiate(callbacks=_callbacks, loggingOn=True)
         except BaseException as error:
@@ -216,8 +219,16 @@ def _identifier(description: ModelDescription) -> str:
     return str(interface.modelIdentifier) if interface else ""
 
 
+def _library(folder: Path, description: ModelDescription) -> str | None:
+    """The library of this very platform; None for the one that FMPy takes, which knows no ARM in FMI 2.0."""
+    library = folder / library_name(_identifier(description), host_platform())
+    return str(library) if library.is_file() else None
+
+
 def _check_platform(path: Path, description: ModelDescription) -> None:
     available = fmpy.supported_platforms(str(path))
-    if fmpy.platform not in available:
+    with zipfile.ZipFile(path) as archive:
+        is_here = library_name(_identifier(description), host_platform()) in archive.namelist()
+    if fmpy.platform not in available and not is_here:
         found = ["C sources" if each == "c-code" else each for each in available]
         raise FmuLoadError(f"{path} has no binary for {fmpy.platform}: it has {', '.join(found) or 'none'}")

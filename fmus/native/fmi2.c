@@ -59,9 +59,9 @@ static fmi2Status report(Instance *it, Outcome outcome, const int *broken, const
         return refuse(it, fmi2Discard, "%s: communication step size %s s: expected at most %s internal steps", function,
                       DECIMAL(h), DECIMAL(MOST_INTERNAL_STEPS));
     if (it->data.mode != STEPPING)
-        return refuse(it, fmi2Discard, "%s: parameters and inputs of " MODEL_NAME ": expected a finite initial state",
+        return refuse(it, fmi2Discard, "%s: parameters and inputs of " MODEL_NAME ": state or outputs are not finite at the start",
                       function);
-    return refuse(it, fmi2Discard, "%s at %s s: the state is not finite any more; take shorter steps", function,
+    return refuse(it, fmi2Discard, "%s at %s s: state or outputs are not finite any more; take shorter steps", function,
                   DECIMAL(it->data.time));
 }
 
@@ -288,7 +288,10 @@ fmi2Status fmi2Reset(fmi2Component c) {
 
 /* Steps */
 
-static double tolerance_at(double t, double h) { return TIME_TOLERANCE * fmax(fmax(1, fabs(t)), h); }
+/* Communication points are computed in floating point: far less than a step, but never less than rounding. */
+static double tolerance_at(double t, double h) {
+    return fmin(1e-9 * fmax(1, fabs(t)), 1e-3 * h) + 8 * DBL_EPSILON * fabs(t);
+}
 
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2Real communicationStepSize,
                       fmi2Boolean noSetFMUStatePriorToCurrentPoint) {
@@ -321,7 +324,7 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference
     if (nvr && !order) return missing(it, function, "order");
     for (size_t i = 0; i < nvr; i++) {
         const char *name = VARIABLES[vr[i]].name;
-        if (vr[i] < FIRST_INPUT || vr[i] >= FIRST_OUTPUT)
+        if (!is_input(vr[i]))
             return refuse(it, fmi2Error, "%s: %s: expected an input", function, name);
         if (order[i] != 1)
             return refuse(it, fmi2Error, "%s: %s: order %d: expected 1", function, name, order[i]);
@@ -438,25 +441,26 @@ fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind s, fmi2Stri
 
 /* Saved states */
 
-fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
-    Instance *it = c;
-    Snapshot *snapshot;
-    if (!it) return fmi2Error;
-    if (!FMUstate) return missing(it, "fmi2GetFMUstate", "FMUstate");
-    snapshot = *FMUstate ? *FMUstate : it->allocate(1, sizeof *snapshot);
-    if (!snapshot) return refuse(it, fmi2Error, "fmi2GetFMUstate: no memory");
-    memcpy(snapshot->guid, MODEL_GUID, sizeof snapshot->guid);
-    snapshot->data = it->data;
-    *FMUstate = snapshot;
-    return fmi2OK;
-}
-
 static const Snapshot *own_snapshot(Instance *it, fmi2FMUstate FMUstate, const char *function) {
     const Snapshot *snapshot = FMUstate;
     if (!it) return NULL;
     if (snapshot && !strcmp(snapshot->guid, MODEL_GUID)) return snapshot;
     refuse(it, fmi2Error, snapshot ? "%s: the state is another FMU's" : "%s: FMUstate is NULL", function);
     return NULL;
+}
+
+fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
+    Instance *it = c;
+    Snapshot *snapshot;
+    if (!it) return fmi2Error;
+    if (!FMUstate) return missing(it, "fmi2GetFMUstate", "FMUstate");
+    if (*FMUstate && !own_snapshot(it, *FMUstate, "fmi2GetFMUstate")) return fmi2Error;
+    snapshot = *FMUstate ? *FMUstate : it->allocate(1, sizeof *snapshot);
+    if (!snapshot) return refuse(it, fmi2Error, "fmi2GetFMUstate: no memory");
+    memcpy(snapshot->guid, MODEL_GUID, sizeof snapshot->guid);
+    snapshot->data = it->data;
+    *FMUstate = snapshot;
+    return fmi2OK;
 }
 
 fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate FMUstate) {
@@ -501,6 +505,7 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedSta
     if (!it) return fmi2Error;
     if (!serializedState) return missing(it, "fmi2DeSerializeFMUstate", "serializedState");
     if (!FMUstate) return missing(it, "fmi2DeSerializeFMUstate", "FMUstate");
+    if (*FMUstate && !own_snapshot(it, *FMUstate, "fmi2DeSerializeFMUstate")) return fmi2Error;
     reason = deserialize((const unsigned char *)serializedState, size, &restored);
     if (reason) return refuse(it, fmi2Error, "fmi2DeSerializeFMUstate: %s", reason);
     if (!*FMUstate) *FMUstate = it->allocate(1, sizeof restored);

@@ -7,6 +7,7 @@
 #define INSTANCE_H
 
 #include <float.h>
+#include <limits.h>
 #include <math.h>
 #include <string.h>
 
@@ -28,7 +29,6 @@ typedef struct {
 
 typedef enum { DONE, CONTRADICTORY, TOO_MANY_STEPS, NOT_FINITE } Outcome;
 
-static const double TIME_TOLERANCE = 1e-9; /* relative; communication points are computed in floating point */
 static const double MOST_INTERNAL_STEPS = 1e9;
 
 static void data_reset(Data *d) {
@@ -62,18 +62,31 @@ static Outcome data_calculate(const Data *d, double *calculated, int *broken) {
     return DONE;
 }
 
-static int is_finite(const double *state) {
-    double sum = 0;
-    for (int i = 0; i < N_STATES; i++) sum += state[i];
-    return isfinite(sum);
+/* Zero times a number is not zero if that is infinite or no number at all. */
+static int are_finite(const double *numbers, int count) {
+    double zero = 0;
+    for (int i = 0; i < count; i++) zero += 0 * numbers[i];
+    return zero == 0;
 }
 
-/* What a step or an initialization has led to, with the calculated parameters that it was made with. */
-static void data_become(Data *d, const double *state, const double *calculated) {
+static int can_be_read(const double *outputs) {
+    for (int i = 0; i < N_OUTPUTS; i++)
+        if (VARIABLES[FIRST_OUTPUT + i].type != REAL && fabs(outputs[i]) > INT_MAX) return 0;
+    return are_finite(outputs, N_OUTPUTS);
+}
+
+/* The state at time t, if it is one, with its outputs and the calculated parameters that it was made with. */
+static Outcome data_become(Data *d, double t, const double *state, const double *calculated) {
+    double outputs[N_OUTPUTS + 1];
+    if (!are_finite(state, N_STATES)) return NOT_FINITE;
+    model_output(t, state, d->value, calculated, outputs);
+    if (!can_be_read(outputs)) return NOT_FINITE;
     memcpy(d->state, state, N_STATES * sizeof *state);
     memcpy(d->value + FIRST_CALCULATED, calculated, N_CALCULATED * sizeof *calculated);
-    model_output(d->time, d->state, d->value, d->value + FIRST_CALCULATED, d->value + FIRST_OUTPUT);
+    memcpy(d->value + FIRST_OUTPUT, outputs, N_OUTPUTS * sizeof *outputs);
     d->parameters_are_stale = d->outputs_are_stale = 0;
+    d->time = t;
+    return DONE;
 }
 
 /* Initial state and outputs, which follow parameters and inputs until stepping begins. */
@@ -84,9 +97,7 @@ static Outcome data_refresh(Data *d, int *broken) {
     outcome = data_calculate(d, calculated, broken);
     if (outcome != DONE) return outcome;
     model_initial_state(d->time, d->value + FIRST_INPUT, d->value, calculated, state);
-    if (!is_finite(state)) return NOT_FINITE;
-    data_become(d, state, calculated);
-    return DONE;
+    return data_become(d, d->time, state, calculated);
 }
 
 /* Inputs at `elapsed` seconds after the communication point, within their ranges. */
@@ -104,7 +115,7 @@ static Outcome data_step(Data *d, double t, double h, int *broken) {
     double places[2][N_STATES + 1], moving[N_INPUTS + 1], calculated[N_CALCULATED + 1];
     const double *p = d->value, *u = d->value + FIRST_INPUT, *x = d->state;
     const double steps = ceil(h / p[INTERNAL_STEP] * (1 - 1e-9));
-    const Outcome outcome = data_calculate(d, calculated, broken);
+    Outcome outcome = data_calculate(d, calculated, broken);
     if (outcome != DONE) return outcome;
     if (!(steps <= MOST_INTERNAL_STEPS)) return TOO_MANY_STEPS;
     const int count = steps < 1 ? 1 : (int)steps;
@@ -118,9 +129,8 @@ static Outcome data_step(Data *d, double t, double h, int *broken) {
         model_step(t + i * internal, internal, x, u, p, calculated, next);
         x = next;
     }
-    if (!is_finite(x)) return NOT_FINITE;
-    d->time = t + h;
-    data_become(d, x, calculated);
+    outcome = data_become(d, t + h, x, calculated);
+    if (outcome != DONE) return outcome;
     if (d->inputs_have_rates) memset(d->input_rate, 0, sizeof d->input_rate);
     d->inputs_have_rates = 0;
     return DONE;

@@ -62,7 +62,7 @@ static void log_send(const Log *log, fmi2Status status, const char *format, va_l
     log->logger(log->environment, log->instance, status, LOG_CATEGORIES[i].name, escaped);
 }
 
-/* The shortest decimal that is this number again, whatever decimal point the host's locale has. */
+/* The shortest decimal that is this number again, also where the host's locale has a decimal comma. */
 static const char *shortest(double number, char *text, size_t size) {
     for (int digits = 1; digits <= 17; digits++) {
         snprintf(text, size, "%.*g", digits, number);

@@ -65,8 +65,8 @@ static int is_consistent(const Data *d) {
     good = good && isfinite(d->time) && isfinite(d->stop_time);
     good = good && is_flag(d->parameters_are_stale) && is_flag(d->outputs_are_stale);
     good = good && is_flag(d->inputs_have_rates);
-    for (int i = 0; i < N_INPUTS; i++) good = good && isfinite(d->input_rate[i]);
-    for (int i = 0; i < N_STATES; i++) good = good && isfinite(d->state[i]);
+    good = good && are_finite(d->input_rate, N_INPUTS) && are_finite(d->state, N_STATES);
+    good = good && can_be_read(d->value + FIRST_OUTPUT);
     for (int i = 0; i < N_VARIABLES; i++) good = good && (!is_settable(i) || is_acceptable(i, d->value[i]));
     return good;
 }

@@ -27,9 +27,12 @@ enum {
     N_VARIABLES = FIRST_OUTPUT + N_OUTPUTS
 };
 
-static int is_settable(int reference) {
-    return reference < FIRST_CALCULATED || (reference >= FIRST_INPUT && reference < FIRST_OUTPUT);
-}
+/* Read from memory: of a model without inputs, a compiler would call the comparison below always false. */
+static const int INPUTS_FROM_TO[] = {FIRST_INPUT, FIRST_OUTPUT};
+
+static int is_input(int64_t reference) { return reference >= INPUTS_FROM_TO[0] && reference < INPUTS_FROM_TO[1]; }
+
+static int is_settable(int reference) { return reference < FIRST_CALCULATED || is_input(reference); }
 
 /* Within range; false for what is not finite, as a variable without range has the range of double. */
 static int is_acceptable(int reference, double value) {

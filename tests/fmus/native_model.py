@@ -145,10 +145,14 @@ class Model:
             return False
         d, p = self.data, self.data.values[: self.calculated.start]
         state = self._calculate("initial_state", d.time, d.values[self.inputs], p, calculated)
-        if not _is_finite(state):
+        return self._become(d.time, state, p, calculated)
+
+    def _become(self, t: float, state: list[float], p: list[float], calculated: list[float]) -> bool:
+        outputs = self._calculate("output", t, state, p, calculated)
+        if not _is_finite([*state, *outputs]):
             return False
-        d.state, d.values[self.calculated] = state, calculated
-        d.values[self.outputs] = self._calculate("output", d.time, state, p, calculated)
+        d = self.data
+        d.time, d.state, d.values[self.calculated], d.values[self.outputs] = t, state, calculated, outputs
         return True
 
     # modes
@@ -185,7 +189,8 @@ class Model:
     # steps
 
     def step(self, t: float, h: float) -> tuple[int, None]:
-        d, tolerance = self.data, 1e-9 * max(1.0, abs(t), h)
+        d = self.data
+        tolerance = min(1e-9 * max(1.0, abs(t)), 1e-3 * h) + 8.0 * sys.float_info.epsilon * abs(t)
         legal = d.mode == STEPPING and math.isfinite(t) and math.isfinite(h) and h > 0
         if not (legal and abs(t - d.time) <= tolerance and t + h <= d.stop + tolerance):
             return self._error()
@@ -197,11 +202,9 @@ class Model:
         for i in range(count):
             u = self._moving((i + 0.5) * internal)
             state = self._calculate("step", t + i * internal, internal, state, u, p, calculated)
-        if not _is_finite(state):
+        if not self._become(t + h, state, p, calculated):
             return DISCARD, None
-        d.time, d.state, d.rates = t + h, state, [0.0] * len(d.rates)
-        d.values[self.calculated] = calculated
-        d.values[self.outputs] = self._calculate("output", d.time, state, p, calculated)
+        d.rates = [0.0] * len(d.rates)
         return OK, None
 
     @property
@@ -314,7 +317,4 @@ class Model:
 
 
 def _is_finite(state: list[float]) -> bool:
-    total = 0.0
-    for each in state:  # sum() of Python 3.12 rounds less
-        total += each
-    return math.isfinite(total)
+    return all(map(math.isfinite, state))

@@ -180,7 +180,7 @@ def test_a_refused_step_leaves_calculated_parameters_as_they_were(driver: Any) -
 
 def test_an_initial_state_that_is_not_finite_is_refused(driver: Any) -> None:
     plant = driver(catalogue.load_block("RovDepthPlant"), initial_depth=1e308)
-    with pytest.raises(BlockError, match="expected a finite initial state"):
+    with pytest.raises(BlockError, match=r"not finite at the start|cannot convert"):
         plant.begin()
     plant["initial_depth"] = 1.0
     assert plant.begin()["depth"] == 1.0

@@ -142,3 +142,9 @@ def test_derived_units_have_the_exponents_of_their_definitions() -> None:
     assert base_units("N.s/m") == product(("N", 1), ("s", 1), ("m", -1))
     assert base_units("N.s2/m2") == product(("N", 1), ("s", 2), ("m", -2))
     assert base_units("N/V") == product(("N", 1), ("V", -1))
+
+
+def test_a_text_that_xml_cannot_hold_is_refused() -> None:
+    block = replace(catalogue.load_block("BenchmarkPlant"), description="a bell \a")
+    with pytest.raises(ExportError, match="BenchmarkPlant: expected texts that XML can hold"):
+        model_description(block, "", {})

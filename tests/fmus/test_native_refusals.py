@@ -46,7 +46,7 @@ def test_a_diverging_step_is_discarded_and_leaves_the_state(built: dict[str, Pat
     before, state = plant["output"], plant.slave.getFMUstate()
     plant["omega"], plant["control"] = 1e300, 1e300
     assert plant.status("doStep", 0.5, 1.0) == "discard"
-    assert plant.log == ["fmi2DoStep at 0.5 s: the state is not finite any more; take shorter steps"]
+    assert plant.log == ["fmi2DoStep at 0.5 s: state or outputs are not finite any more; take shorter steps"]
     assert plant.slave.getRealStatus(fmi2LastSuccessfulTime) == 0.5
     assert plant["output"] == before
     plant["omega"], plant["control"] = 1.0, 1.0
@@ -91,3 +91,19 @@ def test_an_illegal_call_is_an_error_that_changes_nothing(
     assert "is not allowed in the state 'error'" in plant.log[-1]
     plant.slave.setFMUstate(saved)
     plant.slave.doStep(0.0, 1.0)
+
+
+def test_a_communication_point_is_told_from_the_next_also_far_from_zero(
+    built: dict[str, Path], load: Any
+) -> None:
+    """At 1.7e9 s, the time since 1970, where 1e-9 of the time would be hundreds of steps."""
+    plant, start = load(built["BenchmarkPlant"]), 1.7e9
+    plant.slave.setupExperiment(startTime=start, stopTime=start + 1.0)
+    plant.slave.enterInitializationMode()
+    plant.slave.exitInitializationMode()
+    plant.slave.doStep(start, 0.01)
+    saved = plant.slave.getFMUstate()
+    for wrong in (start, start + 0.02):
+        assert plant.status("doStep", wrong, 0.01) == "error"
+        plant.slave.setFMUstate(saved)
+    plant.slave.doStep(start + 0.01, 0.01)

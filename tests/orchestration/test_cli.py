@@ -125,6 +125,8 @@ def test_a_run_that_fails_keeps_what_was_recorded(tmp_path: Path) -> None:
         (["run", "none.toml"], "no scenario file none.toml"),
         (["build", "Benchmarkplan"], "no block named 'Benchmarkplan'; nearest is 'BenchmarkPlant'"),
         (["build", "--platform", "linux46"], "no platform 'linux46'; nearest is 'linux64'"),
+        (["build", "--platform", "linux64,"], "no platform ''"),
+        (["build", "--platform", "win64", "--all-platforms"], "--all-platforms: expected one of them"),
         (["build", "--flavour", "python", "--platform", "win64"], "python flavour: expected none"),
         (["check", "none.fmu"], "no FMU at none.fmu"),
         (["inspect", "broken.fmu"], "broken.fmu is not an FMU: expected a zip"),

@@ -8,6 +8,7 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
+import fmpy
 import numpy as np
 import pytest
 
@@ -185,3 +186,13 @@ def test_runs_in_other_threads_do_not_touch_signals(foreign: dict[str, Path]) ->
     thread.start()
     thread.join()
     assert len(done) == 1
+
+
+def test_the_library_of_this_very_platform_is_loaded(
+    built: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """FMPy looks on ARM where x86 libraries lie: as if it did not know this platform here."""
+    monkeypatch.setattr(fmpy, "platform", "elsewhere")
+    inputs = {"p.control": 0.0, "p.disturbance": 0.0}
+    run = simulate(System({"p": built["BenchmarkPlant"]}), Experiment(0.1, 0.01, inputs=inputs))
+    assert run.time[-1] == 0.1

@@ -208,7 +208,7 @@ def test_the_stop_must_come_after_the_start() -> None:
 
 def test_a_signal_that_leaves_the_numbers_is_refused_by_the_fmu(built: dict[str, Path]) -> None:
     signals = {"p.control": lambda t: math.nan if t > 0.45 else 0.0, "p.disturbance": constant(0.0)}
-    with pytest.raises(SimulationError, match=r"p at t = 0.5 s: fmi2SetReal returned discard: .*control = nan"):
+    with pytest.raises(SimulationError, match=r"p at t = 0.5 s: .* returned discard: .*control = nan"):
         simulate(System({"p": built["BenchmarkPlant"]}), Experiment(1.0, 0.1, signals=signals))
 
 
