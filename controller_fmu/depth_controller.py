@@ -7,6 +7,7 @@ B_m = [0, 1/M], A_m = A - B_m k_m. z points down. Source: Maalouf et al. (2013),
 from dataclasses import dataclass
 
 from controller_fmu import allocation, l1
+from controller_fmu.depth_controller_guide import GUIDE
 from controller_fmu.l1 import Control, LawParameters, LawState, Measurement
 from controller_fmu.matrices import LawMatrices, Matrix, Vector, law_matrices, law_requirements
 from controller_fmu.observer import ObserverState, VelocitySource, sample_when_due
@@ -236,4 +237,5 @@ BLOCK = Block(
     output=output,
     stop_time=310.0,
     step_size=0.02,
+    guide=GUIDE,
 )

@@ -10,6 +10,7 @@ from controller_fmu import l1
 from controller_fmu.augmentation import Threshold
 from controller_fmu.l1 import LawParameters, LawState, Measurement, Regressor
 from controller_fmu.matrices import LawMatrices, Matrix, Vector, law_matrices, law_requirements
+from controller_fmu.siso_controller_guide import GUIDE
 from fmus.block import Block, variable
 from fmus.numerics import clip
 
@@ -147,4 +148,5 @@ BLOCK = Block(
     output=output,
     stop_time=94.25,
     step_size=1e-3,
+    guide=GUIDE,
 )

@@ -9,6 +9,14 @@ from importlib.metadata import distribution
 from pathlib import Path
 
 NO_GUID = str(uuid.UUID(int=0))  # stands for the GUID while it is being derived
+_LICENSES = "documentation/licenses/"
+_COVERED = {
+    "l1-depth": "the FMU: its model, its documentation and what makes an FMU of the model",
+    "fmi-headers": "sources/fmi2*.h, of the Modelica Association",
+    "zig": "what its compiler adds to the libraries",
+    "mingw-w64": "what it adds to the library for Windows",
+    "pythonfmu": "the libraries, and the package of that name in resources",
+}
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest date that a zip can hold
 
 
@@ -45,5 +53,12 @@ def licenses(*projects: str) -> dict[str, bytes]:
     for project in projects:
         for file in distribution(project).files or ():
             if file.name == "LICENSE":
-                found[f"documentation/licenses/{project}.txt"] = Path(str(file.locate())).read_bytes()
+                found[f"{_LICENSES}{project}.txt"] = Path(str(file.locate())).read_bytes()
     return found
+
+
+def with_entry_point(found: dict[str, bytes]) -> dict[str, bytes]:
+    """These licences and the file that FMI 2.0 wants before them: what each of them is for."""
+    names = [path.removeprefix(_LICENSES).removesuffix(".txt") for path in found]
+    lines = "".join(f"{name}.txt: {_COVERED[name]}\n" for name in names)
+    return found | {f"{_LICENSES}license.txt": lines.encode()}

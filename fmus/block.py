@@ -12,6 +12,8 @@ from enum import IntEnum
 from functools import cached_property
 from typing import Any
 
+from fmus.guide import NO_GUIDE, Guide
+
 Value = float | int | bool
 
 
@@ -145,6 +147,7 @@ class Block:
     requirements(parameters, calculated) -> ((condition, what is expected), ...)
 
     `Parameters` has an `internal_step` [s], the longest step that `step` may be asked for.
+    guide: what the documentation says besides the variables.
     """
 
     name: str
@@ -161,6 +164,7 @@ class Block:
     requirements: Callable[[Any, Any], tuple[tuple[Any, str], ...]] = nothing_required
     stop_time: float = 1.0
     step_size: float = 0.01
+    guide: Guide = NO_GUIDE
 
     @cached_property
     def variables(self) -> tuple[ScalarVariable, ...]:

@@ -4,6 +4,7 @@
 to `model_code.h`.
 """
 
+import re
 import sys
 from importlib import resources
 
@@ -135,3 +136,10 @@ def _string(text: str) -> str:
     """A C string literal of the UTF-8 bytes: everything but plain printable ASCII as octal."""
     plain = set(range(32, 127)) - set(b'"\\?')  # ?? would begin a trigraph
     return '"' + "".join(chr(b) if b in plain else f"\\{b:03o}" for b in text.encode()) + '"'
+
+
+def header_license() -> dict[str, bytes]:
+    """Path inside the FMU -> licence of FMI's headers, as they state it."""
+    text = (resources.files(fmpy) / "c-code" / _FMI_HEADERS[0]).read_text("utf-8")
+    stated = re.search(r"Copyright.*?(?=\*/)", text, re.DOTALL)
+    return {"documentation/licenses/fmi-headers.txt": stated[0].encode()} if stated else {}

@@ -13,11 +13,13 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from xml.etree import ElementTree
 
-from fmus import native_flavour, python_flavour
+from fmus import native_flavour, python_flavour, reference_files
 from fmus.archive import write_archive
 from fmus.block import Block
 from fmus.errors import ExportError, nearest
+from fmus.icon import icon
 from fmus.instance import Instance
+from fmus.reference_results import reference_run
 from fmus.toolchain import host_platform, library_name
 
 GROUP = "l1_depth.blocks"
@@ -83,7 +85,19 @@ def build(
     block, export = load_block(name), _EXPORTS[flavour]
     _, members = export.content(block)
     libraries = export.libraries(block.name, members, platforms)
-    return write_archive((folder or flavour.folder) / f"{name}.fmu", members | libraries)
+    shown = {"model.png": icon(block)} | reference_files.members(reference_run(block), name)
+    return write_archive((folder or flavour.folder) / f"{name}.fmu", members | libraries | shown)
+
+
+def write_cross_check(name: str, folder: Path) -> list[Path]:
+    """Write what the FMI cross-check wants beside `folder/NAME.fmu`: inputs, results and options."""
+    written = []
+    for file, data in sorted(
+        reference_files.cross_check_files(reference_run(load_block(name)), name).items()
+    ):
+        (folder / file).write_bytes(data)
+        written.append(folder / file)
+    return written
 
 
 def build_if_stale(name: str, folder: Path | None = None, flavour: Flavour = Flavour.NATIVE) -> Path:

@@ -7,10 +7,12 @@ compiler and its flags. It does not depend on which platforms were built.
 from collections.abc import Sequence
 from xml.etree import ElementTree
 
-from fmus.archive import NO_GUID, guid_of, licenses
+from fmus.archive import NO_GUID, guid_of, licenses, with_entry_point
 from fmus.block import Block
-from fmus.c_source import COMPILED, c_sources
+from fmus.c_source import COMPILED, c_sources, header_license
+from fmus.documentation import documentation
 from fmus.model_description import model_description
+from fmus.terminals import terminals
 from fmus.toolchain import (
     COMPILER,
     FLAGS,
@@ -18,6 +20,7 @@ from fmus.toolchain import (
     compile_library,
     host_platform,
     library_name,
+    runtime_licenses,
 )
 
 _CAPABILITIES = {
@@ -45,7 +48,9 @@ def _members(block: Block, guid: str) -> dict[str, bytes]:
     sources = {f"sources/{name}": text.encode() for name, text in c_sources(block, guid).items()}
     return {
         **sources,
-        **licenses("l1-depth"),
+        **documentation(block),
+        **terminals(block),
+        **with_entry_point(licenses("l1-depth") | header_license() | runtime_licenses()),
         "sources/buildDescription.xml": _build_description(block.name),
         "modelDescription.xml": model_description(block, guid, _CAPABILITIES, COMPILED),
     }

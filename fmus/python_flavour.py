@@ -7,11 +7,13 @@ names are our own; what its binary makes impossible is listed in docs/fidelity.m
 from collections.abc import Sequence
 from importlib import resources
 
-from fmus.archive import NO_GUID, guid_of, licenses
+from fmus.archive import NO_GUID, guid_of, licenses, with_entry_point
 from fmus.block import Block
+from fmus.documentation import documentation
 from fmus.errors import ExportError
 from fmus.model_description import model_description
 from fmus.sources import in_package, source_closure
+from fmus.terminals import terminals
 
 _CAPABILITIES = {
     "needsExecutionTool": "false",
@@ -42,6 +44,12 @@ class {name}(BlockSlave):
     fingerprint = "{guid}"
 '''
 
+_DEPENDENCIES = """\
+This FMU runs Python source in the importer's process. On Linux the importer must offer a Python 3 whose
+libpython has global symbols, on Windows python3.dll; nothing beyond the standard library is imported. An
+importer that is not itself Python mostly cannot load it: take the FMU of the native flavour there.
+"""
+
 
 def content(block: Block) -> tuple[str, dict[str, bytes]]:
     """(GUID, path -> content) of the FMU; the GUID is derived from everything inside."""
@@ -57,7 +65,9 @@ def _members(block: Block, guid: str) -> dict[str, bytes]:
     text[f"{entry}.py"] = _ENTRY.format(name=block.name, package=package, module=module, guid=guid)
     text["slavemodule.txt"] = entry
     members = {f"resources/{path}": source.encode() for path, source in text.items()}
-    members |= _binaries(block.name) | licenses("l1-depth", "pythonfmu")
+    members |= _binaries(block.name) | with_entry_point(licenses("l1-depth", "pythonfmu"))
+    members |= documentation(block) | terminals(block)
+    members["documentation/externalDependencies.txt"] = _DEPENDENCIES.encode()
     members["modelDescription.xml"] = model_description(block, guid, _CAPABILITIES)
     return members
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from fmus.block import Block, NoValues, variable
 from fmus.numerics import rk4_step
+from plant_fmu.benchmark_plant_guide import GUIDE
 
 Vector = tuple[float, float]
 
@@ -80,4 +81,5 @@ BLOCK = Block(
     output=output,
     stop_time=94.25,
     step_size=1e-3,
+    guide=GUIDE,
 )

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from fmus.block import Block, NoValues, variable
 from fmus.numerics import rk4_step, where
 from plant_fmu import depth_sensor, heave, thruster
+from plant_fmu.depth_plant_guide import GUIDE
 from plant_fmu.depth_sensor import Sensor, SensorState
 from plant_fmu.thruster import Thruster
 
@@ -225,4 +226,5 @@ BLOCK = Block(
     output=output,
     stop_time=310.0,
     step_size=0.02,
+    guide=GUIDE,
 )

@@ -22,8 +22,14 @@ def offer(monkeypatch: pytest.MonkeyPatch) -> object:
     return one
 
 
-def test_the_four_blocks_are_found() -> None:
-    assert catalogue.block_names() == ["BenchmarkPlant", "L1Controller", "L1DepthController", "RovDepthPlant"]
+def test_the_five_blocks_are_found() -> None:
+    assert catalogue.block_names() == [
+        "BenchmarkPlant",
+        "DepthReference",
+        "L1Controller",
+        "L1DepthController",
+        "RovDepthPlant",
+    ]
 
 
 def test_a_block_must_bear_the_name_of_its_entry_point(offer: object) -> None:

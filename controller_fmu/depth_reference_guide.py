@@ -1,0 +1,28 @@
+"""What the documentation of DepthReference says besides its variables."""
+
+from controller_fmu.depth_controller_guide import PAPER
+from fmus.guide import Experiment, Guide
+
+GUIDE = Guide(
+    equations="""\
+z(t) = z_i + (z_i+1 - z_i) f(s),   s = (t - t_i) / (t_i+1 - t_i)   between two points
+f(s) = s                            smooth false
+       10 s^3 - 15 s^4 + 6 s^5      smooth true: no speed and no acceleration at the points
+""",
+    conventions=(
+        "Depth is positive down and 0 at the surface.",
+        "The first depth holds before the first point, the last one after the last.",
+    ),
+    tuning=(
+        "Set point_time[i] and point_depth[i]; all twelve times must increase. Points that are not needed"
+        " come after the last wanted one, at its depth.",
+        "smooth removes the kinks, which a controller answers with a jump in its demand; the greatest"
+        " speed of a ramp then is 1.875 times that of the straight one.",
+    ),
+    limits=(
+        "Twelve points, one trajectory; nothing is repeated.",
+        "Times and levels of the start values are published, straight ramps between them are assumed.",
+    ),
+    sources=(PAPER,),
+    experiment=Experiment(stop_time=320.0, step_size=0.8),
+)

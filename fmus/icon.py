@@ -1,0 +1,70 @@
+"""model.png: the block as a box with its name, its inputs on the left and its outputs on the right."""
+
+import io
+from dataclasses import fields
+
+from PIL import Image, ImageDraw, ImageFont
+
+from fmus.block import Block
+
+SIZE = 512  # pixels, both ways
+_SCALE = 4  # drawn larger and scaled down, as shapes are drawn without smooth edges
+_PAPER, _INK, _BAND, _INPUT, _OUTPUT = "#ffffff", "#1d2b3a", "#12486b", "#b45309", "#12486b"
+_COLOURS = 128
+_EDGE, _RADIUS, _HEADER, _PORT = 14, 26, 96, 9
+_LARGEST_TEXT, _LARGEST_NAME = 21.0, 46.0
+
+
+def icon(block: Block) -> bytes:
+    """The picture as PNG: the same bytes for the same block and libraries, without a date."""
+    side = SIZE * _SCALE
+    image = Image.new("RGBA", (side, side), (0, 0, 0, 0))
+    draw = ImageDraw.Draw(image)
+    box = [_px(_EDGE), _px(_EDGE), side - _px(_EDGE), side - _px(_EDGE)]
+    header = [box[0], box[1], box[2], _px(_EDGE + _HEADER)]
+    draw.rounded_rectangle(box, _px(_RADIUS), _PAPER, _INK, _px(4))
+    draw.rounded_rectangle(header, _px(_RADIUS), _BAND, corners=(True, True, False, False))
+    name = _font(draw, block.name, SIZE - 2 * _EDGE - 40, _LARGEST_NAME)
+    draw.text((side / 2, _px(_EDGE + _HEADER / 2)), block.name, _PAPER, name, "mm")
+    _ports(draw, block)
+    stream = io.BytesIO()
+    smooth = image.resize((SIZE, SIZE), Image.Resampling.LANCZOS)
+    smooth.quantize(_COLOURS, Image.Quantize.FASTOCTREE).save(stream, "PNG", optimize=True)
+    return stream.getvalue()
+
+
+def _px(length: float) -> int:
+    return round(length * _SCALE)
+
+
+def _ports(draw: ImageDraw.ImageDraw, block: Block) -> None:
+    """A triangle on the edge and a label beside it for each declared input and output."""
+    inputs = [each.name for each in fields(block.inputs)]
+    outputs = [each.name for each in fields(block.outputs)]
+    top, bottom = _EDGE + _HEADER + 6, SIZE - _EDGE - 6
+    lowest_row = (bottom - top) / max(len(inputs), len(outputs), 1)
+    widest_row = "   ".join(max(names, key=len) for names in (inputs, outputs) if names)
+    size = min(_LARGEST_TEXT, 0.8 * lowest_row)
+    font = _font(draw, widest_row, SIZE - 2 * _EDGE - 6 * _PORT, size)
+    for names, x, direction, anchor, colour in (
+        (inputs, _EDGE, 1, "lm", _INPUT),
+        (outputs, SIZE - _EDGE, -1, "rm", _OUTPUT),
+    ):
+        for i, name in enumerate(names):
+            y = top + (i + 0.5) * (bottom - top) / len(names)
+            _triangle(draw, x, y, colour)
+            draw.text((_px(x + direction * 2 * _PORT), _px(y)), name, _INK, font, anchor)
+
+
+def _triangle(draw: ImageDraw.ImageDraw, x: float, y: float, colour: str) -> None:
+    """A signal that goes from left to right through the edge at x."""
+    corners = ((x - _PORT, y - _PORT), (x + _PORT, y), (x - _PORT, y + _PORT))
+    draw.polygon([(_px(a), _px(b)) for a, b in corners], colour)
+
+
+def _font(
+    draw: ImageDraw.ImageDraw, line: str, width: float, largest: float
+) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    """Pillow's own font, so large that the line is no wider than `width`."""
+    length = draw.textlength(line, ImageFont.load_default(_px(largest))) / _SCALE
+    return ImageFont.load_default(_px(largest * min(1.0, width / max(length, 1.0))))

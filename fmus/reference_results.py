@@ -1,0 +1,111 @@
+"""What a block answers to the experiment of its guide.
+
+Computed by `Instance`, so that an FMU of either flavour is checked against the block itself.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+from fmus.block import Block, ScalarVariable, Value
+from fmus.errors import ExportError, nearest
+from fmus.guide import Point
+from fmus.instance import Instance
+
+_MOST_INTERVALS = 400
+
+
+@dataclass(frozen=True)
+class Run:
+    """The experiment of a block in numbers: times in s, rows of (time, value, ...)."""
+
+    stop_time: float
+    step_size: float
+    output_interval: float
+    inputs: tuple[str, ...]
+    input_rows: tuple[tuple[Value, ...], ...]
+    outputs: tuple[str, ...]
+    output_rows: tuple[tuple[Value, ...], ...]
+
+
+def reference_run(block: Block) -> Run:
+    """Inputs and outputs of the experiment of a block's guide.
+
+    Outputs are those before the inputs of the same time are set, as every master records them; a start
+    value or stimulus outside its range raises BlockError, a stimulus that fits no Real input ExportError.
+    """
+    experiment = block.guide.experiment
+    step_size = experiment.step_size or block.step_size
+    count = max(1, round((experiment.stop_time or block.stop_time) / step_size))
+    fewest = math.ceil(count / _MOST_INTERVALS)
+    every = next(steps for steps in range(fewest, count + 1) if count % steps == 0)
+    stimuli = _stimuli(block)
+    outputs = block.of_causality("output")
+    rows = tuple(_trajectory(block, stimuli, step_size, count, every))
+    return Run(
+        stop_time=count * step_size,
+        step_size=step_size,
+        output_interval=every * step_size,
+        inputs=tuple(v.name for v in block.of_causality("input")),
+        input_rows=tuple(_input_rows(block, stimuli, count * step_size)),
+        outputs=tuple(v.name for v in outputs),
+        output_rows=rows,
+    )
+
+
+def _stimuli(block: Block) -> dict[str, tuple[Point, ...]]:
+    names = [v.name for v in block.of_causality("input") if v.type == "Real"]
+    stimuli = dict(block.guide.experiment.stimuli)
+    for name, points in stimuli.items():
+        if name not in names:
+            raise ExportError(f"guide of {block.name}: no Real input {name!r}; {nearest(name, names)}")
+        if not points or any(b[0] <= a[0] for a, b in pairwise(points)):
+            raise ExportError(f"guide of {block.name}: {name}: expected points at increasing times")
+    return stimuli
+
+
+def _value_at(v: ScalarVariable, stimuli: dict[str, tuple[Point, ...]], t: float) -> Value:
+    """Value of an input at time t [s]."""
+    points = stimuli.get(v.name)
+    if not points:
+        return v.start
+    if t <= points[0][0]:
+        return points[0][1]
+    for (t_0, y_0), (t_1, y_1) in pairwise(points):
+        if t <= t_1:
+            return y_0 + (y_1 - y_0) * ((t - t_0) / (t_1 - t_0))
+    return points[-1][1]
+
+
+def _trajectory(
+    block: Block, stimuli: dict[str, tuple[Point, ...]], step_size: float, count: int, every: int
+) -> Iterator[tuple[Value, ...]]:
+    instance = Instance(block)
+    inputs = block.of_causality("input")
+    references = [v.value_reference for v in block.of_causality("output")]
+
+    def apply(t: float) -> None:
+        for v in inputs:
+            instance.set(v.value_reference, _value_at(v, stimuli, t))
+
+    instance.start(0.0)
+    apply(0.0)
+    instance.begin_stepping()
+    for i in range(count + 1):
+        t = i * step_size
+        if i % every == 0:
+            yield (t, *(instance.get(reference) for reference in references))
+        if i < count:
+            apply(t)
+            instance.do_step(t, (i + 1) * step_size - t)
+
+
+def _input_rows(
+    block: Block, stimuli: dict[str, tuple[Point, ...]], stop_time: float
+) -> Iterator[tuple[Value, ...]]:
+    """A row wherever an input bends: between rows, straight lines."""
+    inputs = block.of_causality("input")
+    bends = {t for points in stimuli.values() for t, _ in points if 0.0 < t < stop_time}
+    for t in sorted({0.0, stop_time} | bends) if inputs else ():
+        yield (t, *(_value_at(v, stimuli, t) for v in inputs))

@@ -1,0 +1,37 @@
+"""Terminals: which ports belong together, in the file format of FMI 3.0 (2.4.9, terminalsAndIcons.xml).
+
+FMI 2.0.4 took the file over as it is, at the same place (2.3, Terminals and Icons). Two terminals are enough:
+what goes in and what comes out. Both match as a bus, that is, members of equal name are connected, so the
+outputs of a block plug into the inputs of the next. `GraphicalRepresentation` is left out: the icon is
+model.png, and some readers take the first child of the root for the terminals.
+"""
+
+from xml.etree import ElementTree
+
+from fmus.block import Block
+
+PATH = "terminalsAndIcons/terminalsAndIcons.xml"
+_TERMINALS = (("inputs", "input", "Every input"), ("outputs", "output", "Every output"))
+
+
+def terminals(block: Block) -> dict[str, bytes]:
+    """Path inside the FMU -> content; nothing for a block without ports."""
+    root = ElementTree.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
+    listed = ElementTree.SubElement(root, "Terminals")
+    for name, causality, description in _TERMINALS:
+        variables = block.of_causality(causality)
+        if not variables:
+            continue
+        terminal = ElementTree.SubElement(
+            listed, "Terminal", name=name, matchingRule="bus", description=description
+        )
+        for v in variables:
+            ElementTree.SubElement(
+                terminal,
+                "TerminalMemberVariable",
+                variableName=v.name,
+                memberName=v.name,
+                variableKind="signal",
+            )
+    ElementTree.indent(root)
+    return {PATH: ElementTree.tostring(root, xml_declaration=True, encoding="UTF-8")} if len(listed) else {}

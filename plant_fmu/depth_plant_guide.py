@@ -1,0 +1,66 @@
+"""What the documentation of RovDepthPlant says besides its variables."""
+
+from fmus.guide import Experiment, Guide, Source
+
+GUIDE = Guide(
+    equations="""\
+M_z w'     = tau_z + w_dz + J (W - B(z)) - D_z w_r - D_q |w_r| w_r       (10), D_q added
+z'         = J w,   J = cos(roll) cos(pitch),   w_r = w - J v_c
+B(z)       = B_0                        submerged, B_0 = weight - net_weight + buoyancy_change
+             B_0 - rho g A (-z)         emerged by -z, never negative; only with free_surface
+thruster   v_s = sat(v, v_max),   v_d = sgn(v_s) max(|v_s| - v_0, 0)
+           F'  = (efficiency K v_d - F) / T,   tau_z = F_1 + F_2         (11): F = K v
+sensor     s_k = q(z(t_k) + bias + drift (t_k - t_0) + noise n_k) at t_k = t_0 + k T,   n_k standard normal
+           measured = the newest s_k with t_k + delay <= t
+""",
+    conventions=(
+        "Depth z is that of the vehicle's top, positive down and 0 at the surface.",
+        "Forces and velocities along the body's z axis are positive down; a current is given in the earth"
+        " frame.",
+        "A positive voltage pushes down. net_weight is W - B: negative floats, as the start value does.",
+        "buoyancy_change is positive when it lifts.",
+    ),
+    tuning=(
+        "For another vehicle: weight, net_weight, waterplane_area and the size's added mass in inertia;"
+        " then linear_damping and quadratic_damping from a descent at constant thrust.",
+        "thruster_gain, thruster_dead_zone, thruster_voltage_limit and thruster_lag one by one, or"
+        " thruster_ideal to leave all but the gain out.",
+        "sensor_ideal reports the true depth at every instant; otherwise period, noise, bias, drift,"
+        " resolution and delay act, and sensor_seed chooses the noise: one seed gives one sequence, on"
+        " every platform.",
+        "Faults and surroundings are inputs: thruster_efficiency (1 healthy, 0 dead), external_force,"
+        " buoyancy_change, current_velocity.",
+    ),
+    limits=(
+        "Heave alone: roll and pitch are inputs, and nothing else of the vehicle moves.",
+        "The paper gives neither inertia, damping, thruster nor sensor data: see the column Source for"
+        " what is published, estimated or guessed. The plant validates no vehicle.",
+        "Sides are taken as vertical where the vehicle breaks the surface; no waves, no bottom, no"
+        " tether.",
+        "At the surface it is a spring of 217 N/m under 5.5 kg, at 6.3 rad/s, and sensor noise in a loop"
+        " keeps it bobbing there.",
+        "internal_step may not exceed sensor_period, and sensor_delay not seven periods.",
+    ),
+    sources=(
+        Source(
+            "Maalouf, Chemori and Creuze: A new extension of the L1 adaptive controller to drastically"
+            " reduce the tracking time lags, NOLCOS 2013. Numbers in brackets are its equations.",
+            "https://hal-lirmm.ccsd.cnrs.fr/lirmm-00841558",
+        ),
+        Source("T. I. Fossen: Marine Control Systems, Marine Cybernetics, 2002 (damping, current, surface)."),
+        Source("DNV-RP-H103: Modelling and analysis of marine operations (added mass of a box)."),
+        Source("P. L'Ecuyer: Efficient and portable combined random number generators, Communications of the"
+               " ACM 31(6), 1988 (the sensor's noise)."),
+    ),
+    experiment=Experiment(
+        stop_time=20.0,
+        stimuli=(
+            ("voltage[1]", ((1.0, 0.0), (2.0, 4.0), (8.0, 4.0), (9.0, 2.0))),
+            ("voltage[2]", ((1.0, 0.0), (2.0, 4.0), (8.0, 4.0), (9.0, 2.0))),
+            ("thruster_efficiency[2]", ((12.0, 1.0), (12.5, 0.7))),
+            ("external_force", ((14.0, 0.0), (14.5, 0.3), (15.0, 0.0))),
+            ("buoyancy_change", ((16.0, 0.0), (16.5, 0.2))),
+            ("pitch", ((5.0, 0.0), (10.0, 0.2))),
+        ),
+    ),
+)  # fmt: skip
