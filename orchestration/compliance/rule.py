@@ -1,0 +1,86 @@
+"""What a rule is, and the list of all of them: one decorated function a rule."""
+
+import inspect
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+Check = Callable[[Any], Iterable[str]]
+Condition = Callable[[Any], str]  # why the rule does not apply to an FMU; nothing if it does
+
+
+class Level(StrEnum):
+    """What breaking a rule means: an error fails the check, a warning is only told."""
+
+    ERROR = "error"
+    WARNING = "warning"
+
+
+class Stage(StrEnum):
+    """What a rule looks at; a stage is judged only if that can be had."""
+
+    FILE = "file"
+    DESCRIPTION = "description"
+    LIBRARY = "library"
+    BEHAVIOUR = "behaviour"
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One rule: `check` yields a message for each time that an FMU breaks it."""
+
+    name: str
+    clause: str
+    claim: str
+    level: Level
+    stage: Stage
+    check: Check
+    condition: Condition
+
+
+@dataclass(frozen=True)
+class Result:
+    """What one rule said of one FMU: nothing, messages, or why it does not apply."""
+
+    rule: Rule
+    messages: tuple[str, ...] = ()
+    not_applicable: str = ""
+
+    @property
+    def outcome(self) -> str:
+        """ "passed", "not applicable", "warning" or "error"."""
+        if self.messages:
+            return self.rule.level.value
+        return "not applicable" if self.not_applicable else "passed"
+
+
+_RULES: dict[str, Rule] = {}
+
+
+def _always(_: Any) -> str:
+    return ""
+
+
+def rule(
+    clause: str, stage: Stage, level: Level = Level.ERROR, condition: Condition = _always
+) -> Callable[[Check], Check]:
+    """Make a function a rule: its name with dashes is the rule's, its docstring what the rule claims.
+
+    clause: section of FMI 2.0.5 with its title's words, or who else demands it.
+    """
+
+    def register(check: Check) -> Check:
+        name = check.__name__.replace("_", "-")
+        claim = " ".join((inspect.getdoc(check) or "").split())
+        if name in _RULES:
+            raise ValueError(f"rule {name}: expected one function of that name, got a second")
+        _RULES[name] = Rule(name, clause, claim, level, stage, check, condition)
+        return check
+
+    return register
+
+
+def registered(stage: Stage) -> tuple[Rule, ...]:
+    """The rules of a stage, in the order in which they were defined."""
+    return tuple(each for each in _RULES.values() if each.stage is stage)

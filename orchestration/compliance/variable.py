@@ -1,0 +1,102 @@
+"""A ScalarVariable as its XML says it, with the defaults of FMI 2.0.5, 2.2.7; tolerant of a broken one."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+KINDS = ("Real", "Integer", "Boolean", "String", "Enumeration")
+
+# (causality, variability) -> values that `initial` may have, the default first
+INITIAL = {
+    ("parameter", "fixed"): ("exact",),
+    ("parameter", "tunable"): ("exact",),
+    ("calculatedParameter", "fixed"): ("calculated", "approx"),
+    ("calculatedParameter", "tunable"): ("calculated", "approx"),
+    ("input", "discrete"): (),
+    ("input", "continuous"): (),
+    ("output", "constant"): ("exact",),
+    ("output", "discrete"): ("calculated", "exact", "approx"),
+    ("output", "continuous"): ("calculated", "exact", "approx"),
+    ("local", "constant"): ("exact",),
+    ("local", "fixed"): ("calculated", "approx"),
+    ("local", "tunable"): ("calculated", "approx"),
+    ("local", "discrete"): ("calculated", "exact", "approx"),
+    ("local", "continuous"): ("calculated", "exact", "approx"),
+    ("independent", "continuous"): (),
+}
+
+
+@dataclass(frozen=True)
+class Variable:
+    """index: place in the list from 1, as ModelStructure counts."""
+
+    index: int
+    attributes: Mapping[str, str]
+    kind: str
+    typed: Mapping[str, str]
+    declared: Mapping[str, str]
+
+    @property
+    def name(self) -> str:
+        return self.attributes.get("name", f"<variable {self.index} without a name>")
+
+    @property
+    def causality(self) -> str:
+        return self.attributes.get("causality", "local")
+
+    @property
+    def variability(self) -> str:
+        return self.attributes.get("variability", "continuous")
+
+    @property
+    def initial(self) -> str:
+        """As stated, else the default; empty where there is none."""
+        allowed = INITIAL.get((self.causality, self.variability), ())
+        return self.attributes.get("initial") or (allowed[0] if allowed else "")
+
+    @cached_property
+    def reference(self) -> int | None:
+        """The value reference, if it is a number that FMI can hold."""
+        value = integer(self.attributes.get("valueReference"))
+        return value if value is not None and 0 <= value < 2**32 else None
+
+    @property
+    def base_kind(self) -> str:
+        """The type of the getter: an Enumeration is read as an Integer."""
+        return "Integer" if self.kind == "Enumeration" else self.kind
+
+    def get(self, attribute: str) -> str | None:
+        """An attribute of the type element, or else of its declared type (2.2.3)."""
+        return self.typed.get(attribute, self.declared.get(attribute))
+
+    def number(self, attribute: str) -> float | None:
+        return number(self.get(attribute))
+
+    @property
+    def start(self) -> str | None:
+        return self.typed.get("start")
+
+    @property
+    def is_settable(self) -> bool:
+        """Can be set by fmi2SetXXX before or in initialization mode."""
+        return self.causality == "input" or (
+            self.variability != "constant" and self.initial in ("exact", "approx")
+        )
+
+
+def number(text: str | None) -> float | None:
+    """A finite number; nothing for what is none, which the schema tells."""
+    try:
+        value = float(text) if text is not None else math.nan
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def integer(text: str | None) -> int | None:
+    """A whole number in decimal digits; nothing for what is none."""
+    try:
+        return int(text) if text is not None else None
+    except ValueError:
+        return None
