@@ -1,0 +1,198 @@
+"""An SSP 1.0 package -> a scenario that our master runs.
+
+Read are the components and connections of one system, parameter values inline or in .ssv files at components
+or at the system, and the default experiment. What is not understood is refused, never ignored; a name that
+fits no variable, too, though SSP lets it pass.
+"""
+
+import tempfile
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+from typing import Any
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+from fmpy.model_description import ModelDescription
+
+from fmus.errors import nearest
+from orchestration.errors import ScenarioError
+from orchestration.experiment import Experiment
+from orchestration.scenario import Scenario
+from orchestration.ssp_xml import STRUCTURE, read_value, tag
+from orchestration.system import System, describe
+
+_REFUSED = (
+    ("ssd:System/ssd:Connectors", "connectors of the system itself"),
+    ("ssd:System/ssd:Elements/ssd:System", "a system inside the system"),
+    ("ssd:System/ssd:Elements/ssd:SignalDictionaryReference", "a signal dictionary"),
+    ("ssd:System/ssd:Connections/ssd:Connection/*", "a transformation or geometry of a connection"),
+)
+
+
+@contextmanager
+def opened(package: Path, parameter_set: str = "") -> Iterator[Scenario]:
+    """The scenario in a package, its FMUs extracted until the context ends.
+
+    parameter_set: name of an .ssv in the package, whose values replace those bound in it.
+    Raises ScenarioError for what cannot be read.
+    """
+    if not package.is_file():
+        beside = [each.name for each in package.parent.glob("*.ssp")]
+        raise ScenarioError(f"no package {package}; beside it, {nearest(package.name, beside)}")
+    with tempfile.TemporaryDirectory(prefix="l1-depth-ssp-") as folder:
+        try:
+            with zipfile.ZipFile(package) as archive:
+                archive.extractall(folder)
+        except (zipfile.BadZipFile, EOFError) as error:
+            raise ScenarioError(f"{package}: expected an SSP package, a zip: {error}") from error
+        yield _scenario(Path(folder), package, parameter_set)
+
+
+def _scenario(folder: Path, package: Path, parameter_set: str) -> Scenario:
+    root = _parsed(folder / STRUCTURE, package)
+    for path, what in _REFUSED:
+        if root.find("/".join(step if step == "*" else tag(step) for step in path.split("/"))) is not None:
+            raise ScenarioError(
+                f"{package}: {what}: not supported; expected components and plain connections"
+            )
+    components = _components(root, folder, package)
+    connections = tuple(_connection(each) for each in root.iter(tag("ssd:Connection")))
+    descriptions = {name: describe(path) for name, path in components.items()}
+    bound = _chosen_set(folder, parameter_set) if parameter_set else _bound_values(root, folder, package)
+    parameters, inputs = _by_causality(bound, descriptions, {target for _, target in connections})
+    times = _times(root, descriptions, package)
+    record = tuple(_outputs(root))
+    experiment = Experiment(**times, parameters=parameters, inputs=inputs, record=record)
+    system = root.find(tag("ssd:System"))
+    resolved = {
+        "components": {name: path.name for name, path in components.items()},
+        "connections": [list(pair) for pair in connections],
+        "experiment": times,
+        "parameters": parameters,
+        "inputs": inputs,
+    }
+    return Scenario(
+        name=parameter_set or package.stem,
+        title=parameter_set or (system is not None and system.get("description")) or package.stem,
+        system=System(components, connections),
+        experiment=experiment,
+        metrics={},
+        resolved=resolved,
+    )
+
+
+def _parsed(path: Path, package: Path) -> Element:
+    try:
+        return ElementTree.parse(path).getroot()
+    except FileNotFoundError:
+        beside = [each.name for each in path.parent.glob("*")] if path.parent.is_dir() else []
+        raise ScenarioError(f"{package}: no {path.name} in it; {nearest(path.name, beside)}") from None
+    except ElementTree.ParseError as error:
+        raise ScenarioError(f"{package}: {path.name}: expected XML: {error}") from error
+
+
+def _components(root: Element, folder: Path, package: Path) -> dict[str, Path]:
+    found = {}
+    for component in root.iter(tag("ssd:Component")):
+        name, source = component.get("name", ""), PurePosixPath(component.get("source", ""))
+        if source.is_absolute() or ".." in source.parts:
+            raise ScenarioError(f"{package}: {name}: source {str(source)!r}: expected a file in the package")
+        found[name] = folder / source
+    return found
+
+
+def _outputs(root: Element) -> Iterator[str]:
+    """What the package shows of its components is what a run records."""
+    for component in root.iter(tag("ssd:Component")):
+        for connector in component.iter(tag("ssd:Connector")):
+            if connector.get("kind") == "output":
+                yield f"{component.get('name')}.{connector.get('name')}"
+
+
+def _connection(element: Element) -> tuple[str, str]:
+    ends = [
+        (element.get(f"{end}Element", ""), element.get(f"{end}Connector", "")) for end in ("start", "end")
+    ]
+    return f"{ends[0][0]}.{ends[0][1]}", f"{ends[1][0]}.{ends[1][1]}"
+
+
+def _bound_values(root: Element, folder: Path, package: Path) -> dict[str, Any]:
+    """ "component.variable" -> value; the system's bindings go over the components' (SSP 1.0, 5.3.2)."""
+    found = {}
+    for component in root.iter(tag("ssd:Component")):
+        values = _bindings(component, folder, package)
+        found |= {f"{component.get('name')}.{name}": value for name, value in values.items()}
+    for system in root.findall(tag("ssd:System")):
+        found |= _bindings(system, folder, package)
+    return found
+
+
+def _bindings(element: Element, folder: Path, package: Path) -> dict[str, Any]:
+    found = {}
+    for binding in element.findall(f"{tag('ssd:ParameterBindings')}/{tag('ssd:ParameterBinding')}"):
+        if binding.find(tag("ssd:ParameterMapping")) is not None:
+            raise ScenarioError(f"{package}: a parameter mapping: not supported; expected names of variables")
+        source, prefix = binding.get("source"), binding.get("prefix", "")
+        sets = [_parsed(folder / source, package)] if source else binding.iter(tag("ssv:ParameterSet"))
+        for each in sets:
+            found |= {prefix + name: value for name, value in _values(each, package).items()}
+    return found
+
+
+def _chosen_set(folder: Path, name: str) -> dict[str, Any]:
+    """The values of the .ssv file whose parameter set has that name."""
+    known = {}
+    for path in sorted(folder.rglob("*.ssv")):
+        root = _parsed(path, path)
+        known[root.get("name", "")] = root
+    if name not in known:
+        raise ScenarioError(f"no parameter set {name!r} in the package; {nearest(name, known)}")
+    return _values(known[name], name)
+
+
+def _values(parameter_set: Element, where: object) -> dict[str, Any]:
+    try:
+        return {p.get("name", ""): read_value(p) for p in parameter_set.iter(tag("ssv:Parameter"))}
+    except ValueError as error:
+        raise ScenarioError(f"{where}: {error}") from error
+
+
+def _by_causality(
+    values: Mapping[str, Any], descriptions: Mapping[str, ModelDescription], connected: set[str]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """(parameters, inputs): an input that nothing drives keeps the start value that its FMU states."""
+    inputs = {
+        f"{component}.{v.name}": _start(v.type, v.start)
+        for component, description in descriptions.items()
+        for v in description.modelVariables
+        if v.causality == "input" and f"{component}.{v.name}" not in connected
+    }
+    given = {name: value for name, value in values.items() if name not in connected}
+    parameters = {name: value for name, value in given.items() if name not in inputs}
+    return parameters, inputs | {name: given[name] for name in given if name in inputs}
+
+
+def _start(kind: str, text: str | None) -> Any:
+    if kind == "Boolean":
+        return text == "true"
+    return text if kind == "String" else (float if kind == "Real" else int)(text or "0")
+
+
+def _times(root: Element, descriptions: Mapping[str, ModelDescription], package: Path) -> dict[str, Any]:
+    """Times [s]; a step size that is not stated is the smallest that an FMU suggests."""
+    default = root.find(tag("ssd:DefaultExperiment"))
+    stop = None if default is None else default.get("stopTime")
+    if default is None or stop is None:
+        raise ScenarioError(f"{package}: expected a default experiment with a stop time")
+    stated = [each.get("baseStepSize") for each in default.iter(tag("osp:FixedStepAlgorithm"))]
+    suggested = [d.defaultExperiment.stepSize for d in descriptions.values() if d.defaultExperiment]
+    steps = [float(step) for step in stated or suggested if step]
+    if not steps:
+        raise ScenarioError(f"{package}: expected a communication step size, from it or from an FMU")
+    return {
+        "start_time": float(default.get("startTime", "0")),
+        "stop_time": float(stop),
+        "step_size": min(steps),
+    }

@@ -1,0 +1,62 @@
+"""The XML of SSP 1.0: its namespaces, and elements with values of the types that FMI 2.0 has."""
+
+from typing import Any
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+_STANDARD = "http://ssp-standard.org/SSP1/SystemStructure"
+NAMESPACES = {
+    "ssd": f"{_STANDARD}Description",
+    "ssc": f"{_STANDARD}Common",
+    "ssv": f"{_STANDARD}ParameterValues",
+    "osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
+}
+STRUCTURE = "SystemStructure.ssd"  # the file that every importer opens
+OSP = "com.opensimulationplatform"
+
+for _prefix, _uri in NAMESPACES.items():
+    ElementTree.register_namespace(_prefix, _uri)  # importers look for these prefixes by their letters
+
+
+def tag(name: str) -> str:
+    """ "prefix:name" -> the name that ElementTree uses."""
+    prefix, _, local = name.partition(":")
+    return f"{{{NAMESPACES[prefix]}}}{local}"
+
+
+def add(parent: Element, name: str, /, **attributes: str) -> Element:
+    """A new child called "prefix:name"."""
+    return ElementTree.SubElement(parent, tag(name), attributes)
+
+
+def root(name: str, /, **attributes: str) -> Element:
+    return Element(tag(name), attributes)
+
+
+def document(element: Element) -> bytes:
+    """The whole file; namespaces are declared on its root."""
+    ElementTree.indent(element)
+    return ElementTree.tostring(element, encoding="UTF-8", xml_declaration=True)
+
+
+def add_value(parent: Element, value: Any, unit: str | None = None) -> None:
+    """The value of an ssv:Parameter. An enumeration item is an Integer: few importers read another."""
+    if isinstance(value, bool):
+        add(parent, "ssv:Boolean", value=str(value).lower())
+    elif isinstance(value, int):
+        add(parent, "ssv:Integer", value=str(value))
+    elif isinstance(value, float):
+        add(parent, "ssv:Real", value=repr(value), **({"unit": unit} if unit else {}))
+    else:
+        add(parent, "ssv:String", value=str(value))
+
+
+def read_value(parameter: Element) -> Any:
+    """The value of an ssv:Parameter; ValueError for a type that FMI 2.0 does not have."""
+    for element in parameter:
+        kind, text = element.tag.rpartition("}")[2], element.get("value", "")
+        if kind == "Boolean" and text in ("true", "1", "false", "0"):
+            return text in ("true", "1")
+        if kind in ("Real", "Integer", "String", "Enumeration"):
+            return {"Real": float, "Integer": int}.get(kind, str)(text)
+    raise ValueError(f"parameter {parameter.get('name')!r}: expected a Real, Integer, Boolean or String")

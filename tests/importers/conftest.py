@@ -1,0 +1,53 @@
+"""Packages of the scenarios that importers run, and what our master makes of them."""
+
+import os
+import sys
+from collections.abc import Callable
+from ctypes.util import find_library
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import pytest
+
+from orchestration import scenario, ssp_write
+from orchestration.importers.comparison import DISTRIBUTIONS, SCENARIOS
+from orchestration.master import simulate
+from orchestration.recording import Recording
+
+
+@pytest.fixture(scope="session")
+def packages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("packages")
+    return {
+        name: ssp_write.package(scenario.load(scenario.find(name)), folder / f"{name}.ssp")
+        for name in SCENARIOS
+    }
+
+
+@pytest.fixture(scope="session")
+def ours() -> dict[str, Recording]:
+    """The scenarios themselves, not the packages: packing and running are proven together."""
+    loaded = {name: scenario.load(scenario.find(name)) for name in SCENARIOS}
+    return {name: simulate(each.system, each.experiment) for name, each in loaded.items()}
+
+
+@pytest.fixture
+def installed() -> Callable[[str], str]:
+    """The importer's name, if it is installed; only a developer may be without it."""
+
+    def check(importer: str) -> str:
+        if not _is_installed(importer):
+            if os.environ.get("CI"):
+                pytest.fail(f"{importer} is not installed: expected what .ci/run installs")
+            pytest.skip(f"{importer} is not installed")
+        return importer
+
+    return check
+
+
+def _is_installed(importer: str) -> bool:
+    try:
+        version(DISTRIBUTIONS[importer])
+    except PackageNotFoundError:
+        return False
+    return importer != "ecos" or sys.platform != "linux" or find_library("tbb") is not None
