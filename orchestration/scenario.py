@@ -30,6 +30,7 @@ from orchestration.experiment import Algorithm, Event, Experiment
 from orchestration.reference import Signal, signal
 from orchestration.system import System
 
+SHIPPED = Path(str(resources.files("orchestration.scenarios")))
 _TABLES = {"components", "experiment", "parameters", "inputs", "signals", "metrics"}
 _KEYS = _TABLES | {"title", "connections", "events", "record", "base", "parameter_files"}
 _EXPERIMENT_KEYS = {"start_time", "stop_time", "step_size", "algorithm"}
@@ -49,8 +50,7 @@ class Scenario:
 
 def shipped() -> dict[str, Path]:
     """Scenarios that come with the package, by name."""
-    folder = Path(str(resources.files("orchestration.scenarios")))
-    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+    return {path.stem: path for path in sorted(SHIPPED.glob("*.toml"))}
 
 
 def find(name_or_path: str) -> Path:

@@ -64,7 +64,7 @@ class CheckedSystem:
         feeding = {target.name: (source, target) for source, target in self.connections}
         graph = {}
         for source, target in self.connections:
-            needed = self._initial_inputs(source)
+            needed = self.initial_inputs(source)
             graph[target.name] = [name for name in needed if name in feeding]
         try:
             order = list(TopologicalSorter(graph).static_order())
@@ -72,7 +72,7 @@ class CheckedSystem:
             return self.connections, True
         return tuple(feeding[name] for name in order), False
 
-    def _initial_inputs(self, output: Port) -> list[str]:
+    def initial_inputs(self, output: Port) -> list[str]:
         """Names of the inputs that an output follows in initialisation mode; unstated means all."""
         description = self.descriptions[output.component]
         inputs = [v for v in description.modelVariables if v.causality == "input"]

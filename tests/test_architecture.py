@@ -2,6 +2,7 @@
 
 import ast
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -32,7 +33,7 @@ def importers(package: str) -> set[str]:
 
 @pytest.mark.parametrize("room", ["controller_fmu", "plant_fmu"])
 def test_models_import_only_the_standard_library_and_the_declaration(room: str) -> None:
-    allowed = {room, "fmus.block", "fmus.numerics"} | set(sys.stdlib_module_names)
+    allowed = {room, "fmus.block", "fmus.guide", "fmus.numerics"} | set(sys.stdlib_module_names)
     for path in (ROOT / room).glob("*.py"):
         extra = {"numpy", "scipy.linalg", "scipy.optimize"} if path.name == "design.py" else set()
         for name in imports(path):
@@ -45,6 +46,7 @@ def test_models_import_only_the_standard_library_and_the_declaration(room: str) 
         ("pythonfmu", {"fmus/slave.py"}),
         ("casadi", {"fmus/numerics.py", "fmus/symbolic.py"}),
         ("matplotlib", {"orchestration/report.py"}),
+        ("PIL", {"fmus/icon.py"}),
     ],
 )
 def test_libraries_stay_in_their_room(package: str, allowed: set[str]) -> None:
@@ -64,3 +66,10 @@ def test_models_do_not_know_each_other() -> None:
 def test_one_file_runs_the_compiler() -> None:
     named = {path.name for path in FILES if '"ziglang"' in path.read_text(encoding="utf-8")}
     assert named == {"toolchain.py"}
+
+
+def test_every_package_is_installed() -> None:
+    """An editable install would not miss one, a wheel would."""
+    listed = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
+    found = {".".join(path.parent.relative_to(ROOT).parts) for path in FILES}
+    assert found <= set(listed["packages"])

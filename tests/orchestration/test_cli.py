@@ -76,20 +76,31 @@ def test_help_names_every_command(tmp_path: Path) -> None:
 def test_build_check_inspect(tmp_path: Path) -> None:
     built = l1_depth("build", "BenchmarkPlant", "--flavour", "python", "--out", "out", folder=tmp_path)
     assert built.stdout == "out/BenchmarkPlant.fmu\n"
-    assert l1_depth("check", "out/BenchmarkPlant.fmu", folder=tmp_path).stdout.endswith(": no problems\n")
     table = l1_depth("inspect", "out/BenchmarkPlant.fmu", folder=tmp_path).stdout
     assert "disturbance" in table
     l1_depth("build", "L1Controller", "--out", "out", folder=tmp_path)
+    judged = l1_depth("check", "out/L1Controller.fmu", folder=tmp_path).stdout
+    assert " passed" in judged
+    assert "error" not in judged
     lines = l1_depth("inspect", "out/L1Controller.fmu", folder=tmp_path).stdout.splitlines()
     (augmentation,) = [line for line in lines if "augmentation" in line]
     assert "1 (none), 2 (pi), 3 (nonlinear_p)" in augmentation
     assert "theta[1]" in table
 
 
-def test_build_without_names_builds_all_four(tmp_path: Path) -> None:
+def test_build_with_reference_writes_the_files_of_the_cross_check(tmp_path: Path) -> None:
+    options = ("--flavour", "python", "--out", "out", "--with-reference")
+    printed = l1_depth("build", "BenchmarkPlant", *options, folder=tmp_path).stdout.split()
+    files = sorted(f"BenchmarkPlant{end}" for end in (".fmu", "_in.csv", "_ref.csv", "_ref.opt"))
+    assert sorted(printed) == [str(Path("out") / file) for file in files]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == files
+
+
+def test_build_without_names_builds_all_five(tmp_path: Path) -> None:
     l1_depth("build", "--out", "out", folder=tmp_path)
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
-        "BenchmarkPlant.fmu", "L1Controller.fmu", "L1DepthController.fmu", "RovDepthPlant.fmu",
+        "BenchmarkPlant.fmu", "DepthReference.fmu", "L1Controller.fmu", "L1DepthController.fmu",
+        "RovDepthPlant.fmu",
     ]  # fmt: skip
 
 
@@ -130,7 +141,7 @@ def test_a_run_that_fails_keeps_what_was_recorded(tmp_path: Path) -> None:
         (["build", "--flavour", "python", "--platform", "win64"], "python flavour: expected none"),
         (["check", "none.fmu"], "no FMU at none.fmu"),
         (["inspect", "broken.fmu"], "broken.fmu is not an FMU: expected a zip"),
-        (["check", "broken.fmu"], "broken.fmu is not an FMU: expected a zip"),
+        (["check", "broken.fmu"], "1 error found: expected none"),
         (
             ["identify", "--evaluations", "5", "--starts", "9"],
             "evaluations 5: expected more than the 9 starts",

@@ -1,0 +1,51 @@
+"""Commands for other tools: package, export, importers."""
+
+import tempfile
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fmus.catalogue import Flavour
+from orchestration import handover, ssp_write
+from orchestration.cli.shared import OutFolder, bar, chosen_scenario, console
+from orchestration.importers import comparison
+from orchestration.recording import write_whole
+
+
+def package(
+    name: Annotated[str, typer.Argument(metavar="SCENARIO", help="A shipped scenario or a .toml file.")],
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Package to write; by default SCENARIO.ssp.")
+    ] = None,
+) -> None:
+    """Write a scenario as an SSP 1.0 package, with a parameter set for each scenario of its system."""
+    with chosen_scenario(name, "", Flavour.NATIVE) as chosen:
+        print(ssp_write.package(chosen, out or Path(f"{chosen.name}.ssp")))
+
+
+def export(
+    tool: Annotated[handover.Tool, typer.Argument(help="For which tool.")],
+    name: Annotated[
+        str, typer.Argument(metavar="SCENARIO", help="A shipped scenario or a .toml file.")
+    ] = "nominal-extended",
+    out: OutFolder = Path(),
+) -> None:
+    """Write a scenario's closed loop as a Modelica package or a Simulink script, its FMUs with it."""
+    with chosen_scenario(name, "", Flavour.NATIVE) as chosen:
+        print(handover.write(tool, chosen, out))
+
+
+def importers(
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Markdown file to write the table to as well.")
+    ] = None,
+) -> None:
+    """Run packages in other importers and compare the depth with our master's."""
+    count = len(comparison.DISTRIBUTIONS) * len(comparison.SCENARIOS)
+    with bar(count, "run", "importers") as shown, tempfile.TemporaryDirectory() as folder:
+        found = [shown.update() or each for each in comparison.outcomes(Path(folder))]
+    console.print(comparison.table(found))
+    if out:
+        write_whole(out, lambda stream: stream.write(comparison.markdown(found)))
+        print(out)
