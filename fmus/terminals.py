@@ -2,8 +2,8 @@
 
 FMI 2.0.4 took the file over as it is, at the same place (2.3, Terminals and Icons). Two terminals are enough:
 what goes in and what comes out. Both match as a bus, that is, members of equal name are connected, so the
-outputs of a block plug into the inputs of the next. `GraphicalRepresentation` is left out: the icon is
-model.png, and some readers take the first child of the root for the terminals.
+outputs of a block plug into those inputs of the next that bear their names. `GraphicalRepresentation` is left
+out: the icon is model.png, and some readers take the first child of the root for the terminals.
 """
 
 from xml.etree import ElementTree

@@ -24,8 +24,10 @@ def of_causality(description: ModelDescription, causality: str) -> list[ScalarVa
 
 
 def start_value(variable: ScalarVariable) -> Any:
-    """The start value as float, int or bool; zero where the model description gives none."""
+    """The start value as float, int, bool or text; zero where the model description gives none."""
     text = str(variable.start or 0)
     if variable.type == "Boolean":
         return text.lower() in ("true", "1")
+    if variable.type == "String":
+        return str(variable.start or "")
     return float(text) if variable.type == "Real" else int(text)

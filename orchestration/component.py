@@ -46,13 +46,20 @@ def _keep_log(
         log.append((status, " ".join((message or b"").decode("utf-8", "replace").split())))
 
 
-# One set of callbacks for every instance: the proxy that formats messages serves one logger only,
-# and an FMU may log for as long as its library is loaded.
+# One set of callbacks for every instance: an FMU may log for as long as its library is loaded.
+_logger = fmi2.fmi2CallbackLoggerTYPE(_keep_log)
 _callbacks = fmi2.fmi2CallbackFunctions()
-_callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(_keep_log)
 _callbacks.allocateMemory = fmi2.defaultCallbacks.allocateMemory
 _callbacks.freeMemory = fmi2.defaultCallbacks.freeMemory
-addLoggerProxy(ctypes.byref(_callbacks))
+
+
+def _listen() -> None:
+    """Let FMPy's proxy, which formats messages, pass them on to us.
+
+    It serves the logger that asked last: whoever else used FMPy in this process may have asked since.
+    """
+    _callbacks.logger = _logger
+    addLoggerProxy(ctypes.byref(_callbacks))
 
 
 class Values:
@@ -107,6 +114,7 @@ class Component:
                     instanceName=name,
                     libraryPath=_library(Path(self._folder.name), description),
                 )
+            _listen()
             self._slave.instantiate(callbacks=_callbacks, loggingOn=True)
         except BaseException as error:
             self._unload()

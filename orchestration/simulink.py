@@ -3,6 +3,7 @@
 Names of the FMU block and its parameters: MathWorks, reference page of the FMU block (Simulink Extras).
 """
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from shutil import copyfile
@@ -84,6 +85,9 @@ def text(chosen: Scenario) -> str:
     if experiment.algorithm is not Algorithm.JACOBI or experiment.events:
         raise OrchestrationError("a Simulink model: expected algorithm jacobi and no events")
     settings = checked_settings(checked, experiment)
+    for name in (*checked.components, *(path.name for path in checked.components.values())):
+        if "'" in name:
+            raise OrchestrationError(f"{name}: expected a name without apostrophe, for MATLAB")
     for port in checked.ports.values():
         if len(port.variable.name) > LONGEST_NAME:
             raise OrchestrationError(f"{port.name}: expected at most {LONGEST_NAME} characters, for Simulink")
@@ -98,7 +102,7 @@ def text(chosen: Scenario) -> str:
         script=SCRIPT,
         upper=SCRIPT.upper(),
         model=_model_name(chosen.name),
-        title=chosen.title,
+        title=" ".join(chosen.title.split()),
         step=experiment.step_size,
         start=experiment.start_time,
         stop=experiment.stop_time,
@@ -121,7 +125,8 @@ def write(chosen: Scenario, folder: Path) -> Path:
 
 
 def _model_name(name: str) -> str:
-    return "l1_depth_" + name.replace("-", "_")
+    """An identifier of MATLAB, which holds 63 characters."""
+    return ("l1_depth_" + re.sub(r"\W", "_", name, flags=re.ASCII))[:63]
 
 
 def _fmus(checked: CheckedSystem, settings: list[tuple[Port, Any]], step: float) -> list[str]:

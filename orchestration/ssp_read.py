@@ -1,12 +1,13 @@
 """An SSP 1.0 package -> a scenario that our master runs.
 
 Read are the components and connections of one system, parameter values inline or in .ssv files at components
-or at the system, and the default experiment. What is not understood is refused, never ignored; a name that
-fits no variable, too, though SSP lets it pass.
+or at the system, and the default experiment. Values are taken in the units of the FMUs. What is not
+understood is refused rather than ignored; a name that fits no variable, too, though SSP lets it pass.
 """
 
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
@@ -17,6 +18,7 @@ from xml.etree.ElementTree import Element
 from fmpy.model_description import ModelDescription
 
 from fmus.errors import nearest
+from orchestration.arrays import start_value
 from orchestration.errors import ScenarioError
 from orchestration.experiment import Experiment
 from orchestration.scenario import Scenario
@@ -45,13 +47,15 @@ def opened(package: Path, parameter_set: str = "") -> Iterator[Scenario]:
         try:
             with zipfile.ZipFile(package) as archive:
                 archive.extractall(folder)
-        except (zipfile.BadZipFile, EOFError) as error:
+        except (zipfile.BadZipFile, EOFError, zlib.error, RuntimeError, NotImplementedError) as error:
             raise ScenarioError(f"{package}: expected an SSP package, a zip: {error}") from error
         yield _scenario(Path(folder), package, parameter_set)
 
 
 def _scenario(folder: Path, package: Path, parameter_set: str) -> Scenario:
     root = _parsed(folder / STRUCTURE, package)
+    if root.tag != tag("ssd:SystemStructureDescription"):
+        raise ScenarioError(f"{package}: {STRUCTURE}: expected a SystemStructureDescription of SSP 1.0")
     for path, what in _REFUSED:
         if root.find("/".join(step if step == "*" else tag(step) for step in path.split("/"))) is not None:
             raise ScenarioError(
@@ -83,23 +87,40 @@ def _scenario(folder: Path, package: Path, parameter_set: str) -> Scenario:
     )
 
 
+def _inside(folder: Path, source: str, what: str, package: Path) -> Path:
+    """A file of the package, and nothing outside it."""
+    path = PurePosixPath(source)
+    plain = not path.is_absolute() and ".." not in path.parts and not {"\\", ":"} & set(source)
+    if not (plain and (folder / path).is_file()):
+        raise ScenarioError(f"{package}: {what}: source {source!r}: expected a file in the package")
+    return folder / path
+
+
+def _only(element: Element, attribute: str, expected: str, what: str, package: Path) -> None:
+    """Refuse what an attribute says otherwise; unstated is as expected."""
+    if element.get(attribute, expected) != expected:
+        said = element.get(attribute)
+        raise ScenarioError(f"{package}: {what}: {attribute} {said!r}: expected {expected!r}")
+
+
 def _parsed(path: Path, package: Path) -> Element:
     try:
+        if b"<!DOCTYPE" in path.read_bytes():
+            raise ScenarioError(f"{package}: {path.name}: expected XML without a document type")
         return ElementTree.parse(path).getroot()
     except FileNotFoundError:
         beside = [each.name for each in path.parent.glob("*")] if path.parent.is_dir() else []
         raise ScenarioError(f"{package}: no {path.name} in it; {nearest(path.name, beside)}") from None
-    except ElementTree.ParseError as error:
+    except (ElementTree.ParseError, LookupError, ValueError) as error:
         raise ScenarioError(f"{package}: {path.name}: expected XML: {error}") from error
 
 
 def _components(root: Element, folder: Path, package: Path) -> dict[str, Path]:
     found = {}
     for component in root.iter(tag("ssd:Component")):
-        name, source = component.get("name", ""), PurePosixPath(component.get("source", ""))
-        if source.is_absolute() or ".." in source.parts:
-            raise ScenarioError(f"{package}: {name}: source {str(source)!r}: expected a file in the package")
-        found[name] = folder / source
+        name = component.get("name", "")
+        _only(component, "type", "application/x-fmu-sharedlibrary", name, package)
+        found[name] = _inside(folder, component.get("source", ""), name, package)
     return found
 
 
@@ -134,8 +155,12 @@ def _bindings(element: Element, folder: Path, package: Path) -> dict[str, Any]:
     for binding in element.findall(f"{tag('ssd:ParameterBindings')}/{tag('ssd:ParameterBinding')}"):
         if binding.find(tag("ssd:ParameterMapping")) is not None:
             raise ScenarioError(f"{package}: a parameter mapping: not supported; expected names of variables")
+        _only(binding, "type", "application/x-ssp-parameter-set", "a parameter binding", package)
+        _only(binding, "sourceBase", "SSD", "a parameter binding", package)
         source, prefix = binding.get("source"), binding.get("prefix", "")
-        sets = [_parsed(folder / source, package)] if source else binding.iter(tag("ssv:ParameterSet"))
+        inline = binding.iter(tag("ssv:ParameterSet"))
+        path = _inside(folder, source, "a parameter binding", package) if source else None
+        sets = [_parsed(path, package)] if path else inline
         for each in sets:
             found |= {prefix + name: value for name, value in _values(each, package).items()}
     return found
@@ -164,7 +189,7 @@ def _by_causality(
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """(parameters, inputs): an input that nothing drives keeps the start value that its FMU states."""
     inputs = {
-        f"{component}.{v.name}": _start(v.type, v.start)
+        f"{component}.{v.name}": start_value(v)
         for component, description in descriptions.items()
         for v in description.modelVariables
         if v.causality == "input" and f"{component}.{v.name}" not in connected
@@ -172,12 +197,6 @@ def _by_causality(
     given = {name: value for name, value in values.items() if name not in connected}
     parameters = {name: value for name, value in given.items() if name not in inputs}
     return parameters, inputs | {name: given[name] for name in given if name in inputs}
-
-
-def _start(kind: str, text: str | None) -> Any:
-    if kind == "Boolean":
-        return text == "true"
-    return text if kind == "String" else (float if kind == "Real" else int)(text or "0")
 
 
 def _times(root: Element, descriptions: Mapping[str, ModelDescription], package: Path) -> dict[str, Any]:
@@ -188,11 +207,11 @@ def _times(root: Element, descriptions: Mapping[str, ModelDescription], package:
         raise ScenarioError(f"{package}: expected a default experiment with a stop time")
     stated = [each.get("baseStepSize") for each in default.iter(tag("osp:FixedStepAlgorithm"))]
     suggested = [d.defaultExperiment.stepSize for d in descriptions.values() if d.defaultExperiment]
-    steps = [float(step) for step in stated or suggested if step]
+    try:
+        steps = [float(step) for step in stated or suggested if step]
+        start_time, stop_time = float(default.get("startTime", "0")), float(stop)
+    except ValueError as error:
+        raise ScenarioError(f"{package}: default experiment: {error}; expected numbers of seconds") from error
     if not steps:
         raise ScenarioError(f"{package}: expected a communication step size, from it or from an FMU")
-    return {
-        "start_time": float(default.get("startTime", "0")),
-        "stop_time": float(stop),
-        "step_size": min(steps),
-    }
+    return {"start_time": start_time, "stop_time": stop_time, "step_size": min(steps)}

@@ -18,7 +18,7 @@ from xml.etree.ElementTree import Element
 from fmus.archive import write_archive
 from orchestration import scenario, ssp_xml
 from orchestration.errors import ScenarioError, SystemDefinitionError
-from orchestration.experiment import Experiment, checked_settings
+from orchestration.experiment import Algorithm, Experiment, checked_settings
 from orchestration.plain_types import without_enumerations
 from orchestration.scenario import Scenario
 from orchestration.signal_sources import with_sources
@@ -74,6 +74,8 @@ def _kind(of: Scenario) -> tuple:
 def _variant(chosen: Scenario) -> _Variant:
     if chosen.experiment.events:
         raise ScenarioError(f"{chosen.name}: expected no events, an SSP package cannot carry them")
+    if chosen.experiment.algorithm is not Algorithm.JACOBI:
+        raise ScenarioError(f"{chosen.name}: expected algorithm jacobi, an SSP package cannot choose another")
     system, experiment = with_sources(chosen)
     checked = check(system, experiment.inputs)
     settings = [(port, _typed(port, value)) for port, value in checked_settings(checked, experiment)]

@@ -52,11 +52,15 @@ def add_value(parent: Element, value: Any, unit: str | None = None) -> None:
 
 
 def read_value(parameter: Element) -> Any:
-    """The value of an ssv:Parameter; ValueError for a type that FMI 2.0 does not have."""
+    """The value of an ssv:Parameter; ValueError for a type that FMI 2.0 does not have, or another's value."""
     for element in parameter:
         kind, text = element.tag.rpartition("}")[2], element.get("value", "")
         if kind == "Boolean" and text in ("true", "1", "false", "0"):
             return text in ("true", "1")
         if kind in ("Real", "Integer", "String", "Enumeration"):
-            return {"Real": float, "Integer": int}.get(kind, str)(text)
-    raise ValueError(f"parameter {parameter.get('name')!r}: expected a Real, Integer, Boolean or String")
+            try:
+                return {"Real": float, "Integer": int}.get(kind, str)(text)
+            except ValueError:
+                break
+    expected = "a value of type Real, Integer, Boolean or String"
+    raise ValueError(f"parameter {parameter.get('name')!r}: expected {expected}")

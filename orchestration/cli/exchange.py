@@ -8,7 +8,8 @@ import typer
 
 from fmus.catalogue import Flavour
 from orchestration import handover, ssp_write
-from orchestration.cli.shared import OutFolder, bar, chosen_scenario, console
+from orchestration.cli.shared import OutFolder, bar, console, shipped_or_own
+from orchestration.errors import OrchestrationError
 from orchestration.importers import comparison
 from orchestration.recording import write_whole
 
@@ -20,8 +21,8 @@ def package(
     ] = None,
 ) -> None:
     """Write a scenario as an SSP 1.0 package, with a parameter set for each scenario of its system."""
-    with chosen_scenario(name, "", Flavour.NATIVE) as chosen:
-        print(ssp_write.package(chosen, out or Path(f"{chosen.name}.ssp")))
+    chosen = shipped_or_own(name, Flavour.NATIVE)
+    print(ssp_write.package(chosen, out or Path(f"{chosen.name}.ssp")))
 
 
 def export(
@@ -32,8 +33,7 @@ def export(
     out: OutFolder = Path(),
 ) -> None:
     """Write a scenario's closed loop as a Modelica package or a Simulink script, its FMUs with it."""
-    with chosen_scenario(name, "", Flavour.NATIVE) as chosen:
-        print(handover.write(tool, chosen, out))
+    print(handover.write(tool, shipped_or_own(name, Flavour.NATIVE), out))
 
 
 def importers(
@@ -49,3 +49,6 @@ def importers(
     if out:
         write_whole(out, lambda stream: stream.write(comparison.markdown(found)))
         print(out)
+    failed = sorted({each.importer for each in found if each.problem and each.version})
+    if failed:
+        raise OrchestrationError(f"{', '.join(failed)} failed: expected the same depth as our master's")

@@ -35,6 +35,8 @@ def bar(total: float, unit: str, description: str) -> Iterator[Any]:
 def chosen_scenario(name: str, parameters: str, flavour: Flavour) -> Iterator[scenario.Scenario]:
     """What `run` is asked to run, its FMUs in place."""
     if name.endswith(".ssp"):
+        if flavour is not Flavour.NATIVE:
+            raise ScenarioError(f"--flavour {flavour} of a package: expected none, it holds its own FMUs")
         with ssp_read.opened(Path(name), parameters) as chosen:
             yield chosen
         return
@@ -42,6 +44,11 @@ def chosen_scenario(name: str, parameters: str, flavour: Flavour) -> Iterator[sc
         raise ScenarioError(
             f"--parameters {parameters}: expected an .ssp package to take it from, got {name}"
         )
+    yield shipped_or_own(name, flavour)
+
+
+def shipped_or_own(name: str, flavour: Flavour) -> scenario.Scenario:
+    """A scenario by its name or its .toml file, its FMUs in place."""
     chosen = scenario.load(scenario.find(name), flavour=flavour)
     reproduce.build_what_is_missing([chosen])
-    yield chosen
+    return chosen

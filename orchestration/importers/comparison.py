@@ -1,6 +1,7 @@
 """Our master against other importers: the same package, the depth at the same communication points."""
 
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -70,6 +71,9 @@ def outcome(importer: str, task: Task, ours: Recording) -> Outcome:
     answer = run_apart(importer, task)
     if isinstance(answer, str):
         return replace(blank, problem=answer)
+    points = (task.stop_time - task.start_time) / task.step_size
+    if len(answer.time) < round(points) or not np.all(np.isfinite(answer.values)):
+        return replace(blank, problem=f"gave {len(answer.time)} of {round(points) + 1} points, or no numbers")
     shift, difference = least_difference(answer, ours, task)
     return replace(blank, shift=shift, difference=difference)
 
@@ -82,8 +86,9 @@ def run_apart(importer: str, task: Task) -> Trajectory | str:
         command = [sys.executable, "-m", f"{__package__}", importer, str(asked), str(result)]
         try:
             done = subprocess.run(
-                command, capture_output=True, text=True, errors="replace", timeout=_LONGEST_S, check=False
-            )
+                command, capture_output=True, text=True, errors="replace", timeout=_LONGEST_S, check=False,
+                env={**os.environ, "TMPDIR": folder},  # some leave what they extract behind
+            )  # fmt: skip
         except subprocess.TimeoutExpired:
             return f"not done in {_LONGEST_S:g} s"
         if done.returncode or not result.is_file():

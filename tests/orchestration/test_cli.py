@@ -135,6 +135,8 @@ def test_a_run_that_fails_keeps_what_was_recorded(tmp_path: Path) -> None:
         (["run", "nominal-l2"], "no scenario 'nominal-l2'; nearest is 'nominal-l1'"),
         (["run", "none.toml"], "no scenario file none.toml"),
         (["build", "Benchmarkplan"], "no block named 'Benchmarkplan'; nearest is 'BenchmarkPlant'"),
+        (["package", "nominal-l1.ssp"], "no scenario 'nominal-l1.ssp'; nearest is 'nominal-l1'"),
+        (["run", "none.ssp", "--flavour", "python"], "a package: expected none, it holds its own FMUs"),
         (["build", "--platform", "linux46"], "no platform 'linux46'; nearest is 'linux64'"),
         (["build", "--platform", "linux64,"], "no platform ''"),
         (["build", "--platform", "win64", "--all-platforms"], "--all-platforms: expected one of them"),

@@ -196,3 +196,11 @@ def test_the_library_of_this_very_platform_is_loaded(
     inputs = {"p.control": 0.0, "p.disturbance": 0.0}
     run = simulate(System({"p": built["BenchmarkPlant"]}), Experiment(0.1, 0.01, inputs=inputs))
     assert run.time[-1] == 0.1
+
+
+def test_messages_arrive_also_after_somebody_else_used_fmpy(built: dict[str, Path]) -> None:
+    """FMPy's own simulation makes its proxy pass messages to FMPy's logger."""
+    fmpy.simulate_fmu(str(built["BenchmarkPlant"]), stop_time=0.01)
+    signals = {"p.control": lambda t: np.nan if t > 0.05 else 0.0, "p.disturbance": constant(0.0)}
+    with pytest.raises(SimulationError, match="control = nan"):
+        simulate(System({"p": built["BenchmarkPlant"]}), Experiment(0.1, 0.01, signals=signals))

@@ -150,6 +150,10 @@ def test_a_scenario_with_events_is_refused(tmp_path: Path) -> None:
     [
         ("<ssd:Elements>", "<ssd:Connectors/><ssd:Elements>", "connectors of the system itself"),
         ("<ssd:Elements>", '<ssd:Elements><ssd:System name="inner"/>', "a system inside the system"),
+        ('source="resources/', 'source="/etc/resources/', "expected a file in the package"),
+        ('source="resources/', 'source="file:resources/', "expected a file in the package"),
+        ("application/x-fmu-sharedlibrary", "application/x-ssp-package", "type 'application/x-ssp-package'"),
+        ('stopTime="310.0"', 'stopTime="soon"', "expected numbers of seconds"),
         ('source="resources/', 'source="../resources/', "expected a file in the package"),
         ("</ssd:ParameterValues>", "</ssd:ParameterValues><ssd:ParameterMapping/>", "a parameter mapping"),
         ('stopTime="310.0"', "", "expected a default experiment with a stop time"),
