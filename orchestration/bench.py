@@ -21,7 +21,7 @@ from rich.table import Table
 
 from fmus import catalogue
 from fmus.catalogue import Flavour
-from fmus.toolchain import host_platform, library_name, zig
+from fmus.toolchain import FLAGS, host_platform, library_name, zig
 from orchestration import monolith, scenario
 from orchestration.errors import OrchestrationError
 from orchestration.master import simulate
@@ -30,7 +30,6 @@ from orchestration.reproduce import build_what_is_missing
 from orchestration.scenario import Scenario
 from orchestration.system import check
 
-_OPTIMISED = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno")
 _LIBRARIES = () if os.name == "nt" else ("-ldl", "-lm")
 _C = resources.files("orchestration") / "c"
 
@@ -152,11 +151,11 @@ def _equations(folder: Path, part: int, sources: Path, *options: str) -> None:
     """Compile the equations of an FMU to partN.o."""
     named = f"-DPART(f)={monolith.part(part, '##f')}"
     source = str(_C / "equations.c")
-    zig(["cc", "-c", *_OPTIMISED, *options, named, f"-I{sources}", "-o", f"part{part}.o", source], folder)
+    zig(["cc", "-c", *FLAGS, *options, named, f"-I{sources}", "-o", f"part{part}.o", source], folder)
 
 
 def _compile(folder: Path, program: str, files: list[str], includes: list[Path]) -> None:
-    options = [*_OPTIMISED, f"-I{_C}", *(f"-I{include}" for include in includes)]
+    options = [*FLAGS, f"-I{_C}", *(f"-I{include}" for include in includes)]
     zig(["cc", *options, "-o", program, *files, *_LIBRARIES], folder)
 
 

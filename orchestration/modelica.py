@@ -21,6 +21,7 @@ from orchestration.arrays import arrays, base, of_causality, start_value
 from orchestration.errors import OrchestrationError
 from orchestration.experiment import Algorithm, checked_settings
 from orchestration.scenario import Scenario
+from orchestration.signal_sources import straight_points
 from orchestration.system import CheckedSystem, check, describe
 
 PACKAGE = "L1Depth"
@@ -193,9 +194,7 @@ def _whole(description: ModelDescription, name: str, values: Mapping[str, str]) 
 
 
 def _ramps(name: str, target: str, declared: Mapping[str, Any]) -> str:
-    if declared["kind"] != "ramps" or declared.get("smooth"):
-        raise OrchestrationError(f"signal {target}: expected straight ramps, the only ones a table gives")
-    table = "; ".join(f"{float(t)!r}, {float(value)!r}" for t, value in declared["points"])
+    table = "; ".join(f"{t!r}, {value!r}" for t, value in straight_points(target, declared))
     return (
         f"  Modelica.Blocks.Sources.CombiTimeTable {name}(\n    table = [{table}],\n"
         "    extrapolation = Modelica.Blocks.Types.Extrapolation.HoldLastPoint);"

@@ -10,7 +10,7 @@ from typing import Any
 
 from fmus import catalogue
 from fmus.catalogue import Flavour
-from orchestration.errors import ScenarioError
+from orchestration.errors import OrchestrationError, ScenarioError
 from orchestration.experiment import Experiment
 from orchestration.scenario import Scenario
 from orchestration.system import System, describe
@@ -44,6 +44,16 @@ def with_sources(chosen: Scenario, flavour: Flavour = Flavour.NATIVE) -> tuple[S
 def _output(fmu: Path) -> str:
     (output,) = [v.name for v in describe(fmu).modelVariables if v.causality == "output"]
     return output
+
+
+def straight_points(target: str, declared: Mapping[str, Any]) -> list[tuple[float, float]]:
+    """(time [s], value) of a signal of straight ramps, as a table that is interpolated needs them.
+
+    Raises OrchestrationError for another signal.
+    """
+    if declared["kind"] != "ramps" or declared.get("smooth"):
+        raise OrchestrationError(f"signal {target}: expected straight ramps, the only ones a table gives")
+    return [(float(t), float(value)) for t, value in declared["points"]]
 
 
 def _ramp_parameters(declared: Mapping[str, Any], target: str, fmu: Path) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from orchestration.arrays import of_causality, start_value
 from orchestration.errors import OrchestrationError
 from orchestration.experiment import Algorithm, checked_settings
 from orchestration.scenario import Scenario
+from orchestration.signal_sources import straight_points
 from orchestration.system import CheckedSystem, Port, check
 
 SCRIPT = "import_l1_depth"
@@ -172,9 +173,7 @@ def _constant(checked: CheckedSystem, port: Port, value: Any) -> str:
 
 
 def _ramps(checked: CheckedSystem, name: str, declared: Mapping[str, Any]) -> str:
-    if declared["kind"] != "ramps" or declared.get("smooth"):
-        raise OrchestrationError(f"signal {name}: expected straight ramps, the only ones a table gives")
-    table = "; ".join(f"{float(t)!r} {float(value)!r}" for t, value in declared["points"])
+    table = "; ".join(f"{t!r} {value!r}" for t, value in straight_points(name, declared))
     port = checked.ports[name]
     at = _at(checked, port)
     return (
