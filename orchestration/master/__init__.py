@@ -14,7 +14,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -57,6 +57,26 @@ def simulate(
             reason = str(error) if isinstance(error, OrchestrationError) else repr(error)
             raise SimulationError(reason, run.recorder.recording()) from error
         return run.recorder.recording()
+
+
+class Simulator:
+    """A system whose FMUs stay loaded over many runs; a context manager.
+
+    Raises SystemDefinitionError or FmuLoadError when it is made.
+    """
+
+    def __init__(self, system: System) -> None:
+        self.system = system
+
+    def run(self, experiment: Experiment, progress: Callable[[int, int], None] | None = None) -> Recording:
+        """One experiment, as `simulate` runs it."""
+        return simulate(self.system, experiment, progress)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *reason: object) -> None:
+        pass
 
 
 @contextmanager
