@@ -36,15 +36,19 @@ enum {{
     N_INPUTS = {inputs},
     N_OUTPUTS = {outputs},
     N_STATES = {states},
+    N_WHOLE_OUTPUTS = {n_whole},
     N_REQUIREMENTS = {requirements},
     INTERNAL_STEP = {internal_step},
     MODEL_WORK = {work}
 }};
 
-/* By value reference: name, type, whether fixed, start, min, max, items, what is expected. */
+/* By value reference: name, type, when it can be set, start, min, max, items, what is expected. */
 static const Variable VARIABLES[] = {{
 {variables}
 }};
+
+/* Which outputs are no Reals: whole numbers, by their place among the outputs. */
+static const int WHOLE_OUTPUTS[] = {{{whole}}};
 
 /* What parameters must fulfil together. */
 static const char *const REQUIRED[] = {{
@@ -78,6 +82,7 @@ def c_sources(block: Block, guid: str) -> dict[str, str]:
 def _model_h(traced: Traced, guid: str) -> str:
     block = traced.block
     count = {c: len(block.of_causality(c)) for c in ("parameter", "calculatedParameter", "input", "output")}
+    whole = [place for place, v in enumerate(block.of_causality("output")) if v.type != "Real"]
     (internal_step,) = [v.value_reference for v in block.variables if v.name == "internal_step"]
     return _MODEL_H.format(
         name=block.name,
@@ -88,6 +93,8 @@ def _model_h(traced: Traced, guid: str) -> str:
         inputs=count["input"],
         outputs=count["output"],
         states=traced.step.numel_out(0),
+        n_whole=len(whole),
+        whole=", ".join(map(str, (*whole, 0))),  # never empty, which C99 has not
         requirements=len(traced.required),
         internal_step=internal_step,
         work=max(function.sz_w() for function in traced.functions()),
@@ -98,11 +105,11 @@ def _model_h(traced: Traced, guid: str) -> str:
 
 def _row(v: ScalarVariable) -> str:
     (low, high), items = _range(v), sum(1 << item for item in _items(v))
-    fixed = int(v.causality == "parameter" and v.variability == "fixed")
+    settable = "NEVER" if not v.settable else "BEFORE_STEPPING" if v.variability == "fixed" else "ALWAYS"
     cells = (
         _string(v.name),
         _C_TYPES[v.type],
-        fixed,
+        settable,
         float(v.start),
         low,
         high,

@@ -5,6 +5,7 @@ Every call that an FMU refuses becomes a SlaveError with the FMU's own words.
 
 import contextlib
 import ctypes
+import itertools
 import tempfile
 import warnings
 import zipfile
@@ -26,6 +27,7 @@ from orchestration.errors import FmuLoadError, SlaveError, SlaveWarning
 _STATUS = ("ok", "warning", "discard", "error", "fatal", "pending")
 _REFUSED_FROM = 2  # discard and worse
 _ERROR, _FATAL = 3, 4
+_LAST_SUCCESSFUL_TIME = 2  # of fmi2StatusKind
 
 # FMI type -> (ctypes element, name of getter and setter)
 _TYPES = {
@@ -35,31 +37,51 @@ _TYPES = {
     "Boolean": (fmi2.fmi2Boolean, "Boolean"),
 }
 
-_logs: dict[str, list[tuple[int, str]]] = {}
+
+class Log(list[tuple[int, str]]):
+    """What an instance has said since it was last judged, as (status, message).
+
+    heard: shape (1,), not 0 once that was an error; the communication loop looks at it
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.heard = np.zeros(1, np.int64)
+
+    def clear(self) -> None:
+        super().clear()
+        self.heard[0] = 0
+
+
+# by a number of the instance, which its callbacks carry: two instances in a process may have one name
+_logs: dict[int, Log] = {}
+_numbers = itertools.count(1)
 
 
 def _keep_log(
-    environment: Any, instance: bytes | None, status: int, category: bytes | None, message: bytes | None
+    environment: int | None,
+    instance: bytes | None,
+    status: int,
+    category: bytes | None,
+    message: bytes | None,
 ) -> None:
-    log = _logs.get((instance or b"").decode("utf-8", "replace"))
+    log = _logs.get(environment or 0)
     if log is not None:
         log.append((status, " ".join((message or b"").decode("utf-8", "replace").split())))
+        if status in (_ERROR, _FATAL):
+            log.heard[0] = 1
 
 
-# One set of callbacks for every instance: an FMU may log for as long as its library is loaded.
 _logger = fmi2.fmi2CallbackLoggerTYPE(_keep_log)
-_callbacks = fmi2.fmi2CallbackFunctions()
-_callbacks.allocateMemory = fmi2.defaultCallbacks.allocateMemory
-_callbacks.freeMemory = fmi2.defaultCallbacks.freeMemory
 
 
-def _listen() -> None:
+def _listen(callbacks: fmi2.fmi2CallbackFunctions) -> None:
     """Let FMPy's proxy, which formats messages, pass them on to us.
 
     It serves the logger that asked last: whoever else used FMPy in this process may have asked since.
     """
-    _callbacks.logger = _logger
-    addLoggerProxy(ctypes.byref(_callbacks))
+    callbacks.logger = _logger
+    addLoggerProxy(ctypes.byref(callbacks))
 
 
 class Values:
@@ -100,12 +122,18 @@ class Component:
     def __init__(self, name: str, path: Path, description: ModelDescription) -> None:
         self.name, self.description, self.time = name, description, 0.0
         self._folder = tempfile.TemporaryDirectory(prefix="l1-depth-", ignore_cleanup_errors=True)
-        self._initialised = self._dead = False
+        self._initialised = self._stepping = self._dead = False
+        self._number = next(_numbers)
+        self.log = _logs[self._number] = Log()
+        self._callbacks = fmi2.fmi2CallbackFunctions(
+            allocateMemory=fmi2.defaultCallbacks.allocateMemory,
+            freeMemory=fmi2.defaultCallbacks.freeMemory,
+            componentEnvironment=self._number,
+        )
         self._slave: Any = None
         try:
             _check_platform(path, description)
             fmpy.extract(str(path), self._folder.name)
-            self.log = _logs[name] = []
             with contextlib.chdir(Path.cwd()):  # fmpy changes the folder, and stays there if it fails
                 self._slave = fmi2.FMU2Slave(
                     guid=description.guid,
@@ -114,14 +142,42 @@ class Component:
                     instanceName=name,
                     libraryPath=_library(Path(self._folder.name), description),
                 )
-            _listen()
-            self._slave.instantiate(callbacks=_callbacks, loggingOn=True)
+            self._instantiate()
         except BaseException as error:
             self._unload()
             if isinstance(error, FmuLoadError) or not isinstance(error, Exception):
                 raise
-            said = "; ".join(message for _, message in _logs.get(name, [])) or str(error)
+            said = "; ".join(message for _, message in self.log) or str(error)
             raise FmuLoadError(f"{name}: {path} cannot be instantiated: {said}") from error
+
+    def _instantiate(self) -> None:
+        _listen(self._callbacks)
+        self._slave.instantiate(callbacks=self._callbacks, loggingOn=True)
+        self._initialised = self._stepping = False
+
+    @property
+    def address(self) -> int:
+        """Of the instance."""
+        return int(self._slave.component)
+
+    def function(self, name: str) -> int:
+        """Address of a function of the FMU's library."""
+        return int(ctypes.cast(getattr(self.library, name), ctypes.c_void_p).value or 0)
+
+    @property
+    def is_fresh(self) -> bool:
+        """Instantiated or reset, and not yet initialised."""
+        return not self._initialised
+
+    def renew(self) -> None:
+        """Back to the state after instantiation: by fmi2Reset, or a new instance where that is refused."""
+        status = self.library.fmi2Reset(self.handle)
+        self.log.clear()
+        if status == 0:
+            self._initialised = self._stepping = False
+            return
+        self._slave.dll.fmi2FreeInstance(self.handle)
+        self._instantiate()
 
     @property
     def handle(self) -> Any:
@@ -157,12 +213,53 @@ class Component:
     def initialise(self, start_time: float, stop_time: float | None) -> None:
         """Set the experiment up and enter initialisation mode."""
         self.time = start_time
+        self._initialised = True
         self._call("setupExperiment", startTime=start_time, stopTime=stop_time)
         self._call("enterInitializationMode")
 
     def begin_stepping(self) -> None:
         self._call("exitInitializationMode")
-        self._initialised = True
+        self._stepping = True
+
+    def saved_state(self, state: int | None = None) -> int:
+        """The FMU's own state; one saved before, if given, is overwritten."""
+        pointer = ctypes.c_void_p(state)
+        self.judge("fmi2GetFMUstate", self.library.fmi2GetFMUstate(self.handle, ctypes.byref(pointer)))
+        return int(pointer.value or 0)
+
+    def restore(self, state: int) -> None:
+        self.judge("fmi2SetFMUstate", self.library.fmi2SetFMUstate(self.handle, ctypes.c_void_p(state)))
+
+    def forget(self, state: int) -> None:
+        """Give a saved state back; after fatal it goes with the library."""
+        if self._dead:
+            return
+        pointer = ctypes.c_void_p(state)
+        self.judge("fmi2FreeFMUstate", self.library.fmi2FreeFMUstate(self.handle, ctypes.byref(pointer)))
+
+    def packed(self, state: int) -> bytes:
+        """A saved state as bytes, which another instance of this FMU can take."""
+        size = ctypes.c_size_t()
+        saved = ctypes.c_void_p(state)
+        status = self.library.fmi2SerializedFMUstateSize(self.handle, saved, ctypes.byref(size))
+        self.judge("fmi2SerializedFMUstateSize", status)
+        content = ctypes.create_string_buffer(size.value)
+        status = self.library.fmi2SerializeFMUstate(self.handle, saved, content, size)
+        self.judge("fmi2SerializeFMUstate", status)
+        return content.raw
+
+    def unpacked(self, content: bytes) -> int:
+        """The inverse of `packed`."""
+        state, length = ctypes.c_void_p(), ctypes.c_size_t(len(content))
+        status = self.library.fmi2DeSerializeFMUstate(self.handle, content, length, ctypes.byref(state))
+        self.judge("fmi2DeSerializeFMUstate", status)
+        return int(state.value or 0)
+
+    def last_successful_time(self) -> float | None:
+        """Up to where a discarded step was computed [s]; None if the FMU does not tell."""
+        time = ctypes.c_double()
+        status = self.library.fmi2GetRealStatus(self.handle, _LAST_SUCCESSFUL_TIME, ctypes.byref(time))
+        return time.value if status == 0 else None
 
     def do_step(self, t: float, h: float) -> None:
         """Advance from t to t + h seconds."""
@@ -192,7 +289,7 @@ class Component:
         """Terminate and free the instance, unload its library, remove its folder."""
         try:
             if self._slave is not None and not self._dead:
-                if self._initialised:
+                if self._stepping:
                     self._slave.dll.fmi2Terminate(self.handle)
                 self._slave.dll.fmi2FreeInstance(self.handle)
         finally:
@@ -202,7 +299,7 @@ class Component:
         if self._slave is not None:
             self._slave.freeLibrary()
             self._slave = None
-        _logs.pop(self.name, None)
+        _logs.pop(self._number, None)
         self._folder.cleanup()
 
     def _call(self, method: str, *arguments: Any, **options: Any) -> None:

@@ -11,6 +11,10 @@ class ScenarioError(OrchestrationError):
     """A scenario file that says something wrong or not enough."""
 
 
+class SweepError(OrchestrationError):
+    """A sweep that cannot begin, or cannot go on; what is done is kept."""
+
+
 class SystemDefinitionError(OrchestrationError):
     """Components and connections that do not fit; found before anything is loaded."""
 

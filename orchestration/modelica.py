@@ -19,7 +19,7 @@ from fmpy.model_description import ModelDescription, ScalarVariable
 from orchestration import modelica_templates
 from orchestration.arrays import arrays, base, of_causality, start_value
 from orchestration.errors import OrchestrationError
-from orchestration.experiment import Algorithm, checked_settings
+from orchestration.experiment import checked_settings
 from orchestration.scenario import Scenario
 from orchestration.signal_sources import straight_points
 from orchestration.system import CheckedSystem, check, describe
@@ -33,13 +33,14 @@ _KINDS = {"Real": "Real", "Integer": "Integer", "Enumeration": "Integer", "Boole
 def texts(chosen: Scenario) -> dict[str, str]:
     """Path inside the package's folder -> Modelica text, of a scenario.
 
-    Raises OrchestrationError for what the package cannot express: another algorithm than Jacobi, events,
-    inputs and outputs that are not Real, signals that are no straight ramps, a loop of initial values.
+    Raises OrchestrationError for what the package cannot express: `Experiment.beyond_the_plain_loop`, inputs
+    and outputs that are not Real, signals that are no straight ramps, a loop of initial values.
     """
     experiment = chosen.experiment
     checked = check(chosen.system, [*experiment.inputs, *experiment.signals])
-    if experiment.algorithm is not Algorithm.JACOBI or experiment.events:
-        raise OrchestrationError("a Modelica package: expected algorithm jacobi and no events")
+    special = experiment.beyond_the_plain_loop()
+    if special:
+        raise OrchestrationError(f"a Modelica package with {special}: expected none, it cannot carry them")
     blocks = {_identifier(d): d for d in checked.descriptions.values()}
     constant = {
         "FMU": modelica_templates.FMU,

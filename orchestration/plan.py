@@ -13,7 +13,7 @@ import numpy as np
 
 from fmus.toolchain import library_name
 from orchestration.errors import OrchestrationError
-from orchestration.experiment import Algorithm, Experiment, checked_settings
+from orchestration.experiment import Experiment, checked_settings
 from orchestration.system import CheckedSystem, Port
 
 _KINDS = {"Real": "real", "Integer": "integer", "Enumeration": "integer", "Boolean": "boolean"}
@@ -22,15 +22,12 @@ _KINDS = {"Real": "real", "Integer": "integer", "Enumeration": "integer", "Boole
 def write_plan(checked: CheckedSystem, experiment: Experiment, folder: Path, platform: str) -> Path:
     """Extract the FMUs to a folder and write the plan and its table there.
 
-    Returns the plan. Raises OrchestrationError for what the host does not know: another algorithm than
-    Jacobi, events, connections, signals and records of another type than Real.
+    Returns the plan. Raises OrchestrationError for what the host does not know:
+    `Experiment.beyond_the_plain_loop`, and connections, signals and records of another type than Real.
     """
-    if experiment.algorithm is not Algorithm.JACOBI:
-        raise OrchestrationError(f"a plan with algorithm {experiment.algorithm}: expected jacobi")
-    if experiment.events:
-        raise OrchestrationError(
-            "a plan with events: expected none, the host sets values before the run only"
-        )
+    special = experiment.beyond_the_plain_loop()
+    if special:
+        raise OrchestrationError(f"a plan with {special}: expected none, the host exchanges and steps only")
     folder.mkdir(parents=True, exist_ok=True)
     folder = folder.absolute()
     plan, table = folder / "plan.txt", folder / "table.bin"

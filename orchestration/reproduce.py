@@ -5,6 +5,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 from fmus import catalogue
 from fmus.catalogue import Flavour
@@ -12,6 +13,7 @@ from orchestration import metrics, report, scenario
 from orchestration.errors import SimulationError
 from orchestration.master import simulate
 from orchestration.recording import Recording, write_json
+from orchestration.recording_files import Format
 from orchestration.scenario import Scenario
 
 _LONGEST_FIRST = ("example-extended", "example-l1")  # so that no core idles at the end
@@ -35,20 +37,28 @@ def build_what_is_missing(scenarios: Iterable[Scenario]) -> None:
                 catalogue.build_if_stale(name, flavour=flavour)
 
 
-def run(chosen: Scenario, folder: Path, progress: Callable[[int, int], None] | None = None) -> Result:
-    """Run one scenario and write NAME.csv and NAME.json (what was run, metrics) to `folder`.
+def run(
+    chosen: Scenario,
+    folder: Path,
+    progress: Callable[[int, int], None] | None = None,
+    file_format: Format = Format.CSV,
+    **options: Any,
+) -> Result:
+    """Run one scenario and write NAME.csv or .parquet and NAME.json (what was run, metrics) to `folder`.
 
-    A run that ends early leaves what was recorded as NAME.partial.csv.
+    options: of `simulate`. A run that ends early leaves what was recorded as NAME.partial.csv or .parquet.
     """
+    file = folder / f"{chosen.name}.{file_format}"
     try:
-        recording = simulate(chosen.system, chosen.experiment, progress)
+        recording = simulate(chosen.system, chosen.experiment, progress, **options)
     except SimulationError as error:
         if len(error.recording.time):
-            error.recording.write_csv(folder / f"{chosen.name}.partial.csv")
+            error.recording.write(file.with_name(f"{chosen.name}.partial.{file_format}"))
         raise
-    recording.write_csv(folder / f"{chosen.name}.csv")
+    recording.write(file)
     measured = metrics.evaluate(recording, chosen.metrics)
     document = {
+        "recording": file.name,
         "scenario": chosen.resolved,
         "run": recording.provenance,
         "metrics": measured,

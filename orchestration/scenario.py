@@ -5,35 +5,50 @@ base = "other.toml"                       what is not said here is taken from th
 parameter_files = ["parameters/x.toml"]   values with their provenance
 [components]                              name = block name, or path of an .fmu
 connections = [["a.output", "b.input"]]
-[experiment]                              stop_time, step_size, algorithm, start_time
+[experiment]                              stop_time, step_size, start_time, algorithm, tolerance, ...
+[step_sizes]                              component = its own step size
 [parameters] / [inputs]                   "component.variable" = value
-[signals."component.variable"]            kind = "ramps" | "cosine" | "constant", ...
+[signals."component.variable"]            kind = "ramps" | "cosine" | "constant" | "samples", ...
 [[events]]                                time = ..., set = { "component.variable" = value }
+[[faults]]                                input = "component.variable", kind = "freeze", ...
 record = ["component.variable"]
 [metrics.name]                            function = "rmse", ...
+[sweep]                                   samples, seed, vary: many runs of it (docs/sweeps.md)
 """
 
 import sys
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from fmus import catalogue
 from fmus.catalogue import Flavour
 from fmus.errors import nearest
 from orchestration import metrics
 from orchestration.errors import ScenarioError
-from orchestration.experiment import Algorithm, Event, Experiment
+from orchestration.experiment import Algorithm, Event, Experiment, Initialisation
+from orchestration.faults import Fault, fault
 from orchestration.reference import Signal, signal
 from orchestration.system import System
 
+_Choice = TypeVar("_Choice", bound=StrEnum)
 SHIPPED = Path(str(resources.files("orchestration.scenarios")))
-_TABLES = {"components", "experiment", "parameters", "inputs", "signals", "metrics"}
-_KEYS = _TABLES | {"title", "connections", "events", "record", "base", "parameter_files"}
-_EXPERIMENT_KEYS = {"start_time", "stop_time", "step_size", "algorithm"}
+_TABLES = {"components", "experiment", "parameters", "inputs", "signals", "metrics", "step_sizes", "sweep"}
+_MERGED = _TABLES | {"vary"}  # of [sweep]
+_KEYS = _TABLES | {"title", "connections", "events", "faults", "record", "base", "parameter_files"}
+_EXPERIMENT_KEYS = {
+    "start_time",
+    "stop_time",
+    "step_size",
+    "algorithm",
+    "extrapolation",
+    "tolerance",
+    "initialisation",
+}
 
 
 @dataclass(frozen=True)
@@ -46,6 +61,7 @@ class Scenario:
     experiment: Experiment
     metrics: Mapping[str, Mapping[str, Any]]
     resolved: Mapping[str, Any] = field(default_factory=dict)
+    sweep: Mapping[str, Any] = field(default_factory=dict)
 
 
 def shipped() -> dict[str, Path]:
@@ -96,6 +112,7 @@ def load(
         experiment=experiment,
         metrics=data["metrics"],
         resolved=data,
+        sweep=data["sweep"],
     )
 
 
@@ -140,7 +157,7 @@ def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
     merged = dict(below)
     for key, value in above.items():
         both_tables = isinstance(value, dict) and isinstance(merged.get(key), dict)
-        merged[key] = _merge(merged[key], value) if both_tables and key in _TABLES else value
+        merged[key] = _merge(merged[key], value) if both_tables and key in _MERGED else value
     return merged
 
 
@@ -200,7 +217,7 @@ def _experiment(data: Mapping[str, Any], path: Path) -> Experiment:
         stop_time=_seconds(_need(declared, "stop_time", path), "stop_time", path),
         step_size=_seconds(_need(declared, "step_size", path), "step_size", path),
         start_time=_seconds(declared.get("start_time", 0.0), "start_time", path),
-        algorithm=_algorithm(declared.get("algorithm", Algorithm.JACOBI), path),
+        algorithm=_choice(Algorithm, declared.get("algorithm", Algorithm.JACOBI), "algorithm", path),
         parameters=data["parameters"],
         inputs=data["inputs"],
         signals={n: _signal(d, f"{path}: signal {n}") for n, d in data["signals"].items()},
@@ -209,6 +226,13 @@ def _experiment(data: Mapping[str, Any], path: Path) -> Experiment:
             _typed(name, str, f"{path}: record")
             for name in _typed(data.get("record", []), list, f"{path}: record")
         ),
+        extrapolation=declared.get("extrapolation", 0),
+        tolerance=_number(declared["tolerance"], "tolerance", path) if "tolerance" in declared else None,
+        step_sizes={n: _seconds(size, f"step_sizes: {n}", path) for n, size in data["step_sizes"].items()},
+        initialisation=_choice(
+            Initialisation, declared.get("initialisation", Initialisation.AUTOMATIC), "initialisation", path
+        ),
+        faults=tuple(_fault(e, path) for e in _typed(data.get("faults", []), list, f"{path}: faults")),
     )
 
 
@@ -216,19 +240,27 @@ def _signal(declared: Any, what: str) -> Signal:
     return signal(_typed(declared, dict, what), what)
 
 
+def _fault(entry: Any, path: Path) -> Fault:
+    return fault(_typed(entry, dict, f"{path}: faults"), f"{path}: faults")
+
+
 def _seconds(value: Any, name: str, path: Path) -> float:
+    return _number(value, name, path, "a number of seconds")
+
+
+def _number(value: Any, name: str, path: Path, wanted: str = "a number") -> float:
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
     if not number or not abs(value) <= sys.float_info.max:
-        raise ScenarioError(f"{path}: {name} = {value!r}: expected a number of seconds")
+        raise ScenarioError(f"{path}: {name} = {value!r}: expected {wanted}")
     return float(value)
 
 
-def _algorithm(name: str, path: Path) -> Algorithm:
+def _choice(choices: type[_Choice], name: Any, what: str, path: Path) -> _Choice:
     try:
-        return Algorithm(str(name))
+        return choices(str(name))
     except ValueError:
         raise ScenarioError(
-            f"{path}: unknown algorithm {name!r}; {nearest(str(name), [str(a) for a in Algorithm])}"
+            f"{path}: unknown {what} {name!r}; {nearest(str(name), [str(each) for each in choices])}"
         ) from None
 
 

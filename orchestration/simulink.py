@@ -13,7 +13,7 @@ from fmpy.model_description import ScalarVariable
 
 from orchestration.arrays import of_causality, start_value
 from orchestration.errors import OrchestrationError
-from orchestration.experiment import Algorithm, checked_settings
+from orchestration.experiment import checked_settings
 from orchestration.scenario import Scenario
 from orchestration.signal_sources import straight_points
 from orchestration.system import CheckedSystem, Port, check
@@ -78,13 +78,14 @@ end
 def text(chosen: Scenario) -> str:
     """The script of a scenario.
 
-    Raises OrchestrationError for what it cannot express: another algorithm than Jacobi, events, signals that
-    are no straight ramps, names that are too long for MATLAB.
+    Raises OrchestrationError for what it cannot express: another algorithm than Jacobi, events, faults,
+    signals that are no straight ramps, names that are too long for MATLAB.
     """
     experiment = chosen.experiment
     checked = check(chosen.system, [*experiment.inputs, *experiment.signals])
-    if experiment.algorithm is not Algorithm.JACOBI or experiment.events:
-        raise OrchestrationError("a Simulink model: expected algorithm jacobi and no events")
+    special = experiment.beyond_the_plain_loop()
+    if special:
+        raise OrchestrationError(f"a Simulink model with {special}: expected none, it cannot carry them")
     settings = checked_settings(checked, experiment)
     for name in (*checked.components, *(path.name for path in checked.components.values())):
         if "'" in name:

@@ -18,7 +18,7 @@ from xml.etree.ElementTree import Element
 from fmus.archive import write_archive
 from orchestration import scenario, ssp_xml
 from orchestration.errors import ScenarioError, SystemDefinitionError
-from orchestration.experiment import Algorithm, Experiment, checked_settings
+from orchestration.experiment import Experiment, checked_settings
 from orchestration.plain_types import without_enumerations
 from orchestration.scenario import Scenario
 from orchestration.signal_sources import with_sources
@@ -47,7 +47,7 @@ class _Variant:
 def package(chosen: Scenario, path: Path) -> Path:
     """Write the scenario, and every shipped one of the same system as a variant, to `path`.
 
-    Raises ScenarioError for what SSP cannot carry: events, and signals other than ramps.
+    Raises ScenarioError for what SSP cannot carry: events, faults, and signals other than ramps.
     """
     variants = {each.name: _variant(each) for each in family(chosen)}
     members = {STRUCTURE: _structure(variants[chosen.name])}
@@ -72,10 +72,9 @@ def _kind(of: Scenario) -> tuple:
 
 
 def _variant(chosen: Scenario) -> _Variant:
-    if chosen.experiment.events:
-        raise ScenarioError(f"{chosen.name}: expected no events, an SSP package cannot carry them")
-    if chosen.experiment.algorithm is not Algorithm.JACOBI:
-        raise ScenarioError(f"{chosen.name}: expected algorithm jacobi, an SSP package cannot choose another")
+    special = chosen.experiment.beyond_the_plain_loop()
+    if special:
+        raise ScenarioError(f"{chosen.name} with {special}: expected none, an SSP package cannot carry them")
     system, experiment = with_sources(chosen)
     checked = check(system, experiment.inputs)
     settings = [(port, _typed(port, value)) for port, value in checked_settings(checked, experiment)]

@@ -1,9 +1,8 @@
 """Components and connections, checked against the model descriptions before anything is loaded."""
 
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +26,34 @@ class Port:
         return f"{self.component}.{self.variable.name}"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class System:
-    """Named FMUs and the connections between them, (source, target) as "component.variable"."""
+    """Named FMUs and the connections between them, (source, target) as "component.variable".
+
+    SystemDefinitionError for what is not of this form.
+    """
 
     components: Mapping[str, Path]
-    connections: tuple[tuple[str, str], ...] = ()
+    connections: tuple[tuple[str, str], ...]
+
+    def __init__(
+        self, components: Mapping[str, str | Path], connections: Iterable[Sequence[str]] = ()
+    ) -> None:
+        if not isinstance(components, Mapping):
+            raise SystemDefinitionError(f'components: expected {{"name": "path.fmu"}}, got {components!r}')
+        odd = [name for name in components if not isinstance(name, str) or not name or "." in name]
+        if odd:
+            raise SystemDefinitionError(f"component {odd[0]!r}: expected a name without a dot")
+        paths = {name: Path(path) for name, path in components.items()}
+        object.__setattr__(self, "components", paths)
+        object.__setattr__(self, "connections", tuple(_pair(each) for each in connections))
+
+
+def _pair(connection: Any) -> tuple[str, str]:
+    is_pair = isinstance(connection, (tuple, list)) and len(connection) == 2
+    if not is_pair or not all(isinstance(name, str) for name in connection):
+        raise SystemDefinitionError(f'connection {connection!r}: expected ("a.output", "b.input")')
+    return connection[0], connection[1]
 
 
 @dataclass(frozen=True)
@@ -56,22 +77,6 @@ class CheckedSystem:
             raise SystemDefinitionError(f"{purpose}: no variable {name!r}; {nearest(name, candidates)}")
         return self.ports[name]
 
-    def initial_order(self) -> tuple[tuple[tuple[Port, Port], ...], bool]:
-        """(connections, whether they form a loop) in the order in which initial values flow.
-
-        Without a loop one pass settles every value; with one, passes must be repeated.
-        """
-        feeding = {target.name: (source, target) for source, target in self.connections}
-        graph = {}
-        for source, target in self.connections:
-            needed = self.initial_inputs(source)
-            graph[target.name] = [name for name in needed if name in feeding]
-        try:
-            order = list(TopologicalSorter(graph).static_order())
-        except CycleError:
-            return self.connections, True
-        return tuple(feeding[name] for name in order), False
-
     def initial_inputs(self, output: Port) -> list[str]:
         """Names of the inputs that an output follows in initialisation mode; unstated means all."""
         description = self.descriptions[output.component]
@@ -83,13 +88,18 @@ class CheckedSystem:
         return [f"{output.component}.{v.name}" for v in inputs]
 
 
-def check(system: System, driven: Iterable[str] = ()) -> CheckedSystem:
+def check(
+    system: System,
+    driven: Iterable[str] = (),
+    descriptions: Mapping[str, ModelDescription] | None = None,
+) -> CheckedSystem:
     """Read every model description and check every name, type and unit of the system.
 
-    driven: the inputs that are set by something else than a connection: a signal or a constant.
+    driven: the inputs that are set by something else than a connection: a signal or a constant;
+    descriptions: those of the components, if they have been read already.
     Raises FmuLoadError for a file that is no FMU, SystemDefinitionError for what does not fit.
     """
-    descriptions = {name: describe(path) for name, path in system.components.items()}
+    descriptions = descriptions or {name: describe(Path(path)) for name, path in system.components.items()}
     ports = {
         f"{component}.{variable.name}": Port(component, variable)
         for component, description in descriptions.items()

@@ -46,6 +46,7 @@ def test_models_import_only_the_standard_library_and_the_declaration(room: str) 
         ("pythonfmu", {"fmus/slave.py"}),
         ("casadi", {"fmus/numerics.py", "fmus/symbolic.py"}),
         ("matplotlib", {"orchestration/report.py"}),
+        ("plotly", {"orchestration/page/render.py"}),
         ("PIL", {"fmus/icon.py"}),
     ],
 )

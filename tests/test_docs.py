@@ -8,10 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from .page_examples import examples
+
 ROOT = Path(__file__).parent.parent
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
 TOOL_PAGES = [page for page in (ROOT / "docs" / "importing").glob("*.md") if page.name != "README.md"]
-EXAMPLE = re.compile(r"<!-- run -->\n```(\w+)\n(.*?)```", re.DOTALL)
+TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
 
 
 def _name(page: Path) -> str:
@@ -53,26 +55,49 @@ def test_the_index_lists_every_page() -> None:
     assert {page.name for page in TOOL_PAGES} == set(re.findall(r"^\| .*?\((\S+\.md)\)", index, re.M))
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if EXAMPLE.search(p.read_text("utf-8"))], ids=_name)
-def test_the_marked_examples_run(page: Path, tmp_path: Path) -> None:
-    """In their order, in one folder."""
+@pytest.mark.parametrize("page", [each for each in PAGES if examples(each)], ids=_name)
+def test_the_examples_run_and_print_what_the_page_shows(page: Path, tmp_path: Path) -> None:
+    """In an empty folder, with the programs of this environment."""
     environment = os.environ | {"PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
-    for language, code in EXAMPLE.findall(page.read_text(encoding="utf-8")):
-        command = {"sh": ["bash", "-ec", code], "python": [sys.executable, "-c", code]}[language]
-        done = subprocess.run(
-            command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False, timeout=300
-        )
-        assert done.returncode == 0, done.stdout + done.stderr
-        assert done.stdout
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "tests" / "page_examples.py"), str(page)],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
-@pytest.mark.parametrize("page", PAGES, ids=_name)
-def test_every_command_shown_exists(page: Path) -> None:
-    help_text = subprocess.run(
+@pytest.mark.parametrize("page", TUTORIALS, ids=_name)
+def test_a_tutorial_shows_output_and_is_linked_from_the_readme(page: Path) -> None:
+    assert any(each.language == "text" for each in examples(page))
+    assert f"(docs/tutorials/{page.name})" in (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_workflow_shown_runs_what_the_page_runs() -> None:
+    """Except for what installs, each command of the workflow is one that this page's examples ran."""
+    shown = examples(ROOT / "docs" / "tutorials" / "continuous-integration.md")
+    (workflow,) = [each.code for each in shown if each.language == "yaml"]
+    ran = {line.strip() for each in shown if each.language == "sh" for line in each.code.splitlines()}
+    commands = [c for c in re.findall(r"- run: (.*)", workflow) if not c.startswith("pip ")]
+    assert len(commands) == 2
+    assert set(commands) <= ran
+
+
+@pytest.fixture(scope="module")
+def help_text() -> str:
+    return subprocess.run(
         [sys.executable, "-c", "from orchestration.cli import main; main()", "--help"],
         capture_output=True,
         text=True,
         check=True,
     ).stdout
+
+
+@pytest.mark.parametrize("page", PAGES, ids=_name)
+def test_every_command_shown_exists(page: Path, help_text: str) -> None:
     shown = re.findall(r"(?:^ {4}|^|`)l1-depth (\w+)", page.read_text(encoding="utf-8"), re.MULTILINE)
     assert set(shown) <= set(re.findall(r"\w+", help_text))

@@ -50,11 +50,14 @@ static fmi2Status missing(Instance *it, const char *function, const char *argume
     return refuse(it, fmi2Error, "%s: %s is NULL", function, argument);
 }
 
+static fmi2Status contradictory(Instance *it, int broken, const char *function) {
+    return refuse(it, fmi2Discard, "%s: parameters of " MODEL_NAME ": expected %s", function, REQUIRED[broken]);
+}
+
 /* `broken` is a pointer as it becomes known with the outcome, which may be evaluated after the other arguments. */
 static fmi2Status report(Instance *it, Outcome outcome, const int *broken, const char *function, double h) {
     if (outcome == DONE) return fmi2OK;
-    if (outcome == CONTRADICTORY)
-        return refuse(it, fmi2Discard, "%s: parameters of " MODEL_NAME ": expected %s", function, REQUIRED[*broken]);
+    if (outcome == CONTRADICTORY) return contradictory(it, *broken, function);
     if (outcome == TOO_MANY_STEPS)
         return refuse(it, fmi2Discard, "%s: communication step size %s s: expected at most %s internal steps", function,
                       DECIMAL(h), DECIMAL(MOST_INTERNAL_STEPS));
@@ -68,7 +71,6 @@ static fmi2Status report(Instance *it, Outcome outcome, const int *broken, const
 /* Values */
 
 enum { READABLE = INITIALIZATION | STEPPING | TERMINATED | IN_ERROR | INSTANTIATED };
-enum { WRITABLE = INSTANTIATED | INITIALIZATION | STEPPING };
 
 static int has_type(fmi2ValueReference reference, Type type) {
     return reference < N_VARIABLES && VARIABLES[reference].type == type;
@@ -82,13 +84,15 @@ static fmi2Status not_of_type(Instance *it, Type type, fmi2ValueReference refere
                   TYPE_NAMES[VARIABLES[reference].type], TYPE_NAMES[type]);
 }
 
-static int are_allowed(Instance *it, int modes, Type type, const fmi2ValueReference references[], size_t count,
-                       const void *values, const char *function) {
-    if (!is_allowed(it, modes, function)) return 0;
-    if (count && (!references || !values)) {
-        missing(it, function, references ? "value" : "vr");
-        return 0;
-    }
+static int are_given(Instance *it, const fmi2ValueReference references[], size_t count, const void *values,
+                     const char *function) {
+    if (!count || (references && values)) return 1;
+    missing(it, function, references ? "value" : "vr");
+    return 0;
+}
+
+static int are_of_type(Instance *it, Type type, const fmi2ValueReference references[], size_t count,
+                       const char *function) {
     for (size_t i = 0; i < count; i++) {
         if (has_type(references[i], type)) continue;
         not_of_type(it, type, references[i], function);
@@ -97,26 +101,36 @@ static int are_allowed(Instance *it, int modes, Type type, const fmi2ValueRefere
     return 1;
 }
 
+static int are_allowed(Instance *it, int modes, Type type, const fmi2ValueReference references[], size_t count,
+                       const void *values, const char *function) {
+    return is_allowed(it, modes, function) && are_given(it, references, count, values, function) &&
+           are_of_type(it, type, references, count, function);
+}
+
 /* Until stepping begins, what is calculated follows what was set, also when an error has ended that; later it is
  * what the last step left, and nothing is stale. */
 static fmi2Status refreshed(Instance *it, const fmi2ValueReference references[], size_t count, const char *function) {
     int broken = 0;
+    if (!it->data.outputs_are_stale) return fmi2OK;
     for (size_t i = 0; i < count; i++)
         if (!is_settable((int)references[i]))
             return report(it, data_refresh(&it->data, &broken), &broken, function, 0);
     return fmi2OK;
 }
 
-static int can_be_set(const Data *d, int reference, double value) {
-    return is_settable(reference) && !(VARIABLES[reference].is_fixed && d->mode == STEPPING) &&
-           is_acceptable(reference, value);
+static int can_be_set(const Data *d, fmi2ValueReference reference, Type type, double value) {
+    return has_type(reference, type) && (d->mode & VARIABLES[reference].settable) &&
+           is_acceptable((int)reference, value);
 }
 
-static fmi2Status cannot_be_set(Instance *it, int reference, double value, const char *function) {
-    const Variable *v = VARIABLES + reference;
-    if (!is_settable(reference))
+/* The first type that is wrong, or else the value at `place`, which is the first that is refused. */
+static fmi2Status cannot_be_set(Instance *it, Type type, const fmi2ValueReference references[], size_t count,
+                                size_t place, double value, const char *function) {
+    if (!are_of_type(it, type, references, count, function)) return fmi2Error;
+    const Variable *v = VARIABLES + references[place];
+    if (v->settable == NEVER)
         return refuse(it, fmi2Error, "%s: %s can not be set, it is calculated", function, v->name);
-    if (v->is_fixed && it->data.mode == STEPPING)
+    if (!(it->data.mode & v->settable))
         return refuse(it, fmi2Error, "%s: %s is fixed, set it before the initialization ends", function, v->name);
     return refuse(it, fmi2Discard, "%s: %s = %s: expected %s", function, v->name, DECIMAL(value), v->expected);
 }
@@ -127,18 +141,20 @@ static fmi2Status cannot_be_set(Instance *it, int reference, double value, const
         fmi2Status status;                                                                                       \
         if (!are_allowed(it, READABLE, TYPE, vr, nvr, value, "fmi2Get" #Name)) return fmi2Error;                 \
         status = refreshed(it, vr, nvr, "fmi2Get" #Name);                                                        \
-        for (size_t i = 0; i < nvr && status == fmi2OK; i++) value[i] = (CType)it->data.value[vr[i]];            \
-        return status;                                                                                           \
+        if (status != fmi2OK) return status;                                                                     \
+        for (size_t i = 0; i < nvr; i++) value[i] = (CType)it->data.value[vr[i]];                                \
+        return fmi2OK;                                                                                           \
     }
 
 /* All values or none: the first that is refused leaves every variable as it was. */
 #define DEFINE_SET(Name, CType, TYPE)                                                                            \
     fmi2Status fmi2Set##Name(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const CType value[]) {  \
         Instance *it = c;                                                                                        \
-        if (!are_allowed(it, WRITABLE, TYPE, vr, nvr, value, "fmi2Set" #Name)) return fmi2Error;                 \
+        if (!is_allowed(it, ALWAYS, "fmi2Set" #Name)) return fmi2Error;                                          \
+        if (!are_given(it, vr, nvr, value, "fmi2Set" #Name)) return fmi2Error;                                   \
         for (size_t i = 0; i < nvr; i++)                                                                         \
-            if (!can_be_set(&it->data, (int)vr[i], (double)value[i]))                                            \
-                return cannot_be_set(it, (int)vr[i], (double)value[i], "fmi2Set" #Name);                         \
+            if (!can_be_set(&it->data, vr[i], TYPE, (double)value[i]))                                           \
+                return cannot_be_set(it, TYPE, vr, nvr, i, (double)value[i], "fmi2Set" #Name);                   \
         for (size_t i = 0; i < nvr; i++) data_set(&it->data, (int)vr[i], (double)value[i]);                      \
         return fmi2OK;                                                                                           \
     }
@@ -162,7 +178,7 @@ fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference vr[], size_t 
 
 fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2String value[]) {
     (void)vr, (void)value;
-    return no_strings(c, WRITABLE, nvr, "fmi2SetString");
+    return no_strings(c, ALWAYS, nvr, "fmi2SetString");
 }
 
 /* Inquiry, creation, destruction */
@@ -308,7 +324,8 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2R
     if (!(t + h <= it->data.stop_time + tolerance_at(t, h)))
         return refuse(it, fmi2Error, "fmi2DoStep: step to %s s: expected at most the stop time %s s",
                       DECIMAL(t + h), DECIMAL(it->data.stop_time));
-    return report(it, data_step(&it->data, t, h, &broken), &broken, "fmi2DoStep", h);
+    const Outcome outcome = data_step(&it->data, t, h, &broken);
+    return outcome == DONE ? fmi2OK : report(it, outcome, &broken, "fmi2DoStep", h);
 }
 
 fmi2Status fmi2CancelStep(fmi2Component c) {
@@ -320,7 +337,7 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference
                                        const fmi2Integer order[], const fmi2Real value[]) {
     static const char *const function = "fmi2SetRealInputDerivatives";
     Instance *it = c;
-    if (!are_allowed(it, WRITABLE, REAL, vr, nvr, value, function)) return fmi2Error;
+    if (!are_allowed(it, ALWAYS, REAL, vr, nvr, value, function)) return fmi2Error;
     if (nvr && !order) return missing(it, function, "order");
     for (size_t i = 0; i < nvr; i++) {
         const char *name = VARIABLES[vr[i]].name;
@@ -341,9 +358,8 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
                                         const fmi2Integer order[], fmi2Real value[]) {
     static const char *const function = "fmi2GetRealOutputDerivatives";
     Instance *it = c;
-    const double *v;
-    double calculated[N_CALCULATED + 1], rate[N_OUTPUTS + 1];
-    fmi2Status status;
+    const double *v, *calculated;
+    double fresh[N_CALCULATED + 1], rate[N_OUTPUTS + 1];
     int broken = 0;
     if (!are_allowed(it, STEPPING | TERMINATED, REAL, vr, nvr, value, function)) return fmi2Error;
     if (nvr && !order) return missing(it, function, "order");
@@ -353,9 +369,9 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
         if (order[i] != 1)
             return refuse(it, fmi2Error, "%s: %s: order %d: expected 1", function, VARIABLES[vr[i]].name, order[i]);
     }
-    status = report(it, data_calculate(&it->data, calculated, &broken), &broken, function, 0);
-    if (status != fmi2OK) return status;
     v = it->data.value;
+    calculated = data_calculated(&it->data, fresh, &broken);
+    if (!calculated) return contradictory(it, broken, function);
     model_output_rate(it->data.time, it->data.state, v + FIRST_INPUT, v, calculated, rate);
     for (size_t i = 0; i < nvr; i++) value[i] = rate[vr[i] - FIRST_OUTPUT];
     return fmi2OK;

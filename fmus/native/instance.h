@@ -15,9 +15,6 @@
 
 #include "model_functions.h"
 
-/* States of FMI 2.0.5, figure 11; one bit each. A step is never in progress when the importer calls. */
-typedef enum { INSTANTIATED = 1, INITIALIZATION = 2, STEPPING = 4, TERMINATED = 8, IN_ERROR = 16 } Mode;
-
 /* Everything that a saved state holds: words of 64 bits, integers and doubles. */
 typedef struct {
     int64_t mode, parameters_are_stale, outputs_are_stale, inputs_have_rates;
@@ -46,58 +43,57 @@ static void data_set(Data *d, int reference, double value) {
     if (d->mode != STEPPING) d->outputs_are_stale = 1;
 }
 
-/* Calculated parameters, computed once per change. `broken` is the first requirement that does not hold. */
-static Outcome data_calculate(const Data *d, double *calculated, int *broken) {
+/* Calculated parameters: those there are or, once per change, `fresh` ones. NULL if parameters contradict each other;
+ * `broken` is the first requirement that does not hold. */
+static const double *data_calculated(const Data *d, double *fresh, int *broken) {
     double holds[N_REQUIREMENTS + 1];
-    memcpy(calculated, d->value + FIRST_CALCULATED, N_CALCULATED * sizeof *calculated);
-    if (!d->parameters_are_stale) return DONE;
-    model_calculate(d->value, calculated);
-    model_requirements(d->value, calculated, holds);
+    if (!d->parameters_are_stale) return d->value + FIRST_CALCULATED;
+    model_calculate(d->value, fresh);
+    model_requirements(d->value, fresh, holds);
     for (int i = 0; i < N_REQUIREMENTS; i++) {
         if (holds[i] != 1) {
             *broken = i;
-            return CONTRADICTORY;
+            return NULL;
         }
     }
-    return DONE;
+    return fresh;
 }
 
-/* Zero times a number is not zero if that is infinite or no number at all. */
+/* A number less itself is zero unless it is infinite or no number at all. Without branches, compilers check several
+ * at a time. */
 static int are_finite(const double *numbers, int count) {
-    double zero = 0;
-    for (int i = 0; i < count; i++) zero += 0 * numbers[i];
-    return zero == 0;
+    int bad = 0;
+    for (int i = 0; i < count; i++) bad |= numbers[i] - numbers[i] != 0;
+    return !bad;
 }
 
 static int can_be_read(const double *outputs) {
-    for (int i = 0; i < N_OUTPUTS; i++)
-        if (VARIABLES[FIRST_OUTPUT + i].type != REAL && fabs(outputs[i]) > INT_MAX) return 0;
+    for (int i = 0; i < N_WHOLE_OUTPUTS; i++)
+        if (fabs(outputs[WHOLE_OUTPUTS[i]]) > INT_MAX) return 0;
     return are_finite(outputs, N_OUTPUTS);
 }
 
-/* The state at time t, if it is one, with its outputs and the calculated parameters that it was made with. */
-static Outcome data_become(Data *d, double t, const double *state, const double *calculated) {
-    double outputs[N_OUTPUTS + 1];
-    if (!are_finite(state, N_STATES)) return NOT_FINITE;
-    model_output(t, state, d->value, calculated, outputs);
-    if (!can_be_read(outputs)) return NOT_FINITE;
+/* The state at time t with its outputs, and the calculated parameters that they were made with. */
+static void data_become(Data *d, double t, const double *state, const double *outputs, const double *calculated) {
     memcpy(d->state, state, N_STATES * sizeof *state);
-    memcpy(d->value + FIRST_CALCULATED, calculated, N_CALCULATED * sizeof *calculated);
     memcpy(d->value + FIRST_OUTPUT, outputs, N_OUTPUTS * sizeof *outputs);
+    if (d->parameters_are_stale) memcpy(d->value + FIRST_CALCULATED, calculated, N_CALCULATED * sizeof *calculated);
     d->parameters_are_stale = d->outputs_are_stale = 0;
     d->time = t;
-    return DONE;
 }
 
 /* Initial state and outputs, which follow parameters and inputs until stepping begins. */
 static Outcome data_refresh(Data *d, int *broken) {
-    double calculated[N_CALCULATED + 1], state[N_STATES + 1];
-    Outcome outcome;
+    double fresh[N_CALCULATED + 1], state[N_STATES + 1], outputs[N_OUTPUTS + 1];
+    const double *p = d->value, *c;
     if (!d->outputs_are_stale) return DONE;
-    outcome = data_calculate(d, calculated, broken);
-    if (outcome != DONE) return outcome;
-    model_initial_state(d->time, d->value + FIRST_INPUT, d->value, calculated, state);
-    return data_become(d, d->time, state, calculated);
+    c = data_calculated(d, fresh, broken);
+    if (!c) return CONTRADICTORY;
+    model_initial_state(d->time, p + FIRST_INPUT, p, c, state);
+    model_output(d->time, state, p, c, outputs);
+    if (!are_finite(state, N_STATES) || !can_be_read(outputs)) return NOT_FINITE;
+    data_become(d, d->time, state, outputs, c);
+    return DONE;
 }
 
 /* Inputs at `elapsed` seconds after the communication point, within their ranges. */
@@ -110,27 +106,30 @@ static void data_inputs_at(const Data *d, double elapsed, double *inputs) {
 }
 
 /* From t to t + h in equal internal steps. Inputs are held over an internal step; those with a rate
- * at what they are in its middle. */
+ * at what they are in its middle. Outputs follow the last step at once, so that a compiler computes once what
+ * both need. */
 static Outcome data_step(Data *d, double t, double h, int *broken) {
-    double places[2][N_STATES + 1], moving[N_INPUTS + 1], calculated[N_CALCULATED + 1];
+    double fresh[N_CALCULATED + 1], moving[N_INPUTS + 1], reached[N_STATES + 1], next[N_STATES + 1];
+    double outputs[N_OUTPUTS + 1];
     const double *p = d->value, *u = d->value + FIRST_INPUT, *x = d->state;
-    const double steps = ceil(h / p[INTERNAL_STEP] * (1 - 1e-9));
-    Outcome outcome = data_calculate(d, calculated, broken);
-    if (outcome != DONE) return outcome;
+    const double *c = data_calculated(d, fresh, broken);
+    const double steps = h / p[INTERNAL_STEP] * (1 - 1e-9);
+    if (!c) return CONTRADICTORY;
     if (!(steps <= MOST_INTERNAL_STEPS)) return TOO_MANY_STEPS;
-    const int count = steps < 1 ? 1 : (int)steps;
+    const int count = steps <= 1 ? 1 : (int)ceil(steps);
     const double internal = h / count;
-    for (int i = 0; i < count; i++) {
-        double *next = places[i % 2];
+    for (int i = 0;; i++) {
         if (d->inputs_have_rates) {
             data_inputs_at(d, (i + 0.5) * internal, moving);
             u = moving;
         }
-        model_step(t + i * internal, internal, x, u, p, calculated, next);
-        x = next;
+        model_step(t + i * internal, internal, x, u, p, c, next);
+        if (i + 1 == count) break;
+        x = memcpy(reached, next, N_STATES * sizeof *next);
     }
-    outcome = data_become(d, t + h, x, calculated);
-    if (outcome != DONE) return outcome;
+    model_output(t + h, next, p, c, outputs);
+    if (!are_finite(next, N_STATES) || !can_be_read(outputs)) return NOT_FINITE;
+    data_become(d, t + h, next, outputs, c);
     if (d->inputs_have_rates) memset(d->input_rate, 0, sizeof d->input_rate);
     d->inputs_have_rates = 0;
     return DONE;

@@ -8,10 +8,16 @@
 /* Types of a variable, as the importer's functions distinguish them. */
 typedef enum { REAL, INTEGER, BOOLEAN } Type;
 
+/* States of FMI 2.0.5, figure 11; one bit each. A step is never in progress when the importer calls. */
+typedef enum { INSTANTIATED = 1, INITIALIZATION = 2, STEPPING = 4, TERMINATED = 8, IN_ERROR = 16 } Mode;
+
+/* In which of them a variable can be set: never what is calculated, fixed parameters until stepping begins. */
+enum { NEVER = 0, BEFORE_STEPPING = INSTANTIATED | INITIALIZATION, ALWAYS = BEFORE_STEPPING | STEPPING };
+
 typedef struct {
     const char *name;
     Type type;
-    int is_fixed; /* a parameter that can not be set once stepping has begun */
+    int settable; /* NEVER, BEFORE_STEPPING or ALWAYS */
     double start, min, max;
     uint32_t items;       /* of an enumeration: bit i stands for the item i; 0 if it is none */
     const char *expected; /* of a value, in words */
@@ -32,7 +38,7 @@ static const int INPUTS_FROM_TO[] = {FIRST_INPUT, FIRST_OUTPUT};
 
 static int is_input(int64_t reference) { return reference >= INPUTS_FROM_TO[0] && reference < INPUTS_FROM_TO[1]; }
 
-static int is_settable(int reference) { return reference < FIRST_CALCULATED || is_input(reference); }
+static int is_settable(int reference) { return VARIABLES[reference].settable != NEVER; }
 
 /* Within range; false for what is not finite, as a variable without range has the range of double. */
 static int is_acceptable(int reference, double value) {

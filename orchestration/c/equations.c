@@ -29,9 +29,10 @@ void PART(advance)(double t, double h) {
     const double *p = data.value, *c = data.value + FIRST_CALCULATED, *u = data.value + FIRST_INPUT;
     const double internal = h / internal_steps;
     double next[N_STATES + 1];
-    for (int i = 0; i < internal_steps; i++) {
+    for (int i = 0;; i++) {
         model_step(t + i * internal, internal, data.state, u, p, c, next);
-        memcpy(data.state, next, sizeof data.state);
+        memcpy(data.state, next, N_STATES * sizeof *next);
+        if (i + 1 == internal_steps) break;
     }
-    model_output(t + h, data.state, p, c, data.value + FIRST_OUTPUT);
+    model_output(t + h, next, p, c, data.value + FIRST_OUTPUT);
 }

@@ -6,7 +6,7 @@ import sys
 import typer
 
 from fmus.errors import ExportError
-from orchestration.cli import exchange, fmu, simulation
+from orchestration.cli import exchange, fmu, pages, simulation, sweeps
 from orchestration.errors import OrchestrationError
 
 app = typer.Typer(
@@ -17,6 +17,7 @@ app = typer.Typer(
 for _command in (
     fmu.build, fmu.check, fmu.inspect,
     simulation.run, simulation.scenarios, simulation.identify, simulation.reproduce, simulation.bench,
+    sweeps.sweep, pages.report,
     exchange.package, exchange.export, exchange.importers,
 ):  # fmt: skip
     app.command()(_command)

@@ -1,5 +1,6 @@
 """Commands that simulate: run, scenarios, identify, reproduce, bench."""
 
+import math
 import os
 from pathlib import Path
 from typing import Annotated
@@ -13,7 +14,10 @@ from orchestration import identify as identification
 from orchestration import report, scenario
 from orchestration import reproduce as reproduction
 from orchestration.cli.shared import FlavourOption, OutFolder, bar, chosen_scenario, console
+from orchestration.master.checkpoint import Checkpoints, read_checkpoint
+from orchestration.recording_files import Format
 
+_LAPS = 3  # rounds of the race: each takes half a minute
 _IDENTIFIED = scenario.SHIPPED / "parameters" / "identified.toml"
 
 
@@ -26,19 +30,44 @@ def run(
     parameters: Annotated[
         str, typer.Option(metavar="NAME", help="Of a package: another of its parameter sets.")
     ] = "",
+    file_format: Annotated[Format, typer.Option("--format", help="Of the recording.")] = Format.CSV,
+    real_time: Annotated[
+        float | None, typer.Option(metavar="FACTOR", help="Keep pace with the clock; 2 is twice as fast.")
+    ] = None,
+    timeout: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="Run FMUs in a process of their own; end it if a step takes longer."),
+    ] = None,
+    checkpoint: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Save the whole system there when interrupted.")
+    ] = None,
+    every: Annotated[
+        float, typer.Option(metavar="S", help="With --checkpoint: also every so many simulated seconds.")
+    ] = math.inf,
+    resume: Annotated[Path | None, typer.Option(metavar="FILE", help="Go on from such a checkpoint.")] = None,
 ) -> None:
-    """Run one scenario: recording (CSV), what was run and metrics (JSON), a figure."""
+    """Run one scenario: recording (CSV or Parquet), what was run and metrics (JSON), a figure."""
+    options = {
+        "real_time": real_time,
+        "timeout": timeout,
+        "checkpoints": Checkpoints(checkpoint, every) if checkpoint else None,
+        "resume": read_checkpoint(resume) if resume else None,
+    }
     with chosen_scenario(name, parameters, flavour) as chosen, bar(1, "step", chosen.name) as shown:
 
         def progress(done: int, total: int) -> None:
             shown.total = total
             shown.update(done - shown.n)
 
-        result = reproduction.run(chosen, out, progress)
+        result = reproduction.run(chosen, out, progress, file_format, **options)
     figures = report.run_figure(chosen.title, result.recording, out / chosen.name)
     if result.metrics:
         console.print(report.metrics_table(chosen.title, result.metrics))
-    for path in (out / f"{chosen.name}.csv", out / f"{chosen.name}.json", *figures):
+    pace = result.recording.provenance.get("real_time")
+    if pace:
+        missed, worst, where = pace["missed_deadlines"], pace["worst_lateness_s"], pace["worst_at_s"]
+        print(f"{missed} deadlines missed, the worst by {1e3 * worst:.3g} ms at t = {where:g} s")
+    for path in (out / f"{chosen.name}.{file_format}", out / f"{chosen.name}.json", *figures):
         print(path)
 
 
@@ -96,13 +125,15 @@ def bench(
     ] = None,
     rounds: Annotated[int, typer.Option(help="Of which the median is taken.", min=1)] = 7,
 ) -> None:
-    """Measure the FMUs: FMI against bare C, native against python, a scenario against one C program."""
+    """Measure FMI against bare C, this master against others, and a scenario against one C program."""
     chosen, blocks = names or ["nominal-extended"], catalogue.block_names()
     for name in chosen:
         scenario.find(name)
-    with bar(len(blocks) + len(chosen), "part", "bench") as shown:
+    laps = min(rounds, _LAPS)
+    with bar(len(blocks) + len(chosen) + laps * len(benchmark.LOOPS), "part", "bench") as shown:
         layers = [shown.update() or benchmark.layer(name, rounds=rounds) for name in blocks]
         loops = [shown.update() or benchmark.loop(name, rounds=rounds) for name in chosen]
-    for table in benchmark.tables(layers, loops):
+        entries = benchmark.race(laps, progress=shown.update)
+    for table in benchmark.tables(layers, loops, entries):
         console.print(table)
-    print(f"medians of {rounds} rounds on {benchmark.machine()}")
+    print(f"medians of {rounds} rounds, of importers {laps}, on {benchmark.machine()}")

@@ -7,7 +7,7 @@ import pytest
 
 from controller_fmu.depth_reference import BLOCK, POINTS
 from fmus.instance import BlockError
-from orchestration.reference import ramps
+from orchestration.reference import Ramps
 
 ROUNDING = 1e-12  # of a depth of 1 m; both evaluate the same formula
 
@@ -29,7 +29,7 @@ def spread(seed: int) -> list[tuple[float, float]]:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_it_gives_what_the_scenarios_ramps_give(driver: Any, smooth: bool, seed: int) -> None:
     points = spread(seed)
-    expected = ramps([list(point) for point in points], smooth)
+    expected = Ramps(points, smooth)
     block = reference(driver, points, smooth=smooth).begin(-30.0)
     while block.instance.time < points[-1][0] + 10.0:
         assert block["depth_reference"] == pytest.approx(expected(block.instance.time), abs=ROUNDING)

@@ -1,11 +1,15 @@
-"""Foreign FMUs: written by PythonFMU's own builder, knowing nothing of this project."""
+"""Foreign FMUs, knowing nothing of this project: written by PythonFMU's own builder, or in C."""
 
+import itertools
 import textwrap
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from pythonfmu.builder import FmuBuilder
+
+from . import foreign_fmus
 
 _HEAD = """
     import ctypes
@@ -91,3 +95,38 @@ def foreign(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         script.write_text(textwrap.dedent(_HEAD) + textwrap.dedent(source))
         made[name] = FmuBuilder.build_FMU(script, folder)
     return made
+
+
+Build = Callable[..., Path]
+
+
+def _built_once(build: Build, folder: Path) -> Build:
+    """Builds an FMU for each set of options that is new."""
+    found: dict[str, Path] = {}
+    numbers = itertools.count()
+
+    def built(*arguments: Any, **options: Any) -> Path:
+        key = repr((arguments, sorted(options.items())))
+        if key not in found:
+            found[key] = build(folder / f"{next(numbers)}.fmu", *arguments, **options)
+        return found[key]
+
+    return built
+
+
+@pytest.fixture(scope="session")
+def linear(tmp_path_factory: pytest.TempPathFactory) -> Build:
+    """Builds linear FMUs: the options are those of `foreign_fmus.linear`."""
+    return _built_once(foreign_fmus.linear, tmp_path_factory.mktemp("linear"))
+
+
+@pytest.fixture(scope="session")
+def function(tmp_path_factory: pytest.TempPathFactory) -> Build:
+    """Builds FMUs that compute y = expression of u, in C: `foreign_fmus.function`."""
+    return _built_once(foreign_fmus.function, tmp_path_factory.mktemp("function"))
+
+
+@pytest.fixture(scope="session")
+def rogue(tmp_path_factory: pytest.TempPathFactory) -> Build:
+    """Builds FMUs that misbehave on demand: the options are those of `foreign_fmus.rogue`."""
+    return _built_once(foreign_fmus.rogue, tmp_path_factory.mktemp("rogue"))

@@ -6,9 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from orchestration.recording import read_csv
+from orchestration.recording_files import read
 
 SHORT = """
 base = "{base}"
@@ -110,7 +111,7 @@ def test_run_writes_recording_metrics_provenance_and_figure(tmp_path: Path) -> N
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
         "short.csv", "short.json", "short.png", "short.svg",
     ]  # fmt: skip
-    recording = read_csv(tmp_path / "out" / "short.csv")
+    recording = read(tmp_path / "out" / "short.csv")
     assert recording.time[-1] == 0.2
     assert recording.unit("plant.depth") == "m"
     document = json.loads((tmp_path / "out" / "short.json").read_text())
@@ -119,12 +120,34 @@ def test_run_writes_recording_metrics_provenance_and_figure(tmp_path: Path) -> N
     assert set(document["metrics"]) >= {"rmse_cm", "holding_thrust_n"}
 
 
+def test_run_writes_parquet_with_the_provenance_inside(tmp_path: Path) -> None:
+    scenario = short_scenario(tmp_path)
+    l1_depth("run", scenario, "--out", "csv", folder=tmp_path)
+    l1_depth("run", scenario, "--out", "out", "--format", "parquet", folder=tmp_path)
+    assert not (tmp_path / "out" / "short.csv").exists()
+    recording, as_csv = read(tmp_path / "out" / "short.parquet"), read(tmp_path / "csv" / "short.csv")
+    assert (recording.names, recording.units) == (as_csv.names, as_csv.units)
+    np.testing.assert_array_equal(recording.values, as_csv.values)
+    assert recording.provenance["algorithm"] == "jacobi"
+
+
+def test_report_writes_one_page_of_what_run_wrote(tmp_path: Path) -> None:
+    l1_depth("run", short_scenario(tmp_path), "--out", "out", folder=tmp_path)
+    done = l1_depth("report", "out", "--out", "pages/report.html", "--title", "Mine", folder=tmp_path)
+    assert (done.stdout, done.stderr) == ("pages/report.html\n", "")
+    assert [path.name for path in (tmp_path / "pages").iterdir()] == ["report.html"]
+    text = (tmp_path / "pages" / "report.html").read_text()
+    assert "<title>Mine</title>" in text
+    assert "&#34;plant.internal_step&#34; = 0.02" in text  # the resolved scenario
+    assert "nearest is 'short.json'" in refused("report", "out/short.jsn", folder=tmp_path)
+
+
 def test_a_run_that_fails_keeps_what_was_recorded(tmp_path: Path) -> None:
     failing = '\n[[events]]\ntime = 0.1\nset = { "plant.sensor_noise" = 1e3, "plant.inertia" = 0.1 }\n'
     failing += '\n[[events]]\ntime = 0.12\nset = { "plant.external_force" = 1e300 }\n'
     message = refused("run", short_scenario(tmp_path, more=failing), "--out", "out", folder=tmp_path)
     assert "plant at t = 0.12 s: fmi2DoStep returned" in message
-    partial = read_csv(tmp_path / "out" / "short.partial.csv")
+    partial = read(tmp_path / "out" / "short.partial.csv")
     assert partial.time[-1] == pytest.approx(0.12)
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["short.partial.csv"]
 

@@ -14,7 +14,7 @@ from scipy.linalg import expm
 from orchestration.errors import FmuLoadError, OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.experiment import Algorithm, Event, Experiment
 from orchestration.master import simulate
-from orchestration.reference import constant, cosine
+from orchestration.reference import Constant, Cosine
 from orchestration.system import System
 
 
@@ -64,7 +64,7 @@ def test_communication_points_are_not_accumulated_and_the_last_lands(foreign: di
 
 def test_signals_and_units_are_recorded_at_the_points(built: dict[str, Path]) -> None:
     experiment = Experiment(
-        0.1, 0.02, inputs={"p.disturbance": 0.0}, signals={"p.control": cosine(2.0, 3.0)},
+        0.1, 0.02, inputs={"p.disturbance": 0.0}, signals={"p.control": Cosine(2.0, 3.0)},
         record=("p.control", "p.output"),
     )  # fmt: skip
     run = simulate(System({"p": built["BenchmarkPlant"]}), experiment)
@@ -101,7 +101,7 @@ def test_a_loop_in_initialisation_settles_by_repeated_exchange(foreign: dict[str
 
 def test_a_loop_that_does_not_settle_is_said(foreign: dict[str, Path]) -> None:
     system = System({"t": foreign["Types"]}, (("t.c", "t.a"),))
-    with pytest.raises(SimulationError, match=r"t.a did not settle in 100 passes"):
+    with pytest.raises(SimulationError, match=r"the loop t.a has no solution .* after 1000 passes"):
         simulate(system, Experiment(1.0, 0.1, inputs={"t.b": False}))
 
 
@@ -131,12 +131,14 @@ def test_a_slave_that_fails_in_mid_run_keeps_what_was_recorded(
 
 def test_an_interruption_keeps_what_was_recorded(foreign: dict[str, Path], temporary: Path) -> None:
     def interrupt(done: int, total: int) -> None:
-        if done == 3:
+        if done >= 3:
             raise KeyboardInterrupt
 
     with pytest.raises(SimulationError, match=r"interrupted") as caught:
         simulate(System({"lag": foreign["Lag"]}), Experiment(1.0, 0.1, inputs={"lag.u": 0.0}), interrupt)
-    assert len(caught.value.recording.time) == 4
+    assert caught.value.recording.time == pytest.approx(
+        0.1 * np.arange(10)
+    )  # looked at after 1 and 1 + 8 steps
     assert not list(temporary.iterdir())
 
 
@@ -177,7 +179,7 @@ PLANT_INPUTS = {"p.control": 0.0, "p.disturbance": 0.0}
         ({"parameters": {"p.omega": "much"}}, "p.omega = 'much': expected a value of type Real"),
         ({"parameters": {"p.omga": 1.0}}, "no variable 'p.omga'; nearest is 'p.omega'"),
         ({"parameters": {"p.control": 1.0}}, "p.control: expected a variable with causality parameter"),
-        ({"record": ("p.omega",)}, "p.omega is neither an output nor driven by a signal"),
+        ({"record": ("p.omega",)}, "p.omega: expected an output, or an input that"),
         ({"record": ("p.outpt",)}, "no variable 'p.outpt'; nearest is 'p.output'"),
         ({"events": (Event(0.1, {"p.internal_step": 0.1}),)}, "p.internal_step is fixed"),
         ({"events": (Event(0.1, {"p.output": 0.1}),)}, "expected a parameter or an input, got output"),
@@ -206,9 +208,9 @@ def test_the_stop_must_come_after_the_start() -> None:
         Experiment(1.0, 0.1, start_time=1.0)
 
 
-def test_a_signal_that_leaves_the_numbers_is_refused_by_the_fmu(built: dict[str, Path]) -> None:
-    signals = {"p.control": lambda t: math.nan if t > 0.45 else 0.0, "p.disturbance": constant(0.0)}
-    with pytest.raises(SimulationError, match=r"p at t = 0.5 s: .* returned discard: .*control = nan"):
+def test_a_signal_that_leaves_the_numbers_is_refused_before_the_run(built: dict[str, Path]) -> None:
+    signals = {"p.control": lambda t: math.nan if t > 0.45 else 0.0, "p.disturbance": Constant(0.0)}
+    with pytest.raises(SystemDefinitionError, match=r"signal p.control is nan at t = 0.5 s: expected a fin"):
         simulate(System({"p": built["BenchmarkPlant"]}), Experiment(1.0, 0.1, signals=signals))
 
 

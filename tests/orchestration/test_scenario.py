@@ -6,7 +6,8 @@ import pytest
 
 from orchestration import scenario
 from orchestration.errors import ScenarioError
-from orchestration.experiment import Algorithm
+from orchestration.experiment import Algorithm, Initialisation
+from orchestration.faults import Delay, Fault
 
 MINIMAL = """
 [components]
@@ -32,6 +33,14 @@ def test_a_minimal_scenario(tmp_path: Path) -> None:
     assert loaded.experiment.algorithm is Algorithm.JACOBI
     assert loaded.experiment.stop_time == 1.0
     assert loaded.system.components["p"].name == "BenchmarkPlant.fmu"
+
+
+def test_faults_and_the_initialisation_are_taken_over(tmp_path: Path) -> None:
+    text = MINIMAL.replace("step_size = 0.1", 'step_size = 0.1\ninitialisation = "newton"')
+    fault = '[[faults]]\ninput = "p.control"\nkind = "delay"\ndelay = 0.2\nend = 0.5\n'
+    loaded = scenario.load(write(tmp_path, text + fault))
+    assert loaded.experiment.initialisation is Initialisation.NEWTON
+    assert loaded.experiment.faults == (Fault("p.control", Delay(0.2), end=0.5),)
 
 
 def test_a_scenario_is_laid_over_its_base_and_overrides_over_both(tmp_path: Path) -> None:
@@ -118,6 +127,10 @@ def test_scenarios_are_found_by_name_or_path_and_misspelt_ones_offer_the_nearest
         ('connections = "a"\n' + MINIMAL, r"connections: expected a list"),
         ('record = "p.output"\n' + MINIMAL, r"record: expected a list"),
         ("events = [{ time = 1.0 }]\n" + MINIMAL, r"events: expected time and set"),
+        ("faults = [3]\n" + MINIMAL, r"faults: expected a table, got 3"),
+        (MINIMAL + '[faults]\nkind = "freeze"\n', r"faults: expected a list"),
+        (MINIMAL + '[[faults]]\ninput = "p.control"\n', r"faults: unknown kind None"),
+        (MINIMAL.replace("[inputs]", 'initialisation = "newtn"\n[inputs]'), r"'newtn'; nearest is 'newton'"),
         ('components = "p"\n', r"components: expected a table"),
         (MINIMAL + '[signals]\n"p.control" = 3\n', r"signal p.control: expected a table"),
         (MINIMAL + "[metrics]\na = 3\n", r"metric a: expected a table"),

@@ -17,7 +17,7 @@ from fmpy.validation import validate_fmu
 from orchestration import scenario, ssp_read, ssp_write
 from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.master import simulate
-from orchestration.recording import read_csv
+from orchestration.recording_files import read
 from orchestration.ssp_xml import STRUCTURE, tag
 
 VEHICLE = [name for name in scenario.shipped() if not name.startswith("example")]
@@ -141,7 +141,7 @@ def test_its_fmus_say_integer_for_enumeration_and_are_otherwise_the_same(
 def test_a_scenario_with_events_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text('base = "nominal-l1"\n[[events]]\ntime = 1.0\nset = {"plant.roll" = 0.1}\n')
-    with pytest.raises(ScenarioError, match="mine: expected no events"):
+    with pytest.raises(ScenarioError, match="mine with events: expected none"):
         ssp_write.package(scenario.load(path), tmp_path / "mine.ssp")
 
 
@@ -237,6 +237,6 @@ def test_the_command_writes_a_package_and_runs_another_of_its_parameter_sets(tmp
     )
     l1_depth("run", "buoyancy-l1", "--out", "from scenario")
     packaged, own = (
-        read_csv(tmp_path / place / "buoyancy-l1.csv") for place in ("from package", "from scenario")
+        read(tmp_path / place / "buoyancy-l1.csv") for place in ("from package", "from scenario")
     )
     np.testing.assert_array_equal(packaged["plant.depth"], own["plant.depth"])

@@ -2,6 +2,7 @@
 
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -29,6 +30,25 @@ def lags(foreign: dict[str, Path], *connections: tuple[str, str]) -> System:
 def test_wiring_mistakes(foreign: dict[str, Path], connections: list, driven: list, message: str) -> None:
     with pytest.raises(SystemDefinitionError, match=message):
         check(lags(foreign, *connections), driven)
+
+
+def test_names_may_be_plain_text_and_connections_lists() -> None:
+    system = System({"one": "a.fmu", "two": Path("b.fmu")}, [["one.y", "two.u"]])
+    assert system == System({"one": Path("a.fmu"), "two": Path("b.fmu")}, (("one.y", "two.u"),))
+
+
+@pytest.mark.parametrize(
+    ("components", "connections", "message"),
+    [
+        (["a.fmu"], [], r"expected \{\"name\": \"path.fmu\"\}, got \['a.fmu'\]"),
+        ({"my.fmu": "a.fmu"}, [], "component 'my.fmu': expected a name without a dot"),
+        ({"a": "a.fmu"}, ("a.y", "a.u"), r"connection 'a.y': expected \(\"a.output\", \"b.input\"\)"),
+        ({"a": "a.fmu"}, [("a.y", "a.u", "a.v")], "connection .* expected"),
+    ],
+)
+def test_a_system_of_another_form_is_refused(components: Any, connections: Any, message: str) -> None:
+    with pytest.raises(SystemDefinitionError, match=message):
+        System(components, connections)
 
 
 def test_types_must_be_equal(foreign: dict[str, Path]) -> None:
@@ -78,24 +98,3 @@ def test_a_broken_model_description_is_named(tmp_path: Path, xml: bytes, message
         archive.writestr("modelDescription.xml", xml)
     with pytest.raises(FmuLoadError, match=message):
         describe(path)
-
-
-def test_initial_values_flow_in_the_order_of_the_dependencies(built: dict[str, Path]) -> None:
-    system = System(
-        {"controller": built["L1DepthController"], "plant": built["RovDepthPlant"]},
-        (
-            ("controller.voltage[1]", "plant.voltage[1]"),
-            ("controller.voltage[2]", "plant.voltage[2]"),
-            ("plant.measured_depth", "controller.measured_depth"),
-            ("plant.depth_rate", "controller.measured_depth_rate"),
-        ),
-    )
-    idle = [
-        "plant.thruster_efficiency[1]", "plant.thruster_efficiency[2]", "plant.external_force",
-        "plant.buoyancy_change", "plant.current_velocity", "plant.roll", "plant.pitch",
-        "controller.roll", "controller.pitch", "controller.depth_reference",
-    ]  # fmt: skip
-    order, loop = check(system, idle).initial_order()
-    targets = [target.name for _, target in order]
-    assert not loop
-    assert targets.index("controller.measured_depth") < targets.index("plant.voltage[1]")

@@ -1,0 +1,11 @@
+"""Times on the grid of communication points: computed in floating point, so near is equal."""
+
+import numpy as np
+
+GRID_TOLERANCE = 1e-9  # of a step: a time this close to a communication point is on it
+
+
+def within(times: np.ndarray, start: float, end: float) -> np.ndarray:
+    """Indices of the ascending times [s] from `start` on and before `end`, shape (n,) -> (m,)."""
+    near = GRID_TOLERANCE * np.diff(times).min(initial=np.inf) if len(times) > 1 else 0.0
+    return np.flatnonzero((times >= start - near) & (times < end - near))

@@ -1,0 +1,174 @@
+"""A system whose FMUs stay loaded, and the runs that it makes."""
+
+import math
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from orchestration.component import Component
+from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
+from orchestration.experiment import Experiment, checked_settings, communication_points
+from orchestration.master.checkpoint import Checkpoint, Checkpoints, restore
+from orchestration.master.compiled_loop import compiled as compiled_loop
+from orchestration.master.initialisation import Group, groups, settle
+from orchestration.master.interrupt import deferred_interrupt
+from orchestration.master.loop import BUSY, Storage, plain
+from orchestration.master.pacing import Pacing
+from orchestration.master.stepping import Progress, Run
+from orchestration.master.wiring import Loom
+from orchestration.recording import Recording
+from orchestration.reference import values_at
+from orchestration.system import CheckedSystem, Port, System, check, describe
+
+
+class Simulator:
+    """A system whose FMUs stay loaded over many runs; a context manager.
+
+    FMUs are loaded for the first run and reset for the next; after a failure they are loaded anew.
+    compiled: whether the communication loop runs compiled (a second, once a machine) or as Python, slower
+    and with the same results to the last bit. Raises FmuLoadError for a file that is no FMU.
+    """
+
+    def __init__(self, system: System, compiled: bool = True) -> None:
+        self.system = system
+        self._loop = compiled_loop if compiled else plain
+        self._descriptions = {name: describe(Path(path)) for name, path in system.components.items()}
+        self._loaded = ExitStack()
+        self._components: dict[str, Component] = {}
+        self._must_reload = False
+        self._known: dict[tuple[str, ...], tuple[CheckedSystem, tuple[Group, ...]]] = {}
+
+    def run(
+        self,
+        experiment: Experiment,
+        progress: Progress | None = None,
+        *,
+        real_time: float | None = None,
+        checkpoints: Checkpoints | None = None,
+        resume: Checkpoint | None = None,
+        storage: Storage | None = None,
+    ) -> Recording:
+        """Run an experiment and return what was recorded.
+
+        progress: called some ten times a second with (communication points done, in all)
+        real_time: simulated seconds in a second of the wall clock; without it, as fast as it goes
+        checkpoints: where and how often to save the whole system; resume: go on from one of them
+
+        Raises SystemDefinitionError or FmuLoadError before anything runs, SimulationError after: its
+        `recording` is what there is until then.
+        """
+        pacing = _pacing(real_time)
+        checked, order = self._checked((*experiment.inputs, *experiment.signals))
+        settings = checked_settings(checked, experiment)
+        if checkpoints or resume:
+            _check_serialisable(checked)
+        self._make_ready()
+        loom = Loom(checked, experiment, self._components, communication_points(checked, experiment), storage)
+        run = Run(checked, experiment, settings, self._components, loom, self._loop(loom.wiring))
+        try:
+            with deferred_interrupt() as check_interrupt:
+                _initialise(checked, order, experiment, settings, self._components, loom.wiring.report)
+                run.read_outputs()
+                if resume:
+                    restore(resume, run, self._components)
+                keeper = checkpoints.keeper(run, self._components) if checkpoints else None
+                run.go(check_interrupt, progress, pacing, keeper)
+            return run.recording(pacing)
+        except KeyboardInterrupt as error:
+            run.look()
+            saved = f"; saved in {checkpoints.path}" if checkpoints else ""
+            if checkpoints:
+                checkpoints.save(run, self._components)
+            raise SimulationError(f"interrupted{saved}", run.recording(pacing)) from error
+        except Exception as error:  # also of a signal: what was recorded must not be lost
+            self._must_reload = True
+            reason = str(error) if isinstance(error, OrchestrationError) else repr(error)
+            raise SimulationError(reason, run.recording(pacing)) from error
+        finally:
+            run.free()
+
+    def _checked(self, driven: tuple[str, ...]) -> tuple[CheckedSystem, tuple[Group, ...]]:
+        """The checked system and the order of its initial values, kept for the next run."""
+        if driven not in self._known:
+            checked = check(self.system, driven, self._descriptions)
+            self._known[driven] = checked, groups(checked)
+        return self._known[driven]
+
+    def _make_ready(self) -> None:
+        """Load what is not loaded, and reset what was used."""
+        if self._must_reload:
+            self.close()
+        if not self._components:
+            with ExitStack() as loading:
+                self._components = {
+                    name: loading.enter_context(Component(name, Path(path), self._descriptions[name]))
+                    for name, path in self.system.components.items()
+                }
+                self._loaded = loading.pop_all()
+        for component in self._components.values():
+            if not component.is_fresh:
+                component.renew()
+
+    def close(self) -> None:
+        """Free every instance; the next run loads them again."""
+        self._components, self._must_reload = {}, False
+        self._loaded.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *reason: object) -> None:
+        self.close()
+
+
+def _pacing(real_time: float | None) -> Pacing | None:
+    if real_time is None:
+        return None
+    if not (math.isfinite(real_time) and real_time > 0.0):
+        raise SystemDefinitionError(f"real time factor {real_time!r}: expected more than 0")
+    return Pacing(real_time)
+
+
+def _check_serialisable(checked: CheckedSystem) -> None:
+    unable = [
+        name
+        for name, description in checked.descriptions.items()
+        if not (description.coSimulation and description.coSimulation.canSerializeFMUstate)
+    ]
+    if unable:
+        raise SystemDefinitionError(
+            f"checkpoint: {', '.join(unable)} cannot serialise its state: expected canSerializeFMUstate"
+        )
+
+
+def _initialise(
+    checked: CheckedSystem,
+    order: Sequence[Group],
+    experiment: Experiment,
+    settings: list[tuple[Port, Any]],
+    components: Mapping[str, Component],
+    report: np.ndarray,
+) -> None:
+    """Set parameters, enter initialisation mode, set inputs, exchange in dependency order, leave it."""
+
+    def set_all(causality: str) -> None:
+        for port, value in settings:
+            if port.variable.causality == causality:
+                components[port.component].set(port.variable, value)
+
+    set_all("parameter")
+    for number, component in enumerate(components.values(), start=1):
+        report[BUSY] = number
+        component.initialise(experiment.start_time, experiment.stop_time)
+    report[BUSY] = 0
+    set_all("input")
+    for name, signal in experiment.signals.items():
+        port = checked.ports[name]
+        start = values_at(signal, np.array([experiment.start_time]))
+        components[port.component].set(port.variable, float(start[0]))
+    settle(order, components, experiment.initialisation)
+    for component in components.values():
+        component.begin_stepping()

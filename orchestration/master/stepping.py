@@ -1,0 +1,243 @@
+"""From one communication point to the last: the loop in stretches, and what interrupts it.
+
+A stretch ends where Python must look: at an event, at a checkpoint, and some ten times a second for the
+progress and an interrupt. Where a component discards a step, the system goes back to the beginning of the
+stretch, comes again to the discarded step, and takes it in shorter ones.
+"""
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from orchestration.component import Component
+from orchestration.errors import OrchestrationError
+from orchestration.experiment import GRID_TOLERANCE, Experiment, checked_value
+from orchestration.master.between import ShorterSteps, Tolerance
+from orchestration.master.failure import explain, is_discarded_step, judge_warnings
+from orchestration.master.loop import RECORDED, Entries
+from orchestration.master.pacing import Pacing
+from orchestration.master.snapshot import Snapshot, missing_ability
+from orchestration.master.wiring import Loom
+from orchestration.recording import Recording
+from orchestration.system import CheckedSystem, Port
+
+_STRETCH_S = 0.05
+_GROWTH = 8  # of a stretch at most, from one to the next: the first ones tell how long a step takes
+MOST_STEPS = 1_000_000
+
+Progress = Callable[[int, int], None]
+
+
+class Run:
+    """Initialised components on their way; `position` is the communication point that they are at."""
+
+    def __init__(
+        self,
+        checked: CheckedSystem,
+        experiment: Experiment,
+        settings: list[tuple[Port, Any]],
+        components: Mapping[str, Component],
+        loom: Loom,
+        loop: Entries,
+    ) -> None:
+        self.checked, self._experiment, self._components = checked, experiment, components
+        self._settings = settings
+        self.loom, self.wiring, self._loop = loom, loom.wiring, loop
+        self.position = 0
+        self._changes = _changes(checked, experiment, self.wiring.points)
+        self._hindrance = _hindrance(experiment, components)
+        self._snapshot = None if self._hindrance else Snapshot(components, self.wiring)
+        self.shorter = None if self._hindrance else self._shorter_steps()
+
+    def _shorter_steps(self) -> ShorterSteps:
+        experiment, signals = self._experiment, list(self._experiment.signals.values())
+        tolerance = _tolerance(self.checked, experiment, self.loom) if experiment.tolerance else None
+        return ShorterSteps(self._components, self.loom, self._loop, signals, tolerance, experiment.step_size)
+
+    def read_outputs(self) -> None:
+        """The outputs of the first communication point."""
+        for c in range(len(self._components)):
+            if not self._loop.read(c):
+                raise self._failure()
+
+    def go(
+        self,
+        check_interrupt: Callable[[], None],
+        progress: Progress | None = None,
+        pacing: Pacing | None = None,
+        keeper: Callable[[int], int] | None = None,
+    ) -> None:
+        """To the last communication point.
+
+        keeper: called at each point where the loop rests; how many steps it may take to the next rest
+        """
+        last = len(self.wiring.points) - 1
+        stretch = 1
+        while self.position < last:
+            check_interrupt()
+            if progress:
+                progress(self.position, last)
+            self._change(self.position)
+            if pacing:
+                pacing.wait(float(self.wiring.points[self.position]))
+            most = min(keeper(self.position) if keeper else MOST_STEPS, 1 if pacing else stretch)
+            begun, first = time.perf_counter(), self.position
+            repeated = self._cover(self._rest(first + most))
+            steps_a_second = (self.position - first) / max(time.perf_counter() - begun, 1e-9)
+            longer = min(_GROWTH * stretch, int(_STRETCH_S * steps_a_second), MOST_STEPS)
+            stretch = 1 if repeated else max(1, longer)
+        self._change(last)
+        if not self._loop.arrive(last):
+            raise self._failure()
+        if progress:
+            progress(last, last)
+
+    def _rest(self, wanted: int) -> int:
+        """The communication point at which to rest: the one wanted, the next change or the last."""
+        changes = (i for i in self._changes if i > self.position)
+        return min(wanted, len(self.wiring.points) - 1, *changes)
+
+    def look(self) -> None:
+        """Record the present communication point too, for a run that ends here."""
+        self._loop.arrive(self.position)
+
+    def _cover(self, end: int) -> bool:
+        """To communication point `end`, or behind a step that had to be done in shorter ones (then True)."""
+        if self.shorter and self.shorter.tolerance:
+            self._in_shorter_steps()
+            return True
+        if self._snapshot:
+            self._snapshot.take()
+        begun, self.position = self.position, self._loop.run(self.position, end)
+        judge_warnings(self.loom, self._components, failed=self.position < end)
+        if self.position == end:
+            return False
+        if not is_discarded_step(self.wiring):
+            raise self._failure()
+        if not (self._snapshot and self.shorter):
+            raise OrchestrationError(f"{self._failure()}; no shorter step was tried, as {self._hindrance}")
+        self._snapshot.restore()
+        self._loop.run(begun, self.position)
+        self._in_shorter_steps()
+        return True
+
+    def _in_shorter_steps(self) -> None:
+        assert self.shorter
+        if not self._loop.arrive(self.position):
+            raise self._failure()
+        self.shorter.cover(self.position)
+        judge_warnings(self.loom, self._components, failed=False)
+        self.position += 1
+
+    def _failure(self) -> OrchestrationError:
+        return explain(self.loom, self._components, float(self.wiring.points[self.position]))
+
+    def _change(self, position: int) -> None:
+        """Make the changes that are scheduled for a communication point."""
+        for port, value in self._changes.get(position, []):
+            component = self._components[port.component]
+            component.time = float(self.wiring.points[position])
+            component.set(port.variable, value)
+
+    def recording(self, pacing: Pacing | None) -> Recording:
+        """What there is until now."""
+        done = int(self.wiring.report[RECORDED])
+        names = self.loom.recorded
+        facts = provenance(self.checked, self._experiment) | self._effort()
+        return Recording(
+            names=names,
+            units=tuple(self.checked.ports[name].variable.unit or "" for name in names),
+            time=self.wiring.points[:done].copy(),
+            values=np.array(self.wiring.rows[:done]),
+            provenance=facts | ({"real_time": pacing.report()} if pacing else {}),
+        )
+
+    def _effort(self) -> dict[str, int]:
+        """What shorter steps took, if there were any."""
+        done = self.shorter.effort if self.shorter else None
+        if not done or not (done.steps or done.discarded):
+            return {}
+        return {
+            "steps_between_points": done.steps,
+            "discarded_steps": done.discarded,
+            "inexact_steps": done.inexact,
+        }
+
+    @property
+    def tolerance(self) -> float | None:
+        return self._experiment.tolerance
+
+    @property
+    def settings(self) -> list[tuple[str, Any]]:
+        """Parameters and constant inputs, by name."""
+        return [(port.name, value) for port, value in self._settings]
+
+    def changes_before(self, position: int) -> list[tuple[int, str, Any]]:
+        """Scheduled changes that were made before a communication point."""
+        return [
+            (at, port.name, value)
+            for at, changes in sorted(self._changes.items())
+            for port, value in changes
+            if at < position
+        ]
+
+    def free(self) -> None:
+        """Give the saved states back to the FMUs."""
+        for each in (self._snapshot, self.shorter):
+            if each:
+                each.free()
+
+
+def provenance(checked: CheckedSystem, experiment: Experiment) -> dict[str, Any]:
+    """What is run, and how, as plain data."""
+    return {
+        "fmus": {
+            name: {"guid": d.guid, "model": d.modelName, "tool": d.generationTool}
+            for name, d in checked.descriptions.items()
+        },
+        "algorithm": str(experiment.algorithm),
+        "communication_step_size_s": experiment.step_size,
+    }
+
+
+def _changes(
+    checked: CheckedSystem, experiment: Experiment, points: np.ndarray
+) -> dict[int, list[tuple[Port, Any]]]:
+    """Communication point -> what is set there: the first one of the component at or after the event."""
+    found: dict[int, list[tuple[Port, Any]]] = {}
+    for event in sorted(experiment.events, key=lambda each: each.time):
+        first = int(np.searchsorted(points, event.time - GRID_TOLERANCE * experiment.step_size))
+        for name, value in event.values.items():
+            port = checked.ports[name]
+            period = experiment.period(port.component)
+            at = min(-(-first // period) * period, len(points) - 1)
+            found.setdefault(at, []).append((port, checked_value(port, value)))
+    return found
+
+
+def _hindrance(experiment: Experiment, components: Mapping[str, Component]) -> str:
+    """Why a discarded step cannot be done again in shorter ones; empty if it can."""
+    if experiment.step_sizes:
+        return "components have step sizes of their own"
+    unable = missing_ability(components, "canGetAndSetFMUstate")
+    if unable:
+        return f"{', '.join(unable)} cannot go back (canGetAndSetFMUstate)"
+    fixed = missing_ability(components, "canHandleVariableCommunicationStepSize")
+    if fixed:
+        return f"{', '.join(fixed)} cannot vary the step (canHandleVariableCommunicationStepSize)"
+    return ""
+
+
+def _tolerance(checked: CheckedSystem, experiment: Experiment, loom: Loom) -> Tolerance:
+    """Judged by every Real output that travels or is recorded."""
+    names = [n for n in loom.outputs if checked.ports[n].variable.type == "Real"]
+    nominal = [float(checked.ports[n].variable.nominal or 1.0) for n in names]
+    return Tolerance(
+        relative=experiment.tolerance or 0.0,
+        order=1 + experiment.extrapolation,
+        duration=experiment.stop_time - experiment.start_time,
+        places=np.array([loom.place(n) for n in names], np.int64),
+        nominal=np.array(nominal),
+    )

@@ -1,0 +1,263 @@
+"""A checked system with live components and an experiment -> the arrays that the loop works on."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from fmpy.model_description import ScalarVariable
+
+from orchestration.component import Component
+from orchestration.errors import SystemDefinitionError
+from orchestration.experiment import TRAVELS_AS, Algorithm, Experiment, recorded
+from orchestration.faults import compose
+from orchestration.master.loop import (
+    AT_THE_MIDDLE,
+    BY_THE_FMU,
+    HELD,
+    READ,
+    REPORT_SIZE,
+    SLOPES,
+    STEP,
+    WRITE,
+    Calls,
+    Faults,
+    Links,
+    Storage,
+    Wiring,
+)
+from orchestration.reference import values_at
+from orchestration.system import CheckedSystem
+
+
+@dataclass
+class _Bus:
+    """Places for every value that travels, before their number is known."""
+
+    names: list[str] = field(default_factory=list)
+    places: dict[str, int] = field(default_factory=dict)
+    whole: int = 0
+
+    def add(self, names: Iterable[str]) -> int:
+        """Consecutive places; the first of them."""
+        first = len(self.names)
+        for name in names:
+            self.places[name] = len(self.names)
+            self.names.append(name)
+        return first
+
+
+@dataclass
+class _Group:
+    """Variables of one component and type that are read or written in one call."""
+
+    component: str
+    kind: str
+    variables: list[ScalarVariable]
+    place: int
+    whole: int
+
+
+class Loom:
+    """Weaves the wiring of one run.
+
+    wiring: what the loop takes; recorded: names of the columns of its rows; links: (source, target) of its
+    connections; functions: what its calls call
+    """
+
+    def __init__(
+        self,
+        checked: CheckedSystem,
+        experiment: Experiment,
+        components: Mapping[str, Component],
+        points: np.ndarray,
+        storage: Storage | None = None,
+    ) -> None:
+        self._checked, self._experiment, self._components = checked, experiment, components
+        self._names = list(components)
+        self._bus, self._kept = _Bus(), []
+        self.functions: dict[int, list[str]] = {STEP: ["fmi2DoStep"]}
+        self.links = self._sorted_links()
+        self.recorded = recorded(checked, experiment)
+        wanted = {*self.recorded, *(source for source, _ in self.links)}
+        driven = {target for _, target in self.links}
+        self.outputs = [name for name in checked.ports if name in wanted and self._is_output(name)]
+        reads = [group for name in components for group in self._groups(name, "output", wanted)]
+        writes = [group for name in components for group in self._groups(name, "input", driven)]
+        signals = self._bus.add(f"signal {name}" for name in experiment.signals)
+        columns = [self._bus.places[name] for name in self.recorded]
+        self._values, self._slopes = np.zeros(len(self._bus.names)), np.zeros(len(self._bus.names))
+        self._whole = np.zeros(self._bus.whole, np.int32)
+        count = len(components)
+        ones = self._keep(np.ones(len(self._values), np.int32))
+        carried = [self._carried(target) for _, target in self.links]
+        storage = storage or Storage(np.empty((len(points), len(columns))), np.zeros(REPORT_SIZE, np.int64))
+        heard = np.zeros(count, np.int64)
+        for c, component in enumerate(components.values()):
+            component.log.heard = heard[c : c + 1]
+        self.wiring = Wiring(
+            gauss_seidel=int(experiment.algorithm is Algorithm.GAUSS_SEIDEL),
+            points=points,
+            bus=self._values,
+            slopes=self._slopes,
+            whole=self._whole,
+            orders=ones.ctypes.data,
+            instance=np.array([each.address for each in components.values()], np.int64),
+            do_step=np.array([each.function("fmi2DoStep") for each in components.values()], np.int64),
+            period=np.array([experiment.period(name) for name in components], np.int64),
+            begun=np.full(count, experiment.start_time),
+            heard=heard,
+            warned=np.zeros(count, np.int64),
+            warned_at=np.zeros(count),
+            writes=self._calls(writes, WRITE, "fmi2Set"),
+            derivatives=self._derivatives(writes, carried),
+            reads=self._calls(reads, READ, "fmi2Get"),
+            links=self._links(carried),
+            faults=self._faults(points),
+            signals=_table(experiment, points),
+            signal_places=np.arange(signals, signals + len(experiment.signals)),
+            record=np.array(columns, np.int64),
+            rows=storage.rows,
+            report=storage.report,
+        )
+
+    def _sorted_links(self) -> list[tuple[str, str]]:
+        """(source, target) of every connection and signal, in the order of the target's component."""
+        pairs = [(a.name, b.name) for a, b in self._checked.connections]
+        pairs += [(f"signal {name}", name) for name in self._experiment.signals]
+        return sorted(pairs, key=lambda pair: self._names.index(_component(pair[1])))
+
+    def place(self, name: str) -> int:
+        """On the bus."""
+        return self._bus.places[name]
+
+    def _is_output(self, name: str) -> bool:
+        return self._checked.ports[name].variable.causality == "output"
+
+    def _groups(self, component: str, causality: str, only: set[str]) -> list[_Group]:
+        """The variables that are needed, a group a type."""
+        by_kind: dict[str, list[ScalarVariable]] = {}
+        for variable in self._checked.descriptions[component].modelVariables:
+            if variable.causality == causality and f"{component}.{variable.name}" in only:
+                by_kind.setdefault(TRAVELS_AS[variable.type], []).append(variable)
+        groups = []
+        for kind, variables in by_kind.items():
+            place = self._bus.add(f"{component}.{v.name}" for v in variables)
+            whole = -1
+            if kind != "Real":
+                whole = self._bus.whole
+                self._bus.whole += len(variables)
+            groups.append(_Group(component, kind, variables, place, whole))
+        return groups
+
+    def _keep(self, array: np.ndarray) -> np.ndarray:
+        """The FMUs are given addresses in it: it must live as long as the wiring."""
+        self._kept.append(array)
+        return array
+
+    def _references(self, variables: list[ScalarVariable]) -> int:
+        return self._keep(np.array([v.valueReference for v in variables], np.uint32)).ctypes.data
+
+    def _calls(self, groups: list[_Group], call: int, verb: str) -> Calls:
+        names = [f"{verb}{group.kind}" for group in groups]
+        buffers = [
+            _address(self._whole, group.whole) if group.whole >= 0 else _address(self._values, group.place)
+            for group in groups
+        ]
+        return self._rows(call, groups, names, buffers)
+
+    def _derivatives(self, groups: list[_Group], carried: list[int]) -> Calls:
+        """fmi2SetRealInputDerivatives for the inputs that their FMU carries on itself."""
+        there = {target for (_, target), how in zip(self.links, carried, strict=True) if how == BY_THE_FMU}
+        groups = [each for each in groups if f"{each.component}.{each.variables[0].name}" in there]
+        names = ["fmi2SetRealInputDerivatives"] * len(groups)
+        return self._rows(SLOPES, groups, names, [_address(self._slopes, each.place) for each in groups])
+
+    def _rows(self, call: int, groups: list[_Group], names: list[str], buffers: list[int]) -> Calls:
+        self.functions[call] = names
+        rows = [
+            (
+                self._components[group.component].function(name),
+                self._references(group.variables),
+                buffer,
+                len(group.variables),
+                group.place,
+                group.whole,
+            )
+            for group, name, buffer in zip(groups, names, buffers, strict=True)
+        ]
+        columns = np.array(rows, np.int64).reshape(-1, 6).T
+        first = _starts([group.component for group in groups], self._names)
+        return Calls(first, *(np.ascontiguousarray(column) for column in columns))
+
+    def _carried(self, target: str) -> int:
+        port = self._checked.ports[target]
+        if not self._experiment.extrapolation or port.variable.type != "Real":
+            return HELD
+        interface: Any = self._checked.descriptions[port.component].coSimulation
+        return BY_THE_FMU if interface.canInterpolateInputs else AT_THE_MIDDLE
+
+    def _links(self, carried: list[int]) -> Links:
+        faulted = list(self._faulted())
+        count = len(self.links)
+
+        def giver(source: str) -> int:
+            return -1 if source.startswith("signal ") else self._names.index(_component(source))
+
+        return Links(
+            first=_starts([_component(target) for _, target in self.links], self._names),
+            source=np.array([self._bus.places[source] for source, _ in self.links], np.int64),
+            target=np.array([self._bus.places[target] for _, target in self.links], np.int64),
+            giver=np.array([giver(source) for source, _ in self.links], np.int64),
+            fault=np.array([faulted.index(t) if t in faulted else -1 for _, t in self.links], np.int64),
+            carried=np.array(carried, np.int64),
+            value=np.zeros(count),
+            slope=np.zeros(count),
+            stamp=np.full(count, -np.inf),
+        )
+
+    def _faulted(self) -> dict[str, list[Any]]:
+        """Input -> its faults, in their order."""
+        found: dict[str, list[Any]] = {}
+        for fault in self._experiment.faults:
+            found.setdefault(fault.input, []).append(fault)
+        return found
+
+    def _faults(self, points: np.ndarray) -> Faults:
+        faulted = self._faulted()
+        shape = len(faulted), len(points)
+        source, addition = np.zeros(shape, np.int64), np.zeros(shape)
+        for row, faults in enumerate(faulted.values()):
+            source[row], addition[row] = compose(faults, points)
+        return Faults(source, addition, np.zeros(shape))
+
+
+def _component(name: str) -> str:
+    return name.partition(".")[0]
+
+
+def _address(array: np.ndarray, place: int) -> int:
+    return array.ctypes.data + place * array.itemsize
+
+
+def _starts(owners: list[str], names: list[str]) -> np.ndarray:
+    """Where the entries of each component begin, and behind the last; `owners` are in order."""
+    counts = [owners.count(name) for name in names]
+    return np.array([0, *np.cumsum(counts)], np.int64)
+
+
+def _table(experiment: Experiment, points: np.ndarray) -> np.ndarray:
+    """Every signal at every communication point, a row each."""
+    table = np.empty((len(experiment.signals), len(points)))
+    for row, (name, signal) in enumerate(experiment.signals.items()):
+        try:
+            table[row] = values_at(signal, points)
+        except Exception as error:  # whatever a user's own function raises
+            raise SystemDefinitionError(f"signal {name}: {error!r}") from error
+        odd = np.flatnonzero(~np.isfinite(table[row]))
+        if odd.size:
+            value, t = table[row, odd[0]], points[odd[0]]
+            raise SystemDefinitionError(
+                f"signal {name} is {value:g} at t = {t:.9g} s: expected a finite number"
+            )
+    return table

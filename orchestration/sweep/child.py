@@ -1,0 +1,113 @@
+"""The process in which the FMUs of a sweep run: `python -m orchestration.sweep.child`.
+
+An FMU that crashes or hangs takes this process with it and nothing else. It reads a job, then settings of
+one sample after another, from standard input, and writes an outcome for each to standard output, pickled.
+The FMUs stay loaded from sample to sample. It ends when standard input does, in the middle of a sample too.
+"""
+
+import os
+import pickle
+import re
+import sys
+import threading
+from contextlib import ExitStack, suppress
+from dataclasses import replace
+from pathlib import Path
+from queue import SimpleQueue
+from tempfile import TemporaryDirectory, gettempdir
+from typing import Any, BinaryIO
+
+from orchestration import metrics
+from orchestration.errors import OrchestrationError
+from orchestration.master import Simulator
+from orchestration.recording import Recording
+from orchestration.sweep.job import Job, Outcome, Settings
+from orchestration.sweep.target import laid_over
+
+READY = "ready"
+
+
+class _Runner:
+    """Runs samples with FMUs that stay loaded until one fails."""
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        self._stack = ExitStack()
+        self._simulator: Simulator | None = None
+
+    def open(self) -> Simulator:
+        if self._simulator is None:
+            self._simulator = self._stack.enter_context(Simulator(self._job.system))
+        return self._simulator
+
+    def run(self, settings: Settings) -> Outcome:
+        try:
+            recording = self.open().run(laid_over(self._job.experiment, settings))
+            measured = metrics.evaluate(recording, self._job.metrics)
+            return Outcome(measured, recording=self._kept(recording))
+        except Exception as error:  # a sample that fails is a row, whatever it failed of
+            self.close()
+            return Outcome({}, error=_told(error))
+
+    def close(self) -> None:
+        self._simulator = None
+        self._stack.close()
+
+    def _kept(self, recording: Recording) -> bytes | None:
+        if self._job.kept is None:
+            return None
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "sample.parquet"
+            _only(recording, self._job.kept).write(path)
+            return path.read_bytes()
+
+
+def _only(recording: Recording, names: tuple[str, ...]) -> Recording:
+    if not names:
+        return recording
+    columns = [recording.names.index(name) for name in names]
+    units = tuple(recording.units[column] for column in columns)
+    return replace(recording, names=names, units=units, values=recording.values[:, columns])
+
+
+def _told(error: Exception) -> str:
+    """One line that does not depend on where this process keeps its files."""
+    text = str(error) if isinstance(error, OrchestrationError) else f"{type(error).__name__}: {error}"
+    own = Path(gettempdir())
+    for folder in (own, own.parent):  # of what was unpacked, and of the FMUs
+        text = re.sub(rf"{re.escape(str(folder))}/[^/\s]+/", "", text)
+    return " ".join(text.split())
+
+
+def _listen(stream: BinaryIO, requests: SimpleQueue[Any]) -> None:
+    """Pass on what comes; nobody is left to answer when the stream ends."""
+    while True:
+        try:
+            requests.put(pickle.load(stream))
+        except EOFError:
+            os._exit(0)
+
+
+def _own(descriptor: int, mode: str) -> BinaryIO:
+    """A stream for this module alone: what an FMU prints or reads goes elsewhere."""
+    stream = os.fdopen(os.dup(descriptor), mode)
+    os.dup2(os.open(os.devnull, os.O_RDWR), descriptor)
+    return stream  # type: ignore[return-value]
+
+
+def main() -> None:
+    replies, stream = _own(sys.stdout.fileno(), "wb"), _own(sys.stdin.fileno(), "rb")
+    requests: SimpleQueue[Any] = SimpleQueue()
+    threading.Thread(target=_listen, args=(stream, requests), daemon=True).start()
+    runner = _Runner(requests.get())
+    with suppress(OrchestrationError):  # each sample will say so
+        runner.open()
+    answer: Any = READY
+    while True:
+        pickle.dump(answer, replies)
+        replies.flush()
+        answer = runner.run(requests.get())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,161 @@
+"""Running a sweep: samples go to workers in batches, rows come back to the store."""
+
+import time
+import uuid
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import CancelledError
+from contextlib import AbstractContextManager, suppress
+from pathlib import Path
+from typing import Any
+
+from distributed import Client, Future, KilledWorker, wait
+
+from orchestration.errors import SweepError
+from orchestration.sweep.job import Job, Outcome, job
+from orchestration.sweep.plan import Plan
+from orchestration.sweep.store import Store
+from orchestration.sweep.table import ERROR, SAMPLE, provenance, schema
+from orchestration.sweep.worker import Laboratory, run_batch
+
+_BUDGET_S = 2.0  # of a batch: what comes back so often costs little, and is little to lose
+_LARGEST_BATCH = 64
+_LOOK_S = 5.0  # after which workers that have joined meanwhile are given work
+_WITHOUT_WORKERS_S = 120.0
+_AHEAD = 2  # batches for each thread: one at work, one waiting
+_ROUNDS = 4  # of batches for each thread in a small sweep, so that all threads end at about the same time
+
+
+def sweep(
+    plan: Plan,
+    folder: Path,
+    place: AbstractContextManager[Client],
+    kept: tuple[str, ...] | None = None,
+    restart: bool = False,
+    progress: Callable[[int], object] = lambda done: None,
+) -> Path:
+    """Run the samples that are missing in a folder, and write the table; gives its path.
+
+    place: `cluster.local` or `cluster.remote`, entered if a sample is missing
+    kept: signals to keep of each sample; empty for all, None for no recordings
+    restart: discard what an earlier sweep of that name has left
+    progress: called with how many more are done, at first with those of an earlier start
+    Raises SweepError if the folder holds another sweep, or if the cluster is lost or cannot run samples at
+    all. A sample that fails is a row, and raises nothing.
+    """
+    store = Store(folder, schema(plan), provenance(plan, kept))
+    if restart:
+        store.discard()
+    done = store.begin()
+    progress(len(done))
+    missing = [sample for sample in range(plan.count) if sample not in done]
+    if missing:
+        with place as client:
+            _run(plan, job(plan, kept), client, store, missing, progress)
+    store.finish()
+    return store.path
+
+
+def _run(
+    plan: Plan,
+    shared: Job,
+    client: Client,
+    store: Store,
+    missing: list[int],
+    progress: Callable[[int], object],
+) -> None:
+    name = f"l1-depth-sweep-{uuid.uuid4()}"  # others may sweep on the same cluster
+    client.register_plugin(Laboratory(name, shared))
+    try:
+        _Dispatch(plan, client, store, name, missing, progress).work()
+    finally:
+        if client.status == "running":
+            client.unregister_worker_plugin(name)
+
+
+class _Dispatch:
+    """The batches on their way.
+
+    A batch whose workers died is run again sample by sample; a sample whose workers die again is a row
+    with that error.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        client: Client,
+        store: Store,
+        laboratory: str,
+        missing: list[int],
+        progress: Callable[[int], object],
+    ) -> None:
+        self._plan, self._client, self._store = plan, client, store
+        self._laboratory, self._progress = laboratory, progress
+        self._waiting = deque(missing)
+        self._suspects: deque[int] = deque()  # each to be run alone
+        self._batches: dict[Future, list[int]] = {}
+        self._seen = time.monotonic()  # when there was a worker
+
+    def work(self) -> None:
+        try:
+            self._fill()
+            while self._batches:
+                for future in self._ended():
+                    self._take(future, self._batches.pop(future))
+                self._fill()
+        finally:
+            self._client.cancel(list(self._batches))
+
+    def _ended(self) -> list[Future]:
+        """Batches that are not on their way any more, whatever became of them."""
+        with suppress(TimeoutError, CancelledError):
+            wait(list(self._batches), timeout=_LOOK_S, return_when="FIRST_COMPLETED")
+        return [future for future in self._batches if future.status != "pending"]
+
+    def _fill(self) -> None:
+        threads = self._threads()
+        while len(self._batches) < _AHEAD * threads and (self._waiting or self._suspects):
+            if self._waiting:
+                fair = -(-len(self._waiting) // (_ROUNDS * threads))
+                numbers = [self._waiting.popleft() for _ in range(min(fair, _LARGEST_BATCH))]
+            else:
+                numbers = [self._suspects.popleft()]
+            samples = [(number, self._plan.settings(self._plan.values(number))) for number in numbers]
+            future = self._client.submit(run_batch, self._laboratory, samples, _BUDGET_S, pure=False)
+            self._batches[future] = numbers
+
+    def _threads(self) -> int:
+        """Of all workers; workers that are replaced may be none for a while."""
+        of_workers: Any = self._client.nthreads()
+        if of_workers:
+            self._seen = time.monotonic()
+        elif time.monotonic() - self._seen > _WITHOUT_WORKERS_S:
+            raise SweepError(
+                f"the cluster has had no workers for {_WITHOUT_WORKERS_S:g} s; what is done is kept"
+            )
+        return max(sum(of_workers.values()), 1)
+
+    def _take(self, future: Future, numbers: list[int]) -> None:
+        if future.status == "finished":
+            done = future.result()
+            self._keep(done)
+            self._waiting.extendleft(reversed(numbers[len(done) :]))
+        elif future.status == "lost":  # its worker died when it was done, before its rows were fetched
+            self._waiting.extendleft(reversed(numbers))
+        elif future.status != "error":
+            raise SweepError("the Dask scheduler was lost; what is done is kept")
+        elif not isinstance(future.exception(), KilledWorker):
+            raise SweepError(f"a worker cannot run samples: {future.exception()}")
+        elif len(numbers) > 1:
+            self._suspects.extend(numbers)
+        else:
+            self._keep([(numbers[0], Outcome({}, error="every worker that ran it died"))])
+
+    def _keep(self, done: list[tuple[int, Outcome]]) -> None:
+        rows = [
+            {SAMPLE: number, **self._plan.values(number), **outcome.metrics, ERROR: outcome.error}
+            for number, outcome in done
+        ]
+        recordings = {number: outcome.recording for number, outcome in done if outcome.recording}
+        self._store.add(rows, recordings)
+        self._progress(len(done))

@@ -1,0 +1,96 @@
+"""Where a sweep keeps its results: parts while it runs, so that nothing done is lost; one table at the end.
+
+NAME.sweep/          what is run (sweep.json) and the rows that are done, a file a batch; gone at the end
+NAME.recordings/     recordings of the samples, if they were asked for
+NAME.sweep.parquet   the table
+"""
+
+import json
+import shutil
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from orchestration.errors import SweepError
+from orchestration.recording import write_json, write_whole_binary
+from orchestration.sweep import table
+
+
+class Store:
+    """The files of one sweep.
+
+    about: its provenance; SweepError if the files are those of another one
+    """
+
+    def __init__(self, folder: Path, columns: pa.Schema, about: Mapping[str, Any]) -> None:
+        name = about["name"]
+        self.path = folder / f"{name}.sweep.parquet"
+        self.recordings = folder / f"{name}.recordings"
+        self._parts, self._manifest = folder / f"{name}.sweep", folder / f"{name}.sweep" / "sweep.json"
+        self._columns, self._about = columns, about
+
+    @property
+    def complete(self) -> bool:
+        return self.path.is_file()
+
+    def discard(self) -> None:
+        """Remove what an earlier sweep of that name has left."""
+        self.path.unlink(missing_ok=True)
+        for folder in (self._parts, self.recordings):
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def begin(self) -> set[int]:
+        """The samples that are done already."""
+        if self.complete:
+            _, before = table.read(self.path)
+            self._check_same(before, self.path)
+            return set(range(self._about["samples"]))
+        if self._manifest.is_file():
+            self._check_same(json.loads(self._manifest.read_text(encoding="utf-8")), self._parts)
+            return {row[table.SAMPLE] for row in self._rows([table.SAMPLE])}
+        write_json(self._about, self._manifest)
+        return set()
+
+    def _check_same(self, before: Mapping[str, Any], path: Path) -> None:
+        """Rows of two sweeps must not be mixed."""
+        now = json.loads(json.dumps(self._about))
+        differing = [key for key in now if _identity(key, now[key]) != _identity(key, before.get(key))]
+        if differing:
+            raise SweepError(
+                f"{path} is of another sweep ({', '.join(differing)} differ): expected the same to go on; "
+                "--restart discards it"
+            )
+
+    def add(self, rows: list[dict[str, Any]], recordings: Mapping[int, bytes]) -> None:
+        """Keep rows that are done, with the recordings of their samples."""
+        for sample, content in recordings.items():
+            _write(
+                content, self.recordings / f"sample-{sample:0{len(str(self._about['samples'] - 1))}}.parquet"
+            )
+        numbers = [row[table.SAMPLE] for row in rows]
+        table.write(rows, self._columns, self._parts / f"{min(numbers)}-{max(numbers)}.parquet")
+
+    def finish(self) -> None:
+        """Make the parts one table."""
+        if self.complete:
+            return
+        table.write(self._rows(), table.with_provenance(self._columns, self._about), self.path)
+        shutil.rmtree(self._parts)
+
+    def _rows(self, columns: list[str] | None = None) -> Iterable[dict[str, Any]]:
+        for part in sorted(self._parts.glob("[0-9]*.parquet")):
+            yield from pq.read_table(part, columns=columns).to_pylist()
+
+
+def _identity(key: str, value: Any) -> Any:
+    """Where FMUs stand is no difference; which they are is told apart."""
+    if key == "scenario" and isinstance(value, dict):
+        return {**value, "components": sorted(value["components"])}
+    return value
+
+
+def _write(content: bytes, path: Path) -> None:
+    write_whole_binary(path, lambda stream: stream.write(content))

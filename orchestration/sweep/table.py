@@ -1,0 +1,103 @@
+"""The result of a sweep as one tidy table: a row a sample.
+
+columns: `sample` (its number), what was varied (named "component.variable"), the metrics, `error` (null, or
+         why the sample failed: its metrics are then null)
+column metadata: `role` is sample, varied, metric or error; `unit` is "" where there is none
+table metadata: `l1_depth.kind` is sweep; `l1_depth.provenance` is JSON with the resolved scenario, the FMUs
+         with their GUIDs, the seed, the number of samples, what was varied and what was recorded
+"""
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from orchestration.errors import SweepError
+from orchestration.metric_units import metric_unit
+from orchestration.recording import write_whole_binary
+from orchestration.sweep.plan import Plan
+
+SAMPLE, ERROR = "sample", "error"
+_KIND, _PROVENANCE, _SWEEP = b"l1_depth.kind", b"l1_depth.provenance", b"sweep"
+_TYPES = {"Real": pa.float64(), "Integer": pa.int64(), "Boolean": pa.bool_(), "String": pa.string()}
+
+
+def provenance(plan: Plan, recorded: tuple[str, ...] | None) -> dict[str, Any]:
+    """What is run, as plain data: sweeps with the same one have the same rows.
+
+    recorded: names of the signals that are kept of each sample; empty for all, None for no recordings
+    """
+    fmus = {
+        name: {
+            "guid": description.guid,
+            "model": description.modelName,
+            "tool": description.generationTool,
+            "sha256": hashlib.sha256(plan.checked.components[name].read_bytes()).hexdigest(),
+        }
+        for name, description in plan.checked.descriptions.items()
+    }
+    return {
+        "name": plan.scenario.name,
+        "title": plan.scenario.title,
+        "scenario": plan.scenario.resolved,
+        "fmus": fmus,
+        "seed": plan.seed,
+        "samples": plan.count,
+        "varied": [each.target.name for each in plan.varied],
+        "recorded": None if recorded is None else list(recorded),
+    }
+
+
+def schema(plan: Plan) -> pa.Schema:
+    """The columns, each with its role and unit."""
+    units = {name: port.variable.unit or "" for name, port in plan.checked.ports.items()}
+    return pa.schema(
+        [
+            _field(SAMPLE, pa.int64(), SAMPLE),
+            *(_field(v.target.name, _TYPES[v.target.type], "varied", v.target.unit) for v in plan.varied),
+            *(
+                _field(n, pa.float64(), "metric", metric_unit(m, units))
+                for n, m in plan.scenario.metrics.items()
+            ),
+            _field(ERROR, pa.string(), ERROR),
+        ]
+    )
+
+
+def _field(name: str, kind: pa.DataType, role: str, unit: str = "") -> pa.Field:
+    return pa.field(name, kind, metadata={"role": role, "unit": unit})
+
+
+def write(rows: Iterable[Mapping[str, Any]], columns: pa.Schema, path: Path) -> None:
+    """Rows in the order of their samples; equal rows give equal bytes."""
+    table = pa.Table.from_pylist(sorted(rows, key=lambda row: row[SAMPLE]), schema=columns)
+    write_whole_binary(path, lambda stream: pq.write_table(table, stream))
+
+
+def with_provenance(columns: pa.Schema, about: Mapping[str, Any]) -> pa.Schema:
+    return columns.with_metadata({_KIND: _SWEEP, _PROVENANCE: json.dumps(about)})
+
+
+def is_sweep(path: Path) -> bool:
+    """Whether a file is the table of a sweep."""
+    try:
+        return (pq.read_schema(path).metadata or {}).get(_KIND) == _SWEEP
+    except (OSError, pa.ArrowInvalid):
+        return False
+
+
+def read(path: Path) -> tuple[pa.Table, dict[str, Any]]:
+    """(the table, its provenance); SweepError for a file that is no table of a sweep."""
+    if not is_sweep(path):
+        raise SweepError(f"{path}: expected the table of a sweep, as l1-depth sweep writes it")
+    table = pq.read_table(path)
+    return table, json.loads(table.schema.metadata[_PROVENANCE])
+
+
+def names(columns: pa.Schema, role: str) -> list[str]:
+    """Of the columns with that role."""
+    return [field.name for field in columns if (field.metadata or {}).get(b"role") == role.encode()]

@@ -1,0 +1,112 @@
+"""What a sweep may vary: a parameter, a constant input, or a setting of the experiment."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from fmus.errors import nearest
+from orchestration.arrays import start_value
+from orchestration.errors import ScenarioError
+from orchestration.experiment import Algorithm, Experiment, checked_value
+from orchestration.system import CheckedSystem, Port
+
+_OWN = {"experiment.step_size": "s", "experiment.stop_time": "s", "experiment.algorithm": ""}
+_PURPOSE = "sweep"
+
+
+@dataclass(frozen=True)
+class Target:
+    """A name that a sweep may vary.
+
+    table, key: where a scenario file says it; type: that of FMI 2.0, an enumeration's items are texts
+    permitted: its range; own: its value without a sweep; port: None for a setting of the experiment
+    """
+
+    name: str
+    table: str
+    key: str
+    unit: str
+    type: str
+    permitted: tuple[float, float]
+    own: Any
+    port: Port | None
+
+    def checked(self, value: Any) -> Any:
+        """The value as the table of results holds it; SystemDefinitionError if it cannot be set."""
+        if self.port is None:
+            return self._setting(value)
+        number = checked_value(self.port, value)
+        if self.type == "Real":
+            return float(number)
+        if self.port.variable.type == "Enumeration":
+            return _items(self.port).get(number, str(number))
+        return number
+
+    def within(self, value: float) -> float:
+        """The value, moved into the range if rounding has carried it out."""
+        return min(max(value, self.permitted[0]), self.permitted[1])
+
+    def _setting(self, value: Any) -> Any:
+        if self.type == "String":
+            known = [str(each) for each in Algorithm]
+            if value not in known:
+                raise ScenarioError(f"{self.name} = {value!r}: {nearest(str(value), known)}")
+            return value
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        if not number or not self.permitted[0] < value < self.permitted[1]:
+            raise ScenarioError(f"{self.name} = {value!r}: expected more than {self.permitted[0]:g} s")
+        return float(value)
+
+
+def target(name: str, checked: CheckedSystem, experiment: Experiment) -> Target:
+    """The target of that name; an unknown one offers the nearest, a wrong one says what was expected."""
+    if name in _OWN:
+        key = name.partition(".")[2]
+        kind = "Real" if _OWN[name] else "String"
+        least = experiment.start_time if key == "stop_time" else 0.0
+        own = getattr(experiment, key)
+        return Target(name, "experiment", key, _OWN[name], kind, (least, math.inf), own, None)
+    if name.startswith("experiment.") and "experiment" not in checked.components:
+        raise ScenarioError(f"{_PURPOSE}: the experiment has no {name!r} to vary; {nearest(name, _OWN)}")
+    port = checked.port(name, _PURPOSE)
+    causality = port.variable.causality
+    if causality not in ("parameter", "input"):
+        raise ScenarioError(f"{_PURPOSE}: {name}: expected a parameter or an input, got {causality}")
+    if causality == "input" and name not in experiment.inputs:
+        raise ScenarioError(
+            f"{_PURPOSE}: {name} is driven by a connection or signal: expected a constant input"
+        )
+    table = f"{causality}s"
+    return Target(
+        name=name,
+        table=table,
+        key=name,
+        unit=port.variable.unit or "",
+        type="String" if port.variable.type == "Enumeration" else port.variable.type,
+        permitted=(_limit(port.variable.min, -math.inf), _limit(port.variable.max, math.inf)),
+        own=getattr(experiment, table).get(name, start_value(port.variable)),
+        port=port,
+    )
+
+
+def laid_over(experiment: Experiment, settings: Mapping[str, Mapping[str, Any]]) -> Experiment:
+    """The experiment with other values: table of the scenario file -> key -> value."""
+    own = dict(settings.get("experiment", {}))
+    if "algorithm" in own:
+        own["algorithm"] = Algorithm(own["algorithm"])
+    return replace(
+        experiment,
+        parameters={**experiment.parameters, **settings.get("parameters", {})},
+        inputs={**experiment.inputs, **settings.get("inputs", {})},
+        **own,
+    )
+
+
+def _items(port: Port) -> dict[int, str]:
+    declared = port.variable.declaredType
+    return {int(str(i.value)): str(i.name) for i in (declared.items or [])} if declared else {}
+
+
+def _limit(text: str | None, default: float) -> float:
+    return default if text is None else float(text)

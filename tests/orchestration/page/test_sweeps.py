@@ -1,0 +1,145 @@
+"""Sweeps, clicked through in a browser."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from orchestration.sweep import table
+
+from .made_up import FAILED, write_sweep
+from .opened import OpenedPage
+
+Open = Callable[..., OpenedPage]
+
+
+@pytest.fixture
+def swept(opened: Open, tmp_path: Path) -> OpenedPage:
+    return opened(write_sweep(tmp_path))
+
+
+@pytest.fixture
+def rows(tmp_path: Path) -> list[dict[str, Any]]:
+    """The same, as the file has them."""
+    return table.read(write_sweep(tmp_path))[0].to_pylist()
+
+
+def points(page: OpenedPage) -> dict[str, list[Any]]:
+    return page.run(
+        "const {x, y} = document.querySelector('.scatter').data[0];"
+        "return {x: Array.from(x), y: Array.from(y)}"
+    )
+
+
+def facts(page: OpenedPage) -> dict[str, str]:
+    """What is shown of the chosen sample."""
+    names, values = (page.all(f".chosen {tag}") for tag in ("dt", "dd"))
+    return {name.text: value.text for name, value in zip(names, values, strict=True)}
+
+
+def test_every_metric_has_its_histogram_of_the_samples_that_succeeded(
+    swept: OpenedPage, rows: list[dict[str, Any]]
+) -> None:
+    counts = swept.run(
+        "return [...document.querySelectorAll('.histograms .plot')]"
+        ".map((plot) => plot.calcdata[0].reduce((sum, bar) => sum + bar.s, 0))"
+    )
+    metrics = [name for name in rows[0] if not name.startswith(("plant.", "sample", "error"))]
+    assert counts == [len(rows) - len(FAILED)] * len(metrics)
+    captions = [each.text for each in swept.all(".histograms figcaption")]
+    assert [caption.split(" [")[0] for caption in captions] == metrics
+    assert "rmse_cm [0.01 m]" in captions
+
+
+def test_the_table_of_distributions_tells_mean_and_percentiles(
+    swept: OpenedPage, rows: list[dict[str, Any]]
+) -> None:
+    values = [row["holding_thrust_n"] for row in rows if not row["error"]]
+    (row,) = [each for each in swept.all(".distributions tbody tr") if each.text.startswith("holding")]
+    shown = [float(cell) for cell in row.text.removeprefix("holding_thrust_n [N]").split()]
+    expected = [np.mean(values), np.std(values, ddof=1), *np.percentile(values, [0, 5, 50, 95, 100])]
+    assert shown == pytest.approx(expected, rel=1e-4)  # shown with five digits
+
+
+def test_at_first_the_strongest_dependence_is_drawn(swept: OpenedPage, rows: list[dict[str, Any]]) -> None:
+    assert points(swept)["x"] == [row["plant.inertia"] for row in rows]
+
+
+def test_the_selects_choose_what_is_drawn_against_what(swept: OpenedPage, rows: list[dict[str, Any]]) -> None:
+    swept.choose(".across", "plant.inertia [kg]").choose(".up", "rmse_cm [0.01 m]")
+    drawn = points(swept)
+    assert drawn["x"] == [row["plant.inertia"] for row in rows]
+    assert drawn["y"] == [row["rmse_cm"] for row in rows]
+    titles = swept.run(
+        "return ['xaxis', 'yaxis'].map((axis) => document.querySelector('.scatter').layout[axis].title.text)"
+    )
+    assert titles == ["plant.inertia [kg]", "rmse_cm [0.01 m]"]
+    swept.choose(".across", "sample")
+    assert points(swept)["x"] == list(range(len(rows)))
+
+
+def test_a_click_on_a_point_shows_its_sample_and_how_to_run_it_again(
+    swept: OpenedPage, rows: list[dict[str, Any]]
+) -> None:
+    swept.choose(".across", "plant.inertia [kg]").choose(".up", "holding_thrust_n [N]")
+    sample = max(range(len(rows)), key=lambda i: rows[i]["plant.inertia"])  # at the edge: nothing covers it
+    swept.click_point(swept.one(".scatter"), 0, sample)
+    swept.until(lambda: facts(swept))
+    assert swept.one(".chosen h4").text == f"Sample {sample}"
+    assert float(facts(swept)["plant.inertia [kg]"]) == rows[sample]["plant.inertia"]
+    assert float(facts(swept)["holding_thrust_n [N]"]) == rows[sample]["holding_thrust_n"]
+    assert swept.one(".chosen code").text == f"l1-depth sweep monte-carlo --sample {sample}"
+    ring = swept.run("return document.querySelector('.scatter').data[1].x")
+    assert ring == [rows[sample]["plant.inertia"]]
+
+
+def test_a_sample_is_found_by_its_number_also_one_that_failed(swept: OpenedPage) -> None:
+    swept.write("input.sample", "7")
+    assert FAILED[7] in swept.one(".chosen").text
+    assert "plant.inertia [kg]" in facts(swept)
+    assert "rmse_cm [0.01 m]" not in facts(swept)
+    swept.write("input.sample", "100")
+    assert swept.one(".chosen").text == "No sample 100: expected 0 to 99."
+
+
+def test_failed_samples_are_listed_with_their_errors(swept: OpenedPage, rows: list[dict[str, Any]]) -> None:
+    failures = swept.all(".failures tbody tr")
+    assert len(failures) == len(FAILED)
+    for row, (sample, error) in zip(failures, FAILED.items(), strict=True):
+        assert row.text.startswith(str(sample))
+        assert error in row.text
+        assert str(rows[sample]["plant.sensor_seed"]) in row.text
+
+
+def test_rank_correlations_tell_what_a_metric_depends_on(swept: OpenedPage) -> None:
+    """-1 for the metric that was made to fall with the mass."""
+    cells = swept.all(".correlations td[data-label=rmse_cm]")
+    by_row = {cell.find_element("xpath", "../th").text: cell.text for cell in cells}
+    assert by_row["plant.inertia"] == "-1.00"
+    assert abs(float(by_row["plant.sensor_noise"])) < 0.5
+
+
+def test_a_sweep_that_failed_altogether_lists_its_errors(opened: Open, tmp_path: Path) -> None:
+    path = write_sweep(tmp_path)
+    read, _ = table.read(path)
+    failed = [{"sample": 0, "error": "all is lost"}]
+    table.write(failed, read.schema, path)
+    page = opened(path)
+    assert "1 sample of" in page.one("section.sweep").text
+    assert "all is lost" in page.one("section.sweep").text
+    assert page.all(".scatter") == []
+
+
+def test_texts_are_varied_too(opened: Open, tmp_path: Path) -> None:
+    path = write_sweep(tmp_path)
+    read, _ = table.read(path)
+    place = read.schema.get_field_index("plant.sensor_seed")
+    kinds = ["pi", "none"] * (len(read) // 2)
+    field = read.schema.field(place).with_type(pa.string())
+    pq.write_table(read.set_column(place, field, [kinds]), path)
+    page = opened(path).choose(".across", "plant.sensor_seed")
+    assert points(page)["x"] == kinds

@@ -1,0 +1,107 @@
+"""The command `sweep`, as a user meets it: in a process of its own."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from orchestration.sweep import table
+
+MakeFile = Callable[..., Path]
+COMMAND = [sys.executable, "-c", "from orchestration.cli import main; main()", "sweep"]
+
+
+def started(folder: Path, *arguments: object) -> subprocess.Popen[str]:
+    """In a session of its own, as at another terminal."""
+    (folder / "tmp").mkdir(exist_ok=True)
+    return subprocess.Popen(
+        [*COMMAND, *map(str, arguments)],
+        cwd=folder,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "TMPDIR": str(folder / "tmp")},
+        start_new_session=True,
+    )
+
+
+def ended(process: subprocess.Popen[str], folder: Path, expect: int = 0) -> tuple[str, str]:
+    """What it said; nothing may be left in its temporary folder."""
+    out, error = process.communicate(timeout=120)
+    assert process.returncode == expect, error
+    assert not list((folder / "tmp").iterdir())
+    return out, error
+
+
+def test_it_writes_a_table_and_prints_a_summary(sweep_file: MakeFile, tmp_path: Path) -> None:
+    before = {*tmp_path.iterdir(), sweep_file()}
+    out, _ = ended(started(tmp_path, sweep_file(), "--workers", 2, "--recordings", "r.y"), tmp_path)
+    assert "mine: 12 samples, 0 failed" in out
+    assert "results/mine.sweep.parquet" in out
+    assert len(list((tmp_path / "results" / "mine.recordings").glob("sample-*.parquet"))) == 12
+    assert set(tmp_path.iterdir()) == before | {tmp_path / "results", tmp_path / "tmp"}
+
+
+def test_one_sample_alone_has_the_values_and_metrics_of_its_row(sweep_file: MakeFile, tmp_path: Path) -> None:
+    ended(started(tmp_path, sweep_file(), "--workers", 1), tmp_path)
+    found, _ = table.read(tmp_path / "results" / "mine.sweep.parquet")
+    ended(started(tmp_path, sweep_file(), "--sample", 7, "--out", "one"), tmp_path)
+    document = json.loads((tmp_path / "one" / "mine.sample-7.json").read_text())
+    row = found.to_pylist()[7]
+    assert document["metrics"] == {name: row[name] for name in ("mean", "effort")}
+    assert document["scenario"]["inputs"]["r.u"] == row["r.u"]
+    assert (tmp_path / "one" / "mine.sample-7.csv").is_file()
+
+
+def test_an_interrupted_sweep_says_how_to_go_on_and_the_same_command_does(
+    sweep_file: MakeFile, tmp_path: Path
+) -> None:
+    """Ctrl-C reaches every process of the terminal, so do workers hear of it."""
+    hangs = """[sweep]
+samples = 4
+timeout = 2
+[sweep.vary."r.u"]
+distribution = "uniform"
+low = 1
+high = 2
+[sweep.vary."r.misdeed"]
+values = ["none", "hang"]
+"""
+    path = sweep_file(hangs)
+    process = started(tmp_path, path, "--workers", 1)
+    parts = tmp_path / "results" / "mine.sweep"
+    until = time.monotonic() + 60
+    while not list(parts.glob("[0-9]*.parquet")):
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGINT)
+    _, error = ended(process, tmp_path, expect=1)
+    assert "of 8 samples are done and kept; the same command goes on" in error
+    done = sum(table.pq.read_metadata(part).num_rows for part in parts.glob("[0-9]*.parquet"))
+    assert 0 < done < 8
+    assert f"interrupted: {done} of 8" in error
+    out, _ = ended(started(tmp_path, path, "--workers", 1), tmp_path)
+    assert "mine: 8 samples, 4 failed" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--sample", "12"], "sample 12: expected 0..11"),
+        (["--recordings", "r.z"], "recordings: no variable 'r.z'; nearest is 'r.y'"),
+        (["--recordings", "r.u"], "recordings: r.u: expected an output or an input driven by a signal"),
+    ],
+)
+def test_a_mistake_is_one_line_before_anything_runs(
+    sweep_file: MakeFile, tmp_path: Path, arguments: list[str], message: str
+) -> None:
+    _, error = ended(started(tmp_path, sweep_file(), *arguments), tmp_path, expect=1)
+    assert message in error
+    assert len(error.splitlines()) == 1
+    assert not (tmp_path / "results").exists()

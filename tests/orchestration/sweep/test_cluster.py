@@ -1,0 +1,280 @@
+"""A sweep on a real scheduler with several worker processes: whatever befalls them, the rows are the same."""
+
+import importlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+from dask import config
+from distributed import Client
+
+from orchestration.errors import SweepError
+from orchestration.master import simulate
+from orchestration.recording_files import read
+from orchestration.sweep import cluster, table
+from orchestration.sweep import run as running
+from orchestration.sweep.plan import Plan
+
+Make = Callable[..., Plan]
+COUNT = 60
+SWEEP = f"""
+[sweep]
+samples = {COUNT}
+seed = 7
+timeout = 20
+[sweep.vary."r.u"]
+distribution = "uniform"
+low = 1.0
+high = 3.0
+[sweep.vary."r.misdeed_time"]
+distribution = "uniform"
+low = 0.2
+high = 0.8
+[sweep.vary."r.misdeed"]
+distribution = "choice"
+values = ["none", "error"]
+weights = [3, 1]
+"""
+
+
+DEADLY = """
+import os, signal
+from orchestration.sweep import worker
+
+def run_batch(laboratory, samples, budget):
+    if any(number == 3 for number, _ in samples):
+        os.kill(os.getpid(), signal.SIGKILL)
+    return worker.run_batch(laboratory, samples, budget)
+"""
+
+
+def threads(client: Any) -> dict[str, int]:
+    """Of each worker, by its address."""
+    return client.nthreads()
+
+
+def swept(
+    made: Plan,
+    client: Client,
+    folder: Path,
+    progress: Callable[[int], object] = lambda done: None,
+    kept: tuple[str, ...] | None = None,
+) -> Path:
+    return running.sweep(made, folder, nullcontext(client), kept, progress=progress)
+
+
+@pytest.fixture
+def by_two(planned: Make, tmp_path: Path) -> tuple[Plan, bytes]:
+    """A plan, and its table by two undisturbed workers."""
+    made = planned(SWEEP)
+    with cluster.local(2) as client:
+        return made, swept(made, client, tmp_path / "two").read_bytes()
+
+
+def test_one_two_and_four_workers_give_the_same_bytes(by_two: tuple[Plan, bytes], tmp_path: Path) -> None:
+    made, expected = by_two
+    for workers in (1, 4):
+        with cluster.local(workers) as client:
+            assert len(threads(client)) == workers
+            assert swept(made, client, tmp_path / str(workers)).read_bytes() == expected
+    found, _ = table.read(tmp_path / "4" / "mine.sweep.parquet")
+    rows = found.to_pylist()
+    assert [row["sample"] for row in rows] == list(range(COUNT))
+    for row in rows:
+        assert {name: row[name] for name in made.values(row["sample"])} == made.values(row["sample"])
+        assert (row["error"] is None) == (row["r.misdeed"] == "none")
+    assert {row["error"] is None for row in rows} == {True, False}
+
+
+def test_a_killed_worker_loses_nothing(
+    by_two: tuple[Plan, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, expected = by_two
+    monkeypatch.setattr(running, "_LARGEST_BATCH", 5)
+    killed: list[int] = []
+
+    with cluster.local(2) as client:
+        workers: Any = client.run(os.getpid)
+        processing: Any = client.processing
+
+        def kill_one_at_work(done: int) -> None:
+            at_work = [address for address, tasks in processing().items() if tasks]
+            if not killed and at_work:
+                killed.append(workers[at_work[0]])
+                os.kill(killed[0], signal.SIGKILL)
+
+        found = swept(made, client, tmp_path / "killed", kill_one_at_work)
+        assert killed
+        assert not psutil.pid_exists(killed[0])
+    assert found.read_bytes() == expected
+
+
+def test_samples_that_end_or_hang_their_process_are_rows_with_that_error(
+    planned: Make, tmp_path: Path
+) -> None:
+    misdeeds = ("none", "segfault", "hang", "none", "abort", "error")
+    made = planned(f'[sweep]\ntimeout = 3\n[sweep.vary."r.misdeed"]\nvalues = {list(misdeeds)}\n')
+    with cluster.local(2) as client:
+        found, _ = table.read(swept(made, client, tmp_path))
+    assert [row["error"] for row in found.to_pylist()] == [
+        None,
+        "the worker process died: SIGSEGV",
+        "it took longer than the timeout of 3 s",
+        None,
+        "the worker process died: SIGABRT",
+        "r at t = 0 s: fmi2DoStep returned error: the rudder is stuck",
+    ]
+
+
+def test_a_sample_whose_workers_die_again_and_again_is_found_among_the_others(
+    planned: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not of its FMU, which runs in a process of its own: here the worker itself dies of sample 3."""
+    made = planned('[sweep.vary."r.u"]\nvalues = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]\n')
+    (tmp_path / "deadly.py").write_text(DEADLY)
+    monkeypatch.syspath_prepend(tmp_path)  # of the workers as well
+    monkeypatch.setattr(running, "run_batch", importlib.import_module("deadly").run_batch)
+    one_death = config.set({"distributed.scheduler.allowed-failures": 0})  # the default of 3 takes a minute
+    with one_death, cluster.local(2) as client:
+        found, _ = table.read(swept(made, client, tmp_path))
+    rows = found.to_pylist()
+    assert [row["sample"] for row in rows if row["error"]] == [3]
+    assert rows[3]["error"] == "every worker that ran it died"
+
+
+def test_recordings_are_those_of_the_samples_run_alone(planned: Make, tmp_path: Path) -> None:
+    made = planned(SWEEP.replace(f"samples = {COUNT}", "samples = 6"))
+    with cluster.local(2) as client:
+        found, _ = table.read(swept(made, client, tmp_path, kept=()))
+    written = {path.name: read(path) for path in (tmp_path / "mine.recordings").iterdir()}
+    good = [row["sample"] for row in found.to_pylist() if row["error"] is None]
+    assert set(written) == {f"sample-{sample}.parquet" for sample in good}
+    for sample in good:
+        one = made.of_sample(sample)
+        alone = simulate(one.system, one.experiment)
+        kept = written[f"sample-{sample}.parquet"]
+        assert kept.names == alone.names
+        assert kept.values.tolist() == alone.values.tolist()
+
+
+def test_what_was_done_before_is_not_run_again(by_two: tuple[Plan, bytes], tmp_path: Path) -> None:
+    made, expected = by_two
+    done = 0
+
+    def interrupt(more: int) -> None:
+        nonlocal done
+        done += more
+        if done > 5:
+            raise KeyboardInterrupt
+
+    with cluster.local(2) as client:
+        with pytest.raises(KeyboardInterrupt):
+            swept(made, client, tmp_path / "again", interrupt)
+        assert 5 < done < COUNT
+        more: list[int] = []
+        again = swept(made, client, tmp_path / "again", more.append)
+    assert (more[0], sum(more)) == (done, COUNT)
+    assert again.read_bytes() == expected
+
+
+@contextmanager
+def processes(folder: Path, *workers: str) -> Iterator[str]:
+    """A scheduler and workers, started by hand as on several machines; gives the scheduler's address."""
+    dask = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
+    file = folder / "scheduler.json"
+    started = [
+        subprocess.Popen(
+            [*dask, "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", file],
+            stderr=subprocess.DEVNULL,
+        )
+    ]
+    try:
+        for name in workers:
+            command = [sys.executable, "-m", "distributed.cli.dask_worker", "--scheduler-file", file]
+            options = ["--name", name, "--nthreads", "2", "--no-dashboard", "--local-directory", folder]
+            started.append(subprocess.Popen([*command, *options], stderr=subprocess.DEVNULL))
+        with Client(scheduler_file=str(file), timeout=60) as client:
+            if workers:
+                client.wait_for_workers(len(workers), timeout=60)
+            address = client.scheduler_info()["address"]
+        yield address
+    finally:
+        for each in started:
+            each.terminate()
+        for each in started:
+            each.wait(30)
+
+
+def test_a_cluster_by_its_address_gives_the_same_bytes(by_two: tuple[Plan, bytes], tmp_path: Path) -> None:
+    """Two workers of two threads each, which cannot see the FMU's file."""
+    made, expected = by_two
+    with processes(tmp_path, "one", "two") as address, cluster.remote(address) as client:
+        assert sum(threads(client).values()) == 4
+        assert swept(made, client, tmp_path / "remote").read_bytes() == expected
+        plugins: Any = client.run(
+            lambda dask_worker: [name for name in dask_worker.plugins if "sweep" in name]
+        )
+        assert not [name for each in plugins.values() for name in each]
+
+
+def test_a_cluster_whose_workers_are_gone_is_told(
+    planned: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(running, "_LOOK_S", 0.2)
+    monkeypatch.setattr(running, "_WITHOUT_WORKERS_S", 1.0)
+    made = planned('[sweep]\ntimeout = 60\n[sweep.vary."r.misdeed"]\nvalues = ["hang"]\n')
+    with cluster.local(1) as client:
+        threading.Timer(1.0, client.cluster.scale, (0,)).start()  # type: ignore[union-attr]
+        with pytest.raises(SweepError, match="no workers for 1 s; what is done is kept"):
+            swept(made, client, tmp_path)
+
+
+def test_a_scheduler_that_is_not_there_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "_PATIENCE_S", 1.0)
+    with (
+        pytest.raises(SweepError, match=r"no Dask scheduler at tcp://127\.0\.0\.1:1: "),
+        cluster.remote("tcp://127.0.0.1:1"),
+    ):
+        pass
+
+
+def test_a_cluster_without_workers_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "_PATIENCE_S", 1.0)
+    with (
+        processes(tmp_path) as address,
+        pytest.raises(SweepError, match="has no workers"),
+        cluster.remote(address),
+    ):
+        pass
+
+
+def test_nothing_is_left_of_a_local_cluster(
+    planned: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    before = set(tmp_path.iterdir())
+    with cluster.local(1) as client:
+        folders: Any = client.run(lambda dask_worker: dask_worker.local_directory)
+        (folder,) = folders.values()
+        assert Path(folder).is_dir()
+        assert all(address.startswith("tcp://127.0.0.1:") for address in threads(client))
+        assert client.scheduler_info()["address"].startswith("tcp://127.0.0.1:")
+        processes = [psutil.Process(), *psutil.Process().children(recursive=True)]
+        sockets = [each for process in processes for each in process.net_connections("inet")]
+        listening = {each.laddr.ip for each in sockets if each.status == psutil.CONN_LISTEN}
+        assert listening == {"127.0.0.1"}
+    assert not Path(folder).exists()
+    assert set(tmp_path.iterdir()) == before
+    assert not [
+        each
+        for each in psutil.Process().children(recursive=True)
+        if "resource_tracker" not in " ".join(each.cmdline())
+    ]

@@ -1,0 +1,245 @@
+"""What a sweep draws and lays out, and what it is told when its table says something wrong."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from scipy import stats
+
+from orchestration import scenario
+from orchestration.errors import OrchestrationError
+from orchestration.sweep.plan import Plan, plan
+
+Make = Callable[..., Plan]
+MANY = 2000
+
+# A drawn number is wrong if the test of Kolmogorov and Smirnov gives it less than this; the seed is fixed
+IMPROBABLE = 1e-3
+
+
+def of_u(declared: str, samples: int = MANY) -> str:
+    return f'[sweep]\nsamples = {samples}\nseed = 3\n[sweep.vary."r.u"]\n{declared}\n'
+
+
+def drawn(made: Plan, name: str = "r.u") -> list:
+    return [made.values(number)[name] for number in range(made.count)]
+
+
+@pytest.mark.parametrize(
+    ("declared", "law"),
+    [
+        ('distribution = "normal"\nmean = 3.0\nstd = 0.5', stats.norm(3.0, 0.5)),
+        ('distribution = "uniform"\nlow = -1.0\nhigh = 2.0', stats.uniform(-1.0, 3.0)),
+        ('distribution = "lognormal"\nmedian = 2.0\nsigma = 0.4', stats.lognorm(0.4, scale=2.0)),
+        ('distribution = "loguniform"\nlow = 0.1\nhigh = 10.0', stats.loguniform(0.1, 10.0)),
+        ('distribution = "triangular"\nlow = 0.0\nmode = 1.0\nhigh = 4.0', stats.triang(0.25, 0.0, 4.0)),
+        (
+            'distribution = "normal"\nmean = 0.0\nstd = 1.0\nlow = -0.5\nhigh = 2.0',
+            stats.truncnorm(-0.5, 2.0),
+        ),
+        (
+            'relative = true\ndistribution = "normal"\nmean = 1.0\nstd = 0.1',  # of the scenario's own 2.0
+            stats.norm(2.0, 0.2),
+        ),
+    ],
+)
+def test_draws_follow_their_distribution(planned: Make, declared: str, law: Any) -> None:
+    values = drawn(planned(of_u(declared)))
+    assert stats.kstest(values, law.cdf).pvalue > IMPROBABLE
+
+
+def test_integers_and_choices_come_as_often_as_they_should(planned: Make) -> None:
+    whole = drawn(planned(of_u('distribution = "integers"\nlow = 3\nhigh = 6')))
+    assert stats.chisquare([whole.count(each) for each in (3, 4, 5, 6)]).pvalue > IMPROBABLE
+    chosen = drawn(planned(of_u('distribution = "choice"\nvalues = [1.0, 5.0, 9.0]\nweights = [1, 0, 3]')))
+    assert set(chosen) == {1.0, 9.0}
+    assert stats.binomtest(chosen.count(9.0), MANY, 0.75).pvalue > IMPROBABLE
+
+
+def test_a_seed_is_a_whole_number_from_the_range_of_its_variable(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    seeds = '[sweep]\nsamples = 50\n[sweep.vary."plant.sensor_seed"]\ndistribution = "seed"\n'
+    path.write_text('base = "nominal-extended"\n' + seeds)
+    found = drawn(plan(scenario.load(path)), "plant.sensor_seed")
+    assert all(isinstance(each, int) and 1 <= each <= 2147483397 for each in found)
+    assert len(set(found)) == 50
+
+
+def test_a_sample_depends_on_the_seed_and_its_number_alone(planned: Make) -> None:
+    short, long = planned(), planned(name="long", sweep=_drawn(samples=100))
+    assert [short.values(i) for i in range(12)] == [long.values(i) for i in reversed(range(12))][::-1]
+    other = planned(name="other", sweep=_drawn(seed=8))
+    assert not set(drawn(short)) & set(drawn(other))
+    assert len(set(drawn(long))) == 100
+
+
+def test_a_variable_that_is_added_at_the_end_leaves_the_draws_of_the_others(planned: Make) -> None:
+    added = '[sweep.vary."r.longest_step"]\ndistribution = "uniform"\nlow = 0\nhigh = 1\n'
+    assert drawn(planned(_drawn() + added, name="more")) == drawn(planned())
+
+
+def test_variables_of_one_sample_are_independent(planned: Make) -> None:
+    made = planned(_drawn(samples=MANY))
+    correlation: Any = stats.pearsonr(drawn(made), drawn(made, "r.misdeed_time"))
+    assert correlation.pvalue > IMPROBABLE
+
+
+def test_grids_combine_as_full_factorial_the_first_one_slowest(planned: Make) -> None:
+    grid = '[sweep.vary]\n"r.u" = { linspace = [0, 1, 3] }\n"r.misdeed" = { values = ["none", "warning"] }\n'
+    made = planned(grid)
+    found = [tuple(made.values(i).values()) for i in range(made.count)]
+    assert found == [(u, misdeed) for u in (0.0, 0.5, 1.0) for misdeed in ("none", "warning")]
+
+
+def test_a_grid_beside_a_distribution_gets_its_samples_at_each_point(planned: Make) -> None:
+    made = planned(_drawn(samples=5) + '[sweep.vary."r.longest_step"]\nvalues = [0.1, 0.2]\n')
+    assert drawn(made, "r.longest_step") == 5 * [0.1] + 5 * [0.2]
+    assert len(set(drawn(made))) == 10
+
+
+def test_relative_values_are_factors_of_the_scenarios_own(planned: Make) -> None:
+    assert drawn(planned('[sweep.vary."r.u"]\nrelative = true\nvalues = [0.5, 1, 2]\n')) == [1.0, 2.0, 4.0]
+
+
+def test_truncation_keeps_to_the_range_of_the_fmu(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    declared = 'relative = true\ndistribution = "normal"\nmean = 0.5\nstd = 1.0'
+    text = f'base = "nominal-l1"\n[sweep]\nsamples = 300\n[sweep.vary."plant.inertia"]\n{declared}\n'
+    path.write_text(text)
+    with pytest.raises(OrchestrationError, match=r"plant.inertia: it reaches -inf..inf, permitted is 0.018"):
+        plan(scenario.load(path))
+    path.write_text(text + "truncate = true\n")
+    found = drawn(plan(scenario.load(path)), "plant.inertia")
+    assert 0.1 <= min(found) < 0.5  # kg; without truncation a third would be below 0
+
+
+def test_settings_of_the_experiment_can_be_varied(planned: Make) -> None:
+    grid = '[sweep.vary]\n"experiment.step_size" = { values = [0.01, 0.02] }\n'
+    made = planned(grid + '"experiment.algorithm" = { values = ["jacobi"] }\n')
+    assert made.of_sample(1).experiment.step_size == 0.02
+    assert made.of_sample(1).resolved["experiment"] == {
+        "stop_time": 1.0, "step_size": 0.02, "algorithm": "jacobi",
+    }  # fmt: skip
+
+
+def test_a_sample_is_a_scenario_of_its_own(planned: Make) -> None:
+    made = planned()
+    one, values = made.of_sample(4), made.values(4)
+    assert one.experiment.inputs == {"r.u": values["r.u"]}
+    assert one.experiment.parameters == {"r.misdeed_time": values["r.misdeed_time"]}
+    assert one.resolved["inputs"] == one.experiment.inputs
+    assert one.resolved["parameters"] == one.experiment.parameters
+    assert "sweep" not in one.resolved
+    assert one.name == "mine.sample-4"
+
+
+def test_an_entry_of_the_base_can_be_replaced_or_dropped(
+    planned: Make, sweep_file: Make, tmp_path: Path
+) -> None:
+    planned()
+    path = tmp_path / "above.toml"
+    above = 'base = "mine.toml"\n[sweep]\nsamples = 3\n[sweep.vary]\n"r.u" = { values = [5] }\n'
+    path.write_text(above + '"r.misdeed_time" = false\n')
+    with pytest.raises(OrchestrationError, match="samples: expected none, nothing is drawn"):
+        plan(scenario.load(path))
+    path.write_text(above)
+    made = plan(scenario.load(path))
+    assert (made.count, set(drawn(made)), made.seed) == (3, {5.0}, 7)
+
+
+def test_the_shipped_monte_carlo_draws_what_it_says() -> None:
+    made = plan(scenario.load(scenario.find("monte-carlo")))
+    assert made.count == 1000
+    for name, low, high in [
+        ("plant.sensor_noise", 0.0005, 0.002),
+        ("plant.inertia", 5.0, 7.0),
+        ("plant.linear_damping", 1.0, 10.0),
+        ("plant.quadratic_damping", 0.0, 20.0),
+        ("plant.buoyancy_change", -0.3, 0.3),
+    ]:
+        values = drawn(made, name)
+        assert low <= min(values) < max(values) <= high
+        assert len(set(values)) == 1000
+
+
+def _drawn(samples: int = 12, seed: int = 7) -> str:
+    first = f'[sweep]\nsamples = {samples}\nseed = {seed}\n[sweep.vary."r.u"]\n'
+    second = '[sweep.vary."r.misdeed_time"]\ndistribution = "normal"\nmean = 100.0\nstd = 1.0\n'
+    return first + 'distribution = "uniform"\nlow = 1.0\nhigh = 3.0\n' + second
+
+
+UNIFORM = 'distribution = "uniform"\nlow = 1.0\nhigh = 3.0'
+
+
+@pytest.mark.parametrize(
+    ("sweep", "message"),
+    [
+        ("", r"mine: sweep: expected a table \[sweep.vary"),
+        ("[sweep]\nsampels = 3\n", r"unknown key 'sampels'; nearest is 'samples'"),
+        ('[sweep.vary."r.u"]\n' + UNIFORM, r"samples = None: expected a whole number, 1 or more"),
+        (of_u(UNIFORM, 0), r"samples = 0: expected a whole number, 1 or more"),
+        (of_u(UNIFORM).replace("seed = 3", "seed = -3"), r"seed = -3: expected a whole number, 0 or more"),
+        (of_u(UNIFORM).replace("seed = 3", "timeout = 0"), r"timeout = 0: expected a number of seconds"),
+        (
+            '[sweep.vary."r.u"]\nvalue = [1]',
+            r"expected one of distribution, values, linspace.*nearest is 'values'",
+        ),
+        ('[sweep.vary]\n"r.u" = 3', r"r.u: expected a table, got 3"),
+        ('[sweep.vary."r.misded"]\nvalues = [1]', r"no variable 'r.misded'; nearest is 'r.misdeed'"),
+        ('[sweep.vary."s.u"]\nvalues = [1]', r"no component 's'"),
+        ('[sweep.vary."r.y"]\nvalues = [1]', r"r.y: expected a parameter or an input, got output"),
+        ('[sweep.vary."experiment.step"]\nvalues = [1]', r"nearest is 'experiment.step_size'"),
+        (
+            '[sweep.vary."experiment.step_size"]\nvalues = [0]',
+            r"experiment.step_size = 0: expected more than 0 s",
+        ),
+        ('[sweep.vary."experiment.algorithm"]\nvalues = ["jakobi"]', r"nearest is 'jacobi'"),
+        ('[sweep.vary."r.u"]\nvalues = []', r"values = \[\]: expected a list of values"),
+        ('[sweep.vary."r.u"]\nvalues = ["a"]', r"r.u = 'a': expected a value of type Real"),
+        ('[sweep.vary."r.u"]\nvalues = [1]\nlow = 3', r"unknown key 'low' beside values"),
+        ('[sweep.vary."r.u"]\nlinspace = [1, 2]', r"linspace = \[1, 2\]: expected \[first, last, how many\]"),
+        ('[sweep.vary."r.misdeed"]\nvalues = ["non"]', r"r.misdeed = 'non': expected one of none, warning"),
+        ('[sweep.vary."r.misdeed"]\nvalues = ["none"]\nrelative = true', r"relative: expected a Real"),
+        ('[sweep.vary."r.misdeed_time"]\nvalues = [1]\nrelative = true', r"expected a Real that is not 0"),
+        ('[sweep.vary."r.u"]\nvalues = [1]\nrelative = 1', r"relative = 1: expected true or false"),
+        (of_u('distribution = "norml"'), r"unknown distribution 'norml'; nearest is 'normal'"),
+        (of_u('distribution = "normal"\nmean = 1.0'), r"r.u: normal\(\) missing .*'std'"),
+        (of_u('distribution = "normal"\nmean = 1.0\nsigma = 1.0'), r"unexpected keyword argument 'sigma'"),
+        (of_u('distribution = "normal"\nmean = "a"\nstd = 1'), r"mean = 'a': expected a finite number"),
+        (of_u('distribution = "normal"\nmean = 1.0\nstd = 0'), r"std = 0: expected more than 0"),
+        (of_u('distribution = "normal"\nmean = 0\nstd = 1\nlow = 99'), r"expected some probability within"),
+        (of_u('distribution = "uniform"\nlow = 3\nhigh = 1'), r"low = 3, high = 1: expected low below high"),
+        (of_u('distribution = "triangular"\nlow = 1\nmode = 0\nhigh = 2'), r"mode = 0: expected 1..2"),
+        (of_u(UNIFORM + "\ntruncate = true"), r"truncate: expected normal or lognormal; uniform has its own"),
+        (of_u('distribution = "seed"'), r"expected an FMU that gives min and max"),
+        (of_u('distribution = "integers"\nlow = 0.5\nhigh = 2'), r"low = 0.5: expected a whole number"),
+        (
+            of_u('distribution = "choice"\nvalues = [1]\nweights = [0]'),
+            r"expected 1 numbers that are not all 0",
+        ),
+        (of_u('distribution = "choice"\nvalues = [1, "a"]'), r"r.u = 'a': expected a value of type Real"),
+        (of_u(UNIFORM).replace("r.u", "r.misdeed"), r"r.misdeed = 2.0: expected a value of type Enumeration"),
+        (
+            '[sweep.vary."r.u"]\nvalues = [1]\n[metrics.error]\nfunction = "mean"\nsignal = "r.y"',
+            r"metric error",
+        ),
+    ],
+)
+def test_a_mistake_is_told_before_anything_runs(planned: Make, sweep: str, message: str) -> None:
+    with pytest.raises(OrchestrationError, match=message) as caught:
+        planned(sweep)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_sample_beyond_the_last_is_refused(planned: Make) -> None:
+    with pytest.raises(OrchestrationError, match=r"sample 12: expected 0..11"):
+        planned().values(12)
+
+
+def test_every_distribution_is_explained_on_the_page() -> None:
+    from orchestration.sweep.distributions import FUNCTIONS
+
+    page = (Path(__file__).parents[3] / "docs" / "sweeps.md").read_text(encoding="utf-8")
+    for name in (*FUNCTIONS, "seed"):
+        assert f'`"{name}"`' in page

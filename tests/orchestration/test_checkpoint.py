@@ -1,0 +1,127 @@
+"""A run that goes on from a checkpoint is the run that was never interrupted."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from orchestration import scenario
+from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
+from orchestration.experiment import Algorithm, Event, Experiment
+from orchestration.faults import fault
+from orchestration.master import simulate
+from orchestration.master.checkpoint import Checkpoint, Checkpoints, read_checkpoint
+from orchestration.reference import Cosine
+from orchestration.system import System
+from tests.orchestration.linear_systems import coupled
+
+Build = Callable[..., Path]
+
+
+def interrupted(
+    system: System, experiment: Experiment, path: Path, at: int, **options: Any
+) -> tuple[Checkpoint, SimulationError]:
+    """Run until communication point `at` is reached, and what is left of it."""
+
+    def stop(done: int, total: int) -> None:
+        if done >= at:
+            raise KeyboardInterrupt
+
+    with pytest.raises(SimulationError, match="interrupted") as caught:
+        simulate(system, experiment, stop, checkpoints=Checkpoints(path), **options)
+    return read_checkpoint(path), caught.value
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {},
+        {"algorithm": Algorithm.GAUSS_SEIDEL},
+        {"extrapolation": 1},
+        {"extrapolation": 1, "step_sizes": {"two": 0.03}},
+        {"tolerance": 1e-4, "step_size": 0.2},
+        {"events": (Event(0.5, {"one.a": -3.0}), Event(1.7, {"one.a": -0.5}))},
+        {"faults": (fault({"input": "two.u[1]", "kind": "delay", "delay": 0.3}, "here"),)},
+    ],
+    ids=lambda change: " ".join(change) or "plain",
+)
+def test_it_is_the_same_run_to_the_last_bit(linear: Build, tmp_path: Path, change: dict[str, Any]) -> None:
+    system = coupled(linear, saves_state=True, serialises_state=True, interpolates_inputs=True)
+    experiment = replace(Experiment(2.0, 0.01), **change)
+    whole = simulate(system, experiment)
+    points = len(whole.time)
+    checkpoint, broken = interrupted(system, experiment, tmp_path / "checkpoint", points // 2)
+    assert points // 2 <= checkpoint.position < points - 1
+    assert np.array_equal(broken.recording.values, whole.values[: len(broken.recording.time)])
+    resumed = simulate(system, experiment, resume=checkpoint)
+    assert np.array_equal(resumed.time, whole.time)
+    assert np.array_equal(resumed.values, whole.values)
+
+
+def test_the_shipped_vehicle_goes_on_from_a_file_bit_for_bit(tmp_path: Path) -> None:
+    """Controller, noise of the sensor and all."""
+    chosen = scenario.load(scenario.find("nominal-extended"))
+    experiment = replace(chosen.experiment, stop_time=30.0)
+    whole = simulate(chosen.system, experiment)
+    path = tmp_path / "checkpoint"
+    simulate(chosen.system, experiment, checkpoints=Checkpoints(path, every=11.0))
+    checkpoint = read_checkpoint(path)
+    assert checkpoint.position == round(22.0 / experiment.step_size)
+    resumed = simulate(chosen.system, experiment, resume=checkpoint)
+    assert np.array_equal(resumed.values, whole.values)
+
+
+def test_the_future_may_be_longer(linear: Build, tmp_path: Path) -> None:
+    system = coupled(linear, saves_state=True, serialises_state=True)
+    checkpoint, _ = interrupted(system, Experiment(1.0, 0.01), tmp_path / "checkpoint", 50)
+    resumed = simulate(system, Experiment(2.0, 0.01), resume=checkpoint)
+    assert np.array_equal(resumed.values, simulate(system, Experiment(2.0, 0.01)).values)
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ({"parameters": {"one.initial_state": 2.0}}, "parameters, inputs and events"),
+        ({"algorithm": Algorithm.GAUSS_SEIDEL}, "the algorithm"),
+        ({"step_size": 0.02}, "the communication points, the signals"),
+        ({"record": ("one.y[1]",)}, "the record"),
+        ({"signals": {"one.u[1]": Cosine(2.0, 1.0)}}, "the signals"),
+        ({"events": (Event(0.1, {"one.a": -0.5}),)}, "parameters, inputs and events"),
+    ],
+)
+def test_another_past_is_refused(linear: Build, tmp_path: Path, change: dict[str, Any], what: str) -> None:
+    system = System({"one": linear(saves_state=True, serialises_state=True)})
+    experiment = Experiment(1.0, 0.01, signals={"one.u[1]": Cosine(1.0, 1.0)})
+    checkpoint, _ = interrupted(system, experiment, tmp_path / "checkpoint", 50)
+    with pytest.raises(SimulationError, match=f"belongs to another run, of which {what} differ"):
+        simulate(system, replace(experiment, **change), resume=checkpoint)
+
+
+def test_other_fmus_are_refused(linear: Build, tmp_path: Path) -> None:
+    experiment = Experiment(1.0, 0.01, inputs={"one.u[1]": 0.0})
+    states: dict[str, Any] = {"saves_state": True, "serialises_state": True}
+    path = tmp_path / "checkpoint"
+    checkpoint, _ = interrupted(System({"one": linear(**states)}), experiment, path, 50)
+    with pytest.raises(SimulationError, match="of which the FMUs differ"):
+        simulate(System({"one": linear(a=-5.0, **states)}), experiment, resume=checkpoint)
+
+
+def test_fmus_must_serialise_their_state(linear: Build, tmp_path: Path) -> None:
+    with pytest.raises(SystemDefinitionError, match="checkpoint: one, two cannot serialise its state"):
+        simulate(coupled(linear), Experiment(1.0, 0.1), checkpoints=Checkpoints(tmp_path / "checkpoint"))
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x05\x06" + bytes(18), b"text"])
+def test_a_damaged_file_is_named(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "checkpoint"
+    path.write_bytes(content)
+    with pytest.raises(OrchestrationError, match="checkpoint is not a checkpoint, or is damaged"):
+        read_checkpoint(path)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(OrchestrationError, match=r"no checkpoint .*nowhere"):
+        read_checkpoint(tmp_path / "nowhere")

@@ -1,0 +1,87 @@
+/* Rogue: y' = u with u held over a step, until `misdeed_time`; from then on it does its misdeed.
+ *
+ * It discards steps longer than `longest_step` and then stands at the end of the part that succeeded, as FMI says:
+ * only an importer that restores a saved state can go on. The other discards tell of it wrongly or not at all.
+ */
+
+#define _POSIX_C_SOURCE 199309L
+#include <signal.h>
+#include <unistd.h>
+
+#include "config.h"
+
+enum { MISDEED, MISDEED_TIME, LONGEST_STEP, U, Y, N_VARIABLES };
+
+enum { /* the items of the enumeration Misdeed */
+    NONE = 1,
+    WARNING,
+    DISCARD,       /* tells the last successful time */
+    TELLS_BEFORE,  /* discards, and tells a time before the step */
+    TELLS_AFTER,   /* discards, and tells a time after the step */
+    TELLS_NAN,     /* discards, and tells no number */
+    TELLS_NOTHING, /* discards, and does not know the last successful time */
+    ERROR,
+    FATAL_ERROR,
+    NAN_OUTPUT,
+    INFINITE_OUTPUT,
+    HANG,
+    ABORT,
+    SEGFAULT,
+    REFUSE_STATE,
+    REFUSE_INPUT
+};
+
+#define MODEL_REFUSES
+#include "slave.h"
+
+static int is_due(const Slave *s, int misdeed) {
+    return s->data.value[MISDEED] == misdeed && s->data.time >= s->data.value[MISDEED_TIME] - 1e-9;
+}
+
+static fmi2Status model_initialise(Slave *s) {
+    (void)s;
+    return fmi2OK;
+}
+
+static int discards(const Slave *s) {
+    for (int each = DISCARD; each <= TELLS_NOTHING; each++)
+        if (is_due(s, each)) return 1;
+    return 0;
+}
+
+static fmi2Status discard(Slave *s, double h) {
+    Data *d = &s->data;
+    const double t = d->time, done = d->value[LONGEST_STEP];
+    d->value[Y] += done * d->value[U];
+    d->last_successful_time = is_due(s, TELLS_BEFORE)  ? t - h
+                              : is_due(s, TELLS_AFTER) ? t + 2 * h
+                              : is_due(s, TELLS_NAN)   ? NAN
+                                                       : t + done;
+    d->time = t + done;
+    return refuse(s, fmi2Discard, "a step of %g s is too long, %g s is the longest", h, done);
+}
+
+static fmi2Status model_step(Slave *s, double h) {
+    Data *d = &s->data;
+    while (is_due(s, HANG)) pause();
+    if (is_due(s, ABORT)) abort();
+    if (is_due(s, SEGFAULT)) raise(SIGSEGV);
+    if (is_due(s, ERROR)) return refuse(s, fmi2Error, "the rudder is stuck");
+    if (is_due(s, FATAL_ERROR)) return refuse(s, fmi2Fatal, "the hull is breached");
+    if (discards(s) && h > d->value[LONGEST_STEP] * (1 + 1e-9)) return discard(s, h);
+    d->value[Y] += h * d->value[U];
+    if (is_due(s, NAN_OUTPUT)) d->value[Y] = NAN;
+    if (is_due(s, INFINITE_OUTPUT)) d->value[Y] = INFINITY;
+    return is_due(s, WARNING) ? refuse(s, fmi2Warning, "the battery is low") : fmi2OK;
+}
+
+static fmi2Status model_accepts(Slave *s, fmi2ValueReference reference) {
+    const int refused = reference == U && s->data.mode == STEPPING && is_due(s, REFUSE_INPUT);
+    return refused ? refuse(s, fmi2Discard, "no input is taken any more") : fmi2OK;
+}
+
+static fmi2Status model_saves(Slave *s) {
+    return is_due(s, REFUSE_STATE) ? refuse(s, fmi2Error, "the state is not given away") : fmi2OK;
+}
+
+static fmi2Status model_tells_time(Slave *s) { return is_due(s, TELLS_NOTHING) ? fmi2Discard : fmi2OK; }

@@ -1,0 +1,124 @@
+"""The compiled loop is the one in Python, to the last bit, whatever the wiring."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from orchestration.errors import SimulationError
+from orchestration.experiment import Algorithm, Experiment
+from orchestration.faults import fault
+from orchestration.master import Simulator
+from orchestration.master.compiled_loop import compiled
+from orchestration.reference import Cosine
+from orchestration.system import System
+from tests.orchestration.foreign_fmus import Misdeed
+
+Build = Callable[..., Path]
+
+FAULTS = [
+    {"kind": "freeze", "start": 0.2, "end": 0.4},
+    {"kind": "delay", "delay": 0.07},
+    {"kind": "noise", "standard_deviation": 0.1, "seed": 3},
+    {"kind": "drop-out", "probability": 0.3, "seed": 4, "start": 0.1},
+]
+
+
+def both(system: System, experiment: Experiment) -> list[Any]:
+    """What each loop makes of it: recordings, or what they left of one that failed."""
+    found = []
+    for is_compiled in (True, False):
+        with Simulator(system, compiled=is_compiled) as simulator:
+            try:
+                found.append(simulator.run(experiment))
+            except SimulationError as error:
+                found.append(error)
+    return found
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    algorithm=st.sampled_from(Algorithm),
+    extrapolation=st.sampled_from([0, 1]),
+    interpolates=st.booleans(),
+    order=st.permutations(["one", "two", "three"]),
+    periods=st.tuples(*[st.integers(1, 4)] * 3),
+    faulty=st.lists(
+        st.tuples(st.sampled_from(["one.u[1]", "two.u[1]", "three.u[1]"]), st.sampled_from(FAULTS))
+    ),
+    step=st.sampled_from([0.05, 0.07]),
+)
+def test_both_loops_agree(
+    linear: Build,
+    algorithm: Algorithm,
+    extrapolation: int,
+    interpolates: bool,
+    order: list[str],
+    periods: tuple[int, int, int],
+    faulty: list[tuple[str, dict]],
+    step: float,
+) -> None:
+    fmu = linear(a=-2.0, d=((0.1,),), passes_discrete=True, interpolates_inputs=interpolates)
+    system = System(
+        dict.fromkeys(order, fmu),
+        (
+            ("one.y[1]", "two.u[1]"),
+            ("two.y[1]", "three.u[1]"),
+            ("one.integer_out", "two.integer_in"),
+            ("two.boolean_out", "one.boolean_in"),
+        ),
+    )
+    experiment = Experiment(
+        1.0,
+        step,
+        algorithm=algorithm,
+        inputs={
+            "one.integer_in": 7,
+            "three.integer_in": -3,
+            "two.boolean_in": True,
+            "three.boolean_in": False,
+        },
+        signals={"one.u[1]": Cosine(1.0, 6.0)},
+        extrapolation=extrapolation,
+        step_sizes={name: n * step for name, n in zip(("one", "two", "three"), periods, strict=True)},
+        faults=tuple(fault({"input": name, **declared}, "here") for name, declared in faulty),
+    )
+    fast, slow = both(system, experiment)
+    assert fast.names == slow.names
+    assert np.array_equal(fast.values, slow.values)
+    assert fast["two.integer_out"][-1] == 7.0
+    assert len(np.unique(fast["three.y[1]"])) > 2
+
+
+@pytest.mark.parametrize(
+    "misdeed", [Misdeed.ERROR, Misdeed.DISCARD, Misdeed.NAN_OUTPUT, Misdeed.REFUSE_INPUT]
+)
+def test_both_loops_fail_alike(rogue: Build, linear: Build, misdeed: Misdeed) -> None:
+    system = System({"bad": rogue(), "good": linear()}, (("bad.y", "good.u[1]"), ("good.y[1]", "bad.u")))
+    parameters = {"bad.misdeed": int(misdeed), "bad.misdeed_time": 0.5}
+    fast, slow = both(system, Experiment(1.0, 0.1, parameters=parameters))
+    assert str(fast) == str(slow)
+    assert np.array_equal(fast.recording.values, slow.recording.values, equal_nan=True)
+    assert 5 <= len(fast.recording.time) <= 7
+
+
+def test_the_compiled_loop_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One file in the user's cache, taken the second time."""
+    from orchestration.master import compiled_loop
+
+    monkeypatch.setattr(compiled_loop, "user_cache_path", lambda name: tmp_path / name)
+    compiled_loop._library.cache_clear()
+    try:
+        compiled_loop._library()
+        (kept,) = (tmp_path / "l1-depth").iterdir()
+        before = kept.stat().st_mtime_ns
+        compiled_loop._library.cache_clear()
+        compiled_loop._library()
+        assert kept.stat().st_mtime_ns == before
+    finally:
+        compiled_loop._library.cache_clear()
+    assert compiled

@@ -1,0 +1,35 @@
+"""Real time: what is waited for, and what is counted as late; by a clock that the test turns."""
+
+import pytest
+
+from orchestration.master import pacing
+from orchestration.master.pacing import Pacing
+
+
+class Clock:
+    """Stands still unless somebody sleeps or works."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def perf_counter(self) -> float:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+
+
+def test_points_are_waited_for_and_late_ones_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock()
+    monkeypatch.setattr(pacing, "time", clock)
+    pace = Pacing(factor=2.0)
+    work = {0.0: 0.1, 1.0: 0.2, 2.0: 0.8, 3.0: 0.3, 4.0: 0.1}  # t -> seconds of the wall clock until the next
+    reached = []
+    for t, seconds in work.items():
+        pace.wait(t)
+        reached.append(clock.now - 100.0)
+        clock.now += seconds
+    assert reached == pytest.approx([0.0, 0.5, 1.0, 1.8, 2.1])
+    assert pace.report() == pytest.approx(
+        {"factor": 2.0, "missed_deadlines": 2, "worst_lateness_s": 0.3, "worst_at_s": 3.0}
+    )
