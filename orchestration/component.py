@@ -9,7 +9,7 @@ import itertools
 import tempfile
 import warnings
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -27,6 +27,7 @@ from orchestration.errors import FmuLoadError, SlaveError, SlaveWarning
 _STATUS = ("ok", "warning", "discard", "error", "fatal", "pending")
 _REFUSED_FROM = 2  # discard and worse
 _ERROR, _FATAL = 3, 4
+_MOST_MESSAGES = 10  # in an error or a warning
 _LAST_SUCCESSFUL_TIME = 2  # of fmi2StatusKind
 
 # FMI type -> (ctypes element, name of getter and setter)
@@ -39,7 +40,7 @@ _TYPES = {
 
 
 class Log(list[tuple[int, str]]):
-    """What an instance has said since it was last judged, as (status, message).
+    """What an instance has said since it was last judged, as (status, message), repetitions left out.
 
     heard: shape (1,), not 0 once that was an error; the communication loop looks at it
     """
@@ -51,6 +52,23 @@ class Log(list[tuple[int, str]]):
     def clear(self) -> None:
         super().clear()
         self.heard[0] = 0
+
+
+class UnderWay:
+    """Marks calls of an instance for someone who watches from another process; a context manager.
+
+    busy: shape (1,), `number` while a call is under way, else 0; calls: shape (1,), how many have returned
+    """
+
+    def __init__(self, number: int, busy: np.ndarray, calls: np.ndarray) -> None:
+        self._number, self._busy, self._calls = number, busy, calls
+
+    def __enter__(self) -> None:
+        self._busy[0] = self._number
+
+    def __exit__(self, *reason: object) -> None:
+        self._busy[0] = 0
+        self._calls[0] += 1
 
 
 # by a number of the instance, which its callbacks carry: two instances in a process may have one name
@@ -67,7 +85,9 @@ def _keep_log(
 ) -> None:
     log = _logs.get(environment or 0)
     if log is not None:
-        log.append((status, " ".join((message or b"").decode("utf-8", "replace").split())))
+        entry = status, " ".join((message or b"").decode("utf-8", "replace").split())
+        if not log or log[-1] != entry:
+            log.append(entry)
         if status in (_ERROR, _FATAL):
             log.heard[0] = 1
 
@@ -105,26 +125,32 @@ class Values:
 
     def read(self) -> None:
         """FMU -> array."""
-        status = self._getter(*self._arguments)
+        with self._component.under_way:
+            status = self._getter(*self._arguments)
         if status or self._component.log:
             self._component.judge(self._get_name, status)
 
     def write(self) -> None:
         """Array -> FMU."""
-        status = self._setter(*self._arguments)
+        with self._component.under_way:
+            status = self._setter(*self._arguments)
         if status or self._component.log:
             self._component.judge(self._set_name, status)
 
 
 class Component:
-    """An instance of an FMI 2.0 co-simulation FMU, between instantiation and `close`."""
+    """An instance of an FMI 2.0 co-simulation FMU, between instantiation and `close`.
+
+    Its library is a copy of its own: what FMI says of all instances after a fatal error ends this one alone.
+    """
 
     def __init__(self, name: str, path: Path, description: ModelDescription) -> None:
         self.name, self.description, self.time = name, description, 0.0
         self._folder = tempfile.TemporaryDirectory(prefix="l1-depth-", ignore_cleanup_errors=True)
-        self._initialised = self._stepping = self._dead = False
+        self._initialised = self._stepping = self._failed = self._dead = False
         self._number = next(_numbers)
         self.log = _logs[self._number] = Log()
+        self.under_way = UnderWay(1, np.zeros(1, np.int64), np.zeros(1, np.int64))
         self._callbacks = fmi2.fmi2CallbackFunctions(
             allocateMemory=fmi2.defaultCallbacks.allocateMemory,
             freeMemory=fmi2.defaultCallbacks.freeMemory,
@@ -169,15 +195,14 @@ class Component:
         """Instantiated or reset, and not yet initialised."""
         return not self._initialised
 
-    def renew(self) -> None:
-        """Back to the state after instantiation: by fmi2Reset, or a new instance where that is refused."""
-        status = self.library.fmi2Reset(self.handle)
+    def reset(self) -> bool:
+        """Back to the state after instantiation; False if the FMU refuses, and must be loaded anew."""
+        status = self._status("fmi2Reset")
         self.log.clear()
+        self._dead = self._dead or status == _FATAL
         if status == 0:
-            self._initialised = self._stepping = False
-            return
-        self._slave.dll.fmi2FreeInstance(self.handle)
-        self._instantiate()
+            self._initialised = self._stepping = self._failed = False
+        return status == 0
 
     @property
     def handle(self) -> Any:
@@ -197,12 +222,17 @@ class Component:
 
     def set(self, variable: ScalarVariable, value: Any) -> None:
         """Set one variable, outside the loop."""
-        if variable.type == "String":
-            self._call("setString", [variable.valueReference], [str(value)])
-            return
-        (group,) = self.values([variable])
-        group.array[0] = value
-        group.write()
+        self.set_all([(variable, value)])
+
+    def set_all(self, settings: Sequence[tuple[ScalarVariable, Any]]) -> None:
+        """Set variables, those of one type in one call, outside the loop."""
+        values = {variable.name: value for variable, value in settings}
+        for variable, value in settings:
+            if variable.type == "String":
+                self._call("setString", [variable.valueReference], [str(value)])
+        for group in self.values(variable for variable, _ in settings):
+            group.array[:] = [values[variable.name] for variable in group.variables]
+            group.write()
 
     def get(self, variable: ScalarVariable) -> Any:
         """Read one variable, outside the loop."""
@@ -224,47 +254,49 @@ class Component:
     def saved_state(self, state: int | None = None) -> int:
         """The FMU's own state; one saved before, if given, is overwritten."""
         pointer = ctypes.c_void_p(state)
-        self.judge("fmi2GetFMUstate", self.library.fmi2GetFMUstate(self.handle, ctypes.byref(pointer)))
+        self.judge("fmi2GetFMUstate", self._status("fmi2GetFMUstate", ctypes.byref(pointer)))
         return int(pointer.value or 0)
 
     def restore(self, state: int) -> None:
-        self.judge("fmi2SetFMUstate", self.library.fmi2SetFMUstate(self.handle, ctypes.c_void_p(state)))
+        self.judge("fmi2SetFMUstate", self._status("fmi2SetFMUstate", ctypes.c_void_p(state)))
+        self._failed = False
 
     def forget(self, state: int) -> None:
         """Give a saved state back; after fatal it goes with the library."""
         if self._dead:
             return
         pointer = ctypes.c_void_p(state)
-        self.judge("fmi2FreeFMUstate", self.library.fmi2FreeFMUstate(self.handle, ctypes.byref(pointer)))
+        self.judge("fmi2FreeFMUstate", self._status("fmi2FreeFMUstate", ctypes.byref(pointer)))
 
     def packed(self, state: int) -> bytes:
         """A saved state as bytes, which another instance of this FMU can take."""
         size = ctypes.c_size_t()
         saved = ctypes.c_void_p(state)
-        status = self.library.fmi2SerializedFMUstateSize(self.handle, saved, ctypes.byref(size))
+        status = self._status("fmi2SerializedFMUstateSize", saved, ctypes.byref(size))
         self.judge("fmi2SerializedFMUstateSize", status)
         content = ctypes.create_string_buffer(size.value)
-        status = self.library.fmi2SerializeFMUstate(self.handle, saved, content, size)
+        status = self._status("fmi2SerializeFMUstate", saved, content, size)
         self.judge("fmi2SerializeFMUstate", status)
         return content.raw
 
     def unpacked(self, content: bytes) -> int:
         """The inverse of `packed`."""
         state, length = ctypes.c_void_p(), ctypes.c_size_t(len(content))
-        status = self.library.fmi2DeSerializeFMUstate(self.handle, content, length, ctypes.byref(state))
+        status = self._status("fmi2DeSerializeFMUstate", content, length, ctypes.byref(state))
         self.judge("fmi2DeSerializeFMUstate", status)
         return int(state.value or 0)
 
     def last_successful_time(self) -> float | None:
         """Up to where a discarded step was computed [s]; None if the FMU does not tell."""
         time = ctypes.c_double()
-        status = self.library.fmi2GetRealStatus(self.handle, _LAST_SUCCESSFUL_TIME, ctypes.byref(time))
+        status = self._status("fmi2GetRealStatus", _LAST_SUCCESSFUL_TIME, ctypes.byref(time))
+        self._remember(status)
         return time.value if status == 0 else None
 
     def do_step(self, t: float, h: float) -> None:
         """Advance from t to t + h seconds."""
         self.time = t
-        status = self.library.fmi2DoStep(self.handle, ctypes.c_double(t), ctypes.c_double(h), 1)
+        status = self._status("fmi2DoStep", ctypes.c_double(t), ctypes.c_double(h), 1)
         if status or self.log:
             self.judge("fmi2DoStep", status)
 
@@ -276,22 +308,29 @@ class Component:
         log = list(self.log)
         self.log.clear()
         worst = max([status, *(s for s, _ in log if s in (_ERROR, _FATAL))])
-        self._dead = self._dead or status == _FATAL
+        self._remember(status)
         name = _STATUS[worst] if worst < len(_STATUS) else f"status {worst}"
-        messages = [message for _, message in log]
+        messages = _shortened([message for _, message in log])
         if worst >= _REFUSED_FROM:
             raise SlaveError(self.name, self.time, call, name, messages)
         if worst:
             said = "; ".join(messages) or "it logged nothing"
             warnings.warn(f"{self.name} at t = {self.time:.9g} s: {call}: {said}", SlaveWarning, stacklevel=2)
 
+    def _remember(self, status: int) -> None:
+        self._failed = self._failed or status >= _ERROR
+        self._dead = self._dead or status == _FATAL
+
     def close(self) -> None:
-        """Terminate and free the instance, unload its library, remove its folder."""
+        """Terminate and free the instance, unload its library, remove its folder.
+
+        FMI forbids to terminate what has returned an error, and any call of what has returned fatal.
+        """
         try:
+            if self._stepping and self._slave is not None and not (self._failed or self._dead):
+                self._dead = self._status("fmi2Terminate") == _FATAL
             if self._slave is not None and not self._dead:
-                if self._stepping:
-                    self._slave.dll.fmi2Terminate(self.handle)
-                self._slave.dll.fmi2FreeInstance(self.handle)
+                self._status("fmi2FreeInstance")
         finally:
             self._unload()
 
@@ -302,10 +341,16 @@ class Component:
         _logs.pop(self._number, None)
         self._folder.cleanup()
 
+    def _status(self, function: str, *arguments: Any) -> int:
+        """What a function of the library answers for the instance."""
+        with self.under_way:
+            return getattr(self.library, function)(self.handle, *arguments)
+
     def _call(self, method: str, *arguments: Any, **options: Any) -> None:
         call = f"fmi2{method[0].upper()}{method[1:]}"
         try:
-            status = getattr(self._slave, method)(*arguments, **options) or 0
+            with self.under_way:
+                status = getattr(self._slave, method)(*arguments, **options) or 0
         except FMICallException as error:
             status = error.status
         self.judge(call, status)
@@ -317,6 +362,13 @@ class Component:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def _shortened(messages: list[str]) -> list[str]:
+    """Each once, and no more than can be read."""
+    different = list(dict.fromkeys(messages))
+    left = len(different) - _MOST_MESSAGES
+    return [*different[:_MOST_MESSAGES], *([f"and {left} more"] if left > 0 else [])]
 
 
 def _identifier(description: ModelDescription) -> str:

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from orchestration.reference import Signal
 from orchestration.system import CheckedSystem, Port
 
 _MOST_POINTS = 1e9
+_INTEGERS = (-(2**31), 2**31 - 1)  # fmi2Integer
 _MEMBERS = {"events": "Event", "faults": "Fault", "record": "names"}
 # type of FMI 2.0 -> the functions that get and set it; others do not travel
 TRAVELS_AS = {"Real": "Real", "Integer": "Integer", "Enumeration": "Integer", "Boolean": "Boolean"}
@@ -107,7 +109,9 @@ class Experiment:
             raise SystemDefinitionError("tolerance and step_sizes: expected one of them")
         for name, size in self.step_sizes.items():
             ratio = size / self.step_size
-            if not (ratio >= 0.5 and abs(ratio - round(ratio)) <= GRID_TOLERANCE * ratio):
+            if not (
+                math.isfinite(ratio) and ratio >= 0.5 and abs(ratio - round(ratio)) <= GRID_TOLERANCE * ratio
+            ):
                 raise SystemDefinitionError(
                     f"step size of {name}, {size!r} s: expected a multiple of the communication step size, "
                     f"{self.step_size!r} s"
@@ -137,6 +141,11 @@ class Experiment:
     def period(self, component: str) -> int:
         """Communication steps in one step of a component."""
         return round(self.step_sizes.get(component, self.step_size) / self.step_size)
+
+    def nearness(self) -> float:
+        """Times [s] closer than this are the same: a small part of a step, and more than rounding."""
+        rounding = 4.0 * np.finfo(float).eps * max(abs(self.start_time), abs(self.stop_time))
+        return max(GRID_TOLERANCE * self.step_size, float(rounding))
 
     def points(self) -> np.ndarray:
         """Communication points, first and last included."""
@@ -203,8 +212,9 @@ def communication_points(checked: CheckedSystem, experiment: Experiment) -> np.n
     )
     if experiment.step_sizes or not can_vary:
         return points
-    near = GRID_TOLERANCE * experiment.step_size
-    between = [event.time for event in experiment.events if np.abs(points - event.time).min() > near]
+    near = experiment.nearness()
+    times = sorted(event.time for event in experiment.events if np.abs(points - event.time).min() > near)
+    between = [t for before, t in pairwise([-math.inf, *times]) if t - before > near]
     return np.unique([*points, *between]) if between else points
 
 
@@ -269,7 +279,8 @@ def _check_faults(checked: CheckedSystem, experiment: Experiment) -> None:
 def _check_capabilities(checked: CheckedSystem, experiment: Experiment) -> None:
     """What the FMUs say that they cannot do."""
     points = experiment.points()
-    last_is_shorter = points[-1] - points[-2] < experiment.step_size * (1.0 - GRID_TOLERANCE)
+    whole_steps = (experiment.stop_time - experiment.start_time) / experiment.step_size
+    last_is_shorter = abs(whole_steps - round(whole_steps)) > GRID_TOLERANCE * whole_steps
     for name in experiment.step_sizes:
         if name not in checked.components:
             raise SystemDefinitionError(
@@ -309,7 +320,7 @@ def checked_value(port: Port, value: Any) -> Any:
         raise SystemDefinitionError(f"{name} = {value!r}: expected a value of type {variable.type}")
     if not abs(value) <= sys.float_info.max:
         raise SystemDefinitionError(f"{name} = {value!r}: expected a finite number")
-    low, high = _limit(variable.min, -math.inf), _limit(variable.max, math.inf)
+    low, high = permitted(port)
     if not low <= value <= high:
         unit = f" {variable.unit}" if variable.unit not in (None, "1") else ""
         raise SystemDefinitionError(f"{name} = {value!r}: expected {low:g}..{high:g}{unit}")
@@ -325,5 +336,10 @@ def _item(port: Port, name: str) -> int:
     return items[name]
 
 
-def _limit(text: str | None, default: float) -> float:
-    return default if text is None else float(text)
+def permitted(port: Port) -> tuple[float, float]:
+    """The least and the largest value: as declared, and as the type can hold."""
+    variable = port.variable
+    widest = (-math.inf, math.inf) if variable.type == "Real" else _INTEGERS
+    stated = (variable.min, variable.max)
+    low, high = (limit if text is None else float(text) for text, limit in zip(stated, widest, strict=True))
+    return low, high

@@ -17,7 +17,7 @@ Signal = Callable[[float], float]
 
 
 class Curve:
-    """A signal that is given for many times at once: `at` maps times, shape (n,), to values, shape (n,)."""
+    """A signal that is given for many times at once: `at` maps ascending times, (n,), to values, (n,)."""
 
     def at(self, times: np.ndarray) -> np.ndarray:
         raise NotImplementedError
@@ -54,10 +54,12 @@ class Ramps(Curve):
     def at(self, times: np.ndarray) -> np.ndarray:
         values = np.full(times.shape, float(self.points[0][1]))
         for (t_0, x_0), (t_1, x_1) in pairwise(self.points):
-            s = (times - t_0) / (t_1 - t_0)
-            line = x_0 + (x_1 - x_0) * (_quintic(s) if self.smooth else s)
-            values = np.where(times > t_0, line, values)
-        return np.where(times > self.points[-1][0], float(self.points[-1][1]), values)
+            inside = slice(*np.searchsorted(times, (t_0, t_1), side="right"))
+            s = (times[inside] - t_0) / (t_1 - t_0)
+            values[inside] = x_0 + (x_1 - x_0) * (_quintic(s) if self.smooth else s)
+        end, last = self.points[-1]
+        values[np.searchsorted(times, end, side="right") :] = last
+        return values
 
 
 @dataclass(frozen=True)

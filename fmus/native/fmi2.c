@@ -13,6 +13,7 @@
 
 typedef struct {
     Data data;
+    double stop_time; /* of the setup: no saved state changes it */
     Log log;
     fmi2CallbackAllocateMemory allocate;
     fmi2CallbackFreeMemory release;
@@ -211,6 +212,11 @@ static void cannot_instantiate(const fmi2CallbackFunctions *functions, fmi2Strin
     va_end(arguments);
 }
 
+static void instance_reset(Instance *it) {
+    data_reset(&it->data);
+    it->stop_time = DBL_MAX;
+}
+
 /* The resource location is not looked at: the model needs no file, so that every URI is as good. */
 fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID,
                               fmi2String fmuResourceLocation, const fmi2CallbackFunctions *functions,
@@ -243,7 +249,7 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
     it->log = (Log){functions->logger, functions->componentEnvironment, name, log_mask(loggingOn)};
     it->allocate = allocate;
     it->release = has_memory ? functions->freeMemory : free;
-    data_reset(&it->data);
+    instance_reset(it);
     return it;
 }
 
@@ -266,7 +272,7 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fm
         return refuse(it, fmi2Error, "fmi2SetupExperiment: stop time %s s: expected more than the start time %s s",
                       DECIMAL(stopTime), DECIMAL(startTime));
     it->data.time = startTime;
-    it->data.stop_time = stopTimeDefined ? fmin(stopTime, DBL_MAX) : DBL_MAX; /* infinity: no end */
+    it->stop_time = stopTimeDefined ? fmin(stopTime, DBL_MAX) : DBL_MAX; /* infinity: no end */
     it->data.outputs_are_stale = 1;
     return fmi2OK;
 }
@@ -298,7 +304,7 @@ fmi2Status fmi2Terminate(fmi2Component c) {
 fmi2Status fmi2Reset(fmi2Component c) {
     Instance *it = c;
     if (!it) return fmi2Error;
-    data_reset(&it->data);
+    instance_reset(it);
     return fmi2OK;
 }
 
@@ -321,9 +327,9 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2R
     if (!isfinite(t) || !(fabs(t - it->data.time) <= tolerance_at(t, h)))
         return refuse(it, fmi2Error, "fmi2DoStep: communication point %s s: expected %s s, the current time",
                       DECIMAL(t), DECIMAL(it->data.time));
-    if (!(t + h <= it->data.stop_time + tolerance_at(t, h)))
+    if (!(t + h <= it->stop_time + tolerance_at(t, h)))
         return refuse(it, fmi2Error, "fmi2DoStep: step to %s s: expected at most the stop time %s s",
-                      DECIMAL(t + h), DECIMAL(it->data.stop_time));
+                      DECIMAL(t + h), DECIMAL(it->stop_time));
     const Outcome outcome = data_step(&it->data, t, h, &broken);
     return outcome == DONE ? fmi2OK : report(it, outcome, &broken, "fmi2DoStep", h);
 }

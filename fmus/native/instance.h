@@ -18,7 +18,7 @@
 /* Everything that a saved state holds: words of 64 bits, integers and doubles. */
 typedef struct {
     int64_t mode, parameters_are_stale, outputs_are_stale, inputs_have_rates;
-    double time, stop_time;
+    double time;
     double value[N_VARIABLES];
     double input_rate[N_INPUTS + 1];
     double state[N_STATES + 1];
@@ -31,7 +31,6 @@ static const double MOST_INTERNAL_STEPS = 1e9;
 static void data_reset(Data *d) {
     memset(d, 0, sizeof *d);
     d->mode = INSTANTIATED;
-    d->stop_time = DBL_MAX;
     d->parameters_are_stale = d->outputs_are_stale = 1;
     for (int i = 0; i < N_VARIABLES; i++) d->value[i] = VARIABLES[i].start;
 }

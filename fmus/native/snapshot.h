@@ -2,6 +2,7 @@
  *
  * Bytes: magic, format, GUID, the words of `Data` and a checksum, little-endian on every platform, so that
  * what one host saved another one restores. They are refused when they are another FMU's or damaged.
+ * The stop time is no part of a state: it is what the importer said to an instance when it set that up.
  */
 
 #ifndef SNAPSHOT_H
@@ -15,7 +16,7 @@ typedef struct {
 } Snapshot;
 
 enum {
-    FORMAT = 1,
+    FORMAT = 2,
     N_WORDS = sizeof(Data) / 8,
     MAGIC_SIZE = 8,
     GUID_PLACE = MAGIC_SIZE + 8,
@@ -62,7 +63,7 @@ static int is_flag(int64_t word) { return word == 0 || word == 1; }
 /* Whether an instance could have this state. */
 static int is_consistent(const Data *d) {
     int good = d->mode >= INSTANTIATED && d->mode <= IN_ERROR && (d->mode & (d->mode - 1)) == 0;
-    good = good && isfinite(d->time) && isfinite(d->stop_time);
+    good = good && isfinite(d->time);
     good = good && is_flag(d->parameters_are_stale) && is_flag(d->outputs_are_stale);
     good = good && is_flag(d->inputs_have_rates);
     good = good && are_finite(d->input_rate, N_INPUTS) && are_finite(d->state, N_STATES);

@@ -14,8 +14,10 @@
 
 enum { HELD, BY_THE_FMU, AT_THE_MIDDLE };
 enum { NOTHING, WRITE, SLOPES, STEP, READ, CONNECTION };
-enum { RECORDED, FAILURE, WHO, WHICH, STATUS, BUSY };
+enum { RECORDED, FAILURE, WHO, WHICH, STATUS, BUSY, CALLS };
 enum { OK, WARNING };
+
+typedef char sixty_four_bits[sizeof(void *) == 8 ? 1 : -1];
 
 typedef int ExchangeValues(void *instance, const void *references, size_t count, void *values);
 typedef int SetDerivatives(void *instance, const void *references, size_t count, const void *orders,
@@ -30,7 +32,9 @@ typedef struct {
 
 typedef struct {
     const int64_t *first, *source, *target, *giver, *fault, *carried;
-    double *value, *slope, *stamp;
+    const double *low, *high;
+    double *value, *slope, *stamp, *given, *interval;
+    const double *reach;
 } Links;
 
 typedef struct {
@@ -41,13 +45,14 @@ typedef struct {
 
 typedef struct {
     int64_t n_points, n_components, n_links, n_signals, n_columns;
-    int64_t gauss_seidel;
+    int64_t gauss_seidel, whole_steps;
     const double *points;
     double *bus, *slopes;
     int32_t *whole;
     const void *orders;
     const intptr_t *instance, *do_step;
     const int64_t *period;
+    const double *only_step;
     double *begun;
     const volatile int64_t *heard; /* written by the logger, in a call of an FMU */
     int64_t *warned;
@@ -65,10 +70,14 @@ typedef struct {
 static int is_multiple(int64_t i, int64_t period) { return period == 1 || i % period == 0; }
 
 static int accepted(Wiring *w, int call, int64_t c, int64_t which, int status) {
+    w->report[BUSY] = 0;
+    w->report[CALLS]++;
     if (status == OK && !w->heard[c]) return 1;
     if (status <= WARNING && !w->heard[c]) {
-        w->warned[c] = call;
-        w->warned_at[c] = w->begun[c];
+        if (w->warned[c] == NOTHING) {
+            w->warned[c] = call;
+            w->warned_at[c] = w->begun[c];
+        }
         return 1;
     }
     w->report[FAILURE] = call;
@@ -78,7 +87,7 @@ static int accepted(Wiring *w, int call, int64_t c, int64_t which, int status) {
     return 0;
 }
 
-static int take(Wiring *w, int64_t k, int64_t i, double t) {
+static int take(Wiring *w, int64_t k, int64_t i, double t, int given) {
     Links *links = &w->links;
     const int64_t fault = links->fault[k];
     double value = w->bus[links->source[k]];
@@ -89,13 +98,19 @@ static int take(Wiring *w, int64_t k, int64_t i, double t) {
         value = w->faults.addition[fault * w->n_points + i];
         if (origin >= 0) value += history[origin];
     }
-    if (links->carried[k] != HELD && t > links->stamp[k])
-        links->slope[k] = (value - links->value[k]) / (t - links->stamp[k]);
+    if (links->carried[k] != HELD && given) {
+        if (t > links->stamp[k]) {
+            links->interval[k] = t - links->stamp[k];
+            links->slope[k] = (value - links->given[k]) / links->interval[k];
+            links->stamp[k] = t;
+        }
+        links->given[k] = value;
+    }
     links->value[k] = value;
-    links->stamp[k] = t;
     w->bus[links->target[k]] = value;
     if (isfinite(value)) return 1;
     w->report[FAILURE] = CONNECTION;
+    w->report[WHO] = -1;
     w->report[WHICH] = k;
     return 0;
 }
@@ -106,8 +121,8 @@ EXPORT int loop_exchange(Wiring *w, int64_t i, double t, int on_point) {
     for (int64_t k = 0; k < w->n_links; k++) {
         const int64_t giver = w->links.giver[k];
         const int faulty = w->links.fault[k] >= 0;
-        const int is_new = giver < 0 || last || faulty || is_multiple(i, w->period[giver]);
-        if (is_new && (on_point || !faulty) && !take(w, k, i, t)) fine = 0;
+        const int given = giver < 0 || last || is_multiple(i, w->period[giver]);
+        if ((faulty ? on_point : given) && !take(w, k, i, t, given)) fine = 0;
     }
     return fine;
 }
@@ -139,11 +154,16 @@ static int write_inputs(Wiring *w, int64_t c, double t, double h) {
     const Links *links = &w->links;
     const Calls *calls = &w->writes;
     for (int64_t k = links->first[c]; k < links->first[c + 1]; k++) {
-        const double slope = links->slope[k];
-        double value = links->value[k];
+        double value = links->value[k], slope = links->slope[k], reach;
         if (links->carried[k] == HELD) continue; /* `take` has put it on the bus */
+        reach = links->reach[k] * links->interval[k];
+        if (h > reach) slope *= reach / h;
         value += slope * (t - links->stamp[k]);
-        if (links->carried[k] == AT_THE_MIDDLE) value += slope * (0.5 * h);
+        if (links->carried[k] == AT_THE_MIDDLE) {
+            value += slope * (0.5 * h);
+            if (value < links->low[k]) value = links->low[k];
+            if (value > links->high[k]) value = links->high[k];
+        }
         w->slopes[links->target[k]] = slope;
         w->bus[links->target[k]] = value;
     }
@@ -156,8 +176,10 @@ static int write_inputs(Wiring *w, int64_t c, double t, double h) {
     calls = &w->derivatives;
     for (int64_t g = calls->first[c]; g < calls->first[c + 1]; g++) {
         SetDerivatives *function = (SetDerivatives *)calls->function[g];
-        const int status = function((void *)w->instance[c], (const void *)calls->references[g],
-                                    (size_t)calls->size[g], w->orders, (const void *)calls->buffer[g]);
+        int status;
+        w->report[BUSY] = c + 1;
+        status = function((void *)w->instance[c], (const void *)calls->references[g], (size_t)calls->size[g],
+                          w->orders, (const void *)calls->buffer[g]);
         if (!accepted(w, SLOPES, c, g, status)) return 0;
     }
     return 1;
@@ -166,8 +188,9 @@ static int write_inputs(Wiring *w, int64_t c, double t, double h) {
 static int advance(Wiring *w, int64_t c, double end) {
     DoStep *function = (DoStep *)w->do_step[c];
     const double begun = w->begun[c];
+    const double h = w->only_step[c] > 0.0 ? w->only_step[c] : end - begun;
     w->report[BUSY] = c + 1;
-    return accepted(w, STEP, c, 0, function((void *)w->instance[c], begun, end - begun, 1));
+    return accepted(w, STEP, c, 0, function((void *)w->instance[c], begun, h, 1));
 }
 
 EXPORT int loop_read_outputs(Wiring *w, int64_t c) {
@@ -201,14 +224,14 @@ static int jacobi(Wiring *w, int64_t i, double t, double end) {
 }
 
 static int gauss_seidel(Wiring *w, int64_t i, double t, double end) {
-    const int on_point = end == w->points[i + 1];
+    const int whole = w->whole_steps && t == w->points[i] && end == w->points[i + 1];
     for (int64_t c = 0; c < w->n_components; c++) {
         if (is_multiple(i, w->period[c])) w->begun[c] = t;
         if (!is_due(w, c, i)) continue;
         for (int64_t k = w->links.first[c]; k < w->links.first[c + 1]; k++) {
             const int64_t giver = w->links.giver[k];
             const int is_newer = 0 <= giver && giver < c && is_due(w, giver, i);
-            if (is_newer && (on_point || w->links.fault[k] < 0) && !take(w, k, i + 1, end)) return 0;
+            if (is_newer && (whole || w->links.fault[k] < 0) && !take(w, k, i + 1, end, 1)) return 0;
         }
         if (!(write_inputs(w, c, w->begun[c], end - w->begun[c]) && advance(w, c, end) && loop_read_outputs(w, c)))
             return 0;

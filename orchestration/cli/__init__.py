@@ -1,4 +1,7 @@
-"""The command line `l1-depth`: a module a topic, gathered here."""
+"""The command line `l1-depth`: a module a topic, gathered here.
+
+Commands import where they run what takes long to import and only they need: `--help` waits for nothing.
+"""
 
 import os
 import sys

@@ -10,7 +10,6 @@ from fmus.catalogue import Flavour
 from orchestration import handover, ssp_write
 from orchestration.cli.shared import OutFolder, bar, console, shipped_or_own
 from orchestration.errors import OrchestrationError
-from orchestration.importers import comparison
 from orchestration.recording import write_whole
 
 
@@ -42,6 +41,8 @@ def importers(
     ] = None,
 ) -> None:
     """Run packages in other importers and compare the depth with our master's."""
+    from orchestration.importers import comparison
+
     count = len(comparison.DISTRIBUTIONS) * len(comparison.SCENARIOS)
     with bar(count, "run", "importers") as shown, tempfile.TemporaryDirectory() as folder:
         found = [shown.update() or each for each in comparison.outcomes(Path(folder))]

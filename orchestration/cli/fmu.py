@@ -14,7 +14,6 @@ from fmus import catalogue
 from fmus.catalogue import Flavour
 from fmus.toolchain import PLATFORMS, check_platforms
 from orchestration.cli.shared import FlavourOption, bar, console
-from orchestration.compliance.__main__ import check as judged
 from orchestration.errors import OrchestrationError
 from orchestration.system import describe
 
@@ -69,6 +68,8 @@ def check(
     every: Annotated[bool, typer.Option("--all", help="Show every rule, not only those broken.")] = False,
 ) -> None:
     """Judge FMUs by the rules of FMI 2.0.5; fails if one is broken that is not a mere warning."""
+    from orchestration.compliance.__main__ import check as judged
+
     for path in fmus:
         if not path.is_file():
             describe(path)  # says which FMU is nearest

@@ -9,8 +9,6 @@ import typer
 
 from fmus import catalogue
 from fmus.catalogue import Flavour
-from orchestration import bench as benchmark
-from orchestration import identify as identification
 from orchestration import report, scenario
 from orchestration import reproduce as reproduction
 from orchestration.cli.shared import FlavourOption, OutFolder, bar, chosen_scenario, console
@@ -86,6 +84,8 @@ def identify(
     ] = _IDENTIFIED,
 ) -> None:
     """Fit the gains that the paper does not publish to the nominal row of its Table 1."""
+    from orchestration import identify as identification
+
     reproduction.build_what_is_missing(
         scenario.load(scenario.find(name)) for name in identification.SCENARIOS
     )
@@ -126,6 +126,8 @@ def bench(
     rounds: Annotated[int, typer.Option(help="Of which the median is taken.", min=1)] = 7,
 ) -> None:
     """Measure FMI against bare C, this master against others, and a scenario against one C program."""
+    from orchestration import bench as benchmark
+
     chosen, blocks = names or ["nominal-extended"], catalogue.block_names()
     for name in chosen:
         scenario.find(name)

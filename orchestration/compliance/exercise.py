@@ -2,7 +2,6 @@
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import tempfile
@@ -14,6 +13,7 @@ from orchestration.compliance import derivative_rules, lifecycle_rules, state_ru
 from orchestration.compliance.fmu_file import FmuFile
 from orchestration.compliance.here import library_here, platform
 from orchestration.compliance.rule import Level, Result, Rule, Stage, registered, rule
+from orchestration.own_process import ending
 
 MODULES = (lifecycle_rules, state_rules, derivative_rules)
 DEFAULT_TIMEOUT_S = 30.0
@@ -84,9 +84,7 @@ def _process(path: Path, folder: Path, report: Path, timeout: float, names: Sequ
     said = done.stderr.decode("utf-8", "replace").splitlines()
     if any(line.startswith("Timeout (") for line in said):
         return f"took more than {timeout:g} s"
-    if done.returncode < 0:
-        return f"ended the process by {signal.Signals(-done.returncode).name}"
-    return f"ended the process with status {done.returncode}"
+    return f"ended the process with {ending(done.returncode)}"
 
 
 def _read(report: Path, ending: str, remaining: Sequence[str]) -> dict[str, list[str]]:

@@ -50,10 +50,12 @@ def simulate(
 
     settings: of the `Experiment`, if none is given; of stop time and step size, what is not among them is
     what the FMUs suggest
-    timeout: longest time [s] that the initialisation or a step may take; the FMUs then run in a process of
-    their own, and one that hangs or crashes takes nothing with it
+    timeout: longest time [s] that a call of an FMU may take, a step for instance; the FMUs then run in a
+    process of their own, and one that hangs or crashes takes nothing with it
     Other arguments, and errors: as of `Simulator.run`.
     """
+    if not isinstance(system, System):
+        raise SystemDefinitionError(f"simulate: expected a System, got {system!r}")
     options = {"real_time": real_time, "checkpoints": checkpoints, "resume": resume}
     if experiment and settings:
         raise SystemDefinitionError("simulate: expected an experiment, or its settings such as stop_time")

@@ -5,7 +5,7 @@ the error of the halves, p being the order of the exchange: 1, or 2 with extrapo
 part h / T of the tolerance, T being the length of the run: what all steps bring together stays below it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,7 @@ from orchestration.reference import Signal
 
 _SHORTEST = 1e-9  # of a communication step
 _SAFETY, _LEAST, _MOST = 0.9, 0.2, 5.0  # the usual factors of a step-size control
+_MOST_AFTER_DISCARD = 2.0
 
 
 @dataclass
@@ -33,19 +34,31 @@ class Effort:
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Error that a run may bring, relative to max(|value|, nominal); `places` of the values on the bus."""
+    """Error that a run may bring, relative to max(|value|, nominal); `places` of the values on the bus.
+
+    at_once: whether an output may follow an input directly. What it is late by is an error of its own, which
+    does not add up from step to step: it is judged against the whole tolerance.
+    """
 
     relative: float
     order: int
     duration: float
     places: np.ndarray
     nominal: np.ndarray
+    at_once: np.ndarray
 
     def excess(self, coarse: np.ndarray, fine: np.ndarray, h: float) -> float:
-        """Estimated error of the fine values over what a step of h s may bring; 1 is just allowed."""
-        scale = self.relative * np.maximum(np.abs(fine), self.nominal) * (h / self.duration)
-        error = np.abs(fine - coarse) / (2.0**self.order - 1.0)
-        return float(np.max(error / scale, initial=0.0))
+        """Estimated error of the fine values over what a step of h s may bring; 1 is just allowed.
+
+        A value that is not finite either way is only recorded, and no matter of this step.
+        """
+        part = np.where(self.at_once, 1.0, h / self.duration)
+        scale = self.relative * np.maximum(np.abs(fine), self.nominal) * part
+        with np.errstate(invalid="ignore"):
+            ratio = np.abs(fine - coarse) / (2.0**self.order - 1.0) / scale
+        ratio[~(np.isfinite(coarse) | np.isfinite(fine))] = 0.0
+        ratio[np.isnan(ratio)] = np.inf
+        return float(np.max(ratio, initial=0.0))
 
 
 class ShorterSteps:
@@ -66,13 +79,14 @@ class ShorterSteps:
         self.step_size = step_size  # the next to try [s]
         self.effort = Effort()
 
-    def cover(self, i: int) -> None:
+    def cover(self, i: int, check_interrupt: Callable[[], None]) -> None:
         """From communication point i, which was looked at, to the next."""
         t, end = float(self._wiring.points[i]), float(self._wiring.points[i + 1])
         self._shortest = _SHORTEST * (end - t)
         if not self.tolerance:
             self.step_size = end - t
         while t < end:
+            check_interrupt()
             aim = t + self.step_size
             if aim > end - self._shortest:
                 aim = end
@@ -80,10 +94,10 @@ class ShorterSteps:
                 aim = t + 0.5 * (end - t)  # two equal steps rather than a long and a short one
             self._before.take()
             if self._reaches(i, t, aim):
+                if not self.tolerance:
+                    self.step_size = _MOST_AFTER_DISCARD * (aim - t)
                 t = aim
                 self.effort.steps += 1
-                if not self.tolerance:
-                    self.step_size = end - t
             else:
                 self._before.restore()
 
@@ -102,9 +116,9 @@ class ShorterSteps:
         excess = self.tolerance.excess(coarse, fine, h)
         # the error of a step is of order p + 1, what it may bring of order 1
         factor = _SAFETY * excess ** (-1.0 / self.tolerance.order) if excess > 0.0 else _MOST
-        if excess > 1.0:
+        if not excess <= 1.0:
             self.effort.inexact += 1
-            if h < self._shortest:
+            if h <= 2.0 * self._shortest:
                 raise OrchestrationError(
                     f"at t = {t:.9g} s the tolerance needs a step of less than {h:.3g} s: expected outputs "
                     "without jumps; take a larger tolerance, or steps of fixed size"

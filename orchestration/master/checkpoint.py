@@ -78,12 +78,17 @@ def read_checkpoint(path: str | Path) -> Checkpoint:
             )
     except FileNotFoundError:
         raise OrchestrationError(f"no checkpoint {path}") from None
-    except (zipfile.BadZipFile, KeyError, ValueError, EOFError) as error:
+    except (zipfile.BadZipFile, OSError, KeyError, ValueError, TypeError, AttributeError, EOFError) as error:
         raise OrchestrationError(f"{path} is not a checkpoint, or is damaged: {error}") from error
 
 
 def capture(run: Run, components: Mapping[str, Component]) -> Checkpoint:
-    """The system where it is."""
+    """The system where it is. OrchestrationError where that is no place to go on from."""
+    last = run.position == len(run.wiring.points) - 1
+    if last and np.any(run.position % run.wiring.period):
+        raise OrchestrationError(
+            "at the end of the run components are between communication points of their own"
+        )
     states = {}
     for name, component in components.items():
         state = component.saved_state()
@@ -110,10 +115,12 @@ def restore(checkpoint: Checkpoint, run: Run, components: Mapping[str, Component
         raise OrchestrationError(
             f"the checkpoint is at t = {checkpoint.time:.9g} s: expected a stop time behind that"
         )
-    for name, array in moving_arrays(w).items():
-        array[:] = checkpoint.arrays[name]
-    w.rows[:i] = checkpoint.arrays["rows"]
-    w.faults.history[:, : i + 1] = checkpoint.arrays["history"]
+    places = {**moving_arrays(w), "rows": w.rows[:i], "history": w.faults.history[:, : i + 1]}
+    for name, place in places.items():
+        found = checkpoint.arrays.get(name)
+        if found is None or (found.shape, found.dtype) != (place.shape, place.dtype):
+            raise OrchestrationError(f"the checkpoint is damaged: expected {name} of shape {place.shape}")
+        place[:] = found
     w.report[RECORDED] = i
     for name, component in components.items():
         state = component.unpacked(checkpoint.states[name])

@@ -1,9 +1,12 @@
 """The communication loop compiled: `c/loop.c`, once a machine, kept in the user's cache."""
 
+import atexit
 import ctypes
 import hashlib
-import os
+import shutil
 import tempfile
+import warnings
+from collections.abc import Callable
 from functools import cache, partial
 from importlib import resources
 from pathlib import Path
@@ -12,18 +15,24 @@ from typing import Any
 import numpy as np
 from platformdirs import user_cache_path
 
-from fmus.toolchain import COMPILER, FLAGS, compile_library, host_platform
-from orchestration.master.loop import Entries, Wiring
+from fmus.errors import ExportError
+from fmus.toolchain import COMPILER, FLAGS, compile_library, host_platform, library_name
+from orchestration.master.loop import Entries, Wiring, plain
+from orchestration.recording import write_whole_binary
 
 _SOURCE = "loop.c"
 
 
 def compiled(w: Wiring) -> Entries:
-    """The functions of the loop for one wiring. Raises ExportError if the loop cannot be compiled."""
-    library = _library()
+    """The functions of the loop for one wiring; if it cannot be compiled those in Python, and a warning."""
+    try:
+        library = _library()
+    except (ExportError, OSError) as error:
+        warnings.warn(f"the communication loop runs in Python, which is slower: {error}", stacklevel=2)
+        return plain(w)
     memory = np.array(_members(w), np.int64)
     pointer = ctypes.c_void_p(memory.ctypes.data)
-    pointer.memory = memory  # type: ignore[attr-defined]  # it must live as long as the functions
+    pointer.memory = memory, w  # type: ignore[attr-defined]  # they must live as long as the functions
     return Entries(*(partial(getattr(library, name), pointer) for name in _SIGNATURES))
 
 
@@ -59,21 +68,25 @@ def _library() -> ctypes.CDLL:
     """Loaded; compiled before if neither this source nor its compiler was seen on this machine."""
     source = (resources.files("orchestration") / "c" / _SOURCE).read_text(encoding="utf-8")
     platform = host_platform()
-    key = repr((source, COMPILER, FLAGS, platform))
-    path = user_cache_path("l1-depth") / f"loop-{hashlib.sha256(key.encode()).hexdigest()[:16]}"
-    if not path.is_file():
-        _keep(compile_library("loop", {_SOURCE: source}, [_SOURCE], platform), path)
-    library = ctypes.CDLL(str(path))
-    for name, (result, arguments) in _SIGNATURES.items():
-        function = getattr(library, name)
-        function.restype, function.argtypes = result, (ctypes.c_void_p, *arguments)
+    key = hashlib.sha256(repr((source, COMPILER, FLAGS, platform)).encode()).hexdigest()[:16]
+    name = Path(library_name(f"loop-{key}", platform)).name
+    library = _kept(name, lambda: compile_library("loop", {_SOURCE: source}, [_SOURCE], platform))
+    for function, (result, arguments) in _SIGNATURES.items():
+        entry = getattr(library, function)
+        entry.restype, entry.argtypes = result, (ctypes.c_void_p, *arguments)
     return library
 
 
-def _keep(content: bytes, path: Path) -> None:
-    """Written whole, so that another process never loads half of it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent)
-    with os.fdopen(handle, "wb") as stream:
-        stream.write(content)
-    Path(temporary).replace(path)
+def _kept(name: str, build: Callable[[], bytes]) -> ctypes.CDLL:
+    """The library of that name in the user's cache, or one for this process if that cannot be used."""
+    path = user_cache_path("l1-depth") / name
+    try:
+        if not path.is_file():
+            write_whole_binary(path, lambda stream: stream.write(build()))
+        return ctypes.CDLL(str(path))
+    except OSError:
+        folder = tempfile.mkdtemp(prefix="l1-depth-loop-")
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        own = Path(folder) / name
+        own.write_bytes(build())
+        return ctypes.CDLL(str(own))

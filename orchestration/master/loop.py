@@ -8,7 +8,9 @@ last bit (tests/orchestration/test_loop.py); `compiled_loop.py` compiles that. A
     Gauss-Seidel   component by component, each with the newest outputs there are
 
 A connection carries u(t) = value + slope (t - stamp), where `slope` is 0 or, with first-order extrapolation,
-the difference quotient of its last two values. A component of period p steps from every p-th point.
+the difference quotient of the last two values that its source gave. Over a step that is much longer than the
+one it was taken from, the slope is less: a jump in a short step must not become a leap in a long one. A
+component of period p steps from every p-th point.
 """
 
 import ctypes
@@ -26,8 +28,8 @@ HELD, BY_THE_FMU, AT_THE_MIDDLE = 0, 1, 2
 # what failed
 NOTHING, WRITE, SLOPES, STEP, READ, CONNECTION = range(6)
 # places in `Wiring.report`
-RECORDED, FAILURE, WHO, WHICH, STATUS, BUSY = range(6)
-REPORT_SIZE = 6
+RECORDED, FAILURE, WHO, WHICH, STATUS, BUSY, CALLS = range(7)
+REPORT_SIZE = 7
 _WARNING = 1  # of fmi2Status; what is worse ends the loop
 
 
@@ -51,7 +53,9 @@ class Links(NamedTuple):
     """Connections and signals; those into component c are first[c]..first[c+1]-1.
 
     source, target: places on the bus; giver: component, -1 for a signal; fault: row of `Faults` or -1;
-    carried: HELD, ...; value, slope, stamp: what it carries, see above
+    carried: HELD, ...; low, high: limits of what is carried to the middle of a step
+    value, slope, stamp: what it carries, see above; given: the value that its source gave at `stamp`,
+    interval: after that before [s]; reach: how many intervals the slope is good for
     """
 
     first: Array
@@ -60,9 +64,14 @@ class Links(NamedTuple):
     giver: Array
     fault: Array
     carried: Array
+    low: Array
+    high: Array
     value: Array
     slope: Array
     stamp: Array
+    given: Array
+    interval: Array
+    reach: Array
 
 
 class Faults(NamedTuple):
@@ -77,16 +86,21 @@ class Faults(NamedTuple):
 class Wiring(NamedTuple):
     """All that the loop touches.
 
+    gauss_seidel, whole_steps: 1 or 0; with a tolerance steps are not whole, and a faulted connection carries
+    the sample of the last communication point throughout
     points: communication points [s]; bus: every value that travels, as float64; slopes: of inputs, in their
     places on the bus; whole: Integer and Boolean values; orders: address of a 1 for each derivative
-    instance, do_step: addresses, a component each; period: in steps; begun: time [s] of its step under way
-    heard: not 0 once an FMU logged an error; warned, warned_at: last call that warned, and its time [s]
+    instance, do_step: addresses, a component each; period: in steps; only_step: the step size [s] of one that
+    takes no other, else 0; begun: time [s] of its step under way
+    heard: not 0 once an FMU logged an error; warned, warned_at: first call that warned, and its time [s]
     signals: a row each, at every point, for the place signal_places; record: places; rows: their values
     report: RECORDED rows, what is the FAILURE, of WHO, in WHICH call or connection, with which STATUS;
-    BUSY: 1 + the component that was called last
+    BUSY: 1 + the component of which a call is under way, negative while it is loaded, 0 for none;
+    CALLS that have returned
     """
 
     gauss_seidel: int
+    whole_steps: int
     points: Array
     bus: Array
     slopes: Array
@@ -95,6 +109,7 @@ class Wiring(NamedTuple):
     instance: Array
     do_step: Array
     period: Array
+    only_step: Array
     begun: Array
     heard: Array
     warned: Array
@@ -167,14 +182,17 @@ def exchange(w: Wiring, i: int, t: float, on_point: bool) -> bool:
     for k in range(len(w.links.source)):
         giver = w.links.giver[k]
         faulty = w.links.fault[k] >= 0
-        new = giver < 0 or last or faulty or i % w.period[giver] == 0
-        if new and (on_point or not faulty):
-            fine = take(w, k, i, t) and fine
+        given = giver < 0 or last or i % w.period[giver] == 0
+        if on_point if faulty else given:
+            fine = take(w, k, i, t, given) and fine
     return fine
 
 
-def take(w: Wiring, k: int, i: int, t: float) -> bool:
-    """Connection k takes its source's value at t, sample i; False if that is not finite."""
+def take(w: Wiring, k: int, i: int, t: float, given: bool) -> bool:
+    """Connection k takes its source's value at t, sample i; False if that is not finite.
+
+    given: whether the source gave it at t, or holds it since
+    """
     links = w.links
     value = float(w.bus[links.source[k]])
     fault = links.fault[k]
@@ -184,14 +202,18 @@ def take(w: Wiring, k: int, i: int, t: float) -> bool:
         value = float(w.faults.addition[fault, i])
         if origin >= 0:
             value += float(w.faults.history[fault, origin])
-    if links.carried[k] != HELD and t > links.stamp[k]:
-        links.slope[k] = (value - links.value[k]) / (t - links.stamp[k])
+    if links.carried[k] != HELD and given:
+        if t > links.stamp[k]:
+            links.interval[k] = t - links.stamp[k]
+            links.slope[k] = (value - links.given[k]) / links.interval[k]
+            links.stamp[k] = t
+        links.given[k] = value
     links.value[k] = value
-    links.stamp[k] = t
     w.bus[links.target[k]] = value
     if np.isfinite(value):
         return True
     w.report[FAILURE] = CONNECTION
+    w.report[WHO] = -1
     w.report[WHICH] = k
     return False
 
@@ -216,12 +238,12 @@ def _begin(w: Wiring, c: int, i: int, t: float, end: float) -> bool:
     """The step of component c begins at t, with the inputs of t."""
     w.begun[c] = t
     if w.period[c] > 1:
-        end = w.points[min(i + w.period[c], len(w.points) - 1)]
+        end = float(w.points[min(i + w.period[c], len(w.points) - 1)])
     return _write(w, c, t, end - t)
 
 
 def _gauss_seidel(w: Wiring, i: int, t: float, end: float) -> bool:
-    on_point = end == w.points[i + 1]
+    whole = bool(w.whole_steps) and t == w.points[i] and end == w.points[i + 1]
     for c in range(len(w.instance)):
         if i % w.period[c] == 0:
             w.begun[c] = t
@@ -230,7 +252,7 @@ def _gauss_seidel(w: Wiring, i: int, t: float, end: float) -> bool:
         for k in range(w.links.first[c], w.links.first[c + 1]):
             giver = w.links.giver[k]
             newer = 0 <= giver < c and _is_due(w, giver, i)
-            if newer and (on_point or w.links.fault[k] < 0) and not take(w, k, i + 1, end):
+            if newer and (whole or w.links.fault[k] < 0) and not take(w, k, i + 1, end, True):
                 return False
         begun = w.begun[c]
         if not (_write(w, c, begun, end - begun) and _advance(w, c, end) and read(w, c)):
@@ -250,9 +272,12 @@ def _write(w: Wiring, c: int, t: float, h: float) -> bool:
         if links.carried[k] == HELD:
             continue  # `take` has put it on the bus
         value, slope = float(links.value[k]), float(links.slope[k])
+        reach = links.reach[k] * links.interval[k]
+        if h > reach:
+            slope *= reach / h
         value += slope * (t - links.stamp[k])
         if links.carried[k] == AT_THE_MIDDLE:
-            value += slope * (0.5 * h)
+            value = min(max(value + slope * (0.5 * h), links.low[k]), links.high[k])
         w.slopes[links.target[k]] = slope
         w.bus[links.target[k]] = value
     calls = w.writes
@@ -266,6 +291,7 @@ def _write(w: Wiring, c: int, t: float, h: float) -> bool:
     for g in range(calls.first[c], calls.first[c + 1]):
         function = _function(_derivatives_type, int(calls.function[g]))
         arguments = calls.references[g], calls.size[g], w.orders, calls.buffer[g]
+        w.report[BUSY] = c + 1
         status = function(int(w.instance[c]), *map(int, arguments))
         if not _accepted(w, SLOPES, c, g, status):
             return False
@@ -275,8 +301,9 @@ def _write(w: Wiring, c: int, t: float, h: float) -> bool:
 def _advance(w: Wiring, c: int, end: float) -> bool:
     begun = w.begun[c]
     w.report[BUSY] = c + 1
+    h = w.only_step[c] if w.only_step[c] > 0.0 else end - begun
     function = _function(_step_type, int(w.do_step[c]))
-    status = function(int(w.instance[c]), begun, end - begun, 1)
+    status = function(int(w.instance[c]), begun, h, 1)
     return _accepted(w, STEP, c, 0, status)
 
 
@@ -293,11 +320,15 @@ def read(w: Wiring, c: int) -> bool:
 
 
 def _accepted(w: Wiring, call: int, c: int, which: int, status: int) -> bool:
+    """Whether the loop goes on after a call that returned."""
+    w.report[BUSY] = 0
+    w.report[CALLS] += 1
     if status == 0 and w.heard[c] == 0:
         return True
     if status <= _WARNING and w.heard[c] == 0:
-        w.warned[c] = call
-        w.warned_at[c] = w.begun[c]
+        if w.warned[c] == NOTHING:
+            w.warned[c] = call
+            w.warned_at[c] = w.begun[c]
         return True
     w.report[FAILURE] = call
     w.report[WHO] = c

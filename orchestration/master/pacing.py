@@ -1,7 +1,10 @@
 """Real time: communication points are waited for, and those reached too late are counted."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
+
+_LONGEST_SLEEP_S = 0.1  # without a look at interrupts
 
 
 @dataclass
@@ -18,14 +21,16 @@ class Pacing:
     worst_at: float = 0.0
     _zero: float | None = field(default=None, repr=False)
 
-    def wait(self, t: float) -> None:
+    def wait(self, t: float, check_interrupt: Callable[[], None]) -> None:
         """Until it is time for the communication point t [s]."""
         now = time.perf_counter()
         if self._zero is None:
             self._zero = now - t / self.factor
         late = now - (self._zero + t / self.factor)
         if late < 0.0:
-            time.sleep(-late)
+            while (left := self._zero + t / self.factor - time.perf_counter()) > 0.0:
+                time.sleep(min(left, _LONGEST_SLEEP_S))
+                check_interrupt()
             return
         if late > 0.0:
             self.missed += 1

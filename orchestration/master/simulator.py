@@ -1,6 +1,7 @@
 """A system whose FMUs stay loaded, and the runs that it makes."""
 
 import math
+import threading
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -15,7 +16,7 @@ from orchestration.master.checkpoint import Checkpoint, Checkpoints, restore
 from orchestration.master.compiled_loop import compiled as compiled_loop
 from orchestration.master.initialisation import Group, groups, settle
 from orchestration.master.interrupt import deferred_interrupt
-from orchestration.master.loop import BUSY, Storage, plain
+from orchestration.master.loop import BUSY, REPORT_SIZE, Storage, plain
 from orchestration.master.pacing import Pacing
 from orchestration.master.stepping import Progress, Run
 from orchestration.master.wiring import Loom
@@ -39,6 +40,7 @@ class Simulator:
         self._loaded = ExitStack()
         self._components: dict[str, Component] = {}
         self._must_reload = False
+        self._running = threading.Lock()
         self._known: dict[tuple[str, ...], tuple[CheckedSystem, tuple[Group, ...]]] = {}
 
     def run(
@@ -60,31 +62,44 @@ class Simulator:
         Raises SystemDefinitionError or FmuLoadError before anything runs, SimulationError after: its
         `recording` is what there is until then.
         """
-        pacing = _pacing(real_time)
+        if not self._running.acquire(blocking=False):
+            raise OrchestrationError("this simulator is running: expected another one for a run meanwhile")
+        try:
+            return self._run(experiment, progress, _pacing(real_time), checkpoints, resume, storage)
+        finally:
+            self._running.release()
+
+    def _run(
+        self,
+        experiment: Experiment,
+        progress: Progress | None,
+        pacing: Pacing | None,
+        checkpoints: Checkpoints | None,
+        resume: Checkpoint | None,
+        storage: Storage | None,
+    ) -> Recording:
         checked, order = self._checked((*experiment.inputs, *experiment.signals))
         settings = checked_settings(checked, experiment)
         if checkpoints or resume:
             _check_serialisable(checked)
-        self._make_ready()
+        self._make_ready(storage)
         loom = Loom(checked, experiment, self._components, communication_points(checked, experiment), storage)
         run = Run(checked, experiment, settings, self._components, loom, self._loop(loom.wiring))
         try:
             with deferred_interrupt() as check_interrupt:
-                _initialise(checked, order, experiment, settings, self._components, loom.wiring.report)
+                _initialise(checked, order, experiment, settings, self._components)
                 run.read_outputs()
                 if resume:
                     restore(resume, run, self._components)
                 keeper = checkpoints.keeper(run, self._components) if checkpoints else None
                 run.go(check_interrupt, progress, pacing, keeper)
+            self._must_reload = False
             return run.recording(pacing)
         except KeyboardInterrupt as error:
             run.look()
-            saved = f"; saved in {checkpoints.path}" if checkpoints else ""
-            if checkpoints:
-                checkpoints.save(run, self._components)
+            saved = _saved(checkpoints, run, self._components) if checkpoints else ""
             raise SimulationError(f"interrupted{saved}", run.recording(pacing)) from error
         except Exception as error:  # also of a signal: what was recorded must not be lost
-            self._must_reload = True
             reason = str(error) if isinstance(error, OrchestrationError) else repr(error)
             raise SimulationError(reason, run.recording(pacing)) from error
         finally:
@@ -97,20 +112,26 @@ class Simulator:
             self._known[driven] = checked, groups(checked)
         return self._known[driven]
 
-    def _make_ready(self) -> None:
+    def _make_ready(self, storage: Storage | None) -> None:
         """Load what is not loaded, and reset what was used."""
-        if self._must_reload:
+        if self._must_reload or not all(each.is_fresh or each.reset() for each in self._components.values()):
             self.close()
+        self._must_reload = True  # should anything fail before a run is done
         if not self._components:
             with ExitStack() as loading:
                 self._components = {
-                    name: loading.enter_context(Component(name, Path(path), self._descriptions[name]))
-                    for name, path in self.system.components.items()
+                    name: loading.enter_context(self._loaded_component(name, storage))
+                    for name in self.system.components
                 }
                 self._loaded = loading.pop_all()
-        for component in self._components.values():
-            if not component.is_fresh:
-                component.renew()
+
+    def _loaded_component(self, name: str, storage: Storage | None) -> Component:
+        report = storage.report if storage else np.zeros(REPORT_SIZE, np.int64)
+        report[BUSY] = -1 - list(self.system.components).index(name)
+        try:
+            return Component(name, Path(self.system.components[name]), self._descriptions[name])
+        finally:
+            report[BUSY] = 0
 
     def close(self) -> None:
         """Free every instance; the next run loads them again."""
@@ -122,6 +143,15 @@ class Simulator:
 
     def __exit__(self, *reason: object) -> None:
         self.close()
+
+
+def _saved(checkpoints: Checkpoints, run: Run, components: Mapping[str, Component]) -> str:
+    """Save an interrupted run; what to say of it."""
+    try:
+        checkpoints.save(run, components)
+    except (OrchestrationError, OSError) as error:
+        return f"; not saved: {error}"
+    return f"; saved in {checkpoints.path}"
 
 
 def _pacing(real_time: float | None) -> Pacing | None:
@@ -150,20 +180,22 @@ def _initialise(
     experiment: Experiment,
     settings: list[tuple[Port, Any]],
     components: Mapping[str, Component],
-    report: np.ndarray,
 ) -> None:
     """Set parameters, enter initialisation mode, set inputs, exchange in dependency order, leave it."""
 
     def set_all(causality: str) -> None:
-        for port, value in settings:
-            if port.variable.causality == causality:
-                components[port.component].set(port.variable, value)
+        for name, component in components.items():
+            component.set_all(
+                [
+                    (p.variable, v)
+                    for p, v in settings
+                    if p.component == name and p.variable.causality == causality
+                ]
+            )
 
     set_all("parameter")
-    for number, component in enumerate(components.values(), start=1):
-        report[BUSY] = number
+    for component in components.values():
         component.initialise(experiment.start_time, experiment.stop_time)
-    report[BUSY] = 0
     set_all("input")
     for name, signal in experiment.signals.items():
         port = checked.ports[name]

@@ -24,7 +24,8 @@ def moving_arrays(w: Wiring) -> dict[str, np.ndarray]:
     links = w.links
     return {
         "bus": w.bus, "slopes": w.slopes, "whole": w.whole, "begun": w.begun, "warned": w.warned,
-        "value": links.value, "slope": links.slope, "stamp": links.stamp,
+        "value": links.value, "slope": links.slope, "stamp": links.stamp, "given": links.given,
+        "interval": links.interval,
     }  # fmt: skip
 
 

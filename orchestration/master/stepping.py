@@ -13,7 +13,7 @@ import numpy as np
 
 from orchestration.component import Component
 from orchestration.errors import OrchestrationError
-from orchestration.experiment import GRID_TOLERANCE, Experiment, checked_value
+from orchestration.experiment import Experiment, checked_value
 from orchestration.master.between import ShorterSteps, Tolerance
 from orchestration.master.failure import explain, is_discarded_step, judge_warnings
 from orchestration.master.loop import RECORDED, Entries
@@ -48,6 +48,7 @@ class Run:
         self.position = 0
         self._changes = _changes(checked, experiment, self.wiring.points)
         self._hindrance = _hindrance(experiment, components)
+        self._check_interrupt: Callable[[], None] = lambda: None
         self._snapshot = None if self._hindrance else Snapshot(components, self.wiring)
         self.shorter = None if self._hindrance else self._shorter_steps()
 
@@ -75,20 +76,25 @@ class Run:
         """
         last = len(self.wiring.points) - 1
         stretch = 1
+        self._check_interrupt = check_interrupt
         while self.position < last:
             check_interrupt()
             if progress:
                 progress(self.position, last)
+            kept = keeper(self.position) if keeper else MOST_STEPS
             self._change(self.position)
             if pacing:
-                pacing.wait(float(self.wiring.points[self.position]))
-            most = min(keeper(self.position) if keeper else MOST_STEPS, 1 if pacing else stretch)
+                pacing.wait(float(self.wiring.points[self.position]), check_interrupt)
+            most = min(kept, 1 if pacing else stretch)
             begun, first = time.perf_counter(), self.position
             repeated = self._cover(self._rest(first + most))
             steps_a_second = (self.position - first) / max(time.perf_counter() - begun, 1e-9)
             longer = min(_GROWTH * stretch, int(_STRETCH_S * steps_a_second), MOST_STEPS)
             stretch = 1 if repeated else max(1, longer)
+        check_interrupt()
         self._change(last)
+        if pacing:
+            pacing.wait(float(self.wiring.points[last]), check_interrupt)
         if not self._loop.arrive(last):
             raise self._failure()
         if progress:
@@ -119,15 +125,22 @@ class Run:
         if not (self._snapshot and self.shorter):
             raise OrchestrationError(f"{self._failure()}; no shorter step was tried, as {self._hindrance}")
         self._snapshot.restore()
-        self._loop.run(begun, self.position)
+        if self._loop.run(begun, self.position) != self.position:
+            raise self._failure()
         self._in_shorter_steps()
         return True
 
     def _in_shorter_steps(self) -> None:
         assert self.shorter
+        assert self._snapshot
         if not self._loop.arrive(self.position):
             raise self._failure()
-        self.shorter.cover(self.position)
+        self._snapshot.take()
+        try:
+            self.shorter.cover(self.position, self._check_interrupt)
+        except KeyboardInterrupt:  # between two communication points nothing can be saved
+            self._snapshot.restore()
+            raise
         judge_warnings(self.loom, self._components, failed=False)
         self.position += 1
 
@@ -199,6 +212,10 @@ def provenance(checked: CheckedSystem, experiment: Experiment) -> dict[str, Any]
         },
         "algorithm": str(experiment.algorithm),
         "communication_step_size_s": experiment.step_size,
+        "extrapolation": experiment.extrapolation,
+        **({"tolerance": experiment.tolerance} if experiment.tolerance else {}),
+        **({"step_sizes_s": dict(experiment.step_sizes)} if experiment.step_sizes else {}),
+        **({"faults": [repr(each) for each in experiment.faults]} if experiment.faults else {}),
     }
 
 
@@ -208,7 +225,7 @@ def _changes(
     """Communication point -> what is set there: the first one of the component at or after the event."""
     found: dict[int, list[tuple[Port, Any]]] = {}
     for event in sorted(experiment.events, key=lambda each: each.time):
-        first = int(np.searchsorted(points, event.time - GRID_TOLERANCE * experiment.step_size))
+        first = int(np.searchsorted(points, event.time - experiment.nearness()))
         for name, value in event.values.items():
             port = checked.ports[name]
             period = experiment.period(port.component)
@@ -230,14 +247,25 @@ def _hindrance(experiment: Experiment, components: Mapping[str, Component]) -> s
     return ""
 
 
+def _follows_at_once(checked: CheckedSystem, name: str, driven: set[str]) -> bool:
+    """Whether an output follows a driven input directly in step mode; what is not declared may."""
+    port = checked.ports[name]
+    for unknown in checked.descriptions[port.component].outputs:
+        if unknown.variable is port.variable and unknown.dependencies is not None:
+            return any(f"{port.component}.{each.name}" in driven for each in unknown.dependencies)
+    return any(each.startswith(f"{port.component}.") for each in driven)
+
+
 def _tolerance(checked: CheckedSystem, experiment: Experiment, loom: Loom) -> Tolerance:
     """Judged by every Real output that travels or is recorded."""
     names = [n for n in loom.outputs if checked.ports[n].variable.type == "Real"]
-    nominal = [float(checked.ports[n].variable.nominal or 1.0) for n in names]
+    nominal = [abs(float(checked.ports[n].variable.nominal or 1.0)) for n in names]
+    driven = {target for _, target in loom.links}
     return Tolerance(
         relative=experiment.tolerance or 0.0,
         order=1 + experiment.extrapolation,
         duration=experiment.stop_time - experiment.start_time,
         places=np.array([loom.place(n) for n in names], np.int64),
         nominal=np.array(nominal),
+        at_once=np.array([_follows_at_once(checked, n, driven) for n in names], bool),
     )

@@ -7,13 +7,15 @@ from typing import Any
 import numpy as np
 from fmpy.model_description import ScalarVariable
 
-from orchestration.component import Component
+from orchestration.component import Component, UnderWay
 from orchestration.errors import SystemDefinitionError
-from orchestration.experiment import TRAVELS_AS, Algorithm, Experiment, recorded
+from orchestration.experiment import TRAVELS_AS, Algorithm, Experiment, permitted, recorded
 from orchestration.faults import compose
 from orchestration.master.loop import (
     AT_THE_MIDDLE,
+    BUSY,
     BY_THE_FMU,
+    CALLS,
     HELD,
     READ,
     REPORT_SIZE,
@@ -28,6 +30,10 @@ from orchestration.master.loop import (
 )
 from orchestration.reference import values_at
 from orchestration.system import CheckedSystem
+
+# How much longer than usual a step may be than the one that its slope was taken from. Where a tolerance
+# judges the outcome, it follows half a step and may be five times as long as the whole.
+_REACH, _JUDGED_REACH = 2.0, 10.0
 
 
 @dataclass
@@ -90,13 +96,15 @@ class Loom:
         self._whole = np.zeros(self._bus.whole, np.int32)
         count = len(components)
         ones = self._keep(np.ones(len(self._values), np.int32))
-        carried = [self._carried(target) for _, target in self.links]
+        carried = [self._carried(*link) for link in self.links]
         storage = storage or Storage(np.empty((len(points), len(columns))), np.zeros(REPORT_SIZE, np.int64))
         heard = np.zeros(count, np.int64)
         for c, component in enumerate(components.values()):
             component.log.heard = heard[c : c + 1]
+            component.under_way = UnderWay(c + 1, *(storage.report[i : i + 1] for i in (BUSY, CALLS)))
         self.wiring = Wiring(
             gauss_seidel=int(experiment.algorithm is Algorithm.GAUSS_SEIDEL),
+            whole_steps=int(not experiment.tolerance),
             points=points,
             bus=self._values,
             slopes=self._slopes,
@@ -105,6 +113,7 @@ class Loom:
             instance=np.array([each.address for each in components.values()], np.int64),
             do_step=np.array([each.function("fmi2DoStep") for each in components.values()], np.int64),
             period=np.array([experiment.period(name) for name in components], np.int64),
+            only_step=np.array([self._only_step(name) for name in components]),
             begun=np.full(count, experiment.start_time),
             heard=heard,
             warned=np.zeros(count, np.int64),
@@ -190,9 +199,21 @@ class Loom:
         first = _starts([group.component for group in groups], self._names)
         return Calls(first, *(np.ascontiguousarray(column) for column in columns))
 
-    def _carried(self, target: str) -> int:
+    def _only_step(self, component: str) -> float:
+        """The step size [s] of one that cannot vary it; otherwise 0."""
+        interface: Any = self._checked.descriptions[component].coSimulation
+        if interface.canHandleVariableCommunicationStepSize:
+            return 0.0
+        return self._experiment.period(component) * self._experiment.step_size
+
+    def _carried(self, source: str, target: str) -> int:
         port = self._checked.ports[target]
-        if not self._experiment.extrapolation or port.variable.type != "Real":
+        ends = [port, *([] if source.startswith("signal ") else [self._checked.ports[source]])]
+        is_continuous = all(
+            each.variable.type == "Real" and each.variable.variability in (None, "continuous")
+            for each in ends
+        )
+        if not (self._experiment.extrapolation and is_continuous):
             return HELD
         interface: Any = self._checked.descriptions[port.component].coSimulation
         return BY_THE_FMU if interface.canInterpolateInputs else AT_THE_MIDDLE
@@ -204,16 +225,30 @@ class Loom:
         def giver(source: str) -> int:
             return -1 if source.startswith("signal ") else self._names.index(_component(source))
 
+        usual = _JUDGED_REACH if self._experiment.tolerance else _REACH
+        givers = [giver(source) for source, _ in self.links]
+        periods = [self._experiment.period(name) for name in self._names]
+        ranges = [permitted(self._checked.ports[target]) for _, target in self.links]
         return Links(
             first=_starts([_component(target) for _, target in self.links], self._names),
             source=np.array([self._bus.places[source] for source, _ in self.links], np.int64),
             target=np.array([self._bus.places[target] for _, target in self.links], np.int64),
-            giver=np.array([giver(source) for source, _ in self.links], np.int64),
+            giver=np.array(givers, np.int64),
             fault=np.array([faulted.index(t) if t in faulted else -1 for _, t in self.links], np.int64),
             carried=np.array(carried, np.int64),
+            low=np.array([low for low, _ in ranges]),
+            high=np.array([high for _, high in ranges]),
             value=np.zeros(count),
             slope=np.zeros(count),
             stamp=np.full(count, -np.inf),
+            given=np.zeros(count),
+            interval=np.zeros(count),
+            reach=np.array(
+                [
+                    usual * self._experiment.period(_component(target)) / (periods[c] if c >= 0 else 1)
+                    for c, (_, target) in zip(givers, self.links, strict=True)
+                ]
+            ),
         )
 
     def _faulted(self) -> dict[str, list[Any]]:

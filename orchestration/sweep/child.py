@@ -1,4 +1,4 @@
-"""The process in which the FMUs of a sweep run: `python -m orchestration.sweep.child`.
+"""The process in which the FMUs of a sweep run.
 
 An FMU that crashes or hangs takes this process with it and nothing else. It reads a job, then settings of
 one sample after another, from standard input, and writes an outcome for each to standard output, pickled.
@@ -20,6 +20,7 @@ from typing import Any, BinaryIO
 from orchestration import metrics
 from orchestration.errors import OrchestrationError
 from orchestration.master import Simulator
+from orchestration.own_process import private_stream
 from orchestration.recording import Recording
 from orchestration.sweep.job import Job, Outcome, Settings
 from orchestration.sweep.target import laid_over
@@ -88,15 +89,8 @@ def _listen(stream: BinaryIO, requests: SimpleQueue[Any]) -> None:
             os._exit(0)
 
 
-def _own(descriptor: int, mode: str) -> BinaryIO:
-    """A stream for this module alone: what an FMU prints or reads goes elsewhere."""
-    stream = os.fdopen(os.dup(descriptor), mode)
-    os.dup2(os.open(os.devnull, os.O_RDWR), descriptor)
-    return stream  # type: ignore[return-value]
-
-
 def main() -> None:
-    replies, stream = _own(sys.stdout.fileno(), "wb"), _own(sys.stdin.fileno(), "rb")
+    replies, stream = private_stream(sys.stdout.fileno(), "wb"), private_stream(sys.stdin.fileno(), "rb")
     requests: SimpleQueue[Any] = SimpleQueue()
     threading.Thread(target=_listen, args=(stream, requests), daemon=True).start()
     runner = _Runner(requests.get())
@@ -107,7 +101,3 @@ def main() -> None:
         pickle.dump(answer, replies)
         replies.flush()
         answer = runner.run(requests.get())
-
-
-if __name__ == "__main__":
-    main()

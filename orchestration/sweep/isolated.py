@@ -1,11 +1,8 @@
 """Samples in a process of their own: ask for one and get an outcome, whatever its FMUs do to the process."""
 
 import contextlib
-import os
 import pickle
-import signal
 import subprocess
-import sys
 import threading
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -15,6 +12,7 @@ from typing import IO, Any, cast
 import cloudpickle
 
 from orchestration.errors import SweepError
+from orchestration.own_process import ending, start
 from orchestration.sweep import child
 from orchestration.sweep.job import Job, Outcome, Settings
 
@@ -91,14 +89,7 @@ class _Process:
         self._ready = False
         self._errors = Path(self._temporary.name) / "stderr"
         with self._errors.open("wb") as errors:
-            popen = subprocess.Popen(
-                [sys.executable, "-P", "-m", child.__name__],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=errors,
-                env={**os.environ, "TMPDIR": self._temporary.name},
-                start_new_session=True,  # an interrupt at the terminal is for who started the sweep
-            )
+            popen = start(child.main, Path(self._temporary.name), stdout=subprocess.PIPE, stderr=errors)
         self._popen, self._questions = popen, cast(IO[bytes], popen.stdin)
         threading.Thread(target=self._read, args=(cast(IO[bytes], popen.stdout),), daemon=True).start()
         self._send(job)
@@ -154,8 +145,7 @@ class _Process:
                     return
 
     def _death(self) -> str:
-        code = self._popen.wait()
-        return signal.Signals(-code).name if code < 0 else f"exit status {code}"
+        return ending(self._popen.wait())
 
     def _last_words(self) -> str:
         lines = self._errors.read_text(encoding="utf-8", errors="replace").strip().splitlines()

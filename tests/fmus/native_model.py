@@ -52,7 +52,6 @@ class Data:
     rates: list[float]
     mode: str = INSTANTIATED
     time: float = 0.0
-    stop: float = _HIGHEST
     is_held: bool = False
     state: list[float] = field(default_factory=list)
 
@@ -72,6 +71,7 @@ class Model:
     def reset(self) -> tuple[int, None]:
         starts = [float(v.start) for v in self.block.variables]
         self.data = Data(starts, [0.0] * (self.inputs.stop - self.inputs.start))
+        self.stop = _HIGHEST  # of the setup, whichever state is restored
         return OK, None
 
     # values
@@ -161,7 +161,7 @@ class Model:
         good = math.isfinite(start) and (not has_stop or stop > start)
         if self.data.mode != INSTANTIATED or not good:
             return self._error()
-        self.data.time, self.data.stop = start, min(stop, _HIGHEST) if has_stop else _HIGHEST
+        self.data.time, self.stop = start, min(stop, _HIGHEST) if has_stop else _HIGHEST
         return OK, None
 
     def enter(self) -> tuple[int, None]:
@@ -192,7 +192,7 @@ class Model:
         d = self.data
         tolerance = min(1e-9 * max(1.0, abs(t)), 1e-3 * h) + 8.0 * sys.float_info.epsilon * abs(t)
         legal = d.mode == STEPPING and math.isfinite(t) and math.isfinite(h) and h > 0
-        if not (legal and abs(t - d.time) <= tolerance and t + h <= d.stop + tolerance):
+        if not (legal and abs(t - d.time) <= tolerance and t + h <= self.stop + tolerance):
             return self._error()
         calculated, ratio = self._prepared(), h / self.internal_step * (1 - 1e-9)
         if calculated is None or not ratio <= 1e9:

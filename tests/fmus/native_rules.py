@@ -101,6 +101,14 @@ class Calls(Beside):
             model = self.models[slot]
             self.call(slot, "step", model.data.time + late, model.internal_step if late else h)
 
+    @rule(data=st.data(), slot=st.integers(0, 1))
+    def step_beyond_the_stop_time(self, data: Any, slot: int) -> None:
+        """By one internal step; without a stop time the step is far too long."""
+        if self.is_time(data, slot, STEPPING):
+            model = self.models[slot]
+            to_the_end = max(model.stop - model.data.time, 0.0)
+            self.call(slot, "step", model.data.time, to_the_end + model.internal_step)
+
     @rule(data=st.data(), slot=st.integers(0, 1), steps=st.sampled_from((1.0, 0.3, 2.0, 4.4, 1e-9)))
     def step(self, data: Any, slot: int, steps: float) -> None:
         if self.is_time(data, slot, STEPPING):

@@ -67,6 +67,14 @@ MUTANTS = {
     ),
     "damaged bytes are accepted": ('return "the state is damaged";', ";"),
     "a message is a format": ("if (*text == '%' || *text == '#') escaped", "if (0) escaped"),
+    "a saved state takes the stop time away": (
+        "((Instance *)c)->data = snapshot->data;",
+        "((Instance *)c)->data = snapshot->data, ((Instance *)c)->stop_time = DBL_MAX;",
+    ),
+    "a reset leaves the stop time": (
+        "    data_reset(&it->data);\n    it->stop_time = DBL_MAX;",
+        "    if (it->stop_time == 0) it->stop_time = DBL_MAX;\n    data_reset(&it->data);",
+    ),
     "a saved state is never freed": ("it->release(*FMUstate);", ""),
 }
 

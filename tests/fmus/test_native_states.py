@@ -43,7 +43,7 @@ print(json.dumps(slave.getReal([v.valueReference for v in description.modelVaria
         (lambda data: data[:-1], "wrong size"),
         (lambda data: b"", "not a serialized state"),
         (lambda data: b"x" + data[1:], "not a serialized state"),
-        (lambda data: data[:8] + b"\x02" + data[9:], "another version's format"),
+        (lambda data: data[:8] + b"\x01" + data[9:], "another version's format"),
         (lambda data: data[:300] + bytes([data[300] ^ 1]) + data[301:], "damaged"),
         (None, "another FMU's"),
     ],
@@ -63,3 +63,27 @@ def test_bytes_that_are_not_this_fmus_are_refused(
     assert plant["depth"] == before
     plant.slave.setFMUstate(saved)  # the way on after an error
     plant.slave.doStep(0.02, 0.02)
+
+
+def test_a_restored_state_leaves_the_stop_time_of_the_setup(built: dict[str, Path], load: Any) -> None:
+    """Wherever the state is from: the end is what the importer said to this instance."""
+    plant = load(built["BenchmarkPlant"])
+    before_setup = plant.slave.getFMUstate()
+    plant.slave.setupExperiment(startTime=0.0, stopTime=1.0)
+    plant.slave.setFMUstate(before_setup)
+    plant.slave.enterInitializationMode()
+    plant.slave.exitInitializationMode()
+    at_start = plant.slave.getFMUstate()
+    assert plant.status("doStep", 0.0, 1.1) == "error"
+    assert plant.log[-1] == "fmi2DoStep: step to 1.1 s: expected at most the stop time 1 s"
+    plant.slave.setFMUstate(at_start)
+    plant.slave.doStep(0.0, 1.0)
+
+    content = plant.slave.serializeFMUstate(plant.slave.getFMUstate())
+    never_set_up = load(built["BenchmarkPlant"])
+    never_set_up.slave.setFMUstate(never_set_up.slave.deSerializeFMUstate(content))
+    never_set_up.slave.doStep(1.0, 1e3)
+
+    plant.slave.reset()
+    plant.slave.setFMUstate(at_start)
+    plant.slave.doStep(0.0, 1.1)

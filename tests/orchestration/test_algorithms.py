@@ -7,12 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from orchestration import scenario
 from orchestration.errors import SystemDefinitionError
 from orchestration.experiment import Algorithm, Event, Experiment
 from orchestration.master import simulate
 from orchestration.recording import Recording
-from orchestration.reference import Cosine
+from orchestration.reference import Cosine, Ramps, Samples
 from orchestration.system import System
+from tests.orchestration.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import coupled, solution
 
 Build = Callable[..., Path]
@@ -71,6 +73,99 @@ def test_error_control_meets_its_tolerance(linear: Build, tolerance: float, extr
     run = simulate(system, Experiment(2.0, 0.5, tolerance=tolerance, extrapolation=extrapolation))
     assert error(run) <= tolerance
     assert run.provenance["steps_between_points"] > 0
+
+
+@pytest.mark.parametrize(("extrapolation", "through"), [(0, 0.4), (1, 0.2)])
+def test_error_control_lives_with_an_algebraic_loop(
+    linear: Build, extrapolation: int, through: float
+) -> None:
+    """Outputs are late by the last change of the other, which is judged apart: twice the tolerance in all."""
+    system = coupled(linear, through, saves_state=True, interpolates_inputs=True)
+    run = simulate(system, Experiment(2.0, 0.5, tolerance=1e-2, extrapolation=extrapolation))
+    assert error(run, through) <= 2e-2
+
+
+@pytest.mark.parametrize(
+    ("interpolates", "through", "is_stable"),
+    [(True, 0.31, True), (True, 0.36, False), (False, 0.47, True), (False, 0.53, False)],
+)
+def test_extrapolation_carries_an_algebraic_loop_of_small_gain_only(
+    linear: Build, interpolates: bool, through: float, is_stable: bool
+) -> None:
+    """y_k = -g (2 y_k-1 - y_k-2), or with the value at the middle -g (3 y_k-1 - y_k-2) / 2.
+
+    The root of z^2 + 2 g z - g that is farthest out passes -1 at g = 1/3, that of z^2 + 3/2 g z - g/2 at 1/2.
+    """
+    system = coupled(linear, through, interpolates_inputs=interpolates)
+    run = simulate(system, Experiment(2.0, 0.005, extrapolation=1))
+    assert (error(run, through) < 0.1) == is_stable
+
+
+def test_an_output_that_is_no_number_and_goes_nowhere_is_no_matter_of_the_error(rogue: Build) -> None:
+    parameters = {"bad.misdeed": int(Misdeed.NAN_OUTPUT), "bad.misdeed_time": 0.5}
+    experiment = Experiment(1.0, 0.1, parameters=parameters, inputs={"bad.u": 1.0}, tolerance=1e-3)
+    run = simulate(System({"bad": rogue(saves_state=True)}), experiment)
+    assert np.isnan(run["bad.y"][-1])
+    assert run["bad.y"][4] == pytest.approx(0.4)
+
+
+def test_a_jump_in_a_short_step_is_no_leap_in_a_long_one(linear: Build) -> None:
+    """x' = -x + u, u jumps from 0 to 1: x stays below 1 and, with a slope twice the jump, a little more.
+
+    The step from 0.29999 s to 0.3 s, which an event brings, sees the whole jump.
+    """
+    jump = Samples([0.0, 0.3], [0.0, 1.0], hold=True)
+    experiment = Experiment(
+        1.0, 0.1, signals={"one.u[1]": jump}, extrapolation=1, events=(Event(0.29999, {"one.a": -1.0}),)
+    )
+    run = simulate(System({"one": linear(initial_state=0.0)}), experiment)
+    assert len(run.time) == 12
+    assert run["one.y[1]"].min() >= 0.0
+    assert run["one.y[1]"].max() < 1.0
+
+
+@pytest.mark.parametrize("interpolates", [True, False])
+def test_what_is_discrete_is_held(foreign: dict[str, Path], linear: Build, interpolates: bool) -> None:
+    """Integers that go to an FMU which would extrapolate."""
+    fmu = linear(passes_discrete=True, interpolates_inputs=interpolates)
+    inputs = {"one.u[1]": 0.0, "one.integer_in": 3, "one.boolean_in": True}
+    system = System({"one": fmu, "two": fmu}, (("one.integer_out", "two.integer_in"),))
+    inputs |= {"two.u[1]": 0.0, "two.boolean_in": False}
+    run = simulate(system, Experiment(1.0, 0.1, inputs=inputs, extrapolation=1))
+    assert set(run["two.integer_out"][2:]) == {3.0}
+
+
+def test_an_input_is_not_carried_out_of_its_range(python_built: dict[str, Path]) -> None:
+    """The efficiency of a thruster goes to 0, and its slope would go on."""
+    signals = {"p.thruster_efficiency[1]": Ramps([[0.0, 1.0], [0.5, 0.0]])}
+    chosen = scenario.load(scenario.find("nominal-extended"))
+    inputs = {
+        name.replace("plant.", "p."): value
+        for name, value in chosen.experiment.inputs.items()
+        if name.startswith("plant.") and name != "plant.thruster_efficiency[1]"
+    }
+    inputs |= {"p.voltage[1]": 0.0, "p.voltage[2]": 0.0}
+    experiment = Experiment(1.0, 0.02, signals=signals, inputs=inputs, extrapolation=1)
+    run = simulate(System({"p": python_built["RovDepthPlant"]}), experiment)
+    assert run.time[-1] == 1.0
+
+
+@pytest.mark.parametrize("start", [-3.0, 36000.0, 1e6])
+def test_an_fmu_of_fixed_steps_gets_them_wherever_time_begins(linear: Build, start: float) -> None:
+    """Far from 0 the difference of two communication points is no longer the step size."""
+    system = System({"one": linear(varies_step_size=False)})
+    experiment = Experiment(start + 1.0, 0.01, start_time=start, inputs={"one.u[1]": 0.0})
+    run = simulate(system, experiment)
+    assert run["one.y[1]"][-1] == pytest.approx(math.exp(-1.0), rel=1e-12)
+
+
+def test_events_at_one_time_share_a_communication_point(linear: Build) -> None:
+    """0.05 + 0.1 is not 0.15."""
+    times = (0.15, 0.05 + 0.1)
+    assert times[0] != times[1]
+    events = tuple(Event(t, {"one.a": -2.0}) for t in times)
+    experiment = Experiment(0.5, 0.1, inputs={"one.u[1]": 0.0}, events=events)
+    assert len(simulate(System({"one": linear()}), experiment).time) == 7
 
 
 def test_error_control_takes_what_it_needs_and_not_more(linear: Build) -> None:

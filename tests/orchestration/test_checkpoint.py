@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,8 @@ import numpy as np
 import pytest
 
 from orchestration import scenario
-from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
+from orchestration.component import Component
+from orchestration.errors import OrchestrationError, SimulationError, SlaveError, SystemDefinitionError
 from orchestration.experiment import Algorithm, Event, Experiment
 from orchestration.faults import fault
 from orchestration.master import simulate
@@ -19,6 +21,16 @@ from orchestration.system import System
 from tests.orchestration.linear_systems import coupled
 
 Build = Callable[..., Path]
+
+
+def npy() -> bytes:
+    """An array, which is what NumPy's archives are made of."""
+    stream = BytesIO()
+    np.save(stream, np.zeros(3))
+    return stream.getvalue()
+
+
+_REST_S = 0.05  # simulated: the loop rests there, saves, and looks at interrupts
 
 
 def interrupted(
@@ -31,7 +43,7 @@ def interrupted(
             raise KeyboardInterrupt
 
     with pytest.raises(SimulationError, match="interrupted") as caught:
-        simulate(system, experiment, stop, checkpoints=Checkpoints(path), **options)
+        simulate(system, experiment, stop, checkpoints=Checkpoints(path, every=_REST_S), **options)
     return read_checkpoint(path), caught.value
 
 
@@ -72,6 +84,10 @@ def test_the_shipped_vehicle_goes_on_from_a_file_bit_for_bit(tmp_path: Path) -> 
     assert checkpoint.position == round(22.0 / experiment.step_size)
     resumed = simulate(chosen.system, experiment, resume=checkpoint)
     assert np.array_equal(resumed.values, whole.values)
+    longer = replace(experiment, stop_time=35.0)
+    assert np.array_equal(
+        simulate(chosen.system, longer, resume=checkpoint).values, simulate(chosen.system, longer).values
+    )
 
 
 def test_the_future_may_be_longer(linear: Build, tmp_path: Path) -> None:
@@ -114,7 +130,7 @@ def test_fmus_must_serialise_their_state(linear: Build, tmp_path: Path) -> None:
         simulate(coupled(linear), Experiment(1.0, 0.1), checkpoints=Checkpoints(tmp_path / "checkpoint"))
 
 
-@pytest.mark.parametrize("content", [b"", b"PK\x05\x06" + bytes(18), b"text"])
+@pytest.mark.parametrize("content", [b"", b"PK\x05\x06" + bytes(18), b"text", npy()])
 def test_a_damaged_file_is_named(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "checkpoint"
     path.write_bytes(content)
@@ -125,3 +141,66 @@ def test_a_damaged_file_is_named(tmp_path: Path, content: bytes) -> None:
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(OrchestrationError, match=r"no checkpoint .*nowhere"):
         read_checkpoint(tmp_path / "nowhere")
+
+
+def test_an_event_at_the_checkpoint_is_in_the_future(linear: Build, tmp_path: Path) -> None:
+    """Saved before it is made, so that it may still be another."""
+    system = System({"one": linear(saves_state=True, serialises_state=True)})
+    calm = Experiment(1.0, 0.1, inputs={"one.u[1]": 0.0})
+    path = tmp_path / "checkpoint"
+    simulate(
+        system,
+        replace(calm, events=(Event(0.5, {"one.a": -30.0}),)),
+        checkpoints=Checkpoints(path, every=0.5),
+    )
+    checkpoint = read_checkpoint(path)
+    assert checkpoint.time == pytest.approx(0.5)
+    assert np.array_equal(simulate(system, calm, resume=checkpoint).values, simulate(system, calm).values)
+
+
+@pytest.mark.parametrize("saved", ["into a folder", "of an FMU that refuses its state"])
+def test_what_cannot_be_saved_loses_no_recording(
+    linear: Build, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, saved: str
+) -> None:
+    system = coupled(linear, saves_state=True, serialises_state=True)
+    path = tmp_path if saved == "into a folder" else tmp_path / "checkpoint"
+    if saved != "into a folder":
+
+        def refuse(self: Component, state: int) -> bytes:
+            raise SlaveError(self.name, self.time, "fmi2SerializeFMUstate", "error", [])
+
+        monkeypatch.setattr(Component, "packed", refuse)
+
+    def stop(done: int, total: int) -> None:
+        if done:
+            raise KeyboardInterrupt
+
+    with pytest.raises(SimulationError, match=r"^interrupted; not saved: ") as caught:
+        simulate(system, Experiment(1.0, 0.1), stop, checkpoints=Checkpoints(path))
+    assert len(caught.value.recording.time) == 2
+
+
+def test_a_component_between_its_own_points_is_not_saved_at_the_end(linear: Build, tmp_path: Path) -> None:
+    """Its last step was shorter than a longer run would make it."""
+    system = coupled(linear, saves_state=True, serialises_state=True)
+
+    def stop(done: int, total: int) -> None:
+        if done == total:
+            raise KeyboardInterrupt
+
+    with pytest.raises(SimulationError, match=r"not saved: at the end of the run components are between"):
+        simulate(
+            system,
+            Experiment(1.0, 0.1, step_sizes={"two": 0.3}),
+            stop,
+            checkpoints=Checkpoints(tmp_path / "checkpoint"),
+        )
+
+
+def test_a_part_of_another_shape_is_refused(linear: Build, tmp_path: Path) -> None:
+    system = coupled(linear, saves_state=True, serialises_state=True)
+    experiment = Experiment(1.0, 0.01)
+    checkpoint, _ = interrupted(system, experiment, tmp_path / "checkpoint", 50)
+    arrays = {**checkpoint.arrays, "bus": np.zeros(1)}
+    with pytest.raises(SimulationError, match="the checkpoint is damaged: expected bus of shape"):
+        simulate(system, experiment, resume=replace(checkpoint, arrays=arrays))

@@ -28,7 +28,7 @@ def patched(patch: Patch, folder: Path) -> Path:
 STEP = 'if (!is_allowed(it, STEPPING, "fmi2DoStep")) return fmi2Error;'
 GLOBALS = "static const char *const TYPE_NAMES[]"
 LAST_OF_BECOME = "d->parameters_are_stale = d->outputs_are_stale = 0;"
-RESET = "if (!it) return fmi2Error;\n    data_reset(&it->data);"
+RESET = "if (!it) return fmi2Error;\n    instance_reset(it);"
 RESTORE = "((Instance *)c)->data = snapshot->data;"
 
 C_MUTANTS: dict[str, tuple[str, Patch]] = {
@@ -151,7 +151,7 @@ def test_a_crash_is_a_finding_of_each_rule_that_steps_and_of_no_other(tmp_path: 
         broken
     )
     assert {message for (message,) in broken.values()} <= {
-        "the FMU ended the process by SIGSEGV", "the FMU ended the process by SIGILL"
+        "the FMU ended the process with SIGSEGV", "the FMU ended the process with SIGILL"
     }  # fmt: skip
 
 

@@ -1,11 +1,15 @@
 """An instance is always freed, warns where it should, and its errors survive a process boundary."""
 
+import contextlib
+import math
 import pickle
 import signal
 import tempfile
 import threading
+import time
+import warnings
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +21,13 @@ from orchestration.component import Component
 from orchestration.errors import SimulationError, SlaveError, SlaveWarning, SystemDefinitionError
 from orchestration.experiment import Experiment
 from orchestration.master import simulate
+from orchestration.master.checkpoint import Checkpoints, read_checkpoint
+from orchestration.master.interrupt import deferred_interrupt
 from orchestration.recording import Recording
 from orchestration.reference import Constant
 from orchestration.system import System, describe
 from tests.orchestration.foreign_fmus import Misdeed
+from tests.orchestration.linear_systems import coupled
 
 Build = Callable[..., Path]
 
@@ -69,6 +76,83 @@ def test_after_fatal_nothing_is_called_any_more(foreign: dict[str, Path]) -> Non
         component.do_step(0.5, 0.1)
     component.close()
     assert spy.calls == []
+
+
+def doing(rogue: Build, misdeed: Misdeed, **capabilities: Any) -> tuple[Component, Spy]:
+    """An instance that does so in its first step."""
+    component = load(rogue(**capabilities))
+    spy = component._slave.dll = Spy(component._slave.dll)
+    begin(component, misdeed)
+    return component, spy
+
+
+def begin(component: Component, misdeed: Misdeed) -> None:
+    for variable in component.description.modelVariables:
+        if variable.name == "misdeed":
+            component.set(variable, int(misdeed))
+    component.initialise(0.0, None)
+    component.begin_stepping()
+
+
+@pytest.mark.parametrize(
+    ("misdeed", "calls"),
+    [
+        (Misdeed.NONE, ["fmi2Terminate", "fmi2FreeInstance"]),
+        (Misdeed.DISCARD, ["fmi2Terminate", "fmi2FreeInstance"]),
+        (Misdeed.ERROR, ["fmi2FreeInstance"]),
+        (Misdeed.FATAL, []),
+    ],
+    ids=lambda each: each.name if isinstance(each, Misdeed) else "",
+)
+def test_an_instance_ends_as_fmi_allows_after_its_last_step(
+    rogue: Build, misdeed: Misdeed, calls: list[str]
+) -> None:
+    component, spy = doing(rogue, misdeed)
+    with contextlib.suppress(SlaveError):
+        component.do_step(0.0, 0.1)
+    component.close()
+    assert spy.calls == calls
+
+
+def test_a_restored_state_ends_an_error(rogue: Build) -> None:
+    component, spy = doing(rogue, Misdeed.ERROR, saves_state=True)
+    saved = component.saved_state()
+    with pytest.raises(SlaveError, match="returned error: the rudder is stuck"):
+        component.do_step(0.0, 0.1)
+    component.restore(saved)
+    component.forget(saved)
+    component.close()
+    assert spy.calls == ["fmi2Terminate", "fmi2FreeInstance"]
+
+
+def test_a_reset_ends_an_error(rogue: Build) -> None:
+    component, spy = doing(rogue, Misdeed.ERROR)
+    with pytest.raises(SlaveError, match="returned error: the rudder is stuck"):
+        component.do_step(0.0, 0.1)
+    assert component.reset()
+    begin(component, Misdeed.NONE)
+    component.close()
+    assert spy.calls == ["fmi2Terminate", "fmi2FreeInstance"]
+
+
+def test_what_ends_fatally_is_not_freed(rogue: Build) -> None:
+    component, spy = doing(rogue, Misdeed.NONE)
+    fatal = 4
+    spy.fmi2Terminate = lambda instance: fatal
+    component.close()
+    assert spy.calls == []
+
+
+def test_a_fatal_error_ends_one_instance_as_each_has_a_library_of_its_own(rogue: Build) -> None:
+    bad, _ = doing(rogue, Misdeed.FATAL)
+    good, spy = doing(rogue, Misdeed.NONE)
+    assert bad.function("fmi2DoStep") != good.function("fmi2DoStep")
+    with pytest.raises(SlaveError, match="returned fatal: the hull is breached"):
+        bad.do_step(0.0, 0.1)
+    bad.close()
+    good.do_step(0.0, 0.1)
+    good.close()
+    assert spy.calls == ["fmi2Terminate", "fmi2FreeInstance"]
 
 
 def test_a_warning_is_a_python_warning_that_names_instance_time_and_words(foreign: dict[str, Path]) -> None:
@@ -222,3 +306,76 @@ def test_two_instances_of_one_name_are_heard_apart(rogue: Build) -> None:
             first.do_step(0.0, 0.1)
         assert caught.value.log
         assert second.log == []
+
+
+@pytest.fixture
+def interrupt_soon() -> Iterator[Callable[[float], None]]:
+    """Raises SIGINT after so many seconds."""
+    timers: list[threading.Timer] = []
+
+    def start(seconds: float) -> None:
+        timers.append(threading.Timer(seconds, lambda: signal.raise_signal(signal.SIGINT)))
+        timers[-1].start()
+
+    yield start
+    for timer in timers:
+        timer.join()
+
+
+def test_an_interrupt_of_the_last_stretch_is_not_lost(linear: Build) -> None:
+    """It comes when nothing looks at it any more."""
+    with pytest.raises(KeyboardInterrupt), deferred_interrupt():
+        signal.raise_signal(signal.SIGINT)
+
+
+def test_an_interrupt_ends_shorter_steps_between_two_points(
+    linear: Build, tmp_path: Path, interrupt_soon: Callable[[float], None]
+) -> None:
+    """And the system goes back to the point before them, from where it can go on."""
+    system = coupled(linear, saves_state=True, serialises_state=True)
+    interrupt_soon(0.5)
+    with pytest.raises(SimulationError, match="interrupted; saved in"):
+        simulate(system, Experiment(2.0, 2.0, tolerance=1e-7), checkpoints=Checkpoints(tmp_path / "c"))
+    checkpoint = read_checkpoint(tmp_path / "c")
+    assert checkpoint.position == 0
+
+
+def test_an_interrupt_ends_a_wait_for_the_clock(
+    linear: Build, interrupt_soon: Callable[[float], None]
+) -> None:
+    interrupt_soon(0.5)
+    begun = time.monotonic()
+    with pytest.raises(SimulationError, match="interrupted"):
+        simulate(coupled(linear), Experiment(600.0, 300.0), real_time=1.0)
+    assert time.monotonic() - begun < 60.0  # and not 600
+
+
+def test_an_fmu_that_repeats_itself_is_heard_once(rogue: Build) -> None:
+    parameters = {"bad.misdeed": int(Misdeed.WARNING), "bad.misdeed_time": 0.5}
+    experiment = Experiment(100.0, 0.01, parameters=parameters, inputs={"bad.u": 0.0})
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        simulate(System({"bad": rogue()}), experiment)
+    messages = [str(each.message) for each in caught]
+    assert messages[0].startswith("bad at t = 0.5 s: ")
+    assert max(map(len, messages)) < 200
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"step_sizes": {"t": math.inf}}, "step size of t, inf s: expected a multiple"),
+        (
+            {"inputs": {"t.a": 2**40, "t.b": False}},
+            r"t.a = 1099511627776: expected -2.14748e\+09..2.14748e\+09",
+        ),
+    ],
+)
+def test_what_no_fmu_can_take_is_refused_before_the_run(
+    foreign: dict[str, Path], settings: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(SystemDefinitionError, match=message):
+        simulate(
+            System({"t": foreign["Types"]}),
+            Experiment(1.0, 0.1, **{"inputs": {"t.a": 1, "t.b": False}, **settings}),
+        )

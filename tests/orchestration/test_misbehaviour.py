@@ -240,8 +240,8 @@ def test_a_last_successful_time_outside_the_step_ends_the_run(
 
 ENDS_APART = [
     (Misdeed.HANG, "rogue at t = 0.5 s: did not return within 1 s, and its process was ended"),
-    (Misdeed.ABORT, "rogue at t = 0.5 s: ended its process with signal SIGABRT"),
-    (Misdeed.SEGFAULT, "rogue at t = 0.5 s: ended its process with signal SIGSEGV"),
+    (Misdeed.ABORT, "rogue at t = 0.5 s: ended its process with SIGABRT"),
+    (Misdeed.SEGFAULT, "rogue at t = 0.5 s: ended its process with SIGSEGV"),
     *ENDS,
 ]
 

@@ -26,7 +26,7 @@ def test_points_are_waited_for_and_late_ones_counted(monkeypatch: pytest.MonkeyP
     work = {0.0: 0.1, 1.0: 0.2, 2.0: 0.8, 3.0: 0.3, 4.0: 0.1}  # t -> seconds of the wall clock until the next
     reached = []
     for t, seconds in work.items():
-        pace.wait(t)
+        pace.wait(t, lambda: None)
         reached.append(clock.now - 100.0)
         clock.now += seconds
     assert reached == pytest.approx([0.0, 0.5, 1.0, 1.8, 2.1])

@@ -12,7 +12,7 @@ from orchestration.component import Component
 from orchestration.errors import SimulationError, SystemDefinitionError
 from orchestration.experiment import Experiment
 from orchestration.master import Simulator, simulate
-from orchestration.system import System
+from orchestration.system import System, describe
 from tests.orchestration.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import coupled
 
@@ -52,27 +52,37 @@ def test_runs_of_other_signals_and_records_share_the_fmus(linear: Build, loaded:
     assert loaded == ["one"]
 
 
-def test_an_fmu_that_cannot_be_reset_is_instantiated_anew(
-    foreign: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+def test_an_fmu_that_cannot_be_reset_is_loaded_anew(
+    linear: Build, loaded: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whatever its library says to fmi2Reset."""
-    refused: list[str] = []
-    with Simulator(System({"lag": foreign["Lag"]})) as simulator:
-        experiment = Experiment(1.0, 0.1, inputs={"lag.u": 0.0})
-        first = simulator.run(experiment)
-        component = simulator._components["lag"]
-
-        class Refusing:
-            def __getattr__(self, name: str) -> Any:
-                if name == "fmi2Reset":
-                    refused.append(name)
-                    return lambda handle: 3
-                return getattr(component._slave.dll, name)
-
-        monkeypatch.setattr(Component, "library", property(lambda self: Refusing()))
-        again = simulator.run(experiment)
-    assert refused == ["fmi2Reset"]
+    with Simulator(coupled(linear)) as simulator:
+        first = simulator.run(EXPERIMENT)
+        monkeypatch.setattr(Component, "reset", lambda self: False)
+        again = simulator.run(EXPERIMENT)
+    assert loaded == ["one", "two"] * 2
     assert np.array_equal(first.values, again.values)
+
+
+def test_a_reset_that_is_refused_is_told(linear: Build) -> None:
+    path = linear()
+    with Component("one", path, describe(path)) as component:
+        component.initialise(0.0, None)
+        assert component.reset()
+        assert component.is_fresh
+        component._slave.dll = Refusing(component._slave.dll)
+        component.initialise(0.0, None)
+        assert not component.reset()
+        assert not component.is_fresh
+
+
+class Refusing:
+    """A library that refuses to reset."""
+
+    def __init__(self, library: Any) -> None:
+        self._library = library
+
+    def __getattr__(self, name: str) -> Any:
+        return (lambda handle: 3) if name == "fmi2Reset" else getattr(self._library, name)
 
 
 @pytest.mark.parametrize("misdeed", [Misdeed.ERROR, Misdeed.FATAL])
@@ -109,12 +119,32 @@ def test_real_time_is_kept_and_missed_deadlines_are_told(linear: Build) -> None:
     calm = simulate(coupled(linear), EXPERIMENT, real_time=5.0).provenance["real_time"]
     assert calm["factor"] == 5.0
     rushed = simulate(coupled(linear), EXPERIMENT, real_time=1e9).provenance["real_time"]
-    assert rushed["missed_deadlines"] == 9
+    assert rushed["missed_deadlines"] == 10
     assert rushed["worst_lateness_s"] > 0.0
-    assert 0.1 <= rushed["worst_at_s"] <= 0.9
+    assert 0.1 <= rushed["worst_at_s"] <= 1.0
 
 
 @pytest.mark.parametrize("factor", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_real_time_factor_must_be_positive(linear: Build, factor: float) -> None:
     with pytest.raises(SystemDefinitionError, match=r"real time factor .* expected more than 0"):
         simulate(coupled(linear), EXPERIMENT, real_time=factor)
+
+
+def test_a_run_during_a_run_is_refused(linear: Build) -> None:
+    """It would reset the FMUs under the other's feet."""
+    with Simulator(coupled(linear)) as simulator:
+
+        def again(done: int, total: int) -> None:
+            simulator.run(EXPERIMENT)
+
+        with pytest.raises(SimulationError, match="this simulator is running: expected another one"):
+            simulator.run(EXPERIMENT, again)
+        assert len(simulator.run(EXPERIMENT).time) == 11
+
+
+def test_simulators_of_one_system_do_not_meet(linear: Build) -> None:
+    with Simulator(coupled(linear)) as one, Simulator(coupled(linear)) as other:
+        inside: list[Any] = []
+        outer = one.run(EXPERIMENT, lambda done, total: inside.append(other.run(EXPERIMENT)))
+    assert all(np.array_equal(each.values, outer.values) for each in inside)
+    assert inside

@@ -129,7 +129,7 @@ def test_a_python_that_cannot_run_samples_is_told_at_once(
     sweep_file: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "numpy.py").write_text("raise ImportError('not this one')")
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.syspath_prepend(tmp_path)
     made = job(plan(scenario.load(sweep_file(SWEEP))), kept=None)
     opened = IsolatedSamples(made.unpacked(tmp_path / "worker"), tmp_path / "worker")
     with pytest.raises(SweepError, match="cannot start: ImportError: not this one"):

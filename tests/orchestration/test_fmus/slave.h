@@ -4,7 +4,7 @@
  * config.h is written with the model description: MODEL_GUID, START_VALUES and the capabilities CAN_....
  *
  * It is strict with the master: a call in the wrong mode, a communication point that is not its own time or a
- * capability that it does not claim is an error, and one that touches it after fmi2Fatal ends the process.
+ * capability that it does not claim is an error, and what FMI forbids after fmi2Error or fmi2Fatal ends the process.
  */
 
 #ifndef SLAVE_H
@@ -18,7 +18,15 @@
 
 #include "fmi2Functions.h"
 
-enum Mode { INSTANTIATED = 1, INITIALIZATION = 2, STEPPING = 4, TERMINATED = 8, STEP_FAILED = 16, FATAL = 32 };
+enum Mode {
+    INSTANTIATED = 1,
+    INITIALIZATION = 2,
+    STEPPING = 4,
+    TERMINATED = 8,
+    STEP_FAILED = 16, /* discarded */
+    IN_ERROR = 32,
+    FATAL = 64
+};
 
 typedef struct {
     double value[N_VARIABLES];
@@ -65,17 +73,17 @@ static fmi2Status refuse(Slave *s, fmi2Status status, const char *format, ...) {
     vsnprintf(text, sizeof text, format, arguments);
     va_end(arguments);
     if (s->logger) s->logger(s->environment, s->name, status, CATEGORIES[status], text);
-    if (status == fmi2Error) s->data.mode = STEP_FAILED;
+    if (status == fmi2Error) s->data.mode = IN_ERROR;
     if (status == fmi2Fatal) s->data.mode = FATAL;
     return status;
 }
 
 static int is_allowed(Slave *s, int modes, const char *call) {
-    if (s->data.mode == FATAL) {
-        fprintf(stderr, "%s of %s after fmi2Fatal\n", call, s->name);
+    if (s->data.mode & modes) return 1;
+    if (s->data.mode & (IN_ERROR | FATAL)) {
+        fprintf(stderr, "%s of %s after fmi2%s\n", call, s->name, s->data.mode == FATAL ? "Fatal" : "Error");
         abort();
     }
-    if (s->data.mode & modes) return 1;
     refuse(s, fmi2Error, "%s is not allowed in mode %d", call, s->data.mode);
     return 0;
 }
@@ -85,7 +93,7 @@ static int is_allowed(Slave *s, int modes, const char *call) {
 
 /* Values */
 
-enum { READABLE = INSTANTIATED | INITIALIZATION | STEPPING | TERMINATED | STEP_FAILED };
+enum { READABLE = INSTANTIATED | INITIALIZATION | STEPPING | TERMINATED | STEP_FAILED | IN_ERROR };
 enum { WRITABLE = INSTANTIATED | INITIALIZATION | STEPPING };
 
 #define DEFINE_VALUES(Name, Type)                                                                               \
@@ -243,7 +251,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_ea
     const fmi2Status status = model_step(s, h);
     memset(d->input_rate, 0, sizeof d->input_rate);
     if (status > fmi2Warning) {
-        if (status != fmi2Fatal) d->mode = STEP_FAILED;
+        if (status == fmi2Discard) d->mode = STEP_FAILED;
         return status;
     }
     d->time = d->last_successful_time = t + h;
