@@ -138,7 +138,7 @@ def test_a_reset_ends_an_error(rogue: Build) -> None:
 def test_what_ends_fatally_is_not_freed(rogue: Build) -> None:
     component, spy = doing(rogue, Misdeed.NONE)
     fatal = 4
-    spy.fmi2Terminate = lambda instance: fatal
+    vars(spy)["fmi2Terminate"] = lambda instance: fatal
     component.close()
     assert spy.calls == []
 
