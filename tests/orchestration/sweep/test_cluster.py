@@ -260,14 +260,14 @@ def test_nothing_is_left_of_a_local_cluster(
     planned: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    before = set(tmp_path.iterdir())
+    before, others = set(tmp_path.iterdir()), set(psutil.Process().children(recursive=True))
     with cluster.local(1) as client:
         folders: Any = client.run(lambda dask_worker: dask_worker.local_directory)
         (folder,) = folders.values()
         assert Path(folder).is_dir()
         assert all(address.startswith("tcp://127.0.0.1:") for address in threads(client))
         assert client.scheduler_info()["address"].startswith("tcp://127.0.0.1:")
-        processes = [psutil.Process(), *psutil.Process().children(recursive=True)]
+        processes = {psutil.Process(), *psutil.Process().children(recursive=True)} - others
         sockets = [each for process in processes for each in process.net_connections("inet")]
         listening = {each.laddr.ip for each in sockets if each.status == psutil.CONN_LISTEN}
         assert listening == {"127.0.0.1"}
@@ -275,6 +275,6 @@ def test_nothing_is_left_of_a_local_cluster(
     assert set(tmp_path.iterdir()) == before
     assert not [
         each
-        for each in psutil.Process().children(recursive=True)
+        for each in set(psutil.Process().children(recursive=True)) - others
         if "resource_tracker" not in " ".join(each.cmdline())
     ]
