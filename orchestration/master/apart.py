@@ -21,7 +21,7 @@ from orchestration.experiment import Experiment, checked_settings, communication
 from orchestration.master.child import OUTCOME, TASK, WARNINGS, SharedRecord, Task, child
 from orchestration.master.interrupt import kept_interrupts
 from orchestration.master.loop import BUSY, CALLS, RECORDED
-from orchestration.master.stepping import Progress, provenance
+from orchestration.master.stepping import Progress, recording
 from orchestration.own_process import ending, start
 from orchestration.recording import Recording
 from orchestration.system import CheckedSystem, System, check
@@ -175,15 +175,7 @@ def _failure(
     done, busy = int(report[RECORDED]), abs(int(report[BUSY]))
     who = list(checked.components)[busy - 1] if busy else "the run"
     where = f"at t = {points[done - 1]:.9g} s" if done else "in the initialisation"
-    names = recorded(checked, experiment)
-    recording = Recording(
-        names=names,
-        units=tuple(checked.ports[name].variable.unit or "" for name in names),
-        time=points[:done].copy(),
-        values=np.array(rows[:done]),
-        provenance=provenance(checked, experiment),
-    )
-    return SimulationError(f"{who} {where}: {problem}", recording)
+    return SimulationError(f"{who} {where}: {problem}", recording(checked, experiment, points, rows, done))
 
 
 def _with_warnings(path: Path, outcome: _Outcome) -> _Outcome:
@@ -215,9 +207,9 @@ def _last_word(progress: Progress | None, outcome: _Outcome) -> BaseException | 
 
 def _unwrapped(outcome: _Outcome, stopped: BaseException | None) -> Recording:
     """The recording, or raise why there is none of the whole run."""
-    recording = outcome if isinstance(outcome, Recording) else getattr(outcome, "recording", None)
-    if recording and (isinstance(stopped, Exception) or (stopped and recording is outcome)):
-        outcome = SimulationError(_reason(stopped), recording)
+    there = outcome if isinstance(outcome, Recording) else getattr(outcome, "recording", None)
+    if there and (isinstance(stopped, Exception) or (stopped and there is outcome)):
+        outcome = SimulationError(_reason(stopped), there)
     if isinstance(outcome, Recording):
         return outcome
     if stopped:

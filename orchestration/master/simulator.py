@@ -18,6 +18,7 @@ from orchestration.master.initialisation import Group, groups, settle
 from orchestration.master.interrupt import deferred_interrupt
 from orchestration.master.loop import BUSY, REPORT_SIZE, Storage, plain
 from orchestration.master.pacing import Pacing
+from orchestration.master.snapshot import missing_ability
 from orchestration.master.stepping import Progress, Run
 from orchestration.master.wiring import Loom
 from orchestration.recording import Recording
@@ -163,11 +164,7 @@ def _pacing(real_time: float | None) -> Pacing | None:
 
 
 def _check_serialisable(checked: CheckedSystem) -> None:
-    unable = [
-        name
-        for name, description in checked.descriptions.items()
-        if not (description.coSimulation and description.coSimulation.canSerializeFMUstate)
-    ]
+    unable = missing_ability(checked, "canSerializeFMUstate")
     if unable:
         raise SystemDefinitionError(
             f"checkpoint: {', '.join(unable)} cannot serialise its state: expected canSerializeFMUstate"

@@ -1,22 +1,18 @@
 """The whole system at one communication point, kept so that it can be gone back to."""
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
 from orchestration.component import Component
 from orchestration.errors import SlaveError
 from orchestration.master.loop import Wiring
+from orchestration.system import CheckedSystem
 
 
-def missing_ability(components: Mapping[str, Component], ability: str) -> list[str]:
+def missing_ability(checked: CheckedSystem, ability: str) -> list[str]:
     """Components that do not claim a capability of FMI 2.0 co-simulation."""
-    return [name for name, each in components.items() if not getattr(interface_of(each), ability, False)]
-
-
-def interface_of(component: Component) -> Any:
-    return component.description.coSimulation
+    return [name for name, each in checked.descriptions.items() if not getattr(each.coSimulation, ability)]
 
 
 def moving_arrays(w: Wiring) -> dict[str, np.ndarray]:

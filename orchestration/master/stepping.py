@@ -13,7 +13,7 @@ import numpy as np
 
 from orchestration.component import Component
 from orchestration.errors import OrchestrationError
-from orchestration.experiment import Experiment, checked_value
+from orchestration.experiment import Experiment, checked_value, recorded
 from orchestration.master.between import ShorterSteps, Tolerance
 from orchestration.master.failure import explain, is_discarded_step, judge_warnings
 from orchestration.master.loop import RECORDED, Entries
@@ -47,7 +47,7 @@ class Run:
         self.loom, self.wiring, self._loop = loom, loom.wiring, loop
         self.position = 0
         self._changes = _changes(checked, experiment, self.wiring.points)
-        self._hindrance = _hindrance(experiment, components)
+        self._hindrance = _hindrance(experiment, checked)
         self._check_interrupt: Callable[[], None] = lambda: None
         self._snapshot = None if self._hindrance else Snapshot(components, self.wiring)
         self.shorter = None if self._hindrance else self._shorter_steps()
@@ -157,15 +157,9 @@ class Run:
     def recording(self, pacing: Pacing | None) -> Recording:
         """What there is until now."""
         done = int(self.wiring.report[RECORDED])
-        names = self.loom.recorded
-        facts = provenance(self.checked, self._experiment) | self._effort()
-        return Recording(
-            names=names,
-            units=tuple(self.checked.ports[name].variable.unit or "" for name in names),
-            time=self.wiring.points[:done].copy(),
-            values=np.array(self.wiring.rows[:done]),
-            provenance=facts | ({"real_time": pacing.report()} if pacing else {}),
-        )
+        more = self._effort() | ({"real_time": pacing.report()} if pacing else {})
+        w = self.wiring
+        return recording(self.checked, self._experiment, w.points, w.rows, done, more)
 
     def _effort(self) -> dict[str, int]:
         """What shorter steps took, if there were any."""
@@ -203,6 +197,25 @@ class Run:
                 each.free()
 
 
+def recording(
+    checked: CheckedSystem,
+    experiment: Experiment,
+    points: np.ndarray,
+    rows: np.ndarray,
+    done: int,
+    more: Mapping[str, Any] | None = None,
+) -> Recording:
+    """The first `done` communication points; `more` goes to what is known of the run."""
+    names = recorded(checked, experiment)
+    return Recording(
+        names=names,
+        units=tuple(checked.ports[name].variable.unit or "" for name in names),
+        time=points[:done].copy(),
+        values=np.array(rows[:done]),
+        provenance=provenance(checked, experiment) | dict(more or {}),
+    )
+
+
 def provenance(checked: CheckedSystem, experiment: Experiment) -> dict[str, Any]:
     """What is run, and how, as plain data."""
     return {
@@ -234,14 +247,14 @@ def _changes(
     return found
 
 
-def _hindrance(experiment: Experiment, components: Mapping[str, Component]) -> str:
+def _hindrance(experiment: Experiment, checked: CheckedSystem) -> str:
     """Why a discarded step cannot be done again in shorter ones; empty if it can."""
     if experiment.step_sizes:
         return "components have step sizes of their own"
-    unable = missing_ability(components, "canGetAndSetFMUstate")
+    unable = missing_ability(checked, "canGetAndSetFMUstate")
     if unable:
         return f"{', '.join(unable)} cannot go back (canGetAndSetFMUstate)"
-    fixed = missing_ability(components, "canHandleVariableCommunicationStepSize")
+    fixed = missing_ability(checked, "canHandleVariableCommunicationStepSize")
     if fixed:
         return f"{', '.join(fixed)} cannot vary the step (canHandleVariableCommunicationStepSize)"
     return ""

@@ -322,7 +322,7 @@ def interrupt_soon() -> Iterator[Callable[[float], None]]:
         timer.join()
 
 
-def test_an_interrupt_of_the_last_stretch_is_not_lost(linear: Build) -> None:
+def test_an_interrupt_of_the_last_stretch_is_not_lost() -> None:
     """It comes when nothing looks at it any more."""
     with pytest.raises(KeyboardInterrupt), deferred_interrupt():
         signal.raise_signal(signal.SIGINT)
