@@ -1,6 +1,6 @@
 """What the documentation of DepthReference says besides its variables."""
 
-from controller_fmu.depth_controller_guide import PAPER
+from controller_fmu.l1.depth_controller_guide import PAPER
 from fmus.guide import Experiment, Guide
 
 GUIDE = Guide(

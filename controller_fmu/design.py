@@ -15,8 +15,8 @@ import numpy as np
 from scipy.linalg import expm, solve_continuous_lyapunov
 from scipy.optimize import brentq
 
-from controller_fmu.l1 import Regressor
-from controller_fmu.lowpass import FilterOrder
+from controller_fmu.l1.law import Regressor
+from controller_fmu.l1.lowpass import FilterOrder
 
 _STEPS_PER_TIME_CONSTANT = 100  # of the fastest mode: trapezoidal error of |g| below 1e-4
 _TIME_CONSTANTS = 30  # of the slowest mode: e^-30 of the impulse response is left out

@@ -13,14 +13,16 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from xml.etree import ElementTree
 
-from fmus import native_flavour, python_flavour, reference_files
-from fmus.archive import write_archive
 from fmus.block import Block
+from fmus.documentation import reference_files
+from fmus.documentation.icon import icon
+from fmus.documentation.reference_results import reference_run
 from fmus.errors import ExportError, nearest
-from fmus.icon import icon
+from fmus.export import native as native_flavour
+from fmus.export import python as python_flavour
+from fmus.export.archive import write_archive
 from fmus.instance import Instance
-from fmus.reference_results import reference_run
-from fmus.toolchain import host_platform, library_name
+from fmus.platforms import host_platform, library_name
 
 GROUP = "l1_depth.blocks"
 DIST = Path(__file__).parent / "dist"

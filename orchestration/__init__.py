@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from orchestration.errors import OrchestrationError, SimulationError
-    from orchestration.experiment import Event, Experiment
-    from orchestration.faults import Delay, Drift, DropOut, Fault, Freeze, Noise, Offset, Stuck
     from orchestration.master import Simulator, simulate
     from orchestration.master.checkpoint import Checkpoints, read_checkpoint
-    from orchestration.recording import Recording
-    from orchestration.reference import Constant, Cosine, Ramps, Samples
-    from orchestration.system import System
+    from orchestration.results.recording import Recording
+    from orchestration.system.experiment import Event, Experiment
+    from orchestration.system.faults import Delay, Drift, DropOut, Fault, Freeze, Noise, Offset, Stuck
+    from orchestration.system.signals import Constant, Cosine, Ramps, Samples
+    from orchestration.system.system import System
 
 __all__ = [
     "Checkpoints",
@@ -45,25 +45,25 @@ __all__ = [
 # imported when they are asked for: the pytest plugin of the compliance checks must load nothing heavy
 _HOMES = {
     "Checkpoints": "orchestration.master.checkpoint",
-    "Constant": "orchestration.reference",
-    "Cosine": "orchestration.reference",
-    "Delay": "orchestration.faults",
-    "Drift": "orchestration.faults",
-    "DropOut": "orchestration.faults",
-    "Event": "orchestration.experiment",
-    "Experiment": "orchestration.experiment",
-    "Fault": "orchestration.faults",
-    "Freeze": "orchestration.faults",
-    "Noise": "orchestration.faults",
-    "Offset": "orchestration.faults",
+    "Constant": "orchestration.system.signals",
+    "Cosine": "orchestration.system.signals",
+    "Delay": "orchestration.system.faults",
+    "Drift": "orchestration.system.faults",
+    "DropOut": "orchestration.system.faults",
+    "Event": "orchestration.system.experiment",
+    "Experiment": "orchestration.system.experiment",
+    "Fault": "orchestration.system.faults",
+    "Freeze": "orchestration.system.faults",
+    "Noise": "orchestration.system.faults",
+    "Offset": "orchestration.system.faults",
     "OrchestrationError": "orchestration.errors",
-    "Ramps": "orchestration.reference",
-    "Recording": "orchestration.recording",
-    "Samples": "orchestration.reference",
+    "Ramps": "orchestration.system.signals",
+    "Recording": "orchestration.results.recording",
+    "Samples": "orchestration.system.signals",
     "SimulationError": "orchestration.errors",
     "Simulator": "orchestration.master",
-    "Stuck": "orchestration.faults",
-    "System": "orchestration.system",
+    "Stuck": "orchestration.system.faults",
+    "System": "orchestration.system.system",
     "read_checkpoint": "orchestration.master.checkpoint",
     "simulate": "orchestration.master",
 }

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from fmus import catalogue
-from orchestration import scenario
-from orchestration.experiment import checked_settings
-from orchestration.reproduce import build_what_is_missing
-from orchestration.system import check
+from orchestration.scenarios import scenario
+from orchestration.scenarios.reproduce import build_what_is_missing
+from orchestration.system.experiment import checked_settings
+from orchestration.system.system import check
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -24,7 +24,7 @@ def block(language: str) -> str:
 
 
 def test_the_python_example_runs(tmp_path: Path) -> None:
-    catalogue.build("BenchmarkPlant", tmp_path / "fmus" / "dist")
+    catalogue.build("ExamplePlant", tmp_path / "fmus" / "dist")
     done = subprocess.run(
         [sys.executable, "-c", block("python")], capture_output=True, text=True, check=True, cwd=tmp_path
     )

@@ -7,10 +7,10 @@ from typing import Annotated
 import typer
 
 from fmus.catalogue import Flavour
-from orchestration import handover, ssp_write
 from orchestration.cli.shared import OutFolder, bar, console, shipped_or_own
 from orchestration.errors import OrchestrationError
-from orchestration.recording import write_whole
+from orchestration.exchange import handover, ssp_write
+from orchestration.results.recording import write_whole
 
 
 def package(
@@ -41,7 +41,7 @@ def importers(
     ] = None,
 ) -> None:
     """Run packages in other importers and compare the depth with our master's."""
-    from orchestration.importers import comparison
+    from tests.importers import comparison
 
     count = len(comparison.DISTRIBUTIONS) * len(comparison.SCENARIOS)
     with bar(count, "run", "importers") as shown, tempfile.TemporaryDirectory() as folder:

@@ -12,10 +12,10 @@ from rich.table import Table
 
 from fmus import catalogue
 from fmus.catalogue import Flavour
-from fmus.toolchain import PLATFORMS, check_platforms
+from fmus.platforms import PLATFORMS, check_platforms
 from orchestration.cli.shared import FlavourOption, bar, console
 from orchestration.errors import OrchestrationError
-from orchestration.system import describe
+from orchestration.fmi.description import describe
 
 _PIPED_WIDTH = 260  # a line a variable, for grep
 
@@ -68,7 +68,7 @@ def check(
     every: Annotated[bool, typer.Option("--all", help="Show every rule, not only those broken.")] = False,
 ) -> None:
     """Judge FMUs by the rules of FMI 2.0.5; fails if one is broken that is not a mere warning."""
-    from orchestration.compliance.__main__ import check as judged
+    from fmus.compliance.__main__ import check as judged
 
     for path in fmus:
         if not path.is_file():

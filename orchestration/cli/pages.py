@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from orchestration.recording import write_whole
+from orchestration.results.recording import write_whole
 
 
 def report(
@@ -19,7 +19,7 @@ def report(
     title: Annotated[str, typer.Option(help="Of the page; by default what the results are called.")] = "",
 ) -> None:
     """Write results as one interactive HTML page that needs no network."""
-    from orchestration import page
+    from orchestration import report as page
 
     text = page.render(page.found_results(results), title)
     write_whole(out, lambda stream: stream.write(text))

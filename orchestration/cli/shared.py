@@ -11,8 +11,9 @@ from rich.console import Console
 from tqdm import tqdm
 
 from fmus.catalogue import Flavour
-from orchestration import reproduce, scenario, ssp_read
 from orchestration.errors import ScenarioError
+from orchestration.exchange import ssp_read
+from orchestration.scenarios import reproduce, scenario
 
 _BEFORE_A_BAR_S = 2.0
 

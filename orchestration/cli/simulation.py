@@ -9,11 +9,12 @@ import typer
 
 from fmus import catalogue
 from fmus.catalogue import Flavour
-from orchestration import report, scenario
-from orchestration import reproduce as reproduction
 from orchestration.cli.shared import FlavourOption, OutFolder, bar, chosen_scenario, console
 from orchestration.master.checkpoint import Checkpoints, read_checkpoint
-from orchestration.recording_files import Format
+from orchestration.results import figures as report
+from orchestration.results.recording_files import Format
+from orchestration.scenarios import reproduce as reproduction
+from orchestration.scenarios import scenario
 
 _LAPS = 3  # rounds of the race: each takes half a minute
 _IDENTIFIED = scenario.SHIPPED / "parameters" / "identified.toml"
@@ -84,7 +85,7 @@ def identify(
     ] = _IDENTIFIED,
 ) -> None:
     """Fit the gains that the paper does not publish to the nominal row of its Table 1."""
-    from orchestration import identify as identification
+    from orchestration.scenarios import identify as identification
 
     reproduction.build_what_is_missing(
         scenario.load(scenario.find(name)) for name in identification.SCENARIOS
@@ -126,7 +127,7 @@ def bench(
     rounds: Annotated[int, typer.Option(help="Of which the median is taken.", min=1)] = 7,
 ) -> None:
     """Measure FMI against bare C, this master against others, and a scenario against one C program."""
-    from orchestration import bench as benchmark
+    from tests import speed as benchmark
 
     chosen, blocks = names or ["nominal-extended"], catalogue.block_names()
     for name in chosen:

@@ -7,9 +7,10 @@ from typing import Annotated
 import typer
 
 from fmus.catalogue import Flavour
-from orchestration import report, reproduce
 from orchestration.cli.shared import FlavourOption, OutFolder, bar, console, shipped_or_own
 from orchestration.errors import SweepError
+from orchestration.results import figures as report
+from orchestration.scenarios import reproduce
 from orchestration.sweep import table
 from orchestration.sweep.job import signals
 from orchestration.sweep.plan import Plan, plan

@@ -21,14 +21,14 @@ Inputs are held over a step, first order in h, or carried on by their last slope
 from typing import Any
 
 from orchestration.errors import SystemDefinitionError
-from orchestration.experiment import Experiment
-from orchestration.master.apart import simulate_apart
 from orchestration.master.checkpoint import Checkpoint, Checkpoints
 from orchestration.master.simulator import Simulator
 from orchestration.master.stepping import Progress
-from orchestration.recording import Recording
-from orchestration.settings import experiment_of
-from orchestration.system import System
+from orchestration.master.subprocess_run import simulate_apart
+from orchestration.results.recording import Recording
+from orchestration.system.experiment import Experiment
+from orchestration.system.settings import experiment_of
+from orchestration.system.system import System
 
 __all__ = ["Simulator", "simulate"]
 

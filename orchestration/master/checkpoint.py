@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from orchestration.component import Component
 from orchestration.errors import OrchestrationError
+from orchestration.fmi.instance import Component
 from orchestration.master.loop import RECORDED
 from orchestration.master.snapshot import moving_arrays
 from orchestration.master.stepping import MOST_STEPS, Run
-from orchestration.recording import write_whole_binary
+from orchestration.results.recording import write_whole_binary
 
 _VERSION = 1
 

@@ -1,4 +1,4 @@
-"""The communication loop compiled: `c/loop.c`, once a machine, kept in the user's cache."""
+"""The communication loop compiled: `loop.c`, once a machine, kept in the user's cache."""
 
 import atexit
 import ctypes
@@ -16,9 +16,10 @@ import numpy as np
 from platformdirs import user_cache_path
 
 from fmus.errors import ExportError
-from fmus.toolchain import COMPILER, FLAGS, compile_library, host_platform, library_name
+from fmus.export.toolchain import COMPILER, FLAGS, compile_library
+from fmus.platforms import host_platform, library_name
 from orchestration.master.loop import Entries, Wiring, plain
-from orchestration.recording import write_whole_binary
+from orchestration.results.recording import write_whole_binary
 
 _SOURCE = "loop.c"
 
@@ -66,7 +67,7 @@ def _flat(value: Any) -> list[int]:
 @cache
 def _library() -> ctypes.CDLL:
     """Loaded; compiled before if neither this source nor its compiler was seen on this machine."""
-    source = (resources.files("orchestration") / "c" / _SOURCE).read_text(encoding="utf-8")
+    source = (resources.files("orchestration.master") / _SOURCE).read_text(encoding="utf-8")
     platform = host_platform()
     key = hashlib.sha256(repr((source, COMPILER, FLAGS, platform)).encode()).hexdigest()[:16]
     name = Path(library_name(f"loop-{key}", platform)).name

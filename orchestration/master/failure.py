@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping
 
-from orchestration.component import Component
 from orchestration.errors import OrchestrationError, SlaveError
+from orchestration.fmi.instance import Component
 from orchestration.master.loop import CONNECTION, FAILURE, STATUS, STEP, WHICH, WHO, Wiring
 from orchestration.master.wiring import Loom
 

@@ -22,10 +22,10 @@ from scipy.optimize import approx_fprime, root
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from orchestration.component import Component
 from orchestration.errors import OrchestrationError, SlaveError
-from orchestration.experiment import Initialisation
-from orchestration.system import CheckedSystem, Port
+from orchestration.fmi.instance import Component
+from orchestration.system.experiment import Initialisation
+from orchestration.system.system import CheckedSystem, Port
 
 Connection = tuple[Port, Port]
 

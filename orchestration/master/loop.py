@@ -1,7 +1,7 @@
 """The communication loop: what happens between two looks of Python, over arrays that never move.
 
-This is the loop to read. `c/loop.c` has it function by function for a machine, with the same results to the
-last bit (tests/orchestration/test_loop.py); `compiled_loop.py` compiles that. At a communication point
+This is the loop to read. `loop.c` has it function by function for a machine, with the same results to the
+last bit (tests/orchestration/master/test_loop.py); `compiled_loop.py` compiles that. At a communication point
 `arrive` takes what every connection carries and records; `step` leads to the next one:
 
     Jacobi         everything is written, then everything steps, then everything is read

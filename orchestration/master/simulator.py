@@ -9,9 +9,9 @@ from typing import Any, Self
 
 import numpy as np
 
-from orchestration.component import Component
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
-from orchestration.experiment import Experiment, checked_settings, communication_points
+from orchestration.fmi.description import describe
+from orchestration.fmi.instance import Component
 from orchestration.master.checkpoint import Checkpoint, Checkpoints, restore
 from orchestration.master.compiled_loop import compiled as compiled_loop
 from orchestration.master.initialisation import Group, groups, settle
@@ -21,9 +21,10 @@ from orchestration.master.pacing import Pacing
 from orchestration.master.snapshot import missing_ability
 from orchestration.master.stepping import Progress, Run
 from orchestration.master.wiring import Loom
-from orchestration.recording import Recording
-from orchestration.reference import values_at
-from orchestration.system import CheckedSystem, Port, System, check, describe
+from orchestration.results.recording import Recording
+from orchestration.system.experiment import Experiment, checked_settings, communication_points
+from orchestration.system.signals import values_at
+from orchestration.system.system import CheckedSystem, Port, System, check
 
 
 class Simulator:

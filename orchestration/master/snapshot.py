@@ -4,10 +4,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from orchestration.component import Component
 from orchestration.errors import SlaveError
+from orchestration.fmi.instance import Component
 from orchestration.master.loop import Wiring
-from orchestration.system import CheckedSystem
+from orchestration.system.system import CheckedSystem
 
 
 def missing_ability(checked: CheckedSystem, ability: str) -> list[str]:

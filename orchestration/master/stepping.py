@@ -11,17 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from orchestration.component import Component
 from orchestration.errors import OrchestrationError
-from orchestration.experiment import Experiment, checked_value, recorded
-from orchestration.master.between import ShorterSteps, Tolerance
+from orchestration.fmi.instance import Component
 from orchestration.master.failure import explain, is_discarded_step, judge_warnings
 from orchestration.master.loop import RECORDED, Entries
 from orchestration.master.pacing import Pacing
 from orchestration.master.snapshot import Snapshot, missing_ability
+from orchestration.master.step_control import ShorterSteps, Tolerance
 from orchestration.master.wiring import Loom
-from orchestration.recording import Recording
-from orchestration.system import CheckedSystem, Port
+from orchestration.results.recording import Recording
+from orchestration.system.experiment import Experiment, checked_value, recorded
+from orchestration.system.system import CheckedSystem, Port
 
 _STRETCH_S = 0.05
 _GROWTH = 8  # of a stretch at most, from one to the next: the first ones tell how long a step takes

@@ -7,10 +7,8 @@ from typing import Any
 import numpy as np
 from fmpy.model_description import ScalarVariable
 
-from orchestration.component import Component, UnderWay
 from orchestration.errors import SystemDefinitionError
-from orchestration.experiment import TRAVELS_AS, Algorithm, Experiment, permitted, recorded
-from orchestration.faults import compose
+from orchestration.fmi.instance import Component, UnderWay
 from orchestration.master.loop import (
     AT_THE_MIDDLE,
     BUSY,
@@ -28,8 +26,10 @@ from orchestration.master.loop import (
     Storage,
     Wiring,
 )
-from orchestration.reference import values_at
-from orchestration.system import CheckedSystem
+from orchestration.system.experiment import TRAVELS_AS, Algorithm, Experiment, permitted, recorded
+from orchestration.system.faults import compose
+from orchestration.system.signals import values_at
+from orchestration.system.system import CheckedSystem
 
 # How much longer than usual a step may be than the one that its slope was taken from. Where a tolerance
 # judges the outcome, it follows half a step and may be five times as long as the whole.

@@ -17,11 +17,11 @@ from queue import SimpleQueue
 from tempfile import TemporaryDirectory, gettempdir
 from typing import Any, BinaryIO
 
-from orchestration import metrics
+from fmus.process import private_stream
 from orchestration.errors import OrchestrationError
 from orchestration.master import Simulator
-from orchestration.own_process import private_stream
-from orchestration.recording import Recording
+from orchestration.results import metrics
+from orchestration.results.recording import Recording
 from orchestration.sweep.job import Job, Outcome, Settings
 from orchestration.sweep.target import laid_over
 

@@ -11,8 +11,8 @@ from typing import IO, Any, cast
 
 import cloudpickle
 
+from fmus.process import ending, start
 from orchestration.errors import SweepError
-from orchestration.own_process import ending, start
 from orchestration.sweep import child
 from orchestration.sweep.job import Job, Outcome, Settings
 

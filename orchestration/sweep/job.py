@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from orchestration.errors import SweepError
-from orchestration.experiment import Experiment
 from orchestration.sweep.plan import Plan
-from orchestration.system import System
+from orchestration.system.experiment import Experiment
+from orchestration.system.system import System
 
 Settings = Mapping[str, Mapping[str, Any]]  # table of the scenario file -> key -> value
 

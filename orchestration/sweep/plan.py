@@ -15,11 +15,11 @@ import numpy as np
 
 from fmus.errors import nearest
 from orchestration.errors import ScenarioError
-from orchestration.experiment import checked_settings
-from orchestration.scenario import Scenario
+from orchestration.scenarios.scenario import Scenario
 from orchestration.sweep.target import laid_over, target
 from orchestration.sweep.varied import Varied, varied
-from orchestration.system import CheckedSystem, check
+from orchestration.system.experiment import checked_settings
+from orchestration.system.system import CheckedSystem, check
 
 _KEYS = ("samples", "seed", "timeout", "vary")
 _TAKEN = ("sample", "error")  # columns of the table

@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from orchestration.errors import SweepError
-from orchestration.recording import write_json, write_whole_binary
+from orchestration.results.recording import write_json, write_whole_binary
 from orchestration.sweep import table
 
 

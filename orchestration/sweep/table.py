@@ -17,8 +17,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from orchestration.errors import SweepError
-from orchestration.metric_units import metric_unit
-from orchestration.recording import write_whole_binary
+from orchestration.results.metric_units import metric_unit
+from orchestration.results.recording import write_whole_binary
 from orchestration.sweep.plan import Plan
 
 SAMPLE, ERROR = "sample", "error"

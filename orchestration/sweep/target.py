@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from fmus.errors import nearest
-from orchestration.arrays import start_value
 from orchestration.errors import ScenarioError
-from orchestration.experiment import Algorithm, Experiment, checked_value
-from orchestration.system import CheckedSystem, Port
+from orchestration.exchange.arrays import start_value
+from orchestration.system.experiment import Algorithm, Experiment, checked_value
+from orchestration.system.system import CheckedSystem, Port
 
 _OWN = {"experiment.step_size": "s", "experiment.stop_time": "s", "experiment.algorithm": ""}
 _PURPOSE = "sweep"

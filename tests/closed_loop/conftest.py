@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from orchestration import reproduce
-from orchestration.reproduce import Result
+from orchestration.scenarios import reproduce
+from orchestration.scenarios.reproduce import Result
 
 
 @pytest.fixture(scope="session")

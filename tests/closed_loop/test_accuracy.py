@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from controller_fmu import depth_controller
-from controller_fmu.augmentation import Augmentation
-from controller_fmu.matrices import LawMatrices
-from controller_fmu.projection import project
-from orchestration import scenario
-from orchestration.experiment import Algorithm
+from controller_fmu.l1 import depth_controller
+from controller_fmu.l1.augmentation import Augmentation
+from controller_fmu.l1.matrices import LawMatrices
+from controller_fmu.l1.projection import project
 from orchestration.master import simulate
-from orchestration.recording import Recording
+from orchestration.results.recording import Recording
+from orchestration.scenarios import scenario
+from orchestration.system.experiment import Algorithm
 from plant_fmu import depth_plant
 
 DURATION = 30.0

@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from controller_fmu import l1, siso_controller
-from orchestration import metrics, scenario
+from controller_fmu.l1 import law as l1
+from controller_fmu.l1 import siso_controller
 from orchestration.master import simulate
-from orchestration.reproduce import Result
-from plant_fmu import benchmark_plant
+from orchestration.results import metrics
+from orchestration.scenarios import scenario
+from orchestration.scenarios.reproduce import Result
+from plant_fmu import example_plant
 
 ORACLES = {"l1": (1.403, 19.80), "extended": (0.048, 0.798)}
 CONVERGED_VARIATION = {"l1": 2.14e4, "extended": 2.62e4}
@@ -108,15 +110,15 @@ def _extended_example(
     """Lag and RMSE over the last two periods, the blocks stepped directly as Jacobi would."""
     p = siso_controller.Parameters(augmentation=siso_controller.l1.Augmentation.NONLINEAR_P)
     matrices = siso_controller.calculate(p)
-    plant = benchmark_plant.Parameters()
+    plant = example_plant.Parameters()
     x, state, count = (0.0, 0.0), law.initial_law((0.0, 0.0), 1.0), round(duration / h)
     time, outputs = np.arange(count) * h, np.empty(count)
     u = 0.0
     for i, r in enumerate((100.0 * np.cos(0.2 * time)).tolist()):
         outputs[i] = x[0]
         seen = law.Measurement(x, x[0], r)
-        inputs = benchmark_plant.Inputs(control=u)
-        x = benchmark_plant.step(i * h, h, benchmark_plant.State(x), inputs, plant, None).x  # type: ignore[arg-type]
+        inputs = example_plant.Inputs(control=u)
+        x = example_plant.step(i * h, h, example_plant.State(x), inputs, plant, None).x  # type: ignore[arg-type]
         state = law.law_step(h, state, seen, 0.0, p, matrices)
         u = law.control(state, seen, p.feedback_gain, p).total
     late = time >= duration - 2.0 * PERIOD

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from fmus.catalogue import Flavour
-from orchestration import report, reproduce, scenario
-from orchestration.reproduce import Result
+from orchestration.results import figures as report
+from orchestration.scenarios import reproduce, scenario
+from orchestration.scenarios.reproduce import Result
 
 # Python and C make the same double-precision operations in the same order, none contracted. A constant
 # that CasADi inverted (x / 6 as x * (1 / 6)) or an elementary function may differ in its last bit, 1e-16;

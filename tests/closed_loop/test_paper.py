@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 
 from fmus import catalogue
-from orchestration import scenario
-from orchestration.identify import GAINS
-from orchestration.paper import PUBLISHED
-from orchestration.reproduce import Result
+from orchestration.scenarios import scenario
+from orchestration.scenarios.identify import GAINS
+from orchestration.scenarios.published import PUBLISHED
+from orchestration.scenarios.reproduce import Result
 
 METRICS = {
     "settling_time_s", "rmse_cm", "overshoot_pct", "holding_thrust_n", "lag_s", "control_effort_ns",
@@ -90,7 +90,7 @@ def test_only_the_augmentation_differs_between_controllers() -> None:
 
 def test_the_fmus_defaults_are_the_identified_gains() -> None:
     """The parameter file and the block must not drift apart."""
-    path = Path(scenario.__file__).parent / "scenarios" / "parameters" / "identified.toml"
+    path = Path(scenario.__file__).parent / "parameters" / "identified.toml"
     identified = scenario.parameter_values(path)
     starts = {v.name: v.start for v in catalogue.load_block("L1DepthController").variables}
     assert set(identified) == {gain.name for gain in GAINS}

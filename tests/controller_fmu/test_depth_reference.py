@@ -7,7 +7,7 @@ import pytest
 
 from controller_fmu.depth_reference import BLOCK, POINTS
 from fmus.instance import BlockError
-from orchestration.reference import Ramps
+from orchestration.system.signals import Ramps
 
 ROUNDING = 1e-12  # of a depth of 1 m; both evaluate the same formula
 

@@ -24,7 +24,7 @@ def offer(monkeypatch: pytest.MonkeyPatch) -> object:
 
 def test_the_five_blocks_are_found() -> None:
     assert catalogue.block_names() == [
-        "BenchmarkPlant",
+        "ExamplePlant",
         "DepthReference",
         "L1Controller",
         "L1DepthController",
@@ -33,9 +33,9 @@ def test_the_five_blocks_are_found() -> None:
 
 
 def test_a_block_must_bear_the_name_of_its_entry_point(offer: object) -> None:
-    block = catalogue.load_block("BenchmarkPlant")
+    block = catalogue.load_block("ExamplePlant")
     offer("Mine", block)  # type: ignore[operator]
-    with pytest.raises(ExportError, match=r"'Mine' loads a block named 'BenchmarkPlant'"):
+    with pytest.raises(ExportError, match=r"'Mine' loads a block named 'ExamplePlant'"):
         catalogue.load_block("Mine")
 
 
@@ -44,7 +44,7 @@ def test_a_block_needs_an_internal_step(offer: object) -> None:
     class Parameters:
         gain: float = variable(1.0, "Gain")
 
-    offer("Mine", replace(catalogue.load_block("BenchmarkPlant"), name="Mine", parameters=Parameters))  # type: ignore[operator]
+    offer("Mine", replace(catalogue.load_block("ExamplePlant"), name="Mine", parameters=Parameters))  # type: ignore[operator]
     with pytest.raises(ExportError, match=r"block 'Mine': expected a parameter internal_step"):
         catalogue.load_block("Mine")
 
@@ -53,6 +53,6 @@ def test_a_block_that_cannot_take_a_step_is_refused(offer: object) -> None:
     def broken(*arguments: object) -> object:
         raise AttributeError("no such thing")
 
-    offer("Mine", replace(catalogue.load_block("BenchmarkPlant"), name="Mine", step=broken))  # type: ignore[operator]
+    offer("Mine", replace(catalogue.load_block("ExamplePlant"), name="Mine", step=broken))  # type: ignore[operator]
     with pytest.raises(ExportError, match=r"cannot take a step at its start values: .*no such thing"):
         catalogue.load_block("Mine")

@@ -97,7 +97,7 @@ def test_a_state_of_another_length_is_refused() -> None:
 
 
 def test_a_diverging_step_is_refused_and_the_state_kept(driver: Any) -> None:
-    plant = driver(catalogue.load_block("BenchmarkPlant")).begin()
+    plant = driver(catalogue.load_block("ExamplePlant")).begin()
     plant["control"] = 1e300
     plant["omega"] = 1e300
     before = plant.instance.snapshot()
@@ -160,7 +160,7 @@ def test_contradicting_parameters_are_refused(driver: Any) -> None:
 
 
 def test_a_step_that_would_take_for_ever_is_refused(driver: Any) -> None:
-    plant = driver(catalogue.load_block("BenchmarkPlant")).begin()
+    plant = driver(catalogue.load_block("ExamplePlant")).begin()
     with pytest.raises(BlockError, match=r"step size 1e\+300 s: expected at most 1e\+09 internal steps"):
         plant.step(1e300)
     assert plant.instance.time == 0.0
@@ -187,6 +187,6 @@ def test_an_initial_state_that_is_not_finite_is_refused(driver: Any) -> None:
 
 
 def test_infinity_is_no_communication_point(driver: Any) -> None:
-    plant = driver(catalogue.load_block("BenchmarkPlant")).begin()
+    plant = driver(catalogue.load_block("ExamplePlant")).begin()
     with pytest.raises(BlockError, match="communication point inf s"):
         plant.instance.do_step(math.inf, 0.1)

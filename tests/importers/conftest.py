@@ -9,10 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from orchestration import scenario, ssp_write
-from orchestration.importers.comparison import DISTRIBUTIONS, SCENARIOS
+from orchestration.exchange import ssp_write
 from orchestration.master import simulate
-from orchestration.recording import Recording
+from orchestration.results.recording import Recording
+from orchestration.scenarios import scenario
+from tests.importers.comparison import DISTRIBUTIONS, SCENARIOS
 
 
 @pytest.fixture(scope="session")

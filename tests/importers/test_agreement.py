@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestration import scenario
-from orchestration.experiment import Experiment
-from orchestration.importers import comparison
-from orchestration.importers.comparison import DISTRIBUTIONS, SCENARIOS, WATCHED, least_difference, run_apart
-from orchestration.importers.task import Task, Trajectory
 from orchestration.master import simulate
-from orchestration.recording import Recording
+from orchestration.results.recording import Recording
+from orchestration.scenarios import scenario
+from orchestration.system.experiment import Experiment
+from tests.importers import comparison
+from tests.importers.comparison import DISTRIBUTIONS, SCENARIOS, WATCHED, least_difference, run_apart
+from tests.importers.task import Task, Trajectory
 
 # All exchange as Jacobi does, at t_i, so that only the rounding of t_i differs: one counts steps, another
 # adds them up and ends at 310.000000000008 s. Below, this alone moves our own master's depth by some 1e-10 m.

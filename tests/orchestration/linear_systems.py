@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import expm
 
-from orchestration.system import System
+from orchestration.system.system import System
 
 Build = Callable[..., Path]
 

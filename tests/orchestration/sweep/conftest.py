@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from orchestration import scenario
+from orchestration.scenarios import scenario
 from orchestration.sweep.plan import Plan, plan
 
 SCENARIO = """

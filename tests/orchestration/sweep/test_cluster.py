@@ -18,7 +18,7 @@ from distributed import Client
 
 from orchestration.errors import SweepError
 from orchestration.master import simulate
-from orchestration.recording_files import read
+from orchestration.results.recording_files import read
 from orchestration.sweep import cluster, table
 from orchestration.sweep import run as running
 from orchestration.sweep.plan import Plan

@@ -11,10 +11,11 @@ from typing import Any
 import psutil
 import pytest
 
-from orchestration import metrics, scenario
 from orchestration.errors import SweepError
 from orchestration.master import simulate
-from orchestration.recording_files import read
+from orchestration.results import metrics
+from orchestration.results.recording_files import read
+from orchestration.scenarios import scenario
 from orchestration.sweep.isolated import IsolatedSamples
 from orchestration.sweep.job import job
 from orchestration.sweep.plan import plan

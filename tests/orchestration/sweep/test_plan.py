@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from scipy import stats
 
-from orchestration import scenario
 from orchestration.errors import OrchestrationError
+from orchestration.scenarios import scenario
 from orchestration.sweep.plan import Plan, plan
 
 Make = Callable[..., Plan]

@@ -51,7 +51,7 @@ def test_the_table_is_sorted_and_says_what_its_columns_are(planned: Make, tmp_pa
 
 
 def test_units_stand_in_the_columns(tmp_path: Path) -> None:
-    from orchestration import scenario
+    from orchestration.scenarios import scenario
     from orchestration.sweep.plan import plan
 
     columns = table.schema(plan(scenario.load(scenario.find("monte-carlo"))))
@@ -117,7 +117,7 @@ def test_another_fmu_is_another_sweep_but_another_place_is_not(
     copy.write_bytes(rogue().read_bytes())
 
     def with_fmu(path: Path) -> Plan:
-        from orchestration import scenario
+        from orchestration.scenarios import scenario
         from orchestration.sweep.plan import plan
 
         (tmp_path / "mine.toml").write_text(text.replace(str(rogue()), str(path)))

@@ -1,0 +1,152 @@
+"""Block L1Controller: the law of `l1.py` for any plant of second order, A_m, B_m, C and k_m given.
+
+Starts at the paper's illustrative example (Maalouf et al. (2013), section 3.3), which is the one of
+Hovakimyan and Cao (2010), page 29. Units are those of the plant at hand.
+"""
+
+from dataclasses import dataclass
+
+from controller_fmu.l1 import law as l1
+from controller_fmu.l1.augmentation import Threshold
+from controller_fmu.l1.law import LawParameters, LawState, Measurement, Regressor
+from controller_fmu.l1.matrices import LawMatrices, Matrix, Vector, law_matrices, law_requirements
+from controller_fmu.l1.siso_controller_guide import GUIDE
+from fmus.block import Block, variable
+from fmus.numerics import clip
+
+
+@dataclass(frozen=True)
+class Parameters(LawParameters):
+    """Gains are tunable at communication points, structural choices fixed."""
+
+    internal_step: float = variable(
+        1e-3, "Longest internal step", unit="s", min=1e-7, max=10.0, variability="fixed"
+    )
+    regressor: Regressor = variable(
+        Regressor.STATE, "Regressor that theta_hat multiplies", variability="fixed"
+    )
+    threshold: Threshold = variable(
+        Threshold.PROPORTIONAL_TO_REFERENCE, "Kind of the threshold of the nonlinear P",
+        variability="fixed", source="published, (9)",
+    )  # fmt: skip
+    filter_bandwidth: float = variable(
+        160.0, "Bandwidth w of the low-pass filter C(s)", unit="rad/s", min=1e-6, max=1e6,
+        source="published",
+    )  # fmt: skip
+    state_matrix: Matrix = variable(
+        ((0.0, 1.0), (-1.0, -1.4)), "A_m, desired dynamics, Hurwitz", source="published"
+    )
+    input_vector: Vector = variable((0.0, 1.0), "B_m, input column", source="published")
+    output_vector: Vector = variable((1.0, 0.0), "C, output row", source="published")
+    feedback_gain: Vector = variable((0.0, 0.0), "k_m, state feedback", source="published")
+    lyapunov_weight: Vector = variable(
+        (1.0, 1.0), "Diagonal of Q in the Lyapunov equation", min=1e-9, max=1e9, source="published"
+    )
+    theta_bound: Vector = variable((10.0, 10.0), "Bound of |theta_hat|", min=0.0, max=1e6, source="published")
+    sigma_bound: float = variable(
+        0.0, "Bound of |sigma_hat|; 0 holds it at zero", min=0.0, max=1e6,
+        source="published: sigma = 0",
+    )  # fmt: skip
+    proportional_gain: float = variable(0.0, "K_P of the PI", min=0.0, max=1e6)
+    integral_gain: float = variable(0.0, "K_I of the PI", min=0.0, max=1e6)
+    large_error_gain: float = variable(
+        25.0, "a_1 of the nonlinear P", min=0.0, max=1e6, source="published, (9)"
+    )
+    small_error_gain: float = variable(
+        100.0, "a_2 of the nonlinear P", min=0.0, max=1e6, source="published, (9)"
+    )
+    nonlinear_threshold: float = variable(
+        0.1, "delta, or its ratio to |r|", min=0.0, max=1e6, source="published, (9)"
+    )
+    threshold_floor: float = variable(
+        1.0, "Least delta of the nonlinear P", min=1e-9, max=1e6,
+        source="guess: 1 % of the amplitude of the reference",
+    )  # fmt: skip
+    control_limit: float = variable(1e6, "Largest |u| that the actuator delivers", min=1e-9, max=1e12)
+
+
+@dataclass(frozen=True)
+class Inputs:
+    reference: float = variable(0.0, "Reference r")
+    measured_state: Vector = variable((0.0, 0.0), "Measured state x")
+
+
+@dataclass(frozen=True)
+class State:
+    law: LawState = LawState()
+    seen: Measurement = Measurement()
+
+
+@dataclass(frozen=True)
+class Outputs:
+    control: float = variable(0.0, "u = u_m + u_a + u_p, saturated")
+    u_m: float = variable(0.0, "State feedback -k_m x")
+    u_a: float = variable(0.0, "Adaptive control")
+    u_p: float = variable(0.0, "Extension: PI or nonlinear P")
+    theta_hat: Vector = variable((0.0, 0.0), "Estimate theta_hat")
+    sigma_hat: float = variable(0.0, "Estimate sigma_hat")
+    omega_hat: float = variable(1.0, "Estimate omega_hat of the input gain")
+    predicted_state: Vector = variable((0.0, 0.0), "Predicted state x_hat")
+    prediction_error: Vector = variable((0.0, 0.0), "x_tilde = x_hat - x")
+    tracking_error: float = variable(0.0, "e = y - r")
+
+
+def calculate(p: Parameters) -> LawMatrices:
+    return law_matrices(p.state_matrix, p.input_vector, p.output_vector, p.lyapunov_weight)
+
+
+def requirements(p: Parameters, matrices: LawMatrices) -> tuple:
+    return law_requirements(p, p.state_matrix)
+
+
+def initial_state(t: float, inputs: Inputs, p: Parameters, matrices: LawMatrices) -> State:
+    seen = _measurement(inputs, p)
+    return State(l1.initial_law(seen.x, p.input_gain), seen)
+
+
+def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, matrices: LawMatrices) -> State:
+    seen = _measurement(inputs, p)
+    wanted = l1.control(state.law, seen, p.feedback_gain, p).total
+    shortfall = clip(wanted, -p.control_limit, p.control_limit) - wanted
+    return State(l1.law_step(h, state.law, seen, shortfall, p, matrices), seen)
+
+
+def output(t: float, state: State, p: Parameters, matrices: LawMatrices) -> Outputs:
+    law, seen = state.law, state.seen
+    u = l1.control(law, seen, p.feedback_gain, p)
+    return Outputs(
+        control=clip(u.total, -p.control_limit, p.control_limit),
+        u_m=u.u_m,
+        u_a=u.u_a,
+        u_p=u.u_p,
+        theta_hat=law.theta_hat,
+        sigma_hat=law.sigma_hat,
+        omega_hat=law.omega_hat,
+        predicted_state=law.x_hat,
+        prediction_error=l1.prediction_error(law, seen.x),
+        tracking_error=seen.error,
+    )
+
+
+def _measurement(inputs: Inputs, p: Parameters) -> Measurement:
+    x, c = inputs.measured_state, p.output_vector
+    return Measurement(x=x, y=c[0] * x[0] + c[1] * x[1], r=inputs.reference)
+
+
+BLOCK = Block(
+    name="L1Controller",
+    description="Extended L1 adaptive controller for a plant of second order",
+    parameters=Parameters,
+    calculated=LawMatrices,
+    inputs=Inputs,
+    state=State,
+    outputs=Outputs,
+    calculate=calculate,
+    requirements=requirements,
+    initial_state=initial_state,
+    step=step,
+    output=output,
+    stop_time=94.25,
+    step_size=1e-3,
+    guide=GUIDE,
+)

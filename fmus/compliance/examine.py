@@ -1,0 +1,62 @@
+"""Judge an FMU by every rule, stage after stage. Nothing that a file holds makes it raise."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from fmus.compliance import (
+    alias_rules,
+    archive_rules,
+    description_rules,
+    library_rules,
+    structure_rules,
+    unit_rules,
+    validators,
+    variable_rules,
+)
+from fmus.compliance.exercise import DEFAULT_TIMEOUT_S, behaviour
+from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.rule import Result, Rule, Stage, registered
+
+MODULES = (
+    archive_rules, description_rules, validators, variable_rules, alias_rules, unit_rules, structure_rules,
+    library_rules,
+)  # fmt: skip
+
+
+def all_rules() -> tuple[Rule, ...]:
+    return tuple(rule for stage in Stage for rule in registered(stage))
+
+
+def examine(path: Path, timeout: float = DEFAULT_TIMEOUT_S) -> list[Result]:
+    """One result for every rule, in the order of `all_rules`.
+
+    timeout: seconds that one behaviour may take. Raises OSError if there is no such file.
+    """
+    with path.open("rb"):
+        fmu = FmuFile(path)
+    return list(_judged(fmu, timeout))
+
+
+def _judged(fmu: FmuFile, timeout: float) -> Iterator[Result]:
+    closed = {
+        Stage.FILE: "",
+        Stage.DESCRIPTION: fmu.description_problem and "the model description cannot be read",
+        Stage.LIBRARY: fmu.description_problem and "the model description cannot be read",
+    }
+    for stage, reason in closed.items():
+        yield from (_result(each, fmu, reason) for each in registered(stage))
+    yield from behaviour(fmu, timeout)
+
+
+def _result(rule: Rule, fmu: FmuFile, closed: str) -> Result:
+    try:
+        reason = closed or rule.condition(fmu)
+        return (
+            Result(rule, (), reason) if reason else Result(rule, tuple(_one_line(m) for m in rule.check(fmu)))
+        )
+    except Exception as error:  # a validator that fails on what it reads has found something
+        return Result(rule, (_one_line(f"could not be judged, {type(error).__name__}: {error}"),))
+
+
+def _one_line(message: str) -> str:
+    return " ".join(message.split())

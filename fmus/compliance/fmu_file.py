@@ -1,0 +1,155 @@
+"""An FMU as a file: members and parsed description. What is broken is told, never raised."""
+
+import zipfile
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import lxml.etree
+
+from fmus.compliance.variable import KINDS, Variable, integer
+
+etree: Any = lxml.etree  # without types
+DESCRIPTION = "modelDescription.xml"
+_LARGEST_DESCRIPTION = 500_000_000  # bytes; far beyond any that tools write
+_LARGEST_ARCHIVE = 8_000_000_000  # bytes unpacked
+_NOTHING: Mapping[str, str] = MappingProxyType({})
+_NO_DTD = "it has a document type declaration: expected none, it is not read (entities can be bombs)"
+
+
+class FmuFile:
+    """A file said to be an FMU; `archive_problem` and `description_problem` are empty if it can be read."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.members: list[zipfile.ZipInfo] = []
+        self.archive_problem = self.description_problem = ""
+        self.xml = b""
+        self._root: Any = None
+        try:
+            with zipfile.ZipFile(path) as archive:
+                self.members = archive.infolist()
+                self._read_description(archive)
+        except Exception as error:  # zipfile raises half a dozen kinds for a damaged archive
+            self.archive_problem = f"it cannot be read as a zip: {error}"
+            self.description_problem = self.description_problem or "the archive cannot be read"
+
+    def _read_description(self, archive: zipfile.ZipFile) -> None:
+        if DESCRIPTION not in self.names:
+            self.description_problem = f"there is no {DESCRIPTION} at the top of the archive"
+            return
+        size = archive.getinfo(DESCRIPTION).file_size
+        if size > _LARGEST_DESCRIPTION:
+            self.description_problem = f"{size} bytes: expected at most {_LARGEST_DESCRIPTION}"
+            return
+        try:
+            self.xml = archive.read(DESCRIPTION)
+        except Exception as error:
+            self.description_problem = f"it cannot be unpacked: {error}"
+            return
+        self._parse()
+
+    def _parse(self) -> None:
+        parser = etree.XMLParser(
+            resolve_entities=False, no_network=True, load_dtd=False, remove_comments=True, remove_pis=True
+        )
+        try:
+            root = etree.fromstring(self.xml, parser)
+        except (etree.XMLSyntaxError, ValueError) as error:
+            self.description_problem = f"it is not well-formed: {error}"
+            return
+        if root.getroottree().docinfo.doctype:
+            self.description_problem = _NO_DTD
+            return
+        self._root = root
+
+    @property
+    def root(self) -> Any:
+        """The element fmiModelDescription; an empty element if there is none."""
+        return self._root if self._root is not None else etree.Element("none")
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        return tuple(each.filename for each in self.members)
+
+    @property
+    def too_large(self) -> str:
+        """Why the archive is not unpacked, if so."""
+        size = sum(each.file_size for each in self.members)
+        return (
+            f"{size} bytes unpacked: expected at most {_LARGEST_ARCHIVE}" if size > _LARGEST_ARCHIVE else ""
+        )
+
+    @property
+    def guid(self) -> str:
+        return self.root.get("guid", "")
+
+    @property
+    def co_simulation(self) -> Mapping[str, str] | None:
+        """Attributes of CoSimulation; nothing for an FMU that is for model exchange only."""
+        return self.interfaces.get("CoSimulation")
+
+    @cached_property
+    def interfaces(self) -> dict[str, Mapping[str, str]]:
+        return {
+            kind: dict(self.root.find(kind).attrib)
+            for kind in ("CoSimulation", "ModelExchange")
+            if self.root.find(kind) is not None
+        }
+
+    def claims(self, capability: str) -> bool:
+        """Whether a capability flag of co-simulation is true."""
+        return (self.co_simulation or {}).get(capability) in ("true", "1")
+
+    @property
+    def output_derivative_order(self) -> int:
+        return integer((self.co_simulation or {}).get("maxOutputDerivativeOrder")) or 0
+
+    @cached_property
+    def types(self) -> dict[str, Any]:
+        """Name -> element inside SimpleType, such as Enumeration."""
+        found = {}
+        for simple in self.root.iterfind("TypeDefinitions/SimpleType"):
+            found.update({simple.get("name", ""): each for each in simple if each.tag in KINDS})
+        return found
+
+    @cached_property
+    def variables(self) -> tuple[Variable, ...]:
+        elements = self.root.iterfind("ModelVariables/ScalarVariable")
+        return tuple(self._variable(index, each) for index, each in enumerate(elements, 1))
+
+    def _variable(self, index: int, element: Any) -> Variable:
+        typed = next((each for each in element if each.tag in KINDS), None)
+        if typed is None:
+            return Variable(index, dict(element.attrib), "", _NOTHING, _NOTHING)
+        declared = self.types.get(typed.get("declaredType", ""))
+        inherited = dict(declared.attrib) if declared is not None and declared.tag == typed.tag else _NOTHING
+        return Variable(index, dict(element.attrib), typed.tag, dict(typed.attrib), inherited)
+
+    def unknowns(self, section: str) -> Iterator[tuple[int | None, Any]]:
+        """(index or nothing if it is none of a variable, element) of a section of ModelStructure."""
+        for element in self.root.iterfind(f"ModelStructure/{section}/Unknown"):
+            index = integer(element.get("index"))
+            exists = index is not None and 1 <= index <= len(self.variables)
+            yield (index if exists else None), element
+
+    def libraries(self) -> dict[str, str]:
+        """Path inside the archive -> folder below binaries, of what looks like a shared library."""
+        split = {name: name.split("/") for name in self.names}
+        return {
+            name: parts[1]
+            for name, parts in split.items()
+            if parts[0] == "binaries" and len(parts) == 3 and name.endswith((".so", ".dll", ".dylib"))
+        }
+
+    def read(self, member: str) -> bytes:
+        """Content of a member. Raises what zipfile raises."""
+        with zipfile.ZipFile(self.path) as archive:
+            return archive.read(member)
+
+    def extract(self, folder: Path) -> None:
+        """Unpack everything; zipfile keeps odd paths inside the folder. Raises what zipfile raises."""
+        with zipfile.ZipFile(self.path) as archive:
+            archive.extractall(folder)

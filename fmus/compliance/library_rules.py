@@ -1,0 +1,83 @@
+"""Rules of the shared libraries of all platforms, read with LIEF without loading them."""
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import lief
+from fmpy.fmi2 import FMU2Model, FMU2Slave
+
+from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.rule import Stage, rule
+
+lief.logging.disable()
+_MACHINES = {
+    "linux64": ("ELF", "X86_64"),
+    "linux32": ("ELF", "I386"),
+    "win64": ("PE", "AMD64"),
+    "win32": ("PE", "I386"),
+    "darwin64": ("MACHO", "X86_64"),
+    "x86_64-linux": ("ELF", "X86_64"),
+    "aarch64-linux": ("ELF", "AARCH64"),
+    "x86_64-windows": ("PE", "AMD64"),
+    "aarch64-windows": ("PE", "ARM64"),
+    "x86_64-darwin": ("MACHO", "X86_64"),
+    "aarch64-darwin": ("MACHO", "ARM64"),
+}
+
+
+def no_library(fmu: FmuFile) -> str:
+    return "" if fmu.libraries() else "there is no library"
+
+
+def _slices(content: bytes) -> Iterator[Any]:
+    """The library, or each architecture's of a macOS one; none if it is no library.
+
+    A slice is used before the next is asked for: it lives no longer than what LIEF read it from.
+    """
+    data = list(content)
+    if lief.is_macho(data):
+        universal: Any = lief.MachO.parse(data) or ()
+        yield from (universal.at(i) for i in range(len(universal)))
+        return
+    parsed = lief.parse(content)
+    if parsed is not None:
+        yield parsed
+
+
+def _machine(parsed: Any) -> tuple[str, str]:
+    header = parsed.header
+    kind = getattr(header, "machine_type", None) or getattr(header, "machine", None) or header.cpu_type
+    return parsed.format.name, getattr(kind, "name", str(kind))  # a number that LIEF does not know
+
+
+@rule("2.3 FMU Distribution (binaries)", Stage.LIBRARY, condition=no_library)
+def library_format(fmu: FmuFile) -> Iterator[str]:
+    """Each library has the format and the processor that its folder names."""
+    for path, folder in fmu.libraries().items():
+        expected = _MACHINES.get(folder)
+        got = [_machine(each) for each in _slices(fmu.read(path))]
+        if not got:
+            yield f"{path} is not a shared library: expected one for {folder}"
+        elif expected and expected not in got:
+            found = ", ".join(" ".join(each) for each in got)
+            yield f"{path} is {found}: expected {' '.join(expected)}"
+
+
+@rule("2.1.1 Header Files and Naming of Functions", Stage.LIBRARY, condition=no_library)
+def library_exports(fmu: FmuFile) -> Iterator[str]:
+    """Each library exports every function of the interfaces that the description names."""
+    expected = _functions(fmu)
+    for path in fmu.libraries():
+        for parsed in _slices(fmu.read(path)):
+            exported = {str(each.name).removeprefix("_") for each in parsed.exported_functions}
+            exported |= {str(each.name).removeprefix("_") for each in getattr(parsed, "exported_symbols", ())}
+            missing = sorted(expected - exported)
+            if missing:
+                yield f"{path} does not export {', '.join(missing)}"
+
+
+def _functions(fmu: FmuFile) -> set[str]:
+    classes = {"CoSimulation": FMU2Slave, "ModelExchange": FMU2Model}
+    chosen = [classes[kind] for kind in fmu.interfaces]
+    return {name for each in chosen for name in dir(each) if re.match(r"fmi2[A-Z]", name)}

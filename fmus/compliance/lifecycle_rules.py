@@ -1,0 +1,188 @@
+"""Behaviour that every FMU for co-simulation owes: it lives, steps, is reset and dies as FMI says."""
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.rule import Stage, rule
+from fmus.compliance.slave import Slave, memory
+
+_CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
+_INITIALIZATION = "2.1.6 Initialization, Termination, and Resetting an FMU"
+_FLAGS = "4.3.1 Co-Simulation FMU (CoSimulation)"
+_ROUNDED = 1e-6  # relative: tools write start values with as few as seven digits
+_STEPS = 5
+
+
+def unless_claimed(capability: str) -> Any:
+    """The condition of rules that a capability brings about."""
+    return lambda fmu: "" if fmu.claims(capability) else f"{capability} is not claimed"
+
+
+def _several(fmu: FmuFile) -> str:
+    flag = "canBeInstantiatedOnlyOncePerProcess"
+    return f"{flag} is claimed" if fmu.claims(flag) else ""
+
+
+def _memory_is_the_importers(fmu: FmuFile) -> str:
+    flag = "canNotUseMemoryManagementFunctions"
+    return f"{flag} is claimed" if fmu.claims(flag) else ""
+
+
+def _needs_tool(fmu: FmuFile) -> str:
+    return "needsExecutionTool is claimed" if fmu.claims("needsExecutionTool") else ""
+
+
+@rule("2.1.4 Inquire Platform and Version Number of Header Files", Stage.BEHAVIOUR)
+def library_says_version(probe: Any) -> Iterator[str]:
+    """The library loads; fmi2GetVersion is 2.0 and fmi2GetTypesPlatform default."""
+    for function, expected in (("GetVersion", b"2.0"), ("GetTypesPlatform", b"default")):
+        got = getattr(probe.library, f"fmi2{function}")()
+        if got != expected:
+            yield f"fmi2{function} is {got!r}: expected {expected!r}"
+
+
+@rule(_CREATION, Stage.BEHAVIOUR)
+def instantiates_and_frees(probe: Any) -> Iterator[str]:
+    """An instance is created, freed, and created and freed again."""
+    for _ in range(2):
+        with probe.instance():
+            pass
+    yield from ()
+
+
+@rule(_CREATION, Stage.BEHAVIOUR)
+def refuses_a_wrong_guid(probe: Any) -> Iterator[str]:
+    """fmi2Instantiate returns NULL for a GUID that is not the description's."""
+    with probe.instance(guid="{00000000-0000-0000-0000-000000000000}") as slave:
+        if slave.exists:
+            yield "fmi2Instantiate gave an instance for a wrong GUID: expected NULL"
+
+
+@rule("2.1.7 Getting and Setting Variable Values", Stage.BEHAVIOUR)
+def start_values_are_as_declared(probe: Any) -> Iterator[str]:
+    """In initialization mode, variables with initial exact and inputs have their start values."""
+    with probe.instance() as slave:
+        slave.enter(probe.start_time)
+        yield from _differences(probe, slave)
+
+
+def _differences(probe: Any, slave: Slave) -> Iterator[str]:
+    chosen = [v for v in probe.fmu.variables if v.initial == "exact" or v.causality == "input"]
+    starts: dict[str, str] = {v.name: v.start for v in chosen if v.start is not None}
+    for name, got in slave.get(v for v in chosen if v.name in starts).items():
+        start = starts[name]
+        expected = float({"true": "1", "false": "0"}.get(start, start))
+        if not math.isclose(got, expected, rel_tol=_ROUNDED, abs_tol=1e-300):
+            yield f"{name} is {got:.12g} at first: expected its start value {expected:.12g}"
+
+
+@rule("2.1.7 Getting and Setting Variable Values", Stage.BEHAVIOUR)
+def variables_can_be_read(probe: Any) -> Iterator[str]:
+    """After a step every number can be read by its value reference and type; outputs are finite."""
+    with probe.instance() as slave:
+        slave.begin(probe.start_time)
+        probe.run(slave, 1)
+        slave.get(probe.fmu.variables)
+        for name, value in slave.get(probe.outputs).items():
+            if not math.isfinite(value):
+                yield f"{name} is {value} after the first step: expected a finite number"
+
+
+@rule("4.2.2 Computation (fmi2DoStep)", Stage.BEHAVIOUR)
+def steps_and_terminates(probe: Any) -> Iterator[str]:
+    """Equal steps of the default experiment's size succeed, then fmi2Terminate."""
+    with probe.instance() as slave:
+        slave.begin(probe.start_time)
+        probe.run(slave, _STEPS)
+        slave.call("Terminate")
+    yield from ()
+
+
+@rule(_FLAGS + ": needsExecutionTool", Stage.BEHAVIOUR, condition=_needs_tool)
+def needs_no_tool(probe: Any) -> Iterator[str]:
+    """Without needsExecutionTool, the FMU runs here although no program can be found by the search path."""
+    import os
+
+    before = os.environ.get("PATH", "")
+    os.environ["PATH"] = ""
+    try:
+        with probe.instance() as slave:
+            slave.begin(probe.start_time)
+            probe.run(slave, 1)
+    finally:
+        os.environ["PATH"] = before
+    yield from ()
+
+
+@rule(_INITIALIZATION, Stage.BEHAVIOUR)
+def reset_gives_the_start_values(probe: Any) -> Iterator[str]:
+    """After steps and fmi2Reset, start values are back and the same steps give the same outputs."""
+    with probe.instance() as slave:
+        slave.begin(probe.start_time)
+        first = probe.run(slave, _STEPS)
+        slave.call("Reset")
+        slave.enter(probe.start_time)
+        yield from _differences(probe, slave)
+        slave.call("ExitInitializationMode")
+        yield from differing(first, probe.run(slave, _STEPS), "after fmi2Reset")
+
+
+def differing(expected: list[dict[str, Any]], got: list[dict[str, Any]], when: str) -> Iterator[str]:
+    """The first value of each output that is not exactly the same."""
+    told = set()
+    for i, (row, other) in enumerate(zip(expected, got, strict=True), 1):
+        for name, value in row.items():
+            same = other[name] == value or (math.isnan(value) and math.isnan(other[name]))
+            if not same and name not in told:
+                told.add(name)
+                yield f"{name} is {other[name]!r} {when}, step {i}: expected {value!r} again"
+
+
+@rule(_FLAGS + ": canBeInstantiatedOnlyOncePerProcess", Stage.BEHAVIOUR, condition=_several)
+def several_instances(probe: Any) -> Iterator[str]:
+    """Instances live side by side: steps of one change nothing in another."""
+    with probe.instance() as alone:
+        alone.begin(probe.start_time)
+        expected = probe.run(alone, _STEPS)
+    with probe.instance() as one, probe.instance() as other:
+        one.begin(probe.start_time)
+        other.begin(probe.start_time)
+        first = probe.run(one, 2)
+        yield from differing(expected, probe.run(other, _STEPS), "beside another instance")
+        yield from differing(expected, first + probe.run(one, _STEPS - 2, 2), "beside another instance")
+
+
+@rule(
+    _FLAGS + ": canHandleVariableCommunicationStepSize",
+    Stage.BEHAVIOUR,
+    condition=unless_claimed("canHandleVariableCommunicationStepSize"),
+)
+def variable_step_size(probe: Any) -> Iterator[str]:
+    """Steps of different sizes succeed one after the other."""
+    with probe.instance() as slave:
+        slave.begin(probe.start_time)
+        t = probe.start_time
+        for factor in (1.0, 0.5, 2.0, 0.25, 1.5):
+            slave.step(t, factor * probe.step_size)
+            t += factor * probe.step_size
+    yield from ()
+
+
+@rule(
+    _FLAGS + ": canNotUseMemoryManagementFunctions",
+    Stage.BEHAVIOUR,
+    condition=_memory_is_the_importers,
+)
+def memory_is_given_back(probe: Any) -> Iterator[str]:
+    """What an instance takes by allocateMemory it gives back by freeMemory, and nothing else."""
+    before, strangers = len(memory.held), memory.strangers
+    with probe.instance() as slave:
+        slave.begin(probe.start_time)
+        probe.run(slave, 1)
+        slave.call("Terminate")
+    if len(memory.held) > before:
+        yield f"{len(memory.held) - before} blocks are still held after fmi2FreeInstance: expected none"
+    if memory.strangers > strangers:
+        yield f"{memory.strangers - strangers} addresses were freed that were never given: expected none"

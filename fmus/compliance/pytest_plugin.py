@@ -1,0 +1,78 @@
+"""pytest plugin: `pytest --fmu PATH` adds a test for each rule and FMU; otherwise it does nothing."""
+
+import warnings
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+
+class FmuWarning(UserWarning):
+    """An FMU breaks a rule that only warns."""
+
+
+class BrokenRuleError(Exception):
+    """An FMU breaks a rule."""
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    group = parser.getgroup("fmu", "compliance of FMUs with FMI 2.0")
+    group.addoption(
+        "--fmu",
+        action="append",
+        default=[],
+        metavar="PATH",
+        help="judge this FMU by every rule; can be repeated",
+    )
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(session: pytest.Session, config: pytest.Config, items: list[Any]) -> None:
+    """Add the rules after what the project's own tests are."""
+    for path in config.getoption("--fmu") or ():
+        file = FmuTests.from_parent(session, path=Path(path).resolve(), name=str(path))
+        items.extend(file.collect())
+        session.testscollected = len(items)
+
+
+class FmuTests(pytest.File):
+    """One FMU; examined once, when its first rule is run."""
+
+    _results: dict[str, Any] | None = None
+
+    def collect(self) -> Iterable["RuleTest"]:
+        from fmus.compliance.examine import all_rules
+
+        return [RuleTest.from_parent(self, name=each.name) for each in all_rules()]
+
+    def result(self, name: str) -> Any:
+        if self._results is None:
+            from fmus.compliance.examine import examine
+
+            self._results = {each.rule.name: each for each in examine(self.path)}
+        return self._results[name]
+
+
+class RuleTest(pytest.Item):
+    """One rule of one FMU: an error fails, a warning warns, what does not apply is skipped."""
+
+    def runtest(self) -> None:
+        parent = self.parent
+        assert isinstance(parent, FmuTests)
+        result = parent.result(self.name)
+        if result.not_applicable:
+            pytest.skip(result.not_applicable)
+        text = f"{self.name} ({result.rule.clause}): " + "; ".join(result.messages)
+        if result.outcome == "warning":
+            warnings.warn(FmuWarning(f"{parent.path.name}: {text}"), stacklevel=1)
+        elif result.messages:
+            raise BrokenRuleError(text)
+
+    def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
+        if isinstance(excinfo.value, (BrokenRuleError, OSError)):
+            return str(excinfo.value)
+        return super().repr_failure(excinfo)
+
+    def reportinfo(self) -> tuple[Path, None, str]:
+        return self.path, None, f"{self.path.name}: {self.name}"

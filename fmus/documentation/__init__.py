@@ -1,0 +1,1 @@
+"""What goes inside an FMU: page, icon, terminals, reference results."""

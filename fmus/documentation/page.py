@@ -1,0 +1,121 @@
+"""Block -> the folder `documentation` of its FMU: a page that works offline, derived from the declaration."""
+
+from collections.abc import Iterable
+from html import escape
+from importlib import resources
+from importlib.metadata import version
+from string import Template
+
+from fmus.block import Block, ScalarVariable
+from fmus.guide import Source
+
+_TABLES = (
+    ("input", "Inputs"),
+    ("output", "Outputs"),
+    ("parameter", "Parameters"),
+    ("calculatedParameter", "Calculated parameters, which follow from the parameters"),
+)
+_HEADINGS = ("Name", "Unit", "Start", "Permitted", "Variability", "Meaning", "Source")
+
+_REFERENCE_NOTE = """\
+Reference results of {name}
+
+extra/org.fmi-standard.fmi-ls-ref holds the experiment {name}.exp, its outputs {name}_ref.csv
+and, for a block with inputs, these as {name}_in.csv.
+
+Parameters keep their start values. Between two rows inputs are straight lines, which the importer
+takes at each communication point and holds until the next. A row of outputs is what stands at
+its time before inputs are set.
+To be expected are differences of rounding only, for the same communication step size.
+"""
+
+
+def documentation(block: Block) -> dict[str, bytes]:
+    """Path inside the FMU -> content of the page and of the note on the reference results."""
+    note = _REFERENCE_NOTE.format(name=block.name)
+    return {
+        "documentation/index.html": _page(block).encode(),
+        "documentation/fmi-ls-ref.txt": note.encode(),
+    }
+
+
+def _page(block: Block) -> str:
+    template = Template((resources.files("fmus.documentation") / "page.html").read_text("utf-8"))
+    experiment = block.guide.experiment
+    return template.substitute(
+        name=escape(block.name),
+        description=escape(block.description),
+        release=escape(version("l1-depth")),
+        stop_time=block.stop_time,
+        step_size=block.step_size,
+        guide=_guide(block),
+        variables="\n".join(_tables(block)),
+        reference_stop_time=experiment.stop_time or block.stop_time,
+        reference_step_size=experiment.step_size or block.step_size,
+        stimuli=_stimuli(block),
+        sources=_list(map(_source, block.guide.sources)),
+    )
+
+
+def _guide(block: Block) -> str:
+    """The sections that the guide fills."""
+    guide = block.guide
+    sections = {
+        "Equations": f"<pre>{escape(guide.equations.strip())}</pre>" if guide.equations else "",
+        "Sign conventions": _list(map(escape, guide.conventions)),
+        "Tuning": _list(map(escape, guide.tuning)),
+        "Limits": _list(map(escape, guide.limits)),
+    }
+    return "\n".join(f"<h2>{title}</h2>\n{text}" for title, text in sections.items() if text)
+
+
+def _list(items: Iterable[str]) -> str:
+    """An HTML list of items that are HTML already; nothing for none."""
+    entries = "\n".join(f"<li>{item}</li>" for item in items)
+    return f"<ul>\n{entries}\n</ul>" if entries else ""
+
+
+def _source(source: Source) -> str:
+    text = escape(source.text)
+    return f'<a href="{escape(source.url)}">{text}</a>' if source.url else text
+
+
+def _tables(block: Block) -> Iterable[str]:
+    for causality, caption in _TABLES:
+        variables = block.of_causality(causality)
+        if variables:
+            yield _table(caption, _HEADINGS, (_cells(v) for v in variables))
+
+
+def _cells(v: ScalarVariable) -> tuple[str, ...]:
+    """One row: what `_HEADINGS` says, as text."""
+    permitted = v.expected.removesuffix(f" {v.unit}") if v.settable else ""
+    start = _number(v) if v.settable else ""
+    return v.name, _unit(v), start, permitted, v.variability, v.description, v.source
+
+
+def _unit(v: ScalarVariable) -> str:
+    return v.type.lower() if v.unit is None else v.unit
+
+
+def _number(v: ScalarVariable) -> str:
+    return str(v.start).lower() if isinstance(v.start, bool) else repr(v.cast(v.start).real)
+
+
+def _stimuli(block: Block) -> str:
+    """What moves during the reference experiment."""
+    rows = [
+        (name, ", ".join(f"{value} at {time} s" for time, value in points))
+        for name, points in block.guide.experiment.stimuli
+    ]
+    headings = ("Input", "Straight lines through")
+    return _table("What moves; every other input keeps its start value", headings, rows) if rows else ""
+
+
+def _table(caption: str, headings: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
+    head = "".join(f"<th>{escape(each)}</th>" for each in headings)
+    body = "\n".join("<tr>" + "".join(f"<td>{escape(x)}</td>" for x in row) + "</tr>" for row in rows)
+    return (
+        f'<div class="scroll"><table>\n<caption>{escape(caption)}</caption>\n'
+        f"<thead><tr>{head}</tr></thead>\n<tbody>\n{body}\n</tbody>\n</table></div>"
+    )

@@ -1,0 +1,1 @@
+"""A block -> an FMU: traced, described, written as C or Python, compiled, packed."""

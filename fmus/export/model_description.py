@@ -1,0 +1,152 @@
+"""Block -> modelDescription.xml of FMI 2.0.5 for co-simulation.
+
+Everything explicit: causality, variability, initial, units, ranges, enumerations, dependencies. In
+step mode no output depends directly on an input; in initialisation mode outputs follow the inputs.
+"""
+
+import os
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+from typing import Any
+from xml.etree import ElementTree
+
+from fmus.block import Block, ScalarVariable
+from fmus.errors import ExportError
+from fmus.export.symbolic import initial_dependencies
+from fmus.units import base_units
+
+LOG_CATEGORIES = {
+    "logStatusWarning": "Something that the user should know.",
+    "logStatusDiscard": "A step that was refused; the state is what it was before.",
+    "logStatusError": "A call that was refused; the state is what it was before.",
+    "logStatusFatal": "The instance can not be used any more.",
+    "logAll": "Every message.",
+}
+
+
+def model_description(
+    block: Block, guid: str, capabilities: dict[str, str], source_files: Sequence[str] = ()
+) -> bytes:
+    """The XML of a block; `capabilities` are the flavour's attributes of `CoSimulation`.
+
+    source_files: what an importer must compile to rebuild the FMU, inside the folder `sources`.
+
+    Raises ExportError for a unit that `units.py` does not know.
+    """
+    release = version("l1-depth")
+    attributes = {
+        "fmiVersion": "2.0",
+        "modelName": block.name,
+        "guid": guid,
+        "description": block.description,
+        "version": release,
+        "license": "MIT",
+        "generationTool": f"l1-depth {release}",
+        **_generation_date(),
+        "variableNamingConvention": "structured",
+    }
+    root = ElementTree.Element("fmiModelDescription", attributes)
+    interface = _add(root, "CoSimulation", modelIdentifier=block.name, **capabilities)
+    if source_files:
+        listed = _add(interface, "SourceFiles")
+        for file in source_files:
+            _add(listed, "File", name=file)
+    _units(root, block)
+    _enumerations(root, block)
+    categories = _add(root, "LogCategories")
+    for name, description in LOG_CATEGORIES.items():
+        _add(categories, "Category", name=name, description=description)
+    _add(
+        root,
+        "DefaultExperiment",
+        startTime="0",
+        stopTime=repr(block.stop_time),
+        stepSize=repr(block.step_size),
+    )
+    variables = _add(root, "ModelVariables")
+    for variable in block.variables:
+        _variable(variables, variable)
+    _structure(root, block)
+    ElementTree.indent(root)
+    text = ElementTree.tostring(root, xml_declaration=True, encoding="UTF-8")
+    try:
+        ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise ExportError(f"{block.name}: expected texts that XML can hold: {error}") from error
+    return text
+
+
+def _add(parent: Any, tag: str, **attributes: str | None) -> Any:
+    return ElementTree.SubElement(parent, tag, {k: v for k, v in attributes.items() if v is not None})
+
+
+def _generation_date() -> dict[str, str]:
+    """Only if SOURCE_DATE_EPOCH gives one: two builds of one source are the same file."""
+    epoch = os.environ.get("SOURCE_DATE_EPOCH")
+    if not epoch:
+        return {}
+    return {"generationDateAndTime": datetime.fromtimestamp(int(epoch), UTC).strftime("%Y-%m-%dT%H:%M:%SZ")}
+
+
+def _units(root: Any, block: Block) -> None:
+    definitions = _add(root, "UnitDefinitions")
+    for name in sorted({v.unit for v in block.variables if v.unit is not None}):
+        exponents = {base: str(exponent) for base, exponent in base_units(name).items()}
+        _add(_add(definitions, "Unit", name=name), "BaseUnit", **exponents)
+
+
+def _enumerations(root: Any, block: Block) -> None:
+    enumerations = {v.enumeration.__name__: v.enumeration for v in block.variables if v.enumeration}
+    if not enumerations:
+        return
+    definitions = _add(root, "TypeDefinitions")
+    for name, enumeration in sorted(enumerations.items()):
+        description = (enumeration.__doc__ or "").partition("\n")[0]
+        simple = _add(definitions, "SimpleType", name=name, description=description)
+        kind = _add(simple, "Enumeration")
+        for member in enumeration:
+            _add(kind, "Item", name=member.name.lower(), value=str(member.value))
+
+
+def _variable(parent: Any, v: ScalarVariable) -> None:
+    source = f" ({v.source})" if v.source else ""
+    scalar = _add(
+        parent,
+        "ScalarVariable",
+        name=v.name,
+        valueReference=str(v.value_reference),
+        description=v.description + source,
+        causality=v.causality,
+        variability=v.variability,
+        initial=v.initial,
+    )
+    limits = {"min": _text(v.minimum), "max": _text(v.maximum)}
+    _add(
+        scalar,
+        v.type,
+        declaredType=v.enumeration.__name__ if v.enumeration else None,
+        **(limits if v.type in ("Real", "Integer") else {}),
+        nominal=_text(v.nominal),
+        unit=v.unit,
+        start=_text(v.start) if v.settable else None,
+    )
+
+
+def _text(value: Any) -> str | None:
+    if value is None:
+        return None
+    if isinstance(value, bool):
+        return str(value).lower()
+    return repr(value) if isinstance(value, float) else str(int(value))
+
+
+def _structure(root: Any, block: Block) -> None:
+    structure = _add(root, "ModelStructure")
+    outputs = _add(structure, "Outputs")
+    for v in block.of_causality("output"):
+        _add(outputs, "Unknown", index=str(v.value_reference + 1), dependencies="")
+    initial = _add(structure, "InitialUnknowns")
+    for unknown, known in sorted(initial_dependencies(block).items()):
+        dependencies = " ".join(str(reference + 1) for reference in known)
+        _add(initial, "Unknown", index=str(unknown + 1), dependencies=dependencies)

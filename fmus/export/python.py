@@ -1,0 +1,89 @@
+"""Block -> FMU that runs the block's own Python source, standard library only, through PythonFMU.
+
+PythonFMU gives the binary and the interface of the slave. Model description, GUID, state and module
+names are our own; what its binary makes impossible is listed in docs/fidelity.md.
+"""
+
+from collections.abc import Sequence
+from importlib import resources
+
+from fmus.block import Block
+from fmus.documentation.page import documentation
+from fmus.documentation.terminals import terminals
+from fmus.errors import ExportError
+from fmus.export.archive import NO_GUID, guid_of, licenses, with_entry_point
+from fmus.export.model_description import model_description
+from fmus.export.sources import in_package, source_closure
+
+_CAPABILITIES = {
+    "needsExecutionTool": "false",
+    "canHandleVariableCommunicationStepSize": "true",
+    "canInterpolateInputs": "false",
+    "maxOutputDerivativeOrder": "0",
+    "canRunAsynchronuously": "false",
+    "canBeInstantiatedOnlyOncePerProcess": "false",
+    "canNotUseMemoryManagementFunctions": "true",
+    "canGetAndSetFMUstate": "true",
+    "canSerializeFMUstate": "true",
+    "providesDirectionalDerivative": "false",
+}
+
+_ENTRY = '''"""Entry point of the FMU {name}: the class that PythonFMU's binary instantiates."""
+
+import ctypes
+
+from {package}.{module} import BLOCK
+from {package}.fmus.export.slave import BlockSlave
+
+# PythonFMU 0.7 drops one reference to this dictionary too many whenever it has run this file
+ctypes.pythonapi.Py_IncRef(ctypes.py_object(globals()))
+
+
+class {name}(BlockSlave):
+    block = BLOCK
+    fingerprint = "{guid}"
+'''
+
+_DEPENDENCIES = """\
+This FMU runs Python source in the importer's process. On Linux the importer must offer a Python 3 whose
+libpython has global symbols, on Windows python3.dll; nothing beyond the standard library is imported. An
+importer that is not itself Python mostly cannot load it: take the FMU of the native flavour there.
+"""
+
+
+def content(block: Block) -> tuple[str, dict[str, bytes]]:
+    """(GUID, path -> content) of the FMU; the GUID is derived from everything inside."""
+    guid = guid_of(_members(block, NO_GUID))
+    return guid, _members(block, guid)
+
+
+def _members(block: Block, guid: str) -> dict[str, bytes]:
+    module = block.step.__module__
+    entry = f"{block.name.lower()}_{guid.replace('-', '')[:16]}"
+    package = f"{entry}_sources"
+    text = in_package(source_closure(module), package)
+    text[f"{entry}.py"] = _ENTRY.format(name=block.name, package=package, module=module, guid=guid)
+    text["slavemodule.txt"] = entry
+    members = {f"resources/{path}": source.encode() for path, source in text.items()}
+    members |= _binaries(block.name) | with_entry_point(licenses("l1-depth", "pythonfmu"))
+    members |= documentation(block) | terminals(block)
+    members["documentation/externalDependencies.txt"] = _DEPENDENCIES.encode()
+    members["modelDescription.xml"] = model_description(block, guid, _CAPABILITIES)
+    return members
+
+
+def libraries(name: str, members: dict[str, bytes], platforms: Sequence[str]) -> dict[str, bytes]:
+    """Nothing to compile: PythonFMU's binaries are among the members. Raises ExportError for any platform."""
+    if platforms:
+        raise ExportError("platforms of the python flavour: expected none, its libraries are PythonFMU's")
+    return {}
+
+
+def _binaries(name: str) -> dict[str, bytes]:
+    folder = resources.files("pythonfmu") / "resources" / "binaries"
+    return {
+        f"binaries/{platform.name}/{name}{library.name[library.name.rindex('.') :]}": library.read_bytes()
+        for platform in folder.iterdir()
+        for library in platform.iterdir()
+        if library.name.endswith((".so", ".dll", ".dylib"))
+    }

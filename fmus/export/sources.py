@@ -1,0 +1,97 @@
+"""The Python source that a block needs, under a package name that no other FMU shares.
+
+Two FMUs in one process share `sys.modules`. Each FMU therefore carries its sources in a package
+named after its own content; absolute imports between them are rewritten to that package.
+"""
+
+import ast
+import importlib.util
+import re
+import sys
+from pathlib import Path
+
+from fmus.errors import ExportError
+
+SHARED_BY_EVERY_FMU = ("fmus.export.slave",)
+
+
+def source_closure(module: str) -> dict[str, str]:
+    """Module name -> source of every module that `module` imports at import time, itself included.
+
+    Raises ExportError for a module beyond the standard library that is not plain Python
+    beside the block or PythonFMU's own.
+    """
+    found: dict[str, str] = {}
+    waiting = [module, *SHARED_BY_EVERY_FMU]
+    while waiting:
+        name = waiting.pop()
+        if name in found:
+            continue
+        found[name] = _read(name)
+        for parent in _parents(name):
+            found.setdefault(parent, "" if parent == "pythonfmu" else _read(parent))
+        waiting.extend(_imported(name, found[name]))
+    return dict(sorted(found.items()))
+
+
+def in_package(sources: dict[str, str], package: str) -> dict[str, str]:
+    """Path inside the FMU's resources -> source, every module moved into `package`."""
+    tops = sorted({name.partition(".")[0] for name in sources})
+    absolute = re.compile(rf"^(\s*from\s+)({'|'.join(tops)})(?=[.\s])", re.MULTILINE)
+    moved = {f"{package}/__init__.py": ""}
+    for name, source in sources.items():
+        is_package = any(other.startswith(name + ".") for other in sources)
+        path = f"{package}/{name.replace('.', '/')}{'/__init__' if is_package else ''}.py"
+        moved[path] = absolute.sub(rf"\g<1>{package}.\g<2>", source)
+    return moved
+
+
+def _parents(name: str) -> list[str]:
+    parts = name.split(".")
+    return [".".join(parts[:i]) for i in range(1, len(parts))]
+
+
+def _read(name: str) -> str:
+    spec = importlib.util.find_spec(name)
+    if spec is None or not spec.origin or not spec.origin.endswith(".py"):
+        raise ExportError(f"{name}: expected a module of plain Python")
+    return Path(spec.origin).read_text(encoding="utf-8")
+
+
+def _imported(name: str, source: str) -> list[str]:
+    wanted = []
+    for statement in ast.parse(source).body:
+        if isinstance(statement, ast.Import):
+            for alias in statement.names:
+                _refuse_foreign(name, alias.name, allowed=())
+        elif isinstance(statement, ast.ImportFrom):
+            base = _absolute(name, statement)
+            if base.partition(".")[0] in sys.stdlib_module_names:
+                continue
+            _refuse_foreign(name, base, allowed=(name.partition(".")[0], "fmus", "pythonfmu"))
+            submodules = [f"{base}.{alias.name}" for alias in statement.names]
+            modules = [each for each in submodules if _is_module(each)]
+            wanted.extend(modules if len(modules) == len(submodules) else [base, *modules])
+    return wanted
+
+
+def _absolute(name: str, statement: ast.ImportFrom) -> str:
+    if not statement.level:
+        return statement.module or ""
+    package = name.rsplit(".", statement.level)[0]
+    return f"{package}.{statement.module}" if statement.module else package
+
+
+def _is_module(name: str) -> bool:
+    try:
+        return importlib.util.find_spec(name) is not None
+    except ModuleNotFoundError:
+        return False
+
+
+def _refuse_foreign(importer: str, name: str, allowed: tuple[str, ...]) -> None:
+    top = name.partition(".")[0]
+    if top not in sys.stdlib_module_names and top not in allowed:
+        raise ExportError(
+            f"{importer} imports {name}: expected the standard library, fmus or its own package"
+        )

@@ -1,0 +1,73 @@
+"""C sources -> shared libraries for every platform, with the `ziglang` wheel: no system compiler, no network.
+
+No fast-math and no contraction of a product and a sum into one rounding: a trajectory is the same on every
+platform as far as the elementary functions of its C library are.
+"""
+
+import struct
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from importlib.metadata import distribution, version
+from pathlib import Path
+
+from fmus.errors import ExportError
+from fmus.platforms import TARGETS
+
+FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden", "-g0", "-s")
+_PATIENCE_S = 600  # the first build for Windows takes a minute: its C library is compiled too
+COMPILER = ("ziglang", version("ziglang"))
+
+
+def compile_library(model: str, sources: dict[str, str], compiled: Sequence[str], fmi_platform: str) -> bytes:
+    """The shared library MODEL of some sources, of which `compiled` are given to the compiler."""
+    targets, suffix = TARGETS[fmi_platform]
+    with tempfile.TemporaryDirectory(prefix="l1-depth-build-") as name:
+        folder = Path(name)
+        for file, text in sources.items():
+            (folder / file).write_text(text, encoding="utf-8", newline="\n")
+        slices = [_compile(folder, compiled, target, f"{model}.{suffix}") for target in targets]
+    return slices[0] if len(slices) == 1 else _universal(slices)
+
+
+def _compile(folder: Path, compiled: Sequence[str], target: str, library: str) -> bytes:
+    options = ["-target", target, "-shared", *FLAGS]
+    if "macos" in target:
+        options.append(f"-Wl,-install_name,@rpath/{library}")
+    zig(["cc", *options, "-o", library, *compiled], folder)
+    return (folder / library).read_bytes()
+
+
+def zig(arguments: Sequence[str], folder: Path) -> None:
+    """Run zig in a folder; ExportError with what it said if it fails."""
+    command = [sys.executable, "-m", "ziglang", *arguments]
+    hint = "if its cache cannot be written, set ZIG_GLOBAL_CACHE_DIR to a folder that can"
+    try:
+        done = subprocess.run(command, cwd=folder, capture_output=True, timeout=_PATIENCE_S, check=False)
+    except subprocess.TimeoutExpired:
+        raise ExportError(f"zig {arguments[0]} did not end within {_PATIENCE_S} s; {hint}") from None
+    if done.returncode:
+        said = (done.stderr or done.stdout).decode("utf-8", "replace").strip()[-2000:]
+        raise ExportError(f"zig {arguments[0]} failed: {said}; {hint}")
+
+
+def _universal(slices: Sequence[bytes]) -> bytes:
+    """A universal Mach-O of thin ones: big-endian header, each slice at a page boundary (mach-o/fat.h)."""
+    page = 14  # 2^14 bytes, the page size of Apple silicon
+    table, body = b"", b""
+    start = 1 << page
+    for each in slices:
+        _, cpu, subtype = struct.unpack_from("<III", each)
+        table += struct.pack(">IIIII", cpu, subtype, start + len(body), len(each), page)
+        body += each + b"\0" * (-len(each) % (1 << page))
+    header = struct.pack(">II", 0xCAFEBABE, len(slices)) + table
+    return header.ljust(start, b"\0") + body
+
+
+def runtime_licenses() -> dict[str, bytes]:
+    """Path inside the FMU -> licence of what the linker adds: Zig's runtime, and MinGW-w64's on Windows."""
+    zig = distribution(COMPILER[0])
+    files = {"zig": "ziglang/LICENSE", "mingw-w64": "ziglang/lib/libc/mingw/COPYING"}
+    texts = {name: zig.read_text(f"licenses/{path}") for name, path in files.items()}
+    return {f"documentation/licenses/{name}.txt": text.encode() for name, text in texts.items() if text}

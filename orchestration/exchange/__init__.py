@@ -1,0 +1,1 @@
+"""A system for other tools: SSP, Modelica, Simulink."""

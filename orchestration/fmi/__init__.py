@@ -1,0 +1,1 @@
+"""One FMU at run time: its description and its loaded instance."""

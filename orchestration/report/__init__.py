@@ -1,0 +1,7 @@
+"""Results as one interactive HTML page that needs no network: who receives it opens it, and that is all."""
+
+from orchestration.report.find import found_results
+from orchestration.report.render import render
+from orchestration.report.result import Run, Sweep
+
+__all__ = ["Run", "Sweep", "found_results", "render"]

@@ -1,0 +1,61 @@
+"""Numbers as text inside a page: exact, and small enough to send around."""
+
+import base64
+import zlib
+from typing import Any
+
+import numpy as np
+
+from orchestration.report.result import Run, Sweep
+from orchestration.report.statistics import correlations, strongest
+
+
+def packed(values: np.ndarray) -> str:
+    """Doubles -> base64 of zlib of their bytes, all first bytes before all second ones and so on.
+
+    Neighbours in time share sign and exponent, so that these bytes compress well side by side.
+    """
+    bytes_of_each = np.ascontiguousarray(values, dtype="<f8").view(np.uint8).reshape(-1, 8)
+    return base64.b64encode(zlib.compress(bytes_of_each.T.tobytes())).decode("ascii")
+
+
+def _column(values: np.ndarray) -> str | list[str]:
+    """Numbers packed, texts as they are."""
+    return packed(values) if np.issubdtype(values.dtype, np.number) else values.tolist()
+
+
+def run_data(run: Run) -> dict[str, Any]:
+    """What the page's script draws of a run."""
+    recording = run.recording
+    columns = zip(recording.names, recording.units, recording.values.T, strict=True)
+    return {
+        "name": run.name,
+        "time": packed(recording.time),
+        "signals": [
+            {"name": name, "unit": unit or "1", "values": packed(column)} for name, unit, column in columns
+        ],
+        "judged": sorted(
+            {
+                str(call[key])
+                for call in run.scenario.get("metrics", {}).values()
+                for key in ("signal", "reference")
+                if key in call
+            }
+        ),
+    }
+
+
+def sweep_data(sweep: Sweep) -> dict[str, Any]:
+    """What the page's script draws of a sweep."""
+    return {
+        "name": sweep.name,
+        "samples": packed(sweep.samples),
+        "errors": {int(n): error for n, error in zip(sweep.samples, sweep.errors, strict=True) if error},
+        "columns": [
+            {"name": name, "unit": sweep.units.get(name, ""), "kind": kind, "values": _column(values)}
+            for kind, columns in (("varied", sweep.varied), ("metric", sweep.metrics))
+            for name, values in columns.items()
+        ],
+        "first": strongest(correlations(sweep)),
+        "command": sweep.command,
+    }

@@ -1,0 +1,118 @@
+"""The page itself: template, style and scripts of `files/` with the results put in.
+
+Text from files is escaped by jinja2, data is JSON without markup, and the content security policy lets
+only the scripts run whose hashes it names and nothing be fetched.
+"""
+
+import base64
+import hashlib
+import re
+from collections.abc import Sequence
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+from plotly.offline import get_plotlyjs, get_plotlyjs_version
+
+from orchestration.report.differences import differences, flat
+from orchestration.report.embedded import run_data, sweep_data
+from orchestration.report.result import Run, Sweep
+from orchestration.report.statistics import correlations, distributions
+from orchestration.report.toml import toml
+from orchestration.results.metric_units import metric_unit
+
+_SCRIPTS = ("common.js", "tables.js", "signals.js", "sweeps.js")
+
+
+def render(results: Sequence[Run | Sweep], title: str = "") -> str:
+    """A self-contained HTML page of these results; by default titled after them."""
+    runs = [each for each in results if isinstance(each, Run)]
+    sweeps = [each for each in results if isinstance(each, Sweep)]
+    environment = Environment(
+        loader=PackageLoader("orchestration.report", "files"), autoescape=True, undefined=StrictUndefined
+    )
+    environment.filters |= {"toml": toml, "number": _number, "breakable": _breakable}
+    scripts = [get_plotlyjs(), *(_file(environment, name) for name in _SCRIPTS)]
+    return environment.get_template("page.html").render(
+        title=title or _title(runs, sweeps),
+        results=[*runs, *sweeps],
+        runs=runs,
+        sweeps=sweeps,
+        metric_groups=_metric_groups(runs),
+        differences=differences(runs),
+        facts={each.name: _facts(each) for each in results},
+        distributions={sweep.name: distributions(sweep) for sweep in sweeps},
+        correlations={sweep.name: correlations(sweep) for sweep in sweeps},
+        failures={sweep.name: _failures(sweep) for sweep in sweeps},
+        data={"runs": [run_data(run) for run in runs], "sweeps": [sweep_data(each) for each in sweeps]},
+        style=Markup(_file(environment, "page.css")),
+        scripts=[Markup(script) for script in scripts],
+        hashes=" ".join(f"'sha256-{_sha256(script)}'" for script in scripts),
+        made_by=f"l1-depth {metadata.version('l1-depth')}, plotly.js {get_plotlyjs_version()}",
+    )
+
+
+def _file(environment: Environment, name: str) -> str:
+    assert environment.loader
+    return environment.loader.get_source(environment, name)[0]
+
+
+def _sha256(script: str) -> str:
+    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
+
+
+def _title(runs: Sequence[Run], sweeps: Sequence[Sweep]) -> str:
+    if len(runs) + len(sweeps) == 1:
+        return [*runs, *sweeps][0].title
+    counted = [(len(runs), "run"), (len(sweeps), "sweep")]
+    return " and ".join(f"{count} {what}{'s' * (count > 1)}" for count, what in counted if count)
+
+
+def _metric_groups(runs: Sequence[Run]) -> list[dict[str, Any]]:
+    """Runs with the same metrics side by side, with the units in which each is given."""
+    groups: dict[tuple[str, ...], list[Run]] = {}
+    for run in runs:
+        if run.metrics:
+            groups.setdefault(tuple(run.metrics), []).append(run)
+    return [{"names": names, "runs": members, "units": _units(members)} for names, members in groups.items()]
+
+
+def _units(runs: Sequence[Run]) -> dict[str, str]:
+    """Of each metric the unit in which all of these runs give it, "" if they do not agree."""
+    found: dict[str, set[str]] = {}
+    for run in runs:
+        of_signals = dict(zip(run.recording.names, run.recording.units, strict=True))
+        for name in run.metrics:
+            call = run.scenario.get("metrics", {}).get(name, {})
+            found.setdefault(name, set()).add(metric_unit(call, of_signals))
+    return {name: units.pop() if len(units) == 1 else "" for name, units in found.items()}
+
+
+def _failures(sweep: Sweep) -> list[dict[str, Any]]:
+    return [
+        {
+            "sample": int(sweep.samples[i]),
+            "varied": {name: values[i] for name, values in sweep.varied.items()},
+            "error": error,
+        }
+        for i, error in enumerate(sweep.errors)
+        if error
+    ]
+
+
+def _facts(result: Run | Sweep) -> dict[str, str]:
+    """What is known of how a result came about, but for the FMUs; "step_size_s" is a step size [s]."""
+    told = {key: value for key, value in result.provenance.items() if key != "fmus" and value is not None}
+    return {re.sub(r"_s$", " [s]", key).replace("_", " "): value for key, value in flat(told).items()}
+
+
+def _number(value: Any) -> str:
+    """Five digits of a number; whole numbers and texts as they are."""
+    return f"{value:.5g}" if isinstance(value, (float, np.floating)) else str(value)
+
+
+def _breakable(name: str) -> Markup:
+    """A name that may be broken after a dot, an underscore or a comma, if three letters follow."""
+    return Markup("<wbr>").join(re.split(r"(?<=[._,])(?=\w{3})", name))

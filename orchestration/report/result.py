@@ -1,0 +1,51 @@
+"""What a page shows: runs and sweeps, as they are read from their files."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from orchestration.results.recording import Recording
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run. Of a recording that stands alone, scenario, provenance and metrics are empty.
+
+    name: unique on a page; scenario: resolved, as TOML has it; provenance: FMUs, algorithm, step size
+    """
+
+    name: str
+    recording: Recording
+    scenario: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    metrics: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def title(self) -> str:
+        return str(self.scenario.get("title", self.name))
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Samples of a scenario; arrays have an entry a sample.
+
+    samples: their numbers; varied: "component.variable" -> values; metrics: name -> values, NaN where a
+    sample failed; errors: "" where it did not; units: of varied ones and metrics, where known;
+    command: runs a sample again, with {sample} for its number
+    """
+
+    name: str
+    samples: np.ndarray
+    varied: Mapping[str, np.ndarray]
+    metrics: Mapping[str, np.ndarray]
+    errors: tuple[str, ...]
+    units: Mapping[str, str]
+    scenario: Mapping[str, Any]
+    provenance: Mapping[str, Any]
+    command: str
+
+    @property
+    def title(self) -> str:
+        return str(self.scenario.get("title", self.name))

@@ -1,0 +1,185 @@
+"""Numbers that sum a run up: pure functions of a recording.
+
+Every function takes the recording, the names of signals, and what else it needs; a scenario names
+the function and its arguments. Windows are [start, end] in seconds and default to the whole run.
+"""
+
+import inspect
+from collections.abc import Callable, Collection, Mapping
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from fmus.errors import nearest
+from orchestration.errors import OrchestrationError, ScenarioError
+from orchestration.results.recording import Recording
+
+
+def _window(recording: Recording, window: list[float] | None) -> np.ndarray:
+    if window is None:
+        return np.full(recording.time.shape, True)
+    tolerance = 1e-9 * max(1.0, abs(window[1]))
+    inside = (recording.time >= window[0] - tolerance) & (recording.time <= window[1] + tolerance)
+    if not inside.any():
+        raise ScenarioError(
+            f"window {window}: expected to overlap the run, {recording.time[0]:g}..{recording.time[-1]:g} s"
+        )
+    return inside
+
+
+def settling_time(
+    recording: Recording, signal: str, target: float, band: float, window: list[float] | None = None
+) -> float:
+    """Last time [s] in the window at which |signal - target| > band; its beginning if never.
+
+    A signal that never settles gives (nearly) the end of the window: look at the figure.
+    """
+    inside = _window(recording, window)
+    time = recording.time[inside]
+    outside = np.abs(recording[signal][inside] - target) > band
+    return float(time[outside][-1]) if outside.any() else float(time[0])
+
+
+def rmse(
+    recording: Recording,
+    signal: str,
+    reference: str,
+    window: list[float] | None = None,
+    scale: float = 1.0,
+) -> float:
+    """scale * sqrt(mean((signal - reference)^2)) over the communication points of the window."""
+    inside = _window(recording, window)
+    error = (recording[signal] - recording[reference])[inside]
+    return float(scale * np.sqrt(np.mean(error**2)))
+
+
+def overshoot(recording: Recording, signal: str, target: float, window: list[float] | None = None) -> float:
+    """(max(signal) - target) in percent of the target, never below 0; the target must not be 0."""
+    if target == 0.0:
+        raise ScenarioError("overshoot: target = 0: expected another, the overshoot is relative to it")
+    highest = recording[signal][_window(recording, window)].max()
+    return float(max(0.0, 100.0 * (highest - target) / abs(target)))
+
+
+def mean(recording: Recording, signal: str, window: list[float] | None = None) -> float:
+    """Mean over the communication points of the window."""
+    return float(recording[signal][_window(recording, window)].mean())
+
+
+def effort(recording: Recording, signal: str, window: list[float] | None = None) -> float:
+    """Integral of |signal| dt, trapezoidal rule."""
+    inside = _window(recording, window)
+    return float(np.trapezoid(np.abs(recording[signal][inside]), recording.time[inside]))
+
+
+def total_variation(
+    recording: Recording, signal: str, every: float | None = None, window: list[float] | None = None
+) -> float:
+    """Sum of |change| between communication points, or between points `every` seconds apart."""
+    inside = _window(recording, window)
+    time, values = recording.time[inside], recording[signal][inside]
+    if every is not None:
+        count = round((time[-1] - time[0]) / every)
+        wanted = time[0] + every * np.arange(count + 1)
+        values = values[np.searchsorted(time, wanted - 1e-6 * every).clip(max=len(time) - 1)]
+    return float(np.abs(np.diff(values)).sum())
+
+
+def shift_lag(recording: Recording, signal: str, reference: str, largest: float) -> float:
+    """Delay [s], 0..largest, of the reference at which it is nearest to the signal (least RMSE).
+
+    Judged from `largest` seconds after the start, so that every delay sees the same points.
+    """
+    time = recording.time
+    late = time >= time[0] + largest
+    wanted, values = recording[reference], recording[signal][late]
+
+    def distance(delay: float) -> float:
+        delayed = np.interp(time[late] - delay, time, wanted)
+        return float(np.mean((values - delayed) ** 2))
+
+    coarse = np.linspace(0.0, largest, 61)
+    best = int(np.argmin([distance(delay) for delay in coarse]))
+    bounds = (coarse[max(best - 1, 0)], coarse[min(best + 1, 60)])
+    found: Any = minimize_scalar(distance, bounds=bounds, method="bounded", options={"xatol": 1e-4})
+    return float(found.x)
+
+
+def phase_lag(
+    recording: Recording, signal: str, angular_frequency: float, window: list[float] | None = None
+) -> float:
+    """Delay [s] of the signal's fundamental behind cos(angular_frequency t), by least squares."""
+    inside = _window(recording, window)
+    angle = angular_frequency * recording.time[inside]
+    basis = np.column_stack([np.cos(angle), np.sin(angle), np.ones_like(angle)])
+    (cosine, sine, _), *_ = np.linalg.lstsq(basis, recording[signal][inside], rcond=None)
+    return float(np.arctan2(sine, cosine) / angular_frequency)
+
+
+FUNCTIONS: dict[str, Callable[..., float]] = {
+    each.__name__: each
+    for each in (settling_time, rmse, overshoot, mean, effort, total_variation, shift_lag, phase_lag)
+}
+
+
+def evaluate(recording: Recording, declared: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+    """The metrics that a scenario declares: name -> {function = ..., its arguments}."""
+    return {name: _one(recording, name, dict(call)) for name, call in declared.items()}
+
+
+def check(declared: Mapping[str, Mapping[str, Any]], what: str) -> None:
+    """Refuse an unknown function or argument before a run that would end in it."""
+    for name, call in declared.items():
+        function = call.get("function", "")
+        if not isinstance(function, str) or function not in FUNCTIONS:
+            raise ScenarioError(
+                f"{what}: metric {name}: unknown function {function!r}; {nearest(str(function), FUNCTIONS)}"
+            )
+        arguments = {key: value for key, value in call.items() if key != "function"}
+        try:
+            inspect.signature(FUNCTIONS[function]).bind(None, **arguments)
+        except TypeError as error:
+            raise ScenarioError(f"{what}: metric {name}: {function}: {error}") from error
+
+
+def check_run(
+    declared: Mapping[str, Mapping[str, Any]],
+    start: float,
+    stop: float,
+    record: Collection[str],
+    what: str,
+) -> None:
+    """Refuse a window outside the run, or a signal that is not recorded (an empty record is all)."""
+    for name, call in declared.items():
+        window = call.get("window", [start, stop])
+        pair = (
+            isinstance(window, list) and len(window) == 2 and all(isinstance(t, (int, float)) for t in window)
+        )
+        if not pair or not window[0] <= window[1]:
+            raise ScenarioError(f"{what}: metric {name}: window {window!r}: expected [start, end] in s")
+        if window[0] >= stop or window[1] <= start:
+            raise ScenarioError(
+                f"{what}: metric {name}: window {window}: expected to overlap {start:g}..{stop:g} s; "
+                f"{name} = false drops it"
+            )
+        for key in ("signal", "reference"):
+            signal = call.get(key)
+            if record and signal is not None and signal not in record:
+                raise ScenarioError(
+                    f"{what}: metric {name}: {signal!r} is not recorded; {nearest(str(signal), record)}"
+                )
+
+
+def _one(recording: Recording, name: str, call: dict[str, Any]) -> float:
+    check({name: call}, "scenario")
+    function = FUNCTIONS[call.pop("function")]
+    try:
+        value = function(recording, **call)
+    except OrchestrationError as error:
+        raise ScenarioError(f"metric {name}: {error}") from error
+    except (TypeError, ValueError, ArithmeticError, IndexError) as error:
+        raise ScenarioError(f"metric {name}: {call}: {error}") from error
+    if not np.isfinite(value):
+        raise ScenarioError(f"metric {name} is {value}: expected a finite number; check {call}")
+    return value

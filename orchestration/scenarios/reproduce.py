@@ -1,0 +1,114 @@
+"""Running scenarios into a folder: one, or all that ship, side by side."""
+
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from fmus import catalogue
+from fmus.catalogue import Flavour
+from orchestration.errors import SimulationError
+from orchestration.master import simulate
+from orchestration.results import figures as report
+from orchestration.results import metrics
+from orchestration.results.recording import Recording, write_json
+from orchestration.results.recording_files import Format
+from orchestration.scenarios import scenario
+from orchestration.scenarios.scenario import Scenario
+
+_LONGEST_FIRST = ("example-extended", "example-l1")  # so that no core idles at the end
+
+
+@dataclass(frozen=True)
+class Result:
+    """A finished run: its recording and the metrics that its scenario declares."""
+
+    scenario: Scenario
+    recording: Recording
+    metrics: dict[str, float]
+
+
+def build_what_is_missing(scenarios: Iterable[Scenario]) -> None:
+    """Build the FMUs of our own blocks that these scenarios need and that are missing or stale."""
+    needed = {path for each in scenarios for path in each.system.components.values()}
+    for flavour in Flavour:
+        for name in catalogue.block_names():
+            if flavour.folder / f"{name}.fmu" in needed:
+                catalogue.build_if_stale(name, flavour=flavour)
+
+
+def run(
+    chosen: Scenario,
+    folder: Path,
+    progress: Callable[[int, int], None] | None = None,
+    file_format: Format = Format.CSV,
+    **options: Any,
+) -> Result:
+    """Run one scenario and write NAME.csv or .parquet and NAME.json (what was run, metrics) to `folder`.
+
+    options: of `simulate`. A run that ends early leaves what was recorded as NAME.partial.csv or .parquet.
+    """
+    file = folder / f"{chosen.name}.{file_format}"
+    try:
+        recording = simulate(chosen.system, chosen.experiment, progress, **options)
+    except SimulationError as error:
+        if len(error.recording.time):
+            error.recording.write(file.with_name(f"{chosen.name}.partial.{file_format}"))
+        raise
+    recording.write(file)
+    measured = metrics.evaluate(recording, chosen.metrics)
+    document = {
+        "recording": file.name,
+        "scenario": chosen.resolved,
+        "run": recording.provenance,
+        "metrics": measured,
+    }
+    write_json(document, folder / f"{chosen.name}.json")
+    return Result(chosen, recording, measured)
+
+
+def run_all(
+    folder: Path,
+    workers: int,
+    progress: Callable[[str], None] = lambda name: None,
+    flavour: Flavour = Flavour.NATIVE,
+) -> dict[str, Result]:
+    """Run every shipped scenario in `workers` processes; `progress` hears of each that is done."""
+    paths = scenario.shipped()
+    names = sorted(paths, key=lambda name: name not in _LONGEST_FIRST)
+    scenarios = {name: scenario.load(paths[name], flavour=flavour) for name in names}
+    build_what_is_missing(scenarios.values())
+    results = {}
+    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+        futures = {pool.submit(_run_named, name, folder, flavour): name for name in names}
+        try:
+            for future in as_completed(futures):
+                name = futures[future]
+                results[name] = Result(scenarios[name], *future.result())
+                progress(name)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+    return results
+
+
+def _run_named(name: str, folder: Path, flavour: Flavour) -> tuple[Recording, dict[str, float]]:
+    result = run(scenario.load(scenario.find(name), flavour=flavour), folder)
+    return result.recording, result.metrics
+
+
+def write_report(results: dict[str, Result], folder: Path) -> list[Path]:
+    """The figures of the paper and summary.json."""
+    recordings = {name: result.recording for name, result in results.items()}
+    measured = {name: result.metrics for name, result in results.items()}
+    path = folder / "summary.json"
+    content = report.summary(measured)
+    write_json(content, path)
+    return [
+        path,
+        *report.figure_3(recordings, folder / "figure_3"),
+        *report.figure_5(recordings, folder / "figure_5"),
+        *report.figure_6(recordings, folder / "figure_6"),
+    ]

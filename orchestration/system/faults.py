@@ -1,0 +1,242 @@
+"""Faults on a connection, as data: which earlier sample arrives in place of each, and what is added to it.
+
+Sample i is what a connection carries at communication point i. Under a fault the input is given
+
+    sample[source[i]] + addition[i],   or addition[i] alone where source[i] is -1
+
+with source[i] <= i, so that every kind of fault, and any number of them one after another, is two arrays.
+Faults act from the first communication step on; initial values are exchanged without them.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields
+from typing import Any, ClassVar
+
+import numpy as np
+
+from fmus.errors import nearest
+from orchestration.errors import ScenarioError, SystemDefinitionError
+from orchestration.system.time_grid import within
+
+Pattern = tuple[np.ndarray, np.ndarray]
+
+
+class Effect:
+    """What a fault does to samples while it lasts; `for_every_type`: not only to Real ones."""
+
+    for_every_type: ClassVar[bool] = True
+
+    def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
+        """(source, addition) of the samples `inside`, consecutive ones and at least one."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Freeze(Effect):
+    """The value at the first communication point of the window holds."""
+
+    def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
+        return np.full(inside.shape, inside[0]), np.zeros(inside.shape)
+
+
+@dataclass(frozen=True)
+class Stuck(Effect):
+    """`value` arrives, whatever is sent."""
+
+    value: float
+
+    def __post_init__(self) -> None:
+        _expect(
+            _is_finite(self.value) or isinstance(self.value, bool), "value", self.value, "a finite number"
+        )
+
+    def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
+        return np.full(inside.shape, -1), np.full(inside.shape, float(self.value))
+
+
+@dataclass(frozen=True)
+class Offset(Effect):
+    """`value` is added."""
+
+    for_every_type = False
+    value: float
+
+    def __post_init__(self) -> None:
+        _expect(_is_finite(self.value), "value", self.value, "a finite number")
+
+    def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
+        return inside, np.full(inside.shape, float(self.value))
+
+
+@dataclass(frozen=True)
+class Drift(Effect):
+    """`rate` times the time since the first communication point of the window is added."""
+
+    for_every_type = False
+    rate: float
+
+    def __post_init__(self) -> None:
+        _expect(_is_finite(self.rate), "rate", self.rate, "a finite number")
+
+    def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
+        return inside, self.rate * (times[inside] - times[inside[0]])
+
+
+@dataclass(frozen=True)
+class Noise(Effect):
+    """Independent Gaussian numbers of this standard deviation are added."""
+
+    for_every_type = False
+    standard_deviation: float
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        deviation = self.standard_deviation
+        is_valid = _is_finite(deviation) and deviation >= 0.0
+        _expect(is_valid, "standard_deviation", deviation, "a finite number, 0 or more")
+        _check_seed(self.seed)
+
+    def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
+        return inside, self.standard_deviation * stream.standard_normal(len(inside))
+
+
+@dataclass(frozen=True)
+class DropOut(Effect):
+    """Each sample is lost with this probability, independently; the last that arrived holds.
+
+    The first sample of a run always arrives: before it there is nothing to hold.
+    """
+
+    probability: float
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        is_valid = _is_finite(self.probability) and 0.0 <= self.probability <= 1.0
+        _expect(is_valid, "probability", self.probability, "0..1")
+        _check_seed(self.seed)
+
+    def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
+        is_lost = stream.random(len(inside)) < self.probability
+        before = max(inside[0] - 1, 0)
+        return np.maximum.accumulate(np.where(is_lost, before, inside)), np.zeros(inside.shape)
+
+
+@dataclass(frozen=True)
+class Delay(Effect):
+    """What was sent `delay` seconds ago arrives, of the nearest communication point; at first the first."""
+
+    delay: float
+
+    def __post_init__(self) -> None:
+        is_valid = _is_finite(self.delay) and self.delay > 0.0
+        _expect(is_valid, "delay", self.delay, "a finite number of seconds, more than 0")
+
+    def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
+        middles = 0.5 * (times[1:] + times[:-1])
+        return np.searchsorted(middles, times[inside] - self.delay), np.zeros(inside.shape)
+
+
+KINDS: Mapping[str, type[Effect]] = {
+    "freeze": Freeze,
+    "stuck": Stuck,
+    "offset": Offset,
+    "drift": Drift,
+    "noise": Noise,
+    "drop-out": DropOut,
+    "delay": Delay,
+}
+
+
+@dataclass(frozen=True)
+class Fault:
+    """An effect on what arrives at an input, "component.variable", from `start` on and before `end` [s].
+
+    A connection is named by its input, so that one of several that an output feeds can fail alone.
+    """
+
+    input: str
+    effect: Effect
+    start: float = -math.inf
+    end: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not self.start < self.end:
+            raise SystemDefinitionError(
+                f"fault on {self.input}: end = {self.end!r} s: expected more than its start, {self.start!r} s"
+            )
+
+    def pattern(self, times: np.ndarray) -> Pattern:
+        """(source, addition) of every sample, shapes (n,)."""
+        source, addition = np.arange(len(times)), np.zeros(len(times))
+        inside = within(times, self.start, self.end)
+        if len(inside):
+            source[inside], addition[inside] = self.effect.on(inside, times, self.stream())
+        return source, addition
+
+    def stream(self) -> np.random.Generator:
+        """Random numbers that follow from seed, input and kind alone."""
+        key = f"{type(self.effect).__name__} {self.input}".encode()
+        seed = getattr(self.effect, "seed", 0)
+        return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(key)))
+
+
+def compose(faults: Sequence[Fault], times: np.ndarray) -> Pattern:
+    """(source, addition), shapes (n,), of the faults on one connection, in the order in which they act.
+
+    times: of the samples, ascending [s].
+    """
+    source, addition = np.arange(len(times)), np.zeros(len(times))
+    for each in faults:
+        later_source, later_addition = each.pattern(times)
+        is_sent = later_source >= 0
+        addition = np.where(is_sent, addition[later_source], 0.0) + later_addition
+        source = np.where(is_sent, source[later_source], -1)
+    return source, addition
+
+
+def fault(declaration: Mapping[str, Any], purpose: str) -> Fault:
+    """The fault that a scenario declares: `input`, `kind`, `start`, `end`, and the arguments of that kind.
+
+    Raises ScenarioError, which begins with the purpose.
+    """
+    arguments = dict(declaration)
+    kind, name = arguments.pop("kind", None), arguments.pop("input", None)
+    if not isinstance(name, str):
+        raise ScenarioError(f'{purpose}: input = {name!r}: expected "component.variable"')
+    if not isinstance(kind, str) or kind not in KINDS:
+        raise ScenarioError(f"{purpose}: unknown kind {kind!r}; {nearest(str(kind), KINDS)}")
+    window = {
+        key: _number(arguments.pop(key), f"{purpose}: {key}") for key in ("start", "end") if key in arguments
+    }
+    known = {each.name: each for each in fields(KINDS[kind])}  # type: ignore[arg-type]
+    for key in arguments:
+        if key not in known:
+            raise ScenarioError(f"{purpose}: {kind} has no {key!r}; {nearest(key, [*known, 'start', 'end'])}")
+    missing = [key for key, each in known.items() if each.default is MISSING and key not in arguments]
+    if missing:
+        raise ScenarioError(f"{purpose}: {kind}: {', '.join(missing)} is missing")
+    try:
+        return Fault(name, KINDS[kind](**arguments), **window)
+    except SystemDefinitionError as error:
+        raise ScenarioError(f"{purpose}: {error}") from error
+
+
+def _number(value: Any, what: str) -> float:
+    if not _is_finite(value):
+        raise ScenarioError(f"{what} = {value!r}: expected a number of seconds")
+    return float(value)
+
+
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _check_seed(seed: Any) -> None:
+    is_valid = isinstance(seed, int) and not isinstance(seed, bool) and seed >= 0
+    _expect(is_valid, "seed", seed, "an integer, 0 or more")
+
+
+def _expect(condition: bool, name: str, value: Any, expected: str) -> None:
+    if not condition:
+        raise SystemDefinitionError(f"{name} = {value!r}: expected {expected}")

@@ -1,0 +1,85 @@
+"""Block ExamplePlant: x' = A_m x + B_m (omega u + theta' x + sigma), y = C x.
+
+The paper's illustrative example (Maalouf et al. (2013), section 3.3; Hovakimyan and Cao (2010),
+page 29): theta is unknown to the controller. Dimensionless but for time.
+"""
+
+from dataclasses import dataclass
+
+from fmus.block import Block, NoValues, variable
+from fmus.numerics import rk4_step
+from plant_fmu.example_plant_guide import GUIDE
+
+Vector = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Parameters:
+    internal_step: float = variable(
+        1e-3, "Longest internal step", unit="s", min=1e-7, max=10.0, variability="fixed"
+    )
+    state_matrix: tuple[Vector, Vector] = variable(((0.0, 1.0), (-1.0, -1.4)), "A_m", source="published")
+    input_vector: Vector = variable((0.0, 1.0), "B_m", source="published")
+    output_vector: Vector = variable((1.0, 0.0), "C", source="published")
+    theta: Vector = variable((4.0, -4.5), "Unknown parameter theta", source="published")
+    omega: float = variable(1.0, "Unknown input gain omega", source="published")
+    initial_state: Vector = variable(
+        (0.0, 0.0), "x at the start", variability="fixed", source="assumed: not published"
+    )
+
+
+@dataclass(frozen=True)
+class Inputs:
+    control: float = variable(0.0, "Control u")
+    disturbance: float = variable(0.0, "Disturbance sigma, matched with the input")
+
+
+@dataclass(frozen=True)
+class State:
+    x: Vector = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Outputs:
+    state: Vector = variable((0.0, 0.0), "State x")
+    output: float = variable(0.0, "Output y = C x")
+
+
+def derivative(x: Vector, inputs: Inputs, p: Parameters) -> Vector:
+    """x' of the equation above."""
+    (a_11, a_12), (a_21, a_22) = p.state_matrix
+    uncertainty = p.theta[0] * x[0] + p.theta[1] * x[1] + inputs.disturbance
+    forcing = p.omega * inputs.control + uncertainty
+    return (
+        a_11 * x[0] + a_12 * x[1] + p.input_vector[0] * forcing,
+        a_21 * x[0] + a_22 * x[1] + p.input_vector[1] * forcing,
+    )
+
+
+def initial_state(t: float, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
+    return State(p.initial_state)
+
+
+def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
+    return State(rk4_step(lambda _, x: derivative(x, inputs, p), t, state.x, h))
+
+
+def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outputs:
+    x, c = state.x, p.output_vector
+    return Outputs(state=x, output=c[0] * x[0] + c[1] * x[1])
+
+
+BLOCK = Block(
+    name="ExamplePlant",
+    description="Second-order plant with unknown state feedback: the paper's illustrative example",
+    parameters=Parameters,
+    inputs=Inputs,
+    state=State,
+    outputs=Outputs,
+    initial_state=initial_state,
+    step=step,
+    output=output,
+    stop_time=94.25,
+    step_size=1e-3,
+    guide=GUIDE,
+)

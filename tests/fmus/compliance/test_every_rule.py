@@ -1,0 +1,15 @@
+"""Each rule is shown to find what it is there for."""
+
+from fmus.compliance.examine import all_rules
+
+from .test_behaviour import C_MUTANTS, FALSE_CLAIMS
+from .test_mutants import ARCHIVE_MUTANTS, XML_MUTANTS
+
+BY_A_TEST_OF_ITS_OWN = {
+    "archive-is-zip", "archive-members-are-plain", "library-exports", "has-an-implementation",
+}  # fmt: skip
+
+
+def test_every_rule_has_a_mutant_that_breaks_it() -> None:
+    lists = {rule for rule, *_ in (*XML_MUTANTS, *ARCHIVE_MUTANTS, *FALSE_CLAIMS, *C_MUTANTS.values())}
+    assert lists | BY_A_TEST_OF_ITS_OWN == {each.name for each in all_rules()}

@@ -1,0 +1,124 @@
+"""Libraries of every platform are judged without being run; what cannot be run here is said."""
+
+from pathlib import Path
+
+import pytest
+
+from fmus import catalogue
+from fmus.compliance.examine import examine
+from fmus.export import archive
+from fmus.export import native as native_flavour
+from fmus.platforms import host_platform, library_name
+
+from .test_check import broken_rules, members, write
+
+NAME = "DepthReference"
+OTHERS = [each for each in ("linux64", "win64", "darwin64", "aarch64-linux") if each != host_platform()]
+
+
+@pytest.fixture(scope="module")
+def elsewhere(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An FMU for every platform but this one."""
+    return catalogue.build(NAME, tmp_path_factory.mktemp("elsewhere"), platforms=OTHERS)
+
+
+def test_an_fmu_without_a_library_for_this_platform_is_judged_but_for_its_behaviour(elsewhere: Path) -> None:
+    results = {each.rule.name: each for each in examine(elsewhere)}
+    warning = results.pop("runs-on-this-platform")
+    assert warning.outcome == "warning"
+    assert warning.messages == (
+        f"libraries for {', '.join(sorted(OTHERS))}: "
+        f"without one for {host_platform()} the behaviour is not judged",
+    )
+    behaviour = {name for name, each in results.items() if each.rule.stage == "behaviour"}
+    assert {results[name].not_applicable for name in behaviour} == {f"no library for {host_platform()}"}
+    assert {results[name].outcome for name in set(results) - behaviour} == {"passed"}
+
+
+@pytest.mark.parametrize("platform", OTHERS)
+@pytest.mark.parametrize("missing", ["fmi2DoStep", "fmi2GetVersion"])
+def test_a_library_that_lacks_a_function_is_caught_on_every_platform(
+    elsewhere: Path, tmp_path: Path, platform: str, missing: str
+) -> None:
+    content = members(elsewhere)
+    path = library_name(NAME, platform)
+    renamed = missing[:-1].encode() + b"q"  # in the table of names alone: as long, and unknown
+    assert missing.encode() in content[path]
+    content[path] = content[path].replace(missing.encode() + b"\0", renamed + b"\0")
+    broken = broken_rules(write(content, tmp_path / "mutant.fmu"))
+    assert any(path in told and missing in told for told in broken["library-exports"]), broken
+
+
+def test_a_library_compiled_without_a_function_is_caught(tmp_path: Path) -> None:
+    _, content = native_flavour.content(catalogue.load_block(NAME))
+    source = content["sources/fmi2.c"]
+    content["sources/fmi2.c"] = source.replace(b"fmi2Status fmi2Terminate(", b"fmi2Status fmi2End(")
+    content |= native_flavour.libraries(NAME, content, ())
+    broken = broken_rules(archive.write_archive(tmp_path / "mutant.fmu", content))
+    assert broken["library-exports"] == (
+        f"{library_name(NAME, host_platform())} does not export fmi2Terminate",
+    )
+    assert "steps-and-terminates" in broken
+
+
+@pytest.mark.parametrize("platform", OTHERS)
+def test_a_library_of_another_platform_is_caught(elsewhere: Path, tmp_path: Path, platform: str) -> None:
+    content = members(elsewhere)
+    other = next(each for each in OTHERS if each != platform)
+    content[library_name(NAME, platform)] = content[library_name(NAME, other)]
+    (told,) = broken_rules(write(content, tmp_path / "mutant.fmu"))["library-format"]
+    assert library_name(NAME, platform) in told
+
+
+@pytest.mark.parametrize("platform", OTHERS)
+@pytest.mark.parametrize("length", [0, 3, 100])
+def test_a_library_cut_short_is_caught(elsewhere: Path, tmp_path: Path, platform: str, length: int) -> None:
+    content = members(elsewhere)
+    path = library_name(NAME, platform)
+    content[path] = content[path][:length]
+    broken = broken_rules(write(content, tmp_path / "mutant.fmu"))
+    assert {"library-format", "library-exports"} & set(broken), broken
+
+
+@pytest.mark.filterwarnings("ignore:.*is not a valid ARCH")  # LIEF's
+def test_a_processor_that_nobody_knows_is_caught(elsewhere: Path, tmp_path: Path) -> None:
+    content = members(elsewhere)
+    path = library_name(NAME, "aarch64-linux")
+    content[path] = content[path][:18] + b"\xfe\xfe" + content[path][20:]  # e_machine of ELF
+    (told,) = broken_rules(write(content, tmp_path / "mutant.fmu"))["library-format"]
+    assert told.startswith(f"{path} is ELF")
+    assert told.endswith("expected ELF AARCH64")
+
+
+def test_an_fmu_of_sources_alone_is_not_without_implementation(elsewhere: Path, tmp_path: Path) -> None:
+    sources = {path: data for path, data in members(elsewhere).items() if not path.startswith("binaries/")}
+    broken = broken_rules(write(sources, tmp_path / "sources.fmu"))
+    assert set(broken) == {"runs-on-this-platform"}
+
+
+def test_an_fmu_without_libraries_and_sources_is_caught(
+    python_built: dict[str, Path], tmp_path: Path
+) -> None:
+    content = {
+        path: data
+        for path, data in members(python_built[NAME]).items()
+        if not path.startswith(("binaries/", "sources/"))
+    }
+    assert "has-an-implementation" in broken_rules(write(content, tmp_path / "nothing.fmu"))
+
+
+def test_a_library_under_the_name_that_fmpy_gives_the_platform_is_run(
+    built: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from fmus.compliance import here
+    from fmus.compliance.fmu_file import FmuFile
+
+    fmu = FmuFile(built[NAME])
+    monkeypatch.setattr(here, "host_platform", lambda: "aarch64-linux")
+    monkeypatch.setattr(here.fmpy, "platform", "linux64")
+    monkeypatch.setattr(here.fmpy, "sharedLibraryExtension", ".so")
+    assert here.library_here(fmu) == library_name(NAME, "linux64")
+    both = members(built[NAME]) | {library_name(NAME, "aarch64-linux"): b""}
+    assert here.library_here(FmuFile(write(both, tmp_path / "both.fmu"))) == library_name(
+        NAME, "aarch64-linux"
+    )

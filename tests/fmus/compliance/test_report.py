@@ -1,0 +1,102 @@
+"""What the check tells: JSON, exit status, odd paths."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fmus.compliance.__main__ import main
+from fmus.compliance.examine import all_rules
+
+from .test_check import members, write
+
+NAME = "DepthReference"
+
+
+@pytest.fixture
+def warned(built: dict[str, Path], tmp_path: Path) -> Path:
+    """An FMU with a warning and no error."""
+    return write(members(built[NAME]) | {"readme.txt": b""}, tmp_path / "warned.fmu")
+
+
+@pytest.fixture
+def wrong(built: dict[str, Path], tmp_path: Path) -> Path:
+    """An FMU with an error."""
+    return write(members(built[NAME]) | {"../escape": b""}, tmp_path / "wrong.fmu")
+
+
+def assert_complete(document: dict[str, Any], path: Path, name: str, outcome: str) -> None:
+    """The document names every rule of one FMU, and one of them has the outcome with its messages."""
+    (fmu,) = document["fmus"]
+    assert fmu["fmu"] == str(path)
+    assert [each["rule"] for each in fmu["rules"]] == [each.name for each in all_rules()]
+    assert [each["clause"] for each in fmu["rules"]] == [each.clause for each in all_rules()]
+    told = {each["rule"]: each for each in fmu["rules"] if each["messages"]}
+    assert told[name]["outcome"] == outcome
+    assert {each["outcome"] for each in fmu["rules"]} <= {"passed", "not applicable", "warning", "error"}
+    assert all(isinstance(message, str) for each in fmu["rules"] for message in each["messages"])
+
+
+def test_json_in_a_file_names_each_rule_with_clause_outcome_and_messages(
+    warned: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "found.json"
+    assert main([str(warned), "--json", str(file)]) == 0
+    document = json.loads(file.read_text(encoding="utf-8"))
+    assert (document["errors"], document["warnings"]) == (0, 1)
+    assert_complete(document, warned, "archive-layout", "warning")
+    assert "archive-layout" in capsys.readouterr().out
+
+
+def test_json_on_standard_output_is_all_that_is_there(wrong: Path) -> None:
+    command = [sys.executable, "-m", "fmus.compliance", str(wrong), "--json", "-"]
+    done = subprocess.run(command, capture_output=True, check=False, timeout=120)
+    assert done.returncode == 1
+    document = json.loads(done.stdout)
+    assert document["errors"] >= 1
+    assert_complete(document, wrong, "archive-paths-are-portable", "error")
+
+
+def test_a_warning_alone_gives_exit_status_0_and_an_error_1(warned: Path, wrong: Path) -> None:
+    assert main([str(warned)]) == 0
+    assert main([str(wrong)]) == 1
+    assert main([str(warned), str(wrong)]) == 1
+
+
+def test_a_file_that_is_not_there_gives_exit_status_1_and_its_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([str(tmp_path / "none.fmu")]) == 1
+    assert "none.fmu" in capsys.readouterr().err
+
+
+def test_no_fmu_is_bad_usage() -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main([])
+
+
+def test_all_shows_the_rules_that_hold_and_those_that_do_not_apply(
+    built: dict[str, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([str(built[NAME]), "--all"]) == 0
+    shown = capsys.readouterr().out
+    assert [each.name for each in all_rules() if each.name not in shown] == []
+
+
+@pytest.mark.parametrize(
+    "name", ["a b", "a#b", "a+b", "a%20b", "[a](b){c}", 'it\'s "quoted"', "größe_深さ", "-a", "%s %d"]
+)
+def test_an_fmu_in_a_folder_of_any_name_breaks_no_rule(
+    built: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    folder = tmp_path / name
+    folder.mkdir()
+    path = folder / f"{name}.fmu"
+    path.write_bytes(built[NAME].read_bytes())
+    file = folder / f"{name}.json"
+    assert main([str(path), "--json", str(file)]) == 0
+    assert json.loads(file.read_text(encoding="utf-8"))["fmus"][0]["fmu"] == str(path)
+    assert "error" not in capsys.readouterr().out.removeprefix(str(path))

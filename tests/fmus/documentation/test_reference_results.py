@@ -1,0 +1,179 @@
+"""Reference results: what the block computes, in files that other tools replay."""
+
+import csv
+import hashlib
+import io
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.util import read_csv
+
+from fmus import catalogue
+from fmus.block import Block
+from fmus.documentation.reference_files import LS_REF, RELATIVE_TOLERANCE, cross_check_files
+from fmus.documentation.reference_results import reference_run
+from fmus.errors import ExportError
+from fmus.guide import Experiment, Guide
+
+NAMES = catalogue.block_names()
+ROUNDING = 1e-10  # of an output's largest value: a thousand times what was ever seen
+MOST_BYTES = 1_000_000  # of a table, by the rules of the cross-check
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The files of the cross-check for every block."""
+    folder = tmp_path_factory.mktemp("cross check")
+    for name in NAMES:
+        catalogue.write_cross_check(name, folder)
+    return folder
+
+
+def options(folder: Path, name: str) -> dict[str, str]:
+    """What NAME_ref.opt says."""
+    lines = (folder / f"{name}_ref.opt").read_text("utf-8").splitlines()
+    return {key: value for key, _, value in (line.partition(", ") for line in lines)}
+
+
+def table(path: Path) -> Any:
+    """A table of the cross-check as FMPy wants its input and gives its result."""
+    return np.genfromtxt(path, delimiter=",", names=True, deletechars="", replace_space=" ")
+
+
+def replayed(folder: Path, name: str, fmu: Path) -> tuple[Any, Any]:
+    """(reference, what FMPy gets from the FMU with the files alone)."""
+    said, inputs = options(folder, name), folder / f"{name}_in.csv"
+    reference = table(folder / f"{name}_ref.csv")
+    result: Any = fmpy.simulate_fmu(
+        str(fmu),
+        start_time=float(said["StartTime"]),
+        stop_time=float(said["StopTime"]),
+        output_interval=float(said["StepSize"]),
+        input=read_csv(str(inputs)) if inputs.exists() else None,  # type: ignore[arg-type]
+        output=reference.dtype.names[1:],
+    )
+    every = round(float(said["OutputIntervalLength"]) / float(said["StepSize"]))
+    return reference, result[::every]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_importer_that_replays_the_files_gets_the_same(
+    folder: Path, either: dict[str, Path], name: str
+) -> None:
+    """Rounding alone differs: elementary functions and interpolation, 1e-16 each, which the loops amplify."""
+    reference, result = replayed(folder, name, either[name])
+    assert len(result) == len(reference) > 100
+    for output in reference.dtype.names:
+        scale = np.abs(reference[output]).max()
+        assert np.abs(result[output] - reference[output]).max() <= ROUNDING * scale, output
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_experiment_moves_what_it_can(name: str) -> None:
+    """Constant at start values are: what is held (omega_hat), switched off (u_p) or has no gain (u_m)."""
+    run = reference_run(catalogue.load_block(name))
+    columns = dict(zip(run.outputs, np.array(run.output_rows).T[1:], strict=True))
+    still = {output for output, values in columns.items() if np.ptp(values) == 0.0}
+    assert still <= {"omega_hat", "u_p", "theta_hat[2]", "sigma_hat", "u_m"}
+    assert len(columns) > 2 * len(still)
+
+
+def test_the_tables_keep_the_rules_of_the_cross_check(folder: Path) -> None:
+    for name in NAMES:
+        names = {v.name for v in catalogue.load_block(name).variables}
+        for path in folder.glob(f"{name}_*.csv"):
+            assert path.stat().st_size < MOST_BYTES
+            lines = path.read_text("utf-8").splitlines()
+            header = next(csv.reader(io.StringIO(lines[0])))
+            assert lines[0].startswith('"time",')
+            assert set(header[1:]) <= names
+            rows = [[float(cell) for cell in line.split(",")] for line in lines[1:]]
+            assert {len(row) for row in rows} == {len(header)}
+            times = [row[0] for row in rows]
+            assert times == sorted(set(times))
+            stop = float(options(folder, name)["StopTime"])
+            assert (times[0], times[-1]) == (0.0, stop)
+
+
+def test_the_options_are_those_that_the_cross_check_requires(folder: Path) -> None:
+    for name in NAMES:
+        said = options(folder, name)
+        assert list(said)[:4] == ["StartTime", "StopTime", "StepSize", "RelTol"]
+        assert float(said["RelTol"]) == RELATIVE_TOLERANCE > ROUNDING
+        steps = float(said["StopTime"]) / float(said["StepSize"])
+        assert steps == pytest.approx(round(steps), rel=1e-12)  # a product of the step size, rounded once
+
+
+def test_the_manifest_describes_every_file_of_the_layered_standard(either: dict[str, Path]) -> None:
+    for path in either.values():
+        with zipfile.ZipFile(path) as archive:
+            files = {m.removeprefix(f"extra/{LS_REF}/") for m in archive.namelist() if m.startswith("extra/")}
+            manifest = ElementTree.fromstring(archive.read(f"extra/{LS_REF}/fmi-ls-manifest.xml"))
+        related = {str(each.get("source")): str(each.get("role")) for each in manifest}
+        assert manifest.tag == "fmiReferences"
+        assert set(related) | {"fmi-ls-manifest.xml"} == files
+        assert sorted(related.values()) == sorted(["experiment", "result", "other"][: len(related)])
+        keys = {key.rpartition("}")[2]: value for key, value in manifest.attrib.items()}
+        assert keys["fmi-ls-name"] == LS_REF
+        assert {key.partition("}")[0] for key in manifest.attrib} == {
+            "{http://fmi-standard.org/fmi-ls-manifest"
+        }
+
+
+def test_the_experiment_inside_is_the_one_beside(built: dict[str, Path], folder: Path) -> None:
+    for name, path in built.items():
+        prefix = f"extra/{LS_REF}/{name}"
+        with zipfile.ZipFile(path) as archive:
+            (experiment,) = ElementTree.fromstring(archive.read(f"{prefix}.exp"))
+            tables = {each.get("source") for each in experiment if each.get("source")}
+            for file in tables:
+                assert archive.read(f"extra/{LS_REF}/{file}") == (folder / str(file)).read_bytes()
+        settings = experiment.find("TransientSimulation")
+        assert settings is not None
+        assert settings.get("stopTime") == options(folder, name)["StopTime"]
+        assert settings.get("stepSize") == options(folder, name)["StepSize"]
+
+
+def test_the_same_block_gives_the_same_files() -> None:
+    block = catalogue.load_block("RovDepthPlant")
+    digests = [
+        hashlib.sha256(b"".join(cross_check_files(reference_run(block), block.name).values())).digest()
+        for _ in range(2)
+    ]
+    assert digests[0] == digests[1]
+
+
+def of(**experiment: Any) -> Block:
+    guide = Guide(experiment=Experiment(**experiment))
+    return replace(catalogue.load_block("ExamplePlant"), guide=guide)
+
+
+@pytest.mark.parametrize(
+    ("stimuli", "expected"),
+    [
+        ((("contrl", ((0.0, 1.0),)),), "no Real input 'contrl'; nearest is 'control'"),
+        ((("control", ()),), "control: expected points at increasing times"),
+        ((("control", ((1.0, 0.0), (1.0, 1.0))),), "control: expected points at increasing times"),
+    ],
+)
+def test_a_stimulus_that_fits_nothing_is_refused(stimuli: Any, expected: str) -> None:
+    with pytest.raises(ExportError, match=expected):
+        reference_run(of(stimuli=stimuli))
+
+
+def test_a_stimulus_outside_the_experiment_is_cut_off() -> None:
+    run = reference_run(of(stop_time=1.0, stimuli=(("control", ((-1.0, 0.0), (3.0, 4.0))),)))
+    assert [(row[0], row[1]) for row in run.input_rows] == [(0.0, 1.0), (1.0, 2.0)]
+
+
+def test_without_an_experiment_the_block_runs_its_own_with_inputs_at_rest() -> None:
+    block = replace(catalogue.load_block("ExamplePlant"), guide=Guide(), stop_time=0.05)
+    run = reference_run(block)
+    assert (run.stop_time, run.step_size) == (0.05, block.step_size)
+    assert all(value == 0.0 for row in run.input_rows for value in row[1:])

@@ -1,0 +1,152 @@
+"""The model description is complete, legal and derived."""
+
+import zipfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import pytest
+from fmpy.validation import validate_fmu
+
+from fmus import catalogue
+from fmus.block import variable
+from fmus.catalogue import Flavour
+from fmus.errors import ExportError
+from fmus.export import native as native_flavour
+from fmus.export import python as python_flavour
+from fmus.export.model_description import model_description
+from fmus.platforms import PLATFORMS, host_platform, library_name
+from fmus.units import BASE_UNITS, base_units
+
+NAMES = catalogue.block_names()
+
+
+@pytest.fixture(params=NAMES)
+def fmu(request: pytest.FixtureRequest, either: dict[str, Path]) -> Path:
+    """Each FMU of each flavour."""
+    return either[request.param]
+
+
+def test_fmpy_finds_no_problem(fmu: Path) -> None:
+    assert validate_fmu(str(fmu)) == []
+
+
+def test_everything_is_explicit(fmu: Path) -> None:
+    description = fmpy.read_model_description(str(fmu))
+    units = {unit.name for unit in description.unitDefinitions}
+    for v in description.modelVariables:
+        assert v.causality
+        assert v.variability
+        assert v.description
+        assert len(v.name) <= 55, "Simulink truncates longer names"
+        assert v.type != "Real" or v.unit in units
+    assert all(unknown.dependencies == [] for unknown in description.outputs)
+    places = {id(v): i for i, v in enumerate(description.modelVariables)}
+    indices = [places[id(unknown.variable)] for unknown in description.initialUnknowns]
+    assert indices == sorted(indices)
+    assert all(unknown.dependencies is not None for unknown in description.initialUnknowns)
+
+
+def test_capabilities_and_enumerations(fmu: Path) -> None:
+    description = fmpy.read_model_description(str(fmu))
+    interface = description.coSimulation
+    assert interface is not None
+    assert not interface.needsExecutionTool
+    assert interface.canGetAndSetFMUstate
+    assert interface.canSerializeFMUstate
+    assert interface.canHandleVariableCommunicationStepSize
+    block = catalogue.load_block(fmu.stem)
+    declared = {d.name: [i.name for i in d.items or []] for d in description.typeDefinitions}
+    for v in block.variables:
+        if v.enumeration:
+            assert declared[v.enumeration.__name__] == [m.name.lower() for m in v.enumeration]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_both_flavours_have_the_same_variables(
+    built: dict[str, Path], python_built: dict[str, Path], name: str
+) -> None:
+    native, python = (fmpy.read_model_description(str(each[name])) for each in (built, python_built))
+    for one, other in zip(native.modelVariables, python.modelVariables, strict=True):
+        assert (one.name, one.valueReference, one.start) == (other.name, other.valueReference, other.start)
+    assert native.guid != python.guid
+
+
+@pytest.mark.parametrize("content", [native_flavour.content, python_flavour.content])
+def test_the_guid_follows_the_content(content: Any) -> None:
+    block = catalogue.load_block("ExamplePlant")
+    guid, _ = content(block)
+    assert content(block)[0] == guid
+    assert content(replace(block, description="another"))[0] != guid
+
+
+@pytest.mark.parametrize("flavour", list(Flavour))
+def test_builds_are_reproducible_byte_for_byte(
+    built: dict[str, Path], python_built: dict[str, Path], tmp_path: Path, flavour: Flavour
+) -> None:
+    for name, path in (built if flavour is Flavour.NATIVE else python_built).items():
+        assert catalogue.build(name, tmp_path, flavour).read_bytes() == path.read_bytes()
+
+
+def test_a_build_leaves_nothing_beside_the_fmu(tmp_path: Path) -> None:
+    catalogue.build("ExamplePlant", tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["ExamplePlant.fmu"]
+
+
+def test_a_stale_fmu_is_rebuilt_and_a_fresh_one_kept(tmp_path: Path) -> None:
+    path = tmp_path / "ExamplePlant.fmu"
+    path.write_bytes(b"stale")
+    catalogue.build_if_stale("ExamplePlant", tmp_path)
+    assert zipfile.is_zipfile(path)
+    before = path.stat().st_mtime_ns
+    catalogue.build_if_stale("ExamplePlant", tmp_path)
+    assert path.stat().st_mtime_ns == before
+
+
+def test_a_native_fmu_of_another_platform_only_is_rebuilt_for_this_one(tmp_path: Path) -> None:
+    other = next(each for each in PLATFORMS if each != host_platform())
+    path = catalogue.build("ExamplePlant", tmp_path, platforms=[other])
+    catalogue.build_if_stale("ExamplePlant", tmp_path)
+    assert library_name("ExamplePlant", host_platform()) in zipfile.ZipFile(path).namelist()
+
+
+def test_the_generation_date_is_utc_and_only_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    block = catalogue.load_block("ExamplePlant")
+    monkeypatch.delenv("SOURCE_DATE_EPOCH", raising=False)
+    assert b"generationDateAndTime" not in model_description(block, "", {})
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")
+    assert b'generationDateAndTime="1970-01-01T00:00:00Z"' in model_description(block, "", {})
+
+
+def test_an_unknown_unit_is_refused_with_the_nearest() -> None:
+    @dataclass(frozen=True)
+    class Outputs:
+        state: float = variable(0.0, "A state", unit="N/Volt")
+
+    block = replace(catalogue.load_block("ExamplePlant"), outputs=Outputs)
+    block = replace(block, output=lambda t, state, p, c: Outputs(state.x[0]))
+    with pytest.raises(ExportError, match="unknown unit 'N/Volt'; nearest is 'N/V'"):
+        model_description(block, "", {})
+
+
+def test_derived_units_have_the_exponents_of_their_definitions() -> None:
+    def product(*terms: tuple[str, int]) -> dict[str, int]:
+        total: dict[str, int] = {}
+        for unit, power in terms:
+            for base, exponent in BASE_UNITS[unit].items():
+                total[base] = total.get(base, 0) + power * exponent
+        return {base: exponent for base, exponent in total.items() if exponent}
+
+    assert base_units("N") == product(("kg", 1), ("m", 1), ("s", -2))
+    assert base_units("N/m") == product(("N", 1), ("m", -1))
+    assert base_units("N/(m.s)") == product(("N", 1), ("m", -1), ("s", -1))
+    assert base_units("N.s/m") == product(("N", 1), ("s", 1), ("m", -1))
+    assert base_units("N.s2/m2") == product(("N", 1), ("s", 2), ("m", -2))
+    assert base_units("N/V") == product(("N", 1), ("V", -1))
+
+
+def test_a_text_that_xml_cannot_hold_is_refused() -> None:
+    block = replace(catalogue.load_block("ExamplePlant"), description="a bell \a")
+    with pytest.raises(ExportError, match="ExamplePlant: expected texts that XML can hold"):
+        model_description(block, "", {})

@@ -1,0 +1,40 @@
+"""An FMU carries every source that it needs, and nothing that a bare Python lacks."""
+
+import ast
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from fmus import catalogue
+from fmus.errors import ExportError
+from fmus.export.sources import in_package, source_closure
+
+
+@pytest.mark.parametrize("name", catalogue.block_names())
+def test_the_closure_imports_the_standard_library_and_itself_only(name: str) -> None:
+    closure = source_closure(catalogue.load_block(name).step.__module__)
+    for source in closure.values():
+        for statement in ast.parse(source).body:
+            if isinstance(statement, ast.ImportFrom) and not statement.level:
+                module = statement.module or ""
+                assert module in closure or module.split(".")[0] in sys.stdlib_module_names
+
+
+def test_every_absolute_import_moves_into_the_package() -> None:
+    closure = source_closure("plant_fmu.depth_plant")
+    moved = in_package(closure, "unique")
+    assert "from unique.fmus.block import" in moved["unique/plant_fmu/depth_plant.py"]
+    assert "from unique.plant_fmu import depth_sensor" in moved["unique/plant_fmu/depth_plant.py"]
+    for source in moved.values():
+        assert "\nfrom fmus" not in source
+        assert "\nfrom plant_fmu" not in source
+        assert "\nfrom pythonfmu" not in source
+
+
+def test_a_block_that_imports_numpy_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "needs_numpy.py").write_text(textwrap.dedent("import numpy\n"))
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ExportError, match="needs_numpy imports numpy: expected the standard library"):
+        source_closure("needs_numpy")

@@ -1,0 +1,53 @@
+"""The compiler's own refusals, and which platform this is."""
+
+import platform
+import sys
+from pathlib import Path
+
+import pytest
+
+from fmus.errors import ExportError
+from fmus.export import toolchain
+from fmus.export.toolchain import zig
+from fmus.platforms import check_platforms, host_platform
+
+
+@pytest.mark.parametrize(
+    ("system", "machine", "name"),
+    [
+        ("linux", "x86_64", "linux64"),
+        ("linux", "aarch64", "aarch64-linux"),
+        ("darwin", "arm64", "aarch64-darwin"),
+        ("win32", "AMD64", "win64"),
+    ],
+)
+def test_the_host_is_named_as_fmi_does(
+    monkeypatch: pytest.MonkeyPatch, system: str, machine: str, name: str
+) -> None:
+    monkeypatch.setattr(sys, "platform", system)
+    monkeypatch.setattr(platform, "machine", lambda: machine)
+    assert host_platform() == name
+
+
+def test_an_unknown_host_is_told_the_way_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(platform, "machine", lambda: "riscv64")
+    with pytest.raises(ExportError, match=r"no native FMU for .* on riscv64: .*use the python flavour"):
+        host_platform()
+
+
+def test_platforms_are_taken_once_and_misspelt_ones_offer_the_nearest() -> None:
+    assert check_platforms(["win64", "linux64", "win64"]) == ("win64", "linux64")
+    with pytest.raises(ExportError, match="no platform 'darwin'; nearest is 'darwin64'"):
+        check_platforms(["darwin"])
+
+
+def test_what_the_compiler_says_is_passed_on(tmp_path: Path) -> None:
+    (tmp_path / "broken.c").write_text("int main(void) { return nothing; }")
+    with pytest.raises(ExportError, match=r"undeclared identifier 'nothing'"):
+        zig(["cc", "broken.c"], tmp_path)
+
+
+def test_a_compiler_that_does_not_end_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(toolchain, "_PATIENCE_S", 0.001)
+    with pytest.raises(ExportError, match=r"did not end within 0.001 s; .*ZIG_GLOBAL_CACHE_DIR"):
+        zig(["version"], tmp_path)

@@ -1,0 +1,135 @@
+"""Our master against other importers: the same package, the depth at the same communication points."""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import numpy as np
+from rich.table import Table
+
+from orchestration.exchange import ssp_write
+from orchestration.exchange.ssp_read import opened
+from orchestration.master import simulate
+from orchestration.results.recording import Recording
+from orchestration.scenarios import scenario
+from tests.importers.task import Task, Trajectory
+
+DISTRIBUTIONS = {
+    "fmpy_ssp": "fmpy",
+    "libcosim": "libcosimpy",
+    "ecos": "ecospy",
+    "fmucontainer": "fmu-manipulation-toolbox",
+}
+SCENARIOS = ("nominal-extended", "nominal-l1")
+WATCHED = "plant.depth"
+_LONGEST_S = 300.0
+_SHIFTS = (0, 1, -1, 2, -2)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How one importer ran one scenario.
+
+    shift: communication steps that its labels are early, found as that of the least difference
+    difference: largest difference of the watched output from our master's, labels shifted by that
+    problem: why there is none
+    """
+
+    importer: str
+    version: str
+    scenario: str
+    shift: int = 0
+    difference: float = float("nan")
+    problem: str = ""
+
+
+def outcomes(folder: Path) -> Iterator[Outcome]:
+    """Every importer on every scenario; packages are written to `folder`."""
+    for name in SCENARIOS:
+        chosen = scenario.load(scenario.find(name))
+        package = ssp_write.package(chosen, folder / f"{name}.ssp")
+        with opened(package) as loop:
+            ours = simulate(loop.system, loop.experiment)
+        experiment = chosen.experiment
+        times = experiment.start_time, experiment.stop_time, experiment.step_size
+        for importer in DISTRIBUTIONS:
+            yield outcome(importer, Task(package, name, WATCHED, *times), ours)
+
+
+def outcome(importer: str, task: Task, ours: Recording) -> Outcome:
+    """One importer on one package."""
+    blank = Outcome(importer, "", task.parameter_set)
+    try:
+        blank = replace(blank, version=version(DISTRIBUTIONS[importer]))
+    except PackageNotFoundError:
+        return replace(blank, problem="not installed")
+    answer = run_apart(importer, task)
+    if isinstance(answer, str):
+        return replace(blank, problem=answer)
+    points = (task.stop_time - task.start_time) / task.step_size
+    if len(answer.time) < round(points) or not np.all(np.isfinite(answer.values)):
+        return replace(blank, problem=f"gave {len(answer.time)} of {round(points) + 1} points, or no numbers")
+    shift, difference = least_difference(answer, ours, task)
+    return replace(blank, shift=shift, difference=difference)
+
+
+def run_apart(importer: str, task: Task) -> Trajectory | str:
+    """What the importer answers in a process of its own, or how that process failed."""
+    with tempfile.TemporaryDirectory() as folder:
+        asked, result = Path(folder) / "task.json", Path(folder) / "result.npz"
+        asked.write_text(json.dumps({**asdict(task), "package": str(task.package.resolve())}))
+        command = [sys.executable, "-m", f"{__package__}", importer, str(asked), str(result)]
+        try:
+            done = subprocess.run(
+                command, capture_output=True, text=True, errors="replace", timeout=_LONGEST_S, check=False,
+                env={**os.environ, "TMPDIR": folder},  # some leave what they extract behind
+            )  # fmt: skip
+        except subprocess.TimeoutExpired:
+            return f"not done in {_LONGEST_S:g} s"
+        if done.returncode or not result.is_file():
+            said = (done.stderr.strip() or done.stdout.strip() or "it said nothing").splitlines()[-1]
+            return f"ended with status {done.returncode}: {said}"
+        with np.load(result) as arrays:
+            return Trajectory(arrays["time"], arrays["values"])
+
+
+def least_difference(answer: Trajectory, ours: Recording, task: Task) -> tuple[int, float]:
+    """(shift, difference) as `Outcome` has them."""
+    points = np.rint((answer.time - task.start_time) / task.step_size).astype(int)
+    found = {shift: _difference(answer.values, points + shift, ours[task.watched]) for shift in _SHIFTS}
+    shift = min(found, key=lambda each: found[each])
+    return shift, found[shift]
+
+
+def _difference(values: np.ndarray, points: np.ndarray, ours: np.ndarray) -> float:
+    there = (points >= 0) & (points < len(ours))
+    return float(np.max(np.abs(values[there] - ours[points[there]])))
+
+
+_HEADINGS = ("Importer", "Version", "Scenario", "Largest difference of depth", "Labels early by")
+
+
+def _cells(of: Outcome) -> tuple[str, ...]:
+    difference = of.problem or f"{of.difference:.1e} m"
+    shift = "" if of.problem else f"{of.shift} steps" if of.shift != 1 else "1 step"
+    return of.importer, of.version, of.scenario, difference, shift
+
+
+def table(found: list[Outcome]) -> Table:
+    shown = Table(title="Our master against other importers")
+    for heading in _HEADINGS:
+        shown.add_column(heading, overflow="fold")
+    for each in found:
+        shown.add_row(*_cells(each))
+    return shown
+
+
+def markdown(found: list[Outcome]) -> str:
+    rows = [_HEADINGS, ("---",) * len(_HEADINGS), *(_cells(each) for each in found)]
+    return "".join(f"| {' | '.join(row)} |\n" for row in rows)

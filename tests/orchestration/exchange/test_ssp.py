@@ -1,0 +1,243 @@
+"""SSP packages: what is in them, and that a package is its scenario."""
+
+import io
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from xml.etree import ElementTree
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.ssp.ssd import read_ssd, read_ssv
+from fmpy.validation import validate_fmu
+
+from orchestration.errors import ScenarioError, SystemDefinitionError
+from orchestration.exchange import ssp_read, ssp_write
+from orchestration.exchange.ssp_xml import STRUCTURE, tag
+from orchestration.master import simulate
+from orchestration.results.recording_files import read
+from orchestration.scenarios import scenario
+
+VEHICLE = [name for name in scenario.shipped() if not name.startswith("example")]
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    chosen = scenario.load(scenario.find("nominal-extended"))
+    return ssp_write.package(chosen, tmp_path_factory.mktemp("ssp") / "loop.ssp")
+
+
+@pytest.fixture
+def edited(package: Path, tmp_path: Path) -> Callable[[str, str, str], Path]:
+    """The package with one text of one of its files replaced."""
+
+    def edit(member: str, old: str, new: str) -> Path:
+        path = tmp_path / "edited.ssp"
+        with zipfile.ZipFile(package) as source, zipfile.ZipFile(path, "w") as target:
+            for name in source.namelist():
+                content = source.read(name)
+                if name == member:
+                    assert old in content.decode()
+                    content = content.decode().replace(old, new, 1).encode()
+                target.writestr(name, content)
+        return path
+
+    return edit
+
+
+def test_it_holds_a_structure_and_a_parameter_set_for_each_scenario_of_the_system(package: Path) -> None:
+    with zipfile.ZipFile(package) as archive:
+        names = set(archive.namelist())
+    fmus = {f"resources/{name}.fmu" for name in ("DepthReference", "L1DepthController", "RovDepthPlant")}
+    expected = {f"{name}.ssd" for name in VEHICLE} | {f"parameters/{name}.ssv" for name in VEHICLE}
+    assert names == expected | fmus | {STRUCTURE}
+
+
+@pytest.mark.parametrize("name", VEHICLE)
+def test_every_file_follows_the_schemas_of_ssp(package: Path, tmp_path: Path, name: str) -> None:
+    """Those that FMPy ships, by which it validates what it reads."""
+    assert read_ssd(str(package)).name == "nominal-extended"
+    assert read_ssv(str(package), f"parameters/{name}.ssv").name == name
+    with zipfile.ZipFile(package) as source, zipfile.ZipFile(tmp_path / "variant.ssp", "w") as variant:
+        variant.writestr(STRUCTURE, source.read(f"{name}.ssd"))
+    assert read_ssd(str(tmp_path / "variant.ssp")).name == name
+
+
+def test_packing_twice_gives_the_same_file_and_packing_a_package_its_loop(
+    package: Path, tmp_path: Path
+) -> None:
+    again = ssp_write.package(scenario.load(scenario.find("nominal-extended")), tmp_path / "again.ssp")
+    assert again.read_bytes() == package.read_bytes()
+    with ssp_read.opened(package) as loop:
+        repacked = ssp_write.package(loop, tmp_path / "repacked.ssp")
+        with ssp_read.opened(repacked) as second:
+            assert second.system.connections == loop.system.connections
+            assert second.experiment.parameters == loop.experiment.parameters
+            assert second.experiment.inputs == loop.experiment.inputs
+
+
+def test_importers_that_read_prefixes_find_them_declared_on_the_root(package: Path) -> None:
+    with zipfile.ZipFile(package) as archive:
+        text = archive.read(STRUCTURE).decode()
+    root, _, rest = text.partition("<ssd:System ")
+    assert all(f"xmlns:{prefix}=" in root for prefix in ("ssd", "ssc", "ssv", "osp"))
+    assert "xmlns" not in rest
+
+
+def test_the_system_has_no_connector_of_its_own(package: Path) -> None:
+    with zipfile.ZipFile(package) as archive:
+        system = ElementTree.fromstring(archive.read(STRUCTURE)).find(tag("ssd:System"))
+    assert system is not None
+    assert system.find(tag("ssd:Connectors")) is None
+    assert all(c.get("startElement") and c.get("endElement") for c in system.iter(tag("ssd:Connection")))
+
+
+@pytest.mark.parametrize("name", ["", "nominal-l1", "buoyancy-extended", "nominal-extended-ideal"])
+def test_a_package_runs_as_its_scenario_bit_by_bit(package: Path, name: str) -> None:
+    chosen = scenario.load(scenario.find(name or "nominal-extended"))
+    with ssp_read.opened(package, name) as loop:
+        recording = simulate(loop.system, loop.experiment)
+    own = simulate(chosen.system, chosen.experiment)
+    np.testing.assert_array_equal(recording.time, own.time)
+    for signal in chosen.experiment.record:
+        given = signal.replace("controller.depth_reference", "depth_reference.depth_reference")
+        np.testing.assert_array_equal(recording[given], own[signal], err_msg=signal)
+
+
+def test_a_variant_has_the_values_of_its_parameter_set(package: Path) -> None:
+    with zipfile.ZipFile(package) as archive:
+        root = ElementTree.fromstring(archive.read("buoyancy-l1.ssd"))
+    bound = {}
+    for component in root.iter(tag("ssd:Component")):
+        for parameter in component.iter(tag("ssv:Parameter")):
+            bound[f"{component.get('name')}.{parameter.get('name')}"] = parameter[0].get("value")
+    assert bound == {p.name: p.value for p in read_ssv(str(package), "parameters/buoyancy-l1.ssv").parameters}
+
+
+def test_its_fmus_say_integer_for_enumeration_and_are_otherwise_the_same(
+    package: Path, built: dict[str, Path], tmp_path: Path
+) -> None:
+    with zipfile.ZipFile(package) as archive:
+        content = archive.read("resources/L1DepthController.fmu")
+    (tmp_path / "plain.fmu").write_bytes(content)
+    assert validate_fmu(str(tmp_path / "plain.fmu")) == []
+    with zipfile.ZipFile(io.BytesIO(content)) as plain, zipfile.ZipFile(built["L1DepthController"]) as own:
+        assert plain.namelist() == own.namelist()
+        same = [name for name in own.namelist() if name != "modelDescription.xml"]
+        assert all(plain.read(name) == own.read(name) for name in same)
+    described, original = (
+        {v.name: v for v in fmpy.read_model_description(str(path)).modelVariables}
+        for path in (tmp_path / "plain.fmu", built["L1DepthController"])
+    )
+    kinds = {(original[name].type, described[name].type) for name in original}
+    assert kinds == {("Real", "Real"), ("Enumeration", "Integer")}
+    choice = described["augmentation"]
+    assert (choice.min, choice.max, choice.start) == ("1", "3", "1")
+    assert "1 none, 2 pi, 3 nonlinear_p" in (choice.description or "")
+
+
+def test_a_scenario_with_events_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text('base = "nominal-l1"\n[[events]]\ntime = 1.0\nset = {"plant.roll" = 0.1}\n')
+    with pytest.raises(ScenarioError, match="mine with events: expected none"):
+        ssp_write.package(scenario.load(path), tmp_path / "mine.ssp")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("<ssd:Elements>", "<ssd:Connectors/><ssd:Elements>", "connectors of the system itself"),
+        ("<ssd:Elements>", '<ssd:Elements><ssd:System name="inner"/>', "a system inside the system"),
+        ('source="resources/', 'source="/etc/resources/', "expected a file in the package"),
+        ('source="resources/', 'source="file:resources/', "expected a file in the package"),
+        ("application/x-fmu-sharedlibrary", "application/x-ssp-package", "type 'application/x-ssp-package'"),
+        ('stopTime="310.0"', 'stopTime="soon"', "expected numbers of seconds"),
+        ('source="resources/', 'source="../resources/', "expected a file in the package"),
+        ("</ssd:ParameterValues>", "</ssd:ParameterValues><ssd:ParameterMapping/>", "a parameter mapping"),
+        ('stopTime="310.0"', "", "expected a default experiment with a stop time"),
+        ("</ssd:System>", "", "expected XML"),
+    ],
+)
+def test_what_is_not_understood_is_refused(
+    edited: Callable[[str, str, str], Path], old: str, new: str, message: str
+) -> None:
+    with (
+        pytest.raises(ScenarioError, match=message),
+        ssp_read.opened(edited(STRUCTURE, old, new)),
+    ):
+        pass
+
+
+def test_a_misspelt_parameter_is_answered_with_the_nearest(edited: Callable[[str, str, str], Path]) -> None:
+    path = edited(STRUCTURE, 'name="proportional_gain"', 'name="proportional_gian"')
+    with (
+        ssp_read.opened(path) as loop,
+        pytest.raises(SystemDefinitionError, match=r"nearest is 'controller\.proportional_gain'"),
+    ):
+        simulate(loop.system, loop.experiment)
+
+
+def test_an_unknown_parameter_set_is_answered_with_the_nearest(package: Path) -> None:
+    with (
+        pytest.raises(ScenarioError, match="nearest is 'nominal-extended'"),
+        ssp_read.opened(package, "nominal-extendet"),
+    ):
+        pass
+
+
+def test_what_is_no_package_is_said(package: Path, tmp_path: Path) -> None:
+    (tmp_path / "text.ssp").write_text("no zip")
+    with (
+        pytest.raises(ScenarioError, match="expected an SSP package, a zip"),
+        ssp_read.opened(tmp_path / "text.ssp"),
+    ):
+        pass
+    with (
+        pytest.raises(ScenarioError, match=r"nearest is 'loop\.ssp'"),
+        ssp_read.opened(package.parent / "lop.ssp"),
+    ):
+        pass
+
+
+def test_a_step_size_that_is_not_stated_is_the_smallest_that_an_fmu_suggests(
+    edited: Callable[[str, str, str], Path],
+) -> None:
+    path = edited(STRUCTURE, "osp:FixedStepAlgorithm", "osp:AnotherAlgorithm")
+    with ssp_read.opened(path) as loop:
+        assert loop.experiment.step_size == 0.02
+
+
+def test_values_of_the_system_go_over_those_of_its_components(
+    edited: Callable[[str, str, str], Path],
+) -> None:
+    source = '<ssd:ParameterBinding source="parameters/nominal-l1.ssv"/>'
+    bindings = f"<ssd:ParameterBindings>{source}</ssd:ParameterBindings>"
+    with ssp_read.opened(edited(STRUCTURE, "<ssd:Elements>", f"{bindings}<ssd:Elements>")) as loop:
+        assert loop.experiment.parameters["controller.augmentation"] == 1
+
+
+def test_an_input_that_nothing_drives_keeps_the_start_value_of_its_fmu(
+    edited: Callable[[str, str, str], Path],
+) -> None:
+    path = edited(STRUCTURE, '"thruster_efficiency[1]"', '"thruster_efficiency[2]"')
+    with ssp_read.opened(path) as loop:
+        assert loop.experiment.inputs["plant.thruster_efficiency[1]"] == 1.0
+
+
+def test_the_command_writes_a_package_and_runs_another_of_its_parameter_sets(tmp_path: Path) -> None:
+    def l1_depth(*arguments: str) -> str:
+        command = [sys.executable, "-c", "from orchestration.cli import main; main()", *arguments]
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+
+    assert l1_depth("package", "nominal-extended", "--out", "loop.ssp") == "loop.ssp\n"
+    assert "buoyancy-l1.csv" in l1_depth(
+        "run", "loop.ssp", "--parameters", "buoyancy-l1", "--out", "from package"
+    )
+    l1_depth("run", "buoyancy-l1", "--out", "from scenario")
+    packaged, own = (
+        read(tmp_path / place / "buoyancy-l1.csv") for place in ("from package", "from scenario")
+    )
+    np.testing.assert_array_equal(packaged["plant.depth"], own["plant.depth"])

@@ -1,0 +1,187 @@
+"""The compiled loop is the one in Python, to the last bit, whatever the wiring."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fmus.errors import ExportError
+from orchestration.errors import SimulationError
+from orchestration.master import Simulator, compiled_loop
+from orchestration.system.experiment import Algorithm, Experiment
+from orchestration.system.faults import fault
+from orchestration.system.signals import Cosine
+from orchestration.system.system import System
+from tests.foreign_fmus import Misdeed
+from tests.orchestration.linear_systems import coupled
+
+Build = Callable[..., Path]
+
+FAULTS = [
+    {"kind": "freeze", "start": 0.2, "end": 0.4},
+    {"kind": "delay", "delay": 0.07},
+    {"kind": "noise", "standard_deviation": 0.1, "seed": 3},
+    {"kind": "drop-out", "probability": 0.3, "seed": 4, "start": 0.1},
+]
+
+
+def both(system: System, experiment: Experiment) -> list[Any]:
+    """What each loop makes of it: recordings, or what they left of one that failed."""
+    found = []
+    for is_compiled in (True, False):
+        with Simulator(system, compiled=is_compiled) as simulator:
+            try:
+                found.append(simulator.run(experiment))
+            except SimulationError as error:
+                found.append(error)
+    return found
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    algorithm=st.sampled_from(Algorithm),
+    extrapolation=st.sampled_from([0, 1]),
+    interpolates=st.booleans(),
+    order=st.permutations(["one", "two", "three"]),
+    periods=st.tuples(*[st.integers(1, 4)] * 3),
+    faulty=st.lists(
+        st.tuples(st.sampled_from(["one.u[1]", "two.u[1]", "three.u[1]"]), st.sampled_from(FAULTS))
+    ),
+    step=st.sampled_from([0.05, 0.07]),
+)
+def test_both_loops_agree(
+    linear: Build,
+    algorithm: Algorithm,
+    extrapolation: int,
+    interpolates: bool,
+    order: list[str],
+    periods: tuple[int, int, int],
+    faulty: list[tuple[str, dict]],
+    step: float,
+) -> None:
+    fmu = linear(a=-2.0, d=((0.1,),), passes_discrete=True, interpolates_inputs=interpolates)
+    system = System(
+        dict.fromkeys(order, fmu),
+        (
+            ("one.y[1]", "two.u[1]"),
+            ("two.y[1]", "three.u[1]"),
+            ("one.integer_out", "two.integer_in"),
+            ("two.boolean_out", "one.boolean_in"),
+        ),
+    )
+    experiment = Experiment(
+        1.0,
+        step,
+        algorithm=algorithm,
+        inputs={
+            "one.integer_in": 7,
+            "three.integer_in": -3,
+            "two.boolean_in": True,
+            "three.boolean_in": False,
+        },
+        signals={"one.u[1]": Cosine(1.0, 6.0)},
+        extrapolation=extrapolation,
+        step_sizes={name: n * step for name, n in zip(("one", "two", "three"), periods, strict=True)},
+        faults=tuple(fault({"input": name, **declared}, "here") for name, declared in faulty),
+    )
+    fast, slow = both(system, experiment)
+    assert fast.names == slow.names
+    assert np.array_equal(fast.values, slow.values)
+    assert fast["two.integer_out"][-1] == 7.0
+    assert len(np.unique(fast["three.y[1]"])) > 2
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    algorithm=st.sampled_from(Algorithm),
+    extrapolation=st.sampled_from([0, 1]),
+    interpolates=st.booleans(),
+    periods=st.tuples(st.integers(1, 4), st.integers(1, 4)),
+)
+def test_a_fault_that_changes_nothing_changes_nothing(
+    linear: Build, algorithm: Algorithm, extrapolation: int, interpolates: bool, periods: tuple[int, int]
+) -> None:
+    harmless = tuple(
+        fault({"input": name, "kind": "offset", "value": 0.0}, "here") for name in ("one.u[1]", "two.u[1]")
+    )
+    sizes = {"one": 0.05 * periods[0], "two": 0.05 * periods[1]}
+    experiment = Experiment(1.0, 0.05, algorithm=algorithm, extrapolation=extrapolation, step_sizes=sizes)
+    with Simulator(coupled(linear, interpolates_inputs=interpolates)) as simulator:
+        healthy = simulator.run(experiment)
+        assert np.array_equal(simulator.run(replace(experiment, faults=harmless)).values, healthy.values)
+
+
+@pytest.mark.parametrize(
+    "misdeed", [Misdeed.ERROR, Misdeed.DISCARD, Misdeed.NAN_OUTPUT, Misdeed.REFUSE_INPUT]
+)
+def test_both_loops_fail_alike(rogue: Build, linear: Build, misdeed: Misdeed) -> None:
+    system = System({"bad": rogue(), "good": linear()}, (("bad.y", "good.u[1]"), ("good.y[1]", "bad.u")))
+    parameters = {"bad.misdeed": int(misdeed), "bad.misdeed_time": 0.5}
+    fast, slow = both(system, Experiment(1.0, 0.1, parameters=parameters))
+    assert str(fast) == str(slow)
+    assert np.array_equal(fast.recording.values, slow.recording.values, equal_nan=True)
+    assert 5 <= len(fast.recording.time) <= 7
+
+
+@pytest.fixture
+def fresh_library() -> Iterator[None]:
+    """As if this process had not yet loaded the loop."""
+    compiled_loop._library.cache_clear()
+    yield
+    compiled_loop._library.cache_clear()
+
+
+def test_the_compiled_loop_is_kept(
+    tmp_path: Path, fresh_library: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One file in the user's cache, taken the second time."""
+    monkeypatch.setattr(compiled_loop, "user_cache_path", lambda name: tmp_path / name)
+    compiled_loop._library()
+    (kept,) = (tmp_path / "l1-depth").iterdir()
+    before = kept.stat().st_mtime_ns
+    compiled_loop._library.cache_clear()
+    compiled_loop._library()
+    assert kept.stat().st_mtime_ns == before
+
+
+def test_where_nothing_can_be_kept_the_loop_is_compiled_for_the_process(
+    linear: Build, tmp_path: Path, fresh_library: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file stands where the folder of the cache would be."""
+    (tmp_path / "l1-depth").touch()
+    monkeypatch.setattr(compiled_loop, "user_cache_path", lambda name: tmp_path / name)
+    system, experiment = System({"one": linear()}), Experiment(1.0, 0.1, inputs={"one.u[1]": 0.0})
+    fast, slow = both(system, experiment)
+    assert np.array_equal(fast.values, slow.values)
+    assert [each.name for each in tmp_path.iterdir()] == ["l1-depth"]
+
+
+def test_a_damaged_file_in_the_cache_is_not_used(
+    tmp_path: Path, fresh_library: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compiled_loop, "user_cache_path", lambda name: tmp_path / name)
+    compiled_loop._library()
+    (kept,) = (tmp_path / "l1-depth").iterdir()
+    kept.unlink()  # this process has it mapped
+    kept.write_bytes(b"no library")
+    compiled_loop._library.cache_clear()
+    compiled_loop._library()
+
+
+def test_without_a_compiler_the_loop_runs_in_python_and_says_so(
+    linear: Build, tmp_path: Path, fresh_library: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_compiler(*arguments: object) -> bytes:
+        raise ExportError("zig cc failed")
+
+    system, experiment = System({"one": linear()}), Experiment(1.0, 0.1, inputs={"one.u[1]": 0.0})
+    monkeypatch.setattr(compiled_loop, "user_cache_path", lambda name: tmp_path / name)
+    monkeypatch.setattr(compiled_loop, "compile_library", no_compiler)
+    with pytest.warns(UserWarning, match="the communication loop runs in Python, .*: zig cc failed"):
+        fast, slow = both(system, experiment)
+    assert np.array_equal(fast.values, slow.values)

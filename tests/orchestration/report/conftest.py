@@ -1,0 +1,58 @@
+"""The browser that opens pages."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from selenium import webdriver
+from selenium.webdriver.chrome.service import Service
+
+from orchestration import report as page
+
+from .opened import OpenedPage
+
+_FLAGS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-dev-shm-usage",
+    "--window-size=1280,1000",
+)
+
+
+@pytest.fixture(scope="session")
+def browser(
+    tool: Callable[[str], str], tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[webdriver.Chrome]:
+    """Debian's Chromium, steered by its own driver."""
+    options = webdriver.ChromeOptions()
+    options.binary_location = tool("chromium")
+    for flag in (*_FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('browser')}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    with webdriver.Chrome(options, Service(tool("chromedriver"))) as driver:
+        yield driver
+
+
+@pytest.fixture
+def opened(browser: webdriver.Chrome, tmp_path: Path) -> Iterator[Callable[..., OpenedPage]]:
+    """Opens the page of some results; afterwards nothing must have gone wrong and nothing been fetched."""
+    pages: list[OpenedPage] = []
+
+    def open_page(*results: Path, title: str = "") -> OpenedPage:
+        file = tmp_path / "report.html"
+        file.write_text(page.render(page.found_results(results), title), encoding="utf-8")
+        pages.append(OpenedPage(browser, file))
+        return pages[-1]
+
+    yield open_page
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": []})
+    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    for each in pages:
+        assert each.complaints() == []
+        assert each.fetched() == []

@@ -1,0 +1,85 @@
+"""Result files as `l1-depth run` and `l1-depth sweep` write them, of runs that nobody had to wait for."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orchestration.results.recording import Recording, write_json
+from orchestration.scenarios import scenario
+from orchestration.sweep import table
+from orchestration.sweep.plan import plan
+
+SIGNALS = {"plant.depth": "m", "plant.reference": "m", "plant.force": "N", "plant.ratio": ""}
+SCENARIO: dict[str, Any] = {
+    "title": "A made-up dive",
+    "components": {"plant": "Vehicle"},
+    "parameters": {"plant.mass": 5.5},
+    "experiment": {"stop_time": 10.0, "step_size": 0.1},
+    "metrics": {
+        "rmse_cm": {
+            "function": "rmse",
+            "signal": "plant.depth",
+            "reference": "plant.reference",
+            "scale": 100.0,
+        },
+        "settling_time_s": {"function": "settling_time", "signal": "plant.depth"},
+    },
+}
+PROVENANCE = {
+    "fmus": {"plant": {"guid": "1f2e-3d4c", "model": "Vehicle", "tool": "made up"}},
+    "algorithm": "jacobi",
+    "communication_step_size_s": 0.1,
+}
+
+
+def recording(points: int = 101, step: float = 0.1, phase: float = 0.0, signals: int = 4) -> Recording:
+    """Cosines, the first four named and with units as above."""
+    names = [*SIGNALS, *(f"plant.extra[{i}]" for i in range(1, signals - 3))][:signals]
+    time = np.arange(points) * step
+    values = [(i + 1) * np.cos(0.5 * time + 0.3 * i + phase * (i != 1)) for i in range(len(names))]
+    units = tuple(SIGNALS.get(name, "N") for name in names)
+    return Recording(tuple(names), units, time, np.column_stack(values), PROVENANCE)
+
+
+def write_run(
+    folder: Path,
+    name: str,
+    run: Recording | None = None,
+    measured: dict[str, float] | None = None,
+    ending: str = "csv",
+    **scenario_keys: Any,
+) -> Path:
+    """NAME.csv or .parquet and NAME.json, whose path is returned."""
+    run = run or recording()
+    run.write(folder / f"{name}.{ending}")
+    document = {
+        "recording": f"{name}.{ending}",
+        "scenario": {**SCENARIO, **scenario_keys},
+        "run": run.provenance,
+        "metrics": {"rmse_cm": 4.35, "settling_time_s": 43.7} if measured is None else measured,
+    }
+    write_json(document, folder / f"{name}.json")
+    return folder / f"{name}.json"
+
+
+FAILED = {7: "plant at t = 3 s: fmi2DoStep returned discard", 11: "no step finished for 10 s"}
+
+
+def write_sweep(folder: Path, samples: int = 100) -> Path:
+    """The table of the shipped Monte Carlo: its own samples, with metrics that nobody has simulated."""
+    wanted = plan(scenario.load(scenario.find("monte-carlo"), {"sweep": {"samples": samples}}))
+    columns = table.with_provenance(table.schema(wanted), table.provenance(wanted, None))
+    rows = []
+    for sample in range(samples):
+        values = wanted.values(sample)
+        mass, lift = values["plant.inertia"], values["plant.buoyancy_change"]
+        metrics = {name: i + mass for i, name in enumerate(wanted.scenario.metrics)}
+        metrics["rmse_cm"] = -mass
+        metrics["holding_thrust_n"] = 1.2 + lift + 0.1 * math.sin(sample)
+        error = FAILED.get(sample)
+        rows.append({"sample": sample, **values, **({} if error else metrics), "error": error})
+    path = folder / "monte-carlo.sweep.parquet"
+    table.write(rows, columns, path)
+    return path

@@ -1,0 +1,139 @@
+"""From paths to results: what is found, what is refused, what they are called."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from orchestration.errors import OrchestrationError
+from orchestration.report import Run, Sweep, found_results, render
+from orchestration.results.recording import Recording
+
+from .made_up import PROVENANCE, SCENARIO, recording, write_run, write_sweep
+
+
+def names(*paths: Path) -> list[str]:
+    return [each.name for each in found_results(paths)]
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet"])
+def test_a_run_is_found_by_either_of_its_files_and_once(ending: str, tmp_path: Path) -> None:
+    document = write_run(tmp_path, "dive", ending=ending)
+    data = document.with_suffix(f".{ending}")
+    (run,) = found_results([document, data, tmp_path, document])
+    assert isinstance(run, Run)
+    assert (run.name, run.title, run.scenario, run.provenance) == (
+        "dive",
+        "A made-up dive",
+        SCENARIO,
+        PROVENANCE,
+    )
+    np.testing.assert_array_equal(run.recording.values, recording().values)
+
+
+def test_a_recording_that_the_document_does_not_name_stands_alone(tmp_path: Path) -> None:
+    """What an earlier run in the other format has left must not be shown with this run's scenario."""
+    write_run(tmp_path, "dive", ending="parquet")
+    recording().write(tmp_path / "dive.csv")
+    (run,) = found_results([tmp_path / "dive.csv"])
+    assert isinstance(run, Run)
+    assert (run.scenario, run.metrics) == ({}, {})
+    assert names(tmp_path) == ["dive.csv", "dive.json"]
+
+
+def test_a_folder_gives_its_runs_sweeps_and_recordings_and_nothing_else(tmp_path: Path) -> None:
+    write_run(tmp_path, "dive")
+    write_sweep(tmp_path, 3)
+    recording().write(tmp_path / "failed.partial.csv")
+    (tmp_path / "summary.json").write_text("{}")
+    (tmp_path / "figure_3.png").touch()
+    (tmp_path / "prices.csv").write_text("what,price\nthruster,100\n")
+    pq.write_table(pa.table({"x": [1.0]}), tmp_path / "other.parquet")
+    assert names(tmp_path) == ["dive", "failed.partial", "monte-carlo.sweep"]
+    assert [type(each) for each in found_results([tmp_path])] == [Run, Run, Sweep]
+
+
+def test_equal_names_are_told_apart_by_their_folders(tmp_path: Path) -> None:
+    for folder in ("before/x", "after/x", "other"):
+        (tmp_path / folder).mkdir(parents=True)
+        write_run(tmp_path / folder, "dive")
+    paths = [tmp_path / folder / "dive.json" for folder in ("before/x", "after/x", "other")]
+    assert names(*paths) == ["before/x/dive", "after/x/dive", "other/dive"]
+
+
+def test_a_missing_file_offers_the_nearest(tmp_path: Path) -> None:
+    write_run(tmp_path, "nominal")
+    (tmp_path / "nominal.png").touch()
+    with pytest.raises(OrchestrationError, match=r"nearest is 'nominal\.json'"):
+        found_results([tmp_path / "nominl.json"])
+    with pytest.raises(OrchestrationError, match="there are none"):
+        found_results([tmp_path / "no" / "folder.json"])
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "complaint"),
+    [
+        ("x.png", b"", "expected a result: a .json, .csv or .parquet file"),
+        ("x.json", b"", "expected the .json that l1-depth run writes"),
+        ("x.json", b"{}", "expected the .json that l1-depth run writes"),
+        ("x.json", b"[1]", "expected the .json that l1-depth run writes"),
+        ("x.json", b"\xff", "expected the .json that l1-depth run writes"),
+        ("x.csv", b"", "as first column, got []"),
+        ("x.csv", b"a,b\n", "as first column, got ['a']"),
+        ("x.csv", b"time [s],a.x\n", "expected at least one communication point"),
+        ("x.csv", b"time [s],a.x\n0.0,1.0\n0.0,1.0\n", "expected times that increase"),
+        ("x.csv", b"time [s],a.x\nnan,1.0\n", "expected finite times"),
+        ("x.parquet", b"", "expected a Parquet file"),
+    ],
+)
+def test_what_is_no_result_is_refused(name: str, content: bytes, complaint: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(OrchestrationError) as refusal:
+        found_results([tmp_path / name])
+    assert complaint in str(refusal.value)
+    assert name in str(refusal.value)
+
+
+@pytest.mark.parametrize("key", ["scenario", "run", "metrics"])
+def test_a_document_with_something_else_in_a_table_is_refused(key: str, tmp_path: Path) -> None:
+    document = write_run(tmp_path, "dive")
+    content = json.loads(document.read_text()) | {key: ["no table"]}
+    document.write_text(json.dumps(content))
+    with pytest.raises(OrchestrationError, match=f"{key}: expected a table"):
+        found_results([document])
+
+
+def test_a_document_whose_recording_is_gone_is_refused(tmp_path: Path) -> None:
+    document = write_run(tmp_path, "dive")
+    (tmp_path / "dive.csv").unlink()
+    with pytest.raises(OrchestrationError, match=r"no file .*dive\.csv"):
+        found_results([document])
+
+
+def test_an_empty_folder_and_an_empty_sweep_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(OrchestrationError, match="no result in this folder"):
+        found_results([tmp_path / "empty"])
+    path = write_sweep(tmp_path, 1)
+    pq.write_table(pq.read_table(path).slice(0, 0), path)
+    with pytest.raises(OrchestrationError, match="expected at least one sample"):
+        found_results([path])
+
+
+def test_equal_results_give_equal_pages(tmp_path: Path) -> None:
+    write_run(tmp_path, "dive")
+    write_sweep(tmp_path, 20)
+    assert render(found_results([tmp_path])) == render(found_results([tmp_path]))
+
+
+def test_a_page_names_what_is_on_it(tmp_path: Path) -> None:
+    run = write_run(tmp_path, "dive")
+    sweep = write_sweep(tmp_path, 20)
+    bare = Recording(("a.x",), ("m",), np.arange(2.0), np.ones((2, 1)))
+    assert "<title>A made-up dive</title>" in render(found_results([run]))
+    assert "<title>1 run and 1 sweep</title>" in render(found_results([run, sweep]))
+    assert "<title>2 runs</title>" in render([Run("a", bare), Run("b", bare)])
+    assert "<title>For the customer</title>" in render(found_results([run]), "For the customer")

@@ -1,0 +1,113 @@
+"""Parts of a page that need no browser: TOML, embedded numbers, differences, statistics."""
+
+import base64
+import json
+import math
+import tomllib
+import zlib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from orchestration.errors import OrchestrationError
+from orchestration.report import Run, Sweep, found_results
+from orchestration.report.differences import differences
+from orchestration.report.embedded import packed
+from orchestration.report.statistics import correlations, distributions, strongest
+from orchestration.report.toml import toml
+from orchestration.scenarios import scenario
+
+from .made_up import PROVENANCE, SCENARIO, recording, write_run
+
+TEXTS = st.text(st.characters(exclude_categories=["Cs"]))
+VALUES = st.recursive(
+    TEXTS | st.integers(-(2**63), 2**63 - 1) | st.floats(allow_nan=False) | st.booleans(),
+    lambda inner: st.lists(inner, max_size=6) | st.dictionaries(TEXTS, inner, max_size=4),
+    max_leaves=12,
+)
+
+
+@given(content=st.dictionaries(TEXTS, VALUES, max_size=4))
+def test_toml_says_what_it_was_given(content: dict) -> None:
+    assert tomllib.loads(toml(content)) == content
+
+
+@pytest.mark.parametrize("name", scenario.shipped())
+def test_shipped_scenarios_are_written_as_they_are(name: str) -> None:
+    resolved = json.loads(json.dumps(scenario.load(scenario.find(name)).resolved))
+    assert tomllib.loads(toml(resolved)) == resolved
+
+
+def test_short_lists_stand_on_one_line() -> None:
+    assert toml({"points": [[0.0, 1.5], [2.0, -1.0]]}) == "points = [\n    [0.0, 1.5],\n    [2.0, -1.0],\n]\n"
+    assert toml({"names": ["a,  b[1]", "c"]}) == 'names = ["a,  b[1]", "c"]\n'
+
+
+def test_a_scenario_that_toml_cannot_say_is_refused(tmp_path: Path) -> None:
+    document = write_run(tmp_path, "dive", parameters={"plant.mass": None})
+    with pytest.raises(OrchestrationError, match="expected what TOML can say"):
+        found_results([document])
+
+
+@given(values=arrays(np.float64, st.integers(0, 20), elements=st.floats(width=64)))
+def test_embedded_numbers_are_exact(values: np.ndarray) -> None:
+    planes = np.frombuffer(zlib.decompress(base64.b64decode(packed(values))), np.uint8).reshape(8, -1)
+    assert planes.T.tobytes() == values.astype("<f8").tobytes()
+
+
+def test_differences_are_by_setting_and_the_many_are_counted() -> None:
+    run = Run("run", recording(), SCENARIO, PROVENANCE)
+    heavy = replace(
+        run, name="heavy", scenario={**SCENARIO, "parameters": {"plant.mass": 7.0}, "title": "Heavy"}
+    )
+    other = replace(run, name="other", provenance={**PROVENANCE, "algorithm": "gauss-seidel"})
+    assert differences([run, replace(run, name="again")]) == {}
+    assert differences([run, heavy, other]) == {
+        "parameters: plant.mass": {"7.0": "heavy", "5.5": "run, other"},
+        "run: algorithm": {"gauss-seidel": "other", "jacobi": "run, heavy"},
+    }
+    many = [replace(run, name=f"run{i}") for i in range(4)]
+    assert differences([heavy, *many]) == {"parameters: plant.mass": {"7.0": "heavy", "5.5": "the other 4"}}
+    without = replace(run, name="without", scenario={k: v for k, v in SCENARIO.items() if k != "parameters"})
+    assert differences([run, without])["parameters: plant.mass"] == {"5.5": "run", "not said": "without"}
+
+
+def sweep(varied: list[float], metric: list[float]) -> Sweep:
+    count = len(metric)
+    return Sweep(
+        "sweep",
+        np.arange(count),
+        {"plant.mass": np.array(varied), "plant.kind": np.array(["a"] * count)},
+        {"rmse": np.array(metric)},
+        ("",) * count,
+        {"rmse": "m"},
+        {},
+        {},
+        "",
+    )
+
+
+def test_distributions_leave_failed_samples_out() -> None:
+    (row,) = distributions(sweep([1.0, 2.0, 3.0, 4.0], [3.0, 1.0, math.nan, 2.0]))
+    assert (row["name"], row["unit"]) == ("rmse", "m")
+    assert row["values"] == pytest.approx([2.0, 1.0, 1.0, 1.1, 2.0, 2.9, 3.0])
+    (one,) = distributions(sweep([1.0], [5.0]))
+    assert one["values"] == [5.0, 0.0, 5.0, 5.0, 5.0, 5.0, 5.0]
+    assert distributions(sweep([1.0], [math.nan])) == []
+
+
+def test_rank_correlations_are_of_ranks_and_of_what_varies() -> None:
+    """Monotonic but not linear is 1; ties share a rank."""
+    rising = correlations(sweep([1.0, 2.0, 3.0, 9.0], [0.0, 1.0, 100.0, math.nan]))
+    assert rising["plant.mass"]["rmse"] == pytest.approx(1.0)
+    assert strongest(rising) == ("plant.mass", "rmse")
+    tied = correlations(sweep([1.0, 1.0, 2.0], [1.0, 2.0, 3.0]))
+    assert tied["plant.mass"]["rmse"] == pytest.approx(math.sqrt(3.0) / 2.0)
+    constant = correlations(sweep([1.0, 1.0], [1.0, 2.0]))
+    assert constant == {"plant.mass": {"rmse": None}}
+    assert strongest(constant) is None

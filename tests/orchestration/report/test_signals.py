@@ -1,0 +1,192 @@
+"""Signals of runs, clicked through in a browser."""
+
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from selenium.webdriver.common.keys import Keys
+
+from orchestration.results.recording import Recording
+
+from .made_up import recording, write_run
+from .opened import OpenedPage
+
+Open = Callable[..., OpenedPage]
+
+
+@pytest.fixture
+def two(opened: Open, tmp_path: Path) -> OpenedPage:
+    """Two runs that differ in all signals but the reference, from results of both formats."""
+    write_run(tmp_path, "slow", measured={"rmse_cm": 12.1, "settling_time_s": 64.8})
+    write_run(tmp_path, "fast", recording(phase=0.5), {"rmse_cm": 4.35, "settling_time_s": 43.7}, "parquet")
+    return opened(tmp_path / "slow.json", tmp_path / "fast.json")
+
+
+def captions(page: OpenedPage) -> list[str]:
+    """Of the panels that are shown."""
+    return [each.text for each in page.all("#panels figcaption") if each.is_displayed()]
+
+
+def test_at_first_the_signals_that_the_metrics_judge_are_drawn(two: OpenedPage) -> None:
+    """A line for each run, and one for what is equal in both."""
+    assert sorted(two.shown()) == ["plant.depth, fast", "plant.depth, slow", "plant.reference, all"]
+
+
+def test_lines_are_the_recorded_values(two: OpenedPage) -> None:
+    line, run = two.line("plant.depth, fast"), recording(phase=0.5)
+    assert line == {"x": run.time.tolist(), "y": run["plant.depth"].tolist()}
+    assert two.one("#drawn").text == "Every point is drawn."
+
+
+def test_a_tick_box_adds_and_removes_the_lines_of_a_signal(two: OpenedPage) -> None:
+    assert len(two.tick("plant.force").shown()) == 5
+    assert captions(two) == ["Signals in m", "Signals in N"]
+    assert len(two.tick("plant.ratio").shown()) == 7
+    assert captions(two) == ["Signals in m", "Signals in N", "Signals without unit"]
+    assert len(two.tick("plant.force").tick("plant.depth").tick("plant.reference").shown()) == 2
+    assert captions(two) == ["Signals without unit"]
+
+
+def test_a_tick_box_removes_the_lines_of_a_run(two: OpenedPage) -> None:
+    assert sorted(two.tick("slow").shown()) == ["plant.depth, fast", "plant.reference, fast"]
+    two.tick("fast")
+    assert two.shown() == []
+    assert two.one("#drawn").text == "Nothing is ticked."
+
+
+def test_one_button_ticks_all_and_none(two: OpenedPage) -> None:
+    button = two.one("[aria-label='all or none of the signals in m']")
+    assert len(two.click(button).shown()) == 0  # both were ticked
+    assert len(two.click(button).shown()) == 3
+
+
+def test_the_legend_hides_a_line_by_mouse_and_by_keyboard(two: OpenedPage) -> None:
+    two.click(two.all(".legend button")[0])
+    assert len(two.shown()) == 2
+    assert two.all(".legend button")[0].get_attribute("aria-pressed") == "false"
+    two.all(".legend button")[0].send_keys(Keys.ENTER)
+    two.until(lambda: len(two.shown()) == 3)
+    assert (
+        two.run("return document.activeElement.getAttribute('aria-pressed')") == "true"
+    )  # the focus stays where it was
+
+
+def test_lines_of_a_panel_have_different_colours(two: OpenedPage) -> None:
+    colours = [path.get_attribute("stroke") for path in two.all(".legend path")]
+    assert len(colours) == len(set(colours)) == 3
+    two.tick("slow")  # a line keeps its colour when others go
+    assert two.one(".legend button:first-child path").get_attribute("stroke") == colours[1]
+
+
+def test_zooming_one_panel_zooms_all(two: OpenedPage) -> None:
+    two.tick("plant.force").tick("plant.ratio")
+    before = two.time_ranges()
+    assert before == [[0.0, 10.0]] * 3
+    two.drag(two.all("#panels .plot")[1], 0.2, 0.5)
+    two.until(lambda: two.time_ranges() != before)
+    two.settled()
+    ranges = two.time_ranges()
+    assert ranges == [ranges[0]] * 3
+    pixel = 10.0 / 1000.0  # s, of a plot about 1000 px wide
+    assert ranges[0] == pytest.approx([2.0, 5.0], abs=2.0 * pixel)
+    fields = [float(str(two.one(f).get_attribute("value"))) for f in ("#from", "#to")]
+    assert fields == pytest.approx(ranges[0], rel=1e-5)  # shown with six digits
+    two.click(two.one("#whole"))
+    assert two.time_ranges() == before
+
+
+def test_the_time_can_be_typed(two: OpenedPage) -> None:
+    two.tick("plant.force").write("#from", "2.5").write("#to", "7.5")
+    assert two.time_ranges() == [[2.5, 7.5]] * 2
+    inside = two.line("plant.depth, fast")["x"]
+    assert inside[0] <= 2.5 <= inside[1]
+    assert inside[-2] <= 7.5 <= inside[-1]
+    two.write("#to", "1")  # ends before it begins: nothing changes
+    assert two.time_ranges() == [[2.5, 7.5]] * 2
+    assert two.one("#to").get_attribute("value") == "7.5"
+
+
+def test_the_difference_to_a_run(two: OpenedPage) -> None:
+    two.choose("#view", "difference to slow")
+    assert sorted(two.shown()) == ["plant.depth, fast", "plant.reference, fast"]
+    difference = recording(phase=0.5)["plant.depth"] - recording()["plant.depth"]
+    assert two.line("plant.depth, fast")["y"] == difference.tolist()
+    assert set(two.line("plant.reference, fast")["y"]) == {0.0}
+
+
+def test_the_difference_across_time_grids_is_interpolated_and_ends_where_one_ends(
+    opened: Open, tmp_path: Path
+) -> None:
+    time_of_base = np.array([0.0, 1.0, 3.0])
+    time_of_run = np.array([0.0, 0.5, 2.0, 3.0, 4.0])
+    for name, at in (("base", time_of_base), ("run", time_of_run)):
+        values = at if name == "base" else 3.0 * at
+        Recording(("plant.depth",), ("m",), at, values[:, None]).write(tmp_path / f"{name}.csv")
+    page = opened(tmp_path / "run.csv", tmp_path / "base.csv").choose("#view", "difference to base")
+    assert page.line("plant.depth, run") == {"x": time_of_run.tolist(), "y": [0.0, 1.0, 4.0, 6.0, None]}
+
+
+def test_runs_of_different_length_share_the_axis(opened: Open, tmp_path: Path) -> None:
+    write_run(tmp_path, "long", recording(points=201))
+    write_run(tmp_path, "short")
+    assert opened(tmp_path).time_ranges() == [[0.0, 20.0]]
+
+
+def test_a_gap_stays_a_gap(opened: Open, tmp_path: Path) -> None:
+    """Values that are not a number are drawn as nothing, also in a line that is thinned."""
+    for points in (101, 9001):
+        run = recording(points)
+        run["plant.depth"][50] = math.nan
+        write_run(tmp_path, f"run {points}", run)
+        y = opened(tmp_path / f"run {points}.json").line("plant.depth")["y"]
+        assert [value is None for value in y].count(True) == 1  # as JSON says it
+
+
+def test_a_long_line_is_thinned_to_its_extremes_and_complete_when_zoomed(
+    opened: Open, tmp_path: Path
+) -> None:
+    run = recording(points=15_501, step=0.02)
+    run["plant.depth"][7_777] = 9.0  # a spike of one point
+    run["plant.depth"][12_345] = -9.0
+    write_run(tmp_path, "long", run)
+    page = opened(tmp_path / "long.json")
+    assert "2 of 2 lines have more points than a screen" in page.one("#drawn").text
+    line = page.line("plant.depth")
+    assert len(line["x"]) < 4_000
+    drawn = set(zip(line["x"], line["y"], strict=True))
+    recorded = set(zip(run.time.tolist(), run["plant.depth"].tolist(), strict=True))
+    assert drawn < recorded
+    assert {(run.time[i], run["plant.depth"][i]) for i in (0, 7_777, 12_345, 15_500)} <= drawn
+    page.write("#from", "150").write("#to", "160")
+    inside = page.line("plant.depth")["x"]
+    wanted = run.time[(run.time >= 150.0) & (run.time <= 160.0)]
+    assert set(wanted) <= set(inside)
+    assert page.one("#drawn").text == "Every point is drawn."
+
+
+def test_many_long_runs_are_there_in_seconds(opened: Open, tmp_path: Path) -> None:
+    """Five runs of 15 501 points and 20 signals, most of them drawn: 91 lines."""
+    for i in range(5):
+        write_run(tmp_path, f"run{i}", recording(15_501, 0.02, 0.1 * i, signals=20))
+    page = opened(tmp_path)
+    begin = time.perf_counter()
+    page.driver.refresh()
+    page.settled()
+    loaded = time.perf_counter() - begin
+    begin = time.perf_counter()
+    page.click(page.one("[aria-label='all or none of the signals in N']"))
+    redrawn = time.perf_counter() - begin
+    assert len(page.shown()) == 5 * (1 + 17) + 1  # depth, forces; the reference is one line
+    print(f"loaded in {loaded:.1f} s, 91 lines drawn in {redrawn:.1f} s")
+    assert max(loaded, redrawn) < 15.0  # some 2 s here; a busy machine with one core takes several times that
+
+
+def test_a_recording_alone_and_one_of_a_single_point_are_drawn(opened: Open, tmp_path: Path) -> None:
+    recording(points=1).write(tmp_path / "point.parquet")
+    recording().write(tmp_path / "alone.csv")
+    page = opened(tmp_path / "point.parquet", tmp_path / "alone.csv")
+    assert {"plant.depth, point", "plant.depth, alone"} <= set(page.shown())
+    assert "does not say what was run" in str(page.one("#what-was-run").get_property("textContent"))

@@ -1,0 +1,158 @@
+"""A recording survives its file exactly and becomes what others work with; a failed write leaves nothing."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from orchestration.errors import OrchestrationError
+from orchestration.results.recording import Recording, write_whole, write_whole_binary
+from orchestration.results.recording_files import is_recording, read
+
+PROVENANCE = {"fmus": {"plant": {"guid": "1-2"}}, "algorithm": "jacobi", "communication_step_size_s": 0.1}
+ENDINGS = pytest.mark.parametrize("ending", ["csv", "parquet"])
+
+
+def a_run() -> Recording:
+    rng = np.random.default_rng(1)
+    names = ("a.x", "b.y[1,2]", "odd [name", "odd name]", "odd [name]")
+    units = ("m/s", "", "m", "", "")
+    return Recording(names, units, np.arange(5) * 0.1, rng.standard_normal((5, 5)), PROVENANCE)
+
+
+@ENDINGS
+def test_a_file_is_exact_and_tells_units(ending: str, tmp_path: Path) -> None:
+    run, path = a_run(), tmp_path / f"run.{ending}"
+    run.write(path)
+    back = read(path)
+    assert (back.names, back.units) == (run.names, run.units)
+    np.testing.assert_array_equal(back.time, run.time)
+    np.testing.assert_array_equal(back.values, run.values)
+    assert back.provenance == (PROVENANCE if ending == "parquet" else {})
+    assert [each.name for each in tmp_path.iterdir()] == [path.name]
+    assert is_recording(path)
+
+
+def test_the_heading_of_a_csv_is_plain(tmp_path: Path) -> None:
+    a_run().write(tmp_path / "run.csv")
+    heading = (tmp_path / "run.csv").read_text().splitlines()[0]
+    assert heading == 'time [s],a.x [m/s],"b.y[1,2]",odd [name [m],odd name],odd [name] []'
+
+
+@ENDINGS
+@given(values=arrays(np.float64, (3, 2), elements=st.floats(width=64)))
+def test_every_double_survives(
+    ending: str, tmp_path_factory: pytest.TempPathFactory, values: np.ndarray
+) -> None:
+    path = tmp_path_factory.mktemp("doubles") / f"run.{ending}"
+    Recording(("a.x", "a.y"), ("", ""), np.arange(3.0), values).write(path)
+    np.testing.assert_array_equal(read(path).values, values)  # nan equals nan here
+    assert np.array_equal(np.signbit(read(path).values), np.signbit(values)) or np.isnan(values).any()
+
+
+@ENDINGS
+def test_a_run_of_no_points_or_no_signals_survives(ending: str, tmp_path: Path) -> None:
+    path = tmp_path / f"run.{ending}"
+    Recording(("a.x",), ("m",), np.empty(0), np.empty((0, 1))).write(path)
+    assert read(path).values.shape == (0, 1)
+    Recording((), (), np.arange(2.0), np.empty((2, 0))).write(path)
+    assert read(path).values.shape == (2, 0)
+
+
+def test_other_tools_read_the_parquet(tmp_path: Path) -> None:
+    run = a_run()
+    run.write(tmp_path / "run.parquet")
+    table = pd.read_parquet(tmp_path / "run.parquet")
+    assert list(table.columns) == ["time", *run.names]
+    np.testing.assert_array_equal(table["a.x"], run["a.x"])
+
+
+def test_pandas_has_the_time_as_index_and_units_as_attributes() -> None:
+    run = a_run()
+    table = run.to_pandas()
+    assert (table.index.name, tuple(table.columns)) == ("time", run.names)
+    np.testing.assert_array_equal(table.index, run.time)
+    np.testing.assert_array_equal(table.to_numpy(), run.values)
+    assert table.attrs["units"]["a.x"] == "m/s"
+    assert table.attrs["provenance"] == PROVENANCE
+    table.iloc[0, 0] = math.inf
+    assert np.isfinite(run.values).all()  # the table is a copy
+
+
+def test_xarray_has_a_coordinate_units_and_provenance() -> None:
+    run = a_run()
+    data = run.to_xarray()
+    assert (tuple(data.data_vars), data.time.attrs["units"], data["a.x"].attrs["units"]) == (
+        run.names,
+        "s",
+        "m/s",
+    )
+    np.testing.assert_array_equal(data.time, run.time)
+    np.testing.assert_array_equal(data["b.y[1,2]"], run["b.y[1,2]"])
+    assert json.loads(data.attrs["provenance"]) == PROVENANCE
+    data["a.x"][0] = math.inf
+    assert np.isfinite(run.values).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "complaint"),
+    [
+        ("run.csv", b"", "expected 'time [s]' as first column, got []"),
+        ("run.csv", b"a,b\n1,2\n", "expected 'time [s]' as first column, got ['a']"),
+        ("run.csv", b"time [s],a.x\n0.0,1.0\n0.1,fast\n", "expected a table of numbers"),
+        ("run.csv", b"time [s],a.x\n0.0,1.0\n0.1\n", "expected a table of numbers"),
+        ("run.csv", b"time [s],a.x\n0.0,1.0,2.0\n", "expected 2 columns, got 3"),
+        ("run.csv", b"time [s],\xff\xfe\n", "expected a table of numbers"),
+        ("run.parquet", b"PAR1 but no more", "expected a Parquet file"),
+        ("run.txt", b"time [s],a.x\n", "expected a file ending in csv or parquet"),
+    ],
+)
+def test_a_file_that_is_no_recording_is_refused(
+    name: str, content: bytes, complaint: str, tmp_path: Path
+) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(OrchestrationError) as refusal:
+        read(tmp_path / name)
+    assert complaint in str(refusal.value)
+    assert name in str(refusal.value)
+
+
+def test_the_parquet_of_something_else_is_refused(tmp_path: Path) -> None:
+    pq.write_table(pa.table({"time": [0.0], "a.x": [1.0]}), tmp_path / "other.parquet")
+    assert not is_recording(tmp_path / "other.parquet")
+    with pytest.raises(OrchestrationError, match="expected a recording"):
+        read(tmp_path / "other.parquet")
+
+
+def test_a_missing_file_offers_the_nearest(tmp_path: Path) -> None:
+    a_run().write(tmp_path / "nominal.csv")
+    (tmp_path / "nominal.png").touch()
+    with pytest.raises(OrchestrationError, match=r"nearest is 'nominal\.csv'"):
+        read(tmp_path / "nominl.csv")
+
+
+def test_an_unknown_signal_offers_the_nearest() -> None:
+    with pytest.raises(OrchestrationError, match=r"nearest is 'a\.x'"):
+        a_run()["a.z"]
+
+
+@pytest.mark.parametrize("writer", [write_whole, write_whole_binary])
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(writer, tmp_path: Path) -> None:
+    path = tmp_path / "summary.json"
+    path.write_text("old")
+
+    def fail(stream: object) -> None:
+        raise OSError("disk full")
+
+    with pytest.raises(OSError, match="disk full"):
+        writer(path, fail)
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]

@@ -1,0 +1,171 @@
+"""Scenario files: what they may say, and what they are told when they say something else."""
+
+from pathlib import Path
+
+import pytest
+
+from orchestration.errors import ScenarioError
+from orchestration.scenarios import scenario
+from orchestration.system.experiment import Algorithm, Initialisation
+from orchestration.system.faults import Delay, Fault
+
+MINIMAL = """
+[components]
+p = "ExamplePlant"
+[experiment]
+stop_time = 1
+step_size = 0.1
+[inputs]
+"p.control" = 0.0
+"p.disturbance" = 0.0
+"""
+
+
+def write(folder: Path, text: str, name: str = "mine.toml") -> Path:
+    path = folder / name
+    path.write_text(text)
+    return path
+
+
+def test_a_minimal_scenario(tmp_path: Path) -> None:
+    loaded = scenario.load(write(tmp_path, MINIMAL))
+    assert (loaded.name, loaded.title) == ("mine", "mine")
+    assert loaded.experiment.algorithm is Algorithm.JACOBI
+    assert loaded.experiment.stop_time == 1.0
+    assert loaded.system.components["p"].name == "ExamplePlant.fmu"
+
+
+def test_faults_and_the_initialisation_are_taken_over(tmp_path: Path) -> None:
+    text = MINIMAL.replace("step_size = 0.1", 'step_size = 0.1\ninitialisation = "newton"')
+    fault = '[[faults]]\ninput = "p.control"\nkind = "delay"\ndelay = 0.2\nend = 0.5\n'
+    loaded = scenario.load(write(tmp_path, text + fault))
+    assert loaded.experiment.initialisation is Initialisation.NEWTON
+    assert loaded.experiment.faults == (Fault("p.control", Delay(0.2), end=0.5),)
+
+
+def test_a_scenario_is_laid_over_its_base_and_overrides_over_both(tmp_path: Path) -> None:
+    write(tmp_path, MINIMAL, "base.toml")
+    path = write(tmp_path, 'base = "base.toml"\n[experiment]\nstop_time = 2\n[inputs]\n"p.control" = 3.0')
+    loaded = scenario.load(path, {"inputs": {"p.disturbance": 4.0}})
+    assert loaded.experiment.stop_time == 2.0
+    assert loaded.experiment.step_size == 0.1
+    assert loaded.experiment.inputs == {"p.control": 3.0, "p.disturbance": 4.0}
+
+
+def test_parameter_files_lie_under_the_scenario_that_names_them(tmp_path: Path) -> None:
+    write(tmp_path, '[parameters."p.omega"]\nvalue = 2.0\nsource = "measured"', "values.toml")
+    text = 'parameter_files = ["values.toml"]\n' + MINIMAL
+    assert scenario.load(write(tmp_path, text)).experiment.parameters == {"p.omega": 2.0}
+    over = text + '[parameters]\n"p.omega" = 3.0\n'
+    assert scenario.load(write(tmp_path, over)).experiment.parameters == {"p.omega": 3.0}
+
+
+def test_a_shipped_scenario_can_be_the_base_by_its_name(tmp_path: Path) -> None:
+    mine = scenario.load(write(tmp_path, 'base = "nominal-extended"'))
+    assert mine.resolved["components"] == {"plant": "RovDepthPlant", "controller": "L1DepthController"}
+    with pytest.raises(ScenarioError, match=r"no scenario 'nominal'; nearest is 'nominal-"):
+        scenario.load(write(tmp_path, 'base = "nominal"'))
+
+
+def test_a_window_beyond_the_run_is_refused_before_it(tmp_path: Path) -> None:
+    text = 'base = "nominal-extended"\n[experiment]\nstop_time = 60.0\nstep_size = 0.02\n'
+    with pytest.raises(ScenarioError, match=r"metric holding_thrust_n: window \[290.0, 310.0\]: .*0..60 s"):
+        scenario.load(write(tmp_path, text))
+    assert scenario.load(write(tmp_path, text + "[metrics]\nholding_thrust_n = false\n"))
+
+
+def test_a_metric_of_the_base_can_be_dropped(tmp_path: Path) -> None:
+    base = MINIMAL + '[metrics.a]\nfunction = "mean"\nsignal = "p.output"\n'
+    write(tmp_path, base, "base.toml")
+    assert set(scenario.load(tmp_path / "base.toml").metrics) == {"a"}
+    assert not scenario.load(write(tmp_path, 'base = "base.toml"\n[metrics]\na = false\n')).metrics
+
+
+def test_an_fmu_of_the_base_is_found_beside_the_base(tmp_path: Path) -> None:
+    (tmp_path / "lib").mkdir()
+    write(tmp_path / "lib", MINIMAL.replace('"ExamplePlant"', '"mine.fmu"'), "base.toml")
+    loaded = scenario.load(write(tmp_path, 'base = "lib/base.toml"'))
+    assert loaded.system.components["p"] == tmp_path / "lib" / "mine.fmu"
+
+
+def test_an_fmu_path_is_relative_to_the_scenario_file(tmp_path: Path) -> None:
+    text = MINIMAL.replace('"ExamplePlant"', '"models/mine.fmu"')
+    assert scenario.load(write(tmp_path, text)).system.components["p"] == tmp_path / "models/mine.fmu"
+
+
+@pytest.mark.parametrize("name", list(scenario.shipped()))
+def test_every_shipped_scenario_loads_and_says_what_it_is(name: str) -> None:
+    loaded = scenario.load(scenario.find(name))
+    assert loaded.title != name
+    assert loaded.metrics
+
+
+def test_scenarios_are_found_by_name_or_path_and_misspelt_ones_offer_the_nearest(tmp_path: Path) -> None:
+    assert scenario.find("nominal-l1").name == "nominal-l1.toml"
+    path = write(tmp_path, MINIMAL)
+    assert scenario.find(str(path)) == path
+    with pytest.raises(ScenarioError, match=r"no scenario 'nominal-l2'; nearest is 'nominal-l1'"):
+        scenario.find("nominal-l2")
+    with pytest.raises(ScenarioError, match=r"nearest is 'mine.toml'"):
+        scenario.find(str(tmp_path / "mine2.toml"))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("not toml at all [", r"expected TOML"),
+        (MINIMAL.replace("[inputs]", "[input]"), r"unknown key 'input'; nearest is 'inputs'"),
+        (MINIMAL.replace("step_size", "stepsize"), r"unknown key 'stepsize'; nearest is 'step_size'"),
+        (MINIMAL.replace("stop_time = 1", 'stop_time = "1"'), r"stop_time = '1': expected a number"),
+        (MINIMAL.replace("stop_time = 1\n", ""), r"stop_time is missing"),
+        (MINIMAL.replace("step_size = 0.1", "step_size = -0.1"), r"communication step size -0.1 s: expected"),
+        (MINIMAL.replace("step_size = 0.1\n", ""), r"step_size is missing"),
+        ("[experiment]\nstop_time = 1\nstep_size = 0.1", r"components is missing"),
+        (MINIMAL.replace("ExamplePlant", "BenchmarkPlan"), r"no block 'BenchmarkPlan'.*'ExamplePlant'"),
+        (MINIMAL.replace("[inputs]", 'algorithm = "jakobi"\n[inputs]'), r"'jakobi'; nearest is 'jacobi'"),
+        ('connections = [["a.b"]]\n' + MINIMAL, r"connections: expected \[.*got \['a.b'\]"),
+        ('connections = "a"\n' + MINIMAL, r"connections: expected a list"),
+        ('record = "p.output"\n' + MINIMAL, r"record: expected a list"),
+        ("events = [{ time = 1.0 }]\n" + MINIMAL, r"events: expected time and set"),
+        ("faults = [3]\n" + MINIMAL, r"faults: expected a table, got 3"),
+        (MINIMAL + '[faults]\nkind = "freeze"\n', r"faults: expected a list"),
+        (MINIMAL + '[[faults]]\ninput = "p.control"\n', r"faults: unknown kind None"),
+        (MINIMAL.replace("[inputs]", 'initialisation = "newtn"\n[inputs]'), r"'newtn'; nearest is 'newton'"),
+        ('components = "p"\n', r"components: expected a table"),
+        (MINIMAL + '[signals]\n"p.control" = 3\n', r"signal p.control: expected a table"),
+        (MINIMAL + "[metrics]\na = 3\n", r"metric a: expected a table"),
+        ("record = [5]\n" + MINIMAL, r"record: expected a text"),
+        ("title = 2020-01-01\n" + MINIMAL, r"title: expected a text"),
+        (MINIMAL.replace('"ExamplePlant"', "5"), r"components: expected a text"),
+        (MINIMAL.replace("step_size = 0.1", "step_size = 1e-14"), r"1e\+14 .*steps: expected at most 1e\+09"),
+        (MINIMAL.replace("[inputs]", "start_time = -inf\n[inputs]"), r"start_time = -inf: expected a number"),
+        (MINIMAL.replace("stop_time = 1", "stop_time = 1" + 400 * "0"), r"expected a number of seconds"),
+        ("events = [{ time = 5, set = {} }]\n" + MINIMAL, r"event at 5.0 s: expected a time within the run"),
+        ("events = [{ time = nan, set = {} }]\n" + MINIMAL, r"time = nan: expected a number"),
+        ("events = [{ time = 1, set = 5 }]\n" + MINIMAL, r"events: set: expected a table"),
+        (MINIMAL + '[metrics.a]\nfunction = "rms"\n', r"metric a: unknown function 'rms'; nearest is 'rmse'"),
+        (
+            'record = ["p.output"]\n' + MINIMAL + '[metrics.a]\nfunction = "mean"\nsignal = "p.outpt"\n',
+            r"metric a: 'p.outpt' is not recorded; nearest is 'p.output'",
+        ),
+        (MINIMAL + '[metrics.a]\nfunction = "mean"\n', r"metric a: mean: missing .*'signal'"),
+        (MINIMAL + '[metrics.a]\nfunction = "mean"\nsignal = "x"\nwind = 3\n', r"metric a: mean: .*'wind'"),
+        ('base = "none.toml"\n' + MINIMAL, r"no file .*none.toml"),
+        ('base = "mine.toml"\n' + MINIMAL, r"is its own base"),
+        ("base = 3\n" + MINIMAL, r"base: expected a text"),
+        ('parameter_files = ["none.toml"]\n' + MINIMAL, r"no file .*none.toml"),
+        ('parameter_files = "none.toml"\n' + MINIMAL, r"parameter_files: expected a list"),
+    ],
+)
+def test_a_mistake_is_told_with_what_was_expected(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(Exception, match=message) as caught:
+        scenario.load(write(tmp_path, text))
+    assert type(caught.value).__module__ == "orchestration.errors"
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("entry", ["3", "{ limit = 3 }"])
+def test_a_parameter_file_entry_needs_a_value(tmp_path: Path, entry: str) -> None:
+    path = write(tmp_path, f'[parameters]\n"p.omega" = {entry}')
+    with pytest.raises(ScenarioError, match=r"p.omega: expected a table with a value"):
+        scenario.parameter_values(path)

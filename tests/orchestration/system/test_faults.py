@@ -1,0 +1,340 @@
+"""Faults: the arrays that the master applies, against what a receiver would get sample by sample."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from orchestration.errors import OrchestrationError, ScenarioError, SystemDefinitionError
+from orchestration.exchange import modelica, simulink, ssp_write
+from orchestration.master import simulate
+from orchestration.scenarios import scenario
+from orchestration.system.experiment import Algorithm, Experiment, checked_settings
+from orchestration.system.faults import (
+    KINDS,
+    Delay,
+    Drift,
+    DropOut,
+    Fault,
+    Freeze,
+    Noise,
+    Offset,
+    Stuck,
+    compose,
+    fault,
+)
+from orchestration.system.signals import Cosine
+from orchestration.system.system import System, check
+
+Build = Callable[..., Path]
+STEP = 0.25  # s: a power of two, so that times and their differences are exact
+
+
+def received(each: Fault, times: list[float], sent: list[float]) -> list[float]:
+    """What a receiver gets, one sample after the other, by the definition of each kind."""
+    stream = each.stream()
+    got: list[float] = []
+    begin: int | None = None
+    for i, t in enumerate(times):
+        if not each.start <= t < each.end:
+            got.append(sent[i])
+            continue
+        begin = i if begin is None else begin
+        match each.effect:
+            case Freeze():
+                got.append(sent[begin])
+            case Stuck(value):
+                got.append(float(value))
+            case Offset(value):
+                got.append(sent[i] + value)
+            case Drift(rate):
+                got.append(sent[i] + rate * (t - times[begin]))
+            case Noise(deviation):
+                got.append(sent[i] + deviation * stream.standard_normal())
+            case DropOut(probability):
+                is_lost = stream.random() < probability and i > 0
+                got.append((sent[i - 1] if i == begin else got[-1]) if is_lost else sent[i])
+            case Delay(delay):
+                nearest = min(range(i + 1), key=lambda j: abs(times[j] - (t - delay)))
+                got.append(sent[nearest])
+    return got
+
+
+def arrives(faults: list[Fault], times: np.ndarray, sent: np.ndarray) -> np.ndarray:
+    """As the master's loop does it."""
+    source, addition = compose(faults, times)
+    return np.where(source >= 0, sent[source], 0.0) + addition
+
+
+seconds = st.integers(-4, 60).map(lambda i: i * STEP)
+numbers = st.floats(-1e3, 1e3)
+seeds = st.integers(0, 2**64)
+passing_on = st.one_of(
+    st.just(Freeze()),
+    st.builds(DropOut, st.floats(0.0, 1.0), seeds),
+    st.builds(Delay, st.integers(1, 40).map(lambda i: i * STEP / 2)),
+)
+effects = st.one_of(
+    passing_on,
+    st.builds(Stuck, numbers),
+    st.builds(Offset, numbers),
+    st.builds(Drift, numbers),
+    st.builds(Noise, st.floats(0.0, 1e3), seeds),
+)
+
+
+@st.composite
+def faults_on_one_input(draw: st.DrawFn, effect: st.SearchStrategy) -> list[Fault]:
+    found = []
+    for _ in range(draw(st.integers(1, 4))):
+        start = draw(st.one_of(st.just(-math.inf), seconds))
+        length = draw(st.one_of(st.just(math.inf), st.integers(1, 40).map(lambda i: i * STEP)))
+        found.append(Fault("a.u", draw(effect), start, start + length if start > -math.inf else math.inf))
+    return found
+
+
+grids = st.lists(st.integers(0, 50), min_size=1, max_size=40, unique=True).map(
+    lambda numbers: np.array(sorted(numbers)) * STEP
+)
+
+
+@given(faults_on_one_input(effects), grids)
+def test_faults_do_what_a_receiver_would_see(faults: list[Fault], times: np.ndarray) -> None:
+    """Up to rounding: additions are summed before they are added to the sample."""
+    sent = np.random.default_rng(0).standard_normal(len(times))
+    expected = sent.tolist()
+    for each in faults:
+        expected = received(each, times.tolist(), expected)
+    size = 1e3 * 60 * len(faults)  # the largest drift, about
+    assert arrives(faults, times, sent) == pytest.approx(expected, rel=1e-12, abs=1e-15 * size)
+
+
+@given(faults_on_one_input(passing_on), grids)
+def test_values_that_are_passed_on_stay_exact(faults: list[Fault], times: np.ndarray) -> None:
+    sent = np.random.default_rng(0).standard_normal(len(times))
+    expected = sent.tolist()
+    for each in faults:
+        expected = received(each, times.tolist(), expected)
+    assert arrives(faults, times, sent).tolist() == expected
+
+
+@given(faults_on_one_input(effects), grids)
+def test_nothing_arrives_before_it_is_sent(faults: list[Fault], times: np.ndarray) -> None:
+    source, _ = compose(faults, times)
+    assert np.all(source <= np.arange(len(times)))
+    assert np.all(source >= -1)
+
+
+def test_windows_begin_and_end_on_communication_points_despite_rounding() -> None:
+    times = np.arange(10) * 0.7
+    assert times[3] < 2.1
+    assert times[6] < 4.2
+    _, addition = compose([Fault("a.u", Offset(1.0), start=2.1, end=4.2)], times)
+    assert np.flatnonzero(addition).tolist() == [3, 4, 5]
+
+
+def test_random_faults_are_the_same_everywhere() -> None:
+    """Written down once: another machine or version must give the same."""
+    times = np.arange(6) * 1.0
+    _, noise = compose([Fault("a.u", Noise(2.0, seed=7))], times)
+    source, _ = compose([Fault("a.u", DropOut(0.5, seed=7))], times)
+    written = [2.3710838050445804, -2.1434666553250183, -0.40526788571715033, 1.54014610811233]
+    assert noise[:4] == pytest.approx(written, rel=1e-15)
+    assert source.tolist() == [0, 1, 1, 3, 3, 5]
+
+
+def test_noise_has_its_deviation_and_differs_by_input_and_seed() -> None:
+    times = np.arange(20_000) * 0.01
+
+    def noise(name: str, seed: int) -> np.ndarray:
+        return compose([Fault(name, Noise(3.0, seed))], times)[1]
+
+    first = noise("a.u", 1)
+    bound = 5.0 / math.sqrt(
+        len(times)
+    )  # five standard errors: the seeds are fixed, so it holds always or never
+    assert abs(np.mean(first)) < 3.0 * bound
+    assert np.std(first) == pytest.approx(3.0, rel=bound)
+    for other in (noise("a.u", 2), noise("b.u", 1)):
+        assert abs(np.corrcoef(first, other)[0, 1]) < bound
+
+
+def test_drop_out_loses_its_share() -> None:
+    times = np.arange(20_000) * 0.01
+    source, _ = compose([Fault("a.u", DropOut(0.3))], times)
+    lost = np.mean(source != np.arange(len(times)))
+    assert lost == pytest.approx(0.3, abs=5.0 * math.sqrt(0.3 * 0.7 / len(times)))
+
+
+# What a scenario may say
+
+
+def test_a_declaration_becomes_a_fault() -> None:
+    declared = {"input": "a.u", "kind": "drop-out", "probability": 0.25, "seed": 3, "start": 1, "end": 2.5}
+    assert fault(declared, "x") == Fault("a.u", DropOut(0.25, 3), 1.0, 2.5)
+    assert fault({"input": "a.u", "kind": "stuck", "value": True}, "x") == Fault("a.u", Stuck(True))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"kind": "frezze"}, "x: unknown kind 'frezze'; nearest is 'freeze'"),
+        ({"kind": None}, "x: unknown kind None"),
+        ({"input": 3}, 'x: input = 3: expected "component.variable"'),
+        ({"valu": 1.0}, "x: offset has no 'valu'; nearest is 'value'"),
+        ({"strt": 1.0}, "x: offset has no 'strt'; nearest is 'start'"),
+        ({"kind": "noise", "value": 1.0}, "x: noise has no 'value'"),
+        ({"kind": "delay"}, "x: delay has no 'value'"),
+        ({"value": "much"}, "x: value = 'much': expected a finite number"),
+        ({"value": True}, "x: value = True: expected a finite number"),
+        ({"start": "soon"}, "x: start = 'soon': expected a number of seconds"),
+        ({"start": 2.0, "end": 2.0}, "x: fault on a.u: end = 2.0 s: expected more than its start, 2.0 s"),
+    ],
+)
+def test_a_wrong_declaration_is_said(change: dict[str, Any], message: str) -> None:
+    declared = {"input": "a.u", "kind": "offset", "value": 1.0} | change
+    with pytest.raises(ScenarioError, match=message):
+        fault(declared, "x")
+
+
+@pytest.mark.parametrize(
+    ("kind", "arguments", "message"),
+    [
+        ("stuck", {}, "x: stuck: value is missing"),
+        ("stuck", {"value": math.nan}, "value = nan: expected a finite number"),
+        ("drift", {"rate": math.inf}, "rate = inf: expected a finite number"),
+        (
+            "noise",
+            {"standard_deviation": -1.0},
+            "standard_deviation = -1.0: expected a finite number, 0 or more",
+        ),
+        ("noise", {"standard_deviation": 1.0, "seed": -1}, "seed = -1: expected an integer, 0 or more"),
+        ("drop-out", {"probability": 1.5}, r"probability = 1.5: expected 0..1"),
+        ("drop-out", {"probability": 0.5, "seed": 1.5}, "seed = 1.5: expected an integer"),
+        ("delay", {"delay": 0.0}, "delay = 0.0: expected a finite number of seconds, more than 0"),
+    ],
+)
+def test_a_wrong_argument_is_said(kind: str, arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        fault({"input": "a.u", "kind": kind, **arguments}, "x")
+
+
+@pytest.mark.parametrize(
+    ("faults", "message"),
+    [
+        ([Fault("b.u[2]", Freeze())], r"fault on b.u\[2\]: no variable 'b.u\[2\]'; nearest is"),
+        ([Fault("a.y[1]", Freeze())], r"a.y\[1\]: expected what a connection or a signal drives"),
+        ([Fault("a.u[1]", Freeze())], r"a.u\[1\]: expected what a connection or a signal drives"),
+        ([Fault("b.integer_in", Offset(1.0))], "Offset: expected an input of type Real, got Integer"),
+        ([Fault("b.integer_in", Noise(1.0))], "Noise: expected an input of type Real, got Integer"),
+        ([Fault("b.integer_in", Stuck(1.5))], "b.integer_in = 1.5: expected a value of type Integer"),
+        ([Fault("b.boolean_in", Stuck(1.0))], "b.boolean_in = 1.0: expected a value of type Boolean"),
+        ([Fault("b.u[1]", Freeze(), start=1.0)], r"no communication step begins at 1..inf s: .* 0..1 s"),
+        ([Fault("b.u[1]", Freeze(), end=0.0)], r"no communication step begins at -inf..0 s"),
+        ([Fault("b.u[1]", Freeze(), 0.11, 0.19)], r"no communication step begins at 0.11..0.19 s"),
+    ],
+)
+def test_a_fault_must_fit_the_system(linear: Build, faults: list[Fault], message: str) -> None:
+    through = linear(passes_discrete=True)
+    kinds = ("integer", "boolean")
+    connections = (("a.y[1]", "b.u[1]"), *((f"a.{k}_out", f"b.{k}_in") for k in kinds))
+    inputs = {"a.u[1]": 0.0, "a.integer_in": 0, "a.boolean_in": False}
+    experiment = Experiment(1.0, 0.1, inputs=inputs, faults=tuple(faults))
+    checked = check(System({"a": through, "b": through}, connections), inputs)
+    with pytest.raises(SystemDefinitionError, match=message):
+        checked_settings(checked, experiment)
+
+
+# What the master makes of them
+
+
+FAULTS = [
+    Fault("b.u[1]", Freeze(), 0.3, 0.6),
+    Fault("b.u[1]", Stuck(4.0), 0.3, 0.6),
+    Fault("b.u[1]", Offset(-0.5), start=0.3),
+    Fault("b.u[1]", Drift(2.0), 0.3, 0.6),
+    Fault("b.u[1]", Noise(0.1, seed=2)),
+    Fault("b.u[1]", DropOut(0.5, seed=2)),
+    Fault("b.u[1]", Delay(0.2)),
+]
+
+
+@pytest.mark.parametrize("algorithm", list(Algorithm))
+@pytest.mark.parametrize("one", FAULTS, ids=[type(each.effect).__name__ for each in FAULTS])
+def test_the_master_passes_on_what_a_receiver_would_see(
+    linear: Build, one: Fault, algorithm: Algorithm
+) -> None:
+    """The output of a goes to b under a fault, and to c as it is."""
+    through = linear(b=(0.0,), c=(0.0,), d=((1.0,),))
+    components = dict.fromkeys("abc", through)
+    experiment = Experiment(
+        1.0, 0.1, algorithm=algorithm, signals={"a.u[1]": Cosine(1.0, 3.0)}, faults=(one,),
+        record=("a.y[1]", "b.u[1]", "c.u[1]"),
+    )  # fmt: skip
+    run = simulate(System(components, (("a.y[1]", "b.u[1]"), ("a.y[1]", "c.u[1]"))), experiment)
+    assert run["c.u[1]"].tolist() == run["a.y[1]"].tolist()
+    assert np.ptp(run["a.y[1]"]) > 0.5
+    expected = received(one, (np.arange(11) * 0.1).round(1).tolist(), run["a.y[1]"].tolist())
+    assert run["b.u[1]"] == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_signal_can_fail_and_faults_act_in_their_order(linear: Build) -> None:
+    through = linear(b=(0.0,), c=(0.0,), d=((1.0,),))
+    both = (Fault("a.u[1]", Offset(1.0)), Fault("a.u[1]", Freeze(), start=0.5))
+    experiment = Experiment(
+        1.0, 0.1, signals={"a.u[1]": Cosine(1.0, 3.0)}, faults=both, record=("a.u[1]",)
+    )  # fmt: skip
+    run = simulate(System({"a": through}), experiment)
+    times = np.minimum(run.time, 0.5)
+    assert run["a.u[1]"] == pytest.approx(1.0 + np.cos(3.0 * times), rel=1e-12)
+
+
+def test_whole_numbers_and_switches_can_be_stuck(linear: Build) -> None:
+    through = linear(passes_discrete=True)
+    kinds = ("integer", "boolean")
+    connections = (("a.y[1]", "b.u[1]"), *((f"a.{k}_out", f"b.{k}_in") for k in kinds))
+    inputs = {"a.u[1]": 0.0, "a.integer_in": 3, "a.boolean_in": False}
+    faults = (Fault("b.integer_in", Stuck(-7), 0.5, 0.8), Fault("b.boolean_in", Stuck(True), 0.5, 0.8))
+    experiment = Experiment(1.0, 0.1, inputs=inputs, faults=faults, record=("b.integer_out", "b.boolean_out"))
+    run = simulate(System({"a": through, "b": through}, connections), experiment)
+    stuck = [False] * 6 + [True] * 3 + [False] * 2  # seen in the output a step later
+    assert run["b.integer_out"].tolist() == [-7 if each else 3 for each in stuck]
+    assert run["b.boolean_out"].tolist() == [float(each) for each in stuck]
+
+
+@pytest.mark.parametrize("algorithm", list(Algorithm))
+def test_a_slow_component_holds_its_output_also_for_a_fault(linear: Build, algorithm: Algorithm) -> None:
+    """a steps every 0.3 s, b every 0.1 s: what is delayed by 0.2 s is what a gave 0.2 s before."""
+    through = linear(b=(0.0,), c=(0.0,), d=((1.0,),))
+    experiment = Experiment(
+        1.2, 0.1, algorithm=algorithm, signals={"a.u[1]": Cosine(1.0, 3.0)}, step_sizes={"a": 0.3},
+        faults=(Fault("b.u[1]", Delay(0.2)),), record=("a.y[1]", "b.u[1]"),
+    )  # fmt: skip
+    run = simulate(System({"a": through, "b": through}, (("a.y[1]", "b.u[1]"),)), experiment)
+    sent = run["a.y[1]"].tolist()
+    assert run["b.u[1]"].tolist() == [sent[0], sent[0], *sent[:-2]]
+
+
+def test_every_kind_is_documented() -> None:
+    text = (Path(__file__).parents[3] / "docs" / "scenarios.md").read_text(encoding="utf-8")
+    for kind in KINDS:
+        assert f'| `kind = "{kind}"` |' in text
+
+
+@pytest.mark.parametrize("name", ["ssp_write", "modelica", "simulink"])
+def test_what_cannot_carry_faults_refuses_them(name: str, tmp_path: Path) -> None:
+    writers: dict[str, Callable[[Any], Any]] = {
+        "ssp_write": lambda chosen: ssp_write.package(chosen, tmp_path / "x.ssp"),
+        "modelica": modelica.texts,
+        "simulink": simulink.text,
+    }
+    chosen = scenario.load(scenario.find("nominal-l1"))
+    faulty = replace(chosen.experiment, faults=(Fault("controller.measured_depth", Freeze()),))
+    with pytest.raises(OrchestrationError, match="with faults: expected none"):
+        writers[name](replace(chosen, experiment=faulty))

@@ -1,0 +1,90 @@
+"""Signals are what they say at every time."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from orchestration.errors import ScenarioError
+from orchestration.system.signals import Constant, Cosine, Ramps, Samples, signal
+
+POINTS = [[0.0, 0.0], [40.0, 0.8], [140.0, 0.8], [180.0, 0.4]]
+
+
+def test_straight_ramps_interpolate_and_hold() -> None:
+    r = Ramps(POINTS)
+    assert [r(t) for t in (-1.0, 0.0, 20.0, 40.0, 100.0, 160.0, 500.0)] == pytest.approx(
+        [0.0, 0.0, 0.4, 0.8, 0.8, 0.6, 0.4]
+    )
+
+
+@pytest.mark.parametrize("t", [0.0, 40.0, 140.0, 180.0])
+def test_quintic_ramps_start_and_end_at_rest(t: float) -> None:
+    r, h = Ramps(POINTS, smooth=True), 1e-3
+    assert (r(t + h) - r(t - h)) / (2 * h) == pytest.approx(0.0, abs=1e-8)  # 10 s^3 / T at s = h / T
+    assert (r(t + h) - 2 * r(t) + r(t - h)) / h**2 == pytest.approx(0.0, abs=1e-5)
+
+
+@given(st.floats(0.0, 40.0), st.floats(0.0, 40.0))
+def test_quintic_ramps_are_monotonic_and_pass_the_middle(one: float, other: float) -> None:
+    r = Ramps(POINTS, smooth=True)
+    assert r(min(one, other)) <= r(max(one, other)) + 1e-15
+    assert r(20.0) == pytest.approx(0.4)
+
+
+def test_cosine_and_constant() -> None:
+    assert Cosine(100.0, 0.2, 0.1, 5.0)(3.0) == pytest.approx(5.0 + 100.0 * math.cos(0.7))
+    assert Constant(2.0)(99.0) == 2.0
+
+
+def test_samples_are_joined_by_lines_or_hold() -> None:
+    times, values = [0.0, 1.0, 3.0], np.array([2.0, 4.0, 0.0])
+    asked = np.array([-1.0, 0.0, 0.5, 1.0, 2.0, 3.0, 9.0])
+    assert Samples(times, values).at(asked).tolist() == [2.0, 2.0, 3.0, 4.0, 2.0, 0.0, 0.0]
+    assert Samples(times, values, hold=True).at(asked).tolist() == [2.0, 2.0, 2.0, 4.0, 4.0, 0.0, 0.0]
+
+
+def test_held_samples_change_at_their_communication_point_whatever_the_rounding() -> None:
+    """3 * 0.1 is a little more than 0.3, 0.7 + 0.1 a little less than 0.8."""
+    held = Samples([0.0, 3 * 0.1, 0.8], [0.0, 1.0, 2.0], hold=True)
+    assert [held(0.3), held(0.7 + 0.1)] == [1.0, 2.0]
+    assert held(0.3 - 1e-6) == 0.0
+
+
+def test_samples_are_copied() -> None:
+    values = np.array([1.0, 2.0])
+    samples = Samples([0.0, 1.0], values)
+    values[:] = 9.0
+    assert samples(0.0) == 1.0
+
+
+def test_a_scenario_declares_samples() -> None:
+    declared = {"kind": "samples", "times": [0.0, 2.0], "values": [1.0, 3.0], "hold": True}
+    assert signal(declared, "here")(1.9) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("declaration", "message"),
+    [
+        ({"kind": "ramp", "points": POINTS}, "here: unknown kind 'ramp'; nearest is 'ramps'"),
+        ({"kind": "ramps"}, "points"),
+        ({"kind": "ramps", "points": [[1.0, 0.0], [1.0, 2.0]]}, "ascending time"),
+        ({"kind": "ramps", "points": [[1.0]]}, r"\[time, value\]"),
+        ({"kind": "cosine", "amplitud": 1.0}, "amplitud"),
+        ({"kind": "cosine", "amplitude": "1"}, "amplitude: expected finite numbers"),
+        ({"kind": "constant", "value": math.nan}, "value: expected finite numbers"),
+        ({"kind": "ramps", "points": [[0.0, "a"]]}, "points: expected finite numbers"),
+        ({"kind": "ramps", "points": [[0.0, math.inf]]}, "points: expected finite numbers"),
+        ({"kind": "ramps", "points": 3.0}, r"\[time, value\]"),
+        ({"kind": ["ramps"]}, "unknown kind"),
+        ({"kind": "samples", "times": [0.0, 1.0], "values": [0.0]}, r"shapes \(2,\) and \(1,\)"),
+        ({"kind": "samples", "times": [], "values": []}, "as many times as values"),
+        ({"kind": "samples", "times": [0.0, 0.0], "values": [0.0, 1.0]}, "ascending times"),
+        ({"kind": "samples", "times": [0.0, math.nan], "values": [0.0, 1.0]}, "finite numbers"),
+    ],
+)
+def test_bad_signals_are_refused(declaration: dict, message: str) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        signal(declaration, "here")

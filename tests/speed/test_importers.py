@@ -1,0 +1,152 @@
+"""Every importer does the same work in the race, and the table says what was measured.
+
+No time is a pass or a fail: machines differ and are noisy.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from fmus.block import NoValues
+from orchestration.errors import OrchestrationError
+from orchestration.master import Simulator
+from tests.speed import importers
+from tests.speed import pair as pair_module
+from tests.speed.importers import LOOPS, UNABLE, Bare, Entry, Lap, Runner, entry, lap, race
+from tests.speed.pair import LEVEL, STEP_SIZE, Inputs, Pair, State
+from tests.speed.tables import tables
+
+AT_ONCE = 0.0  # s: the least number of steps is enough
+FLOOR_S = 1e-7
+
+
+def levels(steps: int, one_after_another: bool = False) -> list[float]:
+    """The first level at every communication point, by the equations in Python."""
+    first, second = 0.0, 0.0
+    found = [first]
+    fast, slow = pair_module.FIRST.parameters(), pair_module.SECOND.parameters()
+    for i in range(steps):
+        t, before = i * STEP_SIZE, first
+        first = pair_module.step(t, STEP_SIZE, State(first), Inputs(second), fast, NoValues()).level
+        seen = first if one_after_another else before
+        second = pair_module.step(t, STEP_SIZE, State(second), Inputs(seen), slow, NoValues()).level
+        found.append(first)
+    return found
+
+
+def test_the_bare_loop_does_what_the_equations_say(bare: Bare) -> None:
+    expected = levels(300)
+    assert [bare.level(steps) for steps in (1, 2, 300)] == [expected[1], expected[2], expected[300]]
+
+
+def test_this_master_records_what_the_equations_say(pair: Pair) -> None:
+    with Simulator(pair.system) as simulator:
+        recording = simulator.run(pair.experiment(300))
+    assert recording[f"first.{LEVEL}"].tolist() == levels(300)
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_every_importer_ends_where_the_bare_loop_ends(
+    pair: Pair, bare: Bare, installed: Callable[[str], str], name: str
+) -> None:
+    found = lap(installed(name), pair, AT_ONCE)
+    assert isinstance(found, Lap), found
+    if name == "pathsim":
+        own = levels(2 * found.steps + 1, one_after_another=True)
+        assert found.levels == (own[found.steps + 1], own[2 * found.steps + 1])
+    else:
+        assert found.levels == (bare.level(found.steps), bare.level(2 * found.steps))
+
+
+def test_a_step_more_would_be_noticed(bare: Bare) -> None:
+    """Otherwise the test above would prove little."""
+    for steps in (1 << 10, 1 << 11, 1 << 18, 1 << 19):
+        off = abs(bare.level(steps + 1) / bare.level(steps) - 1.0)
+        assert off > 1e3 * importers._CLOSE
+
+
+def test_who_is_not_installed_or_fails_is_a_row_with_the_reason(
+    pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(LOOPS, "ecos", replace(LOOPS["ecos"], distribution="no-such-distribution"))
+    assert lap("ecos", pair) == "not installed"
+    monkeypatch.setitem(LOOPS, "nobody", Runner("Nobody", "l1-depth", "nothing"))
+    failed = lap("nobody", pair)
+    assert isinstance(failed, str)
+    assert failed.startswith("ended with status 1: ModuleNotFoundError")
+    assert entry("nobody", [failed], float, FLOOR_S) == Entry("Nobody", problem=failed)
+
+
+def test_who_does_not_end_is_a_row_with_the_reason(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importers, "_LONGEST_S", 0.01)
+    assert lap("ours", pair) == "not done in 0.01 s"
+
+
+def test_a_fault_of_an_fmu_is_no_measurement(bare: Bare, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importers, "STEP_SIZE", -1.0)
+    with pytest.raises(OrchestrationError, match="pair failed with exit status 2"):
+        bare.per_step(10)
+
+
+def made_up(first: float, second: float, scale: float = 1.0) -> Lap:
+    """A lap of 1000 steps whose level is the number of steps, times `scale`."""
+    return Lap(1000, (first, second), (1000.0 * scale, 2000.0 * scale))
+
+
+def test_loading_cancels_and_the_median_counts() -> None:
+    laps: list[Lap | str] = [made_up(5.0, 5.5), made_up(1.0, 1.25), made_up(2.0, 2.375)]
+    found = entry("ours", laps, float, 0.125e-3)
+    assert (found.per_step, found.overhead, found.ratio) == (0.375e-3, 0.25e-3, 3.0)
+    assert (found.remark, found.problem) == ("records every output", "")
+
+
+@pytest.mark.parametrize("scale", [1.1, 0.0, math.nan, math.inf])
+def test_who_gives_other_numbers_has_no_time(scale: float) -> None:
+    found = entry("ours", [made_up(1.0, 2.0), made_up(1.0, 2.0, scale)], float, FLOOR_S)
+    assert "expected other numbers" in found.problem
+    assert math.isinf(found.per_step)
+
+
+def test_who_is_a_little_off_has_a_time_and_a_remark() -> None:
+    found = entry("ours", [made_up(1.0, 2.0, 1.001)], float, FLOOR_S)
+    assert found.remark == "records every output; its level is off by 1.0e-03 of its value"
+    assert found.per_step == 1e-3
+
+
+def test_the_table_has_the_fastest_first_and_every_reason() -> None:
+    entries = [
+        Entry("idle", problem="not installed"),
+        Entry("slow", "2", 30e-7, FLOOR_S, "records nothing"),
+        Entry("fast", "1", 2e-7, FLOOR_S, "records every output"),
+    ]
+    console = Console(width=200, record=True)
+    console.print(tables([], [], entries)[2])
+    rows = [[cell.strip() for cell in line.split("│")[1:-1]] for line in console.export_text().splitlines()]
+    assert [row for row in rows if row] == [
+        ["fast", "1", "0.200", "0.100", "2.0", "records every output"],
+        ["slow", "2", "3.000", "2.900", "30.0", "records nothing"],
+        ["idle", "", "", "", "", "not installed"],
+    ]
+
+
+def test_a_race_has_a_row_for_everyone(monkeypatch: pytest.MonkeyPatch) -> None:
+    laps = []
+    monkeypatch.setattr(importers, "lap", lambda name, built: laps.append(name) or made_up(1.0, 2.0))
+    monkeypatch.setattr(Bare, "level", lambda self, steps: float(steps))
+    shown = []
+    found = race(2, ["ours", "ecos"], lambda: shown.append(1))
+    assert laps == ["ours", "ecos"] * 2
+    assert len(shown) == len(laps)
+    assert [each.name for each in found] == [importers.FLOOR, "this master", "Ecos", *UNABLE]
+    assert all(each.floor == found[0].per_step > 0.0 for each in found[:3])
+
+
+def test_nothing_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    race(1, ["prebound_ctypes"])
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,55 @@
+"""What `l1-depth bench` measures of our own programs, and what its tables make of it.
+
+No time is a pass or a fail.
+"""
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from fmus import catalogue
+from orchestration.errors import OrchestrationError
+from tests.speed import layer, loop, scenarios
+from tests.speed.layers import Layer
+from tests.speed.scenarios import Loop
+from tests.speed.tables import tables
+
+
+@pytest.mark.parametrize("name", catalogue.block_names())
+def test_a_block_is_measured_both_ways(name: str) -> None:
+    """The C program itself checks that both ways end with the same output."""
+    found = layer(name, steps=1000, rounds=1)
+    assert found.block == name
+    assert min(found.through_fmi, found.bare) > 0.0
+
+
+def test_a_scenario_is_measured_in_every_way() -> None:
+    """That the host and the one C program give equal trajectories is checked on the way."""
+    found = loop("nominal-extended", rounds=1)
+    assert found.steps == 15_500
+    assert min(found.master_python, found.master_native, found.host, found.monolith) > 0.0
+
+
+def test_programs_that_differ_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scenarios, "_in_the_master", lambda chosen, rounds: [1.0])
+    given = iter([np.zeros(3), np.array([0.0, 0.0, 1e-300])])
+    monkeypatch.setattr(scenarios, "read_result", lambda result, plan: next(given))
+    with pytest.raises(OrchestrationError, match="differ: expected equal trajectories"):
+        loop("example-l1", rounds=1)
+
+
+def test_the_tables_have_the_ratios() -> None:
+    layers = [Layer("Block", 3e-8, 2e-8)]
+    loops = [Loop("scenario", 1000, 2.0, 8e-3, 6e-3, 5e-3, 4e-3)]
+    console = Console(width=150, record=True)
+    for table in tables(layers, loops, []):
+        console.print(table)
+    rows = [[cell.strip() for cell in line.split("│")[1:-1]] for line in console.export_text().splitlines()]
+    assert [row for row in rows if row] == [
+        ["Block", "30", "20", "1.50"],
+        ["scenario", "python FMUs, this master", "2000.00", "2000.00", "1/1", "500.00"],
+        ["scenario", "native FMUs, this master", "8.00", "8.00", "1/250", "2.00"],
+        ["scenario", "native FMUs, its loop alone", "6.00", "6.00", "1/333", "1.50"],
+        ["scenario", "native FMUs, a host in C", "5.00", "5.00", "1/400", "1.25"],
+        ["scenario", "the same equations, one C program", "4.00", "4.00", "1/500", "1.00"],
+    ]
