@@ -66,7 +66,7 @@ def _verified(name: str, block: Block) -> Block:
         raise ExportError(f"block {name!r}: expected a parameter internal_step, its longest step in s")
     trial = Instance(block)
     try:
-        trial.begin_stepping()
+        trial.exit_initialization_mode()
         trial.do_step(0.0, block.step_size)
         trial.get(len(block.variables) - 1)
     except Exception as error:

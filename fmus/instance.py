@@ -102,7 +102,7 @@ class Instance:
         self.time = time
         self._outputs_are_stale = True
 
-    def begin_stepping(self) -> None:
+    def exit_initialization_mode(self) -> None:
         """End the initialisation: the state follows from the parameters and inputs set."""
         self._refresh()
         self._stepping = True
@@ -122,7 +122,9 @@ class Instance:
 
     def _check_step(self, t: float, h: float) -> None:
         if not self._stepping:
-            raise BlockError("a step before the initialisation has ended: expected begin_stepping first")
+            raise BlockError(
+                "a step before the initialisation has ended: expected exit_initialization_mode first"
+            )
         if not (math.isfinite(h) and h > 0.0):
             raise BlockError(f"communication step size {h!r} s: expected more than 0")
         if not (math.isfinite(t) and abs(t - self.time) <= _tolerance(t, h)):

@@ -23,7 +23,7 @@ class FmuLoadError(OrchestrationError):
     """A file that is not an FMI 2.0 co-simulation FMU for this platform."""
 
 
-class SlaveError(OrchestrationError):
+class FmuError(OrchestrationError):
     """An FMU refused a call. Names the instance, the time and the FMU's own log line."""
 
     def __init__(self, instance: str, time: float, call: str, status: str, log: list[str]) -> None:
@@ -35,7 +35,7 @@ class SlaveError(OrchestrationError):
         return f"{self.instance} at t = {self.time:.9g} s: {self.call} returned {self.status}: {said}"
 
 
-class SlaveWarning(UserWarning):
+class FmuWarning(UserWarning):
     """An FMU returned fmi2Warning: the simulation goes on."""
 
 

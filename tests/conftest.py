@@ -109,7 +109,7 @@ class Driver:
 
     def begin(self, t: float = 0.0) -> "Driver":
         self.instance.start(t)
-        self.instance.begin_stepping()
+        self.instance.exit_initialization_mode()
         return self
 
     def step(self, h: float) -> "Driver":

@@ -177,12 +177,13 @@ def variable_step_size(probe: Any) -> Iterator[str]:
 )
 def memory_is_given_back(probe: Any) -> Iterator[str]:
     """What an instance takes by allocateMemory it gives back by freeMemory, and nothing else."""
-    before, strangers = len(memory.held), memory.strangers
+    before, foreign_frees = len(memory.held), memory.foreign_frees
     with probe.instance() as slave:
         slave.begin(probe.start_time)
         probe.run(slave, 1)
         slave.call("Terminate")
     if len(memory.held) > before:
         yield f"{len(memory.held) - before} blocks are still held after fmi2FreeInstance: expected none"
-    if memory.strangers > strangers:
-        yield f"{memory.strangers - strangers} addresses were freed that were never given: expected none"
+    if memory.foreign_frees > foreign_frees:
+        unknown = memory.foreign_frees - foreign_frees
+        yield f"{unknown} addresses were freed that were never given: expected none"

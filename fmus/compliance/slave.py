@@ -26,7 +26,7 @@ class Memory:
 
     def __init__(self) -> None:
         self.held: dict[int, Any] = {}
-        self.given = self.strangers = 0
+        self.given = self.foreign_frees = 0
 
     def allocate(self, count: int, size: int) -> int:
         block = ctypes.create_string_buffer(max(count * size, 1))
@@ -37,7 +37,7 @@ class Memory:
 
     def free(self, address: int | None) -> None:
         if address and self.held.pop(address, None) is None:
-            self.strangers += 1
+            self.foreign_frees += 1
 
 
 memory = Memory()

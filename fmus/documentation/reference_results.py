@@ -91,7 +91,7 @@ def _trajectory(
 
     instance.start(0.0)
     apply(0.0)
-    instance.begin_stepping()
+    instance.exit_initialization_mode()
     for i in range(count + 1):
         t = i * step_size
         if i % every == 0:

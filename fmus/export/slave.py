@@ -38,7 +38,7 @@ class BlockSlave(Fmi2Slave):
         self._attempt("start", self._instance.start, start_time)
 
     def exit_initialization_mode(self) -> None:
-        self._attempt("initialisation", self._instance.begin_stepping)
+        self._attempt("initialisation", self._instance.exit_initialization_mode)
 
     def do_step(self, current_time: float, step_size: float) -> bool:
         if self._refused:

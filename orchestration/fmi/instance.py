@@ -1,6 +1,6 @@
 """One FMU instance: loaded, called through arrays bound once, and always freed.
 
-Every call that an FMU refuses becomes a SlaveError with the FMU's own words.
+Every call that an FMU refuses becomes a FmuError with the FMU's own words.
 """
 
 import contextlib
@@ -22,7 +22,7 @@ from fmpy.logging import addLoggerProxy
 from fmpy.model_description import ModelDescription, ScalarVariable
 
 from fmus.platforms import host_platform, library_name
-from orchestration.errors import FmuLoadError, SlaveError, SlaveWarning
+from orchestration.errors import FmuError, FmuLoadError, FmuWarning
 
 _STATUS = ("ok", "warning", "discard", "error", "fatal", "pending")
 _REFUSED_FROM = 2  # discard and worse
@@ -42,19 +42,19 @@ _TYPES = {
 class Log(list[tuple[int, str]]):
     """What an instance has said since it was last judged, as (status, message), repetitions left out.
 
-    heard: shape (1,), not 0 once that was an error; the communication loop looks at it
+    error_logged: shape (1,), not 0 once that was an error; the communication loop looks at it
     """
 
     def __init__(self) -> None:
         super().__init__()
-        self.heard = np.zeros(1, np.int64)
+        self.error_logged = np.zeros(1, np.int64)
 
     def clear(self) -> None:
         super().clear()
-        self.heard[0] = 0
+        self.error_logged[0] = 0
 
 
-class UnderWay:
+class CallInProgress:
     """Marks calls of an instance for someone who watches from another process; a context manager.
 
     busy: shape (1,), `number` while a call is under way, else 0; calls: shape (1,), how many have returned
@@ -89,7 +89,7 @@ def _keep_log(
         if not log or log[-1] != entry:
             log.append(entry)
         if status in (_ERROR, _FATAL):
-            log.heard[0] = 1
+            log.error_logged[0] = 1
 
 
 _logger = fmi2.fmi2CallbackLoggerTYPE(_keep_log)
@@ -110,7 +110,7 @@ class Values:
     `array` is a NumPy view of what the FMU reads and writes.
     """
 
-    def __init__(self, component: "Component", fmi_type: str, variables: list[ScalarVariable]) -> None:
+    def __init__(self, component: "FmuInstance", fmi_type: str, variables: list[ScalarVariable]) -> None:
         element, name = _TYPES[fmi_type]
         count = len(variables)
         self.variables = variables
@@ -125,20 +125,20 @@ class Values:
 
     def read(self) -> None:
         """FMU -> array."""
-        with self._component.under_way:
+        with self._component.call_in_progress:
             status = self._getter(*self._arguments)
         if status or self._component.log:
-            self._component.judge(self._get_name, status)
+            self._component.check_status(self._get_name, status)
 
     def write(self) -> None:
         """Array -> FMU."""
-        with self._component.under_way:
+        with self._component.call_in_progress:
             status = self._setter(*self._arguments)
         if status or self._component.log:
-            self._component.judge(self._set_name, status)
+            self._component.check_status(self._set_name, status)
 
 
-class Component:
+class FmuInstance:
     """An instance of an FMI 2.0 co-simulation FMU, between instantiation and `close`.
 
     Its library is a copy of its own: what FMI says of all instances after a fatal error ends this one alone.
@@ -150,7 +150,7 @@ class Component:
         self._initialised = self._stepping = self._failed = self._dead = False
         self._number = next(_numbers)
         self.log = _logs[self._number] = Log()
-        self.under_way = UnderWay(1, np.zeros(1, np.int64), np.zeros(1, np.int64))
+        self.call_in_progress = CallInProgress(1, np.zeros(1, np.int64), np.zeros(1, np.int64))
         self._callbacks = fmi2.fmi2CallbackFunctions(
             allocateMemory=fmi2.defaultCallbacks.allocateMemory,
             freeMemory=fmi2.defaultCallbacks.freeMemory,
@@ -247,43 +247,43 @@ class Component:
         self._call("setupExperiment", startTime=start_time, stopTime=stop_time)
         self._call("enterInitializationMode")
 
-    def begin_stepping(self) -> None:
+    def exit_initialization_mode(self) -> None:
         self._call("exitInitializationMode")
         self._stepping = True
 
-    def saved_state(self, state: int | None = None) -> int:
+    def get_fmu_state(self, state: int | None = None) -> int:
         """The FMU's own state; one saved before, if given, is overwritten."""
         pointer = ctypes.c_void_p(state)
-        self.judge("fmi2GetFMUstate", self._status("fmi2GetFMUstate", ctypes.byref(pointer)))
+        self.check_status("fmi2GetFMUstate", self._status("fmi2GetFMUstate", ctypes.byref(pointer)))
         return int(pointer.value or 0)
 
-    def restore(self, state: int) -> None:
-        self.judge("fmi2SetFMUstate", self._status("fmi2SetFMUstate", ctypes.c_void_p(state)))
+    def set_fmu_state(self, state: int) -> None:
+        self.check_status("fmi2SetFMUstate", self._status("fmi2SetFMUstate", ctypes.c_void_p(state)))
         self._failed = False
 
-    def forget(self, state: int) -> None:
+    def free_fmu_state(self, state: int) -> None:
         """Give a saved state back; after fatal it goes with the library."""
         if self._dead:
             return
         pointer = ctypes.c_void_p(state)
-        self.judge("fmi2FreeFMUstate", self._status("fmi2FreeFMUstate", ctypes.byref(pointer)))
+        self.check_status("fmi2FreeFMUstate", self._status("fmi2FreeFMUstate", ctypes.byref(pointer)))
 
-    def packed(self, state: int) -> bytes:
+    def serialize_fmu_state(self, state: int) -> bytes:
         """A saved state as bytes, which another instance of this FMU can take."""
         size = ctypes.c_size_t()
         saved = ctypes.c_void_p(state)
         status = self._status("fmi2SerializedFMUstateSize", saved, ctypes.byref(size))
-        self.judge("fmi2SerializedFMUstateSize", status)
+        self.check_status("fmi2SerializedFMUstateSize", status)
         content = ctypes.create_string_buffer(size.value)
         status = self._status("fmi2SerializeFMUstate", saved, content, size)
-        self.judge("fmi2SerializeFMUstate", status)
+        self.check_status("fmi2SerializeFMUstate", status)
         return content.raw
 
-    def unpacked(self, content: bytes) -> int:
-        """The inverse of `packed`."""
+    def deserialize_fmu_state(self, content: bytes) -> int:
+        """The inverse of `serialize_fmu_state`."""
         state, length = ctypes.c_void_p(), ctypes.c_size_t(len(content))
         status = self._status("fmi2DeSerializeFMUstate", content, length, ctypes.byref(state))
-        self.judge("fmi2DeSerializeFMUstate", status)
+        self.check_status("fmi2DeSerializeFMUstate", status)
         return int(state.value or 0)
 
     def last_successful_time(self) -> float | None:
@@ -298,10 +298,10 @@ class Component:
         self.time = t
         status = self._status("fmi2DoStep", ctypes.c_double(t), ctypes.c_double(h), 1)
         if status or self.log:
-            self.judge("fmi2DoStep", status)
+            self.check_status("fmi2DoStep", status)
 
-    def judge(self, call: str, status: int) -> None:
-        """Raise SlaveError for a refused call, warn for a warning; keep the log empty.
+    def check_status(self, call: str, status: int) -> None:
+        """Raise FmuError for a refused call, warn for a warning; keep the log empty.
 
         A call that returned ok but logged an error is refused too: some FMUs can say it only so.
         """
@@ -312,10 +312,10 @@ class Component:
         name = _STATUS[worst] if worst < len(_STATUS) else f"status {worst}"
         messages = _shortened([message for _, message in log])
         if worst >= _REFUSED_FROM:
-            raise SlaveError(self.name, self.time, call, name, messages)
+            raise FmuError(self.name, self.time, call, name, messages)
         if worst:
             said = "; ".join(messages) or "it logged nothing"
-            warnings.warn(f"{self.name} at t = {self.time:.9g} s: {call}: {said}", SlaveWarning, stacklevel=2)
+            warnings.warn(f"{self.name} at t = {self.time:.9g} s: {call}: {said}", FmuWarning, stacklevel=2)
 
     def _remember(self, status: int) -> None:
         self._failed = self._failed or status >= _ERROR
@@ -343,17 +343,17 @@ class Component:
 
     def _status(self, function: str, *arguments: Any) -> int:
         """What a function of the library answers for the instance."""
-        with self.under_way:
+        with self.call_in_progress:
             return getattr(self.library, function)(self.handle, *arguments)
 
     def _call(self, method: str, *arguments: Any, **options: Any) -> None:
         call = f"fmi2{method[0].upper()}{method[1:]}"
         try:
-            with self.under_way:
+            with self.call_in_progress:
                 status = getattr(self._slave, method)(*arguments, **options) or 0
         except FMICallException as error:
             status = error.status
-        self.judge(call, status)
+        self.check_status(call, status)
 
     def __enter__(self) -> Self:
         return self

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from orchestration.errors import OrchestrationError
-from orchestration.fmi.instance import Component
+from orchestration.fmi.instance import FmuInstance
 from orchestration.master.loop import RECORDED
 from orchestration.master.snapshot import moving_arrays
 from orchestration.master.stepping import MOST_STEPS, Run
@@ -82,7 +82,7 @@ def read_checkpoint(path: str | Path) -> Checkpoint:
         raise OrchestrationError(f"{path} is not a checkpoint, or is damaged: {error}") from error
 
 
-def capture(run: Run, components: Mapping[str, Component]) -> Checkpoint:
+def capture(run: Run, components: Mapping[str, FmuInstance]) -> Checkpoint:
     """The system where it is. OrchestrationError where that is no place to go on from."""
     last = run.position == len(run.wiring.points) - 1
     if last and np.any(run.position % run.wiring.period):
@@ -91,9 +91,9 @@ def capture(run: Run, components: Mapping[str, Component]) -> Checkpoint:
         )
     states = {}
     for name, component in components.items():
-        state = component.saved_state()
-        states[name] = component.packed(state)
-        component.forget(state)
+        state = component.get_fmu_state()
+        states[name] = component.serialize_fmu_state(state)
+        component.free_fmu_state(state)
     w, i = run.wiring, run.position
     arrays = {name: array.copy() for name, array in moving_arrays(w).items()}
     arrays |= {"rows": w.rows[:i].copy(), "history": w.faults.history[:, : i + 1].copy()}
@@ -101,7 +101,7 @@ def capture(run: Run, components: Mapping[str, Component]) -> Checkpoint:
     return Checkpoint(i, float(w.points[i]), step_size, past(run, i), states, arrays)
 
 
-def restore(checkpoint: Checkpoint, run: Run, components: Mapping[str, Component]) -> None:
+def restore(checkpoint: Checkpoint, run: Run, components: Mapping[str, FmuInstance]) -> None:
     """Bring a run that has been initialised to the checkpoint."""
     w, i = run.wiring, checkpoint.position
     present = past(run, i)
@@ -123,9 +123,9 @@ def restore(checkpoint: Checkpoint, run: Run, components: Mapping[str, Component
         place[:] = found
     w.report[RECORDED] = i
     for name, component in components.items():
-        state = component.unpacked(checkpoint.states[name])
-        component.restore(state)
-        component.forget(state)
+        state = component.deserialize_fmu_state(checkpoint.states[name])
+        component.set_fmu_state(state)
+        component.free_fmu_state(state)
     run.position = i
     if run.shorter:
         run.shorter.step_size = checkpoint.step_size
@@ -158,10 +158,10 @@ class Checkpoints:
         if not self.every > 0.0:
             raise OrchestrationError(f"a checkpoint every {self.every!r} s: expected more than 0")
 
-    def save(self, run: Run, components: Mapping[str, Component]) -> None:
+    def save(self, run: Run, components: Mapping[str, FmuInstance]) -> None:
         capture(run, components).write(self.path)
 
-    def keeper(self, run: Run, components: Mapping[str, Component]) -> Callable[[int], int]:
+    def keeper(self, run: Run, components: Mapping[str, FmuInstance]) -> Callable[[int], int]:
         """For `Run.go`: saves at the points that are due, and tells how far it is to the next."""
         points = run.wiring.points
         due = float(points[run.position]) + self.every

@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping
 
-from orchestration.errors import OrchestrationError, SlaveError
-from orchestration.fmi.instance import Component
+from orchestration.errors import FmuError, OrchestrationError
+from orchestration.fmi.instance import FmuInstance
 from orchestration.master.loop import CONNECTION, FAILURE, STATUS, STEP, WHICH, WHO, Wiring
 from orchestration.master.wiring import Loom
 
@@ -14,7 +14,7 @@ def is_discarded_step(w: Wiring) -> bool:
     return w.report[FAILURE] == STEP and w.report[STATUS] == _DISCARD
 
 
-def explain(loom: Loom, components: Mapping[str, Component], t: float) -> OrchestrationError:
+def explain(loom: Loom, components: Mapping[str, FmuInstance], t: float) -> OrchestrationError:
     """The failure that the loop reports, as an error to raise; t: begin of the step under way [s]."""
     report = loom.wiring.report
     which = int(report[WHICH])
@@ -28,13 +28,13 @@ def explain(loom: Loom, components: Mapping[str, Component], t: float) -> Orches
     component.time = t
     call = loom.functions[int(report[FAILURE])][which]
     try:
-        component.judge(call, int(report[STATUS]))
-    except SlaveError as error:
+        component.check_status(call, int(report[STATUS]))
+    except FmuError as error:
         return error
-    return SlaveError(component.name, t, call, "an error that it took back", [])
+    return FmuError(component.name, t, call, "an error that it took back", [])
 
 
-def judge_warnings(loom: Loom, components: Mapping[str, Component], failed: bool) -> None:
+def judge_warnings(loom: Loom, components: Mapping[str, FmuInstance], failed: bool) -> None:
     """Let Python warn of what components warned of in the loop; what failed there is explained elsewhere."""
     w = loom.wiring
     for c, component in enumerate(components.values()):
@@ -43,5 +43,5 @@ def judge_warnings(loom: Loom, components: Mapping[str, Component], failed: bool
         if w.warned[c] or component.log:
             call = loom.functions[int(w.warned[c])][0] if w.warned[c] else "fmi2DoStep"
             component.time = float(w.warned_at[c] if w.warned[c] else w.begun[c])
-            component.judge(call, int(w.warned[c] > 0))
+            component.check_status(call, int(w.warned[c] > 0))
             w.warned[c] = 0

@@ -22,8 +22,8 @@ from scipy.optimize import approx_fprime, root
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from orchestration.errors import OrchestrationError, SlaveError
-from orchestration.fmi.instance import Component
+from orchestration.errors import FmuError, OrchestrationError
+from orchestration.fmi.instance import FmuInstance
 from orchestration.system.experiment import Initialisation
 from orchestration.system.system import CheckedSystem, Port
 
@@ -49,11 +49,11 @@ class _NotSettledError(Exception):
     """What a method ended with, in words."""
 
 
-def settle(order: Sequence[Group], components: Mapping[str, Component], method: Initialisation) -> None:
+def settle(order: Sequence[Group], components: Mapping[str, FmuInstance], method: Initialisation) -> None:
     """Exchange initial values until every connected input equals its output; in initialisation mode.
 
     order: of `groups`
-    Raises OrchestrationError for a loop of which no solution is found, SlaveError for what an FMU refuses.
+    Raises OrchestrationError for a loop of which no solution is found, FmuError for what an FMU refuses.
     """
     for group in order:
         if group.is_loop:
@@ -89,14 +89,14 @@ def groups(checked: CheckedSystem) -> tuple[Group, ...]:
     )
 
 
-def _settle_once(connections: Sequence[Connection], components: Mapping[str, Component]) -> None:
+def _settle_once(connections: Sequence[Connection], components: Mapping[str, FmuInstance]) -> None:
     try:
         _pass(connections, components)
     except _NotSettledError as reason:
         raise OrchestrationError(f"initial values: {reason}") from reason
 
 
-def _pass(connections: Sequence[Connection], components: Mapping[str, Component]) -> list[float]:
+def _pass(connections: Sequence[Connection], components: Mapping[str, FmuInstance]) -> list[float]:
     """Read each output and set its input, one after the other; the values."""
     values = []
     for source, target in connections:
@@ -113,7 +113,7 @@ def _pass(connections: Sequence[Connection], components: Mapping[str, Component]
 class _Loop:
     """x = F(x), x being the inputs of the connections of a loop."""
 
-    def __init__(self, connections: Sequence[Connection], components: Mapping[str, Component]) -> None:
+    def __init__(self, connections: Sequence[Connection], components: Mapping[str, FmuInstance]) -> None:
         self.connections, self.components = connections, components
         self.nominal = np.array([_nominal(connection) for connection in connections])
         self.is_real = all(target.variable.type == "Real" for _, target in connections)
@@ -171,7 +171,7 @@ def _iterate(loop: _Loop) -> None:
     for _ in range(_PASSES):
         try:
             values = np.array(_pass(loop.connections, loop.components), float)
-        except SlaveError as error:
+        except FmuError as error:
             raise _refusal("repeated exchange stops", error) from error
         change = np.max(np.abs(values - before) / loop.nominal)
         if loop.scaled(values - before, values) <= _TOLERANCE:
@@ -189,7 +189,7 @@ def _solve(loop: _Loop, start: np.ndarray) -> None:
     """
     if not loop.is_real:
         raise _NotSettledError("Newton's method needs variables of type Real")
-    discards: list[SlaveError] = []
+    discards: list[FmuError] = []
     worst = np.zeros(len(start))
 
     def residual(scaled: np.ndarray) -> np.ndarray:
@@ -199,7 +199,7 @@ def _solve(loop: _Loop, start: np.ndarray) -> None:
     def guarded(scaled: np.ndarray) -> np.ndarray:
         try:
             found = residual(scaled)
-        except SlaveError as error:
+        except FmuError as error:
             if error.status != "discard" or not worst.any():
                 raise
             discards.append(error)
@@ -212,7 +212,7 @@ def _solve(loop: _Loop, start: np.ndarray) -> None:
     try:
         found = root(guarded, start / loop.nominal, options={"xtol": 1e-15}).x
         _check_solution(loop, found, residual)
-    except SlaveError as error:
+    except FmuError as error:
         raise _refusal("Newton's method stops", error) from error
     except _NotSettledError as reason:
         raise _refusal(str(reason), discards[-1]) if discards else reason from None
@@ -230,7 +230,7 @@ def _check_solution(loop: _Loop, found: np.ndarray, residual: Callable[[np.ndarr
         raise _NotSettledError("Newton's method ends where the loop is singular: no solution stands alone")
 
 
-def _refusal(method: str, error: SlaveError) -> _NotSettledError:
+def _refusal(method: str, error: FmuError) -> _NotSettledError:
     """A discarded value may be followed by another; anything worse is raised as it is."""
     if error.status != "discard":
         raise error

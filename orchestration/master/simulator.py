@@ -11,7 +11,7 @@ import numpy as np
 
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.fmi.description import describe
-from orchestration.fmi.instance import Component
+from orchestration.fmi.instance import FmuInstance
 from orchestration.master.checkpoint import Checkpoint, Checkpoints, restore
 from orchestration.master.compiled_loop import compiled as compiled_loop
 from orchestration.master.initialisation import Group, groups, settle
@@ -40,7 +40,7 @@ class Simulator:
         self._loop = compiled_loop if compiled else plain
         self._descriptions = {name: describe(Path(path)) for name, path in system.components.items()}
         self._loaded = ExitStack()
-        self._components: dict[str, Component] = {}
+        self._components: dict[str, FmuInstance] = {}
         self._must_reload = False
         self._running = threading.Lock()
         self._known: dict[tuple[str, ...], tuple[CheckedSystem, tuple[Group, ...]]] = {}
@@ -127,11 +127,11 @@ class Simulator:
                 }
                 self._loaded = loading.pop_all()
 
-    def _loaded_component(self, name: str, storage: Storage | None) -> Component:
+    def _loaded_component(self, name: str, storage: Storage | None) -> FmuInstance:
         report = storage.report if storage else np.zeros(REPORT_SIZE, np.int64)
         report[BUSY] = -1 - list(self.system.components).index(name)
         try:
-            return Component(name, Path(self.system.components[name]), self._descriptions[name])
+            return FmuInstance(name, Path(self.system.components[name]), self._descriptions[name])
         finally:
             report[BUSY] = 0
 
@@ -147,7 +147,7 @@ class Simulator:
         self.close()
 
 
-def _saved(checkpoints: Checkpoints, run: Run, components: Mapping[str, Component]) -> str:
+def _saved(checkpoints: Checkpoints, run: Run, components: Mapping[str, FmuInstance]) -> str:
     """Save an interrupted run; what to say of it."""
     try:
         checkpoints.save(run, components)
@@ -177,7 +177,7 @@ def _initialise(
     order: Sequence[Group],
     experiment: Experiment,
     settings: list[tuple[Port, Any]],
-    components: Mapping[str, Component],
+    components: Mapping[str, FmuInstance],
 ) -> None:
     """Set parameters, enter initialisation mode, set inputs, exchange in dependency order, leave it."""
 
@@ -201,4 +201,4 @@ def _initialise(
         components[port.component].set(port.variable, float(start[0]))
     settle(order, components, experiment.initialisation)
     for component in components.values():
-        component.begin_stepping()
+        component.exit_initialization_mode()

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from orchestration.errors import SlaveError
-from orchestration.fmi.instance import Component
+from orchestration.errors import FmuError
+from orchestration.fmi.instance import FmuInstance
 from orchestration.master.loop import Wiring
 from orchestration.system.system import CheckedSystem
 
@@ -28,7 +28,7 @@ def moving_arrays(w: Wiring) -> dict[str, np.ndarray]:
 class Snapshot:
     """States of all FMUs and the arrays between them; `free` when it is needed no more."""
 
-    def __init__(self, components: Mapping[str, Component], w: Wiring) -> None:
+    def __init__(self, components: Mapping[str, FmuInstance], w: Wiring) -> None:
         self._components, self._wiring = components, w
         self._states: dict[str, int] = {}
         self._arrays = {name: array.copy() for name, array in moving_arrays(w).items()}
@@ -38,7 +38,7 @@ class Snapshot:
         for name, array in moving_arrays(self._wiring).items():
             self._arrays[name][:] = array
         for name, component in self._components.items():
-            self._states[name] = component.saved_state(self._states.get(name))
+            self._states[name] = component.get_fmu_state(self._states.get(name))
 
     def restore(self) -> None:
         """Back to when it was taken."""
@@ -46,12 +46,12 @@ class Snapshot:
             array[:] = self._arrays[name]
         for name, component in self._components.items():
             component.log.clear()
-            component.restore(self._states[name])
+            component.set_fmu_state(self._states[name])
 
     def free(self) -> None:
         for name, state in self._states.items():
             try:
-                self._components[name].forget(state)
-            except SlaveError:  # the instance goes next, and its states with it
+                self._components[name].free_fmu_state(state)
+            except FmuError:  # the instance goes next, and its states with it
                 continue
         self._states.clear()

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orchestration.errors import OrchestrationError
-from orchestration.fmi.instance import Component
+from orchestration.fmi.instance import FmuInstance
 from orchestration.master.failure import explain, is_discarded_step
 from orchestration.master.loop import WHO, Entries
 from orchestration.master.snapshot import Snapshot
@@ -66,7 +66,7 @@ class ShorterSteps:
 
     def __init__(
         self,
-        components: Mapping[str, Component],
+        components: Mapping[str, FmuInstance],
         loom: Loom,
         loop: Entries,
         signals: Sequence[Signal],

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from orchestration.errors import OrchestrationError
-from orchestration.fmi.instance import Component
+from orchestration.fmi.instance import FmuInstance
 from orchestration.master.failure import explain, is_discarded_step, judge_warnings
 from orchestration.master.loop import RECORDED, Entries
 from orchestration.master.pacing import Pacing
@@ -38,7 +38,7 @@ class Run:
         checked: CheckedSystem,
         experiment: Experiment,
         settings: list[tuple[Port, Any]],
-        components: Mapping[str, Component],
+        components: Mapping[str, FmuInstance],
         loom: Loom,
         loop: Entries,
     ) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from fmpy.model_description import ScalarVariable
 
 from orchestration.errors import SystemDefinitionError
-from orchestration.fmi.instance import Component, UnderWay
+from orchestration.fmi.instance import CallInProgress, FmuInstance
 from orchestration.master.loop import (
     AT_THE_MIDDLE,
     BUSY,
@@ -75,7 +75,7 @@ class Loom:
         self,
         checked: CheckedSystem,
         experiment: Experiment,
-        components: Mapping[str, Component],
+        components: Mapping[str, FmuInstance],
         points: np.ndarray,
         storage: Storage | None = None,
     ) -> None:
@@ -100,8 +100,10 @@ class Loom:
         storage = storage or Storage(np.empty((len(points), len(columns))), np.zeros(REPORT_SIZE, np.int64))
         heard = np.zeros(count, np.int64)
         for c, component in enumerate(components.values()):
-            component.log.heard = heard[c : c + 1]
-            component.under_way = UnderWay(c + 1, *(storage.report[i : i + 1] for i in (BUSY, CALLS)))
+            component.log.error_logged = heard[c : c + 1]
+            component.call_in_progress = CallInProgress(
+                c + 1, *(storage.report[i : i + 1] for i in (BUSY, CALLS))
+            )
         self.wiring = Wiring(
             gauss_seidel=int(experiment.algorithm is Algorithm.GAUSS_SEIDEL),
             whole_steps=int(not experiment.tolerance),

@@ -29,7 +29,7 @@ def test_save_step_restore_step_gives_identical_results(name: str, data: st.Data
     instance.start(0.0)
     for v in inputs:
         instance.set(v.value_reference, data.draw(values))
-    instance.begin_stepping()
+    instance.exit_initialization_mode()
     h = block.step_size
     for _ in range(data.draw(st.integers(0, 5))):
         instance.do_step(instance.time, h)

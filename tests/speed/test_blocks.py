@@ -12,7 +12,7 @@ import pytest
 from fmus import catalogue
 from fmus.catalogue import Flavour
 from orchestration.fmi.description import describe
-from orchestration.fmi.instance import Component
+from orchestration.fmi.instance import FmuInstance
 from orchestration.master import simulate
 from orchestration.scenarios import scenario
 from orchestration.scenarios.reproduce import build_what_is_missing
@@ -24,9 +24,9 @@ def test_one_step_of_an_fmu(
     built: dict[str, Path], python_built: dict[str, Path], benchmark: Any, name: str, flavour: Flavour
 ) -> None:
     path = (built if flavour is Flavour.NATIVE else python_built)[name]
-    with Component("it", path, describe(path)) as it:
+    with FmuInstance("it", path, describe(path)) as it:
         it.initialise(0.0, None)
-        it.begin_stepping()
+        it.exit_initialization_mode()
         taken = iter(range(10**9))
 
         def step() -> None:

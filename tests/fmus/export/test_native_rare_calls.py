@@ -208,7 +208,7 @@ def test_a_diverging_step_and_an_endless_one_are_discarded(open_session: Open) -
 def test_its_steps_are_those_of_the_block_bit_for_bit(open_session: Open, name: str) -> None:
     session, block = _stepping(open_session(name)), catalogue.load_block(name)
     python = Instance(block)
-    python.begin_stepping()
+    python.exit_initialization_mode()
     outputs = [v.value_reference for v in block.of_causality("output")]
     inputs = [v.value_reference for v in block.of_causality("input") if v.minimum is None]
     for i in range(50):

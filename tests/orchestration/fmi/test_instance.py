@@ -17,9 +17,9 @@ import fmpy
 import numpy as np
 import pytest
 
-from orchestration.errors import SimulationError, SlaveError, SlaveWarning, SystemDefinitionError
+from orchestration.errors import FmuError, FmuWarning, SimulationError, SystemDefinitionError
 from orchestration.fmi.description import describe
-from orchestration.fmi.instance import Component
+from orchestration.fmi.instance import FmuInstance
 from orchestration.master import simulate
 from orchestration.master.checkpoint import Checkpoints, read_checkpoint
 from orchestration.master.interrupt import deferred_interrupt
@@ -46,8 +46,8 @@ class Spy:
         return getattr(self._library, name)
 
 
-def load(path: Path, name: str = "it") -> Component:
-    return Component(name, path, describe(path))
+def load(path: Path, name: str = "it") -> FmuInstance:
+    return FmuInstance(name, path, describe(path))
 
 
 def test_closing_terminates_frees_unloads_and_removes(
@@ -60,7 +60,7 @@ def test_closing_terminates_frees_unloads_and_removes(
     freed: list[bool] = []
     monkeypatch.setattr(slave, "freeLibrary", lambda: freed.append(True))
     component.initialise(0.0, None)
-    component.begin_stepping()
+    component.exit_initialization_mode()
     assert list(tmp_path.iterdir())
     component.close()
     assert spy.calls == ["fmi2Terminate", "fmi2FreeInstance"]
@@ -71,15 +71,15 @@ def test_closing_terminates_frees_unloads_and_removes(
 def test_after_fatal_nothing_is_called_any_more(foreign: dict[str, Path]) -> None:
     component = load(foreign["Raises"])
     component.initialise(0.0, None)
-    component.begin_stepping()
+    component.exit_initialization_mode()
     component._slave.dll = spy = Spy(component._slave.dll)
-    with pytest.raises(SlaveError, match=r"returned fatal: .*the hull is breached"):
+    with pytest.raises(FmuError, match=r"returned fatal: .*the hull is breached"):
         component.do_step(0.5, 0.1)
     component.close()
     assert spy.calls == []
 
 
-def doing(rogue: Build, misdeed: Misdeed, **capabilities: Any) -> tuple[Component, Spy]:
+def doing(rogue: Build, misdeed: Misdeed, **capabilities: Any) -> tuple[FmuInstance, Spy]:
     """An instance that does so in its first step."""
     component = load(rogue(**capabilities))
     spy = component._slave.dll = Spy(component._slave.dll)
@@ -87,12 +87,12 @@ def doing(rogue: Build, misdeed: Misdeed, **capabilities: Any) -> tuple[Componen
     return component, spy
 
 
-def begin(component: Component, misdeed: Misdeed) -> None:
+def begin(component: FmuInstance, misdeed: Misdeed) -> None:
     for variable in component.description.modelVariables:
         if variable.name == "misdeed":
             component.set(variable, int(misdeed))
     component.initialise(0.0, None)
-    component.begin_stepping()
+    component.exit_initialization_mode()
 
 
 @pytest.mark.parametrize(
@@ -109,7 +109,7 @@ def test_an_instance_ends_as_fmi_allows_after_its_last_step(
     rogue: Build, misdeed: Misdeed, calls: list[str]
 ) -> None:
     component, spy = doing(rogue, misdeed)
-    with contextlib.suppress(SlaveError):
+    with contextlib.suppress(FmuError):
         component.do_step(0.0, 0.1)
     component.close()
     assert spy.calls == calls
@@ -117,18 +117,18 @@ def test_an_instance_ends_as_fmi_allows_after_its_last_step(
 
 def test_a_restored_state_ends_an_error(rogue: Build) -> None:
     component, spy = doing(rogue, Misdeed.ERROR, saves_state=True)
-    saved = component.saved_state()
-    with pytest.raises(SlaveError, match="returned error: the rudder is stuck"):
+    saved = component.get_fmu_state()
+    with pytest.raises(FmuError, match="returned error: the rudder is stuck"):
         component.do_step(0.0, 0.1)
-    component.restore(saved)
-    component.forget(saved)
+    component.set_fmu_state(saved)
+    component.free_fmu_state(saved)
     component.close()
     assert spy.calls == ["fmi2Terminate", "fmi2FreeInstance"]
 
 
 def test_a_reset_ends_an_error(rogue: Build) -> None:
     component, spy = doing(rogue, Misdeed.ERROR)
-    with pytest.raises(SlaveError, match="returned error: the rudder is stuck"):
+    with pytest.raises(FmuError, match="returned error: the rudder is stuck"):
         component.do_step(0.0, 0.1)
     assert component.reset()
     begin(component, Misdeed.NONE)
@@ -148,7 +148,7 @@ def test_a_fatal_error_ends_one_instance_as_each_has_a_library_of_its_own(rogue:
     bad, _ = doing(rogue, Misdeed.FATAL)
     good, spy = doing(rogue, Misdeed.NONE)
     assert bad.function("fmi2DoStep") != good.function("fmi2DoStep")
-    with pytest.raises(SlaveError, match="returned fatal: the hull is breached"):
+    with pytest.raises(FmuError, match="returned fatal: the hull is breached"):
         bad.do_step(0.0, 0.1)
     bad.close()
     good.do_step(0.0, 0.1)
@@ -160,20 +160,20 @@ def test_a_warning_is_a_python_warning_that_names_instance_time_and_words(foreig
     with load(foreign["Lag"], "pump") as component:
         component.time = 1.5
         component.log.append((1, "running dry"))
-        with pytest.warns(SlaveWarning, match=r"pump at t = 1.5 s: fmi2DoStep: running dry"):
-            component.judge("fmi2DoStep", 1)
+        with pytest.warns(FmuWarning, match=r"pump at t = 1.5 s: fmi2DoStep: running dry"):
+            component.check_status("fmi2DoStep", 1)
         assert component.log == []
 
 
 def test_an_error_that_is_only_logged_is_an_error(foreign: dict[str, Path]) -> None:
     with load(foreign["Lag"]) as component:
         component.log.append((3, "no"))
-        with pytest.raises(SlaveError, match=r"fmi2SetReal returned error: no"):
-            component.judge("fmi2SetReal", 0)
+        with pytest.raises(FmuError, match=r"fmi2SetReal returned error: no"):
+            component.check_status("fmi2SetReal", 0)
 
 
 def test_errors_cross_processes_with_all_they_say() -> None:
-    slave = SlaveError("plant", 0.5, "fmi2DoStep", "discard", ["no", "never"])
+    slave = FmuError("plant", 0.5, "fmi2DoStep", "discard", ["no", "never"])
     assert str(pickle.loads(pickle.dumps(slave))) == str(slave)
     assert str(slave) == "plant at t = 0.5 s: fmi2DoStep returned discard: no; never"
     ended = SimulationError(str(slave), Recording((), (), np.zeros(1), np.zeros((1, 0))))
@@ -302,8 +302,8 @@ def test_two_instances_of_one_name_are_heard_apart(rogue: Build) -> None:
             variables = {v.name: v for v in component.description.modelVariables}
             component.set(variables["misdeed"], int(Misdeed.ERROR))
             component.initialise(0.0, None)
-            component.begin_stepping()
-        with pytest.raises(SlaveError) as caught:
+            component.exit_initialization_mode()
+        with pytest.raises(FmuError) as caught:
             first.do_step(0.0, 0.1)
         assert caught.value.log
         assert second.log == []

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from orchestration.errors import SimulationError, SlaveWarning
+from orchestration.errors import FmuWarning, SimulationError
 from orchestration.master import Simulator, simulate
 from orchestration.results.recording import Recording
 from orchestration.system.experiment import Algorithm, Experiment
@@ -101,7 +101,7 @@ def test_a_state_that_is_refused_ends_the_run(linear: Build, rogue: Build, compi
 
 def test_a_warning_is_passed_on_and_the_run_goes_on(linear: Build, rogue: Build, compiled: bool) -> None:
     system = pair(linear, rogue)
-    with pytest.warns(SlaveWarning, match="rogue at t = .* s: fmi2DoStep: .*the battery is low"):
+    with pytest.warns(FmuWarning, match="rogue at t = .* s: fmi2DoStep: .*the battery is low"):
         warned = run(system, doing(Misdeed.WARNING), compiled)
     assert np.array_equal(warned.values, run(system, doing(Misdeed.NONE), compiled).values)
 

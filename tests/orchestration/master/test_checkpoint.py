@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from orchestration.errors import OrchestrationError, SimulationError, SlaveError, SystemDefinitionError
-from orchestration.fmi.instance import Component
+from orchestration.errors import FmuError, OrchestrationError, SimulationError, SystemDefinitionError
+from orchestration.fmi.instance import FmuInstance
 from orchestration.master import simulate
 from orchestration.master.checkpoint import Checkpoint, Checkpoints, read_checkpoint
 from orchestration.scenarios import scenario
@@ -166,10 +166,10 @@ def test_what_cannot_be_saved_loses_no_recording(
     path = tmp_path if saved == "into a folder" else tmp_path / "checkpoint"
     if saved != "into a folder":
 
-        def refuse(self: Component, state: int) -> bytes:
-            raise SlaveError(self.name, self.time, "fmi2SerializeFMUstate", "error", [])
+        def refuse(self: FmuInstance, state: int) -> bytes:
+            raise FmuError(self.name, self.time, "fmi2SerializeFMUstate", "error", [])
 
-        monkeypatch.setattr(Component, "packed", refuse)
+        monkeypatch.setattr(FmuInstance, "serialize_fmu_state", refuse)
 
     def stop(done: int, total: int) -> None:
         if done:

@@ -94,7 +94,7 @@ STEPPING = st.one_of(
 UNTIL_INTERRUPT = st.integers(1, MOST_UNTIL_INTERRUPT)
 
 
-@pytest.mark.filterwarnings("ignore::orchestration.errors.SlaveWarning")
+@pytest.mark.filterwarnings("ignore::orchestration.errors.FmuWarning")
 @settings(max_examples=60, deadline=None)
 @given(
     algorithm=st.sampled_from(Algorithm),

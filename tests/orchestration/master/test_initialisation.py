@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from orchestration.errors import OrchestrationError, SimulationError, SlaveError
-from orchestration.fmi.instance import Component
+from orchestration.errors import FmuError, OrchestrationError, SimulationError
+from orchestration.fmi.instance import FmuInstance
 from orchestration.master import simulate
 from orchestration.master.initialisation import groups, settle
 from orchestration.system.experiment import Experiment, Initialisation
@@ -28,7 +28,7 @@ AUTOMATIC, FIXED_POINT, NEWTON = Initialisation
 class Counted:
     """A component that counts what it is asked for."""
 
-    def __init__(self, component: Component) -> None:
+    def __init__(self, component: FmuInstance) -> None:
         self._component = component
         self.calls: Counter[str] = Counter()
 
@@ -50,7 +50,7 @@ def initialising(
     checked = check(System(components, connections), named)
     with ExitStack() as stack:
         live = {
-            name: stack.enter_context(Component(name, path, checked.descriptions[name]))
+            name: stack.enter_context(FmuInstance(name, path, checked.descriptions[name]))
             for name, path in components.items()
         }
         for component in live.values():
@@ -245,7 +245,7 @@ def test_newtons_method_takes_shorter_steps_where_an_output_is_no_number(functio
         def get(self, variable: Any) -> Any:
             try:
                 return super().get(variable)
-            except SlaveError:
+            except FmuError:
                 return math.inf
 
     with initialising({"f": function("u + log(u) - 1", start=20.0)}, (("f.y", "f.u"),)) as (checked, live):
@@ -256,12 +256,12 @@ def test_newtons_method_takes_shorter_steps_where_an_output_is_no_number(functio
 def test_an_error_of_an_fmu_is_not_taken_for_a_try(linear: Build) -> None:
     class Broken(Counted):
         def set(self, variable: Any, value: Any) -> None:
-            raise SlaveError("b", 0.0, "fmi2SetReal", "error", ["out of order"])
+            raise FmuError("b", 0.0, "fmi2SetReal", "error", ["out of order"])
 
     components = {"a": gain(linear, 1.0), "b": gain(linear, 0.5)}
     with initialising(components, LOOP) as (checked, live):
         broken: Any = live | {"b": Broken(live["b"])}
-        with pytest.raises(SlaveError, match="out of order"):
+        with pytest.raises(FmuError, match="out of order"):
             settle(groups(checked), broken, AUTOMATIC)
 
 

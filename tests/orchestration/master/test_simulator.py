@@ -11,7 +11,7 @@ import pytest
 
 from orchestration.errors import SimulationError, SystemDefinitionError
 from orchestration.fmi.description import describe
-from orchestration.fmi.instance import Component
+from orchestration.fmi.instance import FmuInstance
 from orchestration.master import Simulator, simulate
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
@@ -26,13 +26,13 @@ EXPERIMENT = Experiment(1.0, 0.1)
 def loaded(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Names of the components in the order in which they were loaded."""
     found: list[str] = []
-    original = Component.__init__
+    original = FmuInstance.__init__
 
-    def counted(self: Component, name: str, *arguments: Any) -> None:
+    def counted(self: FmuInstance, name: str, *arguments: Any) -> None:
         found.append(name)
         original(self, name, *arguments)
 
-    monkeypatch.setattr(Component, "__init__", counted)
+    monkeypatch.setattr(FmuInstance, "__init__", counted)
     return found
 
 
@@ -59,7 +59,7 @@ def test_an_fmu_that_cannot_be_reset_is_loaded_anew(
 ) -> None:
     with Simulator(coupled(linear)) as simulator:
         first = simulator.run(EXPERIMENT)
-        monkeypatch.setattr(Component, "reset", lambda self: False)
+        monkeypatch.setattr(FmuInstance, "reset", lambda self: False)
         again = simulator.run(EXPERIMENT)
     assert loaded == ["one", "two"] * 2
     assert np.array_equal(first.values, again.values)
@@ -67,7 +67,7 @@ def test_an_fmu_that_cannot_be_reset_is_loaded_anew(
 
 def test_a_reset_that_is_refused_is_told(linear: Build) -> None:
     path = linear()
-    with Component("one", path, describe(path)) as component:
+    with FmuInstance("one", path, describe(path)) as component:
         component.initialise(0.0, None)
         assert component.reset()
         assert component.is_fresh

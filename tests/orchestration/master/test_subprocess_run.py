@@ -21,7 +21,7 @@ import psutil
 import pytest
 from pythonfmu.builder import FmuBuilder
 
-from orchestration.errors import OrchestrationError, SimulationError, SlaveWarning, SystemDefinitionError
+from orchestration.errors import FmuWarning, OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.master import Simulator, simulate
 from orchestration.master import subprocess_run as apart
 from orchestration.master.checkpoint import Checkpoints, read_checkpoint
@@ -389,9 +389,9 @@ WARNS = {"bad.misdeed": int(Misdeed.WARNING), "bad.misdeed_time": 0.2}
 
 def test_a_warning_is_the_same(rogue: Build) -> None:
     experiment = Experiment(1.0, 0.1, parameters=WARNS, inputs={"bad.u": 1.0})
-    with pytest.warns(SlaveWarning) as here:
+    with pytest.warns(FmuWarning) as here:
         simulate(System({"bad": rogue()}), experiment)
-    with pytest.warns(SlaveWarning) as there:
+    with pytest.warns(FmuWarning) as there:
         simulate(System({"bad": rogue()}), experiment, timeout=TIMEOUT)
     assert str(there[0].message) == str(here[0].message)
     assert there[0].filename == here[0].filename
@@ -401,7 +401,7 @@ def test_a_warning_is_heard_of_a_process_that_crashed(rogue: Build) -> None:
     parameters = {**WARNS, "worse.misdeed": int(Misdeed.SEGFAULT), "worse.misdeed_time": 0.5}
     experiment = Experiment(1.0, 0.1, parameters=parameters, inputs={"bad.u": 1.0, "worse.u": 1.0})
     with (
-        pytest.warns(SlaveWarning) as heard,
+        pytest.warns(FmuWarning) as heard,
         pytest.raises(SimulationError, match=r"worse at t = 0.5 s: ended its process with SIGSEGV"),
     ):
         simulate(System({"bad": rogue(), "worse": rogue()}), experiment, real_time=100.0, timeout=TIMEOUT)
@@ -413,8 +413,8 @@ def test_a_warning_is_heard_of_a_process_that_crashed(rogue: Build) -> None:
 def test_a_warning_that_is_an_error_keeps_the_recording(rogue: Build) -> None:
     experiment = Experiment(1.0, 0.1, parameters=WARNS, inputs={"bad.u": 1.0})
     with warnings.catch_warnings():
-        warnings.simplefilter("error", SlaveWarning)
-        with pytest.raises(SimulationError, match=r"SlaveWarning.*the battery is low") as caught:
+        warnings.simplefilter("error", FmuWarning)
+        with pytest.raises(SimulationError, match=r"FmuWarning.*the battery is low") as caught:
             simulate(System({"bad": rogue()}), experiment, timeout=TIMEOUT)
     assert len(caught.value.recording.time) > 2
 
