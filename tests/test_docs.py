@@ -12,7 +12,9 @@ from .page_examples import examples
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
-TOOL_PAGES = [page for page in (ROOT / "docs" / "importing").glob("*.md") if page.name != "README.md"]
+TOOL_PAGES = [
+    page for page in (ROOT / "docs" / "how-to" / "importing").glob("*.md") if page.name != "README.md"
+]
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
 
 
@@ -51,7 +53,7 @@ def test_a_page_says_what_was_tested_and_what_was_not(page: Path) -> None:
 
 
 def test_the_index_lists_every_page() -> None:
-    index = (ROOT / "docs" / "importing" / "README.md").read_text(encoding="utf-8")
+    index = (ROOT / "docs" / "how-to" / "importing" / "README.md").read_text(encoding="utf-8")
     assert {page.name for page in TOOL_PAGES} == set(re.findall(r"^\| .*?\((\S+\.md)\)", index, re.M))
 
 

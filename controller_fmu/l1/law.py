@@ -13,7 +13,7 @@ The wiring that decides everything: the predictor receives u_a + u_p, eta_hat ho
 alone. With either wrong the filter cancels u_p and the response is plain L1 again.
 
 Source: Maalouf, Chemori and Creuze (2013); errata and additions in docs/fidelity.md. The step is
-derived in docs/theory.md.
+derived in docs/explanation/theory.md.
 """
 
 from dataclasses import dataclass

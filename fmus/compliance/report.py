@@ -73,6 +73,6 @@ def write_json(findings: Findings, file: str) -> None:
 
 
 def markdown(rules: Sequence[Rule]) -> str:
-    """The table of rules that stands in docs/compliance.md."""
+    """The table of rules that stands in docs/reference/compliance.md."""
     rows = [f"| `{r.name}` | {r.clause} | {r.level} | {r.claim} |" for r in rules]
     return "\n".join(["| rule | FMI 2.0.5 | if broken | what holds |", "|---|---|---|---|", *rows])

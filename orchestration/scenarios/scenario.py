@@ -13,7 +13,7 @@ connections = [["a.output", "b.input"]]
 [[faults]]                                input = "component.variable", kind = "freeze", ...
 record = ["component.variable"]
 [metrics.name]                            function = "rmse", ...
-[sweep]                                   samples, seed, vary: many runs of it (docs/sweeps.md)
+[sweep]                                   samples, seed, vary: many runs of it (docs/how-to/sweeps.md)
 """
 
 import sys

@@ -47,7 +47,7 @@ def test_our_python_fmus_break_what_the_binary_of_pythonfmu_breaks(
 
 
 def test_documentation_lists_every_rule() -> None:
-    text = (Path(__file__).parents[3] / "docs" / "compliance.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[3] / "docs" / "reference" / "compliance.md").read_text(encoding="utf-8")
     assert report.markdown(all_rules()) in text
 
 
