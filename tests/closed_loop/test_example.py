@@ -56,7 +56,9 @@ def test_halving_the_internal_step_changes_nothing(summary: dict[str, Any], cont
 
 @pytest.mark.parametrize("controller", list(ORACLES))
 def test_five_times_the_step_is_stable_and_as_accurate(summary: dict[str, Any], controller: str) -> None:
-    """One internal step of 5 ms over an adaptation that oscillates at up to 8452 rad/s (docs/explanation/theory.md).
+    """One internal step of 5 ms over an adaptation that oscillates at up to 8452 rad/s.
+
+    Source of the frequency: docs/explanation/theory.md.
 
     At 7 ms the delay of the coupling, 1.5 steps, makes a limit cycle even with internal steps of 0.1 ms.
     """
