@@ -1,15 +1,9 @@
-"""Which blocks there are, and where their FMUs stand.
-
-Blocks are entry points of the group `l1_depth.blocks`, so another package's blocks build the same
-way: `MyBlock = "my_package.my_module:BLOCK"`.
-"""
+"""Building the FMUs of the installed blocks, which `fmus.registry` names."""
 
 import re
 import zipfile
 import zlib
-from collections.abc import Sequence
-from enum import StrEnum
-from importlib.metadata import entry_points
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -23,37 +17,17 @@ from fmus.export import python as python_flavour
 from fmus.export.archive import write_archive
 from fmus.instance import Instance
 from fmus.platforms import host_platform, library_name
-
-GROUP = "l1_depth.blocks"
-DIST = Path(__file__).parent / "dist"
-
-
-class Flavour(StrEnum):
-    """How an FMU runs."""
-
-    NATIVE = "native"
-    PYTHON = "python"
-
-    @property
-    def folder(self) -> Path:
-        """Where its FMUs stand by default."""
-        return DIST if self is Flavour.NATIVE else DIST / self.value
-
+from fmus.registry import FOLDER_VARIABLE, Flavour, block_entry_points, block_fmus, block_names, fmu_folder
 
 _EXPORTS = {Flavour.NATIVE: native_flavour, Flavour.PYTHON: python_flavour}
 
 
-def block_names() -> list[str]:
-    """Names of all blocks, sorted."""
-    return sorted(point.name for point in entry_points(group=GROUP))
-
-
 def load_block(name: str) -> Block:
     """The block of that name; ExportError offers the nearest one."""
-    for point in entry_points(group=GROUP):
-        if point.name == name:
-            return _verified(name, point.load())
-    raise ExportError(f"no block named {name!r}; {nearest(name, block_names())}")
+    point = block_entry_points().get(name)
+    if point is None:
+        raise ExportError(f"no block named {name!r}; {nearest(name, block_names())}")
+    return _verified(name, point.load())
 
 
 def _verified(name: str, block: Block) -> Block:
@@ -80,7 +54,7 @@ def build(
     flavour: Flavour = Flavour.NATIVE,
     platforms: Sequence[str] = (),
 ) -> Path:
-    """Write `folder/NAME.fmu`, whatever stands there.
+    """Write `folder/NAME.fmu`, whatever stands there; by default where scenarios find it.
 
     platforms: of the libraries in a native FMU, by default this one; those in a python one are PythonFMU's.
     """
@@ -88,7 +62,7 @@ def build(
     _, members = export.content(block)
     libraries = export.libraries(block.name, members, platforms)
     shown = {"model.png": icon(block)} | reference_files.members(reference_run(block), name)
-    return write_archive((folder or flavour.folder) / f"{name}.fmu", members | libraries | shown)
+    return write_archive((folder or fmu_folder(flavour)) / f"{name}.fmu", members | libraries | shown)
 
 
 def write_cross_check(name: str, folder: Path) -> list[Path]:
@@ -103,11 +77,26 @@ def write_cross_check(name: str, folder: Path) -> list[Path]:
 
 
 def build_if_stale(name: str, folder: Path | None = None, flavour: Flavour = Flavour.NATIVE) -> Path:
-    """`folder/NAME.fmu`, built if it is missing, not of the present sources, or of another platform."""
-    path = (folder or flavour.folder) / f"{name}.fmu"
+    """`folder/NAME.fmu`, built if it is missing, not of the present sources, or of another platform.
+
+    folder: by default the one where scenarios find it
+    """
+    path = (folder or fmu_folder(flavour)) / f"{name}.fmu"
     guid, _ = _EXPORTS[flavour].content(load_block(name))
     needed = library_name(name, host_platform()) if flavour is Flavour.NATIVE else None
     return path if _is_present(path, guid, needed) else build(name, path.parent, flavour)
+
+
+def build_missing(paths: Iterable[Path]) -> None:
+    """Build those of the paths that scenarios find the FMUs of blocks at, where missing or stale."""
+    for name, flavour in block_fmus(paths):
+        try:
+            build_if_stale(name, flavour=flavour)
+        except OSError as error:
+            raise ExportError(
+                f"cannot write FMUs to {fmu_folder(flavour)}: {error.strerror}; "
+                f"set {FOLDER_VARIABLE} to another folder"
+            ) from error
 
 
 def _is_present(path: Path, guid: str, library: str | None) -> bool:

@@ -8,6 +8,10 @@ class ExportError(ValueError):
     """A block that cannot become an FMU; the message says what was wrong and what was expected."""
 
 
+class MissingExtraError(ImportError):
+    """A library that the core does not install; the message names the command that installs it."""
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """The end of an error message about an unknown name: the known name most like it."""
     choices = list(known)

@@ -14,9 +14,9 @@ from pythonfmu.builder import FmuBuilder
 
 from fmus import catalogue, platforms
 from fmus.block import Block
-from fmus.catalogue import Flavour
 from fmus.export import toolchain
 from fmus.instance import Instance
+from fmus.registry import FOLDER_VARIABLE, Flavour
 from tests import foreign_fmus
 
 
@@ -44,8 +44,9 @@ def python_built(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _fmus_of_the_scenarios() -> None:
-    """Scenarios find the present blocks' FMUs in the default folder, as after `l1-depth build`."""
+def _fmus_of_the_scenarios(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Scenarios find the blocks' FMUs in a temporary folder, as after `l1-depth build --cache`."""
+    os.environ[FOLDER_VARIABLE] = str(tmp_path_factory.mktemp("fmus"))
     for name in catalogue.block_names():
         catalogue.build_if_stale(name)
 

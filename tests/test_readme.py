@@ -9,7 +9,6 @@ import pytest
 
 from fmus import catalogue
 from orchestration.scenarios import scenario
-from orchestration.scenarios.reproduce import build_what_is_missing
 from orchestration.system.experiment import checked_settings
 from orchestration.system.system import check
 
@@ -24,7 +23,7 @@ def block(language: str) -> str:
 
 
 def test_the_python_example_runs(tmp_path: Path) -> None:
-    catalogue.build("ExamplePlant", tmp_path / "fmus" / "dist")
+    catalogue.build("ExamplePlant", tmp_path / "fmus-built")
     done = subprocess.run(
         [sys.executable, "-c", block("python")], capture_output=True, text=True, check=True, cwd=tmp_path
     )
@@ -35,7 +34,7 @@ def test_the_scenario_example_fits_the_fmus(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(block("toml"))
     mine = scenario.load(path)
-    build_what_is_missing([mine])
+    catalogue.build_missing(mine.system.components.values())
     experiment = mine.experiment
     assert checked_settings(check(mine.system, [*experiment.inputs, *experiment.signals]), experiment)
     assert experiment.events[0].time == 90.0

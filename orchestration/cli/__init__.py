@@ -8,7 +8,7 @@ import sys
 
 import typer
 
-from fmus.errors import ExportError
+from fmus.errors import ExportError, MissingExtraError
 from orchestration.cli import exchange, fmu, pages, simulation, sweeps
 from orchestration.errors import OrchestrationError
 
@@ -37,7 +37,7 @@ def main() -> None:
         app(standalone_mode=False)
     except (typer.Abort, KeyboardInterrupt):
         _fail("interrupted", 1)
-    except (OrchestrationError, ExportError, OSError) as error:
+    except (OrchestrationError, ExportError, MissingExtraError, OSError) as error:
         _fail(str(error), 1)
     except Exception as error:
         usage = getattr(error, "format_message", None)  # click's own errors, wherever typer keeps them

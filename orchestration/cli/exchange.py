@@ -6,10 +6,12 @@ from typing import Annotated
 
 import typer
 
-from fmus.catalogue import Flavour
+from fmus import catalogue
+from fmus.registry import Flavour
 from orchestration.cli.shared import OutFolder, bar, console, shipped_or_own
 from orchestration.errors import OrchestrationError
 from orchestration.exchange import handover, ssp_write
+from orchestration.exchange.signal_sources import SOURCE
 from orchestration.results.recording import write_whole
 
 
@@ -21,6 +23,7 @@ def package(
 ) -> None:
     """Write a scenario as an SSP 1.0 package, with a parameter set for each scenario of its system."""
     chosen = shipped_or_own(name, Flavour.NATIVE)
+    catalogue.build_if_stale(SOURCE)
     print(ssp_write.package(chosen, out or Path(f"{chosen.name}.ssp")))
 
 

@@ -11,12 +11,13 @@ from rich.markup import escape
 from rich.table import Table
 
 from fmus import catalogue
-from fmus.catalogue import Flavour
 from fmus.platforms import PLATFORMS, check_platforms
+from fmus.registry import FOLDER_VARIABLE, Flavour, block_names, fmu_folder
 from orchestration.cli.shared import FlavourOption, bar, console
 from orchestration.errors import OrchestrationError
 from orchestration.fmi.description import describe
 
+_FOLDERS = {Flavour.NATIVE: Path("fmus-built"), Flavour.PYTHON: Path("fmus-built", "python")}
 _PIPED_WIDTH = 260  # a line a variable, for grep
 
 
@@ -37,9 +38,18 @@ def build(
     out: Annotated[
         Path | None,
         typer.Option(
-            metavar="DIR", help=f"Folder to write to; by default {catalogue.DIST.name} of the package."
+            metavar="DIR",
+            help="Folder to write to; by default fmus-built, fmus-built/python for that flavour.",
         ),
     ] = None,
+    cache: Annotated[
+        bool,
+        typer.Option(
+            "--cache",
+            help="Write to where scenarios find FMUs: a folder of the user's cache, or the one that the "
+            f"environment variable {FOLDER_VARIABLE} names. `run` and `reproduce` build there by themselves.",
+        ),
+    ] = False,
     with_reference: Annotated[
         bool,
         typer.Option("--with-reference", help="Write the files of the FMI cross-check beside each FMU."),
@@ -48,14 +58,17 @@ def build(
     """Write DIR/NAME.fmu for each block."""
     if all_platforms and platform:
         raise OrchestrationError(f"--platform {platform} and --all-platforms: expected one of them")
+    if cache and out:
+        raise OrchestrationError(f"--out {out} and --cache: expected one of them")
+    folder = fmu_folder(flavour) if cache else out or _FOLDERS[flavour]
     named = check_platforms([each.strip() for each in platform.split(",")]) if platform else ()
     platforms = PLATFORMS if all_platforms else named
-    chosen = names or catalogue.block_names()
+    chosen = names or block_names()
     for name in chosen:
         catalogue.load_block(name)
     with bar(len(chosen), "FMU", "build") as shown:
         for name in chosen:
-            path = catalogue.build(name, out, flavour, platforms)
+            path = catalogue.build(name, folder, flavour, platforms)
             print(path)
             for each in catalogue.write_cross_check(name, path.parent) if with_reference else ():
                 print(each)

@@ -1,7 +1,7 @@
 """What the commands share: options, the console, progress bars."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,10 +10,11 @@ import typer
 from rich.console import Console
 from tqdm import tqdm
 
-from fmus.catalogue import Flavour
+from fmus import catalogue
+from fmus.registry import Flavour
 from orchestration.errors import ScenarioError
 from orchestration.exchange import ssp_read
-from orchestration.scenarios import reproduce, scenario
+from orchestration.scenarios import scenario
 
 _BEFORE_A_BAR_S = 2.0
 
@@ -48,8 +49,13 @@ def chosen_scenario(name: str, parameters: str, flavour: Flavour) -> Iterator[sc
     yield shipped_or_own(name, flavour)
 
 
+def build_missing_fmus(scenarios: Iterable[scenario.Scenario]) -> None:
+    """Build the blocks' FMUs that these scenarios run and that are missing or stale."""
+    catalogue.build_missing({fmu for chosen in scenarios for fmu in chosen.system.components.values()})
+
+
 def shipped_or_own(name: str, flavour: Flavour) -> scenario.Scenario:
     """A scenario by its name or its .toml file, its FMUs in place."""
     chosen = scenario.load(scenario.find(name), flavour=flavour)
-    reproduce.build_what_is_missing([chosen])
+    build_missing_fmus([chosen])
     return chosen

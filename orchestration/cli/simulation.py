@@ -7,9 +7,15 @@ from typing import Annotated
 
 import typer
 
-from fmus import catalogue
-from fmus.catalogue import Flavour
-from orchestration.cli.shared import FlavourOption, OutFolder, bar, chosen_scenario, console
+from fmus.registry import Flavour, block_names
+from orchestration.cli.shared import (
+    FlavourOption,
+    OutFolder,
+    bar,
+    build_missing_fmus,
+    chosen_scenario,
+    console,
+)
 from orchestration.master.checkpoint import Checkpoints, read_checkpoint
 from orchestration.results import figures as report
 from orchestration.results.recording_files import Format
@@ -87,9 +93,7 @@ def identify(
     """Fit the gains that the paper does not publish to the nominal row of its Table 1."""
     from orchestration.scenarios import identify as identification
 
-    reproduction.build_what_is_missing(
-        scenario.load(scenario.find(name)) for name in identification.SCENARIOS
-    )
+    build_missing_fmus(scenario.load(scenario.find(name)) for name in identification.SCENARIOS)
     with bar(evaluations, "run", "identify") as shown:
 
         def progress(cost: float) -> None:
@@ -111,6 +115,7 @@ def reproduce(
     flavour: FlavourOption = Flavour.NATIVE,
 ) -> None:
     """Run every scenario and give the paper's tables and figures back."""
+    build_missing_fmus(scenario.load(path, flavour=flavour) for path in scenario.shipped().values())
     with bar(len(scenario.shipped()), "scenario", "reproduce") as shown:
         results = reproduction.run_all(out, workers, lambda name: shown.update() and None, flavour)
     written = reproduction.write_report(results, out)
@@ -129,7 +134,7 @@ def bench(
     """Measure FMI against bare C, this master against others, and a scenario against one C program."""
     from tests import speed as benchmark
 
-    chosen, blocks = names or ["nominal-extended"], catalogue.block_names()
+    chosen, blocks = names or ["nominal-extended"], block_names()
     for name in chosen:
         scenario.find(name)
     laps = min(rounds, _LAPS)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from fmus.catalogue import Flavour
+from fmus.registry import Flavour
 from orchestration.cli.shared import FlavourOption, OutFolder, bar, console, shipped_or_own
 from orchestration.errors import SweepError
 from orchestration.results import figures as report

@@ -8,8 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fmus import catalogue
-from fmus.catalogue import Flavour
+from fmus.registry import Flavour, fmu_path
 from orchestration.errors import OrchestrationError, ScenarioError
 from orchestration.fmi.description import describe
 from orchestration.scenarios.scenario import Scenario
@@ -32,7 +31,7 @@ def with_sources(chosen: Scenario, flavour: Flavour = Flavour.NATIVE) -> tuple[S
         name = target.partition(".")[2]
         if name in components:
             raise ScenarioError(f"signal {target}: expected no component of the name {name!r}")
-        components[name] = catalogue.build_if_stale(SOURCE, flavour=flavour)
+        components[name] = fmu_path(SOURCE, flavour)
         connections.append((f"{name}.{_output(components[name])}", target))
         values = _ramp_parameters(declared, target, components[name])
         parameters |= {f"{name}.{variable}": value for variable, value in values.items()}

@@ -7,8 +7,8 @@ from typing import Any
 import fmpy
 from fmpy.model_description import ModelDescription
 
-from fmus import catalogue
 from fmus.errors import nearest
+from fmus.registry import block_fmus
 from orchestration.errors import FmuLoadError
 
 
@@ -17,12 +17,10 @@ def describe(path: Path) -> ModelDescription:
     if not path.is_file():
         folder = path.parent
         beside = [each.name for each in folder.glob("*.fmu")] if folder.is_dir() else []
-        hint = (
-            "; `l1-depth build` makes it"
-            if path.parent in [flavour.folder for flavour in catalogue.Flavour]
-            else ""
-        )
-        raise FmuLoadError(f"no FMU at {path}; in that folder, {nearest(path.name, beside)}{hint}")
+        for block, flavour in block_fmus([path]):
+            command = f"l1-depth build --cache --flavour {flavour} {block}"
+            raise FmuLoadError(f"the FMU of block {block} is not built: {command} writes {path}")
+        raise FmuLoadError(f"no FMU at {path}; in that folder, {nearest(path.name, beside)}")
     try:
         description: Any = fmpy.read_model_description(str(path), validate=False)
     except (zipfile.BadZipFile, EOFError, KeyError) as error:

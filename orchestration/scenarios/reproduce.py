@@ -1,14 +1,13 @@
 """Running scenarios into a folder: one, or all that ship, side by side."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from fmus import catalogue
-from fmus.catalogue import Flavour
+from fmus.registry import Flavour
 from orchestration.errors import SimulationError
 from orchestration.master import simulate
 from orchestration.results import figures as report
@@ -28,15 +27,6 @@ class Result:
     scenario: Scenario
     recording: Recording
     metrics: dict[str, float]
-
-
-def build_what_is_missing(scenarios: Iterable[Scenario]) -> None:
-    """Build the FMUs of our own blocks that these scenarios need and that are missing or stale."""
-    needed = {path for each in scenarios for path in each.system.components.values()}
-    for flavour in Flavour:
-        for name in catalogue.block_names():
-            if flavour.folder / f"{name}.fmu" in needed:
-                catalogue.build_if_stale(name, flavour=flavour)
 
 
 def run(
@@ -79,7 +69,6 @@ def run_all(
     paths = scenario.shipped()
     names = sorted(paths, key=lambda name: name not in _LONGEST_FIRST)
     scenarios = {name: scenario.load(paths[name], flavour=flavour) for name in names}
-    build_what_is_missing(scenarios.values())
     results = {}
     with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
         futures = {pool.submit(_run_named, name, folder, flavour): name for name in names}

@@ -25,9 +25,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar
 
-from fmus import catalogue
-from fmus.catalogue import Flavour
 from fmus.errors import nearest
+from fmus.registry import Flavour, block_names, fmu_path
 from orchestration.errors import ScenarioError
 from orchestration.results import metrics
 from orchestration.system.experiment import Algorithm, Event, Experiment, Initialisation
@@ -188,17 +187,16 @@ def _fmu(name: Any, scenario: Path) -> str:
     _typed(name, str, f"{scenario}: components")
     if name.endswith(".fmu"):
         return str((scenario.parent / name).absolute())
-    if name not in catalogue.block_names():
+    if name not in block_names():
         raise ScenarioError(
-            f"{scenario}: no block {name!r}, and a path must end in .fmu; "
-            f"{nearest(name, catalogue.block_names())}"
+            f"{scenario}: no block {name!r}, and a path must end in .fmu; {nearest(name, block_names())}"
         )
     return name
 
 
 def _path(fmu: str, flavour: Flavour) -> Path:
-    """Where an FMU stands; a block's, in the package's own folder."""
-    return Path(fmu) if fmu.endswith(".fmu") else flavour.folder / f"{fmu}.fmu"
+    """File of an FMU; a block's is where `l1-depth build --cache` writes it."""
+    return Path(fmu) if fmu.endswith(".fmu") else fmu_path(fmu, flavour)
 
 
 def _connections(data: Mapping[str, Any], path: Path) -> tuple[tuple[str, str], ...]:

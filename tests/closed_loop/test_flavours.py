@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fmus.catalogue import Flavour
+from fmus import catalogue
+from fmus.registry import Flavour
 from orchestration.results import figures as report
 from orchestration.scenarios import reproduce, scenario
 from orchestration.scenarios.reproduce import Result
@@ -22,6 +23,8 @@ AGREEMENT = 1e-9
 def python_results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Result]:
     """Every shipped scenario, run through the FMUs of the python flavour."""
     folder = tmp_path_factory.mktemp("python_reproduction")
+    for path in scenario.shipped().values():
+        catalogue.build_missing(scenario.load(path, flavour=Flavour.PYTHON).system.components.values())
     return reproduce.run_all(folder, os.cpu_count() or 1, flavour=Flavour.PYTHON)
 
 

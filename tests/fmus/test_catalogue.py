@@ -5,7 +5,7 @@ from importlib.metadata import EntryPoint
 
 import pytest
 
-from fmus import catalogue
+from fmus import catalogue, registry
 from fmus.block import Block, variable
 from fmus.errors import ExportError
 
@@ -15,17 +15,17 @@ def offer(monkeypatch: pytest.MonkeyPatch) -> object:
     """Make the catalogue find one block only, under the name given."""
 
     def one(name: str, block: Block) -> None:
-        point = EntryPoint(name, "somewhere:BLOCK", catalogue.GROUP)
+        point = EntryPoint(name, "somewhere:BLOCK", registry.GROUP)
         monkeypatch.setattr(EntryPoint, "load", lambda self: block)
-        monkeypatch.setattr(catalogue, "entry_points", lambda group: [point])
+        monkeypatch.setattr(registry, "entry_points", lambda group: [point])
 
     return one
 
 
 def test_the_five_blocks_are_found() -> None:
-    assert catalogue.block_names() == [
-        "ExamplePlant",
+    assert registry.block_names() == [
         "DepthReference",
+        "ExamplePlant",
         "L1Controller",
         "L1DepthController",
         "RovDepthPlant",

@@ -65,7 +65,9 @@ def _components(checked: CheckedSystem, folder: Path, platform: str) -> Iterator
         fmpy.extract(str(path), extracted)
         library = extracted / library_name(description.coSimulation.modelIdentifier, platform)
         if not library.is_file():
-            raise OrchestrationError(f"{path} has no binary for {platform}; `l1-depth build` makes it")
+            raise OrchestrationError(
+                f"{path} has no binary for {platform}; `l1-depth build --cache` writes it"
+            )
         yield f"component {name} {description.guid} {library}"
 
 

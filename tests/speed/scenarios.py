@@ -9,12 +9,12 @@ from statistics import median
 
 import numpy as np
 
-from fmus.catalogue import Flavour
+from fmus import catalogue
 from fmus.platforms import host_platform
+from fmus.registry import Flavour
 from orchestration.errors import OrchestrationError
 from orchestration.master import Simulator
 from orchestration.scenarios import scenario
-from orchestration.scenarios.reproduce import build_what_is_missing
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import check
@@ -59,7 +59,7 @@ def loop(name: str, rounds: int = 7) -> Loop:
     """
     native = scenario.load(scenario.find(name))
     python = scenario.load(scenario.find(name), flavour=Flavour.PYTHON)
-    build_what_is_missing([native, python])
+    catalogue.build_missing([*native.system.components.values(), *python.system.components.values()])
     (by_python,) = _in_the_master(python, 1)
     with workplace() as folder:
         _compile(native, folder)

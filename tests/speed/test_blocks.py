@@ -10,12 +10,11 @@ from typing import Any
 import pytest
 
 from fmus import catalogue
-from fmus.catalogue import Flavour
+from fmus.registry import Flavour
 from orchestration.fmi.description import describe
 from orchestration.fmi.instance import FmuInstance
 from orchestration.master import simulate
 from orchestration.scenarios import scenario
-from orchestration.scenarios.reproduce import build_what_is_missing
 
 
 @pytest.mark.parametrize("flavour", list(Flavour))
@@ -39,6 +38,6 @@ def test_one_step_of_an_fmu(
 @pytest.mark.parametrize("flavour", list(Flavour))
 def test_the_nominal_scenario_in_this_master(benchmark: Any, flavour: Flavour) -> None:
     chosen = scenario.load(scenario.find("nominal-extended"), flavour=flavour)
-    build_what_is_missing([chosen])
+    catalogue.build_missing(chosen.system.components.values())
     recording = benchmark(simulate, chosen.system, replace(chosen.experiment, stop_time=20.0))
     assert recording.time[-1] == 20.0

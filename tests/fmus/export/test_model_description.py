@@ -11,12 +11,12 @@ from fmpy.validation import validate_fmu
 
 from fmus import catalogue
 from fmus.block import variable
-from fmus.catalogue import Flavour
 from fmus.errors import ExportError
 from fmus.export import native as native_flavour
 from fmus.export import python as python_flavour
 from fmus.export.model_description import model_description
 from fmus.platforms import PLATFORMS, host_platform, library_name
+from fmus.registry import Flavour
 from fmus.units import BASE_UNITS, base_units
 
 NAMES = catalogue.block_names()

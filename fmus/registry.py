@@ -1,0 +1,62 @@
+"""Which blocks are installed, and where scenarios find their FMUs; nothing is loaded or built here.
+
+Blocks are entry points of the group `l1_depth.blocks`, so that another package's blocks build the same way:
+`MyBlock = "my_package.my_module:BLOCK"`.
+"""
+
+import hashlib
+import os
+from collections.abc import Iterable
+from enum import StrEnum
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+
+from platformdirs import user_cache_path
+
+GROUP = "l1_depth.blocks"
+FOLDER_VARIABLE = "L1_DEPTH_FMUS"
+
+
+class Flavour(StrEnum):
+    """How an FMU runs: compiled, or on the Python of whoever imports it."""
+
+    NATIVE = "native"
+    PYTHON = "python"
+
+
+def block_entry_points() -> dict[str, EntryPoint]:
+    """Entry point of every installed block, by its name, sorted."""
+    return {point.name: point for point in sorted(entry_points(group=GROUP), key=lambda point: point.name)}
+
+
+def block_names() -> list[str]:
+    """Names of all installed blocks, sorted."""
+    return list(block_entry_points())
+
+
+def fmu_folder(flavour: Flavour = Flavour.NATIVE) -> Path:
+    """Folder of the FMUs that scenarios run.
+
+    It is in the user's cache, another one for each installation, so that two versions do not overwrite each
+    other's FMUs. The environment variable L1_DEPTH_FMUS names another folder.
+    """
+    return _root() / flavour.value
+
+
+def fmu_path(block: str, flavour: Flavour = Flavour.NATIVE) -> Path:
+    """File of a block's FMU, whether or not it is built."""
+    return fmu_folder(flavour) / f"{block}.fmu"
+
+
+def block_fmus(paths: Iterable[Path]) -> list[tuple[str, Flavour]]:
+    """(block, flavour) of those paths that `fmu_path` gives."""
+    known = {fmu_path(name, flavour): (name, flavour) for flavour in Flavour for name in block_names()}
+    return sorted({known[path] for path in paths if path in known})
+
+
+def _root() -> Path:
+    chosen = os.environ.get(FOLDER_VARIABLE)
+    if chosen:
+        return Path(chosen).absolute()
+    installation = hashlib.sha256(str(Path(__file__).resolve().parent).encode()).hexdigest()[:12]
+    return user_cache_path("l1-depth", appauthor=False) / "fmus" / installation
