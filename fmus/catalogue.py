@@ -14,7 +14,7 @@ from fmus.documentation.reference_results import reference_run
 from fmus.errors import ExportError, nearest
 from fmus.export import native as native_flavour
 from fmus.export import python as python_flavour
-from fmus.export.archive import write_archive
+from fmus.files import write_archive
 from fmus.instance import Instance
 from fmus.platforms import host_platform, library_name
 from fmus.registry import FOLDER_VARIABLE, Flavour, block_entry_points, block_fmus, block_names, fmu_folder

@@ -15,6 +15,7 @@ import fmpy
 
 from fmus.export import archive
 from fmus.export.toolchain import compile_library
+from fmus.files import write_archive
 from fmus.platforms import host_platform, library_name
 
 _SOURCES = Path(__file__).parent / "foreign_c"
@@ -186,7 +187,7 @@ def _write(
     members = described(archive.guid_of(recipe | described(archive.NO_GUID)))
     sources["config.h"] = members.pop("config.h").decode()
     library = compile_library(model, sources, [f"{model}.c"], host_platform())
-    return archive.write_archive(path, members | {library_name(model, host_platform()): library})
+    return write_archive(path, members | {library_name(model, host_platform()): library})
 
 
 def _description(

@@ -7,12 +7,12 @@ from typing import Annotated
 import typer
 
 from fmus import catalogue
+from fmus.files import write_text_atomically
 from fmus.registry import Flavour
 from orchestration.cli.shared import OutFolder, bar, console, shipped_or_own
 from orchestration.errors import OrchestrationError
 from orchestration.exchange import handover, ssp_write
 from orchestration.exchange.signal_sources import SOURCE
-from orchestration.results.recording import write_whole
 
 
 def package(
@@ -51,7 +51,7 @@ def importers(
         found = [shown.update() or each for each in comparison.outcomes(Path(folder))]
     console.print(comparison.table(found))
     if out:
-        write_whole(out, lambda stream: stream.write(comparison.markdown(found)))
+        write_text_atomically(out, comparison.markdown(found))
         print(out)
     failed = sorted({each.importer for each in found if each.problem and each.version})
     if failed:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from orchestration.results.recording import write_whole
+from fmus.files import write_text_atomically
 
 
 def report(
@@ -21,6 +21,5 @@ def report(
     """Write results as one interactive HTML page that needs no network."""
     from orchestration import report as page
 
-    text = page.render(page.found_results(results), title)
-    write_whole(out, lambda stream: stream.write(text))
+    write_text_atomically(out, page.render(page.found_results(results), title))
     print(out)

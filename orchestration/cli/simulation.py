@@ -18,7 +18,7 @@ from orchestration.cli.shared import (
 )
 from orchestration.master.checkpoint import Checkpoints, read_checkpoint
 from orchestration.results import figures as report
-from orchestration.results.recording_files import Format
+from orchestration.results.files import Format
 from orchestration.scenarios import reproduce as reproduction
 from orchestration.scenarios import scenario
 

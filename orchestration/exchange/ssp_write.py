@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
 
-from fmus.export.archive import write_archive
+from fmus.files import write_archive
 from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.exchange import ssp_xml
 from orchestration.exchange.integer_enumerations import without_enumerations

@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
+from fmus.files import open_atomically
 from orchestration.errors import OrchestrationError
 from orchestration.fmi.instance import FmuInstance
 from orchestration.master.loop import RECORDED
 from orchestration.master.snapshot import moving_arrays
 from orchestration.master.stepping import MOST_STEPS, Run
-from orchestration.results.recording import write_whole_binary
 
 _VERSION = 1
 
@@ -56,7 +56,8 @@ class Checkpoint:
         }
         content |= {f"array {name}": array for name, array in self.arrays.items()}
         content["head"] = np.frombuffer(json.dumps(head).encode(), np.uint8)
-        write_whole_binary(Path(path), lambda stream: np.savez(stream, **content))
+        with open_atomically(Path(path)) as stream:
+            np.savez(stream, **content)
 
 
 def read_checkpoint(path: str | Path) -> Checkpoint:

@@ -17,9 +17,9 @@ from platformdirs import user_cache_path
 
 from fmus.errors import ExportError
 from fmus.export.toolchain import COMPILER, FLAGS, compile_library
+from fmus.files import write_bytes_atomically
 from fmus.platforms import host_platform, library_name
 from orchestration.master.loop import Entries, Wiring, plain
-from orchestration.results.recording import write_whole_binary
 
 _SOURCE = "loop.c"
 
@@ -83,7 +83,7 @@ def _kept(name: str, build: Callable[[], bytes]) -> ctypes.CDLL:
     path = user_cache_path("l1-depth") / name
     try:
         if not path.is_file():
-            write_whole_binary(path, lambda stream: stream.write(build()))
+            write_bytes_atomically(path, build())
         return ctypes.CDLL(str(path))
     except OSError:
         folder = tempfile.mkdtemp(prefix="l1-depth-loop-")

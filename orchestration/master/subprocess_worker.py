@@ -22,12 +22,13 @@ from typing import Any, BinaryIO
 import cloudpickle
 import numpy as np
 
+from fmus.files import write_bytes_atomically
 from fmus.process import private_stream
 from orchestration.errors import OrchestrationError
 from orchestration.master.interrupt import kept_interrupts
 from orchestration.master.loop import RECORDED, REPORT_SIZE, Storage
 from orchestration.master.simulator import Simulator
-from orchestration.results.recording import Recording, write_whole_binary
+from orchestration.results.recording import Recording
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 
@@ -72,7 +73,7 @@ def child() -> None:
             error.add_note("".join(traceback.format_exception(error)))
             outcome = error
         content = _packed(outcome)
-        write_whole_binary(folder / OUTCOME, lambda out: out.write(content))
+        write_bytes_atomically(folder / OUTCOME, content)
 
 
 def _listen(stream: BinaryIO) -> None:

@@ -13,9 +13,8 @@ from orchestration.errors import OrchestrationError
 from orchestration.report import sweeps
 from orchestration.report.result import Run, Sweep
 from orchestration.report.toml import toml
-from orchestration.results import recording_files
+from orchestration.results.files import Format, is_recording
 from orchestration.results.recording import Recording
-from orchestration.results.recording_files import Format
 from orchestration.sweep import table
 
 _RUN_KEYS = {"recording", "scenario", "run", "metrics"}
@@ -69,7 +68,7 @@ def _of_folder(folder: Path) -> list[Path]:
 
 
 def _is_result(file: Path) -> bool:
-    return recording_files.is_recording(file) or table.is_sweep(file)
+    return is_recording(file) or table.is_sweep(file)
 
 
 def _recording_of(document: Path) -> Path | None:
@@ -110,7 +109,7 @@ def _run(document: Path) -> Run:
 
 
 def _recording(file: Path) -> Recording:
-    recording = recording_files.read(file)
+    recording = Recording.read(file)
     if not len(recording.time):
         raise OrchestrationError(f"{file}: expected at least one communication point, got none")
     if not np.isfinite(recording.time).all():

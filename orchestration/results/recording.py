@@ -1,28 +1,22 @@
-"""What a run leaves behind: signals with units at the communication points, and where they came from.
-
-pandas and xarray are imported where they are needed: who uses neither does not wait for them.
-"""
+"""Recording: the signals of a run with their units at the communication points, and their provenance."""
 
 import json
-import os
-import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, TextIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fmus.errors import nearest
+from fmus.extras import require
 from orchestration.errors import OrchestrationError
-from orchestration.results import recording_summary
+from orchestration.results import files, summary
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-TIME = "time"
+TIME = files.TIME
 
 
 @dataclass(frozen=True)
@@ -31,7 +25,7 @@ class Recording:
 
     names: "component.variable"; units: same order, "" where the FMU gives none
     time: shape (n,) [s]; values: shape (n, len(names))
-    provenance: what was run, as plain data
+    provenance: FMUs, algorithm and settings of the run, as plain data
     """
 
     names: tuple[str, ...]
@@ -41,7 +35,7 @@ class Recording:
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """One signal, shape (n,); an unknown name offers the nearest."""
+        """One signal, shape (n,); OrchestrationError offers the nearest name for an unknown one."""
         return self.time if name == TIME else self.values[:, self._column(name)]
 
     def _column(self, name: str) -> int:
@@ -51,21 +45,21 @@ class Recording:
             raise OrchestrationError(f"{name!r} was not recorded; {nearest(str(name), self.names)}") from None
 
     def unit(self, name: str) -> str:
+        """Unit of a signal, "" where the FMU gives none."""
         return "s" if name == TIME else self.units[self._column(name)]
 
     def __repr__(self) -> str:
-        return recording_summary.as_text(self)
+        return summary.as_text(self.names, self.units, self.time, self.values)
 
     def _repr_html_(self) -> str:
-        """What a notebook shows."""
-        return recording_summary.as_html(self)
+        """The table that a notebook shows."""
+        return summary.as_html(self.names, self.units, self.time, self.values)
 
     def to_pandas(self) -> "pd.DataFrame":
         """A column a signal over the time [s]; `attrs` holds "units" (name -> unit) and "provenance"."""
-        import pandas as pd
-
-        table = pd.DataFrame(
-            self.values, index=pd.Index(self.time, name=TIME), columns=list(self.names), copy=True
+        pandas = require("pandas", "tables", "a recording as a data frame")
+        table = pandas.DataFrame(
+            self.values, index=pandas.Index(self.time, name=TIME), columns=list(self.names), copy=True
         )
         units = dict(zip(self.names, self.units, strict=True))
         table.attrs = {"units": units, "provenance": self.provenance}
@@ -73,10 +67,9 @@ class Recording:
 
     def to_xarray(self) -> "xr.Dataset":
         """A variable a signal over the coordinate time; attributes "units", and "provenance" as JSON."""
-        import xarray as xr
-
+        xarray = require("xarray", "tables", "a recording as a data set")
         columns = zip(self.names, self.units, self.values.T, strict=True)
-        return xr.Dataset(
+        return xarray.Dataset(
             {name: (TIME, values.copy(), {"units": unit}) for name, unit, values in columns},
             coords={TIME: (TIME, self.time.copy(), {"units": "s"})},
             attrs={"provenance": json.dumps(self.provenance)},
@@ -85,49 +78,15 @@ class Recording:
     def write(self, path: str | Path) -> None:
         """One row per communication point, as .csv or as .parquet; floats survive exactly in both.
 
-        OrchestrationError for another ending.
+        Raises OrchestrationError for another ending.
         """
-        from orchestration.results import recording_files
-
-        recording_files.write(self, Path(path))
+        content = files.Content(self.names, self.units, self.time, self.values, self.provenance)
+        files.write(Path(path), content)
 
     @staticmethod
     def read(path: str | Path) -> "Recording":
         """The inverse of `write`; CSV does not keep the provenance.
 
-        OrchestrationError for a file that is none of these, or is damaged.
+        Raises OrchestrationError for a file that is not a recording, or is damaged.
         """
-        from orchestration.results import recording_files
-
-        return recording_files.read(Path(path))
-
-
-def write_json(content: Any, path: Path) -> None:
-    """Plain data as JSON; ValueError for a number that JSON does not have."""
-    write_whole(path, lambda stream: json.dump(content, stream, indent=2, allow_nan=False))
-
-
-def write_whole(path: Path, write: Callable[[TextIO], object]) -> None:
-    """Call `write` on a text stream that becomes `path` only when it is complete."""
-    with _whole(path) as handle, os.fdopen(handle, "w", encoding="utf-8", newline="") as stream:
-        write(stream)
-
-
-def write_whole_binary(path: Path, write: Callable[[BinaryIO], object]) -> None:
-    """Call `write` on a stream of bytes that becomes `path` only when it is complete."""
-    with _whole(path) as handle, os.fdopen(handle, "wb") as stream:
-        write(stream)
-
-
-@contextmanager
-def _whole(path: Path) -> Iterator[int]:
-    """A handle to a file beside `path` that takes its place, or of which nothing is left."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        yield handle
-        Path(temporary).chmod(0o644)
-        Path(temporary).replace(path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+        return Recording(*files.read(Path(path)))

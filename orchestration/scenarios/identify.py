@@ -20,10 +20,10 @@ import tomli_w
 from scipy.optimize import least_squares
 from scipy.stats import qmc
 
+from fmus.files import write_text_atomically
 from orchestration.errors import OrchestrationError
 from orchestration.master import simulate
 from orchestration.results import metrics
-from orchestration.results.recording import write_whole
 from orchestration.scenarios import scenario
 from orchestration.scenarios.published import PUBLISHED, Published
 
@@ -184,4 +184,4 @@ def write(fit: Fit, path: Path) -> None:
         },
         "parameters": parameters,
     }
-    write_whole(path, lambda stream: stream.write(tomli_w.dumps(document)))
+    write_text_atomically(path, tomli_w.dumps(document))

@@ -7,13 +7,14 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from fmus.files import write_json_atomically
 from fmus.registry import Flavour
 from orchestration.errors import SimulationError
 from orchestration.master import simulate
 from orchestration.results import figures as report
 from orchestration.results import metrics
-from orchestration.results.recording import Recording, write_json
-from orchestration.results.recording_files import Format
+from orchestration.results.files import Format
+from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
 
@@ -55,7 +56,7 @@ def run(
         "run": recording.provenance,
         "metrics": measured,
     }
-    write_json(document, folder / f"{chosen.name}.json")
+    write_json_atomically(folder / f"{chosen.name}.json", document)
     return Result(chosen, recording, measured)
 
 
@@ -94,7 +95,7 @@ def write_report(results: dict[str, Result], folder: Path) -> list[Path]:
     measured = {name: result.metrics for name, result in results.items()}
     path = folder / "summary.json"
     content = report.summary(measured)
-    write_json(content, path)
+    write_json_atomically(path, content)
     return [
         path,
         *report.figure_3(recordings, folder / "figure_3"),

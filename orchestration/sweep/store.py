@@ -14,8 +14,8 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from fmus.files import write_bytes_atomically, write_json_atomically
 from orchestration.errors import SweepError
-from orchestration.results.recording import write_json, write_whole_binary
 from orchestration.sweep import table
 
 
@@ -51,7 +51,7 @@ class Store:
         if self._manifest.is_file():
             self._check_same(json.loads(self._manifest.read_text(encoding="utf-8")), self._parts)
             return {row[table.SAMPLE] for row in self._rows([table.SAMPLE])}
-        write_json(self._about, self._manifest)
+        write_json_atomically(self._manifest, self._about)
         return set()
 
     def _check_same(self, before: Mapping[str, Any], path: Path) -> None:
@@ -67,9 +67,8 @@ class Store:
     def add(self, rows: list[dict[str, Any]], recordings: Mapping[int, bytes]) -> None:
         """Keep rows that are done, with the recordings of their samples."""
         for sample, content in recordings.items():
-            _write(
-                content, self.recordings / f"sample-{sample:0{len(str(self._about['samples'] - 1))}}.parquet"
-            )
+            number = f"{sample:0{len(str(self._about['samples'] - 1))}}"
+            write_bytes_atomically(self.recordings / f"sample-{number}.parquet", content)
         numbers = [row[table.SAMPLE] for row in rows]
         table.write(rows, self._columns, self._parts / f"{min(numbers)}-{max(numbers)}.parquet")
 
@@ -90,7 +89,3 @@ def _identity(key: str, value: Any) -> Any:
     if key == "scenario" and isinstance(value, dict):
         return {**value, "components": sorted(value["components"])}
     return value
-
-
-def _write(content: bytes, path: Path) -> None:
-    write_whole_binary(path, lambda stream: stream.write(content))

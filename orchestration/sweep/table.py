@@ -16,9 +16,9 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from fmus.files import open_atomically
 from orchestration.errors import SweepError
 from orchestration.results.metric_units import metric_unit
-from orchestration.results.recording import write_whole_binary
 from orchestration.sweep.plan import Plan
 
 SAMPLE, ERROR = "sample", "error"
@@ -75,7 +75,8 @@ def _field(name: str, kind: pa.DataType, role: str, unit: str = "") -> pa.Field:
 def write(rows: Iterable[Mapping[str, Any]], columns: pa.Schema, path: Path) -> None:
     """Rows in the order of their samples; equal rows give equal bytes."""
     table = pa.Table.from_pylist(sorted(rows, key=lambda row: row[SAMPLE]), schema=columns)
-    write_whole_binary(path, lambda stream: pq.write_table(table, stream))
+    with open_atomically(path) as stream:
+        pq.write_table(table, stream)
 
 
 def with_provenance(columns: pa.Schema, about: Mapping[str, Any]) -> pa.Schema:

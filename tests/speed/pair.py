@@ -12,7 +12,7 @@ from pathlib import Path
 
 from fmus.block import Block, NoValues, variable
 from fmus.export import native as native_flavour
-from fmus.export.archive import write_archive
+from fmus.files import write_archive
 from orchestration.exchange import ssp_write
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Experiment

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from fmus import catalogue
-from fmus.export import archive
+from fmus import catalogue, files
 from fmus.export import native as native_flavour
 
 from .test_check import Members, broken_rules, members, write
@@ -24,7 +23,7 @@ def patched(patch: Patch, folder: Path) -> Path:
         assert content[path].count(old.encode()) == 1
         content[path] = content[path].replace(old.encode(), new.encode())
     libraries = native_flavour.libraries(NAME, content, ())
-    return archive.write_archive(folder / "mutant.fmu", content | libraries)
+    return files.write_archive(folder / "mutant.fmu", content | libraries)
 
 
 STEP = 'if (!is_allowed(it, STEPPING, "fmi2DoStep")) return fmi2Error;'

@@ -4,9 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from fmus import catalogue
+from fmus import catalogue, files
 from fmus.compliance.examine import examine
-from fmus.export import archive
 from fmus.export import native as native_flavour
 from fmus.platforms import host_platform, library_name
 
@@ -54,7 +53,7 @@ def test_a_library_compiled_without_a_function_is_caught(tmp_path: Path) -> None
     source = content["sources/fmi2.c"]
     content["sources/fmi2.c"] = source.replace(b"fmi2Status fmi2Terminate(", b"fmi2Status fmi2End(")
     content |= native_flavour.libraries(NAME, content, ())
-    broken = broken_rules(archive.write_archive(tmp_path / "mutant.fmu", content))
+    broken = broken_rules(files.write_archive(tmp_path / "mutant.fmu", content))
     assert broken["library-exports"] == (
         f"{library_name(NAME, host_platform())} does not export fmi2Terminate",
     )

@@ -12,7 +12,7 @@ from fmus import catalogue
 from fmus.block import Block, NoValues, variable
 from fmus.errors import ExportError
 from fmus.export import native as native_flavour
-from fmus.export.archive import write_archive
+from fmus.files import write_archive
 
 ODD = 'θ ≥ 0 "quoted" \\ %s%n ??/ \U0001f41f \x01 */'
 

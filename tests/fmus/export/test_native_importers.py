@@ -13,7 +13,7 @@ from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CoSimulation
 from fmus import catalogue
 from fmus.errors import ExportError
 from fmus.export import native as native_flavour
-from fmus.export.archive import write_archive
+from fmus.files import write_archive
 
 
 def slave_of(path: Path, folder: Path, **changes: str) -> FMU2Slave:

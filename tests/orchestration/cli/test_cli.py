@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestration.results.recording_files import read
+from orchestration.results.recording import Recording
 
 SHORT = """
 base = "{base}"
@@ -111,7 +111,7 @@ def test_run_writes_recording_metrics_provenance_and_figure(tmp_path: Path) -> N
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
         "short.csv", "short.json", "short.png", "short.svg",
     ]  # fmt: skip
-    recording = read(tmp_path / "out" / "short.csv")
+    recording = Recording.read(tmp_path / "out" / "short.csv")
     assert recording.time[-1] == 0.2
     assert recording.unit("plant.depth") == "m"
     document = json.loads((tmp_path / "out" / "short.json").read_text())
@@ -125,7 +125,10 @@ def test_run_writes_parquet_with_the_provenance_inside(tmp_path: Path) -> None:
     l1_depth("run", scenario, "--out", "csv", folder=tmp_path)
     l1_depth("run", scenario, "--out", "out", "--format", "parquet", folder=tmp_path)
     assert not (tmp_path / "out" / "short.csv").exists()
-    recording, as_csv = read(tmp_path / "out" / "short.parquet"), read(tmp_path / "csv" / "short.csv")
+    recording, as_csv = (
+        Recording.read(tmp_path / "out" / "short.parquet"),
+        Recording.read(tmp_path / "csv" / "short.csv"),
+    )
     assert (recording.names, recording.units) == (as_csv.names, as_csv.units)
     np.testing.assert_array_equal(recording.values, as_csv.values)
     assert recording.provenance["algorithm"] == "jacobi"
@@ -147,7 +150,7 @@ def test_a_run_that_fails_keeps_what_was_recorded(tmp_path: Path) -> None:
     failing += '\n[[events]]\ntime = 0.12\nset = { "plant.external_force" = 1e300 }\n'
     message = refused("run", short_scenario(tmp_path, more=failing), "--out", "out", folder=tmp_path)
     assert "plant at t = 0.12 s: fmi2DoStep returned" in message
-    partial = read(tmp_path / "out" / "short.partial.csv")
+    partial = Recording.read(tmp_path / "out" / "short.partial.csv")
     assert partial.time[-1] == pytest.approx(0.12)
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["short.partial.csv"]
 

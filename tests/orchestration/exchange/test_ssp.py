@@ -18,7 +18,7 @@ from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.exchange import ssp_read, ssp_write
 from orchestration.exchange.ssp_xml import STRUCTURE, tag
 from orchestration.master import simulate
-from orchestration.results.recording_files import read
+from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 
 VEHICLE = [name for name in scenario.shipped() if not name.startswith("example")]
@@ -238,6 +238,6 @@ def test_the_command_writes_a_package_and_runs_another_of_its_parameter_sets(tmp
     )
     l1_depth("run", "buoyancy-l1", "--out", "from scenario")
     packaged, own = (
-        read(tmp_path / place / "buoyancy-l1.csv") for place in ("from package", "from scenario")
+        Recording.read(tmp_path / place / "buoyancy-l1.csv") for place in ("from package", "from scenario")
     )
     np.testing.assert_array_equal(packaged["plant.depth"], own["plant.depth"])

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from orchestration.results.recording import Recording, write_json
+from fmus.files import write_json_atomically
+from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 from orchestration.sweep import table
 from orchestration.sweep.plan import plan
@@ -60,7 +61,7 @@ def write_run(
         "run": run.provenance,
         "metrics": {"rmse_cm": 4.35, "settling_time_s": 43.7} if measured is None else measured,
     }
-    write_json(document, folder / f"{name}.json")
+    write_json_atomically(folder / f"{name}.json", document)
     return folder / f"{name}.json"
 
 

@@ -18,7 +18,7 @@ from distributed import Client
 
 from orchestration.errors import SweepError
 from orchestration.master import simulate
-from orchestration.results.recording_files import read
+from orchestration.results.recording import Recording
 from orchestration.sweep import cluster, table
 from orchestration.sweep import run as running
 from orchestration.sweep.plan import Plan
@@ -154,7 +154,7 @@ def test_recordings_are_those_of_the_samples_run_alone(planned: Make, tmp_path: 
     made = planned(SWEEP.replace(f"samples = {COUNT}", "samples = 6"))
     with cluster.local(2) as client:
         found, _ = table.read(swept(made, client, tmp_path, kept=()))
-    written = {path.name: read(path) for path in (tmp_path / "mine.recordings").iterdir()}
+    written = {path.name: Recording.read(path) for path in (tmp_path / "mine.recordings").iterdir()}
     good = [row["sample"] for row in found.to_pylist() if row["error"] is None]
     assert set(written) == {f"sample-{sample}.parquet" for sample in good}
     for sample in good:

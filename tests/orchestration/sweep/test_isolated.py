@@ -14,7 +14,7 @@ import pytest
 from orchestration.errors import SweepError
 from orchestration.master import simulate
 from orchestration.results import metrics
-from orchestration.results.recording_files import read
+from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 from orchestration.sweep.isolated import IsolatedSamples
 from orchestration.sweep.job import job
@@ -62,7 +62,7 @@ def test_a_sample_gives_the_metrics_and_the_recording_of_the_same_run_alone(
         assert outcome.error is None
         assert outcome.metrics == metrics.evaluate(recording, alone.metrics)
         (tmp_path / "kept.parquet").write_bytes(outcome.recording or b"")
-        kept = read(tmp_path / "kept.parquet")
+        kept = Recording.read(tmp_path / "kept.parquet")
         assert kept.names == ("r.y",)
         assert kept["r.y"].tolist() == recording["r.y"].tolist()
 

@@ -1,20 +1,22 @@
-"""Recordings as files: CSV for everyone, Parquet with the provenance inside. Floats survive both exactly."""
+"""Files of recordings: CSV for everyone, Parquet with the provenance inside. Floats survive both exactly."""
 
 import csv
+import io
 import json
 import re
 from enum import StrEnum
 from pathlib import Path
-from typing import TextIO
+from types import ModuleType
+from typing import Any, NamedTuple
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from fmus.errors import nearest
+from fmus.extras import require
+from fmus.files import open_atomically
 from orchestration.errors import OrchestrationError
-from orchestration.results.recording import TIME, Recording, write_whole, write_whole_binary
 
+TIME = "time"  # name of the first column
 _TIME_TITLE = f"{TIME} [s]"
 _TITLE = re.compile(r"(.*) \[([^\[\]]*)\]", re.DOTALL)  # of a signal with its unit
 _UNIT, _KIND, _PROVENANCE = b"unit", b"l1_depth.kind", b"l1_depth.provenance"
@@ -28,35 +30,38 @@ class Format(StrEnum):
     PARQUET = "parquet"
 
 
-def write(recording: Recording, path: Path) -> None:
-    """A recording as the ending of the path says."""
-    {Format.CSV: _write_csv, Format.PARQUET: _write_parquet}[_format(path)](recording, path)
+class Content(NamedTuple):
+    """Everything in a file: the fields of a `Recording`, in their order."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    time: np.ndarray
+    values: np.ndarray
+    provenance: dict[str, Any]
 
 
-def read(path: Path) -> Recording:
+def write(path: Path, content: Content) -> None:
+    """Write a file of the format that the ending of the path names."""
+    {Format.CSV: _write_csv, Format.PARQUET: _write_parquet}[_format(path)](path, content)
+
+
+def read(path: Path) -> Content:
     """The inverse of `write`; CSV does not keep the provenance.
 
-    Raises OrchestrationError for a file that is none of these, or is damaged.
+    Raises OrchestrationError for a file that is not a recording, or is damaged.
     """
     if not path.is_file():
-        beside = [each.name for each in path.parent.glob("*") if each.suffix[1:] in set(Format)]
+        beside = [file.name for file in path.parent.glob("*") if file.suffix[1:] in set(Format)]
         raise OrchestrationError(f"no file {path}; beside it, {nearest(path.name, beside)}")
     return {Format.CSV: _read_csv, Format.PARQUET: _read_parquet}[_format(path)](path)
 
 
 def is_recording(path: Path) -> bool:
-    """Whether a file says that it is one; nothing of its data is read."""
+    """Whether a file is marked as a recording; its data is not read."""
     if path.suffix[1:] == Format.CSV:
         with path.open("rb") as stream:
             return stream.readline().startswith(_TIME_TITLE.encode())
     return path.suffix[1:] == Format.PARQUET and _metadata(path).get(_KIND) == _RECORDING
-
-
-def _metadata(path: Path) -> dict[bytes, bytes]:
-    try:
-        return pq.read_schema(path).metadata or {}
-    except pa.ArrowInvalid as error:
-        raise OrchestrationError(f"{path}: expected a Parquet file: {error}") from error
 
 
 def _format(path: Path) -> Format:
@@ -66,15 +71,12 @@ def _format(path: Path) -> Format:
         raise OrchestrationError(f"{path}: expected a file ending in {' or '.join(Format)}") from None
 
 
-def _write_csv(recording: Recording, path: Path) -> None:
-    header = [_TIME_TITLE, *(_title(*each) for each in zip(recording.names, recording.units, strict=True))]
-
-    def rows(stream: TextIO) -> None:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(np.column_stack([recording.time, recording.values]).tolist())
-
-    write_whole(path, rows)
+def _write_csv(path: Path, content: Content) -> None:
+    titles = [_title(*pair) for pair in zip(content.names, content.units, strict=True)]
+    with open_atomically(path) as stream, io.TextIOWrapper(stream, encoding="utf-8", newline="") as text:
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow([_TIME_TITLE, *titles])
+        writer.writerows(np.column_stack([content.time, content.values]).tolist())
 
 
 def _title(name: str, unit: str) -> str:
@@ -82,7 +84,7 @@ def _title(name: str, unit: str) -> str:
     return f"{name} [{unit}]" if unit or _TITLE.fullmatch(name) else name
 
 
-def _read_csv(path: Path) -> Recording:
+def _read_csv(path: Path) -> Content:
     with path.open(newline="", encoding="utf-8") as stream:
         try:
             header = next(csv.reader(stream), [])
@@ -96,40 +98,52 @@ def _read_csv(path: Path) -> Recording:
             raise OrchestrationError(f"{path}: expected a table of numbers: {error}") from error
     if data.shape[1] != len(header):
         raise OrchestrationError(f"{path}: expected {len(header)} columns, got {data.shape[1]}")
-    titles = [(found[1], found[2]) if (found := _TITLE.fullmatch(t)) else (t, "") for t in header[1:]]
-    return Recording(
-        names=tuple(name for name, _ in titles),
-        units=tuple(unit for _, unit in titles),
-        time=data[:, 0],
-        values=data[:, 1:],
-    )
+    pairs = [(match[1], match[2]) if (match := _TITLE.fullmatch(t)) else (t, "") for t in header[1:]]
+    names, units = tuple(name for name, _ in pairs), tuple(unit for _, unit in pairs)
+    return Content(names, units, data[:, 0], data[:, 1:], {})
 
 
-def _write_parquet(recording: Recording, path: Path) -> None:
+def _write_parquet(path: Path, content: Content) -> None:
     """Units as metadata of the columns, the provenance as that of the table."""
-    names, units = (TIME, *recording.names), ("s", *recording.units)
+    pa, pq = _arrow()
+    names, units = (TIME, *content.names), ("s", *content.units)
     fields = [
-        pa.field(n, pa.float64(), nullable=False, metadata={_UNIT: u})
-        for n, u in zip(names, units, strict=True)
+        pa.field(name, pa.float64(), nullable=False, metadata={_UNIT: unit})
+        for name, unit in zip(names, units, strict=True)
     ]
-    metadata = {_KIND: _RECORDING, _PROVENANCE: json.dumps(recording.provenance)}
-    columns = [pa.array(column) for column in (recording.time, *recording.values.T)]
+    metadata = {_KIND: _RECORDING, _PROVENANCE: json.dumps(content.provenance)}
+    columns = [pa.array(column) for column in (content.time, *content.values.T)]
     table = pa.Table.from_arrays(columns, schema=pa.schema(fields, metadata=metadata))
-    write_whole_binary(path, lambda stream: pq.write_table(table, stream))
+    with open_atomically(path) as stream:
+        pq.write_table(table, stream)
 
 
-def _read_parquet(path: Path) -> Recording:
+def _read_parquet(path: Path) -> Content:
     metadata = _metadata(path)
     if metadata.get(_KIND) != _RECORDING:
         raise OrchestrationError(
             f"{path}: expected a recording, as l1-depth run writes it; got another table"
         )
+    _, pq = _arrow()
     table = pq.read_table(path)
     signals = table.schema.names[1:]
-    return Recording(
+    return Content(
         names=tuple(signals),
         units=tuple(table.schema.field(name).metadata[_UNIT].decode() for name in signals),
         time=table[TIME].to_numpy(),
         values=np.column_stack([table[name].to_numpy() for name in signals] or [np.empty((len(table), 0))]),
         provenance=json.loads(metadata[_PROVENANCE]),
     )
+
+
+def _metadata(path: Path) -> dict[bytes, bytes]:
+    pa, pq = _arrow()
+    try:
+        return pq.read_schema(path).metadata or {}
+    except pa.ArrowInvalid as error:
+        raise OrchestrationError(f"{path}: expected a Parquet file: {error}") from error
+
+
+def _arrow() -> tuple[ModuleType, ModuleType]:
+    purpose = "a Parquet file"
+    return require("pyarrow", "tables", purpose), require("pyarrow.parquet", "tables", purpose)

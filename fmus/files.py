@@ -1,0 +1,57 @@
+"""Writing files that appear complete or not at all, and archives that follow from their content alone."""
+
+import json
+import os
+import tempfile
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
+
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest date that a zip can hold
+
+
+@contextmanager
+def open_atomically(path: Path) -> Iterator[BinaryIO]:
+    """A stream of bytes that becomes `path` when the context ends; after an error nothing of it is left.
+
+    A file that was at `path` stays until then. The folder is made if it is missing.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            yield stream
+        Path(temporary).chmod(0o644)
+        Path(temporary).replace(path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def write_bytes_atomically(path: Path, data: bytes) -> None:
+    """Write a file of bytes."""
+    with open_atomically(path) as stream:
+        stream.write(data)
+
+
+def write_text_atomically(path: Path, text: str) -> None:
+    """Write a file of UTF-8, its line ends as they are."""
+    write_bytes_atomically(path, text.encode("utf-8"))
+
+
+def write_json_atomically(path: Path, content: object) -> None:
+    """Write plain data as JSON; ValueError for a number that JSON does not have."""
+    write_text_atomically(path, json.dumps(content, indent=2, allow_nan=False))
+
+
+def write_archive(path: Path, members: Mapping[str, bytes]) -> Path:
+    """Write a zip of these members, sorted by name; equal members give the same file, byte for byte."""
+    with open_atomically(path) as stream, zipfile.ZipFile(stream, "w") as archive:
+        for name in sorted(members):
+            info = zipfile.ZipInfo(name, _EPOCH)
+            info.compress_type = zipfile.ZIP_DEFLATED
+            info.external_attr = 0o644 << 16
+            archive.writestr(info, members[name])
+    return path
