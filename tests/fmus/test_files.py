@@ -1,5 +1,6 @@
 """A file is written completely or not at all; an archive follows from its content."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -7,11 +8,16 @@ import pytest
 from fmus.files import open_atomically, write_archive, write_json_atomically, write_text_atomically
 
 
+def broken_chunks() -> Iterator[bytes]:
+    yield b"new"
+    raise OSError("disk full")
+
+
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
     path = tmp_path / "summary.json"
     write_text_atomically(path, "old")
-    with pytest.raises(TypeError), open_atomically(path) as stream:
-        stream.writelines([b"new", None])  # pyright: ignore[reportArgumentType]
+    with pytest.raises(OSError, match="disk full"), open_atomically(path) as stream:
+        stream.writelines(broken_chunks())
     with pytest.raises(ValueError, match="not JSON compliant"):
         write_json_atomically(path, {"value": float("nan")})
     assert path.read_text() == "old"
