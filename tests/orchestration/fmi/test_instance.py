@@ -17,6 +17,7 @@ import fmpy
 import numpy as np
 import pytest
 
+from fmus.binding import Library
 from orchestration.errors import FmuError, FmuWarning, SimulationError, SystemDefinitionError
 from orchestration.fmi.description import describe
 from orchestration.fmi.instance import FmuInstance
@@ -33,10 +34,10 @@ from tests.orchestration.linear_systems import coupled
 Build = Callable[..., Path]
 
 
-class Spy:
+class Spy(Library):
     """A library that counts the calls that it passes on."""
 
-    def __init__(self, library: Any) -> None:
+    def __init__(self, library: Library) -> None:
         self._library = library
         self.calls: list[str] = []
 
@@ -54,17 +55,21 @@ def test_closing_terminates_frees_unloads_and_removes(
     foreign: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    unloaded: list[Library] = []
+
+    def unload(library: Library) -> None:
+        unloaded.append(library)
+
+    monkeypatch.setattr(Library, "unload", unload)
     component = load(foreign["Lag"])
-    slave = component._slave
-    spy = slave.dll = Spy(slave.dll)
-    freed: list[bool] = []
-    monkeypatch.setattr(slave, "freeLibrary", lambda: freed.append(True))
+    library = component.library
+    component.library = spy = Spy(component.library)
     component.initialise(0.0, None)
     component.exit_initialization_mode()
     assert list(tmp_path.iterdir())
     component.close()
     assert spy.calls == ["fmi2Terminate", "fmi2FreeInstance"]
-    assert freed == [True]
+    assert unloaded == [library]
     assert not list(tmp_path.iterdir())
 
 
@@ -72,7 +77,7 @@ def test_after_fatal_nothing_is_called_any_more(foreign: dict[str, Path]) -> Non
     component = load(foreign["Raises"])
     component.initialise(0.0, None)
     component.exit_initialization_mode()
-    component._slave.dll = spy = Spy(component._slave.dll)
+    component.library = spy = Spy(component.library)
     with pytest.raises(FmuError, match=r"returned fatal: .*the hull is breached"):
         component.do_step(0.5, 0.1)
     component.close()
@@ -82,7 +87,7 @@ def test_after_fatal_nothing_is_called_any_more(foreign: dict[str, Path]) -> Non
 def doing(rogue: Build, misdeed: Misdeed, **capabilities: Any) -> tuple[FmuInstance, Spy]:
     """An instance that does so in its first step."""
     component = load(rogue(**capabilities))
-    spy = component._slave.dll = Spy(component._slave.dll)
+    component.library = spy = Spy(component.library)
     begin(component, misdeed)
     return component, spy
 
@@ -182,15 +187,35 @@ def test_errors_cross_processes_with_all_they_say() -> None:
     assert copy.recording.time.tolist() == [0.0]
 
 
-def test_an_interrupt_waits_for_the_end_of_a_step(python_built: dict[str, Path]) -> None:
+class InterruptSoon:
+    """A progress that raises SIGINT half a second after the run has begun."""
+
+    def __init__(self) -> None:
+        self.timer: threading.Timer | None = None
+
+    def __call__(self, done: int, total: int) -> None:
+        if self.timer is None:
+            self.timer = threading.Timer(0.5, lambda: signal.raise_signal(signal.SIGINT))
+            self.timer.start()
+
+
+@pytest.fixture
+def interrupt_soon() -> Iterator[InterruptSoon]:
+    progress = InterruptSoon()
+    yield progress
+    if progress.timer:
+        progress.timer.join()
+
+
+def test_an_interrupt_waits_for_the_end_of_a_step(
+    python_built: dict[str, Path], interrupt_soon: InterruptSoon
+) -> None:
     """Inside an FMU it would strike the FMU's Python and look like the FMU's failure."""
     inputs = {"p.control": 0.0, "p.disturbance": 0.0}
     before = signal.getsignal(signal.SIGINT)
-    timer = threading.Timer(0.5, lambda: signal.raise_signal(signal.SIGINT))
-    timer.start()
+    system, experiment = System({"p": python_built["ExamplePlant"]}), Experiment(100.0, 1e-3, inputs=inputs)
     with pytest.raises(SimulationError, match=r"^interrupted$") as caught:
-        simulate(System({"p": python_built["ExamplePlant"]}), Experiment(100.0, 1e-3, inputs=inputs))
-    timer.join()
+        simulate(system, experiment, interrupt_soon)
     assert len(caught.value.recording.time) > 1
     assert signal.getsignal(signal.SIGINT) is before
 
@@ -309,20 +334,6 @@ def test_two_instances_of_one_name_are_heard_apart(rogue: Build) -> None:
         assert second.log == []
 
 
-@pytest.fixture
-def interrupt_soon() -> Iterator[Callable[[float], None]]:
-    """Raises SIGINT after so many seconds."""
-    timers: list[threading.Timer] = []
-
-    def start(seconds: float) -> None:
-        timers.append(threading.Timer(seconds, lambda: signal.raise_signal(signal.SIGINT)))
-        timers[-1].start()
-
-    yield start
-    for timer in timers:
-        timer.join()
-
-
 def test_an_interrupt_of_the_last_stretch_is_not_lost() -> None:
     """It comes when nothing looks at it any more."""
     with pytest.raises(KeyboardInterrupt), deferred_interrupt():
@@ -330,24 +341,25 @@ def test_an_interrupt_of_the_last_stretch_is_not_lost() -> None:
 
 
 def test_an_interrupt_ends_shorter_steps_between_two_points(
-    linear: Build, tmp_path: Path, interrupt_soon: Callable[[float], None]
+    linear: Build, tmp_path: Path, interrupt_soon: InterruptSoon
 ) -> None:
     """And the system goes back to the point before them, from where it can go on."""
     system = coupled(linear, saves_state=True, serialises_state=True)
-    interrupt_soon(0.5)
     with pytest.raises(SimulationError, match="interrupted; saved in"):
-        simulate(system, Experiment(2.0, 2.0, tolerance=1e-7), checkpoints=Checkpoints(tmp_path / "c"))
+        simulate(
+            system,
+            Experiment(2.0, 2.0, tolerance=1e-7),
+            interrupt_soon,
+            checkpoints=Checkpoints(tmp_path / "c"),
+        )
     checkpoint = read_checkpoint(tmp_path / "c")
     assert checkpoint.position == 0
 
 
-def test_an_interrupt_ends_a_wait_for_the_clock(
-    linear: Build, interrupt_soon: Callable[[float], None]
-) -> None:
-    interrupt_soon(0.5)
+def test_an_interrupt_ends_a_wait_for_the_clock(linear: Build, interrupt_soon: InterruptSoon) -> None:
     begun = time.monotonic()
     with pytest.raises(SimulationError, match="interrupted"):
-        simulate(coupled(linear), Experiment(600.0, 300.0), real_time=1.0)
+        simulate(coupled(linear), Experiment(600.0, 300.0), interrupt_soon, real_time=1.0)
     assert time.monotonic() - begun < 60.0  # and not 600
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fmus.binding import Library
 from orchestration.errors import SimulationError, SystemDefinitionError
 from orchestration.fmi.description import describe
 from orchestration.fmi.instance import FmuInstance
@@ -71,16 +72,16 @@ def test_a_reset_that_is_refused_is_told(linear: Build) -> None:
         component.initialise(0.0, None)
         assert component.reset()
         assert component.is_fresh
-        component._slave.dll = Refusing(component._slave.dll)
+        component.library = Refusing(component.library)
         component.initialise(0.0, None)
         assert not component.reset()
         assert not component.is_fresh
 
 
-class Refusing:
+class Refusing(Library):
     """A library that refuses to reset."""
 
-    def __init__(self, library: Any) -> None:
+    def __init__(self, library: Library) -> None:
         self._library = library
 
     def __getattr__(self, name: str) -> Any:
