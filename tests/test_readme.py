@@ -9,8 +9,7 @@ import pytest
 
 from fmus import catalogue
 from orchestration.scenarios import scenario
-from orchestration.system.experiment import checked_settings
-from orchestration.system.system import check
+from orchestration.system.prepared_run import prepare
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -36,7 +35,7 @@ def test_the_scenario_example_fits_the_fmus(tmp_path: Path) -> None:
     mine = scenario.load(path)
     catalogue.build_missing(mine.system.components.values())
     experiment = mine.experiment
-    assert checked_settings(check(mine.system, [*experiment.inputs, *experiment.signals]), experiment)
+    assert prepare(mine.system, experiment).settings
     assert experiment.events[0].time == 90.0
 
 

@@ -22,8 +22,8 @@ from orchestration.exchange.arrays import arrays, base, of_causality, start_valu
 from orchestration.exchange.signal_sources import straight_points
 from orchestration.fmi.description import describe
 from orchestration.scenarios.scenario import Scenario
-from orchestration.system.experiment import checked_settings
-from orchestration.system.system import CheckedSystem, check
+from orchestration.system.prepared_run import PreparedRun, prepare
+from orchestration.system.system import CheckedSystem
 
 PACKAGE = "L1Depth"
 LOOP = "DepthControl"
@@ -38,7 +38,8 @@ def texts(chosen: Scenario) -> dict[str, str]:
     and outputs that are not Real, signals that are no straight ramps, a loop of initial values.
     """
     experiment = chosen.experiment
-    checked = check(chosen.system, [*experiment.inputs, *experiment.signals])
+    prepared = prepare(chosen.system, experiment)
+    checked = prepared.system
     special = experiment.beyond_the_plain_loop()
     if special:
         raise OrchestrationError(f"a Modelica package with {special}: expected none, it cannot carry them")
@@ -51,7 +52,7 @@ def texts(chosen: Scenario) -> dict[str, str]:
     found = {
         "package.mo": modelica_templates.PACKAGE.format(package=PACKAGE, title=_quoted(chosen.title)),
         "package.order": "".join(f"{name}\n" for name in (LOOP, *blocks, *constant)),
-        f"{LOOP}.mo": _loop(chosen, checked),
+        f"{LOOP}.mo": _loop(chosen, prepared),
     }
     found |= {f"{name}.mo": _block(name, each, experiment.step_size) for name, each in blocks.items()}
     return found | {f"{name}.mo": text.replace("{package}", PACKAGE) for name, text in constant.items()}
@@ -162,10 +163,10 @@ def _declaration(name: str, scalars: list[ScalarVariable], prefix: str, kind: st
     return f"  {prefix}{kind} {name}{subscript}{inside}{value} {_quoted(text)};"
 
 
-def _loop(chosen: Scenario, checked: CheckedSystem) -> str:
-    experiment = chosen.experiment
+def _loop(chosen: Scenario, prepared: PreparedRun) -> str:
+    experiment, checked = chosen.experiment, prepared.system
     modifiers: dict[str, dict[str, dict[str, str]]] = {name: {} for name in checked.components}
-    for port, value in checked_settings(checked, experiment):
+    for port, value in prepared.settings:
         scalars = modifiers[port.component].setdefault(base(port.variable.name), {})
         scalars[port.variable.name] = _number(port.variable, value)
     follow = _followers(checked)
@@ -208,7 +209,7 @@ def _followers(checked: CheckedSystem) -> set[str]:
     fed = {target.name: source.component for source, target in checked.connections}
     needs: dict[str, set[str]] = {name: set() for name in checked.components}
     for source, _ in checked.connections:
-        if any(name in fed for name in checked.initial_inputs(source)):
+        if any(name in fed for name in checked.initial_dependencies(source)):
             needs[source.component] |= {fed[n] for n in fed if n.startswith(f"{source.component}.")}
     try:
         TopologicalSorter(needs).prepare()

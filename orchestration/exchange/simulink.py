@@ -15,8 +15,8 @@ from orchestration.errors import OrchestrationError
 from orchestration.exchange.arrays import of_causality, start_value
 from orchestration.exchange.signal_sources import straight_points
 from orchestration.scenarios.scenario import Scenario
-from orchestration.system.experiment import checked_settings
-from orchestration.system.system import CheckedSystem, Port, check
+from orchestration.system.prepared_run import Setting, prepare
+from orchestration.system.system import CheckedSystem, Port
 
 SCRIPT = "import_l1_depth"
 LONGEST_NAME = 55  # of a parameter of the FMU block, on that page
@@ -82,11 +82,12 @@ def text(chosen: Scenario) -> str:
     signals that are no straight ramps, names that are too long for MATLAB.
     """
     experiment = chosen.experiment
-    checked = check(chosen.system, [*experiment.inputs, *experiment.signals])
+    prepared = prepare(chosen.system, experiment)
+    checked = prepared.system
     special = experiment.beyond_the_plain_loop()
     if special:
         raise OrchestrationError(f"a Simulink model with {special}: expected none, it cannot carry them")
-    settings = checked_settings(checked, experiment)
+    settings = prepared.settings
     for name in (*checked.components, *(path.name for path in checked.components.values())):
         if "'" in name:
             raise OrchestrationError(f"{name}: expected a name without apostrophe, for MATLAB")
@@ -131,7 +132,7 @@ def _model_name(name: str) -> str:
     return ("l1_depth_" + re.sub(r"\W", "_", name, flags=re.ASCII))[:63]
 
 
-def _fmus(checked: CheckedSystem, settings: list[tuple[Port, Any]], step: float) -> list[str]:
+def _fmus(checked: CheckedSystem, settings: tuple[Setting, ...], step: float) -> list[str]:
     found = []
     for i, (name, path) in enumerate(checked.components.items()):
         count = [len(of_causality(checked.descriptions[name], c)) for c in ("input", "output")]

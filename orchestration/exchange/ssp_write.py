@@ -23,8 +23,9 @@ from orchestration.exchange.signal_sources import with_sources
 from orchestration.exchange.ssp_xml import STRUCTURE, add, add_value
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
-from orchestration.system.experiment import Experiment, checked_settings
-from orchestration.system.system import CheckedSystem, Port, check
+from orchestration.system.experiment import Experiment
+from orchestration.system.prepared_run import prepare
+from orchestration.system.system import CheckedSystem, Port
 
 
 @dataclass(frozen=True)
@@ -77,9 +78,9 @@ def _variant(chosen: Scenario) -> _Variant:
     if special:
         raise ScenarioError(f"{chosen.name} with {special}: expected none, an SSP package cannot carry them")
     system, experiment = with_sources(chosen)
-    checked = check(system, experiment.inputs)
-    settings = [(port, _typed(port, value)) for port, value in checked_settings(checked, experiment)]
-    return _Variant(chosen.name, chosen.title, checked, experiment, settings)
+    prepared = prepare(system, experiment)
+    settings = [(port, _typed(port, value)) for port, value in prepared.settings]
+    return _Variant(chosen.name, chosen.title, prepared.system, experiment, settings)
 
 
 def _typed(port: Port, value: Any) -> Any:

@@ -136,16 +136,25 @@ def past(run: Run, position: int) -> dict[str, str]:
     """Digests of all that made a run what it is at a communication point."""
     w, until = run.wiring, position + 1
     parts: dict[str, list[object]] = {
-        "the FMUs": [(name, each.guid) for name, each in run.checked.descriptions.items()],
-        "the algorithm": [w.gauss_seidel, w.period.tobytes(), w.links.carried.tobytes(), run.tolerance],
+        "the FMUs": [(name, each.guid) for name, each in run.prepared.system.descriptions.items()],
+        "the algorithm": [
+            w.gauss_seidel,
+            w.period.tobytes(),
+            w.links.carried.tobytes(),
+            run.prepared.experiment.tolerance,
+        ],
         "the communication points": [w.points[:until].tobytes()],
         "the connections": list(run.loom.links),
         "the record": list(run.loom.recorded),
         "the signals": [w.signals[:, :until].tobytes()],
         "the faults": [w.faults.source[:, :until].tobytes(), w.faults.addition[:, :until].tobytes()],
-        "parameters, inputs and events": [run.settings, run.changes_before(position)],
+        "parameters, inputs and events": [_settings(run), run.changes_before(position)],
     }
     return {name: hashlib.sha256(repr(part).encode()).hexdigest() for name, part in parts.items()}
+
+
+def _settings(run: Run) -> list[tuple[str, Any]]:
+    return [(port.name, value) for port, value in run.prepared.settings]
 
 
 @dataclass(frozen=True)

@@ -67,7 +67,8 @@ def groups(checked: CheckedSystem) -> tuple[Group, ...]:
     connections = checked.connections
     place = {target.name: i for i, (_, target) in enumerate(connections)}
     before = [
-        {place[name] for name in checked.initial_inputs(source) if name in place} for source, _ in connections
+        {place[name] for name in checked.initial_dependencies(source) if name in place}
+        for source, _ in connections
     ]
     edges = [(earlier, i) for i, all_earlier in enumerate(before) for earlier in all_earlier]
     rows, columns = np.array(edges, dtype=int).reshape(-1, 2).T

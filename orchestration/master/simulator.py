@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+from fmpy.model_description import ScalarVariable
 
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.fmi.description import describe
@@ -18,13 +19,13 @@ from orchestration.master.initialisation import Group, groups, settle
 from orchestration.master.interrupt import deferred_interrupt
 from orchestration.master.loop import BUSY, REPORT_SIZE, Storage, plain
 from orchestration.master.pacing import Pacing
-from orchestration.master.snapshot import missing_ability
-from orchestration.master.stepping import Progress, Run
+from orchestration.master.progress import Progress
+from orchestration.master.stepping import Run
 from orchestration.master.wiring import Loom
 from orchestration.results.recording import Recording
-from orchestration.system.experiment import Experiment, checked_settings, communication_points
-from orchestration.system.signals import values_at
-from orchestration.system.system import CheckedSystem, Port, System, check
+from orchestration.system.experiment import Experiment, Initialisation
+from orchestration.system.prepared_run import PreparedRun, prepare_checked
+from orchestration.system.system import CheckedSystem, System, check
 
 
 class Simulator:
@@ -80,16 +81,16 @@ class Simulator:
         resume: Checkpoint | None,
         storage: Storage | None,
     ) -> Recording:
-        checked, order = self._checked((*experiment.inputs, *experiment.signals))
-        settings = checked_settings(checked, experiment)
+        checked, order = self._checked(experiment.driven_inputs)
+        prepared = prepare_checked(checked, experiment)
         if checkpoints or resume:
             _check_serialisable(checked)
         self._make_ready(storage)
-        loom = Loom(checked, experiment, self._components, communication_points(checked, experiment), storage)
-        run = Run(checked, experiment, settings, self._components, loom, self._loop(loom.wiring))
+        loom = Loom(prepared, self._components, storage)
+        run = Run(prepared, self._components, loom, self._loop(loom.wiring))
         try:
             with deferred_interrupt() as check_interrupt:
-                _initialise(checked, order, experiment, settings, self._components)
+                _initialise(prepared, order, self._components)
                 run.read_outputs()
                 if resume:
                     restore(resume, run, self._components)
@@ -165,40 +166,33 @@ def _pacing(real_time: float | None) -> Pacing | None:
 
 
 def _check_serialisable(checked: CheckedSystem) -> None:
-    unable = missing_ability(checked, "canSerializeFMUstate")
-    if unable:
+    incapable = checked.components_without("canSerializeFMUstate")
+    if incapable:
         raise SystemDefinitionError(
-            f"checkpoint: {', '.join(unable)} cannot serialise its state: expected canSerializeFMUstate"
+            f"checkpoint: {', '.join(incapable)} cannot serialise its state: expected canSerializeFMUstate"
         )
 
 
-def _initialise(
-    checked: CheckedSystem,
-    order: Sequence[Group],
-    experiment: Experiment,
-    settings: list[tuple[Port, Any]],
-    components: Mapping[str, FmuInstance],
-) -> None:
+def _initialise(prepared: PreparedRun, order: Sequence[Group], components: Mapping[str, FmuInstance]) -> None:
     """Set parameters, enter initialisation mode, set inputs, exchange in dependency order, leave it."""
-
-    def set_all(causality: str) -> None:
-        for name, component in components.items():
-            component.set_all(
-                [
-                    (p.variable, v)
-                    for p, v in settings
-                    if p.component == name and p.variable.causality == causality
-                ]
-            )
-
-    set_all("parameter")
+    experiment = prepared.experiment
+    for name, component in components.items():
+        component.set_all(_settings_of(prepared, name, "parameter"))
     for component in components.values():
         component.initialise(experiment.start_time, experiment.stop_time)
-    set_all("input")
-    for name, signal in experiment.signals.items():
-        port = checked.ports[name]
-        start = values_at(signal, np.array([experiment.start_time]))
-        components[port.component].set(port.variable, float(start[0]))
-    settle(order, components, experiment.initialisation)
+    for name, component in components.items():
+        component.set_all(_settings_of(prepared, name, "input"))
+    for name, values in zip(experiment.signals, prepared.signal_values, strict=True):
+        port = prepared.system.ports[name]
+        components[port.component].set(port.variable, float(values[0]))
+    settle(order, components, Initialisation(experiment.initialisation))
     for component in components.values():
         component.exit_initialization_mode()
+
+
+def _settings_of(prepared: PreparedRun, component: str, causality: str) -> list[tuple[ScalarVariable, Any]]:
+    return [
+        (port.variable, value)
+        for port, value in prepared.settings
+        if port.component == component and port.variable.causality == causality
+    ]

@@ -7,12 +7,6 @@ import numpy as np
 from orchestration.errors import FmuError
 from orchestration.fmi.instance import FmuInstance
 from orchestration.master.loop import Wiring
-from orchestration.system.system import CheckedSystem
-
-
-def missing_ability(checked: CheckedSystem, ability: str) -> list[str]:
-    """Components that do not claim a capability of FMI 2.0 co-simulation."""
-    return [name for name, each in checked.descriptions.items() if not getattr(each.coSimulation, ability)]
 
 
 def moving_arrays(w: Wiring) -> dict[str, np.ndarray]:

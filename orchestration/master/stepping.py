@@ -16,18 +16,18 @@ from orchestration.fmi.instance import FmuInstance
 from orchestration.master.failure import explain, is_discarded_step, judge_warnings
 from orchestration.master.loop import RECORDED, Entries
 from orchestration.master.pacing import Pacing
-from orchestration.master.snapshot import Snapshot, missing_ability
+from orchestration.master.progress import Progress
+from orchestration.master.record import make_recording
+from orchestration.master.snapshot import Snapshot
 from orchestration.master.step_control import ShorterSteps, Tolerance
 from orchestration.master.wiring import Loom
 from orchestration.results.recording import Recording
-from orchestration.system.experiment import Experiment, checked_value, recorded
-from orchestration.system.system import CheckedSystem, Port
+from orchestration.system.prepared_run import PreparedRun
+from orchestration.system.system import CheckedSystem
 
 _STRETCH_S = 0.05
 _GROWTH = 8  # of a stretch at most, from one to the next: the first ones tell how long a step takes
 MOST_STEPS = 1_000_000
-
-Progress = Callable[[int, int], None]
 
 
 class Run:
@@ -35,26 +35,22 @@ class Run:
 
     def __init__(
         self,
-        checked: CheckedSystem,
-        experiment: Experiment,
-        settings: list[tuple[Port, Any]],
+        prepared: PreparedRun,
         components: Mapping[str, FmuInstance],
         loom: Loom,
         loop: Entries,
     ) -> None:
-        self.checked, self._experiment, self._components = checked, experiment, components
-        self._settings = settings
+        self.prepared, self._components = prepared, components
         self.loom, self.wiring, self._loop = loom, loom.wiring, loop
         self.position = 0
-        self._changes = _changes(checked, experiment, self.wiring.points)
-        self._hindrance = _hindrance(experiment, checked)
         self._check_interrupt: Callable[[], None] = lambda: None
-        self._snapshot = None if self._hindrance else Snapshot(components, self.wiring)
-        self.shorter = None if self._hindrance else self._shorter_steps()
+        self._snapshot = None if prepared.retry_obstacle else Snapshot(components, self.wiring)
+        self.shorter = None if prepared.retry_obstacle else self._shorter_steps()
 
     def _shorter_steps(self) -> ShorterSteps:
-        experiment, signals = self._experiment, list(self._experiment.signals.values())
-        tolerance = _tolerance(self.checked, experiment, self.loom) if experiment.tolerance else None
+        experiment = self.prepared.experiment
+        signals = list(experiment.signals.values())
+        tolerance = _tolerance(self.prepared, self.loom) if experiment.tolerance else None
         return ShorterSteps(self._components, self.loom, self._loop, signals, tolerance, experiment.step_size)
 
     def read_outputs(self) -> None:
@@ -102,7 +98,7 @@ class Run:
 
     def _rest(self, wanted: int) -> int:
         """The communication point at which to rest: the one wanted, the next change or the last."""
-        changes = (i for i in self._changes if i > self.position)
+        changes = (i for i in self.prepared.changes if i > self.position)
         return min(wanted, len(self.wiring.points) - 1, *changes)
 
     def look(self) -> None:
@@ -123,7 +119,9 @@ class Run:
         if not is_discarded_step(self.wiring):
             raise self._failure()
         if not (self._snapshot and self.shorter):
-            raise OrchestrationError(f"{self._failure()}; no shorter step was tried, as {self._hindrance}")
+            raise OrchestrationError(
+                f"{self._failure()}; no shorter step was tried, as {self.prepared.retry_obstacle}"
+            )
         self._snapshot.restore()
         if self._loop.run(begun, self.position) != self.position:
             raise self._failure()
@@ -149,7 +147,7 @@ class Run:
 
     def _change(self, position: int) -> None:
         """Make the changes that are scheduled for a communication point."""
-        for port, value in self._changes.get(position, []):
+        for port, value in self.prepared.changes.get(position, []):
             component = self._components[port.component]
             component.time = float(self.wiring.points[position])
             component.set(port.variable, value)
@@ -158,8 +156,7 @@ class Run:
         """What there is until now."""
         done = int(self.wiring.report[RECORDED])
         more = self._effort() | ({"real_time": pacing.report()} if pacing else {})
-        w = self.wiring
-        return recording(self.checked, self._experiment, w.points, w.rows, done, more)
+        return make_recording(self.prepared, self.wiring.rows, done, more)
 
     def _effort(self) -> dict[str, int]:
         """What shorter steps took, if there were any."""
@@ -172,20 +169,11 @@ class Run:
             "inexact_steps": done.inexact,
         }
 
-    @property
-    def tolerance(self) -> float | None:
-        return self._experiment.tolerance
-
-    @property
-    def settings(self) -> list[tuple[str, Any]]:
-        """Parameters and constant inputs, by name."""
-        return [(port.name, value) for port, value in self._settings]
-
     def changes_before(self, position: int) -> list[tuple[int, str, Any]]:
         """Scheduled changes that were made before a communication point."""
         return [
             (at, port.name, value)
-            for at, changes in sorted(self._changes.items())
+            for at, changes in sorted(self.prepared.changes.items())
             for port, value in changes
             if at < position
         ]
@@ -197,69 +185,6 @@ class Run:
                 each.free()
 
 
-def recording(
-    checked: CheckedSystem,
-    experiment: Experiment,
-    points: np.ndarray,
-    rows: np.ndarray,
-    done: int,
-    more: Mapping[str, Any] | None = None,
-) -> Recording:
-    """The first `done` communication points; `more` goes to what is known of the run."""
-    names = recorded(checked, experiment)
-    return Recording(
-        names=names,
-        units=tuple(checked.ports[name].variable.unit or "" for name in names),
-        time=points[:done].copy(),
-        values=np.array(rows[:done]),
-        provenance=provenance(checked, experiment) | dict(more or {}),
-    )
-
-
-def provenance(checked: CheckedSystem, experiment: Experiment) -> dict[str, Any]:
-    """What is run, and how, as plain data."""
-    return {
-        "fmus": {
-            name: {"guid": d.guid, "model": d.modelName, "tool": d.generationTool}
-            for name, d in checked.descriptions.items()
-        },
-        "algorithm": str(experiment.algorithm),
-        "communication_step_size_s": experiment.step_size,
-        "extrapolation": experiment.extrapolation,
-        **({"tolerance": experiment.tolerance} if experiment.tolerance else {}),
-        **({"step_sizes_s": dict(experiment.step_sizes)} if experiment.step_sizes else {}),
-        **({"faults": [repr(each) for each in experiment.faults]} if experiment.faults else {}),
-    }
-
-
-def _changes(
-    checked: CheckedSystem, experiment: Experiment, points: np.ndarray
-) -> dict[int, list[tuple[Port, Any]]]:
-    """Communication point -> what is set there: the first one of the component at or after the event."""
-    found: dict[int, list[tuple[Port, Any]]] = {}
-    for event in sorted(experiment.events, key=lambda each: each.time):
-        first = int(np.searchsorted(points, event.time - experiment.nearness()))
-        for name, value in event.values.items():
-            port = checked.ports[name]
-            period = experiment.period(port.component)
-            at = min(-(-first // period) * period, len(points) - 1)
-            found.setdefault(at, []).append((port, checked_value(port, value)))
-    return found
-
-
-def _hindrance(experiment: Experiment, checked: CheckedSystem) -> str:
-    """Why a discarded step cannot be done again in shorter ones; empty if it can."""
-    if experiment.step_sizes:
-        return "components have step sizes of their own"
-    unable = missing_ability(checked, "canGetAndSetFMUstate")
-    if unable:
-        return f"{', '.join(unable)} cannot go back (canGetAndSetFMUstate)"
-    fixed = missing_ability(checked, "canHandleVariableCommunicationStepSize")
-    if fixed:
-        return f"{', '.join(fixed)} cannot vary the step (canHandleVariableCommunicationStepSize)"
-    return ""
-
-
 def _follows_at_once(checked: CheckedSystem, name: str, driven: set[str]) -> bool:
     """Whether an output follows a driven input directly in step mode; what is not declared may."""
     port = checked.ports[name]
@@ -269,8 +194,9 @@ def _follows_at_once(checked: CheckedSystem, name: str, driven: set[str]) -> boo
     return any(each.startswith(f"{port.component}.") for each in driven)
 
 
-def _tolerance(checked: CheckedSystem, experiment: Experiment, loom: Loom) -> Tolerance:
+def _tolerance(prepared: PreparedRun, loom: Loom) -> Tolerance:
     """Judged by every Real output that travels or is recorded."""
+    checked, experiment = prepared.system, prepared.experiment
     names = [n for n in loom.outputs if checked.ports[n].variable.type == "Real"]
     nominal = [abs(float(checked.ports[n].variable.nominal or 1.0)) for n in names]
     driven = {target for _, target in loom.links}

@@ -20,11 +20,13 @@ from fmus.process import ending, start
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.master.interrupt import kept_interrupts
 from orchestration.master.loop import BUSY, CALLS, RECORDED
-from orchestration.master.stepping import Progress, recording
+from orchestration.master.progress import Progress
+from orchestration.master.record import make_recording
 from orchestration.master.subprocess_worker import OUTCOME, TASK, WARNINGS, SharedRecord, Task, child
 from orchestration.results.recording import Recording
-from orchestration.system.experiment import Experiment, checked_settings, communication_points, recorded
-from orchestration.system.system import CheckedSystem, System, check
+from orchestration.system.experiment import Experiment
+from orchestration.system.prepared_run import PreparedRun, prepare
+from orchestration.system.system import System
 
 _LOOK_S = 0.1
 _LOADING_S = 60.0  # for an FMU to be loaded, at least: it may start an interpreter, or look for a license
@@ -34,7 +36,7 @@ _NOT_BEGUN = -1
 _Outcome = Recording | BaseException
 
 
-def simulate_apart(
+def simulate_in_subprocess(
     system: System,
     experiment: Experiment,
     timeout: float,
@@ -49,14 +51,12 @@ def simulate_apart(
     """
     if not timeout > 0.0:
         raise SystemDefinitionError(f"timeout {timeout!r} s: expected more than 0")
-    checked = check(system, [*experiment.inputs, *experiment.signals])
-    checked_settings(checked, experiment)
-    shape = len(communication_points(checked, experiment)), len(recorded(checked, experiment))
-    task = _packed(Task(system, experiment, dict(options or {}), shape))
+    prepared = prepare(system, experiment)
+    task = _packed(Task(system, experiment, dict(options or {}), prepared.shape))
     with tempfile.TemporaryDirectory(prefix="l1-depth-run-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
         (folder / TASK).write_bytes(task)
-        with contextlib.closing(SharedRecord(folder, shape, "w+")) as record:
+        with contextlib.closing(SharedRecord(folder, prepared.shape, "w+")) as record:
             record.storage.report[RECORDED] = _NOT_BEGUN
             process = start(child, folder)
             try:
@@ -65,7 +65,7 @@ def simulate_apart(
             finally:
                 process.kill()
                 process.communicate()
-            outcome = _outcome(folder / OUTCOME) or _failure(problem, checked, experiment, record)
+            outcome = _outcome(folder / OUTCOME) or _failure(problem, prepared, record)
         outcome = _with_warnings(folder / WARNINGS, outcome)
     return _unwrapped(outcome, stopped or _last_word(progress, outcome))
 
@@ -164,18 +164,15 @@ def _outcome(path: Path) -> _Outcome | None:
     return pickle.loads(path.read_bytes()) if path.is_file() else None
 
 
-def _failure(
-    problem: str, checked: CheckedSystem, experiment: Experiment, record: SharedRecord
-) -> OrchestrationError:
+def _failure(problem: str, prepared: PreparedRun, record: SharedRecord) -> OrchestrationError:
     """A run without an outcome: who did what, and what was recorded."""
     report, rows = record.storage.report, record.storage.rows
     if report[RECORDED] == _NOT_BEGUN:
         return OrchestrationError(f"a process for the FMUs could not begin: {problem}")
-    points = communication_points(checked, experiment)
     done, busy = int(report[RECORDED]), abs(int(report[BUSY]))
-    who = list(checked.components)[busy - 1] if busy else "the run"
-    where = f"at t = {points[done - 1]:.9g} s" if done else "in the initialisation"
-    return SimulationError(f"{who} {where}: {problem}", recording(checked, experiment, points, rows, done))
+    who = list(prepared.system.components)[busy - 1] if busy else "the run"
+    where = f"at t = {prepared.points[done - 1]:.9g} s" if done else "in the initialisation"
+    return SimulationError(f"{who} {where}: {problem}", make_recording(prepared, rows, done))
 
 
 def _with_warnings(path: Path, outcome: _Outcome) -> _Outcome:

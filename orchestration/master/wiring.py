@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from fmpy.model_description import ScalarVariable
 
-from orchestration.errors import SystemDefinitionError
 from orchestration.fmi.instance import CallInProgress, FmuInstance
 from orchestration.master.loop import (
     AT_THE_MIDDLE,
@@ -26,10 +25,9 @@ from orchestration.master.loop import (
     Storage,
     Wiring,
 )
-from orchestration.system.experiment import TRAVELS_AS, Algorithm, Experiment, permitted, recorded
-from orchestration.system.faults import compose
-from orchestration.system.signals import values_at
-from orchestration.system.system import CheckedSystem
+from orchestration.system.experiment import Algorithm
+from orchestration.system.prepared_run import PreparedRun
+from orchestration.system.values import TRANSFER_TYPE, value_range
 
 # How much longer than usual a step may be than the one that its slope was taken from. Where a tolerance
 # judges the outcome, it follows half a step and may be five times as long as the whole.
@@ -73,18 +71,18 @@ class Loom:
 
     def __init__(
         self,
-        checked: CheckedSystem,
-        experiment: Experiment,
+        prepared: PreparedRun,
         components: Mapping[str, FmuInstance],
-        points: np.ndarray,
         storage: Storage | None = None,
     ) -> None:
+        checked, experiment, points = prepared.system, prepared.experiment, prepared.points
+        self._prepared = prepared
         self._checked, self._experiment, self._components = checked, experiment, components
         self._names = list(components)
         self._bus, self._kept = _Bus(), []
         self.functions: dict[int, list[str]] = {STEP: ["fmi2DoStep"]}
         self.links = self._sorted_links()
-        self.recorded = recorded(checked, experiment)
+        self.recorded = prepared.recorded
         wanted = {*self.recorded, *(source for source, _ in self.links)}
         driven = {target for _, target in self.links}
         self.outputs = [name for name in checked.ports if name in wanted and self._is_output(name)]
@@ -97,7 +95,7 @@ class Loom:
         count = len(components)
         ones = self._keep(np.ones(len(self._values), np.int32))
         carried = [self._carried(*link) for link in self.links]
-        storage = storage or Storage(np.empty((len(points), len(columns))), np.zeros(REPORT_SIZE, np.int64))
+        storage = storage or Storage(np.empty(prepared.shape), np.zeros(REPORT_SIZE, np.int64))
         heard = np.zeros(count, np.int64)
         for c, component in enumerate(components.values()):
             component.log.error_logged = heard[c : c + 1]
@@ -114,7 +112,7 @@ class Loom:
             orders=ones.ctypes.data,
             instance=np.array([each.address for each in components.values()], np.int64),
             do_step=np.array([each.function("fmi2DoStep") for each in components.values()], np.int64),
-            period=np.array([experiment.period(name) for name in components], np.int64),
+            period=np.array([prepared.periods[name] for name in components], np.int64),
             only_step=np.array([self._only_step(name) for name in components]),
             begun=np.full(count, experiment.start_time),
             heard=heard,
@@ -125,7 +123,7 @@ class Loom:
             reads=self._calls(reads, READ, "fmi2Get"),
             links=self._links(carried),
             faults=self._faults(points),
-            signals=_table(experiment, points),
+            signals=prepared.signal_values,
             signal_places=np.arange(signals, signals + len(experiment.signals)),
             record=np.array(columns, np.int64),
             rows=storage.rows,
@@ -150,7 +148,7 @@ class Loom:
         by_kind: dict[str, list[ScalarVariable]] = {}
         for variable in self._checked.descriptions[component].modelVariables:
             if variable.causality == causality and f"{component}.{variable.name}" in only:
-                by_kind.setdefault(TRAVELS_AS[variable.type], []).append(variable)
+                by_kind.setdefault(TRANSFER_TYPE[variable.type], []).append(variable)
         groups = []
         for kind, variables in by_kind.items():
             place = self._bus.add(f"{component}.{v.name}" for v in variables)
@@ -206,7 +204,7 @@ class Loom:
         interface: Any = self._checked.descriptions[component].coSimulation
         if interface.canHandleVariableCommunicationStepSize:
             return 0.0
-        return self._experiment.period(component) * self._experiment.step_size
+        return self._prepared.periods[component] * self._experiment.step_size
 
     def _carried(self, source: str, target: str) -> int:
         port = self._checked.ports[target]
@@ -221,7 +219,7 @@ class Loom:
         return BY_THE_FMU if interface.canInterpolateInputs else AT_THE_MIDDLE
 
     def _links(self, carried: list[int]) -> Links:
-        faulted = list(self._faulted())
+        faulted = list(self._prepared.fault_patterns)
         count = len(self.links)
 
         def giver(source: str) -> int:
@@ -229,8 +227,8 @@ class Loom:
 
         usual = _JUDGED_REACH if self._experiment.tolerance else _REACH
         givers = [giver(source) for source, _ in self.links]
-        periods = [self._experiment.period(name) for name in self._names]
-        ranges = [permitted(self._checked.ports[target]) for _, target in self.links]
+        periods = [self._prepared.periods[name] for name in self._names]
+        ranges = [value_range(self._checked.ports[target]) for _, target in self.links]
         return Links(
             first=_starts([_component(target) for _, target in self.links], self._names),
             source=np.array([self._bus.places[source] for source, _ in self.links], np.int64),
@@ -247,25 +245,18 @@ class Loom:
             interval=np.zeros(count),
             reach=np.array(
                 [
-                    usual * self._experiment.period(_component(target)) / (periods[c] if c >= 0 else 1)
+                    usual * self._prepared.periods[_component(target)] / (periods[c] if c >= 0 else 1)
                     for c, (_, target) in zip(givers, self.links, strict=True)
                 ]
             ),
         )
 
-    def _faulted(self) -> dict[str, list[Any]]:
-        """Input -> its faults, in their order."""
-        found: dict[str, list[Any]] = {}
-        for fault in self._experiment.faults:
-            found.setdefault(fault.input, []).append(fault)
-        return found
-
     def _faults(self, points: np.ndarray) -> Faults:
-        faulted = self._faulted()
-        shape = len(faulted), len(points)
+        patterns = self._prepared.fault_patterns
+        shape = len(patterns), len(points)
         source, addition = np.zeros(shape, np.int64), np.zeros(shape)
-        for row, faults in enumerate(faulted.values()):
-            source[row], addition[row] = compose(faults, points)
+        for row, pattern in enumerate(patterns.values()):
+            source[row], addition[row] = pattern
         return Faults(source, addition, np.zeros(shape))
 
 
@@ -281,20 +272,3 @@ def _starts(owners: list[str], names: list[str]) -> np.ndarray:
     """Where the entries of each component begin, and behind the last; `owners` are in order."""
     counts = [owners.count(name) for name in names]
     return np.array([0, *np.cumsum(counts)], np.int64)
-
-
-def _table(experiment: Experiment, points: np.ndarray) -> np.ndarray:
-    """Every signal at every communication point, a row each."""
-    table = np.empty((len(experiment.signals), len(points)))
-    for row, (name, signal) in enumerate(experiment.signals.items()):
-        try:
-            table[row] = values_at(signal, points)
-        except Exception as error:  # whatever a user's own function raises
-            raise SystemDefinitionError(f"signal {name}: {error!r}") from error
-        odd = np.flatnonzero(~np.isfinite(table[row]))
-        if odd.size:
-            value, t = table[row, odd[0]], points[odd[0]]
-            raise SystemDefinitionError(
-                f"signal {name} is {value:g} at t = {t:.9g} s: expected a finite number"
-            )
-    return table

@@ -18,8 +18,8 @@ from orchestration.errors import ScenarioError
 from orchestration.scenarios.scenario import Scenario
 from orchestration.sweep.target import laid_over, target
 from orchestration.sweep.varied import Varied, varied
-from orchestration.system.experiment import checked_settings
-from orchestration.system.system import CheckedSystem, check
+from orchestration.system.prepared_run import prepare
+from orchestration.system.system import CheckedSystem
 
 _KEYS = ("samples", "seed", "timeout", "vary")
 _TAKEN = ("sample", "error")  # columns of the table
@@ -97,8 +97,7 @@ def plan(scenario: Scenario) -> Plan:
                 f"{what}: metric {name}: expected another name, the table has a column of that one"
             )
     experiment = scenario.experiment
-    checked = check(scenario.system, [*experiment.inputs, *experiment.signals])
-    checked_settings(checked, experiment)
+    checked = prepare(scenario.system, experiment).system
     wanted = {
         name: each for name, each in entries.items() if each is not False
     }  # false drops one of the base

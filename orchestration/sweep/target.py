@@ -8,8 +8,9 @@ from typing import Any
 from fmus.errors import nearest
 from orchestration.errors import ScenarioError
 from orchestration.exchange.arrays import start_value
-from orchestration.system.experiment import Algorithm, Experiment, checked_value
+from orchestration.system.experiment import Algorithm, Experiment
 from orchestration.system.system import CheckedSystem, Port
+from orchestration.system.values import fmi_value
 
 _OWN = {"experiment.step_size": "s", "experiment.stop_time": "s", "experiment.algorithm": ""}
 _PURPOSE = "sweep"
@@ -36,11 +37,11 @@ class Target:
         """The value as the table of results holds it; SystemDefinitionError if it cannot be set."""
         if self.port is None:
             return self._setting(value)
-        number = checked_value(self.port, value)
+        number = fmi_value(self.port, value)
         if self.type == "Real":
             return float(number)
         if self.port.variable.type == "Enumeration":
-            return _items(self.port).get(number, str(number))
+            return _items(self.port).get(int(number), str(number))
         return number
 
     def within(self, value: float) -> float:

@@ -1,54 +1,46 @@
-"""An experiment of the settings that a user gives: known names, and times that the FMUs suggest."""
+"""The times of an experiment that a user does not give: those that the FMUs suggest."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import fields
 from typing import Any
 
-from fmus.errors import nearest
 from orchestration.errors import SystemDefinitionError
 from orchestration.fmi.description import describe
-from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 
 _ATTRIBUTES = {"start_time": "startTime", "stop_time": "stopTime", "step_size": "stepSize"}
 
 
-def experiment_of(system: System, settings: Mapping[str, Any], others: Iterable[str] = ()) -> Experiment:
-    """The experiment of these settings.
+def suggested_times(
+    system: System,
+    stop_time: float | None = None,
+    step_size: float | None = None,
+    start_time: float | None = None,
+) -> tuple[float, float, float]:
+    """(stop time, step size, start time) [s]; each that is None is taken from the FMUs' default experiments.
 
-    Stop time (with the start time) and step size that are not given are those of the FMUs' default
-    experiments.
-    others: names that may be meant as well
-    Raises SystemDefinitionError for an unknown name, and for a time that is not given and of which the FMUs
-    suggest none, or several.
+    The suggested start time belongs to the suggested stop time; with a given stop time it is 0.
+    Raises SystemDefinitionError for a time that is not given and for which the FMUs suggest none, or several.
     """
-    known = [each.name for each in fields(Experiment)]
-    for name in settings:
-        if name not in known:
-            raise SystemDefinitionError(f"no setting {name!r}; {nearest(name, [*known, *others])}")
-    times: dict[str, float] = {}
-    if "stop_time" not in settings:
-        times = {
-            "start_time": _suggested(system, "start_time", 0.0),
-            "stop_time": _suggested(system, "stop_time"),
-        }
-    if "step_size" not in settings:
-        times["step_size"] = _suggested(system, "step_size")
-    return Experiment(**{**times, **settings})
+    if start_time is None:
+        start_time = _suggested(system, "start_time", 0.0) if stop_time is None else 0.0
+    if stop_time is None:
+        stop_time = _suggested(system, "stop_time")
+    if step_size is None:
+        step_size = _suggested(system, "step_size")
+    return stop_time, step_size, start_time
 
 
 def _suggested(system: System, name: str, default: float | None = None) -> float:
-    found = {}
+    times: dict[str, float] = {}
     for component, path in system.components.items():
         experiment: Any = describe(path).defaultExperiment
-        stated = getattr(experiment, _ATTRIBUTES[name], None)
-        if stated is not None:
-            found[component] = float(stated)
-    if len(set(found.values())) > 1:
-        several = ", ".join(f"{component} {value:g} s" for component, value in found.items())
+        suggested = getattr(experiment, _ATTRIBUTES[name], None)
+        if suggested is not None:
+            times[component] = float(suggested)
+    if len(set(times.values())) > 1:
+        listed = ", ".join(f"{component} {time:g} s" for component, time in times.items())
         raise SystemDefinitionError(
-            f"expected {name}: it is not given, and the FMUs suggest several: {several}"
+            f"expected {name}: it is not given, and the FMUs suggest several: {listed}"
         )
-    if not found and default is None:
+    if not times and default is None:
         raise SystemDefinitionError(f"expected {name}: it is not given, and no FMU suggests one")
-    return next(iter(found.values()), default or 0.0)
+    return next(iter(times.values()), default or 0.0)

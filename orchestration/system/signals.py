@@ -4,7 +4,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,11 @@ from fmus.errors import nearest
 from orchestration.errors import ScenarioError
 from orchestration.system.time_grid import GRID_TOLERANCE
 
-Signal = Callable[[float], float]
+
+class Signal(Protocol):
+    """A function of time [s]: the value of an input."""
+
+    def __call__(self, t: float, /) -> float: ...
 
 
 class Curve:

@@ -28,7 +28,7 @@ class Port:
 class System:
     """Named FMUs and the connections between them, (source, target) as "component.variable".
 
-    SystemDefinitionError for what is not of this form.
+    Raises SystemDefinitionError for another form.
     """
 
     components: Mapping[str, Path]
@@ -39,12 +39,12 @@ class System:
     ) -> None:
         if not isinstance(components, Mapping):
             raise SystemDefinitionError(f'components: expected {{"name": "path.fmu"}}, got {components!r}')
-        odd = [name for name in components if not isinstance(name, str) or not name or "." in name]
-        if odd:
-            raise SystemDefinitionError(f"component {odd[0]!r}: expected a name without a dot")
+        for name in components:
+            if not isinstance(name, str) or not name or "." in name:
+                raise SystemDefinitionError(f"component {name!r}: expected a name without a dot")
         paths = {name: Path(path) for name, path in components.items()}
         object.__setattr__(self, "components", paths)
-        object.__setattr__(self, "connections", tuple(_pair(each) for each in connections))
+        object.__setattr__(self, "connections", tuple(_pair(connection) for connection in connections))
 
 
 def _pair(connection: Any) -> tuple[str, str]:
@@ -56,7 +56,10 @@ def _pair(connection: Any) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class CheckedSystem:
-    """A system whose every name exists and fits."""
+    """A system and its model descriptions: every name exists, every connection fits.
+
+    ports: "component.variable" -> variable, of all components
+    """
 
     components: Mapping[str, Path]
     descriptions: Mapping[str, ModelDescription]
@@ -75,14 +78,22 @@ class CheckedSystem:
             raise SystemDefinitionError(f"{purpose}: no variable {name!r}; {nearest(name, candidates)}")
         return self.ports[name]
 
-    def initial_inputs(self, output: Port) -> list[str]:
-        """Names of the inputs that an output follows in initialisation mode; unstated means all."""
+    def components_without(self, capability: str) -> list[str]:
+        """Components whose FMU does not declare a capability of FMI 2.0 co-simulation."""
+        return [
+            name
+            for name, description in self.descriptions.items()
+            if not getattr(description.coSimulation, capability)
+        ]
+
+    def initial_dependencies(self, output: Port) -> list[str]:
+        """Names of the inputs that an output depends on in initialisation mode; all if not declared."""
         description = self.descriptions[output.component]
         inputs = [v for v in description.modelVariables if v.causality == "input"]
         for unknown in description.initialUnknowns:
             if unknown.variable is output.variable and unknown.dependencies is not None:
-                known = {id(each) for each in unknown.dependencies}
-                inputs = [v for v in inputs if id(v) in known]
+                declared = {id(variable) for variable in unknown.dependencies}
+                inputs = [v for v in inputs if id(v) in declared]
         return [f"{output.component}.{v.name}" for v in inputs]
 
 
@@ -93,8 +104,8 @@ def check(
 ) -> CheckedSystem:
     """Read every model description and check every name, type and unit of the system.
 
-    driven: the inputs that are set by something else than a connection: a signal or a constant;
-    descriptions: those of the components, if they have been read already.
+    driven: inputs that a signal or a constant drives; every other input needs a connection
+    descriptions: those of the components, if they have been read already
     Raises FmuLoadError for a file that is no FMU, SystemDefinitionError for what does not fit.
     """
     descriptions = descriptions or {name: describe(Path(path)) for name, path in system.components.items()}
@@ -117,27 +128,24 @@ def check(
 
 def _connection(checked: CheckedSystem, source: str, target: str) -> tuple[Port, Port]:
     purpose = f"connection {source} -> {target}"
-    begin, end = checked.port(source, purpose), checked.port(target, purpose)
-    if begin.variable.causality != "output":
-        raise SystemDefinitionError(f"{purpose}: expected an output first, got {begin.variable.causality}")
-    if end.variable.causality != "input":
-        raise SystemDefinitionError(f"{purpose}: expected an input second, got {end.variable.causality}")
-    if begin.variable.type != end.variable.type:
-        raise SystemDefinitionError(
-            f"{purpose}: expected equal types, got {begin.variable.type} and {end.variable.type}"
-        )
-    if begin.variable.type == "String":
+    start, end = checked.port(source, purpose), checked.port(target, purpose)
+    output, input_ = start.variable, end.variable
+    if output.causality != "output":
+        raise SystemDefinitionError(f"{purpose}: expected an output first, got {output.causality}")
+    if input_.causality != "input":
+        raise SystemDefinitionError(f"{purpose}: expected an input second, got {input_.causality}")
+    if output.type != input_.type:
+        raise SystemDefinitionError(f"{purpose}: expected equal types, got {output.type} and {input_.type}")
+    if output.type == "String":
         raise SystemDefinitionError(f"{purpose}: expected numbers, Strings are not exchanged")
-    stated = begin.variable.unit and end.variable.unit  # an FMU need not state units
-    if stated and _unit(checked, begin) != _unit(checked, end):
-        raise SystemDefinitionError(
-            f"{purpose}: expected equal units, got {begin.variable.unit} and {end.variable.unit}"
-        )
-    return begin, end
+    units_are_declared = output.unit and input_.unit  # a variable need not declare its unit
+    if units_are_declared and _unit(checked, start) != _unit(checked, end):
+        raise SystemDefinitionError(f"{purpose}: expected equal units, got {output.unit} and {input_.unit}")
+    return start, end
 
 
 def _unit(checked: CheckedSystem, port: Port) -> object:
-    """What makes two units equal: base units, factor and offset if the FMU gives them, else the name."""
+    """Equal for equal units: base units, factor and offset if the FMU declares them, else the name."""
     name = port.variable.unit
     for unit in checked.descriptions[port.component].unitDefinitions:
         base = unit.baseUnit
@@ -151,9 +159,9 @@ def _check_each_input_is_driven_once(ports: Mapping[str, Port], drivers: list[st
     for name in drivers:
         if drivers.count(name) > 1:
             raise SystemDefinitionError(f"{name} is driven {drivers.count(name)} times: expected once")
-    idle = [n for n, p in ports.items() if p.variable.causality == "input" and n not in drivers]
-    if idle:
+    undriven = [n for n, p in ports.items() if p.variable.causality == "input" and n not in drivers]
+    if undriven:
         raise SystemDefinitionError(
-            f"{', '.join(idle)}: driven by nothing; connect each input, drive it by a signal "
+            f"{', '.join(undriven)}: driven by nothing; connect each input, drive it by a signal "
             "or give it a constant value"
         )

@@ -1,8 +1,18 @@
 """Times on the grid of communication points: computed in floating point, so near is equal."""
 
+import math
+
 import numpy as np
 
 GRID_TOLERANCE = 1e-9  # of a step: a time this close to a communication point is on it
+
+
+def time_grid(start: float, stop: float, step: float) -> np.ndarray:
+    """start + i step [s], shape (n,), never accumulated; a last shorter step lands on `stop`."""
+    count = math.ceil((stop - start) / step - GRID_TOLERANCE)
+    times = start + np.arange(count + 1) * step
+    times[-1] = stop
+    return times
 
 
 def within(times: np.ndarray, start: float, end: float) -> np.ndarray:

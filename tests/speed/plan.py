@@ -13,32 +13,33 @@ import numpy as np
 
 from fmus.platforms import library_name
 from orchestration.errors import OrchestrationError
-from orchestration.system.experiment import Experiment, checked_settings
+from orchestration.system.prepared_run import PreparedRun
 from orchestration.system.system import CheckedSystem, Port
 
 _KINDS = {"Real": "real", "Integer": "integer", "Enumeration": "integer", "Boolean": "boolean"}
 
 
-def write_plan(checked: CheckedSystem, experiment: Experiment, folder: Path, platform: str) -> Path:
+def write_plan(prepared: PreparedRun, folder: Path, platform: str) -> Path:
     """Extract the FMUs to a folder and write the plan and its table there.
 
     Returns the plan. Raises OrchestrationError for what the host does not know:
     `Experiment.beyond_the_plain_loop`, and connections, signals and records of another type than Real.
     """
+    checked, experiment = prepared.system, prepared.experiment
     special = experiment.beyond_the_plain_loop()
     if special:
         raise OrchestrationError(f"a plan with {special}: expected none, the host exchanges and steps only")
     folder.mkdir(parents=True, exist_ok=True)
     folder = folder.absolute()
     plan, table = folder / "plan.txt", folder / "table.bin"
-    rows = _table(experiment)
+    rows = _table(prepared)
     rows.tofile(table)
     statements = [
         *_components(checked, folder, platform),
-        *_settings(checked, experiment),
+        *_settings(prepared),
         *(f"connect {_real(checked, a)} {_real(checked, b)}" for a, b in checked.connections),
         *(f"signal {_real(checked, checked.ports[name])}" for name in experiment.signals),
-        *(f"record {_real(checked, port)}" for port in _recorded(checked, experiment)),
+        *(f"record {_real(checked, port)}" for port in _recorded(prepared)),
         f"table {len(rows)} {table}",
     ]
     plan.write_text("".join(f"{line}\n" for line in statements), encoding="utf-8", newline="\n")
@@ -51,11 +52,9 @@ def read_result(result: Path, plan: Path) -> np.ndarray:
     return np.fromfile(result).reshape(-1, columns)
 
 
-def _table(experiment: Experiment) -> np.ndarray:
+def _table(prepared: PreparedRun) -> np.ndarray:
     """The communication points and the signals at each, as the master takes them."""
-    points = experiment.points().tolist()
-    columns = [points, *([value_at(t) for t in points] for value_at in experiment.signals.values())]
-    return np.array(columns, dtype=float).T.copy()
+    return np.column_stack([prepared.points, *prepared.signal_values])
 
 
 def _components(checked: CheckedSystem, folder: Path, platform: str) -> Iterator[str]:
@@ -71,25 +70,23 @@ def _components(checked: CheckedSystem, folder: Path, platform: str) -> Iterator
         yield f"component {name} {description.guid} {library}"
 
 
-def _settings(checked: CheckedSystem, experiment: Experiment) -> Iterator[str]:
+def _settings(prepared: PreparedRun) -> Iterator[str]:
     """Parameters, then constant inputs; the shortest decimal of a double is read back exactly."""
-    for port, value in checked_settings(checked, experiment):
+    for port, value in prepared.settings:
         if port.variable.type not in _KINDS:
             raise OrchestrationError(f"{port.name} in a plan: expected a number, got {port.variable.type}")
         kind = _KINDS[port.variable.type]
         number = repr(float(value)) if kind == "real" else int(value)
-        component, reference = _place(checked, port).split()
+        component, reference = _place(prepared.system, port).split()
         yield f"set {component} {kind} {reference} {number}"
 
 
-def _recorded(checked: CheckedSystem, experiment: Experiment) -> list[Port]:
-    """The names to record, or all that the master records: signals, then every component's outputs."""
-    outputs = [name for name, port in checked.ports.items() if port.variable.causality == "output"]
-    names = experiment.record or [*experiment.signals, *outputs]
-    for name in names:
-        if name not in experiment.signals and name not in outputs:
-            raise OrchestrationError(f"record {name} in a plan: expected an output or a signal")
-    return [checked.ports[name] for name in names]
+def _recorded(prepared: PreparedRun) -> list[Port]:
+    ports = [prepared.system.ports[name] for name in prepared.recorded]
+    for port in ports:
+        if port.name not in prepared.experiment.signals and port.variable.causality != "output":
+            raise OrchestrationError(f"record {port.name} in a plan: expected an output or a signal")
+    return ports
 
 
 def _place(checked: CheckedSystem, port: Port) -> str:

@@ -17,7 +17,7 @@ from orchestration.master import Simulator
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Experiment
-from orchestration.system.system import check
+from orchestration.system.prepared_run import prepare
 from tests.speed import monolith
 from tests.speed.plan import read_result, write_plan
 from tests.speed.programs import C_SOURCES, compile_equations, compile_program, output_of, workplace
@@ -71,7 +71,7 @@ def loop(name: str, rounds: int = 7) -> Loop:
         _check_agreement(name, folder)
     master, half, host, single = (median(each) for each in zip(*taken, strict=True))
     alone = 2.0 * (master - half)
-    return Loop(name, len(native.experiment.points()) - 1, by_python, master, alone, host, single)
+    return Loop(name, len(native.experiment.time_grid()) - 1, by_python, master, alone, host, single)
 
 
 def _in_the_master(chosen: Scenario, rounds: int) -> list[float]:
@@ -81,7 +81,7 @@ def _in_the_master(chosen: Scenario, rounds: int) -> list[float]:
 
 def _of_the_master(simulator: Simulator, experiment: Experiment) -> tuple[float, float]:
     """Seconds of a run, and of one of half the steps; each the last of some, as of the C programs."""
-    steps = len(experiment.points()) - 1
+    steps = len(experiment.time_grid()) - 1
     half = replace(experiment, stop_time=experiment.start_time + steps // 2 * experiment.step_size)
     whole_s, half_s = (
         [_timed(partial(simulator.run, each)) for _ in range(_WARM)][-1] for each in (experiment, half)
@@ -91,9 +91,8 @@ def _of_the_master(simulator: Simulator, experiment: Experiment) -> tuple[float,
 
 def _compile(chosen: Scenario, folder: Path) -> None:
     """The C host and the monolith of a scenario, with the plan that both follow."""
-    checked = check(chosen.system, [*chosen.experiment.inputs, *chosen.experiment.signals])
-    plan = write_plan(checked, chosen.experiment, folder, host_platform())
-    sources = [folder / name / "sources" for name in checked.components]
+    plan = write_plan(prepare(chosen.system, chosen.experiment), folder, host_platform())
+    sources = [folder / name / "sources" for name in chosen.system.components]
     compile_program(folder, "host", [str(C_SOURCES / "host.c")], includes=sources[:1])
     (folder / "main.c").write_text(monolith.program(plan), encoding="utf-8")
     for i, include in enumerate(sources):

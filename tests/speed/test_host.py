@@ -14,7 +14,8 @@ from orchestration.errors import OrchestrationError
 from orchestration.master import simulate
 from orchestration.scenarios import scenario
 from orchestration.system.experiment import Algorithm, Event, Experiment
-from orchestration.system.system import System, check
+from orchestration.system.prepared_run import prepare
+from orchestration.system.system import System
 from tests.speed.plan import read_result, write_plan
 
 HOST = Path("tests/speed/c/host.c")
@@ -84,8 +85,7 @@ def _shipped(name: str, fmus: Mapping[str, Path], **changes: Any) -> tuple[Syste
 
 
 def _plan(system: System, experiment: Experiment, folder: Path, platform: str = "linux64") -> Path:
-    checked = check(system, [*experiment.inputs, *experiment.signals])
-    return write_plan(checked, experiment, folder, platform)
+    return write_plan(prepare(system, experiment), folder, platform)
 
 
 @pytest.mark.parametrize(

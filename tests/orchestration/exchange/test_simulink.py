@@ -138,7 +138,7 @@ def test_every_parameter_of_the_scenario_that_is_no_start_value_is_set(
         component, variable = name.split(".")
         description = fmpy.read_model_description(chosen.system.components[component])
         start = next(v.start for v in description.modelVariables if v.name == variable)
-        expected = {"pi": 2}.get(value, value)
+        expected = 2 if value == "pi" else value
         assert float(given.get(name, start)) == expected
 
 

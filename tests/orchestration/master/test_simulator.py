@@ -113,7 +113,7 @@ def test_a_run_is_asked_for_by_an_experiment_or_by_its_settings(linear: Build) -
     system = coupled(linear)
     one, other = simulate(system, EXPERIMENT), simulate(system, stop_time=1.0, step_size=0.1)
     assert np.array_equal(one.values, other.values)
-    with pytest.raises(SystemDefinitionError, match="expected an experiment, or its settings"):
+    with pytest.raises(SystemDefinitionError, match="an experiment or its settings, got both: stop_time"):
         simulate(system, EXPERIMENT, stop_time=1.0)
 
 

@@ -134,7 +134,7 @@ def test_an_interrupt_at_the_terminal_does_not_cut_off_a_checkpoint(
         from orchestration.errors import SimulationError
         from orchestration.master import simulate
         from orchestration.master.checkpoint import Checkpoints
-        from orchestration.system import System
+        from orchestration.system.system import System
 
         class Slow(Checkpoints):
             def save(self, run, components):

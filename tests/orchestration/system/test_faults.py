@@ -15,7 +15,7 @@ from orchestration.errors import OrchestrationError, ScenarioError, SystemDefini
 from orchestration.exchange import modelica, simulink, ssp_write
 from orchestration.master import simulate
 from orchestration.scenarios import scenario
-from orchestration.system.experiment import Algorithm, Experiment, checked_settings
+from orchestration.system.experiment import Algorithm, Experiment
 from orchestration.system.faults import (
     KINDS,
     Delay,
@@ -29,8 +29,9 @@ from orchestration.system.faults import (
     compose,
     fault,
 )
+from orchestration.system.prepared_run import prepare
 from orchestration.system.signals import Cosine
-from orchestration.system.system import System, check
+from orchestration.system.system import System
 
 Build = Callable[..., Path]
 STEP = 0.25  # s: a power of two, so that times and their differences are exact
@@ -229,8 +230,8 @@ def test_a_wrong_argument_is_said(kind: str, arguments: dict[str, Any], message:
     ("faults", "message"),
     [
         ([Fault("b.u[2]", Freeze())], r"fault on b.u\[2\]: no variable 'b.u\[2\]'; nearest is"),
-        ([Fault("a.y[1]", Freeze())], r"a.y\[1\]: expected what a connection or a signal drives"),
-        ([Fault("a.u[1]", Freeze())], r"a.u\[1\]: expected what a connection or a signal drives"),
+        ([Fault("a.y[1]", Freeze())], r"a.y\[1\]: expected an input that a connection or a signal drives"),
+        ([Fault("a.u[1]", Freeze())], r"a.u\[1\]: expected an input that a connection or a signal drives"),
         ([Fault("b.integer_in", Offset(1.0))], "Offset: expected an input of type Real, got Integer"),
         ([Fault("b.integer_in", Noise(1.0))], "Noise: expected an input of type Real, got Integer"),
         ([Fault("b.integer_in", Stuck(1.5))], "b.integer_in = 1.5: expected a value of type Integer"),
@@ -246,9 +247,9 @@ def test_a_fault_must_fit_the_system(linear: Build, faults: list[Fault], message
     connections = (("a.y[1]", "b.u[1]"), *((f"a.{k}_out", f"b.{k}_in") for k in kinds))
     inputs = {"a.u[1]": 0.0, "a.integer_in": 0, "a.boolean_in": False}
     experiment = Experiment(1.0, 0.1, inputs=inputs, faults=tuple(faults))
-    checked = check(System({"a": through, "b": through}, connections), inputs)
+    system = System({"a": through, "b": through}, connections)
     with pytest.raises(SystemDefinitionError, match=message):
-        checked_settings(checked, experiment)
+        prepare(system, experiment)
 
 
 # What the master makes of them
@@ -322,7 +323,7 @@ def test_a_slow_component_holds_its_output_also_for_a_fault(linear: Build, algor
 
 
 def test_every_kind_is_documented() -> None:
-    text = (Path(__file__).parents[3] / "docs" / "scenarios.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[3] / "docs" / "reference" / "scenarios.md").read_text(encoding="utf-8")
     for kind in KINDS:
         assert f'| `kind = "{kind}"` |' in text
 

@@ -13,7 +13,7 @@ import pytest
 from orchestration import Cosine, Event, Experiment, Samples, Simulator, System, simulate
 from orchestration.errors import SystemDefinitionError
 from orchestration.system.experiment import Algorithm, Initialisation
-from orchestration.system.settings import experiment_of
+from orchestration.system.settings import suggested_times
 
 Build = Callable[..., Path]
 
@@ -35,10 +35,8 @@ def test_times_that_are_not_given_are_those_that_the_fmus_suggest(linear: Build,
     silent = suggesting(linear(), tmp_path / "silent.fmu", "")
     late = '<DefaultExperiment startTime="2" stopTime="5" stepSize="0.25"/>'
     system = System({"one": suggesting(linear(), tmp_path / "late.fmu", late), "two": silent})
-    found = experiment_of(system, {})
-    assert (found.start_time, found.stop_time, found.step_size) == (2.0, 5.0, 0.25)
-    given = experiment_of(system, {"stop_time": 1.0})
-    assert (given.start_time, given.stop_time, given.step_size) == (0.0, 1.0, 0.25)
+    assert suggested_times(system) == (5.0, 0.25, 2.0)
+    assert suggested_times(system, stop_time=1.0) == (1.0, 0.25, 0.0)
     inputs = {"one.u[1]": 0.0, "two.u[1]": 0.0}
     run = simulate(system, inputs=inputs)
     np.testing.assert_array_equal(run.time, 2.0 + 0.25 * np.arange(13))
@@ -49,9 +47,9 @@ def test_times_that_the_fmus_do_not_agree_on_must_be_given(linear: Build, tmp_pa
     with pytest.raises(
         SystemDefinitionError, match=r"step_size: .* suggest several: one 0\.01 s, two 0\.02 s"
     ):
-        experiment_of(System({"one": linear(), "two": other}), {"stop_time": 1.0})
+        suggested_times(System({"one": linear(), "two": other}), stop_time=1.0)
     with pytest.raises(SystemDefinitionError, match="stop_time: it is not given, and no FMU suggests one"):
-        experiment_of(System({"two": other}), {})
+        suggested_times(System({"two": other}))
 
 
 @pytest.mark.parametrize(
@@ -116,5 +114,5 @@ def test_samples_and_functions_drive_inputs(linear: Build) -> None:
 def test_a_settled_simulator_takes_the_same_experiment(linear: Build) -> None:
     system, signals = System({"one": linear()}), {"one.u[1]": Cosine(1.0, math.pi)}
     with Simulator(system) as simulator:
-        run = simulator.run(experiment_of(system, {"signals": signals}))
+        run = simulator.run(Experiment(*suggested_times(system), signals=signals))
     np.testing.assert_array_equal(run.values, simulate(system, signals=signals).values)

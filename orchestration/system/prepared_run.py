@@ -1,0 +1,189 @@
+"""One run of a system: what follows from the system and the experiment, computed and checked once."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from orchestration.errors import SystemDefinitionError
+from orchestration.system.experiment import Event, Experiment
+from orchestration.system.experiment_checks import check_capabilities, check_faults, check_signals
+from orchestration.system.faults import Fault, Pattern, compose
+from orchestration.system.signals import values_at
+from orchestration.system.system import CheckedSystem, Port, System, check
+from orchestration.system.values import TRANSFER_TYPE, FmiValue, fmi_value
+
+Setting = tuple[Port, FmiValue]
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedRun:
+    """A system and an experiment that fit each other.
+
+    points: communication points [s], shape (n,); with the times of events if every FMU can step to them
+    recorded: names of the recorded variables
+    settings: parameters and constant inputs, with their values as the FMUs take them
+    changes: index of a communication point -> what is set there
+    periods: component -> communication steps in one step of its own
+    retry_obstacle: why a discarded step cannot be repeated in shorter steps; empty if it can
+    """
+
+    system: CheckedSystem
+    experiment: Experiment
+    points: np.ndarray
+    recorded: tuple[str, ...]
+    settings: tuple[Setting, ...]
+    changes: Mapping[int, tuple[Setting, ...]]
+    periods: Mapping[str, int]
+    retry_obstacle: str
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(communication points, recorded variables): the shape of the recorded values."""
+        return len(self.points), len(self.recorded)
+
+    @cached_property
+    def signal_values(self) -> np.ndarray:
+        """The signals at every communication point, shape (signals, n).
+
+        Raises SystemDefinitionError for a signal that fails, or is not finite.
+        """
+        table = np.empty((len(self.experiment.signals), len(self.points)))
+        for row, (name, signal) in enumerate(self.experiment.signals.items()):
+            try:
+                table[row] = values_at(signal, self.points)
+            except Exception as error:  # whatever a user's own function raises
+                raise SystemDefinitionError(f"signal {name}: {error!r}") from error
+            not_finite = np.flatnonzero(~np.isfinite(table[row]))
+            if not_finite.size:
+                value, t = table[row, not_finite[0]], self.points[not_finite[0]]
+                raise SystemDefinitionError(
+                    f"signal {name} is {value:g} at t = {t:.9g} s: expected a finite number"
+                )
+        return table
+
+    @cached_property
+    def fault_patterns(self) -> dict[str, Pattern]:
+        """Faulted input -> (source, addition) of all its faults at every communication point."""
+        faults: dict[str, list[Fault]] = {}
+        for fault in self.experiment.faults:
+            faults.setdefault(fault.input, []).append(fault)
+        return {name: compose(on_input, self.points) for name, on_input in faults.items()}
+
+
+def prepare(system: System, experiment: Experiment) -> PreparedRun:
+    """Read the model descriptions and check the system and the experiment.
+
+    Raises FmuLoadError for a file that is no FMU, SystemDefinitionError for what does not fit.
+    """
+    return prepare_checked(check(system, experiment.driven_inputs), experiment)
+
+
+def prepare_checked(system: CheckedSystem, experiment: Experiment) -> PreparedRun:
+    """Check an experiment against a system that was checked with the inputs that it drives."""
+    recorded = _recorded(system, experiment)
+    for event in experiment.events:
+        _check_event(system, experiment, event)
+    check_faults(system, experiment)
+    check_capabilities(system, experiment)
+    check_signals(system, experiment)
+    points = _communication_points(system, experiment)
+    return PreparedRun(
+        system=system,
+        experiment=experiment,
+        points=points,
+        recorded=recorded,
+        settings=_settings(system, experiment),
+        changes=_changes(system, experiment, points),
+        periods={name: experiment.period(name) for name in system.components},
+        retry_obstacle=_retry_obstacle(system, experiment),
+    )
+
+
+def _recorded(system: CheckedSystem, experiment: Experiment) -> tuple[str, ...]:
+    """The names asked for, or signals and outputs; Strings are not recorded."""
+    outputs = [
+        name
+        for name, port in system.ports.items()
+        if port.variable.causality == "output" and port.variable.type in TRANSFER_TYPE
+    ]
+    driven = [*experiment.signals, *(target.name for _, target in system.connections)]
+    names = experiment.record or (*experiment.signals, *outputs)
+    for name in names:
+        if name not in outputs and name not in driven:
+            system.port(name, "record")
+            raise SystemDefinitionError(
+                f"record: {name}: expected an output, or an input that a connection or a signal drives"
+            )
+    return tuple(names)
+
+
+def _check_event(system: CheckedSystem, experiment: Experiment, event: Event) -> None:
+    driven = {target.name for _, target in system.connections} | set(experiment.signals)
+    purpose = f"event at {event.time} s"
+    for name, value in event.values.items():
+        port = system.port(name, purpose)
+        fmi_value(port, value)
+        if port.variable.causality not in ("parameter", "input"):
+            raise SystemDefinitionError(
+                f"{purpose}: {name}: expected a parameter or an input, got {port.variable.causality}"
+            )
+        if port.variable.variability == "fixed":
+            raise SystemDefinitionError(f"{purpose}: {name} is fixed: only tunable parameters may change")
+        if name in driven:
+            raise SystemDefinitionError(f"{purpose}: {name} is driven already, by a connection or signal")
+
+
+def _communication_points(system: CheckedSystem, experiment: Experiment) -> np.ndarray:
+    """The time grid, and the times of the events if every component can step to them."""
+    grid = experiment.time_grid()
+    if experiment.step_sizes or system.components_without("canHandleVariableCommunicationStepSize"):
+        return grid
+    resolution = experiment.time_resolution()
+    times = sorted(event.time for event in experiment.events if np.abs(grid - event.time).min() > resolution)
+    different = [t for before, t in pairwise([-math.inf, *times]) if t - before > resolution]
+    return np.unique([*grid, *different]) if different else grid
+
+
+def _settings(system: CheckedSystem, experiment: Experiment) -> tuple[Setting, ...]:
+    settings = []
+    for causality, values in (("parameter", experiment.parameters), ("input", experiment.inputs)):
+        for name, value in values.items():
+            port = system.port(name, causality)
+            if port.variable.causality != causality:
+                raise SystemDefinitionError(
+                    f"{name}: expected a variable with causality {causality}, got {port.variable.causality}"
+                )
+            settings.append((port, fmi_value(port, value)))
+    return tuple(settings)
+
+
+def _changes(
+    system: CheckedSystem, experiment: Experiment, points: np.ndarray
+) -> dict[int, tuple[Setting, ...]]:
+    """A component takes the change at its first own communication point at or after the event."""
+    changes: dict[int, tuple[Setting, ...]] = {}
+    for event in sorted(experiment.events, key=lambda event: event.time):
+        first = int(np.searchsorted(points, event.time - experiment.time_resolution()))
+        for name, value in event.values.items():
+            port = system.ports[name]
+            period = experiment.period(port.component)
+            index = min(-(-first // period) * period, len(points) - 1)
+            changes[index] = (*changes.get(index, ()), (port, fmi_value(port, value)))
+    return changes
+
+
+def _retry_obstacle(system: CheckedSystem, experiment: Experiment) -> str:
+    if experiment.step_sizes:
+        return "components have step sizes of their own"
+    for capability, action in (
+        ("canGetAndSetFMUstate", "go back"),
+        ("canHandleVariableCommunicationStepSize", "vary the step"),
+    ):
+        incapable = system.components_without(capability)
+        if incapable:
+            return f"{', '.join(incapable)} cannot {action} ({capability})"
+    return ""

@@ -1,0 +1,65 @@
+"""Values of FMI variables: types, ranges and items of enumerations."""
+
+import math
+import sys
+
+import numpy as np
+
+from orchestration.errors import SystemDefinitionError
+from orchestration.system.system import Port
+
+FmiValue = float | int | bool | str
+Value = FmiValue | np.generic  # as users give it
+
+_INTEGER_RANGE = (-(2**31), 2**31 - 1)  # fmi2Integer
+_PYTHON_TYPES: dict[str, tuple[type, ...]] = {"Real": (int, float), "Boolean": (bool,)}  # others: int
+# type of FMI 2.0 -> the functions that get and set it; Strings are not exchanged
+TRANSFER_TYPE = {"Real": "Real", "Integer": "Integer", "Enumeration": "Integer", "Boolean": "Boolean"}
+
+
+def fmi_value(port: Port, value: Value) -> FmiValue:
+    """The value as the FMU takes it; an item of an enumeration may be given by its name.
+
+    Raises SystemDefinitionError for a value of another type, or outside the declared range.
+    """
+    variable = port.variable
+    plain: FmiValue = value.item() if isinstance(value, np.generic) else value
+    if variable.type == "Enumeration" and isinstance(plain, str):
+        return _item_number(port, plain)
+    if variable.type == "String":
+        return str(plain)
+    return _number(port, plain)
+
+
+def _number(port: Port, value: FmiValue) -> float | int | bool:
+    variable, name = port.variable, port.name
+    expected = _PYTHON_TYPES.get(variable.type, (int,))
+    has_type = isinstance(value, expected) and (variable.type == "Boolean" or not isinstance(value, bool))
+    if isinstance(value, str) or not has_type:
+        raise SystemDefinitionError(f"{name} = {value!r}: expected a value of type {variable.type}")
+    if not abs(value) <= sys.float_info.max:
+        raise SystemDefinitionError(f"{name} = {value!r}: expected a finite number")
+    low, high = value_range(port)
+    if not low <= value <= high:
+        unit = f" {variable.unit}" if variable.unit not in (None, "1") else ""
+        raise SystemDefinitionError(f"{name} = {value!r}: expected {low:g}..{high:g}{unit}")
+    return value
+
+
+def _item_number(port: Port, name: str) -> int:
+    declared = port.variable.declaredType
+    items = {str(item.name): int(str(item.value)) for item in (declared.items or [])} if declared else {}
+    if name not in items:
+        raise SystemDefinitionError(f"{port.name} = {name!r}: expected one of {', '.join(items)}")
+    return items[name]
+
+
+def value_range(port: Port) -> tuple[float, float]:
+    """The smallest and the largest value, as declared and as the type can hold."""
+    variable = port.variable
+    of_type = (-math.inf, math.inf) if variable.type == "Real" else _INTEGER_RANGE
+    declared = (variable.min, variable.max)
+    low, high = (
+        limit if text is None else float(text) for text, limit in zip(declared, of_type, strict=True)
+    )
+    return low, high
