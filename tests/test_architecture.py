@@ -2,7 +2,6 @@
 
 import ast
 import sys
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -70,7 +69,6 @@ def test_one_file_runs_the_compiler() -> None:
 
 
 def test_every_package_is_installed() -> None:
-    """An editable install would not miss one, a wheel would."""
-    listed = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
-    found = {".".join(path.parent.relative_to(ROOT).parts) for path in FILES}
-    assert found <= set(listed["packages"])
+    """The search for packages takes folders with an `__init__.py`; an editable install would not miss one."""
+    for folder in {path.parent for path in FILES}:
+        assert (folder / "__init__.py").is_file(), f"{folder} is in no wheel"

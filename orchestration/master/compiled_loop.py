@@ -1,24 +1,16 @@
-"""The communication loop compiled: `loop.c`, once a machine, kept in the user's cache."""
+"""The communication loop compiled: `loop.c`, by whoever built the wheel, else at its first use."""
 
-import atexit
 import ctypes
-import hashlib
-import shutil
-import tempfile
 import warnings
-from collections.abc import Callable
 from functools import cache, partial
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from platformdirs import user_cache_path
 
+from fmus import compiled_library
 from fmus.errors import ExportError
-from fmus.export.toolchain import COMPILER, FLAGS, compile_library
-from fmus.files import write_bytes_atomically
-from fmus.platforms import host_platform, library_name
 from orchestration.master.loop import Entries, Wiring, plain
 
 _SOURCE = "loop.c"
@@ -27,14 +19,14 @@ _SOURCE = "loop.c"
 def compiled(w: Wiring) -> Entries:
     """The functions of the loop for one wiring; if it cannot be compiled those in Python, and a warning."""
     try:
-        library = _library()
+        functions = library()
     except (ExportError, OSError) as error:
         warnings.warn(f"the communication loop runs in Python, which is slower: {error}", stacklevel=2)
         return plain(w)
     memory = np.array(_members(w), np.int64)
     pointer = ctypes.c_void_p(memory.ctypes.data)
     pointer.memory = memory, w  # type: ignore[attr-defined]  # they must live as long as the functions
-    return Entries(*(partial(getattr(library, name), pointer) for name in _SIGNATURES))
+    return Entries(*(partial(getattr(functions, name), pointer) for name in _SIGNATURES))
 
 
 _INDEX, _TIME = ctypes.c_int64, ctypes.c_double
@@ -65,29 +57,11 @@ def _flat(value: Any) -> list[int]:
 
 
 @cache
-def _library() -> ctypes.CDLL:
-    """Loaded; compiled before if neither this source nor its compiler was seen on this machine."""
-    source = (resources.files("orchestration.master") / _SOURCE).read_text(encoding="utf-8")
-    platform = host_platform()
-    key = hashlib.sha256(repr((source, COMPILER, FLAGS, platform)).encode()).hexdigest()[:16]
-    name = Path(library_name(f"loop-{key}", platform)).name
-    library = _kept(name, lambda: compile_library("loop", {_SOURCE: source}, [_SOURCE], platform))
+def library() -> ctypes.CDLL:
+    """The compiled loop: of the wheel, else compiled once for this user."""
+    source = Path(__file__).parent / _SOURCE
+    loaded = compiled_library.load(source, user_cache_path("l1-depth") / "libraries")
     for function, (result, arguments) in _SIGNATURES.items():
-        entry = getattr(library, function)
+        entry = getattr(loaded, function)
         entry.restype, entry.argtypes = result, (ctypes.c_void_p, *arguments)
-    return library
-
-
-def _kept(name: str, build: Callable[[], bytes]) -> ctypes.CDLL:
-    """The library of that name in the user's cache, or one for this process if that cannot be used."""
-    path = user_cache_path("l1-depth") / name
-    try:
-        if not path.is_file():
-            write_bytes_atomically(path, build())
-        return ctypes.CDLL(str(path))
-    except OSError:
-        folder = tempfile.mkdtemp(prefix="l1-depth-loop-")
-        atexit.register(shutil.rmtree, folder, ignore_errors=True)
-        own = Path(folder) / name
-        own.write_bytes(build())
-        return ctypes.CDLL(str(own))
+    return loaded

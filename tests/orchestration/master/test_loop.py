@@ -1,6 +1,6 @@
 """The compiled loop is the one in Python, to the last bit, whatever the wiring."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,9 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fmus.errors import ExportError
 from orchestration.errors import SimulationError
-from orchestration.master import Simulator, compiled_loop
+from orchestration.master import Simulator
 from orchestration.system.experiment import Algorithm, Experiment
 from orchestration.system.faults import fault
 from orchestration.system.signals import Cosine
@@ -126,62 +125,3 @@ def test_both_loops_fail_alike(rogue: Build, linear: Build, misdeed: Misdeed) ->
     assert str(fast) == str(slow)
     assert np.array_equal(fast.recording.values, slow.recording.values, equal_nan=True)
     assert 5 <= len(fast.recording.time) <= 7
-
-
-@pytest.fixture
-def fresh_library() -> Iterator[None]:
-    """As if this process had not yet loaded the loop."""
-    compiled_loop._library.cache_clear()
-    yield
-    compiled_loop._library.cache_clear()
-
-
-def test_the_compiled_loop_is_kept(
-    tmp_path: Path, fresh_library: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """One file in the user's cache, taken the second time."""
-    monkeypatch.setattr(compiled_loop, "user_cache_path", lambda name: tmp_path / name)
-    compiled_loop._library()
-    (kept,) = (tmp_path / "l1-depth").iterdir()
-    before = kept.stat().st_mtime_ns
-    compiled_loop._library.cache_clear()
-    compiled_loop._library()
-    assert kept.stat().st_mtime_ns == before
-
-
-def test_where_nothing_can_be_kept_the_loop_is_compiled_for_the_process(
-    linear: Build, tmp_path: Path, fresh_library: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A file stands where the folder of the cache would be."""
-    (tmp_path / "l1-depth").touch()
-    monkeypatch.setattr(compiled_loop, "user_cache_path", lambda name: tmp_path / name)
-    system, experiment = System({"one": linear()}), Experiment(1.0, 0.1, inputs={"one.u[1]": 0.0})
-    fast, slow = both(system, experiment)
-    assert np.array_equal(fast.values, slow.values)
-    assert [each.name for each in tmp_path.iterdir()] == ["l1-depth"]
-
-
-def test_a_damaged_file_in_the_cache_is_not_used(
-    tmp_path: Path, fresh_library: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(compiled_loop, "user_cache_path", lambda name: tmp_path / name)
-    compiled_loop._library()
-    (kept,) = (tmp_path / "l1-depth").iterdir()
-    kept.unlink()  # this process has it mapped
-    kept.write_bytes(b"no library")
-    compiled_loop._library.cache_clear()
-    compiled_loop._library()
-
-
-def test_without_a_compiler_the_loop_runs_in_python_and_says_so(
-    linear: Build, tmp_path: Path, fresh_library: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def no_compiler(*arguments: object) -> bytes:
-        raise ExportError("zig cc failed")
-
-    system, experiment = System({"one": linear()}), Experiment(1.0, 0.1, inputs={"one.u[1]": 0.0})
-    monkeypatch.setattr(compiled_loop, "user_cache_path", lambda name: tmp_path / name)
-    monkeypatch.setattr(compiled_loop, "compile_library", no_compiler)
-    with pytest.warns(UserWarning, match="the communication loop runs in Python, .*: zig cc failed"):
-        fast, slow = both(system, experiment)
-    assert np.array_equal(fast.values, slow.values)

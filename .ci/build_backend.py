@@ -1,0 +1,66 @@
+"""setuptools, and in wheels the communication loop compiled for every platform.
+
+An editable install has no compiled loop and needs no compiler: the first run compiles it.
+"""
+
+import os
+import sys
+import tempfile
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from setuptools import build_meta
+from setuptools.build_meta import *  # noqa: F403  the hooks that are not replaced
+from setuptools.command.build_py import build_py
+from setuptools.command.sdist import sdist
+
+_ROOT = Path(__file__).parent.parent
+_COMPILED = Path("orchestration/master/loop.c")
+
+
+def get_requires_for_build_wheel(config_settings: Any = None) -> list[str]:
+    """The compiler too, in the version that the project requires."""
+    with (_ROOT / "pyproject.toml").open("rb") as stream:
+        required = tomllib.load(stream)["project"]["dependencies"]
+    compiler = [name for name in required if name.startswith("ziglang")]
+    return [*build_meta.get_requires_for_build_wheel(config_settings), *compiler]
+
+
+def build_wheel(
+    wheel_directory: str, config_settings: Any = None, metadata_directory: str | None = None
+) -> str:
+    """A wheel that follows from the sources alone, byte for byte."""
+    os.environ.setdefault("SOURCE_DATE_EPOCH", "315532800")  # 1980, the earliest date that a zip can hold
+    with tempfile.TemporaryDirectory() as folder:  # of an earlier build nothing is taken
+        build = {"--global-option": ["build", f"--build-base={folder}"]}
+        return build_meta.build_wheel(
+            wheel_directory, {**(config_settings or {}), **build}, metadata_directory
+        )
+
+
+class BuildWithLoop(build_py):
+    """Adds the compiled loop to what a wheel is made of."""
+
+    def run(self) -> None:
+        super().run()
+        if not self.editable_mode:
+            self._compile(_ROOT / _COMPILED, Path(self.build_lib) / _COMPILED.parent)
+
+    def _compile(self, source: Path, folder: Path) -> None:
+        sys.path.insert(0, str(_ROOT))
+        from fmus.compiled_library import compile_source, file_name
+        from fmus.platforms import PLATFORMS
+
+        for platform in PLATFORMS:
+            content = compile_source(source, platform)
+            (folder / file_name(source, platform, content)).write_bytes(content)
+
+
+class SourcesWithBackend(sdist):
+    """Adds this file, and leaves out the few tests that setuptools takes."""
+
+    def add_defaults(self) -> None:
+        super().add_defaults()
+        self.filelist.append(".ci/build_backend.py")
+        self.filelist.prune("tests")

@@ -1,0 +1,130 @@
+"""A C source as a loaded library: shipped beside the source, or compiled once and cached.
+
+A library is named after what it is made from and after its own bytes, `loop-linux64-<recipe>-<digest>.so`.
+Bytes that do not agree with their name are never loaded, nor is a cached file that other users can write.
+"""
+
+import ctypes
+import hashlib
+import os
+import tempfile
+from pathlib import Path
+
+from fmus.errors import ExportError
+from fmus.files import write_bytes_atomically
+from fmus.platforms import TARGETS, host_platform
+
+
+def load(source: Path, cache: Path) -> ctypes.CDLL:
+    """The library of a C source: the one beside it, else the one in a folder of this user's, else a new one.
+
+    A new one is written to that folder, if this user and no other can write there. Raises ExportError if
+    there is no compiler for a new one, OSError if the system refuses to load it.
+    """
+    platform = host_platform()
+    content = find(source, source.parent, platform)
+    if content is None and _is_private(cache):
+        content = find(source, cache, platform, only_own=True)
+    if content is None:
+        content = compile_source(source, platform)
+        _store(content, cache / file_name(source, platform, content))
+    return _load(content, source, cache)
+
+
+def find(source: Path, folder: Path, platform: str, only_own: bool = False) -> bytes | None:
+    """The undamaged library of a source in a folder, if there is one.
+
+    only_own: a file of another user's, or one that others can write, is left out
+    """
+    for path in sorted(folder.glob(f"{_stem(source, platform)}-*")):
+        try:
+            content = _read(path, only_own)
+        except OSError:
+            continue
+        if path.name == file_name(source, platform, content):
+            return content
+    return None
+
+
+def compile_source(source: Path, platform: str) -> bytes:
+    """A new library of a source for an FMI platform; ExportError without a compiler."""
+    try:
+        from fmus.export.toolchain import compile_library
+    except ImportError as error:
+        raise ExportError(f"no library of {source.name} for {platform}, and no compiler: {error}") from None
+    return compile_library(source.stem, {source.name: source.read_text("utf-8")}, [source.name], platform)
+
+
+def file_name(source: Path, platform: str, content: bytes) -> str:
+    """The name of the library that has this content."""
+    return f"{_stem(source, platform)}-{_digest(content)}.{TARGETS[platform][1]}"
+
+
+def _stem(source: Path, platform: str) -> str:
+    """What names of all libraries start with that are made from this source in this way."""
+    toolchain = Path(__file__).parent / "export" / "toolchain.py"  # it holds the flags of the compiler
+    return f"{source.stem}-{platform}-{_digest(source.read_bytes() + toolchain.read_bytes())}"
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:16]
+
+
+def _read(path: Path, only_own: bool) -> bytes:
+    """The bytes of a file; the owner is that of the opened file, which no one can exchange any more."""
+    no_link = getattr(os, "O_NOFOLLOW", 0) if only_own else 0
+    with open(os.open(path, os.O_RDONLY | no_link | getattr(os, "O_BINARY", 0)), "rb") as stream:  # noqa: PTH123
+        if only_own and not _is_own(os.fstat(stream.fileno())):
+            raise PermissionError(f"{path} can be written by other users")
+        return stream.read()
+
+
+def _is_private(folder: Path) -> bool:
+    """Whether this user and no other can write in a folder."""
+    try:
+        return _is_own(folder.lstat())
+    except OSError:
+        return False
+
+
+def _is_own(status: os.stat_result) -> bool:
+    if not hasattr(os, "geteuid"):  # Windows keeps the folders of a user from others
+        return True
+    return status.st_uid == os.geteuid() and not status.st_mode & 0o022
+
+
+def _store(content: bytes, path: Path) -> None:
+    """Write a library to the cache; without one that is private, the next process compiles again."""
+    try:
+        path.parent.parent.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(mode=0o700, exist_ok=True)
+        if _is_private(path.parent):
+            write_bytes_atomically(path, content)
+    except OSError:
+        return
+
+
+def _load(content: bytes, source: Path, cache: Path) -> ctypes.CDLL:
+    """Load a library from a file that only this process knows, with the other temporary files.
+
+    It is in the cache where temporary files cannot be executed. Windows neither removes nor replaces a file
+    that is loaded: there it is the file that was read.
+    """
+    if os.name == "nt":
+        name = file_name(source, host_platform(), content)
+        for path in (source.parent / name, cache / name):
+            if path.is_file():
+                return ctypes.CDLL(str(path))
+    try:
+        return _load_from(None, content)
+    except OSError:
+        if not _is_private(cache):
+            raise
+        return _load_from(cache, content)
+
+
+def _load_from(parent: Path | None, content: bytes) -> ctypes.CDLL:
+    with tempfile.TemporaryDirectory(dir=parent, prefix="l1-depth-", ignore_cleanup_errors=True) as folder:
+        path = Path(folder) / "library"
+        path.write_bytes(content)
+        return ctypes.CDLL(str(path))
