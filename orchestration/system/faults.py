@@ -10,13 +10,12 @@ Faults act from the first communication step on; initial values are exchanged wi
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
-from fmus.errors import nearest
-from orchestration.errors import ScenarioError, SystemDefinitionError
+from orchestration.errors import SystemDefinitionError
 from orchestration.system.time_grid import within
 
 Pattern = tuple[np.ndarray, np.ndarray]
@@ -44,7 +43,7 @@ class Freeze(Effect):
 class Stuck(Effect):
     """`value` arrives, whatever is sent."""
 
-    value: float
+    value: float | bool
 
     def __post_init__(self) -> None:
         _expect(
@@ -193,39 +192,6 @@ def compose(faults: Sequence[Fault], times: np.ndarray) -> Pattern:
         addition = np.where(is_sent, addition[later_source], 0.0) + later_addition
         source = np.where(is_sent, source[later_source], -1)
     return source, addition
-
-
-def fault(declaration: Mapping[str, Any], purpose: str) -> Fault:
-    """The fault that a scenario declares: `input`, `kind`, `start`, `end`, and the arguments of that kind.
-
-    Raises ScenarioError, which begins with the purpose.
-    """
-    arguments = dict(declaration)
-    kind, name = arguments.pop("kind", None), arguments.pop("input", None)
-    if not isinstance(name, str):
-        raise ScenarioError(f'{purpose}: input = {name!r}: expected "component.variable"')
-    if not isinstance(kind, str) or kind not in KINDS:
-        raise ScenarioError(f"{purpose}: unknown kind {kind!r}; {nearest(str(kind), KINDS)}")
-    window = {
-        key: _number(arguments.pop(key), f"{purpose}: {key}") for key in ("start", "end") if key in arguments
-    }
-    known = {each.name: each for each in fields(KINDS[kind])}  # type: ignore[arg-type]
-    for key in arguments:
-        if key not in known:
-            raise ScenarioError(f"{purpose}: {kind} has no {key!r}; {nearest(key, [*known, 'start', 'end'])}")
-    missing = [key for key, each in known.items() if each.default is MISSING and key not in arguments]
-    if missing:
-        raise ScenarioError(f"{purpose}: {kind}: {', '.join(missing)} is missing")
-    try:
-        return Fault(name, KINDS[kind](**arguments), **window)
-    except SystemDefinitionError as error:
-        raise ScenarioError(f"{purpose}: {error}") from error
-
-
-def _number(value: Any, what: str) -> float:
-    if not _is_finite(value):
-        raise ScenarioError(f"{what} = {value!r}: expected a number of seconds")
-    return float(value)
 
 
 def _is_finite(value: Any) -> bool:

@@ -1,7 +1,6 @@
 """Reference trajectories and other signals: functions of time that drive an input."""
 
-import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Protocol
@@ -9,7 +8,6 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from fmus.errors import nearest
 from orchestration.errors import ScenarioError
 from orchestration.system.time_grid import GRID_TOLERANCE
 
@@ -131,32 +129,9 @@ def _quintic(s: np.ndarray) -> np.ndarray:
     return s * s * s * (10.0 + s * (6.0 * s - 15.0))
 
 
-_KINDS: dict[str, Callable[..., Signal]] = {
+KINDS: dict[str, Callable[..., Signal]] = {
     "ramps": Ramps,
     "cosine": Cosine,
     "constant": Constant,
     "samples": Samples,
 }
-
-
-def signal(declaration: Mapping[str, Any], purpose: str) -> Signal:
-    """The signal that a scenario declares: its `kind`, and the arguments of that kind."""
-    arguments = dict(declaration)
-    kind = arguments.pop("kind", None)
-    if not isinstance(kind, str) or kind not in _KINDS:
-        raise ScenarioError(f"{purpose}: unknown kind {kind!r}; {nearest(str(kind), _KINDS)}")
-    for name, value in arguments.items():
-        _check_numbers(value, f"{purpose}: {name}")
-    try:
-        return _KINDS[kind](**arguments)
-    except TypeError as error:
-        raise ScenarioError(f"{purpose}: {kind}: {error}") from error
-
-
-def _check_numbers(value: Any, what: str) -> None:
-    """Only finite numbers, switches and lists of numbers make up a signal."""
-    if isinstance(value, list):
-        for element in value:
-            _check_numbers(element, what)
-    elif not isinstance(value, (int, float)) or not abs(value) <= sys.float_info.max:
-        raise ScenarioError(f"{what}: expected finite numbers, got {value!r}")

@@ -14,8 +14,8 @@ from orchestration.fmi.instance import FmuInstance
 from orchestration.master import simulate
 from orchestration.master.checkpoint import Checkpoint, Checkpoints, read_checkpoint
 from orchestration.scenarios import scenario
+from orchestration.scenarios.declarations import fault
 from orchestration.system.experiment import Algorithm, Event, Experiment
-from orchestration.system.faults import fault
 from orchestration.system.signals import Cosine
 from orchestration.system.system import System
 from tests.orchestration.linear_systems import coupled

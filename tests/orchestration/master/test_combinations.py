@@ -13,8 +13,8 @@ from orchestration.errors import SimulationError
 from orchestration.master import Simulator
 from orchestration.master.checkpoint import Checkpoint, Checkpoints, read_checkpoint
 from orchestration.results.recording import Recording
+from orchestration.scenarios.declarations import fault
 from orchestration.system.experiment import Algorithm, Event, Experiment
-from orchestration.system.faults import fault
 from orchestration.system.signals import Cosine
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from orchestration.errors import SimulationError
 from orchestration.master import Simulator
+from orchestration.scenarios.declarations import fault
 from orchestration.system.experiment import Algorithm, Experiment
-from orchestration.system.faults import fault
 from orchestration.system.signals import Cosine
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed

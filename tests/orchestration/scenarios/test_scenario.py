@@ -123,38 +123,56 @@ def test_scenarios_are_found_by_name_or_path_and_misspelt_ones_offer_the_nearest
         ("[experiment]\nstop_time = 1\nstep_size = 0.1", r"components is missing"),
         (MINIMAL.replace("ExamplePlant", "BenchmarkPlan"), r"no block 'BenchmarkPlan'.*'ExamplePlant'"),
         (MINIMAL.replace("[inputs]", 'algorithm = "jakobi"\n[inputs]'), r"'jakobi'; nearest is 'jacobi'"),
-        ('connections = [["a.b"]]\n' + MINIMAL, r"connections: expected \[.*got \['a.b'\]"),
-        ('connections = "a"\n' + MINIMAL, r"connections: expected a list"),
-        ('record = "p.output"\n' + MINIMAL, r"record: expected a list"),
-        ("events = [{ time = 1.0 }]\n" + MINIMAL, r"events: expected time and set"),
-        ("faults = [3]\n" + MINIMAL, r"faults: expected a table, got 3"),
-        (MINIMAL + '[faults]\nkind = "freeze"\n', r"faults: expected a list"),
-        (MINIMAL + '[[faults]]\ninput = "p.control"\n', r"faults: unknown kind None"),
+        ('connections = [["a.b"]]\n' + MINIMAL, r"connections\[0\] = \['a.b'\]: expected a list of 2"),
+        ('connections = "a"\n' + MINIMAL, r"connections = 'a': expected a list"),
+        ('record = "p.output"\n' + MINIMAL, r"record = 'p.output': expected a list"),
+        ("events = [{ time = 1.0 }]\n" + MINIMAL, r"events\[0\].set is missing"),
+        ("faults = [3]\n" + MINIMAL, r"faults\[0\] = 3: expected a table"),
+        (MINIMAL + '[faults]\nkind = "freeze"\n', r"faults = .*: expected a list"),
+        (
+            MINIMAL + '[[faults]]\ninput = "p.control"\n',
+            r"faults\[0\]: kind is missing; expected one",
+        ),
         (MINIMAL.replace("[inputs]", 'initialisation = "newtn"\n[inputs]'), r"'newtn'; nearest is 'newton'"),
-        ('components = "p"\n', r"components: expected a table"),
-        (MINIMAL + '[signals]\n"p.control" = 3\n', r"signal p.control: expected a table"),
-        (MINIMAL + "[metrics]\na = 3\n", r"metric a: expected a table"),
-        ("record = [5]\n" + MINIMAL, r"record: expected a text"),
-        ("title = 2020-01-01\n" + MINIMAL, r"title: expected a text"),
-        (MINIMAL.replace('"ExamplePlant"', "5"), r"components: expected a text"),
+        ('components = "p"\n', r"components = 'p': expected a table"),
+        (MINIMAL + '[signals]\n"p.control" = 3\n', r'signals."p.control" = 3: expected a table'),
+        (MINIMAL + "[metrics]\na = 3\n", r"metrics.a = 3: expected a table"),
+        ("record = [5]\n" + MINIMAL, r"record\[0\] = 5: expected a text"),
+        ("title = 2020-01-01\n" + MINIMAL, r"title = .*: expected a text"),
+        (MINIMAL.replace('"ExamplePlant"', "5"), r"components.p = 5: expected a text"),
         (MINIMAL.replace("step_size = 0.1", "step_size = 1e-14"), r"1e\+14 .*steps: expected at most 1e\+09"),
-        (MINIMAL.replace("[inputs]", "start_time = -inf\n[inputs]"), r"start_time = -inf: expected a number"),
-        (MINIMAL.replace("stop_time = 1", "stop_time = 1" + 400 * "0"), r"expected a number of seconds"),
+        (
+            MINIMAL.replace("[inputs]", "start_time = -inf\n[inputs]"),
+            r"start_time = -inf: expected a finite",
+        ),
+        (
+            MINIMAL.replace("stop_time = 1", "stop_time = 1" + 400 * "0"),
+            r"stop_time = 10.*: expected a number",
+        ),
         ("events = [{ time = 5, set = {} }]\n" + MINIMAL, r"event at 5.0 s: expected a time within the run"),
-        ("events = [{ time = nan, set = {} }]\n" + MINIMAL, r"time = nan: expected a number"),
-        ("events = [{ time = 1, set = 5 }]\n" + MINIMAL, r"events: set: expected a table"),
-        (MINIMAL + '[metrics.a]\nfunction = "rms"\n', r"metric a: unknown function 'rms'; nearest is 'rmse'"),
+        (
+            "events = [{ time = nan, set = {} }]\n" + MINIMAL,
+            r"events\[0\].time = nan: expected a finite",
+        ),
+        ("events = [{ time = 1, set = 5 }]\n" + MINIMAL, r"events\[0\].set = 5: expected a table"),
+        (
+            MINIMAL + '[metrics.a]\nfunction = "rms"\n',
+            r"metrics.a: unknown function 'rms'; .*'rmse'",
+        ),
         (
             'record = ["p.output"]\n' + MINIMAL + '[metrics.a]\nfunction = "mean"\nsignal = "p.outpt"\n',
             r"metric a: 'p.outpt' is not recorded; nearest is 'p.output'",
         ),
-        (MINIMAL + '[metrics.a]\nfunction = "mean"\n', r"metric a: mean: missing .*'signal'"),
-        (MINIMAL + '[metrics.a]\nfunction = "mean"\nsignal = "x"\nwind = 3\n', r"metric a: mean: .*'wind'"),
+        (MINIMAL + '[metrics.a]\nfunction = "mean"\n', r"metrics.a.signal is missing"),
+        (
+            MINIMAL + '[metrics.a]\nfunction = "mean"\nsignal = "x"\nwind = 3\n',
+            r"metrics.a: unknown key 'wind'; nearest is 'window'",
+        ),
         ('base = "none.toml"\n' + MINIMAL, r"no file .*none.toml"),
         ('base = "mine.toml"\n' + MINIMAL, r"is its own base"),
-        ("base = 3\n" + MINIMAL, r"base: expected a text"),
+        ("base = 3\n" + MINIMAL, r"base = 3: expected a text"),
         ('parameter_files = ["none.toml"]\n' + MINIMAL, r"no file .*none.toml"),
-        ('parameter_files = "none.toml"\n' + MINIMAL, r"parameter_files: expected a list"),
+        ('parameter_files = "none.toml"\n' + MINIMAL, r"parameter_files = 'none.toml': expected a list"),
     ],
 )
 def test_a_mistake_is_told_with_what_was_expected(tmp_path: Path, text: str, message: str) -> None:
@@ -164,8 +182,16 @@ def test_a_mistake_is_told_with_what_was_expected(tmp_path: Path, text: str, mes
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("entry", ["3", "{ limit = 3 }"])
-def test_a_parameter_file_entry_needs_a_value(tmp_path: Path, entry: str) -> None:
+@pytest.mark.parametrize(
+    ("entry", "message"), [("3", r" = 3: expected a table"), ("{ limit = 3 }", r".value is missing")]
+)
+def test_a_parameter_file_entry_needs_a_value(tmp_path: Path, entry: str, message: str) -> None:
     path = write(tmp_path, f'[parameters]\n"p.omega" = {entry}')
-    with pytest.raises(ScenarioError, match=r"p.omega: expected a table with a value"):
+    with pytest.raises(ScenarioError, match=f'parameters."p.omega"{message}'):
         scenario.parameter_values(path)
+
+
+def test_a_mistake_in_a_base_names_the_base(tmp_path: Path) -> None:
+    write(tmp_path, MINIMAL.replace("step_size", "stepsize"), "base.toml")
+    with pytest.raises(ScenarioError, match=r"base.toml: experiment: unknown key 'stepsize'"):
+        scenario.load(write(tmp_path, 'base = "base.toml"'))

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from orchestration.errors import OrchestrationError, ScenarioError, SystemDefinitionError
+from orchestration.errors import OrchestrationError, SystemDefinitionError
 from orchestration.exchange import modelica, simulink, ssp_write
 from orchestration.master import simulate
 from orchestration.scenarios import scenario
@@ -27,7 +27,6 @@ from orchestration.system.faults import (
     Offset,
     Stuck,
     compose,
-    fault,
 )
 from orchestration.system.prepared_run import prepare
 from orchestration.system.signals import Cosine
@@ -173,57 +172,22 @@ def test_drop_out_loses_its_share() -> None:
     assert lost == pytest.approx(0.3, abs=5.0 * math.sqrt(0.3 * 0.7 / len(times)))
 
 
-# What a scenario may say
-
-
-def test_a_declaration_becomes_a_fault() -> None:
-    declared = {"input": "a.u", "kind": "drop-out", "probability": 0.25, "seed": 3, "start": 1, "end": 2.5}
-    assert fault(declared, "x") == Fault("a.u", DropOut(0.25, 3), 1.0, 2.5)
-    assert fault({"input": "a.u", "kind": "stuck", "value": True}, "x") == Fault("a.u", Stuck(True))
-
-
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("make", "message"),
     [
-        ({"kind": "frezze"}, "x: unknown kind 'frezze'; nearest is 'freeze'"),
-        ({"kind": None}, "x: unknown kind None"),
-        ({"input": 3}, 'x: input = 3: expected "component.variable"'),
-        ({"valu": 1.0}, "x: offset has no 'valu'; nearest is 'value'"),
-        ({"strt": 1.0}, "x: offset has no 'strt'; nearest is 'start'"),
-        ({"kind": "noise", "value": 1.0}, "x: noise has no 'value'"),
-        ({"kind": "delay"}, "x: delay has no 'value'"),
-        ({"value": "much"}, "x: value = 'much': expected a finite number"),
-        ({"value": True}, "x: value = True: expected a finite number"),
-        ({"start": "soon"}, "x: start = 'soon': expected a number of seconds"),
-        ({"start": 2.0, "end": 2.0}, "x: fault on a.u: end = 2.0 s: expected more than its start, 2.0 s"),
+        (lambda: Stuck(math.nan), r"value = nan: expected a finite number"),
+        (lambda: Offset(True), r"value = True: expected a finite number"),
+        (lambda: Drift(math.inf), r"rate = inf: expected a finite number"),
+        (lambda: Noise(-1.0), r"standard_deviation = -1.0: expected a finite number, 0 or more"),
+        (lambda: Noise(1.0, -1), r"seed = -1: expected an integer, 0 or more"),
+        (lambda: DropOut(1.5), r"probability = 1.5: expected 0..1"),
+        (lambda: DropOut(0.5, True), r"seed = True: expected an integer"),
+        (lambda: Delay(0.0), r"delay = 0.0: expected a finite number of seconds, more than 0"),
     ],
 )
-def test_a_wrong_declaration_is_said(change: dict[str, Any], message: str) -> None:
-    declared = {"input": "a.u", "kind": "offset", "value": 1.0} | change
-    with pytest.raises(ScenarioError, match=message):
-        fault(declared, "x")
-
-
-@pytest.mark.parametrize(
-    ("kind", "arguments", "message"),
-    [
-        ("stuck", {}, "x: stuck: value is missing"),
-        ("stuck", {"value": math.nan}, "value = nan: expected a finite number"),
-        ("drift", {"rate": math.inf}, "rate = inf: expected a finite number"),
-        (
-            "noise",
-            {"standard_deviation": -1.0},
-            "standard_deviation = -1.0: expected a finite number, 0 or more",
-        ),
-        ("noise", {"standard_deviation": 1.0, "seed": -1}, "seed = -1: expected an integer, 0 or more"),
-        ("drop-out", {"probability": 1.5}, r"probability = 1.5: expected 0..1"),
-        ("drop-out", {"probability": 0.5, "seed": 1.5}, "seed = 1.5: expected an integer"),
-        ("delay", {"delay": 0.0}, "delay = 0.0: expected a finite number of seconds, more than 0"),
-    ],
-)
-def test_a_wrong_argument_is_said(kind: str, arguments: dict[str, Any], message: str) -> None:
-    with pytest.raises(ScenarioError, match=message):
-        fault({"input": "a.u", "kind": kind, **arguments}, "x")
+def test_a_wrong_argument_is_refused(make: Callable[[], object], message: str) -> None:
+    with pytest.raises(SystemDefinitionError, match=message):
+        make()
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,112 @@
+"""What scenario files contain, as types; the schema that editors use is derived from them."""
+# ruff: noqa: RUF012  (Pydantic copies defaults)
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, Strict
+
+from orchestration.results import metrics
+from orchestration.scenarios.file_tables import OneOf, Table, Value, table_of
+from orchestration.system import faults, signals
+from orchestration.system.experiment import Algorithm, Initialisation
+
+Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+Connection = Annotated[list[str], Field(min_length=2, max_length=2)]
+_OPTIONAL: Any = Field(default=None)  # Experiment has the default
+
+SIGNAL = OneOf("kind", {kind: table_of("kind", kind, made) for kind, made in signals.KINDS.items()})
+FAULT = OneOf(
+    "kind",
+    {
+        kind: table_of("kind", kind, faults.Fault, effect, without=["effect"])
+        for kind, effect in faults.KINDS.items()
+    },
+)
+METRIC = OneOf(
+    "function",
+    {
+        name: table_of(
+            "function", name, made, without=["recording"], types={"window": Pair}, also={"unit": (str, "")}
+        )
+        for name, made in metrics.FUNCTIONS.items()
+    },
+    droppable=True,
+)
+
+
+class ExperimentTable(Table, use_attribute_docstrings=True):
+    """When the run starts and stops, and how components exchange values."""
+
+    start_time: float = _OPTIONAL
+    """Start [s]; 0 by default."""
+    stop_time: float
+    """End of the run [s]."""
+    step_size: float
+    """Communication step size [s]."""
+    algorithm: Annotated[Algorithm, Strict(False)] = _OPTIONAL
+    """Order in which components step and exchange; jacobi by default."""
+    extrapolation: int = _OPTIONAL
+    """Order, 0 or 1, in which inputs are carried on between communication points."""
+    tolerance: float = _OPTIONAL
+    """Of the error that exchanging at steps brings; steps are then as short as that needs."""
+    initialisation: Annotated[Initialisation, Strict(False)] = _OPTIONAL
+    """How loops of initial values are solved."""
+
+
+class EventTable(Table, use_attribute_docstrings=True):
+    """Variables that are set at a time."""
+
+    time: float
+    """When [s]."""
+    set: dict[str, Value]
+    """ "component.variable" -> value."""
+
+
+class ScenarioFile(Table, use_attribute_docstrings=True):
+    """A scenario of l1-depth: components, connections, an experiment, and what is measured."""
+
+    title: str = ""
+    """For readers; by default the name of the file."""
+    base: str = ""
+    """A shipped scenario, or a file relative to this one: what this file does not give is taken from it."""
+    parameter_files: list[str] = []
+    """Files of parameters with their provenance, relative to this one."""
+    components: dict[str, str]
+    """Component -> name of an installed block, or path of an .fmu relative to this file."""
+    connections: list[Connection] = []
+    """["component.output", "component.input"] each."""
+    experiment: ExperimentTable
+    step_sizes: dict[str, float] = {}
+    """Component -> its own step size [s], a multiple of the communication step size."""
+    parameters: dict[str, Value] = {}
+    """ "component.variable" -> value."""
+    inputs: dict[str, Value] = {}
+    """ "component.variable" -> constant value."""
+    signals: dict[str, Annotated[Table, SIGNAL]] = {}
+    """ "component.variable" -> a function of time."""
+    events: list[EventTable] = []
+    faults: list[Annotated[Table, FAULT]] = []
+    """Faults on connected inputs; several on one input act in their order."""
+    record: list[str] = []
+    """ "component.variable" of what is recorded; by default all outputs and signals."""
+    metrics: dict[str, Annotated[Table | Literal[False], METRIC]] = {}
+    """Name -> function and its arguments; false drops a metric of the base."""
+    sweep: dict[str, Any] = {}
+    """Many runs with other values."""
+
+
+class Parameter(Table, use_attribute_docstrings=True, extra="allow"):
+    """A value with its provenance."""
+
+    value: Value
+    unit: str = ""
+    """For readers."""
+    source: str = ""
+    """Where the value is from."""
+
+
+class ParameterFile(Table, use_attribute_docstrings=True, extra="allow"):
+    """Parameters with their provenance, to be named by `parameter_files` of a scenario."""
+
+    parameters: dict[str, Parameter] = {}
+    """ "component.variable" -> value and provenance."""

@@ -1,0 +1,196 @@
+"""Types for the tables of TOML files: what they check, and the one line that a mistake gives.
+
+Tables whose keys are the arguments of a function or a dataclass are derived from it, so that nothing is
+declared twice.
+"""
+
+import inspect
+import math
+import re
+import reprlib
+from collections.abc import Callable, Collection, Iterable, Mapping
+from typing import Annotated, Any, Literal, TypeVar, Union
+
+import numpy.typing as npt
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    GetCoreSchemaHandler,
+    Tag,
+    TypeAdapter,
+    ValidationError,
+    WithJsonSchema,
+    create_model,
+    model_validator,
+)
+from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError
+
+from fmus.errors import nearest
+from orchestration.errors import ScenarioError
+
+_EXPECTED = {
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "string_type": "a text",
+    "bool_type": "true or false",
+    "list_type": "a list",
+    "sequence_str": "a list",
+    "is_instance_of": "a list",
+    "dict_type": "a table",
+    "model_type": "a table",
+    "finite_number": "a finite number",
+    "too_short": "a list of {min_length}",
+    "too_long": "a list of {max_length}",
+    "kind": "a table",
+}
+_CHOICES = ("enum", "literal_error")
+_FILE_TYPES = {npt.ArrayLike: list[float]}  # types of Python that a TOML file writes in another way
+_UNKNOWN_KEY, _KIND, _SCALAR = "unknown_key", "kind", "scalar"
+
+T = TypeVar("T")
+
+
+class Table(BaseModel):
+    """A table that has no other keys than those declared; numbers are finite."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, defer_build=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_known_keys(cls, data: object) -> object:
+        closed = cls.model_config.get("extra") == "forbid"
+        for key in data if closed and isinstance(data, dict) else ():
+            if key not in cls.model_fields:
+                hint = nearest(key, cls.model_fields)
+                raise PydanticCustomError(
+                    _UNKNOWN_KEY, "unknown key {key}; {hint}", {"key": repr(key), "hint": hint}
+                )
+        return data
+
+    def given(self) -> dict[str, Any]:
+        """Key -> value of the keys that the file gives."""
+        return {
+            name: getattr(self, name) for name in type(self).model_fields if name in self.model_fields_set
+        }
+
+
+def _scalar(value: object) -> object:
+    if not isinstance(value, (bool, int, float, str)):
+        raise PydanticCustomError(_SCALAR, "a number, a text, true or false")
+    return value
+
+
+Value = Annotated[Any, BeforeValidator(_scalar), WithJsonSchema({"type": ["number", "string", "boolean"]})]
+"""A value of a variable; its type is checked against the FMU."""
+
+
+def table_of(
+    key: str,
+    kind: str,
+    *builders: Callable[..., object],
+    without: Iterable[str] = (),
+    types: Mapping[str, Any] | None = None,
+    also: Mapping[str, Any] | None = None,
+) -> type[Table]:
+    """Type of the tables with key = "kind", whose other keys are the arguments of some functions.
+
+    without: arguments that no file gives; types: of arguments that a file gives in another type
+    also: keys that are no arguments -> (type, default)
+    """
+    fields: dict[str, Any] = {key: (Literal[kind], ...), **(also or {})}
+    for builder in builders:
+        for argument in inspect.signature(builder).parameters.values():
+            if argument.name not in without:
+                hint = _FILE_TYPES.get(argument.annotation, argument.annotation)
+                fields[argument.name] = ((types or {}).get(argument.name, hint), _default(argument.default))
+    return create_model(f"{kind} table", __base__=Table, __doc__=inspect.getdoc(builders[-1]), **fields)
+
+
+def _default(value: Any) -> Any:
+    if value is inspect.Parameter.empty:
+        return ...
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return Field(default_factory=lambda: value)  # which a schema cannot say
+    return value
+
+
+class OneOf:
+    """Marks a type as a table whose `key` names its kind; if droppable, `false` stands for none."""
+
+    def __init__(self, key: str, tables: Mapping[str, type[Table]], droppable: bool = False) -> None:
+        self._key, self._tables, self._droppable = key, tables, droppable
+
+    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
+        members: list[Any] = [Annotated[table, Tag(name)] for name, table in self._tables.items()]
+        if self._droppable:
+            members.append(Annotated[Literal[False], Tag("false")])
+        context: dict[str, Any] = {"key": self._key, "known": ",".join(self._tables)}
+        discriminator = Discriminator(self._kind, _KIND, _KIND, context)
+        return handler.generate_schema(Annotated[Union[tuple(members)], discriminator])  # noqa: UP007
+
+    def _kind(self, value: Any) -> str | None:
+        if value is False and self._droppable:
+            return "false"
+        named = value.get(self._key) if isinstance(value, dict) else getattr(value, self._key, None)
+        return None if named is None else str(named)
+
+
+def checked(model: TypeAdapter[T], data: object, where: str) -> T:
+    """The data as that type; ScenarioError names the key, what it is and what was expected."""
+    try:
+        return model.validate_python(data)
+    except ValidationError as error:
+        raise ScenarioError(f"{where}: {_line(error.errors()[0], data)}") from None
+
+
+def check_part(model: TypeAdapter[T], data: object, where: str, absent: Collection[tuple[str, ...]]) -> None:
+    """Check data that need not have the keys at the paths `absent`."""
+    try:
+        model.validate_python(data)
+    except ValidationError as error:
+        for details in error.errors():
+            if details["type"] != "missing" or details["loc"] not in absent:
+                raise ScenarioError(f"{where}: {_line(details, data)}") from None
+
+
+def _line(error: ErrorDetails, data: object) -> str:
+    path = _key_path(error, data)
+    value, context, kind = error["input"], error.get("ctx", {}), error["type"]
+    before, subject = (f"{path}: ", f"{path} = ") if path else ("", "")
+    if kind == "missing":
+        return f"{path} is missing"
+    if kind == _UNKNOWN_KEY:
+        return f"{before}{error['msg']}"
+    if kind == _KIND and isinstance(value, dict):
+        return f"{before}{_unknown_kind(value, context['key'], context['known'].split(','))}"
+    if kind in _CHOICES:
+        known = re.findall(r"'([^']*)'", context["expected"])
+        return f"{subject}{value!r}; {nearest(str(value), known)}"
+    expected = _EXPECTED.get(kind, error["msg"].removeprefix("Input should be ")).format(**context)
+    return f"{subject}{reprlib.repr(value)}: expected {expected}"
+
+
+def _unknown_kind(value: Mapping[str, object], key: str, known: list[str]) -> str:
+    if key not in value:
+        return f"{key} is missing; expected one of {', '.join(known)}"
+    return f"unknown {key} {value[key]!r}; {nearest(str(value[key]), known)}"
+
+
+def _key_path(error: ErrorDetails, data: Any) -> str:
+    """Where in a file an error is, as TOML writes it; the kinds of unions are no part of it."""
+    path, missing = "", error["type"] == "missing"
+    for place in error["loc"][:-1] if missing else error["loc"]:
+        if isinstance(data, list) and isinstance(place, int):
+            path, data = f"{path}[{place}]", data[place]
+        elif isinstance(data, Mapping) and place in data:
+            path, data = _joined(path, str(place)), data[place]
+    return _joined(path, str(error["loc"][-1])) if missing else path
+
+
+def _joined(path: str, key: str) -> str:
+    written = key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else f'"{key}"'
+    return f"{path}.{written}" if path else written
