@@ -1,54 +1,82 @@
-"""What tests share: FMUs built once a session, tools, C programs, and small helpers around blocks."""
+"""What tests share: isolation from the user's files, FMUs built once a session, tools, and C programs."""
 
-import itertools
 import os
 import shutil
-import textwrap
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 import fmpy
 import pytest
-from pythonfmu.builder import FmuBuilder
+from hypothesis import settings
 
 from fmus import catalogue, platforms
 from fmus.block import Block
 from fmus.export import toolchain
 from fmus.instance import Instance
-from fmus.registry import FOLDER_VARIABLE, Flavour
-from tests import foreign_fmus
+from fmus.registry import FOLDER_VARIABLE, Flavour, block_names, fmu_folder
+from tests import foreign_fmus, foreign_pythonfmu
+from tests.shared_builds import Build, LazyFmus, once_for_each_option, session_folder
+
+# `pytest --hypothesis-profile=thorough -m hypothesis` tries ten times as many examples
+settings.register_profile("quick", deadline=None, max_examples=20)
+settings.register_profile("thorough", deadline=None, max_examples=200)
+settings.load_profile("quick")
+
+_HOME = pytest.StashKey[str]()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Set the folders of the user's own files to an empty one; pytest-xdist's processes inherit it.
+
+    Zig's cache stays where it is: it holds compiled C libraries, found by the hash of what they are made of.
+    """
+    if hasattr(config, "workerinput"):
+        return
+    cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    os.environ.setdefault("ZIG_GLOBAL_CACHE_DIR", str(Path(cache) / "zig"))
+    home = config.stash[_HOME] = tempfile.mkdtemp(prefix="l1-depth-tests-")
+    os.environ["HOME"] = home
+    for name in ("CACHE", "CONFIG", "DATA", "STATE"):
+        os.environ[f"XDG_{name}_HOME"] = f"{home}/{name.lower()}"
+    os.environ[FOLDER_VARIABLE] = f"{home}/fmus"
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    if _HOME in config.stash:
+        shutil.rmtree(config.stash[_HOME], ignore_errors=True)
 
 
 @pytest.fixture(scope="session")
-def built(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Every block's native FMU, freshly built, by name."""
-    folder = tmp_path_factory.mktemp("built")
-    return {name: catalogue.build(name, folder) for name in catalogue.block_names()}
+def built() -> Mapping[str, Path]:
+    """Every block's native FMU by name, freshly built where scenarios find it."""
+    return LazyFmus(block_names(), fmu_folder(Flavour.NATIVE), catalogue.build)
 
 
 @pytest.fixture(scope="session")
-def built_everywhere(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def python_built() -> Mapping[str, Path]:
+    """Every block's FMU of the python flavour by name, freshly built where scenarios find it."""
+    return LazyFmus(
+        block_names(),
+        fmu_folder(Flavour.PYTHON),
+        lambda name, folder: catalogue.build(name, folder, Flavour.PYTHON),
+    )
+
+
+@pytest.fixture(scope="session")
+def built_everywhere(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Path]:
     """Every block's native FMU with the libraries of all platforms, by name."""
-    folder = tmp_path_factory.mktemp("built everywhere")
-    return {
-        name: catalogue.build(name, folder, platforms=platforms.PLATFORMS) for name in catalogue.block_names()
-    }
+    return LazyFmus(
+        block_names(),
+        session_folder(tmp_path_factory, "built everywhere"),
+        lambda name, folder: catalogue.build(name, folder, platforms=platforms.PLATFORMS),
+    )
 
 
 @pytest.fixture(scope="session")
-def python_built(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Every block's FMU of the python flavour, freshly built, by name."""
-    folder = tmp_path_factory.mktemp("python_built")
-    return {name: catalogue.build(name, folder, Flavour.PYTHON) for name in catalogue.block_names()}
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _fmus_of_the_scenarios(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Scenarios find the blocks' FMUs in a temporary folder, as after `l1-depth build --cache`."""
-    os.environ[FOLDER_VARIABLE] = str(tmp_path_factory.mktemp("fmus"))
-    for name in catalogue.block_names():
-        catalogue.build_if_stale(name)
+def scenario_fmus(built: Mapping[str, Path]) -> None:
+    """Scenarios find every block's FMU, as after `l1-depth build --cache`."""
+    assert all(path.is_file() for path in built.values())
 
 
 def _tool(name: str) -> str:
@@ -123,124 +151,26 @@ def driver() -> type[Driver]:
     return Driver
 
 
-# Foreign FMUs, knowing nothing of this project: written by PythonFMU's own builder, or in C.
-
-_HEAD = """
-    import ctypes
-
-    from pythonfmu import Boolean, Fmi2Causality, Fmi2Slave, Fmi2Variability, Integer, Real
-
-    from pythonfmu.enums import Fmi2Status
-
-    # PythonFMU 0.7 frees this dictionary at the second instance (docs/fidelity.md)
-    ctypes.pythonapi.Py_IncRef(ctypes.py_object(globals()))
-
-    INPUT, OUTPUT = Fmi2Causality.input, Fmi2Causality.output
-"""
-
-_SOURCES = {
-    # x' = -x + u, exact for held u; y = x
-    "Lag": """
-        import math
-
-        class Lag(Fmi2Slave):
-            def __init__(self, **kwargs):
-                super().__init__(**kwargs)
-                self.u, self.y = 0.0, 1.0
-                self.register_variable(Real("u", causality=INPUT, start=0.0))
-                self.register_variable(Real("y", causality=OUTPUT))
-
-            def do_step(self, t, h):
-                self.y = self.u + (self.y - self.u) * math.exp(-h)
-                return True
-    """,
-    # passes every type through, at once
-    "Types": """
-        class Types(Fmi2Slave):
-            def __init__(self, **kwargs):
-                super().__init__(**kwargs)
-                self.a, self.b = 0, False
-                common = {"variability": Fmi2Variability.discrete}
-                self.register_variable(Integer("a", causality=INPUT, start=0, **common))
-                self.register_variable(Boolean("b", causality=INPUT, start=False, **common))
-                self.register_variable(Integer("c", causality=OUTPUT, getter=lambda: self.a + 1, **common))
-                self.register_variable(Boolean("d", causality=OUTPUT, getter=lambda: not self.b, **common))
-
-            def do_step(self, t, h):
-                return True
-    """,
-    "Discards": """
-        class Discards(Fmi2Slave):
-            def __init__(self, **kwargs):
-                super().__init__(**kwargs)
-                self.y = 0.0
-                self.register_variable(Real("y", causality=OUTPUT))
-
-            def do_step(self, t, h):
-                self.y = t + h
-                if t > 0.45:
-                    self.log("the battery is empty", Fmi2Status.discard)
-                    return False
-                return True
-    """,
-    "Raises": """
-        class Raises(Fmi2Slave):
-            def __init__(self, **kwargs):
-                super().__init__(**kwargs)
-                self.y = 0.0
-                self.register_variable(Real("y", causality=OUTPUT))
-
-            def do_step(self, t, h):
-                if t > 0.45:
-                    raise RuntimeError("the hull is breached")
-                self.y = t + h
-                return True
-    """,
-}  # fmt: skip
-
-
 @pytest.fixture(scope="session")
-def foreign(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def foreign(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Path]:
     """PythonFMU's FMUs by name."""
-    folder = tmp_path_factory.mktemp("foreign")
-    made: dict[str, Any] = {}
-    for name, source in _SOURCES.items():
-        script = folder / f"{name.lower()}_slave.py"
-        script.write_text(textwrap.dedent(_HEAD) + textwrap.dedent(source))
-        made[name] = FmuBuilder.build_FMU(script, folder)
-    return made
-
-
-Build = Callable[..., Path]
-
-
-def _built_once(build: Build, folder: Path) -> Build:
-    """Builds an FMU for each set of options that is new."""
-    found: dict[str, Path] = {}
-    numbers = itertools.count()
-
-    def built(*arguments: Any, **options: Any) -> Path:
-        key = repr((arguments, sorted(options.items())))
-        if key not in found:
-            found[key] = build(folder / f"{next(numbers)}.fmu", *arguments, **options)
-        return found[key]
-
-    return built
+    folder = session_folder(tmp_path_factory, "foreign")
+    return LazyFmus(foreign_pythonfmu.NAMES, folder, foreign_pythonfmu.build)
 
 
 @pytest.fixture(scope="session")
 def linear(tmp_path_factory: pytest.TempPathFactory) -> Build:
     """Builds linear FMUs: the options are those of `foreign_fmus.linear`."""
-    return _built_once(foreign_fmus.linear, tmp_path_factory.mktemp("linear"))
+    return once_for_each_option(foreign_fmus.linear, session_folder(tmp_path_factory, "linear"))
 
 
 @pytest.fixture(scope="session")
 def function(tmp_path_factory: pytest.TempPathFactory) -> Build:
     """Builds FMUs that compute y = expression of u, in C: `foreign_fmus.function`."""
-    return _built_once(foreign_fmus.function, tmp_path_factory.mktemp("function"))
+    return once_for_each_option(foreign_fmus.function, session_folder(tmp_path_factory, "function"))
 
 
 @pytest.fixture(scope="session")
 def rogue(tmp_path_factory: pytest.TempPathFactory) -> Build:
     """Builds FMUs that misbehave on demand: the options are those of `foreign_fmus.rogue`."""
-    return _built_once(foreign_fmus.rogue, tmp_path_factory.mktemp("rogue"))
+    return once_for_each_option(foreign_fmus.rogue, session_folder(tmp_path_factory, "rogue"))

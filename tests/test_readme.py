@@ -29,11 +29,10 @@ def test_the_python_example_runs(tmp_path: Path) -> None:
     assert "plant.output" in done.stdout
 
 
-def test_the_scenario_example_fits_the_fmus(tmp_path: Path) -> None:
+def test_the_scenario_example_fits_the_fmus(tmp_path: Path, scenario_fmus: None) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(block("toml"))
     mine = scenario.load(path)
-    catalogue.build_missing(mine.system.components.values())
     experiment = mine.experiment
     assert prepare(mine.system, experiment).settings
     assert experiment.events[0].time == 90.0

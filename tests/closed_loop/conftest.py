@@ -2,6 +2,8 @@
 
 import json
 import os
+import pickle
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,21 +11,33 @@ import pytest
 
 from orchestration.scenarios import reproduce
 from orchestration.scenarios.reproduce import Result
+from tests.shared_builds import built_once, session_folder
 
 
 @pytest.fixture(scope="session")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("reproduction")
+    return session_folder(tmp_path_factory, "reproduction")
 
 
 @pytest.fixture(scope="session")
-def results(folder: Path) -> dict[str, Result]:
+def results(folder: Path, scenario_fmus: None) -> dict[str, Result]:
     """Every shipped scenario, run through the FMUs and the master at its default settings."""
-    return reproduce.run_all(folder, os.cpu_count() or 1)
+
+    def run_all(path: Path) -> None:
+        found = reproduce.run_all(folder, os.cpu_count() or 1)
+        reproduce.write_report(found, folder)
+        path.write_bytes(pickle.dumps(found))
+
+    return pickle.loads(built_once(folder / "results.pickle", run_all).read_bytes())
 
 
 @pytest.fixture(scope="session")
 def summary(results: dict[str, Result], folder: Path) -> dict[str, Any]:
     """What `l1-depth reproduce` writes to summary.json."""
-    reproduce.write_report(results, folder)
     return json.loads((folder / "summary.json").read_text())
+
+
+@pytest.fixture(scope="session")
+def python_fmus(python_built: Mapping[str, Path]) -> None:
+    """Scenarios find every block's FMU of the python flavour."""
+    assert all(path.is_file() for path in python_built.values())

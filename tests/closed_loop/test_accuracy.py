@@ -85,7 +85,9 @@ def co_simulated(h: float, algorithm: Algorithm) -> Recording:
 
 
 @pytest.mark.parametrize("algorithm", list(Algorithm))
-def test_the_closed_loop_converges_to_the_continuous_one_with_first_order(algorithm: Algorithm) -> None:
+def test_the_closed_loop_converges_to_the_continuous_one_with_first_order(
+    scenario_fmus: None, algorithm: Algorithm
+) -> None:
     """Inputs are held over a communication step: first order, whatever the blocks' own order."""
     exact = monolithic()
     errors = []

@@ -1,16 +1,21 @@
 """Both flavours are one model: the same trajectories, and from them the same tables."""
 
 import os
+import pickle
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from fmus import catalogue
 from fmus.registry import Flavour
+from orchestration.master import simulate
 from orchestration.results import figures as report
+from orchestration.results.recording import Recording
 from orchestration.scenarios import reproduce, scenario
 from orchestration.scenarios.reproduce import Result
+from tests.shared_builds import built_once, session_folder
 
 # Python and C make the same double-precision operations in the same order, none contracted. A constant
 # that CasADi inverted (x / 6 as x * (1 / 6)) or an elementary function may differ in its last bit, 1e-16;
@@ -19,18 +24,7 @@ from orchestration.scenarios.reproduce import Result
 AGREEMENT = 1e-9
 
 
-@pytest.fixture(scope="session")
-def python_results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Result]:
-    """Every shipped scenario, run through the FMUs of the python flavour."""
-    folder = tmp_path_factory.mktemp("python_reproduction")
-    for path in scenario.shipped().values():
-        catalogue.build_missing(scenario.load(path, flavour=Flavour.PYTHON).system.components.values())
-    return reproduce.run_all(folder, os.cpu_count() or 1, flavour=Flavour.PYTHON)
-
-
-@pytest.mark.parametrize("name", scenario.shipped())
-def test_trajectories_agree(results: dict[str, Result], python_results: dict[str, Result], name: str) -> None:
-    native, python = results[name].recording, python_results[name].recording
+def assert_same_trajectories(native: Recording, python: Recording) -> None:
     assert native.names == python.names
     assert np.array_equal(native.time, python.time)
     amplitude = np.abs(python.values).max(axis=0)
@@ -38,6 +32,36 @@ def test_trajectories_agree(results: dict[str, Result], python_results: dict[str
     assert native.provenance["fmus"] != python.provenance["fmus"]
 
 
+@pytest.mark.parametrize("name", ["nominal-extended", "example-extended"])
+def test_the_first_two_seconds_agree(scenario_fmus: None, python_fmus: None, name: str) -> None:
+    """Of each pair of blocks; the whole of every scenario is compared below."""
+
+    def first_two_seconds(flavour: Flavour) -> Recording:
+        chosen = scenario.load(scenario.find(name), flavour=flavour)
+        return simulate(chosen.system, replace(chosen.experiment, stop_time=2.0))
+
+    assert_same_trajectories(first_two_seconds(Flavour.NATIVE), first_two_seconds(Flavour.PYTHON))
+
+
+@pytest.fixture(scope="session")
+def python_results(tmp_path_factory: pytest.TempPathFactory, python_fmus: None) -> dict[str, Result]:
+    """Every shipped scenario, run through the FMUs of the python flavour."""
+    folder = session_folder(tmp_path_factory, "python reproduction")
+
+    def run_all(path: Path) -> None:
+        found = reproduce.run_all(folder, os.cpu_count() or 1, flavour=Flavour.PYTHON)
+        path.write_bytes(pickle.dumps(found))
+
+    return pickle.loads(built_once(folder / "results.pickle", run_all).read_bytes())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", scenario.shipped())
+def test_trajectories_agree(results: dict[str, Result], python_results: dict[str, Result], name: str) -> None:
+    assert_same_trajectories(results[name].recording, python_results[name].recording)
+
+
+@pytest.mark.slow
 def test_the_tables_are_the_same(
     results: dict[str, Result], python_results: dict[str, Result], summary: dict[str, Any]
 ) -> None:

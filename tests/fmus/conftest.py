@@ -1,6 +1,6 @@
 """FMUs loaded with FMPy and driven call by call."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +75,7 @@ def load(tmp_path: Path) -> Iterator[Any]:
 
 @pytest.fixture(params=list(Flavour))
 def either(
-    request: pytest.FixtureRequest, built: dict[str, Path], python_built: dict[str, Path]
-) -> dict[str, Path]:
+    request: pytest.FixtureRequest, built: Mapping[str, Path], python_built: Mapping[str, Path]
+) -> Mapping[str, Path]:
     """The FMUs of one flavour, then of the other."""
     return built if request.param is Flavour.NATIVE else python_built

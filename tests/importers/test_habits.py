@@ -1,5 +1,6 @@
 """Habits that importers have and the standard allows, or almost, on every native FMU."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +52,7 @@ def outputs_after(slave: FMU2Slave, name: str, inputs_before_setup: bool) -> lis
     "folder", ["a space", "a#b", "a+b", "a%20b", "[a](b){c}", "Tiefe-äøß", "水深", "a'b&c;d", "."]
 )
 def test_it_runs_from_a_folder_of_any_name(
-    built: dict[str, Path], tmp_path: Path, name: str, folder: str
+    built: Mapping[str, Path], tmp_path: Path, name: str, folder: str
 ) -> None:
     plain = outputs_after(slave_of(built[name], tmp_path / "plain"), name, False)
     odd = outputs_after(slave_of(built[name], tmp_path / "odd" / folder), name, False)
@@ -60,7 +61,7 @@ def test_it_runs_from_a_folder_of_any_name(
 
 @pytest.mark.parametrize("name", NAMES)
 def test_inputs_set_before_the_experiment_is_set_up_count(
-    built: dict[str, Path], tmp_path: Path, name: str
+    built: Mapping[str, Path], tmp_path: Path, name: str
 ) -> None:
     before = outputs_after(slave_of(built[name], tmp_path / "one"), name, True)
     after = outputs_after(slave_of(built[name], tmp_path / "two"), name, False)
@@ -69,7 +70,7 @@ def test_inputs_set_before_the_experiment_is_set_up_count(
 
 @pytest.mark.parametrize("name", NAMES)
 def test_two_copies_of_one_library_in_one_process_keep_apart(
-    built: dict[str, Path], tmp_path: Path, name: str
+    built: Mapping[str, Path], tmp_path: Path, name: str
 ) -> None:
     """As an importer has them that extracts an FMU once for each instance."""
     block = catalogue.load_block(name)

@@ -1,5 +1,6 @@
 """An FMU that behaves otherwise than it claims is caught: patched C of our own, and claims that are false."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -175,7 +176,7 @@ FALSE_CLAIMS = [
 
 @pytest.mark.parametrize(("rule", "old", "new"), FALSE_CLAIMS)
 def test_a_capability_that_is_claimed_but_not_there_is_caught(
-    python_built: dict[str, Path], tmp_path: Path, rule: str, old: str, new: str
+    python_built: Mapping[str, Path], tmp_path: Path, rule: str, old: str, new: str
 ) -> None:
     content: Members = members(python_built["L1Controller"])
     xml = content["modelDescription.xml"].decode()

@@ -1,5 +1,6 @@
 """Libraries of every platform are judged without being run; what cannot be run here is said."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -96,7 +97,7 @@ def test_an_fmu_of_sources_alone_is_not_without_implementation(elsewhere: Path, 
 
 
 def test_an_fmu_without_libraries_and_sources_is_caught(
-    python_built: dict[str, Path], tmp_path: Path
+    python_built: Mapping[str, Path], tmp_path: Path
 ) -> None:
     content = {
         path: data
@@ -107,7 +108,7 @@ def test_an_fmu_without_libraries_and_sources_is_caught(
 
 
 def test_a_library_under_the_name_that_fmpy_gives_the_platform_is_run(
-    built: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    built: Mapping[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from fmus.compliance import here
     from fmus.compliance.fmu_file import FmuFile

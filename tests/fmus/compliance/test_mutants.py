@@ -2,7 +2,7 @@
 
 import stat
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
@@ -102,7 +102,7 @@ XML_MUTANTS = [
 
 @pytest.mark.parametrize(("rule", "old", "new"), XML_MUTANTS)
 def test_a_broken_description_is_caught(
-    built: dict[str, Path], tmp_path: Path, rule: str, old: str, new: str
+    built: Mapping[str, Path], tmp_path: Path, rule: str, old: str, new: str
 ) -> None:
     content = members(built["L1Controller"])
     xml = content[XML].decode()
@@ -134,13 +134,13 @@ ARCHIVE_MUTANTS = [
 
 @pytest.mark.parametrize(("rule", "change"), ARCHIVE_MUTANTS)
 def test_a_broken_archive_is_caught(
-    built: dict[str, Path], tmp_path: Path, rule: str, change: Callable[[Members], Members]
+    built: Mapping[str, Path], tmp_path: Path, rule: str, change: Callable[[Members], Members]
 ) -> None:
     content = change(members(built["L1Controller"]))
     assert rule in broken_rules(write(content, tmp_path / "mutant.fmu"))
 
 
-def test_a_damaged_member_is_caught(built: dict[str, Path], tmp_path: Path) -> None:
+def test_a_damaged_member_is_caught(built: Mapping[str, Path], tmp_path: Path) -> None:
     path = write(members(built["L1Controller"]), tmp_path / "mutant.fmu")
     with zipfile.ZipFile(path) as archive:
         info = archive.getinfo("sources/fmi2.c")
@@ -151,7 +151,7 @@ def test_a_damaged_member_is_caught(built: dict[str, Path], tmp_path: Path) -> N
     assert told.startswith("sources/fmi2.c is damaged")
 
 
-def test_a_symbolic_link_is_caught(built: dict[str, Path], tmp_path: Path) -> None:
+def test_a_symbolic_link_is_caught(built: Mapping[str, Path], tmp_path: Path) -> None:
     path = write(members(built["L1Controller"]), tmp_path / "mutant.fmu")
     link = zipfile.ZipInfo("resources/link")
     link.external_attr = (stat.S_IFLNK | 0o777) << 16
@@ -163,7 +163,7 @@ def test_a_symbolic_link_is_caught(built: dict[str, Path], tmp_path: Path) -> No
     }
 
 
-def test_another_compression_is_caught(built: dict[str, Path], tmp_path: Path) -> None:
+def test_another_compression_is_caught(built: Mapping[str, Path], tmp_path: Path) -> None:
     path = write(members(built["L1Controller"]), tmp_path / "mutant.fmu")
     with zipfile.ZipFile(path, "a", zipfile.ZIP_BZIP2) as archive:
         archive.writestr("resources/data", b"data")

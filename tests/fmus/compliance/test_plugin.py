@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -25,7 +26,7 @@ def run_pytest(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str
     )
 
 
-def test_each_rule_is_a_test_and_a_good_fmu_fails_none(built: dict[str, Path], tmp_path: Path) -> None:
+def test_each_rule_is_a_test_and_a_good_fmu_fails_none(built: Mapping[str, Path], tmp_path: Path) -> None:
     done = run_pytest(tmp_path, "--fmu", str(built[NAME]), "-v")
     told = [line.split("::")[-1] for line in done.stdout.splitlines() if "::" in line]
     assert [line.split()[0] for line in told if " " in line] == [each.name for each in all_rules()]
@@ -34,7 +35,7 @@ def test_each_rule_is_a_test_and_a_good_fmu_fails_none(built: dict[str, Path], t
 
 
 def test_a_broken_fmu_fails_the_tests_of_the_rules_that_it_breaks(
-    python_built: dict[str, Path], tmp_path: Path
+    python_built: Mapping[str, Path], tmp_path: Path
 ) -> None:
     done = run_pytest(tmp_path, "--fmu", str(python_built[NAME]), "-q", "-rf")
     failed = {
@@ -45,14 +46,14 @@ def test_a_broken_fmu_fails_the_tests_of_the_rules_that_it_breaks(
     assert done.returncode == 1
 
 
-def test_a_warning_of_the_check_is_a_warning_of_pytest(built: dict[str, Path], tmp_path: Path) -> None:
+def test_a_warning_of_the_check_is_a_warning_of_pytest(built: Mapping[str, Path], tmp_path: Path) -> None:
     path = write(members(built[NAME]) | {"readme.txt": b""}, tmp_path / "warned.fmu")
     done = run_pytest(tmp_path, "--fmu", str(path), "-q")
     assert "FmuWarning: warned.fmu: archive-layout" in done.stdout
     assert done.returncode == 0
 
 
-def test_fmus_come_after_the_tests_of_the_project(built: dict[str, Path], tmp_path: Path) -> None:
+def test_fmus_come_after_the_tests_of_the_project(built: Mapping[str, Path], tmp_path: Path) -> None:
     (tmp_path / "test_own.py").write_text("def test_own():\n    assert True\n")
     fmus = ("--fmu", str(built[NAME]), "--fmu", str(built["ExamplePlant"]))
     done = run_pytest(tmp_path, *fmus, "--collect-only", "-q")

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +18,13 @@ NAME = "DepthReference"
 
 
 @pytest.fixture
-def warned(built: dict[str, Path], tmp_path: Path) -> Path:
+def warned(built: Mapping[str, Path], tmp_path: Path) -> Path:
     """An FMU with a warning and no error."""
     return write(members(built[NAME]) | {"readme.txt": b""}, tmp_path / "warned.fmu")
 
 
 @pytest.fixture
-def wrong(built: dict[str, Path], tmp_path: Path) -> Path:
+def wrong(built: Mapping[str, Path], tmp_path: Path) -> Path:
     """An FMU with an error."""
     return write(members(built[NAME]) | {"../escape": b""}, tmp_path / "wrong.fmu")
 
@@ -79,7 +80,7 @@ def test_no_fmu_is_bad_usage() -> None:
 
 
 def test_all_shows_the_rules_that_hold_and_those_that_do_not_apply(
-    built: dict[str, Path], capsys: pytest.CaptureFixture[str]
+    built: Mapping[str, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main([str(built[NAME]), "--all"]) == 0
     shown = capsys.readouterr().out
@@ -90,7 +91,7 @@ def test_all_shows_the_rules_that_hold_and_those_that_do_not_apply(
     "name", ["a b", "a#b", "a+b", "a%20b", "[a](b){c}", 'it\'s "quoted"', "größe_深さ", "-a", "%s %d"]
 )
 def test_an_fmu_in_a_folder_of_any_name_breaks_no_rule(
-    built: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+    built: Mapping[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
     folder = tmp_path / name
     folder.mkdir()

@@ -2,6 +2,7 @@
 
 import re
 import zipfile
+from collections.abc import Mapping
 from dataclasses import replace
 from html.parser import HTMLParser
 from importlib.metadata import distribution
@@ -159,7 +160,7 @@ def test_a_block_without_a_guide_is_documented_by_its_variables() -> None:
 
 
 def test_the_licence_of_everything_inside_is_inside(
-    built: dict[str, Path], python_built: dict[str, Path]
+    built: Mapping[str, Path], python_built: Mapping[str, Path]
 ) -> None:
     def licences(path: Path) -> dict[str, str]:
         folder = "documentation/licenses/"

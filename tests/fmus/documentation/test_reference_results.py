@@ -4,6 +4,7 @@ import csv
 import hashlib
 import io
 import zipfile
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -126,7 +127,7 @@ def test_the_manifest_describes_every_file_of_the_layered_standard(either: dict[
         }
 
 
-def test_the_experiment_inside_is_the_one_beside(built: dict[str, Path], folder: Path) -> None:
+def test_the_experiment_inside_is_the_one_beside(built: Mapping[str, Path], folder: Path) -> None:
     for name, path in built.items():
         prefix = f"extra/{LS_REF}/{name}"
         with zipfile.ZipFile(path) as archive:

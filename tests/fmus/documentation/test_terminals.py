@@ -1,6 +1,7 @@
 """Terminals are what FMI 3.0's schema says, and name what exists."""
 
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ SCHEMA = Path(fmpy.__file__).parent / "schema" / "fmi3" / "fmi3TerminalsAndIcons
 
 
 @pytest.fixture(scope="module")
-def described(built: dict[str, Path]) -> dict[str, Any]:
+def described(built: Mapping[str, Path]) -> dict[str, Any]:
     """Root element of the file in each FMU, by name."""
     found = {}
     for name, path in built.items():
@@ -32,7 +33,7 @@ def test_the_file_is_valid_against_the_schema_of_fmi_3(described: dict[str, Any]
 
 
 def test_every_port_is_a_member_once_and_nothing_else_is(
-    described: dict[str, Any], built: dict[str, Path]
+    described: dict[str, Any], built: Mapping[str, Path]
 ) -> None:
     for name, root in described.items():
         variables = fmpy.read_model_description(str(built[name])).modelVariables
@@ -57,7 +58,7 @@ def test_both_flavours_have_the_same_terminals(either: dict[str, Path]) -> None:
     ],
 )
 def test_outputs_plug_into_inputs_in_another_tool(
-    built: dict[str, Path], tmp_path: Path, source: str, target: str, links: set[str]
+    built: Mapping[str, Path], tmp_path: Path, source: str, target: str, links: set[str]
 ) -> None:
     ends = []
     for name in (source, target):

@@ -1,6 +1,7 @@
 """The model description is complete, legal and derived."""
 
 import zipfile
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -65,7 +66,7 @@ def test_capabilities_and_enumerations(fmu: Path) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_both_flavours_have_the_same_variables(
-    built: dict[str, Path], python_built: dict[str, Path], name: str
+    built: Mapping[str, Path], python_built: Mapping[str, Path], name: str
 ) -> None:
     native, python = (fmpy.read_model_description(str(each[name])) for each in (built, python_built))
     for one, other in zip(native.modelVariables, python.modelVariables, strict=True):
@@ -83,7 +84,7 @@ def test_the_guid_follows_the_content(content: Any) -> None:
 
 @pytest.mark.parametrize("flavour", list(Flavour))
 def test_builds_are_reproducible_byte_for_byte(
-    built: dict[str, Path], python_built: dict[str, Path], tmp_path: Path, flavour: Flavour
+    built: Mapping[str, Path], python_built: Mapping[str, Path], tmp_path: Path, flavour: Flavour
 ) -> None:
     for name, path in (built if flavour is Flavour.NATIVE else python_built).items():
         assert catalogue.build(name, tmp_path, flavour).read_bytes() == path.read_bytes()

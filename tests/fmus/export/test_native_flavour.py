@@ -1,6 +1,7 @@
 """The native FMU, through FMPy: the numbers of the block, and their derivatives."""
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ NAMES = catalogue.block_names()
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_trace_equals_the_block_stepped_in_python(
-    built: dict[str, Path], load: Any, driver: Any, name: str
+    built: Mapping[str, Path], load: Any, driver: Any, name: str
 ) -> None:
     """Operations are the same and none is contracted. What may differ is the last bit of a constant that
     CasADi inverted (x / 6 as x * (1 / 6)), or of an elementary function; 1e-12 is thousands of these."""
@@ -33,7 +34,7 @@ def test_the_trace_equals_the_block_stepped_in_python(
 
 
 def test_any_communication_step_size_lands_on_its_point(
-    built: dict[str, Path], load: Any, driver: Any
+    built: Mapping[str, Path], load: Any, driver: Any
 ) -> None:
     """As the block does: internal steps of equal length, and the last one ends there."""
     fmu = load(built["ExamplePlant"]).begin()
@@ -51,7 +52,7 @@ def test_any_communication_step_size_lands_on_its_point(
 
 @pytest.mark.parametrize("name", NAMES)
 def test_directional_derivatives_of_the_initialisation_are_its_slopes(
-    built: dict[str, Path], load: Any, name: str
+    built: Mapping[str, Path], load: Any, name: str
 ) -> None:
     """Against central differences, whose error is some 1e-6 of the slope at a relative step of 1e-5."""
     block, fmu = catalogue.load_block(name), load(built[name])
@@ -83,7 +84,7 @@ def test_directional_derivatives_of_the_initialisation_are_its_slopes(
 
 
 def test_in_step_mode_outputs_depend_on_parameters_but_not_on_inputs(
-    built: dict[str, Path], load: Any
+    built: Mapping[str, Path], load: Any
 ) -> None:
     fmu = load(built["ExamplePlant"]).begin()
     fmu["control"] = 1.0
@@ -93,7 +94,7 @@ def test_in_step_mode_outputs_depend_on_parameters_but_not_on_inputs(
     assert derivative == [2.0 * fmu["state[1]"]]  # y = C x
 
 
-def test_output_derivatives_are_those_of_the_equations(built: dict[str, Path], load: Any) -> None:
+def test_output_derivatives_are_those_of_the_equations(built: Mapping[str, Path], load: Any) -> None:
     """x' = A x + B (omega u + theta' x + sigma), evaluated where the FMU stands."""
     fmu = load(built["ExamplePlant"]).begin()
     fmu["control"] = 1.0
@@ -109,7 +110,7 @@ def test_output_derivatives_are_those_of_the_equations(built: dict[str, Path], l
 
 @pytest.mark.parametrize("name", NAMES)
 def test_output_derivatives_are_the_slopes_of_short_steps(
-    built: dict[str, Path], load: Any, name: str
+    built: Mapping[str, Path], load: Any, name: str
 ) -> None:
     """A quotient over 1e-6 s is first order: an error of 1e-6 times the curvature, below 1e-3 here."""
     fmu, h = load(built[name]).begin(), 1e-6
@@ -130,7 +131,7 @@ def test_output_derivatives_are_the_slopes_of_short_steps(
     assert np.any(np.abs(rates) > 1e-3)
 
 
-def test_inputs_with_a_derivative_are_followed_within_the_step(built: dict[str, Path], load: Any) -> None:
+def test_inputs_with_a_derivative_are_followed_within_the_step(built: Mapping[str, Path], load: Any) -> None:
     """x'' = u with u = t from rest: x'(1) = 1/2, by the middles of internal steps."""
     fmu = load(built["ExamplePlant"])
     for name in ("state_matrix[2,1]", "state_matrix[2,2]", "theta[1]", "theta[2]"):
@@ -145,7 +146,7 @@ def test_inputs_with_a_derivative_are_followed_within_the_step(built: dict[str, 
     assert fmu.status("setRealInputDerivatives", [control], [2], [1.0]) == "error"
 
 
-def test_an_extrapolated_input_stays_within_its_range(built: dict[str, Path], load: Any) -> None:
+def test_an_extrapolated_input_stays_within_its_range(built: Mapping[str, Path], load: Any) -> None:
     """An efficiency that falls by 10 per second is 0 from 0.1 s on, never negative."""
     falling, dead = load(built["RovDepthPlant"]), load(built["RovDepthPlant"])
     forces = []

@@ -2,6 +2,7 @@
 
 import ctypes
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -38,7 +39,7 @@ def slave_of(path: Path, folder: Path, **changes: str) -> FMU2Slave:
     ],
 )
 def test_every_form_of_resource_location_is_as_good(
-    built: dict[str, Path], tmp_path: Path, uri: bytes | None
+    built: Mapping[str, Path], tmp_path: Path, uri: bytes | None
 ) -> None:
     """The model needs no file, so that it can not fail for the importer's way of writing a URI."""
     slave = slave_of(built["ExamplePlant"], tmp_path)
@@ -51,14 +52,14 @@ def test_every_form_of_resource_location_is_as_good(
 
 @pytest.mark.parametrize("changes", [{"guid": "{another}"}, {"guid": ""}, {"instanceName": ""}])
 def test_a_wrong_guid_or_name_instantiates_nothing(
-    built: dict[str, Path], tmp_path: Path, changes: dict[str, str]
+    built: Mapping[str, Path], tmp_path: Path, changes: dict[str, str]
 ) -> None:
     slave = slave_of(built["ExamplePlant"], tmp_path, **changes)
     with pytest.raises(Exception, match="Failed to instantiate"):
         slave.instantiate()
 
 
-def test_errors_are_always_logged_and_discards_in_debug_mode(built: dict[str, Path], load: Any) -> None:
+def test_errors_are_always_logged_and_discards_in_debug_mode(built: Mapping[str, Path], load: Any) -> None:
     quiet = load(built["ExamplePlant"], logging=False).begin()
     assert quiet.status("setReal", [0, 9], [0.1, math.inf]) == "error"
     assert len(quiet.log) == 1
@@ -67,7 +68,7 @@ def test_errors_are_always_logged_and_discards_in_debug_mode(built: dict[str, Pa
     assert len(quiet.log) == 1
 
 
-def test_only_enabled_categories_are_logged(built: dict[str, Path], load: Any) -> None:
+def test_only_enabled_categories_are_logged(built: Mapping[str, Path], load: Any) -> None:
     fmu = load(built["ExamplePlant"]).begin()
     fmu.slave.setDebugLogging(True, ["logStatusError"])
     assert fmu.status("setReal", [9], [math.inf]) == "discard"
@@ -78,7 +79,7 @@ def test_only_enabled_categories_are_logged(built: dict[str, Path], load: Any) -
     assert len(fmu.log) == 1
 
 
-def test_percent_and_number_signs_are_escaped(built: dict[str, Path], load: Any) -> None:
+def test_percent_and_number_signs_are_escaped(built: Mapping[str, Path], load: Any) -> None:
     """FMI's logger takes a printf format in which #r1# stands for a variable."""
     fmu = load(built["ExamplePlant"]).begin()
     assert fmu.status("setDebugLogging", True, ["%n#r1#"]) == "discard"
@@ -86,7 +87,7 @@ def test_percent_and_number_signs_are_escaped(built: dict[str, Path], load: Any)
 
 
 def test_two_versions_in_one_process_do_not_see_each_other(
-    built: dict[str, Path], load: Any, tmp_path: Path
+    built: Mapping[str, Path], load: Any, tmp_path: Path
 ) -> None:
     """A plant that feels twice the control, beside the original."""
     block = catalogue.load_block("ExamplePlant")

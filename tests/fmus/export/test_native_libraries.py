@@ -7,6 +7,7 @@ import struct
 import subprocess
 import sys
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -97,7 +98,7 @@ class Library:
 
 
 @pytest.fixture(scope="session")
-def libraries(built_everywhere: dict[str, Path]) -> dict[tuple[str, str], Library]:
+def libraries(built_everywhere: Mapping[str, Path]) -> dict[tuple[str, str], Library]:
     return {(n, p): Library(fmu, p) for n, fmu in built_everywhere.items() for p in PLATFORMS}
 
 
@@ -296,7 +297,7 @@ def _made(folder: Path) -> Path:
     [*(("all", platform) for platform in PLATFORMS), ("cold", "linux64"), ("cold", "aarch64-darwin")],
 )
 def test_it_is_the_same_byte_for_byte_wherever_it_is_built(
-    built_everywhere: dict[str, Path], built_elsewhere: Path, place: str, platform: str
+    built_everywhere: Mapping[str, Path], built_elsewhere: Path, place: str, platform: str
 ) -> None:
     name = "RovDepthPlant"
     assert _read(built_elsewhere / place / f"{name}.fmu", platform) == _read(built_everywhere[name], platform)

@@ -2,7 +2,7 @@
 
 import re
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +55,7 @@ def program(c_program: Callable[[Path, str], Path]) -> Path:
 
 @pytest.fixture(params=BLOCKS)
 def lifecycle(
-    request: pytest.FixtureRequest, program: Path, built: dict[str, Path], tmp_path: Path
+    request: pytest.FixtureRequest, program: Path, built: Mapping[str, Path], tmp_path: Path
 ) -> Lifecycle:
     return Lifecycle(program, built[request.param], tmp_path)
 

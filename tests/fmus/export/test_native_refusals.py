@@ -1,6 +1,7 @@
 """What the native FMU refuses, with which status, and what it says of it."""
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,9 @@ import pytest
 from fmpy.fmi2 import fmi2LastSuccessfulTime
 
 
-def test_a_value_out_of_range_is_discarded_and_the_old_one_stays(built: dict[str, Path], load: Any) -> None:
+def test_a_value_out_of_range_is_discarded_and_the_old_one_stays(
+    built: Mapping[str, Path], load: Any
+) -> None:
     plant = load(built["RovDepthPlant"]).begin()
     inertia, damping = plant.references["inertia"], plant.references["linear_damping"]
     assert plant.status("setReal", [damping, inertia], [9.0, -1.0]) == "discard"
@@ -18,7 +21,7 @@ def test_a_value_out_of_range_is_discarded_and_the_old_one_stays(built: dict[str
     plant.slave.doStep(0.0, 0.02)
 
 
-def test_an_enumeration_takes_its_items_only(built: dict[str, Path], load: Any) -> None:
+def test_an_enumeration_takes_its_items_only(built: Mapping[str, Path], load: Any) -> None:
     controller = load(built["L1Controller"])
     order = controller.references["filter_order"]
     assert controller.status("setInteger", [order], [2]) == "discard"
@@ -26,7 +29,7 @@ def test_an_enumeration_takes_its_items_only(built: dict[str, Path], load: Any) 
     assert controller.status("setInteger", [order], [3]) == "ok"
 
 
-def test_parameters_that_contradict_each_other_can_be_put_right(built: dict[str, Path], load: Any) -> None:
+def test_parameters_that_contradict_each_other_can_be_put_right(built: Mapping[str, Path], load: Any) -> None:
     plant = load(built["RovDepthPlant"])
     plant["sensor_delay"] = 1.0
     plant.slave.setupExperiment(startTime=0.0)
@@ -39,7 +42,7 @@ def test_parameters_that_contradict_each_other_can_be_put_right(built: dict[str,
     plant.slave.doStep(0.0, 0.02)
 
 
-def test_a_diverging_step_is_discarded_and_leaves_the_state(built: dict[str, Path], load: Any) -> None:
+def test_a_diverging_step_is_discarded_and_leaves_the_state(built: Mapping[str, Path], load: Any) -> None:
     plant = load(built["ExamplePlant"]).begin()
     plant["control"] = 1.0
     plant.slave.doStep(0.0, 0.5)
@@ -76,7 +79,7 @@ def test_a_diverging_step_is_discarded_and_leaves_the_state(built: dict[str, Pat
     ],
 )
 def test_an_illegal_call_is_an_error_that_changes_nothing(
-    built: dict[str, Path], load: Any, call: str, arguments: tuple, message: str
+    built: Mapping[str, Path], load: Any, call: str, arguments: tuple, message: str
 ) -> None:
     """Afterwards FMI allows reading, restoring, resetting and freeing only."""
     plant = load(built["ExamplePlant"])
@@ -94,7 +97,7 @@ def test_an_illegal_call_is_an_error_that_changes_nothing(
 
 
 def test_a_communication_point_is_told_from_the_next_also_far_from_zero(
-    built: dict[str, Path], load: Any
+    built: Mapping[str, Path], load: Any
 ) -> None:
     """At 1.7e9 s, the time since 1970, where 1e-9 of the time would be hundreds of steps."""
     plant, start = load(built["ExamplePlant"]), 1.7e9

@@ -6,7 +6,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -27,7 +27,7 @@ OUR_OWN = ("fmi2.c", "instance.h", "log.h", "model.h", "model_functions.h", "sna
 
 
 @pytest.fixture(scope="session")
-def rebuilt(built: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def rebuilt(built: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """FMUs without libraries, to which `fmpy compile` added this platform's."""
     folder = tmp_path_factory.mktemp("rebuilt")
     compiler = folder / "cc"
@@ -71,7 +71,7 @@ def _program(package: str) -> Path:
 
 @pytest.mark.parametrize("name", REBUILT)
 def test_what_fmpy_compiles_from_the_sources_does_the_same(
-    built: dict[str, Path], rebuilt: dict[str, Path], tmp_path: Path, name: str
+    built: Mapping[str, Path], rebuilt: dict[str, Path], tmp_path: Path, name: str
 ) -> None:
     """To rounding only: another importer's compiler may fuse a product and a sum."""
     with zipfile.ZipFile(rebuilt[name]) as archive:
@@ -102,7 +102,7 @@ def _trace(fmu: Path) -> np.ndarray:
 
 
 @pytest.fixture(params=BLOCKS)
-def extracted(request: pytest.FixtureRequest, built: dict[str, Path], tmp_path: Path) -> Iterator[Path]:
+def extracted(request: pytest.FixtureRequest, built: Mapping[str, Path], tmp_path: Path) -> Iterator[Path]:
     fmpy.extract(str(built[request.param]), tmp_path / "fmu")
     yield tmp_path / "fmu"
     shutil.rmtree(tmp_path / "fmu")

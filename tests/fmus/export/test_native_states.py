@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 from fmus import catalogue
 
 
-def test_another_process_goes_on_from_the_bytes(built: dict[str, Path], load: Any, tmp_path: Path) -> None:
+def test_another_process_goes_on_from_the_bytes(built: Mapping[str, Path], load: Any, tmp_path: Path) -> None:
     fmu = load(built["RovDepthPlant"]).begin()
     fmu["voltage[1]"] = 2.0
     fmu.slave.doStep(0.0, 0.02)
@@ -49,7 +50,7 @@ print(json.dumps(slave.getReal([v.valueReference for v in description.modelVaria
     ],
 )
 def test_bytes_that_are_not_this_fmus_are_refused(
-    built: dict[str, Path], load: Any, damage: Any, message: str
+    built: Mapping[str, Path], load: Any, damage: Any, message: str
 ) -> None:
     plant, other = load(built["RovDepthPlant"]).begin(), load(built["ExamplePlant"]).begin()
     plant.slave.doStep(0.0, 0.02)
@@ -65,7 +66,7 @@ def test_bytes_that_are_not_this_fmus_are_refused(
     plant.slave.doStep(0.02, 0.02)
 
 
-def test_a_restored_state_leaves_the_stop_time_of_the_setup(built: dict[str, Path], load: Any) -> None:
+def test_a_restored_state_leaves_the_stop_time_of_the_setup(built: Mapping[str, Path], load: Any) -> None:
     """Wherever the state is from: the end is what the importer said to this instance."""
     plant = load(built["ExamplePlant"])
     before_setup = plant.slave.getFMUstate()

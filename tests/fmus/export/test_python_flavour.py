@@ -4,6 +4,7 @@ import math
 import subprocess
 import sys
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from fmus import catalogue
 
 @pytest.mark.parametrize("name", catalogue.block_names())
 def test_the_trace_equals_the_block_stepped_directly(
-    python_built: dict[str, Path], load: Any, driver: Any, name: str
+    python_built: Mapping[str, Path], load: Any, driver: Any, name: str
 ) -> None:
     """Bit for bit: the FMU runs the same functions on the same numbers."""
     fmu = load(python_built[name]).begin()
@@ -30,7 +31,7 @@ def test_the_trace_equals_the_block_stepped_directly(
         assert [fmu[each] for each in outputs] == [block[each] for each in outputs]
 
 
-def test_the_bytes_of_another_fmu_are_refused(python_built: dict[str, Path], load: Any) -> None:
+def test_the_bytes_of_another_fmu_are_refused(python_built: Mapping[str, Path], load: Any) -> None:
     plant, other = load(python_built["RovDepthPlant"]).begin(), load(python_built["ExamplePlant"]).begin()
     data = other.slave.serializeFMUstate(other.slave.getFMUstate())
     plant.slave.setFMUstate(plant.slave.deSerializeFMUstate(data))
@@ -40,7 +41,7 @@ def test_the_bytes_of_another_fmu_are_refused(python_built: dict[str, Path], loa
 
 
 def test_a_failing_step_is_logged_and_discarded_and_the_instance_lives(
-    python_built: dict[str, Path], load: Any
+    python_built: Mapping[str, Path], load: Any
 ) -> None:
     plant = load(python_built["ExamplePlant"]).begin()
     plant["omega"] = 1e300
@@ -54,7 +55,7 @@ def test_a_failing_step_is_logged_and_discarded_and_the_instance_lives(
 
 
 def test_a_refused_value_is_logged_and_steps_are_discarded_until_it_is_right(
-    python_built: dict[str, Path], load: Any
+    python_built: Mapping[str, Path], load: Any
 ) -> None:
     plant = load(python_built["RovDepthPlant"]).begin()
     plant["inertia"] = -1.0
@@ -66,7 +67,9 @@ def test_a_refused_value_is_logged_and_steps_are_discarded_until_it_is_right(
     plant.slave.doStep(0.0, 0.02)
 
 
-def test_a_call_that_nothing_can_put_right_costs_one_step(python_built: dict[str, Path], load: Any) -> None:
+def test_a_call_that_nothing_can_put_right_costs_one_step(
+    python_built: Mapping[str, Path], load: Any
+) -> None:
     plant = load(python_built["ExamplePlant"]).begin()
     for refused, words in (
         (lambda: plant.__setitem__("output", 1.0), "output: cannot be set, its causality is output"),
@@ -80,7 +83,9 @@ def test_a_call_that_nothing_can_put_right_costs_one_step(python_built: dict[str
     plant.slave.doStep(0.0, 0.01)
 
 
-def test_a_getter_of_the_wrong_type_is_an_error_in_the_log(python_built: dict[str, Path], load: Any) -> None:
+def test_a_getter_of_the_wrong_type_is_an_error_in_the_log(
+    python_built: Mapping[str, Path], load: Any
+) -> None:
     plant = load(python_built["ExamplePlant"]).begin()
     assert plant.slave.getInteger([plant.references["output"]]) == [0]
     assert plant.log[-1] == "output is Real: expected Integer or Enumeration"
@@ -88,7 +93,7 @@ def test_a_getter_of_the_wrong_type_is_an_error_in_the_log(python_built: dict[st
     assert plant.log[-1] == "control is Real: expected Boolean"
 
 
-def test_a_percent_sign_in_a_message_is_escaped(python_built: dict[str, Path], load: Any) -> None:
+def test_a_percent_sign_in_a_message_is_escaped(python_built: Mapping[str, Path], load: Any) -> None:
     """FMI's logger takes a printf format: an unescaped %n would write to memory."""
     plant = load(python_built["ExamplePlant"]).begin()
     plant.slave.setFMUstate(plant.slave.deSerializeFMUstate(b'{"format": "%s%n", "fmu": "%s"}'))
@@ -96,7 +101,7 @@ def test_a_percent_sign_in_a_message_is_escaped(python_built: dict[str, Path], l
 
 
 def test_two_versions_of_an_fmu_do_not_see_each_other(
-    python_built: dict[str, Path], load: Any, tmp_path: Path
+    python_built: Mapping[str, Path], load: Any, tmp_path: Path
 ) -> None:
     """A plant built from changed sources beside the original: each runs its own."""
     changed = _with_another_source(python_built["ExamplePlant"], tmp_path)
@@ -122,13 +127,13 @@ def _with_another_source(path: Path, folder: Path) -> Path:
     return folder / path.name
 
 
-def test_loading_leaves_the_import_path_as_it_was(python_built: dict[str, Path], load: Any) -> None:
+def test_loading_leaves_the_import_path_as_it_was(python_built: Mapping[str, Path], load: Any) -> None:
     before = list(sys.path)
     load(python_built["RovDepthPlant"])
     assert sys.path == before
 
 
-def test_many_instances_one_after_another(python_built: dict[str, Path], load: Any) -> None:
+def test_many_instances_one_after_another(python_built: Mapping[str, Path], load: Any) -> None:
     """PythonFMU alone crashes at the second: it drops a reference that it does not own."""
     for _ in range(20):
         fmu = load(python_built["ExamplePlant"]).begin()

@@ -4,7 +4,7 @@ import io
 import subprocess
 import sys
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -118,7 +118,7 @@ def test_a_variant_has_the_values_of_its_parameter_set(package: Path) -> None:
 
 
 def test_its_fmus_say_integer_for_enumeration_and_are_otherwise_the_same(
-    package: Path, built: dict[str, Path], tmp_path: Path
+    package: Path, built: Mapping[str, Path], tmp_path: Path
 ) -> None:
     with zipfile.ZipFile(package) as archive:
         content = archive.read("resources/L1DepthController.fmu")

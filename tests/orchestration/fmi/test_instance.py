@@ -9,7 +9,7 @@ import threading
 import time
 import warnings
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +52,7 @@ def load(path: Path, name: str = "it") -> FmuInstance:
 
 
 def test_closing_terminates_frees_unloads_and_removes(
-    foreign: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    foreign: Mapping[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     unloaded: list[Library] = []
@@ -73,7 +73,7 @@ def test_closing_terminates_frees_unloads_and_removes(
     assert not list(tmp_path.iterdir())
 
 
-def test_after_fatal_nothing_is_called_any_more(foreign: dict[str, Path]) -> None:
+def test_after_fatal_nothing_is_called_any_more(foreign: Mapping[str, Path]) -> None:
     component = load(foreign["Raises"])
     component.initialise(0.0, None)
     component.exit_initialization_mode()
@@ -161,7 +161,9 @@ def test_a_fatal_error_ends_one_instance_as_each_has_a_library_of_its_own(rogue:
     assert spy.calls == ["fmi2Terminate", "fmi2FreeInstance"]
 
 
-def test_a_warning_is_a_python_warning_that_names_instance_time_and_words(foreign: dict[str, Path]) -> None:
+def test_a_warning_is_a_python_warning_that_names_instance_time_and_words(
+    foreign: Mapping[str, Path],
+) -> None:
     with load(foreign["Lag"], "pump") as component:
         component.time = 1.5
         component.log.append((1, "running dry"))
@@ -170,7 +172,7 @@ def test_a_warning_is_a_python_warning_that_names_instance_time_and_words(foreig
         assert component.log == []
 
 
-def test_an_error_that_is_only_logged_is_an_error(foreign: dict[str, Path]) -> None:
+def test_an_error_that_is_only_logged_is_an_error(foreign: Mapping[str, Path]) -> None:
     with load(foreign["Lag"]) as component:
         component.log.append((3, "no"))
         with pytest.raises(FmuError, match=r"fmi2SetReal returned error: no"):
@@ -208,7 +210,7 @@ def interrupt_soon() -> Iterator[InterruptSoon]:
 
 
 def test_an_interrupt_waits_for_the_end_of_a_step(
-    python_built: dict[str, Path], interrupt_soon: InterruptSoon
+    python_built: Mapping[str, Path], interrupt_soon: InterruptSoon
 ) -> None:
     """Inside an FMU it would strike the FMU's Python and look like the FMU's failure."""
     inputs = {"p.control": 0.0, "p.disturbance": 0.0}
@@ -220,7 +222,7 @@ def test_an_interrupt_waits_for_the_end_of_a_step(
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_a_signal_that_raises_is_named_before_the_run(foreign: dict[str, Path]) -> None:
+def test_a_signal_that_raises_is_named_before_the_run(foreign: Mapping[str, Path]) -> None:
     def broken(t: float) -> float:
         if t > 0.25:
             raise RuntimeError("no more data")
@@ -230,7 +232,7 @@ def test_a_signal_that_raises_is_named_before_the_run(foreign: dict[str, Path]) 
         simulate(System({"lag": foreign["Lag"]}), Experiment(1.0, 0.1, signals={"lag.u": broken}))
 
 
-def test_a_signal_drives_real_inputs_only(foreign: dict[str, Path]) -> None:
+def test_a_signal_drives_real_inputs_only(foreign: Mapping[str, Path]) -> None:
     experiment = Experiment(1.0, 0.1, inputs={"t.b": False}, signals={"t.a": Constant(1.0)})
     with pytest.raises(SystemDefinitionError, match=r"t.a: expected an input of type Real, got Integer"):
         simulate(System({"t": foreign["Types"]}), experiment)
@@ -252,7 +254,9 @@ def _edited(path: Path, folder: Path, *changes: tuple[str, str]) -> Path:
     return copy
 
 
-def test_what_an_fmu_cannot_do_is_said_before_it_is_loaded(foreign: dict[str, Path], tmp_path: Path) -> None:
+def test_what_an_fmu_cannot_do_is_said_before_it_is_loaded(
+    foreign: Mapping[str, Path], tmp_path: Path
+) -> None:
     fixed = _edited(
         foreign["Lag"], tmp_path,
         ('canHandleVariableCommunicationStepSize="true"', 'canHandleVariableCommunicationStepSize="false"'),
@@ -266,7 +270,7 @@ def test_what_an_fmu_cannot_do_is_said_before_it_is_loaded(foreign: dict[str, Pa
 
 
 def test_a_range_and_unit_that_only_the_declared_type_states_count(
-    foreign: dict[str, Path], tmp_path: Path
+    foreign: Mapping[str, Path], tmp_path: Path
 ) -> None:
     types = (
         '<UnitDefinitions><Unit name="K"><BaseUnit K="1"/></Unit></UnitDefinitions><TypeDefinitions>'
@@ -281,7 +285,9 @@ def test_a_range_and_unit_that_only_the_declared_type_states_count(
         simulate(System({"lag": typed}), Experiment(1.0, 0.1, inputs={"lag.u": 7.0}))
 
 
-def test_an_fmu_without_units_connects_to_one_with(foreign: dict[str, Path], built: dict[str, Path]) -> None:
+def test_an_fmu_without_units_connects_to_one_with(
+    foreign: Mapping[str, Path], built: Mapping[str, Path]
+) -> None:
     system = System(
         {"lag": foreign["Lag"], "p": built["ExamplePlant"]}, (("lag.y", "p.control"), ("p.output", "lag.u"))
     )
@@ -289,7 +295,7 @@ def test_an_fmu_without_units_connects_to_one_with(foreign: dict[str, Path], bui
     assert run["p.output"][-1] != 0.0
 
 
-def test_runs_in_other_threads_do_not_touch_signals(foreign: dict[str, Path]) -> None:
+def test_runs_in_other_threads_do_not_touch_signals(foreign: Mapping[str, Path]) -> None:
     done: list[Recording] = []
 
     def work() -> None:
@@ -302,7 +308,7 @@ def test_runs_in_other_threads_do_not_touch_signals(foreign: dict[str, Path]) ->
 
 
 def test_the_library_of_this_very_platform_is_loaded(
-    built: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+    built: Mapping[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """FMPy looks on ARM where x86 libraries lie: as if it did not know this platform here."""
     monkeypatch.setattr(fmpy, "platform", "elsewhere")
@@ -311,7 +317,7 @@ def test_the_library_of_this_very_platform_is_loaded(
     assert run.time[-1] == 0.1
 
 
-def test_messages_arrive_also_after_somebody_else_used_fmpy(built: dict[str, Path]) -> None:
+def test_messages_arrive_also_after_somebody_else_used_fmpy(built: Mapping[str, Path]) -> None:
     """FMPy's own simulation makes its proxy pass messages to FMPy's logger."""
     fmpy.simulate_fmu(str(built["ExamplePlant"]), stop_time=0.01)
     signals = {"p.control": lambda t: 1e308 if t > 0.05 else 0.0, "p.disturbance": Constant(0.0)}
@@ -385,7 +391,7 @@ def test_an_fmu_that_repeats_itself_is_heard_once(rogue: Build) -> None:
     ],
 )
 def test_what_no_fmu_can_take_is_refused_before_the_run(
-    foreign: dict[str, Path], settings: dict[str, Any], message: str
+    foreign: Mapping[str, Path], settings: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(SystemDefinitionError, match=message):
         simulate(

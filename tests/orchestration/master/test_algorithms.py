@@ -1,7 +1,7 @@
 """Algorithms of the master against solutions in closed form."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -125,7 +125,7 @@ def test_a_jump_in_a_short_step_is_no_leap_in_a_long_one(linear: Build) -> None:
 
 
 @pytest.mark.parametrize("interpolates", [True, False])
-def test_what_is_discrete_is_held(foreign: dict[str, Path], linear: Build, interpolates: bool) -> None:
+def test_what_is_discrete_is_held(foreign: Mapping[str, Path], linear: Build, interpolates: bool) -> None:
     """Integers that go to an FMU which would extrapolate."""
     fmu = linear(passes_discrete=True, interpolates_inputs=interpolates)
     inputs = {"one.u[1]": 0.0, "one.integer_in": 3, "one.boolean_in": True}
@@ -135,7 +135,7 @@ def test_what_is_discrete_is_held(foreign: dict[str, Path], linear: Build, inter
     assert set(run["two.integer_out"][2:]) == {3.0}
 
 
-def test_an_input_is_not_carried_out_of_its_range(python_built: dict[str, Path]) -> None:
+def test_an_input_is_not_carried_out_of_its_range(python_built: Mapping[str, Path]) -> None:
     """The efficiency of a thruster goes to 0, and its slope would go on."""
     signals = {"p.thruster_efficiency[1]": Ramps([[0.0, 1.0], [0.5, 0.0]])}
     chosen = scenario.load(scenario.find("nominal-extended"))

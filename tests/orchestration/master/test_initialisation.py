@@ -284,7 +284,7 @@ def test_the_experiment_chooses_the_method(linear: Build) -> None:
         simulate(system, Experiment(0.01, 0.01, initialisation=FIXED_POINT))
 
 
-def test_the_controller_follows_the_plant(built: dict[str, Path]) -> None:
+def test_the_controller_follows_the_plant(built: Mapping[str, Path]) -> None:
     system = System(
         {"controller": built["L1DepthController"], "plant": built["RovDepthPlant"]},
         (

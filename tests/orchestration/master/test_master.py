@@ -3,6 +3,7 @@
 import math
 import tempfile
 import zipfile
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,13 +19,13 @@ from orchestration.system.signals import Constant, Cosine
 from orchestration.system.system import System
 
 
-def two_lags(foreign: dict[str, Path]) -> System:
+def two_lags(foreign: Mapping[str, Path]) -> System:
     """x1' = -x1 + x2, x2' = -x2 + x1... by way of two FMUs that each see the other's output."""
     return System({"one": foreign["Lag"], "two": foreign["Lag"]}, (("one.y", "two.u"), ("two.y", "one.u")))
 
 
 @pytest.mark.parametrize("algorithm", list(Algorithm))
-def test_the_error_falls_with_first_order(built: dict[str, Path], algorithm: Algorithm) -> None:
+def test_the_error_falls_with_first_order(built: Mapping[str, Path], algorithm: Algorithm) -> None:
     """docs/architecture.md: held inputs make both algorithms first order in the step."""
     system = System(
         {"a": built["ExamplePlant"], "b": built["ExamplePlant"]},
@@ -45,7 +46,7 @@ def test_the_error_falls_with_first_order(built: dict[str, Path], algorithm: Alg
     assert order == pytest.approx(1.0, abs=0.05)  # the second-order term is about h = 1 %
 
 
-def test_gauss_seidel_uses_the_newest_output(foreign: dict[str, Path]) -> None:
+def test_gauss_seidel_uses_the_newest_output(foreign: Mapping[str, Path]) -> None:
     """One step of h from x = (1, 1) with u_1 = 0 at the start: by hand."""
     system = System({"one": foreign["Lag"], "two": foreign["Lag"]}, (("one.y", "two.u"),))
     common: dict[str, Any] = {"stop_time": 0.5, "step_size": 0.5, "inputs": {"one.u": 0.0}}
@@ -56,13 +57,13 @@ def test_gauss_seidel_uses_the_newest_output(foreign: dict[str, Path]) -> None:
     assert seidel["two.y"][-1] == pytest.approx(decay + (1.0 - decay) * decay)
 
 
-def test_communication_points_are_not_accumulated_and_the_last_lands(foreign: dict[str, Path]) -> None:
+def test_communication_points_are_not_accumulated_and_the_last_lands(foreign: Mapping[str, Path]) -> None:
     run = simulate(System({"lag": foreign["Lag"]}), Experiment(1.05, 0.1, inputs={"lag.u": 0.0}))
     assert run.time.tolist() == [*(i * 0.1 for i in range(11)), 1.05]
     assert run["lag.y"] == pytest.approx(np.exp(-run.time), rel=1e-12)
 
 
-def test_signals_and_units_are_recorded_at_the_points(built: dict[str, Path]) -> None:
+def test_signals_and_units_are_recorded_at_the_points(built: Mapping[str, Path]) -> None:
     experiment = Experiment(
         0.1, 0.02, inputs={"p.disturbance": 0.0}, signals={"p.control": Cosine(2.0, 3.0)},
         record=("p.control", "p.output"),
@@ -74,7 +75,7 @@ def test_signals_and_units_are_recorded_at_the_points(built: dict[str, Path]) ->
     assert run.provenance["fmus"]["p"]["model"] == "ExamplePlant"
 
 
-def test_every_type_travels(foreign: dict[str, Path]) -> None:
+def test_every_type_travels(foreign: Mapping[str, Path]) -> None:
     system = System(
         {"one": foreign["Types"], "two": foreign["Types"]}, (("one.c", "two.a"), ("one.d", "two.b"))
     )
@@ -83,7 +84,7 @@ def test_every_type_travels(foreign: dict[str, Path]) -> None:
     assert run["two.d"].tolist() == [1.0] * 3
 
 
-def test_an_event_changes_a_parameter_and_an_input_at_its_time(built: dict[str, Path]) -> None:
+def test_an_event_changes_a_parameter_and_an_input_at_its_time(built: Mapping[str, Path]) -> None:
     inputs = {"p.control": 0.0, "p.disturbance": 0.0}
     event = Event(0.05, {"p.disturbance": 5.0, "p.omega": 2.0})
     run = simulate(
@@ -93,13 +94,13 @@ def test_an_event_changes_a_parameter_and_an_input_at_its_time(built: dict[str, 
     assert moved[0] == pytest.approx(0.06)
 
 
-def test_a_loop_in_initialisation_settles_by_repeated_exchange(foreign: dict[str, Path]) -> None:
+def test_a_loop_in_initialisation_settles_by_repeated_exchange(foreign: Mapping[str, Path]) -> None:
     """PythonFMU states no initial dependencies, so every output may depend on every input."""
     run = simulate(two_lags(foreign), Experiment(1.0, 0.01))
     assert run["one.y"] == pytest.approx(np.ones(101))  # the common mode stands still
 
 
-def test_a_loop_that_does_not_settle_is_said(foreign: dict[str, Path]) -> None:
+def test_a_loop_that_does_not_settle_is_said(foreign: Mapping[str, Path]) -> None:
     system = System({"t": foreign["Types"]}, (("t.c", "t.a"),))
     with pytest.raises(SimulationError, match=r"the loop t.a has no solution .* after 1000 passes"):
         simulate(system, Experiment(1.0, 0.1, inputs={"t.b": False}))
@@ -117,7 +118,7 @@ def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     [("Discards", "discard", "the battery is empty"), ("Raises", "fatal", "the hull is breached")],
 )
 def test_a_slave_that_fails_in_mid_run_keeps_what_was_recorded(
-    foreign: dict[str, Path], temporary: Path, name: str, status: str, words: str
+    foreign: Mapping[str, Path], temporary: Path, name: str, status: str, words: str
 ) -> None:
     with pytest.raises(
         SimulationError, match=rf"bad at t = 0.5 s: fmi2DoStep returned {status}: .*{words}"
@@ -129,7 +130,7 @@ def test_a_slave_that_fails_in_mid_run_keeps_what_was_recorded(
     assert not list(temporary.iterdir())
 
 
-def test_an_interruption_keeps_what_was_recorded(foreign: dict[str, Path], temporary: Path) -> None:
+def test_an_interruption_keeps_what_was_recorded(foreign: Mapping[str, Path], temporary: Path) -> None:
     def interrupt(done: int, total: int) -> None:
         if done >= 3:
             raise KeyboardInterrupt
@@ -142,12 +143,12 @@ def test_an_interruption_keeps_what_was_recorded(foreign: dict[str, Path], tempo
     assert not list(temporary.iterdir())
 
 
-def test_a_run_leaves_no_temporary_folder(foreign: dict[str, Path], temporary: Path) -> None:
+def test_a_run_leaves_no_temporary_folder(foreign: Mapping[str, Path], temporary: Path) -> None:
     simulate(two_lags(foreign), Experiment(0.1, 0.1))
     assert not list(temporary.iterdir())
 
 
-def test_a_missing_binary_is_said_with_those_there_are(built: dict[str, Path], temporary: Path) -> None:
+def test_a_missing_binary_is_said_with_those_there_are(built: Mapping[str, Path], temporary: Path) -> None:
     path = temporary / "alien.fmu"
     with zipfile.ZipFile(built["ExamplePlant"]) as source, zipfile.ZipFile(path, "w") as target:
         for member in source.namelist():
@@ -158,7 +159,7 @@ def test_a_missing_binary_is_said_with_those_there_are(built: dict[str, Path], t
     assert list(temporary.iterdir()) == [path]
 
 
-def test_a_binary_that_cannot_be_loaded_says_why(built: dict[str, Path], temporary: Path) -> None:
+def test_a_binary_that_cannot_be_loaded_says_why(built: Mapping[str, Path], temporary: Path) -> None:
     path = temporary / "empty.fmu"
     with zipfile.ZipFile(built["ExamplePlant"]) as source, zipfile.ZipFile(path, "w") as target:
         for member in source.namelist():
@@ -187,7 +188,7 @@ PLANT_INPUTS = {"p.control": 0.0, "p.disturbance": 0.0}
     ],
 )
 def test_bad_values_are_refused_before_the_run(
-    built: dict[str, Path], temporary: Path, change: dict[str, Any], message: str
+    built: Mapping[str, Path], temporary: Path, change: dict[str, Any], message: str
 ) -> None:
     experiment = replace(Experiment(1.0, 0.1, inputs=PLANT_INPUTS), **change)
     with pytest.raises(SystemDefinitionError, match=message):
@@ -208,13 +209,13 @@ def test_the_stop_must_come_after_the_start() -> None:
         Experiment(1.0, 0.1, start_time=1.0)
 
 
-def test_a_signal_that_leaves_the_numbers_is_refused_before_the_run(built: dict[str, Path]) -> None:
+def test_a_signal_that_leaves_the_numbers_is_refused_before_the_run(built: Mapping[str, Path]) -> None:
     signals = {"p.control": lambda t: math.nan if t > 0.45 else 0.0, "p.disturbance": Constant(0.0)}
     with pytest.raises(SystemDefinitionError, match=r"signal p.control is nan at t = 0.5 s: expected a fin"):
         simulate(System({"p": built["ExamplePlant"]}), Experiment(1.0, 0.1, signals=signals))
 
 
-def test_an_unknown_enumeration_item_lists_them(built: dict[str, Path]) -> None:
+def test_an_unknown_enumeration_item_lists_them(built: Mapping[str, Path]) -> None:
     inputs = {"c.reference": 0.0, "c.measured_state[1]": 0.0, "c.measured_state[2]": 0.0}
     experiment = Experiment(1.0, 0.1, parameters={"c.augmentation": "pid"}, inputs=inputs)
     with pytest.raises(

@@ -240,6 +240,6 @@ def test_a_sample_beyond_the_last_is_refused(planned: Make) -> None:
 def test_every_distribution_is_explained_on_the_page() -> None:
     from orchestration.sweep.distributions import FUNCTIONS
 
-    page = (Path(__file__).parents[3] / "docs" / "sweeps.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[3] / "docs" / "how-to" / "sweeps.md").read_text(encoding="utf-8")
     for name in (*FUNCTIONS, "seed"):
         assert f'`"{name}"`' in page

@@ -292,6 +292,7 @@ def test_every_kind_is_documented() -> None:
         assert f'| `kind = "{kind}"` |' in text
 
 
+@pytest.mark.usefixtures("scenario_fmus")
 @pytest.mark.parametrize("name", ["ssp_write", "modelica", "simulink"])
 def test_what_cannot_carry_faults_refuses_them(name: str, tmp_path: Path) -> None:
     writers: dict[str, Callable[[Any], Any]] = {

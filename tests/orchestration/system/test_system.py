@@ -1,6 +1,7 @@
 """What does not fit is found before anything is loaded, with the nearest name."""
 
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from orchestration.fmi.description import describe
 from orchestration.system.system import System, check
 
 
-def lags(foreign: dict[str, Path], *connections: tuple[str, str]) -> System:
+def lags(foreign: Mapping[str, Path], *connections: tuple[str, str]) -> System:
     return System({"one": foreign["Lag"], "two": foreign["Lag"]}, connections)
 
 
@@ -28,7 +29,7 @@ def lags(foreign: dict[str, Path], *connections: tuple[str, str]) -> System:
         ([("one.y", "two.u")], ["one.y"], "one.y is driven: expected an input, got output"),
     ],
 )
-def test_wiring_mistakes(foreign: dict[str, Path], connections: list, driven: list, message: str) -> None:
+def test_wiring_mistakes(foreign: Mapping[str, Path], connections: list, driven: list, message: str) -> None:
     with pytest.raises(SystemDefinitionError, match=message):
         check(lags(foreign, *connections), driven)
 
@@ -52,19 +53,19 @@ def test_a_system_of_another_form_is_refused(components: Any, connections: Any, 
         System(components, connections)
 
 
-def test_types_must_be_equal(foreign: dict[str, Path]) -> None:
+def test_types_must_be_equal(foreign: Mapping[str, Path]) -> None:
     system = System({"lag": foreign["Lag"], "types": foreign["Types"]}, (("lag.y", "types.a"),))
     with pytest.raises(SystemDefinitionError, match=r"expected equal types, got Real and Integer"):
         check(system, ["lag.u", "types.b"])
 
 
-def test_units_must_be_equal(built: dict[str, Path]) -> None:
+def test_units_must_be_equal(built: Mapping[str, Path]) -> None:
     system = System({"plant": built["RovDepthPlant"]}, (("plant.depth", "plant.voltage[1]"),))
     with pytest.raises(SystemDefinitionError, match=r"expected equal units, got m and V"):
         check(system)
 
 
-def test_a_missing_file_offers_the_nearest(built: dict[str, Path]) -> None:
+def test_a_missing_file_offers_the_nearest(built: Mapping[str, Path]) -> None:
     path = built["RovDepthPlant"].with_name("RovDepthPlan.fmu")
     with pytest.raises(FmuLoadError, match=r"no FMU at .*nearest is 'RovDepthPlant.fmu'"):
         describe(path)
@@ -78,7 +79,7 @@ def test_a_corrupt_fmu_is_named(tmp_path: Path, content: bytes) -> None:
         describe(path)
 
 
-def test_a_truncated_fmu_is_named(built: dict[str, Path], tmp_path: Path) -> None:
+def test_a_truncated_fmu_is_named(built: Mapping[str, Path], tmp_path: Path) -> None:
     path = tmp_path / "half.fmu"
     data = built["RovDepthPlant"].read_bytes()
     path.write_bytes(data[: len(data) // 2])

@@ -1,0 +1,88 @@
+"""FMUs that PythonFMU's own builder makes of classes that know nothing of the blocks."""
+
+import textwrap
+from pathlib import Path
+
+from pythonfmu.builder import FmuBuilder
+
+_HEAD = """
+    import ctypes
+
+    from pythonfmu import Boolean, Fmi2Causality, Fmi2Slave, Fmi2Variability, Integer, Real
+
+    from pythonfmu.enums import Fmi2Status
+
+    # PythonFMU 0.7 frees this dictionary at the second instance (docs/fidelity.md)
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(globals()))
+
+    INPUT, OUTPUT = Fmi2Causality.input, Fmi2Causality.output
+"""
+
+_SOURCES = {
+    # x' = -x + u, exact for held u; y = x
+    "Lag": """
+        import math
+
+        class Lag(Fmi2Slave):
+            def __init__(self, **kwargs):
+                super().__init__(**kwargs)
+                self.u, self.y = 0.0, 1.0
+                self.register_variable(Real("u", causality=INPUT, start=0.0))
+                self.register_variable(Real("y", causality=OUTPUT))
+
+            def do_step(self, t, h):
+                self.y = self.u + (self.y - self.u) * math.exp(-h)
+                return True
+    """,
+    # passes every type through, at once
+    "Types": """
+        class Types(Fmi2Slave):
+            def __init__(self, **kwargs):
+                super().__init__(**kwargs)
+                self.a, self.b = 0, False
+                common = {"variability": Fmi2Variability.discrete}
+                self.register_variable(Integer("a", causality=INPUT, start=0, **common))
+                self.register_variable(Boolean("b", causality=INPUT, start=False, **common))
+                self.register_variable(Integer("c", causality=OUTPUT, getter=lambda: self.a + 1, **common))
+                self.register_variable(Boolean("d", causality=OUTPUT, getter=lambda: not self.b, **common))
+
+            def do_step(self, t, h):
+                return True
+    """,
+    "Discards": """
+        class Discards(Fmi2Slave):
+            def __init__(self, **kwargs):
+                super().__init__(**kwargs)
+                self.y = 0.0
+                self.register_variable(Real("y", causality=OUTPUT))
+
+            def do_step(self, t, h):
+                self.y = t + h
+                if t > 0.45:
+                    self.log("the battery is empty", Fmi2Status.discard)
+                    return False
+                return True
+    """,
+    "Raises": """
+        class Raises(Fmi2Slave):
+            def __init__(self, **kwargs):
+                super().__init__(**kwargs)
+                self.y = 0.0
+                self.register_variable(Real("y", causality=OUTPUT))
+
+            def do_step(self, t, h):
+                if t > 0.45:
+                    raise RuntimeError("the hull is breached")
+                self.y = t + h
+                return True
+    """,
+}  # fmt: skip
+
+NAMES = tuple(_SOURCES)
+
+
+def build(name: str, folder: Path) -> Path:
+    """`folder/NAME.fmu` of one of the classes above."""
+    script = folder / f"{name.lower()}_slave.py"
+    script.write_text(textwrap.dedent(_HEAD) + textwrap.dedent(_SOURCES[name]))
+    return FmuBuilder.build_FMU(script, folder)

@@ -1,0 +1,59 @@
+"""FMUs built once a session for all of pytest-xdist's processes, each when a test first asks for it."""
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+from filelock import FileLock
+
+Build = Callable[..., Path]
+
+
+def session_folder(factory: pytest.TempPathFactory, name: str) -> Path:
+    """A folder of the session that all of its processes share."""
+    base = factory.getbasetemp()
+    root = base.parent if base.name.startswith("popen-") else base
+    folder = root / name
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+def built_once(path: Path, build: Callable[[Path], Any]) -> Path:
+    """`path`, written by `build(path)` in the first process that asks; the others wait for it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    done = path.with_name(f"{path.name}.done")
+    with FileLock(path.with_name(f"{path.name}.lock")):
+        if not done.exists():
+            build(path)
+            done.touch()
+    return path
+
+
+class LazyFmus(Mapping[str, Path]):
+    """FMUs by name: `build(name, folder)` writes `folder/NAME.fmu` when the name is first looked up."""
+
+    def __init__(self, names: Iterable[str], folder: Path, build: Callable[[str, Path], Path]) -> None:
+        self._names, self._folder, self._build = list(names), folder, build
+
+    def __getitem__(self, name: str) -> Path:
+        if name not in self._names:
+            raise KeyError(name)
+        return built_once(self._folder / f"{name}.fmu", lambda path: self._build(name, path.parent))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+
+def once_for_each_option(build: Build, folder: Path) -> Build:
+    """`build(path, *arguments, **options)` once for each set of arguments, in a file named by their hash."""
+
+    def built(*arguments: Any, **options: Any) -> Path:
+        key = hashlib.sha256(repr((arguments, sorted(options.items()))).encode()).hexdigest()[:16]
+        return built_once(folder / f"{key}.fmu", lambda path: build(path, *arguments, **options))
+
+    return built
