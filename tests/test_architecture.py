@@ -1,74 +1,275 @@
-"""The rules that keep the rooms apart, read from the imports themselves."""
+"""The rules of docs/explanation/architecture.md, read from the imports themselves."""
 
 import ast
+import re
+import subprocess
 import sys
+import tomllib
+from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parent.parent
-ROOMS = ("fmus", "controller_fmu", "plant_fmu", "orchestration")
-FILES = [path for room in ROOMS for path in sorted((ROOT / room).rglob("*.py"))]
+PACKAGES = ("fmus", "controller_fmu", "plant_fmu", "orchestration")
+FILES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
+TESTS = sorted((ROOT / "tests").rglob("*.py"))
 
 
-def imports(path: Path) -> set[str]:
-    """Full names of everything that a file imports, lazily or not."""
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+def module_name(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {module_name(path): path for path in FILES}
+ROOMS = {name for name, path in MODULES.items() if path.name == "__init__.py"}
+
+
+@cache
+def syntax(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@cache
+def imports(path: Path) -> frozenset[str]:
+    """The modules that a file imports, anywhere; for a name in a module, the module."""
+    names = set()
+    for node in ast.walk(syntax(path)):
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            found.add(node.module or "")
-    return found
+            module = node.module or ""
+            submodules = {f"{module}.{alias.name}" for alias in node.names} & MODULES.keys()
+            names |= submodules if len(submodules) == len(node.names) else {module, *submodules}
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name | ast.Attribute):
+            function = node.func.id if isinstance(node.func, ast.Name) else node.func.attr
+            if function == "require" and isinstance(node.args[0], ast.Constant):  # fmus/extras.py
+                names.add(str(node.args[0].value))
+    return frozenset(names)
+
+
+def is_in(module: str, package: str) -> bool:
+    return module == package or module.startswith(f"{package}.")
 
 
 def importers(package: str) -> set[str]:
+    """The modules that import a package or a part of it."""
     return {
-        str(path.relative_to(ROOT))
-        for path in FILES
-        if any(name == package or name.startswith(package + ".") for name in imports(path))
+        name for name, path in MODULES.items() if any(is_in(imported, package) for imported in imports(path))
     }
 
 
-@pytest.mark.parametrize("room", ["controller_fmu", "plant_fmu"])
-def test_models_import_only_the_standard_library_and_the_declaration(room: str) -> None:
-    allowed = {room, "fmus.block", "fmus.guide", "fmus.numerics"} | set(sys.stdlib_module_names)
-    for path in (ROOT / room).rglob("*.py"):
-        extra = {"numpy", "scipy.linalg", "scipy.optimize"} if path.name == "design.py" else set()
-        for name in imports(path):
-            assert name in allowed | extra or name.split(".")[0] in allowed, f"{path.name} imports {name}"
+def arrows() -> set[tuple[str, str]]:
+    """Each module with each module of the project that it imports."""
+    return {(name, imported) for name, path in MODULES.items() for imported in imports(path) & MODULES.keys()}
 
 
-@pytest.mark.parametrize(
-    ("package", "allowed"),
-    [
-        ("pythonfmu", {"fmus/export/slave.py"}),
-        ("casadi", {"fmus/numerics.py", "fmus/export/symbolic.py"}),
-        ("matplotlib", {"orchestration/results/figures.py"}),
-        ("plotly", {"orchestration/report/render.py"}),
-        ("PIL", {"fmus/documentation/icon.py"}),
-    ],
-)
-def test_libraries_stay_in_their_room(package: str, allowed: set[str]) -> None:
-    assert importers(package) == allowed
+# The rooms
+
+# A module imports its own room and rooms of lower numbers; a module with a number of its own is its own room.
+LEVELS = {
+    "fmus": 0,
+    "fmus.documentation": 1,
+    "fmus.export": 2,
+    "fmus.compliance": 2,
+    "fmus.catalogue": 3,
+    "fmus.compiled_library": 3,
+    "orchestration.errors": 4,
+    "orchestration.fmi": 5,
+    "orchestration.system": 6,
+    "orchestration.results": 6,
+    "orchestration.master": 7,
+    "orchestration.scenarios": 8,
+    "orchestration.exchange": 9,
+    "orchestration.sweep": 9,
+    "orchestration.report": 10,
+    "orchestration.cli": 11,
+    "orchestration": 12,  # the names that it exports, each imported when it is asked for
+}
+
+# What running FMUs needs of `fmus`. `compiled_library` imports the compiler if nothing compiled is there.
+FOR_RUNNING = {
+    "fmus.binding",
+    "fmus.compiled_library",
+    "fmus.errors",
+    "fmus.extras",
+    "fmus.files",
+    "fmus.platforms",
+    "fmus.process",
+    "fmus.registry",
+}
+
+# Arrows that point up and are about to go; one that is gone fails the test too.
+KNOWN_UPWARD: set[tuple[str, str]] = {
+    ("orchestration.results.figures", "orchestration.scenarios.published"),
+    ("orchestration.sweep.target", "orchestration.exchange.arrays"),
+}
+KNOWN_USERS_OF_TESTS = {"orchestration.cli.exchange", "orchestration.cli.simulation"}
+KNOWN_BORROWERS = {"test_misbehaviour.py"}
 
 
-def test_orchestration_knows_no_model() -> None:
-    for package in ("controller_fmu", "plant_fmu"):
-        assert not {file for file in importers(package) if file.startswith("orchestration")}
+def room(module: str) -> str:
+    """What a module is a part of: "orchestration.master", "fmus" for "fmus.block", "plant_fmu"."""
+    while module not in LEVELS and "." in module:
+        module = module.rpartition(".")[0]
+    return module
 
 
-def test_models_do_not_know_each_other() -> None:
-    assert not {file for file in importers("plant_fmu") if file.startswith("controller_fmu")}
-    assert not {file for file in importers("controller_fmu") if file.startswith("plant_fmu")}
+def test_arrows_between_rooms_go_down() -> None:
+    upward = {
+        (name, imported)
+        for name, imported in arrows()
+        if name.startswith(("fmus", "orchestration")) and imported.startswith(("fmus", "orchestration"))
+        if room(name) != room(imported) and LEVELS[room(imported)] >= LEVELS[room(name)]
+    }
+    assert upward == KNOWN_UPWARD
 
 
-def test_one_file_runs_the_compiler() -> None:
-    named = {path.name for path in FILES if '"ziglang"' in path.read_text(encoding="utf-8")}
-    assert named == {"toolchain.py"}
+def test_no_files_import_in_a_circle() -> None:
+    graph: dict[str, set[str]] = {name: set() for name in MODULES}
+    for name, imported in arrows():
+        graph[name].add(imported)
+    TopologicalSorter(graph).prepare()  # CycleError names the circle
+
+
+def test_there_are_at_most_eighteen_rooms() -> None:
+    assert len(ROOMS | {"fmus.native"}) <= 18
+
+
+def test_the_top_of_orchestration_has_at_most_three_files() -> None:
+    assert len(list((ROOT / "orchestration").glob("*.py"))) <= 3
+
+
+def test_tests_mirror_the_rooms() -> None:
+    folders = {path.parent for path in TESTS if path.relative_to(ROOT / "tests").parts[0] in PACKAGES}
+    names = {".".join(folder.relative_to(ROOT / "tests").parts) for folder in folders}
+    assert names <= ROOMS
+    assert not {name for name in ROOMS if name.count(".") == 1} - names
+
+
+def test_no_test_imports_from_a_test() -> None:
+    borrowers = {
+        path.name for path in TESTS for name in imports(path) if re.match(r"tests\.(.*\.)?test_", name)
+    }
+    assert borrowers == KNOWN_BORROWERS
 
 
 def test_every_package_is_installed() -> None:
     """The search for packages takes folders with an `__init__.py`; an editable install would not miss one."""
     for folder in {path.parent for path in FILES}:
         assert (folder / "__init__.py").is_file(), f"{folder} is in no wheel"
+
+
+# Who may know what
+
+
+@pytest.mark.parametrize("package", ["controller_fmu", "plant_fmu"])
+def test_models_import_only_the_standard_library_and_the_declaration(package: str) -> None:
+    allowed = {package, "fmus.block", "fmus.guide", "fmus.numerics", *sys.stdlib_module_names}
+    for path in (ROOT / package).rglob("*.py"):
+        extra = {"numpy", "scipy"} if path.name == "design.py" else set()
+        for name in imports(path):
+            assert any(is_in(name, known) for known in allowed | extra), f"{path.name} imports {name}"
+
+
+def test_orchestration_knows_no_model() -> None:
+    for package in ("controller_fmu", "plant_fmu"):
+        assert not {name for name in importers(package) if is_in(name, "orchestration")}
+
+
+def test_product_code_does_not_know_its_tests() -> None:
+    assert importers("tests") == KNOWN_USERS_OF_TESTS
+
+
+def test_running_fmus_needs_no_export() -> None:
+    for name, imported in arrows():
+        if is_in(name, "orchestration") and not is_in(name, "orchestration.cli") and is_in(imported, "fmus"):
+            assert imported in FOR_RUNNING, f"{name} imports {imported}"
+
+
+def test_one_file_runs_the_compiler() -> None:
+    constants = {
+        name: {node.value for node in ast.walk(syntax(path)) if isinstance(node, ast.Constant)}
+        for name, path in MODULES.items()
+    }
+    assert {name for name, values in constants.items() if "ziglang" in values} == {"fmus.export.toolchain"}
+
+
+def test_the_master_loads_nothing_that_running_does_not_need() -> None:
+    heavy = ["casadi", "pythonfmu", "PIL", "matplotlib", "plotly", "pandas", "pyarrow", "rich", "typer"]
+    heavy += ["fmus.export", "fmus.block", "fmus.catalogue", "orchestration.scenarios"]
+    code = f"import sys, orchestration.master; print([n for n in {heavy} if n in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+# Libraries
+
+# What is imported by other names than those of its distribution, or comes with one
+DISTRIBUTIONS = {
+    "PIL": "pillow",
+    "annotated_types": "pydantic",
+    "distributed": "dask",
+    "fmu_manipulation_toolbox": "fmu-manipulation-toolbox",
+    "pydantic_core": "pydantic",
+    "tomli_w": "tomli-w",
+}
+EXTRAS = {
+    "fmus.compliance": {"check"},
+    "orchestration.report": {"report"},
+    "orchestration.results": {"tables"},
+    "orchestration.sweep": {"sweep"},
+}
+
+
+def requirements(lines: list[str]) -> set[str]:
+    """The names of what pip would install, without this project itself."""
+    return {re.split(r"[^\w-]", line)[0] for line in lines} - {"l1-depth"}
+
+
+def project() -> dict[str, set[str]]:
+    """Required distributions by extra; "" are those of the core."""
+    table = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = {extra: requirements(lines) for extra, lines in table["optional-dependencies"].items()}
+    return {"": requirements(table["dependencies"]), **extras}
+
+
+def third_party(path: Path) -> set[str]:
+    """The distributions that a file imports."""
+    names = {name.partition(".")[0] for name in imports(path)}
+    names -= {*sys.stdlib_module_names, *PACKAGES, "tests"}
+    return {DISTRIBUTIONS.get(name, name) for name in names}
+
+
+def test_what_is_imported_is_declared_for_its_room() -> None:
+    declared = project()
+    for name, path in MODULES.items():
+        if name == "fmus.compliance.pytest_plugin":  # which pytest itself loads
+            continue
+        allowed = declared[""].union(*(declared[extra] for extra in EXTRAS.get(room(name), set())))
+        assert third_party(path) <= allowed, f"{name} imports {third_party(path) - allowed}"
+
+
+def test_what_is_declared_is_imported() -> None:
+    declared = project()
+    imported = {name: third_party(path) for name, path in MODULES.items()}
+    assert declared[""] <= set().union(*imported.values()) | {"ziglang"}  # a program, in toolchain.py
+    for extra in ("check", "report", "sweep", "tables"):
+        rooms = [name for name, extras in EXTRAS.items() if extra in extras]
+        users = [names for module, names in imported.items() if room(module) in rooms]
+        assert declared[extra] <= set().union(*users), f"the extra {extra!r}"
+
+
+@pytest.mark.parametrize(
+    ("package", "allowed"),
+    [
+        ("pythonfmu", {"fmus.export.slave"}),
+        ("casadi", {"fmus.numerics", "fmus.export.symbolic"}),
+        ("matplotlib", {"orchestration.results.figures"}),
+        ("plotly", {"orchestration.report.render"}),
+        ("PIL", {"fmus.documentation.icon"}),
+    ],
+)
+def test_libraries_stay_in_their_file(package: str, allowed: set[str]) -> None:
+    assert importers(package) == allowed
