@@ -42,6 +42,17 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ[FOLDER_VARIABLE] = f"{home}/fmus"
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what needs more than pip installs by the fixture that finds it."""
+    for item in items:
+        fixtures: list[str] = getattr(item, "fixturenames", [])
+        if "browser" in fixtures:
+            item.add_marker(pytest.mark.browser)
+        elif "tool" in fixtures or "built_everywhere" in fixtures:
+            item.add_marker(pytest.mark.cross)
+
+
 def pytest_unconfigure(config: pytest.Config) -> None:
     if _HOME in config.stash:
         shutil.rmtree(config.stash[_HOME], ignore_errors=True)
@@ -79,17 +90,15 @@ def scenario_fmus(built: Mapping[str, Path]) -> None:
     assert all(path.is_file() for path in built.values())
 
 
-def _tool(name: str) -> str:
-    """Path of a program that the distribution gives; only a developer may be without it."""
-    path = shutil.which(name) or shutil.which(name, path="/usr/lib/wine")
-    if not path and os.environ.get("CI"):
-        pytest.fail(f"{name} is not installed: expected what .ci/run installs")
-    return path or pytest.skip(f"{name} is not installed")
-
-
 @pytest.fixture(scope="session")
 def tool() -> Callable[[str], str]:
-    return _tool
+    """Path of a program that the distribution gives."""
+
+    def find(name: str) -> str:
+        path = shutil.which(name) or shutil.which(name, path="/usr/lib/wine")
+        return path or pytest.fail(f"{name} is not installed: .ci/run installs it")
+
+    return find
 
 
 _C_TARGETS = {

@@ -5,7 +5,7 @@ import math
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from fmus import catalogue
@@ -19,7 +19,6 @@ def outputs(instance: Instance) -> list[float]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=25, deadline=None)
 @given(data=st.data())
 def test_save_step_restore_step_gives_identical_results(name: str, data: st.DataObject) -> None:
     block = catalogue.load_block(name)

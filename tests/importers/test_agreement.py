@@ -17,6 +17,9 @@ from tests.importers import comparison
 from tests.importers.comparison import DISTRIBUTIONS, SCENARIOS, WATCHED, least_difference, run_apart
 from tests.importers.task import Task, Trajectory
 
+pytestmark = pytest.mark.importers
+
+
 # All exchange as Jacobi does, at t_i, so that only the rounding of t_i differs: one counts steps, another
 # adds them up and ends at 310.000000000008 s. Below, this alone moves our own master's depth by some 1e-10 m.
 ROUNDING_OF_TIME = 1e-9

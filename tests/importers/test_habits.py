@@ -11,6 +11,9 @@ from fmpy.fmi2 import FMU2Slave
 
 from fmus import catalogue
 
+pytestmark = pytest.mark.importers
+
+
 NAMES = catalogue.block_names()
 
 

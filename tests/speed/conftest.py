@@ -1,6 +1,5 @@
 """The pair of the race, built once, and the C program that gives what must come out."""
 
-import os
 from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
 
@@ -23,15 +22,13 @@ def bare(pair: Pair) -> Bare:
 
 @pytest.fixture
 def installed() -> Callable[[str], str]:
-    """The loop's name, if its importer is installed; only a developer may be without it."""
+    """The loop's name, if its importer is installed."""
 
     def check(loop: str) -> str:
         try:
             version(LOOPS[loop].distribution)
         except PackageNotFoundError:
-            if os.environ.get("CI"):
-                pytest.fail(f"{LOOPS[loop].distribution} is not installed: expected what .ci/run installs")
-            pytest.skip(f"{LOOPS[loop].distribution} is not installed")
+            pytest.fail(f"{LOOPS[loop].distribution} is not installed: .ci/run installs it")
         return loop
 
     return check

@@ -20,6 +20,9 @@ from tests.speed.importers import LOOPS, UNABLE, Bare, Entry, Lap, Runner, entry
 from tests.speed.pair import LEVEL, STEP_SIZE, Inputs, Pair, State
 from tests.speed.tables import tables
 
+pytestmark = pytest.mark.importers
+
+
 AT_ONCE = 0.0  # s: the least number of steps is enough
 FLOOR_S = 1e-7
 

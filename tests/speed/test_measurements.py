@@ -15,6 +15,7 @@ from tests.speed.scenarios import Loop
 from tests.speed.tables import tables
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", catalogue.block_names())
 def test_a_block_is_measured_both_ways(name: str) -> None:
     """The C program itself checks that both ways end with the same output."""
@@ -23,6 +24,7 @@ def test_a_block_is_measured_both_ways(name: str) -> None:
     assert min(found.through_fmi, found.bare) > 0.0
 
 
+@pytest.mark.slow
 def test_a_scenario_is_measured_in_every_way() -> None:
     """That the host and the one C program give equal trajectories is checked on the way."""
     found = loop("nominal-extended", rounds=1)

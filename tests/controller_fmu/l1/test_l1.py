@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
@@ -90,7 +90,6 @@ def test_the_third_order_filter_settles_where_the_first_does() -> None:
         assert eta == pytest.approx(SEEN.r, rel=1e-6)  # eta_hat = k_g r in steady state
 
 
-@settings(max_examples=50)
 @given(
     augmentation=st.sampled_from(Augmentation),
     h=st.floats(1e-5, 0.1),

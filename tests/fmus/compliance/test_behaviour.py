@@ -135,6 +135,7 @@ C_MUTANTS: dict[str, tuple[str, Patch]] = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", C_MUTANTS)
 def test_broken_behaviour_is_caught(tmp_path: Path, what: str) -> None:
     rule, patch = C_MUTANTS[what]

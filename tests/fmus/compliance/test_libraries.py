@@ -12,6 +12,9 @@ from fmus.platforms import host_platform, library_name
 
 from .test_check import broken_rules, members, write
 
+pytestmark = pytest.mark.cross
+
+
 NAME = "DepthReference"
 OTHERS = [each for each in ("linux64", "win64", "darwin64", "aarch64-linux") if each != host_platform()]
 

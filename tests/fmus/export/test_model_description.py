@@ -82,6 +82,7 @@ def test_the_guid_follows_the_content(content: Any) -> None:
     assert content(replace(block, description="another"))[0] != guid
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flavour", list(Flavour))
 def test_builds_are_reproducible_byte_for_byte(
     built: Mapping[str, Path], python_built: Mapping[str, Path], tmp_path: Path, flavour: Flavour

@@ -17,6 +17,8 @@ from .native_beside import Pool
 from .native_rules import Calls
 from .native_session import GUID, compiled
 
+pytestmark = pytest.mark.cross
+
 
 def run(block: Block, program: Path, examples: int, *, shrink: bool = True) -> None:
     """The same examples at every run."""

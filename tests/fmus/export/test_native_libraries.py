@@ -17,6 +17,9 @@ import pytest
 from fmus import catalogue
 from fmus.platforms import PLATFORMS, library_name
 
+pytestmark = pytest.mark.cross
+
+
 lief.logging.disable()
 
 BLOCKS = catalogue.block_names()

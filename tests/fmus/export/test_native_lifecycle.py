@@ -12,6 +12,9 @@ import pytest
 from fmus import catalogue
 from fmus.platforms import library_name
 
+pytestmark = pytest.mark.cross
+
+
 PROGRAM = Path("tests/c/lifecycle.c")
 MEMCHECK = ("--error-exitcode=99", "--leak-check=full", "--errors-for-leak-kinds=all")
 MOVED = {"RovDepthPlant": "voltage[1]", "L1DepthController": "measured_depth"}

@@ -14,6 +14,9 @@ from fmus.instance import Instance
 from .native_model import DISCARD, ERROR, OK, Null
 from .native_session import GUID, Answer, Session, compiled
 
+pytestmark = pytest.mark.cross
+
+
 NOTHING = Null(0)
 Open = Callable[[str], Session]
 

@@ -69,6 +69,7 @@ def _program(package: str) -> Path:
     raise AssertionError(f"{package} is not installed")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REBUILT)
 def test_what_fmpy_compiles_from_the_sources_does_the_same(
     built: Mapping[str, Path], rebuilt: dict[str, Path], tmp_path: Path, name: str
@@ -127,6 +128,7 @@ def _schema(name: str) -> Path:
     return Path(fmpy.__file__).parent / "schema" / name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", ["x86_64-linux-gnu", "x86_64-windows-gnu", "aarch64-macos"])
 def test_the_sources_compile_without_a_warning(extracted: Path, target: str) -> None:
     warnings = ("-Wall", "-Wextra", "-Wpedantic", "-Werror", *GENERATED)
@@ -135,6 +137,7 @@ def test_the_sources_compile_without_a_warning(extracted: Path, target: str) -> 
     )
 
 
+@pytest.mark.slow
 def test_our_own_sources_need_no_warning_switched_off(extracted: Path) -> None:
     """What is generated becomes a system header, of which no warning is given."""
     sources = extracted / "sources"

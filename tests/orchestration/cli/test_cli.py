@@ -97,6 +97,7 @@ def test_build_with_reference_writes_the_files_of_the_cross_check(tmp_path: Path
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == files
 
 
+@pytest.mark.slow
 def test_build_without_names_builds_all_five(tmp_path: Path) -> None:
     l1_depth("build", "--out", "out", folder=tmp_path)
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
@@ -134,6 +135,7 @@ def test_run_writes_parquet_with_the_provenance_inside(tmp_path: Path) -> None:
     assert recording.provenance["algorithm"] == "jacobi"
 
 
+@pytest.mark.slow
 def test_report_writes_one_page_of_what_run_wrote(tmp_path: Path) -> None:
     l1_depth("run", short_scenario(tmp_path), "--out", "out", folder=tmp_path)
     done = l1_depth("report", "out", "--out", "pages/report.html", "--title", "Mine", folder=tmp_path)

@@ -118,6 +118,7 @@ def test_the_external_functions_give_what_the_master_gives(
     assert np.array_equal(found, recording.values)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", ["x86_64-windows-gnu", "aarch64-linux-gnu.2.17", "aarch64-macos.11.0"])
 def test_the_external_functions_compile_for_other_platforms(
     package: Path, tmp_path: Path, target: str

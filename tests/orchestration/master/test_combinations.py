@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from orchestration.errors import SimulationError
@@ -95,7 +95,6 @@ UNTIL_INTERRUPT = st.integers(1, MOST_UNTIL_INTERRUPT)
 
 
 @pytest.mark.filterwarnings("ignore::orchestration.errors.FmuWarning")
-@settings(max_examples=60, deadline=None)
 @given(
     algorithm=st.sampled_from(Algorithm),
     extrapolation=st.sampled_from([0, 1]),

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from orchestration.errors import SimulationError
@@ -41,7 +41,6 @@ def both(system: System, experiment: Experiment) -> list[Any]:
     return found
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     algorithm=st.sampled_from(Algorithm),
     extrapolation=st.sampled_from([0, 1]),
@@ -95,7 +94,6 @@ def test_both_loops_agree(
     assert len(np.unique(fast["three.y[1]"])) > 2
 
 
-@settings(max_examples=30, deadline=None)
 @given(
     algorithm=st.sampled_from(Algorithm),
     extrapolation=st.sampled_from([0, 1]),

@@ -48,6 +48,7 @@ def test_it_writes_a_table_and_prints_a_summary(sweep_file: MakeFile, tmp_path: 
     assert set(tmp_path.iterdir()) == before | {tmp_path / "results", tmp_path / "tmp"}
 
 
+@pytest.mark.cluster
 def test_one_sample_alone_has_the_values_and_metrics_of_its_row(sweep_file: MakeFile, tmp_path: Path) -> None:
     ended(started(tmp_path, sweep_file(), "--workers", 1), tmp_path)
     found, _ = table.read(tmp_path / "results" / "mine.sweep.parquet")
@@ -59,6 +60,7 @@ def test_one_sample_alone_has_the_values_and_metrics_of_its_row(sweep_file: Make
     assert (tmp_path / "one" / "mine.sample-7.csv").is_file()
 
 
+@pytest.mark.cluster
 def test_an_interrupted_sweep_says_how_to_go_on_and_the_same_command_does(
     sweep_file: MakeFile, tmp_path: Path
 ) -> None:

@@ -23,6 +23,9 @@ from orchestration.sweep import cluster, table
 from orchestration.sweep import run as running
 from orchestration.sweep.plan import Plan
 
+pytestmark = pytest.mark.cluster
+
+
 Make = Callable[..., Plan]
 COUNT = 60
 SWEEP = f"""
