@@ -1,0 +1,45 @@
+"""What users without Python take with them, made by the commands of the project.
+
+FOLDER/fmus/NAME.fmu                  every block, for all platforms
+FOLDER/ssp/SCENARIO.ssp               the closed loop as an SSP 1.0 package
+FOLDER/modelica/L1Depth/              the same as a Modelica package
+FOLDER/simulink/import_l1_depth.m     the same as a script for Simulink, the FMUs beside it
+"""
+
+import functools
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+SCENARIO = "nominal-extended"
+KINDS = ("fmus", "ssp", "modelica", "simulink")
+PROGRAMS = Path(sys.executable).parent
+
+
+def run(*command: str, folder: Path, **environment: str) -> list[str]:
+    """The lines that a program of this environment prints; raises CalledProcessError if it fails."""
+    done = subprocess.run(
+        [PROGRAMS / command[0], *command[1:]],
+        cwd=folder,
+        env=os.environ | {"MPLBACKEND": "Agg"} | environment,
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    return done.stdout.splitlines()
+
+
+def make(folder: Path) -> None:
+    """Write all of them; the first time on a machine takes about a minute."""
+    fmus, ssp = folder / "fmus", folder / "ssp"
+    ssp.mkdir(parents=True)
+    with tempfile.TemporaryDirectory() as cache:
+        l1_depth = functools.partial(run, "l1-depth", folder=folder, L1_DEPTH_FMUS=cache)
+        l1_depth("build", "--cache", "--all-platforms")
+        shutil.copytree(Path(cache, "native"), fmus)
+        l1_depth("package", SCENARIO, "--out", str(ssp / f"{SCENARIO}.ssp"))
+        for tool in ("modelica", "simulink"):
+            l1_depth("export", tool, SCENARIO, "--out", tool)

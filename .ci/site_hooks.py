@@ -1,0 +1,123 @@
+"""What the site holds beside the pages of docs/: files that the project's programs make during its build."""
+
+import ast
+import functools
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+
+sys.path.insert(0, str(Path(__file__).parent))  # mkdocs loads this file alone
+import downloads
+
+from fmus.files import write_archive
+
+ROOT = Path(__file__).parent.parent
+GALLERY = sorted((ROOT / "docs" / "gallery").glob("*.py"))
+
+_GALLERY = """Scripts, each with the figure that it draws and the lines that it prints. They need FMUs:
+
+```sh
+l1-depth build --cache          # those of the scenarios
+l1-depth build ExamplePlant     # fmus-built/ExamplePlant.fmu
+```
+"""
+
+Contents = dict[str, str | bytes]
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the generated pages, figures and downloads."""
+    for path, content in _generated().items():
+        files.append(File.generated(config, path, content=content))
+    return files
+
+
+@functools.cache  # once, when `mkdocs serve` builds again and again
+def _generated() -> Contents:
+    with tempfile.TemporaryDirectory() as folder:
+        working = Path(folder)
+        return {
+            **_downloads(working),
+            **_gallery(working),
+            **_results(working),
+            **_commands(working),
+            **_names(),
+        }
+
+
+def _downloads(working: Path) -> Contents:
+    """downloads/KIND.zip of each kind, made here or found in the folder that L1_DEPTH_DOWNLOADS names."""
+    made = os.environ.get("L1_DEPTH_DOWNLOADS")
+    folder = Path(made) if made else working / "made"
+    if not made:
+        downloads.make(folder)
+    return {f"downloads/{kind}.zip": _zipped(folder / kind, working) for kind in downloads.KINDS}
+
+
+def _zipped(folder: Path, working: Path) -> bytes:
+    members = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*") if path.is_file()}
+    contents = {name: path.read_bytes() for name, path in members.items()}
+    return write_archive(working / f"{folder.name}.zip", contents).read_bytes()
+
+
+def _gallery(working: Path) -> Contents:
+    """gallery/NAME.md and gallery/NAME.png of each script, and the page that lists them."""
+    for options in (["--cache"], ["ExamplePlant"]):
+        downloads.run("l1-depth", "build", *options, folder=working)
+    contents: Contents = {}
+    index = ["# Gallery\n", _GALLERY]
+    for script in GALLERY:
+        code = script.read_text(encoding="utf-8")
+        title, _, text = (ast.get_docstring(ast.parse(code)) or "").partition("\n")
+        title = title.rstrip(".")
+        printed = "\n".join(downloads.run("python", str(script), folder=working))
+        name = script.stem
+        contents[f"gallery/{name}.png"] = (working / f"{name}.png").read_bytes()
+        body = code.split('"""\n', 2)[-1].strip()
+        contents[f"gallery/{name}.md"] = (
+            f"# {title}\n\n{text.strip()}\n\n![{title}]({name}.png)\n\n```python\n{body}\n```\n\n"
+            f"It prints\n\n```text\n{printed}\n```\n\nThe file is `docs/gallery/{name}.py`.\n"
+        )
+        index.append(f"## [{title}]({name}.md)\n\n{text.strip()}\n\n[![{title}]({name}.png)]({name}.md)\n")
+    return contents | {"gallery/README.md": "\n".join(index)}
+
+
+def _results(working: Path) -> Contents:
+    """The figures of `l1-depth reproduce`."""
+    downloads.run("l1-depth", "reproduce", "--out", "results", folder=working)
+    return {f"explanation/{path.name}": path.read_bytes() for path in (working / "results").glob("fig*.png")}
+
+
+def _commands(working: Path) -> Contents:
+    """The page of all commands and options, from the program itself."""
+    page = "\n".join(
+        downloads.run(
+            "python",
+            "-m",
+            "typer",
+            "orchestration.cli",
+            "utils",
+            "docs",
+            "--name",
+            "l1-depth",
+            folder=working,
+        )
+    )
+    return {"reference/commands.md": page.replace("# `l1-depth`", "# Command line", 1)}
+
+
+def _names() -> Contents:
+    """The page of every public name of `orchestration`."""
+    import orchestration
+
+    head = (
+        "# Python: systems and runs\n\nEvery name that `from orchestration import NAME` gives. "
+        "[A tutorial](../../tutorials/your-own-fmus.md) shows them at work.\n"
+    )
+    short = "    options: {show_root_full_path: false}\n"
+    names = [f"::: orchestration.{name}\n{short}" for name in sorted(orchestration.__all__)]
+    return {"reference/api/orchestration.md": "\n".join([head, *names])}

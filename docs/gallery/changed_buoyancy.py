@@ -1,0 +1,30 @@
+"""Many runs of loaded FMUs.
+
+A `Simulator` loads the FMUs once. Here it runs the experiment for eleven changes of buoyancy, with and
+without the extension.
+"""
+
+from dataclasses import replace
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from orchestration import Simulator
+from orchestration.results import metrics
+from orchestration.scenarios import scenario
+
+changes = np.linspace(-0.5, 0.5, 11)  # N, positive lifts
+figure, axes = plt.subplots(layout="constrained")
+for name, label in (("nominal-l1", "L1"), ("nominal-extended", "extended L1 (PI)")):
+    chosen = scenario.load(scenario.find(name))
+    rmse = []  # cm
+    with Simulator(chosen.system) as simulator:
+        for change in changes:
+            inputs = {**chosen.experiment.inputs, "plant.buoyancy_change": float(change)}
+            recording = simulator.run(replace(chosen.experiment, inputs=inputs))
+            rmse.append(metrics.evaluate(recording, chosen.metrics)["rmse_cm"])
+    axes.plot(changes, rmse, "o-", label=label)
+    print(f"{label}: RMSE from {min(rmse):.1f} to {max(rmse):.1f} cm")
+axes.set(xlabel="change of buoyancy [N]", ylabel="RMSE [cm]", ylim=(0.0, None))
+axes.legend()
+figure.savefig("changed_buoyancy.png")

@@ -1,0 +1,43 @@
+"""Orders of the master algorithms.
+
+Two second-order systems exchange one signal each. The error at the end falls with the communication step
+size: by its first power with held inputs, by its square with inputs that are extrapolated.
+"""
+
+import matplotlib.pyplot as plt
+
+from orchestration import System, simulate
+
+system = System(
+    {"first": "fmus-built/ExamplePlant.fmu", "second": "fmus-built/ExamplePlant.fmu"},
+    [("first.output", "second.control"), ("second.output", "first.control")],
+)
+
+
+def final_output(step_size: float, **algorithm: object) -> float:
+    """Output of the second system after 4 s."""
+    recording = simulate(
+        system,
+        stop_time=4.0,  # s
+        step_size=step_size,  # s
+        parameters={"first.theta[1]": 0.0, "second.theta[1]": 0.0},  # no negative stiffness: stable
+        inputs={"first.disturbance": 1.0, "second.disturbance": 0.0},
+        **algorithm,
+    )
+    return float(recording["second.output"][-1])
+
+
+exact = final_output(0.0005, extrapolation=1)
+step_sizes = [0.02, 0.04, 0.08, 0.16]  # s
+figure, axes = plt.subplots(layout="constrained")
+for label, algorithm in (
+    ("Jacobi", {"algorithm": "jacobi"}),
+    ("Gauss-Seidel", {"algorithm": "gauss-seidel"}),
+    ("Jacobi, extrapolation = 1", {"algorithm": "jacobi", "extrapolation": 1}),
+):
+    errors = [abs(final_output(step_size, **algorithm) - exact) for step_size in step_sizes]
+    axes.loglog(step_sizes, errors, "o-", label=label)
+    print(f"{label}: error {errors[0]:.1e} at 20 ms, {errors[-1]:.1e} at 160 ms")
+axes.set(xlabel="communication step size [s]", ylabel="error of the output")
+axes.legend()
+figure.savefig("orders_of_convergence.png")

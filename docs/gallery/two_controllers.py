@@ -1,0 +1,26 @@
+"""Where the lag goes.
+
+The nominal experiment of the paper with plain L1 and with the PI extension. The vehicle follows straight
+ramps; without the extension it lags behind them as its reference model does; with it the largest error
+is less than half as large.
+"""
+
+import matplotlib.pyplot as plt
+
+from orchestration import simulate
+from orchestration.scenarios import scenario
+
+figure, (depth_axes, error_axes) = plt.subplots(2, 1, sharex=True, layout="constrained")
+for name, label in (("nominal-l1", "L1"), ("nominal-extended", "extended L1 (PI)")):
+    chosen = scenario.load(scenario.find(name))
+    recording = simulate(chosen.system, chosen.experiment)
+    depth, reference = recording["plant.depth"], recording["controller.depth_reference"]  # m
+    depth_axes.plot(recording.time, depth, label=label)
+    error_axes.plot(recording.time, 100.0 * (depth - reference), label=label)
+    print(f"{label}: largest error {100.0 * abs(depth - reference).max():.1f} cm")
+depth_axes.plot(recording.time, reference, "k--", linewidth=0.8, label="reference")
+depth_axes.set_ylabel("depth [m]")
+depth_axes.invert_yaxis()
+depth_axes.legend()
+error_axes.set(xlabel="time [s]", ylabel="tracking error [cm]")
+figure.savefig("two_controllers.png")

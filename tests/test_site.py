@@ -1,0 +1,66 @@
+"""The site of docs/ and the archive for users without Python, each made by its one command."""
+
+import hashlib
+import re
+import subprocess
+import sys
+import zipfile
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+
+from fmus.platforms import PLATFORMS
+from fmus.registry import block_names
+
+ROOT = Path(__file__).parent.parent
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The unpacked archive. A broken link of its site fails here, and a script of the gallery that fails."""
+    folder = tmp_path_factory.mktemp("release")
+    path = folder / "l1-depth.zip"
+    subprocess.run([sys.executable, ROOT / ".ci" / "release.py", "--out", path], check=True, timeout=900)
+    with zipfile.ZipFile(path) as packed:
+        packed.extractall(folder)
+    return folder / "l1-depth"
+
+
+def test_the_archive_holds_every_fmu_for_all_platforms(archive: Path) -> None:
+    assert {path.stem for path in (archive / "fmus").iterdir()} == set(block_names())
+    for path in (archive / "fmus").iterdir():
+        with zipfile.ZipFile(path) as fmu:
+            folders = {Path(name).parts[1] for name in fmu.namelist() if name.startswith("binaries/")}
+        assert folders == set(PLATFORMS)
+
+
+def test_the_archive_holds_what_each_tool_reads(archive: Path) -> None:
+    for name in (
+        "ssp/nominal-extended.ssp",
+        "modelica/L1Depth/package.mo",
+        "simulink/import_l1_depth.m",
+        "documentation/index.html",
+        "LICENSE",
+    ):
+        assert (archive / name).stat().st_size > 0
+    assert version("l1-depth") in (archive / "README.txt").read_text(encoding="utf-8")
+
+
+def test_the_checksums_are_those_of_all_files(archive: Path) -> None:
+    lines = (archive / "SHA256SUMS").read_text(encoding="utf-8").splitlines()
+    listed = {name: checksum for checksum, name in (line.split("  ", 1) for line in lines)}
+    files = {path.relative_to(archive).as_posix(): path for path in archive.rglob("*") if path.is_file()}
+    assert listed.keys() == files.keys() - {"SHA256SUMS"}
+    assert all(hashlib.sha256(files[name].read_bytes()).hexdigest() == listed[name] for name in listed)
+
+
+def test_the_site_loads_nothing_from_another_server(archive: Path) -> None:
+    for page in (archive / "documentation").rglob("*.html"):
+        text = page.read_text(encoding="utf-8")
+        loaded = re.findall(r"<(?:script|img|iframe)[^>]*\ssrc=\"?([^\s\">]+)", text)
+        loaded += re.findall(r"<link[^>]*\shref=\"?([^\s\">]+)", text)
+        assert loaded
+        assert not [address for address in loaded if re.match(r"(https?:)?//", address)]
