@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fmus.compliance import report
+from fmus.compliance.behaviour import DEFAULT_TIMEOUT_S
 from fmus.compliance.examine import all_rules, examine
-from fmus.compliance.exercise import DEFAULT_TIMEOUT_S
 from fmus.compliance.rule import Result
 
 

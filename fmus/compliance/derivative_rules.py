@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Iterator
-from typing import Any
 
 from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.instance import CallError, CheckedInstance
 from fmus.compliance.lifecycle_rules import unless_claimed
+from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Stage, rule
-from fmus.compliance.slave import CallError, Slave
 from fmus.compliance.variable import Variable, integer
 
 _TRANSFER = "4.2.1 Transfer of Input / Output Values and Parameters"
@@ -22,37 +22,37 @@ def _orders(fmu: FmuFile) -> str:
 
 
 @rule(_TRANSFER, Stage.BEHAVIOUR, condition=unless_claimed("canInterpolateInputs"))
-def input_derivatives(probe: Any) -> Iterator[str]:
+def input_derivatives(probe: Probe) -> Iterator[str]:
     """The first derivative of every continuous Real input can be set before a step, which then succeeds."""
-    with probe.instance() as slave:
-        slave.begin(probe.start_time)
+    with probe.instance() as instance:
+        instance.enter_step_mode(probe.start_time)
         for v in probe.real("input"):
             if v.variability == "continuous":
-                slave.set_input_derivative(v, 1, 0.0)
-        probe.run(slave, 2)
+                instance.set_input_derivative(v, 1, 0.0)
+        probe.run(instance, 2)
     yield from ()
 
 
 @rule(_TRANSFER, Stage.BEHAVIOUR, condition=_orders)
-def output_derivatives(probe: Any) -> Iterator[str]:
+def output_derivatives(probe: Probe) -> Iterator[str]:
     """After a step every continuous Real output has a finite derivative of each order that is claimed."""
     chosen = [v for v in probe.real("output") if v.variability == "continuous"]
-    with probe.instance() as slave:
-        slave.begin(probe.start_time)
-        probe.run(slave, 2)
+    with probe.instance() as instance:
+        instance.enter_step_mode(probe.start_time)
+        probe.run(instance, 2)
         for order in range(1, probe.fmu.output_derivative_order + 1) if chosen else ():
-            for v, value in zip(chosen, slave.output_derivatives(chosen, order), strict=True):
+            for v, value in zip(chosen, instance.output_derivatives(chosen, order), strict=True):
                 if not math.isfinite(value):
                     yield f"{v.name}: derivative of order {order} is {value}: expected a finite number"
 
 
 @rule(_DIRECTIONAL, Stage.BEHAVIOUR, condition=unless_claimed("providesDirectionalDerivative"))
-def directional_derivatives(probe: Any) -> Iterator[str]:
+def directional_derivatives(probe: Probe) -> Iterator[str]:
     """In initialization mode, derivatives of outputs lie between difference quotients of both sides."""
-    with probe.instance() as slave:
-        slave.enter(probe.start_time)
+    with probe.instance() as instance:
+        instance.initialise(probe.start_time)
         for known, unknowns in list(_pairs(probe.fmu).items())[:_MOST_KNOWNS]:
-            yield from _compared(slave, probe.fmu.variables[known - 1], unknowns)
+            yield from _compared(instance, probe.fmu.variables[known - 1], unknowns)
 
 
 def _pairs(fmu: FmuFile) -> dict[int, list[Variable]]:
@@ -69,12 +69,12 @@ def _pairs(fmu: FmuFile) -> dict[int, list[Variable]]:
     return found
 
 
-def _compared(slave: Slave, known: Variable, unknowns: list[Variable]) -> Iterator[str]:
-    told = slave.directional(unknowns, known)
-    before = slave.get([known])[known.name]
+def _compared(instance: CheckedInstance, known: Variable, unknowns: list[Variable]) -> Iterator[str]:
+    told = instance.directional_derivatives(unknowns, known)
+    before = instance.get([known])[known.name]
     width = _DIFFERENCE * max(1.0, abs(before))
-    middle = slave.get(unknowns)
-    sides = [_quotients(slave, known, unknowns, before, h) for h in (-width, width)]
+    middle = instance.get(unknowns)
+    sides = [_quotients(instance, known, unknowns, before, h) for h in (-width, width)]
     sides = [each for each in sides if each]
     for v, derivative in zip(unknowns, told, strict=True):
         quotients = [each[v.name] for each in sides]
@@ -86,19 +86,19 @@ def _compared(slave: Slave, known: Variable, unknowns: list[Variable]) -> Iterat
 
 
 def _quotients(
-    slave: Slave, known: Variable, unknowns: list[Variable], before: float, h: float
+    instance: CheckedInstance, known: Variable, unknowns: list[Variable], before: float, h: float
 ) -> dict[str, float]:
     """Difference quotients of all unknowns on one side; none where the FMU refuses the value."""
     low, high = known.number("min"), known.number("max")
     value = before + h
     if (low is not None and value < low) or (high is not None and value > high):
         return {}
-    middle = slave.get(unknowns)
+    middle = instance.get(unknowns)
     try:
-        slave.set(known, value)
-        after = slave.get(unknowns)
+        instance.set(known, value)
+        after = instance.get(unknowns)
     except CallError:
         return {}
     finally:
-        slave.set(known, before)
+        instance.set(known, before)
     return {name: (after[name] - middle[name]) / (value - before) for name in middle}

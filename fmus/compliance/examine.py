@@ -13,7 +13,7 @@ from fmus.compliance import (
     validators,
     variable_rules,
 )
-from fmus.compliance.exercise import DEFAULT_TIMEOUT_S, behaviour
+from fmus.compliance.behaviour import DEFAULT_TIMEOUT_S, behaviour
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.rule import Result, Rule, Stage, registered
 

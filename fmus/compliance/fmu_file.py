@@ -9,6 +9,7 @@ from typing import Any
 
 import lxml.etree
 
+from fmus.binding import library_member
 from fmus.compliance.variable import KINDS, Variable, integer
 
 etree: Any = lxml.etree  # without types
@@ -143,6 +144,11 @@ class FmuFile:
             for name, parts in split.items()
             if parts[0] == "binaries" and len(parts) == 3 and name.endswith((".so", ".dll", ".dylib"))
         }
+
+    @property
+    def host_library(self) -> str:
+        """Path inside the archive of the library that this machine loads; empty if there is none."""
+        return library_member(self.names, (self.co_simulation or {}).get("modelIdentifier", "")) or ""
 
     def read(self, member: str) -> bytes:
         """Content of a member. Raises what zipfile raises."""

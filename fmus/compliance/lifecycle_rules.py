@@ -1,12 +1,14 @@
 """Behaviour that every FMU for co-simulation owes: it lives, steps, is reset and dies as FMI says."""
 
 import math
+import os
 from collections.abc import Iterator
 from typing import Any
 
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.rule import Stage, rule
-from fmus.compliance.slave import Slave, memory
+from fmus.compliance.instance import CheckedInstance
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import Condition, Stage, rule
 
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
 _INITIALIZATION = "2.1.6 Initialization, Termination, and Resetting an FMU"
@@ -15,8 +17,8 @@ _ROUNDED = 1e-6  # relative: tools write start values with as few as seven digit
 _STEPS = 5
 
 
-def unless_claimed(capability: str) -> Any:
-    """The condition of rules that a capability brings about."""
+def unless_claimed(capability: str) -> Condition:
+    """The condition of rules about a capability."""
     return lambda fmu: "" if fmu.claims(capability) else f"{capability} is not claimed"
 
 
@@ -35,7 +37,7 @@ def _needs_tool(fmu: FmuFile) -> str:
 
 
 @rule("2.1.4 Inquire Platform and Version Number of Header Files", Stage.BEHAVIOUR)
-def library_says_version(probe: Any) -> Iterator[str]:
+def library_says_version(probe: Probe) -> Iterator[str]:
     """The library loads; fmi2GetVersion is 2.0 and fmi2GetTypesPlatform default."""
     for function, expected in (("GetVersion", b"2.0"), ("GetTypesPlatform", b"default")):
         got = getattr(probe.library, f"fmi2{function}")()
@@ -44,7 +46,7 @@ def library_says_version(probe: Any) -> Iterator[str]:
 
 
 @rule(_CREATION, Stage.BEHAVIOUR)
-def instantiates_and_frees(probe: Any) -> Iterator[str]:
+def instantiates_and_frees(probe: Probe) -> Iterator[str]:
     """An instance is created, freed, and created and freed again."""
     for _ in range(2):
         with probe.instance():
@@ -53,25 +55,24 @@ def instantiates_and_frees(probe: Any) -> Iterator[str]:
 
 
 @rule(_CREATION, Stage.BEHAVIOUR)
-def refuses_a_wrong_guid(probe: Any) -> Iterator[str]:
+def refuses_a_wrong_guid(probe: Probe) -> Iterator[str]:
     """fmi2Instantiate returns NULL for a GUID that is not the description's."""
-    with probe.instance(guid="{00000000-0000-0000-0000-000000000000}") as slave:
-        if slave.exists:
-            yield "fmi2Instantiate gave an instance for a wrong GUID: expected NULL"
+    if probe.accepts("{00000000-0000-0000-0000-000000000000}"):
+        yield "fmi2Instantiate gave an instance for a wrong GUID: expected NULL"
 
 
 @rule("2.1.7 Getting and Setting Variable Values", Stage.BEHAVIOUR)
-def start_values_are_as_declared(probe: Any) -> Iterator[str]:
+def start_values_are_as_declared(probe: Probe) -> Iterator[str]:
     """In initialization mode, variables with initial exact and inputs have their start values."""
-    with probe.instance() as slave:
-        slave.enter(probe.start_time)
-        yield from _differences(probe, slave)
+    with probe.instance() as instance:
+        instance.initialise(probe.start_time)
+        yield from _differences(probe, instance)
 
 
-def _differences(probe: Any, slave: Slave) -> Iterator[str]:
+def _differences(probe: Probe, instance: CheckedInstance) -> Iterator[str]:
     chosen = [v for v in probe.fmu.variables if v.initial == "exact" or v.causality == "input"]
     starts: dict[str, str] = {v.name: v.start for v in chosen if v.start is not None}
-    for name, got in slave.get(v for v in chosen if v.name in starts).items():
+    for name, got in instance.get(v for v in chosen if v.name in starts).items():
         start = starts[name]
         expected = float({"true": "1", "false": "0"}.get(start, start))
         if not math.isclose(got, expected, rel_tol=_ROUNDED, abs_tol=1e-300):
@@ -79,54 +80,52 @@ def _differences(probe: Any, slave: Slave) -> Iterator[str]:
 
 
 @rule("2.1.7 Getting and Setting Variable Values", Stage.BEHAVIOUR)
-def variables_can_be_read(probe: Any) -> Iterator[str]:
+def variables_can_be_read(probe: Probe) -> Iterator[str]:
     """After a step every number can be read by its value reference and type; outputs are finite."""
-    with probe.instance() as slave:
-        slave.begin(probe.start_time)
-        probe.run(slave, 1)
-        slave.get(probe.fmu.variables)
-        for name, value in slave.get(probe.outputs).items():
+    with probe.instance() as instance:
+        instance.enter_step_mode(probe.start_time)
+        probe.run(instance, 1)
+        instance.get(probe.fmu.variables)
+        for name, value in instance.get(probe.outputs).items():
             if not math.isfinite(value):
                 yield f"{name} is {value} after the first step: expected a finite number"
 
 
 @rule("4.2.2 Computation (fmi2DoStep)", Stage.BEHAVIOUR)
-def steps_and_terminates(probe: Any) -> Iterator[str]:
+def steps_and_terminates(probe: Probe) -> Iterator[str]:
     """Equal steps of the default experiment's size succeed, then fmi2Terminate."""
-    with probe.instance() as slave:
-        slave.begin(probe.start_time)
-        probe.run(slave, _STEPS)
-        slave.call("Terminate")
+    with probe.instance() as instance:
+        instance.enter_step_mode(probe.start_time)
+        probe.run(instance, _STEPS)
+        instance.call("fmi2Terminate")
     yield from ()
 
 
 @rule(_FLAGS + ": needsExecutionTool", Stage.BEHAVIOUR, condition=_needs_tool)
-def needs_no_tool(probe: Any) -> Iterator[str]:
+def needs_no_tool(probe: Probe) -> Iterator[str]:
     """Without needsExecutionTool, the FMU runs here although no program can be found by the search path."""
-    import os
-
     before = os.environ.get("PATH", "")
     os.environ["PATH"] = ""
     try:
-        with probe.instance() as slave:
-            slave.begin(probe.start_time)
-            probe.run(slave, 1)
+        with probe.instance() as instance:
+            instance.enter_step_mode(probe.start_time)
+            probe.run(instance, 1)
     finally:
         os.environ["PATH"] = before
     yield from ()
 
 
 @rule(_INITIALIZATION, Stage.BEHAVIOUR)
-def reset_gives_the_start_values(probe: Any) -> Iterator[str]:
+def reset_gives_the_start_values(probe: Probe) -> Iterator[str]:
     """After steps and fmi2Reset, start values are back and the same steps give the same outputs."""
-    with probe.instance() as slave:
-        slave.begin(probe.start_time)
-        first = probe.run(slave, _STEPS)
-        slave.call("Reset")
-        slave.enter(probe.start_time)
-        yield from _differences(probe, slave)
-        slave.call("ExitInitializationMode")
-        yield from differing(first, probe.run(slave, _STEPS), "after fmi2Reset")
+    with probe.instance() as instance:
+        instance.enter_step_mode(probe.start_time)
+        first = probe.run(instance, _STEPS)
+        instance.call("fmi2Reset")
+        instance.initialise(probe.start_time)
+        yield from _differences(probe, instance)
+        instance.exit_initialization_mode()
+        yield from differing(first, probe.run(instance, _STEPS), "after fmi2Reset")
 
 
 def differing(expected: list[dict[str, Any]], got: list[dict[str, Any]], when: str) -> Iterator[str]:
@@ -141,14 +140,14 @@ def differing(expected: list[dict[str, Any]], got: list[dict[str, Any]], when: s
 
 
 @rule(_FLAGS + ": canBeInstantiatedOnlyOncePerProcess", Stage.BEHAVIOUR, condition=_several)
-def several_instances(probe: Any) -> Iterator[str]:
+def several_instances(probe: Probe) -> Iterator[str]:
     """Instances live side by side: steps of one change nothing in another."""
     with probe.instance() as alone:
-        alone.begin(probe.start_time)
+        alone.enter_step_mode(probe.start_time)
         expected = probe.run(alone, _STEPS)
     with probe.instance() as one, probe.instance() as other:
-        one.begin(probe.start_time)
-        other.begin(probe.start_time)
+        one.enter_step_mode(probe.start_time)
+        other.enter_step_mode(probe.start_time)
         first = probe.run(one, 2)
         yield from differing(expected, probe.run(other, _STEPS), "beside another instance")
         yield from differing(expected, first + probe.run(one, _STEPS - 2, 2), "beside another instance")
@@ -159,13 +158,13 @@ def several_instances(probe: Any) -> Iterator[str]:
     Stage.BEHAVIOUR,
     condition=unless_claimed("canHandleVariableCommunicationStepSize"),
 )
-def variable_step_size(probe: Any) -> Iterator[str]:
+def variable_step_size(probe: Probe) -> Iterator[str]:
     """Steps of different sizes succeed one after the other."""
-    with probe.instance() as slave:
-        slave.begin(probe.start_time)
+    with probe.instance() as instance:
+        instance.enter_step_mode(probe.start_time)
         t = probe.start_time
         for factor in (1.0, 0.5, 2.0, 0.25, 1.5):
-            slave.step(t, factor * probe.step_size)
+            instance.do_step(t, factor * probe.step_size)
             t += factor * probe.step_size
     yield from ()
 
@@ -175,15 +174,15 @@ def variable_step_size(probe: Any) -> Iterator[str]:
     Stage.BEHAVIOUR,
     condition=_memory_is_the_importers,
 )
-def memory_is_given_back(probe: Any) -> Iterator[str]:
+def memory_is_given_back(probe: Probe) -> Iterator[str]:
     """What an instance takes by allocateMemory it gives back by freeMemory, and nothing else."""
-    before, foreign_frees = len(memory.held), memory.foreign_frees
-    with probe.instance() as slave:
-        slave.begin(probe.start_time)
-        probe.run(slave, 1)
-        slave.call("Terminate")
-    if len(memory.held) > before:
-        yield f"{len(memory.held) - before} blocks are still held after fmi2FreeInstance: expected none"
-    if memory.foreign_frees > foreign_frees:
-        unknown = memory.foreign_frees - foreign_frees
+    before, foreign_frees = len(probe.memory.held), probe.memory.foreign_frees
+    with probe.instance() as instance:
+        instance.enter_step_mode(probe.start_time)
+        probe.run(instance, 1)
+        instance.call("fmi2Terminate")
+    if len(probe.memory.held) > before:
+        yield f"{len(probe.memory.held) - before} blocks are still held after fmi2FreeInstance: expected none"
+    if probe.memory.foreign_frees > foreign_frees:
+        unknown = probe.memory.foreign_frees - foreign_frees
         yield f"{unknown} addresses were freed that were never given: expected none"

@@ -1,22 +1,79 @@
-"""A process of its own: how it starts, and how it ended."""
+"""A worker process: it answers, it ends with its parent, and its ending has words."""
 
 import os
 import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
+import psutil
 import pytest
 
-from fmus.process import ending, start
+from fmus.process import ProcessEndedError, WorkerProcess, ending
+from tests.fmus.process_workers import answer, die, fail, sleep
+
+TO_START_S = 60.0  # for an interpreter on a machine that is busy
+
+
+def test_a_worker_answers_whatever_it_prints_or_reads(tmp_path: Path) -> None:
+    process = WorkerProcess(answer, tmp_path)
+    process.send({"a": 1})
+    assert process.receive(TO_START_S) == ("", {"a": 1}, str(process.folder))
+    process.close()
+    assert not list(tmp_path.iterdir())
 
 
 def test_an_interrupt_at_the_terminal_is_not_for_it(tmp_path: Path) -> None:
     """That goes to a session."""
-    process = start(signal.pause, tmp_path)
-    try:
-        assert os.getsid(process.pid) != os.getsid(0)
-    finally:
-        process.kill()
-        process.communicate()
+    process = WorkerProcess(sleep, tmp_path)
+    assert os.getsid(process.pid) != os.getsid(0)
+    process.close()
+
+
+def test_a_time_limit_leaves_the_process(tmp_path: Path) -> None:
+    process = WorkerProcess(answer, tmp_path)
+    with pytest.raises(TimeoutError):
+        process.receive(0.01)
+    process.send(1)
+    assert process.receive(TO_START_S)[1] == 1
+    process.close()
+
+
+def test_a_crash_is_told_each_time(tmp_path: Path) -> None:
+    process = WorkerProcess(die, tmp_path)
+    for _ in range(2):
+        with pytest.raises(ProcessEndedError, match=r"^SIGKILL$") as caught:
+            process.receive(TO_START_S)
+        assert caught.value.status == -signal.SIGKILL
+    process.send("to nobody")
+    process.close()
+
+
+def test_an_error_leaves_its_last_line(tmp_path: Path) -> None:
+    process = WorkerProcess(fail, tmp_path)
+    with pytest.raises(ProcessEndedError, match=r"^exit status 1$") as caught:
+        process.receive(TO_START_S)
+    assert caught.value.last_error_line == "ValueError: no data"
+    process.close()
+
+
+def test_it_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
+    """A parent that has no time to close anything."""
+    script = (
+        "import time; from pathlib import Path; from fmus.process import WorkerProcess\n"
+        "from tests.fmus.process_workers import sleep\n"
+        f"print(WorkerProcess(sleep, Path({str(tmp_path)!r})).pid, flush=True); time.sleep(600)"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout
+    worker = psutil.Process(int(parent.stdout.readline()))
+    parent.kill()
+    parent.communicate()
+    begun = time.monotonic()
+    while worker.is_running() and worker.status() != psutil.STATUS_ZOMBIE:
+        assert time.monotonic() - begun < TO_START_S
+        time.sleep(0.05)
 
 
 @pytest.mark.parametrize(

@@ -108,20 +108,3 @@ def test_an_fmu_without_libraries_and_sources_is_caught(
         if not path.startswith(("binaries/", "sources/"))
     }
     assert "has-an-implementation" in broken_rules(write(content, tmp_path / "nothing.fmu"))
-
-
-def test_a_library_under_the_name_that_fmpy_gives_the_platform_is_run(
-    built: Mapping[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from fmus.compliance import here
-    from fmus.compliance.fmu_file import FmuFile
-
-    fmu = FmuFile(built[NAME])
-    monkeypatch.setattr(here, "host_platform", lambda: "aarch64-linux")
-    monkeypatch.setattr(here.fmpy, "platform", "linux64")
-    monkeypatch.setattr(here.fmpy, "sharedLibraryExtension", ".so")
-    assert here.library_here(fmu) == library_name(NAME, "linux64")
-    both = members(built[NAME]) | {library_name(NAME, "aarch64-linux"): b""}
-    assert here.library_here(FmuFile(write(both, tmp_path / "both.fmu"))) == library_name(
-        NAME, "aarch64-linux"
-    )

@@ -1,0 +1,81 @@
+"""Judge behaviour rules in another process: a crash or a hang of the FMU is a finding."""
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from fmus.binding import platform_name
+from fmus.compliance.behaviour_worker import judge_rules
+from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.rule import Level, Result, Stage, registered, rule
+from fmus.process import ProcessEndedError, WorkerProcess
+
+DEFAULT_TIMEOUT_S = 30.0
+_START_S = 30.0  # for the interpreter, whatever the rules take
+
+
+def _no_co_simulation(fmu: FmuFile) -> str:
+    return "" if fmu.co_simulation is not None else "it has no co-simulation interface"
+
+
+@rule("2.3 FMU Distribution (binaries)", Stage.LIBRARY, Level.WARNING, condition=_no_co_simulation)
+def runs_on_this_platform(fmu: FmuFile) -> Iterator[str]:
+    """There is a library for the platform of this check, or its behaviour is not judged."""
+    if not fmu.host_library:
+        platforms = ", ".join(sorted(set(fmu.libraries().values()))) or "none"
+        yield f"libraries for {platforms}: without one for {platform_name()} the behaviour is not judged"
+
+
+def behaviour(fmu: FmuFile, timeout: float) -> Iterator[Result]:
+    """One result for each behaviour rule. timeout: seconds for one rule."""
+    rules = registered(Stage.BEHAVIOUR)
+    obstacle = _obstacle(fmu)
+    reasons = {each.name: obstacle or each.condition(fmu) for each in rules}
+    messages = _messages(fmu, [name for name, reason in reasons.items() if not reason], timeout)
+    for each in rules:
+        yield Result(each, tuple(messages.get(each.name, ())), reasons[each.name])
+
+
+def _obstacle(fmu: FmuFile) -> str:
+    """The reason why no behaviour can be judged, if there is one."""
+    if fmu.archive_problem or fmu.too_large or fmu.description_problem:
+        return "the FMU cannot be read"
+    return _no_co_simulation(fmu) or ("" if fmu.host_library else f"no library for {platform_name()}")
+
+
+def _messages(fmu: FmuFile, names: Sequence[str], timeout: float) -> dict[str, list[str]]:
+    """Rule name -> messages. After a crash or a hang a new process goes on with the next rule."""
+    messages: dict[str, list[str]] = {}
+    if not names:
+        return messages
+    with tempfile.TemporaryDirectory(prefix="fmu-check-", ignore_cleanup_errors=True) as temporary:
+        folder = Path(temporary, "unpacked")
+        try:
+            fmu.extract(folder)
+        except Exception as error:  # an archive that is damaged anywhere
+            return {name: [f"the archive cannot be unpacked: {error}"] for name in names}
+        while remaining := [name for name in names if name not in messages]:
+            messages.update(_judged_by_one_process(fmu.path.resolve(), folder, remaining, timeout))
+    return messages
+
+
+def _judged_by_one_process(
+    path: Path, folder: Path, names: Sequence[str], timeout: float
+) -> Iterator[tuple[str, list[str]]]:
+    """Rule name and messages, up to the first rule that the process does not survive, but one at least."""
+    process = WorkerProcess(judge_rules)
+    limit = _START_S
+    name = names[0]
+    try:
+        process.send((path, folder))
+        process.receive(limit)
+        limit = timeout
+        for name in names:
+            process.send(name)
+            yield name, process.receive(limit)
+    except TimeoutError:
+        yield name, [f"the FMU took more than {limit:g} s"]
+    except ProcessEndedError as ended:
+        yield name, [f"the FMU ended the process with {ended}"]
+    finally:
+        process.close()
