@@ -99,10 +99,14 @@ class WorkerProcess:
             raise ProcessEndedError(self._exit_status(), self._last_error_line())
         return pickle.loads(message)
 
-    def close(self) -> None:
-        """End the process at once, also from another thread, and remove its folder."""
+    def kill(self) -> None:
+        """End the process at once, also from another thread."""
         self._process.kill()
         self._process.wait()
+
+    def close(self) -> None:
+        """End the process at once, also from another thread, and remove its folder."""
+        self.kill()
         with contextlib.suppress(OSError):  # of a message that was not sent
             self._outgoing.close()
         self._temporary.cleanup()

@@ -1,28 +1,21 @@
-"""A run in a process of its own: an FMU that hangs or crashes there takes nothing else with it.
-
-What happens there is in `child.py`. The process ends when the one that started it does.
-"""
+"""A run in another process: an FMU that hangs or crashes there takes nothing else with it."""
 
 import contextlib
-import pickle
-import subprocess
-import tempfile
 import time
 import warnings
-from collections.abc import Iterator, Mapping
-from pathlib import Path
-from typing import IO, Any, cast
+from collections.abc import Mapping
+from typing import Any
 
 import cloudpickle
 import numpy as np
 
-from fmus.process import ending, start
+from fmus.process import ProcessEndedError, WorkerProcess
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.master.interrupt import kept_interrupts
 from orchestration.master.loop import BUSY, CALLS, RECORDED
 from orchestration.master.progress import Progress
 from orchestration.master.record import make_recording
-from orchestration.master.subprocess_worker import OUTCOME, TASK, WARNINGS, SharedRecord, Task, child
+from orchestration.master.subprocess_worker import STOP, Outcome, SharedRecord, Task, Warned, run_task
 from orchestration.results.recording import Recording
 from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_run import PreparedRun, prepare
@@ -33,8 +26,6 @@ _LOADING_S = 60.0  # for an FMU to be loaded, at least: it may start an interpre
 _AGAIN_S = 1.0  # an interrupt that soon after another is the same one, passed on by a shell for instance
 _NOT_BEGUN = -1
 
-_Outcome = Recording | BaseException
-
 
 def simulate_in_subprocess(
     system: System,
@@ -43,7 +34,7 @@ def simulate_in_subprocess(
     progress: Progress | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> Recording:
-    """`Simulator.run` with these options in a process of its own.
+    """`Simulator.run` with these options in another process.
 
     timeout: longest time [s] that a call of an FMU may take; to load one may take a minute
     Raises SimulationError when that is over, and when the process dies. An interrupt stops the run as it does
@@ -53,20 +44,17 @@ def simulate_in_subprocess(
         raise SystemDefinitionError(f"timeout {timeout!r} s: expected more than 0")
     prepared = prepare(system, experiment)
     task = _packed(Task(system, experiment, dict(options or {}), prepared.shape))
-    with tempfile.TemporaryDirectory(prefix="l1-depth-run-", ignore_cleanup_errors=True) as name:
-        folder = Path(name)
-        (folder / TASK).write_bytes(task)
-        with contextlib.closing(SharedRecord(folder, prepared.shape, "w+")) as record:
-            record.storage.report[RECORDED] = _NOT_BEGUN
-            process = start(child, folder)
-            try:
-                watch = _Watch(process, folder / OUTCOME, record, timeout, progress)
-                problem, stopped = watch.until_the_end()
-            finally:
-                process.kill()
-                process.communicate()
-            outcome = _outcome(folder / OUTCOME) or _failure(problem, prepared, record)
-        outcome = _with_warnings(folder / WARNINGS, outcome)
+    with (
+        contextlib.closing(WorkerProcess(run_task)) as process,
+        contextlib.closing(SharedRecord(process.folder, prepared.shape, "w+")) as record,
+    ):
+        record.storage.report[RECORDED] = _NOT_BEGUN
+        process.send(task)
+        watch = _Watch(process, record, timeout, progress)
+        problem, stopped = watch.until_the_end()
+        process.kill()
+        outcome = watch.outcome or _failure(problem, prepared, record)
+    outcome = _with_warnings(watch.warnings, outcome)
     return _unwrapped(outcome, stopped or _last_word(progress, outcome))
 
 
@@ -92,37 +80,54 @@ def _travels(value: object) -> bool:
 
 
 class _Watch:
-    """Looks after a process until it ends, or ends it."""
+    """Receives the messages of a process until its outcome, its end, or the end of its time.
+
+    outcome: None without one; warnings: those of the FMUs
+    """
 
     def __init__(
-        self,
-        process: subprocess.Popen[bytes],
-        outcome: Path,
-        record: SharedRecord,
-        timeout: float,
-        progress: Progress | None,
+        self, process: WorkerProcess, record: SharedRecord, timeout: float, progress: Progress | None
     ) -> None:
-        self._process, self._path, self._record = process, outcome, record
+        self.outcome: Outcome | None = None
+        self.warnings: list[Warned] = []
+        self._process, self._record = process, record
         self._timeout, self._progress = timeout, progress
-        self._seen, self._since = (0, 0, 0), time.monotonic()
+        self._calls_seen, self._since = (0, 0, 0), time.monotonic()
         self._stopped: BaseException | None = None
         self._asked = 0.0
 
     def until_the_end(self) -> tuple[str, BaseException | None]:
-        """How it ended, in words; and what stopped the run from here, if something did."""
+        """Why there is no outcome, if so, in words; and what stopped the run from here, if something did."""
         with kept_interrupts() as interrupts:
             while True:
-                with contextlib.suppress(subprocess.TimeoutExpired):
-                    return f"ended its process with {ending(self._process.wait(_LOOK_S))}", self._stopped
+                try:
+                    self._receive()
+                except ProcessEndedError as ended:
+                    return f"ended its process with {ended}", self._stopped
+                if self.outcome is not None:
+                    return "", self._stopped
                 if self._stopped is None:
                     self._stopped = KeyboardInterrupt() if interrupts else self._told()
                     if self._stopped is not None:
-                        self._ask_to_stop()
+                        self._asked = time.monotonic()
+                        self._process.send(STOP)
                 elif interrupts and interrupts[-1] > self._asked + _AGAIN_S:
                     return "did not return after an interrupt, and its process was ended", self._stopped
                 limit = self._exceeded()
                 if limit:
                     return f"did not return within {limit:g} s, and its process was ended", self._stopped
+
+    def _receive(self) -> None:
+        """Receive all messages there are, and wait a little for the first."""
+        with contextlib.suppress(TimeoutError):
+            message = self._process.receive(_LOOK_S)
+            while True:
+                if isinstance(message, Warned):
+                    self.warnings.append(message)
+                else:
+                    self.outcome = message
+                    return
+                message = self._process.receive(0.0)
 
     def _told(self) -> BaseException | None:
         """Tell the progress; what it raises."""
@@ -133,20 +138,12 @@ class _Watch:
     def _report(self) -> np.ndarray:
         return self._record.storage.report
 
-    def _ask_to_stop(self) -> None:
-        self._asked = time.monotonic()
-        questions = cast(IO[bytes], self._process.stdin)
-        with contextlib.suppress(OSError):  # of a process that is gone
-            questions.write(b"!")
-            questions.flush()
-
     def _exceeded(self) -> float:
-        """The limit [s], if what FMUs are doing takes longer: a call, or the end of their process."""
-        now = int(self._report[RECORDED]), int(self._report[CALLS]), int(self._report[BUSY])
-        loads, busy = now[2] < 0, now[2] != 0 or self._path.is_file()
-        if not busy or now != self._seen:
-            self._seen, self._since = now, time.monotonic()
-        limit = max(self._timeout, _LOADING_S) if loads else self._timeout
+        """The limit [s], if the present call of an FMU takes longer."""
+        calls = int(self._report[RECORDED]), int(self._report[CALLS]), int(self._report[BUSY])
+        if calls[2] == 0 or calls != self._calls_seen:
+            self._calls_seen, self._since = calls, time.monotonic()
+        limit = max(self._timeout, _LOADING_S) if calls[2] < 0 else self._timeout
         return limit if time.monotonic() - self._since > limit else 0.0
 
 
@@ -160,10 +157,6 @@ def _said(progress: Progress | None, done: int, last: int) -> BaseException | No
     return None
 
 
-def _outcome(path: Path) -> _Outcome | None:
-    return pickle.loads(path.read_bytes()) if path.is_file() else None
-
-
 def _failure(problem: str, prepared: PreparedRun, record: SharedRecord) -> OrchestrationError:
     """A run without an outcome: who did what, and what was recorded."""
     report, rows = record.storage.report, record.storage.rows
@@ -175,11 +168,11 @@ def _failure(problem: str, prepared: PreparedRun, record: SharedRecord) -> Orche
     return SimulationError(f"{who} {where}: {problem}", make_recording(prepared, rows, done))
 
 
-def _with_warnings(path: Path, outcome: _Outcome) -> _Outcome:
-    """Warn of what was warned of there; where a warning is an error, a run that was done fails of it."""
+def _with_warnings(warned: list[Warned], outcome: Outcome) -> Outcome:
+    """Issue the warnings of the process; where a warning is an error, a run that was done fails of it."""
     try:
-        for each in _pickled(path):
-            warnings.warn_explicit(*each)
+        for warning in warned:
+            warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
     except Warning as error:
         if isinstance(outcome, Recording):
             failure = SimulationError(repr(error), outcome)
@@ -188,21 +181,13 @@ def _with_warnings(path: Path, outcome: _Outcome) -> _Outcome:
     return outcome
 
 
-def _pickled(path: Path) -> Iterator[Any]:
-    """What a file holds, up to its end or to where a process died."""
-    if path.is_file():
-        with path.open("rb") as stream, contextlib.suppress(EOFError, pickle.UnpicklingError):
-            while True:
-                yield pickle.load(stream)
-
-
-def _last_word(progress: Progress | None, outcome: _Outcome) -> BaseException | None:
+def _last_word(progress: Progress | None, outcome: Outcome) -> BaseException | None:
     """Tell the progress that all is done, if it is; what it raises."""
     last = len(outcome.time) - 1 if isinstance(outcome, Recording) else 0
     return _said(progress, last, last) if last else None
 
 
-def _unwrapped(outcome: _Outcome, stopped: BaseException | None) -> Recording:
+def _unwrapped(outcome: Outcome, stopped: BaseException | None) -> Recording:
     """The recording, or raise why there is none of the whole run."""
     there = outcome if isinstance(outcome, Recording) else getattr(outcome, "recording", None)
     if there and (isinstance(stopped, Exception) or (stopped and there is outcome)):

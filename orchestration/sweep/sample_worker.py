@@ -1,23 +1,17 @@
-"""The process in which the FMUs of a sweep run.
+"""The process in which the FMUs of a sweep are loaded and run.
 
-An FMU that crashes or hangs takes this process with it and nothing else. It reads a job, then settings of
-one sample after another, from standard input, and writes an outcome for each to standard output, pickled.
-The FMUs stay loaded from sample to sample. It ends when standard input does, in the middle of a sample too.
+An FMU that crashes or hangs takes this process with it and nothing else. The FMUs stay loaded from sample
+to sample.
 """
 
-import os
 import pickle
 import re
-import sys
-import threading
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
-from queue import SimpleQueue
 from tempfile import TemporaryDirectory, gettempdir
-from typing import Any, BinaryIO
 
-from fmus.process import private_stream
+from fmus.process import Parent
 from orchestration.errors import OrchestrationError
 from orchestration.master import Simulator
 from orchestration.results import metrics
@@ -80,24 +74,11 @@ def _told(error: Exception) -> str:
     return " ".join(text.split())
 
 
-def _listen(stream: BinaryIO, requests: SimpleQueue[Any]) -> None:
-    """Pass on what comes; nobody is left to answer when the stream ends."""
-    while True:
-        try:
-            requests.put(pickle.load(stream))
-        except EOFError:
-            os._exit(0)
-
-
-def main() -> None:
-    replies, stream = private_stream(sys.stdout.fileno(), "wb"), private_stream(sys.stdin.fileno(), "rb")
-    requests: SimpleQueue[Any] = SimpleQueue()
-    threading.Thread(target=_listen, args=(stream, requests), daemon=True).start()
-    runner = _Runner(requests.get())
-    with suppress(OrchestrationError):  # each sample will say so
+def run_samples(parent: Parent) -> None:
+    """Receive a pickled job, send READY; then receive the settings of samples and send their outcomes."""
+    runner = _Runner(pickle.loads(parent.receive()))
+    with suppress(OrchestrationError):  # each sample will fail of it
         runner.open()
-    answer: Any = READY
+    parent.send(READY)
     while True:
-        pickle.dump(answer, replies)
-        replies.flush()
-        answer = runner.run(requests.get())
+        parent.send(runner.run(parent.receive()))
