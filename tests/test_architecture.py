@@ -1,4 +1,4 @@
-"""The rules of docs/explanation/architecture.md, read from the imports themselves."""
+"""The rules of docs/architecture.md, read from the imports themselves."""
 
 import ast
 import re

@@ -51,6 +51,14 @@ def test_every_file_named_exists(page: Path) -> None:
     assert not [path for path in named if not (ROOT / path).exists()]
 
 
+def test_the_picture_of_the_packages_shows_every_room() -> None:
+    picture = (ROOT / "docs" / "images" / "packages.svg").read_text(encoding="utf-8")
+    rooms = {path.parent.name for path in (ROOT / "orchestration").glob("*/__init__.py")}
+    assert rooms | {"catalogue", "compliance", "controller_fmu", "plant_fmu"} <= set(
+        re.findall(r"\w+", picture)
+    )
+
+
 @pytest.mark.parametrize("page", TOOL_PAGES, ids=_name)
 def test_a_page_says_what_was_tested_and_what_was_not(page: Path) -> None:
     """Every claim of a test names a file that exists, or says that nothing was tested."""
