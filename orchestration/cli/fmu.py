@@ -1,21 +1,17 @@
 """Commands on FMUs: build, check, inspect."""
 
-import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from fmpy.model_description import ScalarVariable
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
-from fmus import catalogue
 from fmus.platforms import PLATFORMS, check_platforms
 from fmus.registry import FOLDER_VARIABLE, Flavour, block_names, fmu_folder
-from orchestration.cli.shared import FlavourOption, bar, console
+from orchestration.cli.shared import FlavourOption, fail, print_table, progress
 from orchestration.errors import OrchestrationError
-from orchestration.fmi.description import describe
+
+if TYPE_CHECKING:
+    from fmpy.model_description import ScalarVariable
 
 _FOLDERS = {Flavour.NATIVE: Path("fmus-built"), Flavour.PYTHON: Path("fmus-built", "python")}
 _PIPED_WIDTH = 260  # a line a variable, for grep
@@ -23,76 +19,90 @@ _PIPED_WIDTH = 260  # a line a variable, for grep
 
 def build(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="[NAME]...", help="Blocks; all by default.")
+        list[str] | None,
+        typer.Argument(
+            metavar="[NAME]...", help="Names of blocks; all by default.", autocompletion=block_names
+        ),
     ] = None,
     flavour: FlavourOption = Flavour.NATIVE,
     platform: Annotated[
-        str | None,
+        str,
         typer.Option(
-            metavar="NAME,NAME", help=f"Of a native FMU: {', '.join(PLATFORMS)}; this one by default."
+            metavar="NAME,NAME",
+            help=f"Compile for these platforms ({', '.join(PLATFORMS)}); by default for this one.",
         ),
-    ] = None,
+    ] = "",
     all_platforms: Annotated[
-        bool, typer.Option("--all-platforms", help="Of a native FMU: all of them.")
+        bool, typer.Option("--all-platforms", help="Compile for all platforms.")
     ] = False,
     out: Annotated[
         Path | None,
         typer.Option(
-            metavar="DIR",
-            help="Folder to write to; by default fmus-built, fmus-built/python for that flavour.",
+            metavar="DIR", help="Write to this folder; by default fmus-built, or fmus-built/python."
         ),
     ] = None,
     cache: Annotated[
         bool,
         typer.Option(
             "--cache",
-            help="Write to where scenarios find FMUs: a folder of the user's cache, or the one that the "
-            f"environment variable {FOLDER_VARIABLE} names. `run` and `reproduce` build there by themselves.",
+            help="Write to the folder in which scenarios look for FMUs, in your cache or where the "
+            f"environment variable {FOLDER_VARIABLE} says. Other commands build there what they need.",
         ),
     ] = False,
     with_reference: Annotated[
         bool,
-        typer.Option("--with-reference", help="Write the files of the FMI cross-check beside each FMU."),
+        typer.Option(
+            "--with-reference", help="Write the files of the FMI cross-check beside each FMU as well."
+        ),
     ] = False,
 ) -> None:
-    """Write DIR/NAME.fmu for each block."""
+    """Build the FMU of each block, NAME.fmu."""
     if all_platforms and platform:
         raise OrchestrationError(f"--platform {platform} and --all-platforms: expected one of them")
     if cache and out:
         raise OrchestrationError(f"--out {out} and --cache: expected one of them")
     folder = fmu_folder(flavour) if cache else out or _FOLDERS[flavour]
-    named = check_platforms([each.strip() for each in platform.split(",")]) if platform else ()
+    named = check_platforms([name.strip() for name in platform.split(",")]) if platform else ()
     platforms = PLATFORMS if all_platforms else named
+
+    from fmus import catalogue
+
     chosen = names or block_names()
     for name in chosen:
         catalogue.load_block(name)
-    with bar(len(chosen), "FMU", "build") as shown:
+    with progress("build", len(chosen)) as bar:
         for name in chosen:
             path = catalogue.build(name, folder, flavour, platforms)
             print(path)
-            for each in catalogue.write_cross_check(name, path.parent) if with_reference else ():
-                print(each)
-            shown.update()
+            for file in catalogue.write_cross_check(name, path.parent) if with_reference else ():
+                print(file)
+            bar.advance()
 
 
 def check(
-    fmus: Annotated[list[Path], typer.Argument(metavar="FMU...")],
-    json: Annotated[str, typer.Option(metavar="FILE", help="Write the result as JSON; - prints it.")] = "",
-    every: Annotated[bool, typer.Option("--all", help="Show every rule, not only those broken.")] = False,
+    fmus: Annotated[list[Path], typer.Argument(metavar="FMU...", help="FMUs of any origin.")],
+    json: Annotated[str, typer.Option(metavar="FILE", help="Write the results as JSON; - prints them.")] = "",
+    every: Annotated[bool, typer.Option("--all", help="Show every rule, not only broken ones.")] = False,
 ) -> None:
-    """Judge FMUs by the rules of FMI 2.0.5; fails if one is broken that is not a mere warning."""
-    from fmus.compliance.__main__ import check as judged
+    """Check FMUs against the rules of FMI 2.0.5; the command fails if one has an error."""
+    from fmus.compliance.__main__ import check as count_errors
+    from orchestration.fmi.description import describe
 
     for path in fmus:
         if not path.is_file():
-            describe(path)  # says which FMU is nearest
-    count = judged(fmus, json or None, every=every)
+            describe(path)  # the error names the nearest FMU
+    count = count_errors(fmus, json or None, every=every)
     if count:
-        raise OrchestrationError(f"{count} error{'s' * (count > 1)} found: expected none")
+        fail(f"{count} error{'s' * (count > 1)} found: expected none")
 
 
-def inspect(fmu: Annotated[Path, typer.Argument(metavar="FMU")]) -> None:
-    """Show what an FMU is and every variable with its unit, range and start value."""
+def inspect(fmu: Annotated[Path, typer.Argument(metavar="FMU", help="An FMU of any origin.")]) -> None:
+    """Show what an FMU is, and each variable with its unit, range and start value."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    from orchestration.fmi.description import describe
+
     description = describe(fmu)
     print(f"{description.modelName}: {description.description or ''}")
     tool = description.generationTool or "an unknown tool"
@@ -102,14 +112,13 @@ def inspect(fmu: Annotated[Path, typer.Argument(metavar="FMU")]) -> None:
     for heading in ("Causality", "Type", "Unit", "Start", "Permitted", "Description"):
         table.add_column(heading, overflow="fold")
     for v in description.modelVariables:
-        limits = _permitted(v)
         kind = v.declaredType.name if v.declaredType else v.type
-        cells = (v.name, v.causality, kind, v.unit, v.start, limits, v.description)
+        cells = (v.name, v.causality, kind, v.unit, v.start, _permitted(v), v.description)
         table.add_row(*(escape(str(cell)) if cell is not None else "" for cell in cells))
-    (console if sys.stdout.isatty() else Console(width=_PIPED_WIDTH)).print(table)
+    print_table(table, _PIPED_WIDTH)
 
 
-def _permitted(variable: ScalarVariable) -> str:
+def _permitted(variable: "ScalarVariable") -> str:
     """Enumeration items, or the range."""
     declared = variable.declaredType
     if declared is not None and declared.items:

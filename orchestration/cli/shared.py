@@ -1,61 +1,126 @@
-"""What the commands share: options, the console, progress bars."""
+"""What the commands share: options, completion, tables, progress, failure."""
 
 import sys
-from collections.abc import Iterable, Iterator
+import time
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
-from rich.console import Console
-from tqdm import tqdm
 
-from fmus import catalogue
+from fmus.errors import nearest
 from fmus.registry import Flavour
-from orchestration.errors import ScenarioError
-from orchestration.exchange import ssp_read
-from orchestration.scenarios import scenario
+from orchestration.errors import OrchestrationError
+from orchestration.results.formats import FigureFormat
 
-_BEFORE_A_BAR_S = 2.0
+if TYPE_CHECKING:
+    from rich.progress import Progress
+    from rich.table import Table
 
-console = Console(width=None if sys.stdout.isatty() else 130)
+INTERRUPTED = 130  # exit status that shells expect after Ctrl-C
+_BEFORE_PROGRESS_S = 2.0
+_PIPED_WIDTH = 130
 
-FlavourOption = Annotated[Flavour, typer.Option(help="How our own FMUs run: compiled, or on Python.")]
-OutFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write to.")]
+
+def shipped_scenarios() -> list[str]:
+    """Names of the scenarios that ship with the package."""
+    from orchestration import scenarios
+
+    return sorted(path.stem for folder in scenarios.__path__ for path in Path(folder).glob("*.toml"))
+
+
+FlavourOption = Annotated[
+    Flavour, typer.Option(help="Take FMUs of our blocks that run compiled code, or Python.")
+]
+OutFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Write to this folder.")]
+ScenarioArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENARIO",
+        help="Name of a shipped scenario, or a .toml file.",
+        autocompletion=shipped_scenarios,
+    ),
+]
+
+
+FigureFormatsOption = Annotated[
+    str,
+    typer.Option("--formats", metavar="NAME,NAME", help=f"Write figures as {', '.join(FigureFormat)}."),
+]
+
+
+def figure_formats(names: str) -> list[FigureFormat]:
+    """Formats of figures, from their names separated by commas."""
+    formats = []
+    for name in (part.strip() for part in names.split(",")):
+        if name not in set(FigureFormat):
+            raise OrchestrationError(f"--formats: no format {name!r}; {nearest(name, FigureFormat)}")
+        formats.append(FigureFormat(name))
+    return formats
+
+
+def fail(message: str, status: int = 1) -> NoReturn:
+    """End the command with one line on standard error."""
+    print(f"l1-depth: {' '.join(message.split())}", file=sys.stderr)
+    sys.exit(status)
+
+
+def print_table(table: "Table", piped_width: int = _PIPED_WIDTH) -> None:
+    """Print a table as wide as the terminal, or as `piped_width` where there is none."""
+    from rich.console import Console
+
+    Console(width=None if sys.stdout.isatty() else piped_width).print(table)
+
+
+class ProgressBar:
+    """A progress bar on standard error; it appears after two seconds, and only on a terminal."""
+
+    def __init__(self, description: str, total: int) -> None:
+        self.description, self.total, self.done = description, total, 0
+        self._appears_at = time.monotonic() + _BEFORE_PROGRESS_S if sys.stderr.isatty() else float("inf")
+        self._bar: Progress | None = None
+
+    def advance(self, count: int = 1, note: str = "") -> None:
+        """`count` more parts are done; `note` is shown beside the description."""
+        self.update(self.done + count, self.total, note)
+
+    def update(self, done: int, total: int, note: str = "") -> None:
+        """So many parts of `total` are done."""
+        self.done, self.total = done, total
+        if self._bar is None and time.monotonic() >= self._appears_at:
+            self._bar = _rich_progress()
+            self._bar.start()
+            self._bar.add_task("")
+        if self._bar is not None:
+            description = f"{self.description} {note}".rstrip()
+            self._bar.update(self._bar.task_ids[0], completed=done, total=total, description=description)
+
+    def close(self) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+
+def _rich_progress() -> "Progress":
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    return Progress(
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        redirect_stdout=sys.stdout.isatty(),  # what goes into a pipe must not end on the terminal
+        transient=True,
+    )
 
 
 @contextmanager
-def bar(total: float, unit: str, description: str) -> Iterator[Any]:
-    """A progress bar on standard error, if that is a terminal and the work takes over two seconds."""
-    with tqdm(
-        total=total, unit=unit, desc=description, delay=_BEFORE_A_BAR_S, disable=None, file=sys.stderr
-    ) as shown:
-        yield shown
-
-
-@contextmanager
-def chosen_scenario(name: str, parameters: str, flavour: Flavour) -> Iterator[scenario.Scenario]:
-    """What `run` is asked to run, its FMUs in place."""
-    if name.endswith(".ssp"):
-        if flavour is not Flavour.NATIVE:
-            raise ScenarioError(f"--flavour {flavour} of a package: expected none, it holds its own FMUs")
-        with ssp_read.opened(Path(name), parameters) as chosen:
-            yield chosen
-        return
-    if parameters:
-        raise ScenarioError(
-            f"--parameters {parameters}: expected an .ssp package to take it from, got {name}"
-        )
-    yield shipped_or_own(name, flavour)
-
-
-def build_missing_fmus(scenarios: Iterable[scenario.Scenario]) -> None:
-    """Build the blocks' FMUs that these scenarios run and that are missing or stale."""
-    catalogue.build_missing({fmu for chosen in scenarios for fmu in chosen.system.components.values()})
-
-
-def shipped_or_own(name: str, flavour: Flavour) -> scenario.Scenario:
-    """A scenario by its name or its .toml file, its FMUs in place."""
-    chosen = scenario.load(scenario.find(name), flavour=flavour)
-    build_missing_fmus([chosen])
-    return chosen
+def progress(description: str, total: int) -> Iterator[ProgressBar]:
+    """A progress bar that is closed at the end, whatever the end is."""
+    bar = ProgressBar(description, total)
+    try:
+        yield bar
+    finally:
+        bar.close()

@@ -13,12 +13,13 @@ from orchestration.errors import OrchestrationError
 from orchestration.report import sweeps
 from orchestration.report.result import Run, Sweep
 from orchestration.report.toml import toml
-from orchestration.results.files import Format, is_recording
+from orchestration.results.files import is_recording
+from orchestration.results.formats import RecordingFormat
 from orchestration.results.recording import Recording
 from orchestration.sweep import table
 
 _RUN_KEYS = {"recording", "scenario", "run", "metrics"}
-_RECORDINGS = {f".{ending}" for ending in Format}
+_RECORDINGS = {f".{ending}" for ending in RecordingFormat}
 
 
 def found_results(paths: Iterable[Path]) -> list[Run | Sweep]:

@@ -1,152 +1,151 @@
-"""Tables, figures and the summary of a reproduction. The only room that imports a plotting library."""
+"""Figures as a journal prints them: panels, curves, files. The only module that imports Matplotlib.
 
-from collections.abc import Callable, Mapping
+It uses Matplotlib's figure classes and a style of its own for each figure, so that neither pyplot nor the
+settings of the caller are touched. The same data give the same file, byte by byte.
+"""
+
+from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
-from rich.markup import escape
-from rich.table import Table
+from matplotlib import style
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
+from fmus.files import open_atomically
+from orchestration.results.formats import FigureFormat
 from orchestration.results.recording import Recording
-from orchestration.scenarios.published import PUBLISHED
 
-mpl.use("Agg")
-mpl.rcParams["svg.hashsalt"] = "l1-depth"  # the same figure is the same file
-import matplotlib.pyplot as plt  # noqa: E402  (the backend is chosen first)
-
-_CONTROLLERS = {"l1": ("L1", "--"), "extended": ("extended L1", "-")}
-_CASES = {"nominal": ("nominal", "--"), "buoyancy": ("buoyancy +0.2 N", "-")}
-_FORMATS = {"png": {"Software": None}, "svg": {"Date": None}}
-
-Measured = Mapping[str, Mapping[str, float]]
-Recordings = Mapping[str, Recording]
-
-
-def summary(measured: Measured) -> dict[str, dict[str, dict[str, float]]]:
-    """{case: {controller: metrics}} of the paper's experiments."""
-    return {
-        case: {controller: dict(measured[f"{case}-{controller}"]) for controller in _CONTROLLERS}
-        for case in ("nominal", "buoyancy", "example")
-    }
-
-
-def comparison_table(measured: Measured) -> Table:
-    """Every published figure beside ours, with the deviation."""
-    table = Table(title="Published and reproduced", title_justify="left")
-    for heading in ("Source", "Case", "Controller", "Figure"):
-        table.add_column(heading)
-    for heading in ("Reference", "Ours", "Deviation", "in %"):
-        table.add_column(heading, justify="right")
-    table.add_column("Ours is")
-    before = None
-    for figure in PUBLISHED:
-        ours = measured[figure.scenario][figure.metric]
-        deviation = ours - figure.value
-        if before not in (None, figure.where):
-            table.add_section()
-        before = figure.where
-        table.add_row(
-            figure.where,
-            figure.case,
-            _CONTROLLERS[figure.controller][0],
-            escape(figure.label),
-            f"{figure.value:.4g}",
-            f"{ours:.4g}",
-            f"{deviation:+.2g}",
-            f"{100.0 * deviation / figure.value:+.1f}",
-            figure.status,
-        )
-    return table
+BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#666666"  # told apart by colour-blind readers
+_COLOURS = (BLUE, ORANGE, GREEN, "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+_LINES = ("-", "--", "-.", ":")
+_WIDTH_IN = 7.16  # both columns of an IEEE or IFAC page
+_DPI = 300
+_BINS = 1200  # of a dense curve: about two pixels each
+_STYLE = {
+    "font.family": "STIXGeneral",  # a Times that Matplotlib brings along
+    "mathtext.fontset": "stix",
+    "font.size": 9.0,
+    "patch.linewidth": 0.6,
+    "axes.labelsize": 9.0,
+    "axes.linewidth": 0.6,
+    "axes.grid": True,
+    "grid.linewidth": 0.4,
+    "grid.alpha": 0.4,
+    "legend.fontsize": 8.0,
+    "legend.framealpha": 1.0,
+    "legend.edgecolor": "0.8",
+    "legend.fancybox": False,
+    "lines.linewidth": 1.0,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "pdf.fonttype": 42,  # fonts, not curves: publishers ask for it
+    "svg.hashsalt": "l1-depth",
+}
+_METADATA: dict[FigureFormat, dict[str, Any]] = {
+    FigureFormat.PNG: {"Software": None},
+    FigureFormat.PDF: {"CreationDate": None, "Producer": None, "Creator": None},
+    FigureFormat.SVG: {"Date": None},
+}
 
 
-def metrics_table(title: str, measured: Mapping[str, float]) -> Table:
-    """The metrics of one run."""
-    table = Table(title=escape(title), title_justify="left")
-    table.add_column("Metric")
-    table.add_column("Value", justify="right")
-    for name, value in measured.items():
-        table.add_row(escape(name), f"{value:.5g}")
-    return table
+def figure_style() -> Any:
+    """A context: figures that are made and written inside it have the style of this module."""
+    return style.context(["default", _STYLE])
 
 
-def figure_3(recordings: Recordings, path: Path) -> list[Path]:
-    """The illustrative example: both controllers against the reference, and their errors."""
-    figure, (outputs, errors) = plt.subplots(2, 1, sharex=True, figsize=(10, 6), layout="constrained")
-    plain = recordings["example-l1"]
-    reference = plain["controller.reference"]
-    for controller, (label, line) in _CONTROLLERS.items():
-        run = recordings[f"example-{controller}"]
-        outputs.plot(run.time, run["plant.output"], line, label=label)
-        errors.plot(run.time, run["plant.output"] - reference, line, label=label)
-    outputs.plot(plain.time, reference, "r:", label="reference")
-    outputs.set_ylabel("output y [1]")
-    errors.set_ylabel("tracking error e = y - r [1]")
-    errors.set_xlabel("time [s]")
-    return _finish(figure, "Illustrative example (paper: Fig. 3)", [outputs, errors], path)
-
-
-def figure_5(recordings: Recordings, path: Path) -> list[Path]:
-    """Nominal conditions: plain and extended L1."""
-    runs = {label: (recordings[f"nominal-{c}"], line) for c, (label, line) in _CONTROLLERS.items()}
-    return _vehicle_figure("Nominal conditions (paper: Fig. 5)", runs, path)
-
-
-def figure_6(recordings: Recordings, path: Path) -> list[Path]:
-    """Extended L1 with and without the added buoyancy."""
-    runs = {label: (recordings[f"{c}-extended"], line) for c, (label, line) in _CASES.items()}
-    return _vehicle_figure("Extended L1, change of buoyancy (paper: Fig. 6)", runs, path)
-
-
-def run_figure(title: str, recording: Recording, path: Path) -> list[Path]:
-    """Every signal of any run, those of one unit together."""
-    units = list(dict.fromkeys(recording.units))
-    figure, axes = plt.subplots(
-        len(units), 1, sharex=True, squeeze=False, figsize=(10, 2.5 * len(units)), layout="constrained"
+def stacked_panels(heights_in: Sequence[float], x_label: str) -> tuple[Figure, list[Axes]]:
+    """A figure as wide as a page: panels (a), (b), ... one below the other, with one horizontal axis."""
+    figure = Figure(figsize=(_WIDTH_IN, sum(heights_in) + 0.4), layout="constrained")
+    grid = figure.subplots(
+        len(heights_in), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights_in}
     )
-    for unit, axis in zip(units, axes[:, 0], strict=True):
-        names = [n for n, u in zip(recording.names, recording.units, strict=True) if u == unit]
-        for name in sorted(names, key=_roughness(recording), reverse=True):  # smooth ones on top
-            axis.plot(recording.time, recording[name], label=name, linewidth=0.8)
-        axis.set_ylabel(f"[{unit or '1'}]")
-    axes[-1, 0].set_xlabel("time [s]")
-    return _finish(figure, title, list(axes[:, 0]), path)
+    panels = list(grid[:, 0])
+    for index, panel in enumerate(panels):
+        panel.margins(x=0.0)
+        letter = chr(ord("a") + index)
+        panel.annotate(
+            f"({letter})", (0.0, 1.0), (-36.0, 4.0), "axes fraction", "offset points", fontweight="bold"
+        )
+    panels[-1].set_xlabel(x_label)
+    figure.align_ylabels()
+    return figure, panels
 
 
-def _roughness(recording: Recording) -> Callable[[str], float]:
-    return lambda name: float(np.abs(np.diff(recording[name])).sum())
+def draw_curve(panel: Axes, time: np.ndarray, values: np.ndarray, **line: Any) -> None:
+    """A signal as a line through the smallest and the largest value of each of many short intervals."""
+    chosen = _extremes(values)
+    panel.plot(time[chosen], values[chosen], **line)
 
 
-def _vehicle_figure(title: str, runs: Mapping[str, tuple[Recording, str]], path: Path) -> list[Path]:
-    figure, axes = plt.subplots(4, 1, sharex=True, figsize=(10, 10), layout="constrained")
-    depth, force, theta, sigma = axes
-    for label, (run, line) in runs.items():
-        depth.plot(run.time, run["plant.depth"], line, label=label)
-        force.plot(run.time, run["plant.total_force"], line, label=label, linewidth=0.7)
-        theta.plot(run.time, run["controller.theta_hat[1]"], line, label=label, linewidth=0.7)
-        sigma.plot(run.time, run["controller.sigma_hat"], line, label=label, linewidth=0.7)
-    first, _ = next(iter(runs.values()))
-    depth.plot(first.time, first["controller.depth_reference"], "r:", label="reference")
-    depth.invert_yaxis()
-    depth.set_ylabel("depth z [m], down")
-    force.set_ylabel("thrust [N], down")
-    theta.set_ylabel(r"$\hat\theta$ [N]")
-    sigma.set_ylabel(r"$\hat\sigma$ [N]")
-    sigma.set_xlabel("time [s]")
-    return _finish(figure, title, list(axes), path)
+def _extremes(values: np.ndarray) -> np.ndarray:
+    """Indices, ascending, of the first, the last, and each interval's smallest and largest value."""
+    if len(values) <= 2 * _BINS:
+        return np.arange(len(values))
+    edges = np.linspace(0, len(values), _BINS + 1).astype(int)
+    pairs = [
+        (low + values[low:high].argmin(), low + values[low:high].argmax()) for low, high in pairwise(edges)
+    ]
+    return np.unique(np.append(np.ravel(pairs), (0, len(values) - 1)))
 
 
-def _finish(figure: Any, title: str, axes: list[Any], path: Path) -> list[Path]:
-    figure.suptitle(title)
-    for axis in axes:
-        axis.grid(alpha=0.3)
-        axis.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    written = []
-    for extension, metadata in _FORMATS.items():
-        file = path.with_name(f"{path.name}.{extension}")
-        figure.savefig(file, dpi=150, metadata=metadata)
-        written.append(file)
-    plt.close(figure)
-    return written
+def draw_noisy(panel: Axes, time: np.ndarray, values: np.ndarray, window: float, **line: Any) -> None:
+    """A noisy signal as the mean and, shaded, the range of its values over a sliding window [s].
+
+    The signal is sampled at equal intervals; at its ends the window holds the first or last value.
+    """
+    half = round(0.5 * window / (time[1] - time[0]))
+    step = max(1, len(values) // _BINS)
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(values, half, mode="edge"), 2 * half + 1)[
+        ::step
+    ]
+    panel.fill_between(
+        time[::step],
+        windows.min(axis=1),
+        windows.max(axis=1),
+        color=line.get("color"),
+        alpha=0.25,
+        linewidth=0.0,
+    )
+    panel.plot(time[::step], windows.mean(axis=1), **line)
+
+
+def write_figure(figure: Figure, path: Path, formats: Sequence[FigureFormat]) -> list[Path]:
+    """Write `path` with the ending of each format; returns the files."""
+    files = [path.with_name(f"{path.name}.{ending}") for ending in formats]
+    for file, ending in zip(files, formats, strict=True):
+        with open_atomically(file) as stream:
+            figure.savefig(stream, format=ending, dpi=_DPI, metadata=_METADATA[ending])
+    return files
+
+
+def run_figure(
+    title: str, recording: Recording, path: Path, formats: Sequence[FigureFormat] = (FigureFormat.PNG,)
+) -> list[Path]:
+    """Every signal of any run, one panel for each unit."""
+    units = list(dict.fromkeys(recording.units))
+    with figure_style():
+        figure, panels = stacked_panels([1.5] * len(units), "Time [s]")
+        figure.suptitle(title)
+        for unit, panel in zip(units, panels, strict=True):
+            names = [n for n, u in zip(recording.names, recording.units, strict=True) if u == unit]
+            for index, name in enumerate(sorted(names, key=lambda name: -_roughness(recording[name]))):
+                draw_curve(
+                    panel,
+                    recording.time,
+                    recording[name],
+                    label=name,
+                    linewidth=0.7,
+                    color=_COLOURS[index % len(_COLOURS)],
+                    linestyle=_LINES[index // len(_COLOURS) % len(_LINES)],
+                )
+            panel.set_ylabel(f"[{unit or '1'}]")
+            panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02))
+        return write_figure(figure, path, formats)
+
+
+def _roughness(values: np.ndarray) -> float:
+    """Sum of changes: smooth signals are drawn last, over rough ones."""
+    return float(np.abs(np.diff(values)).sum())

@@ -4,7 +4,6 @@ import csv
 import io
 import json
 import re
-from enum import StrEnum
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -15,19 +14,13 @@ from fmus.errors import nearest
 from fmus.extras import require
 from fmus.files import open_atomically
 from orchestration.errors import OrchestrationError
+from orchestration.results.formats import RecordingFormat
 
 TIME = "time"  # name of the first column
 _TIME_TITLE = f"{TIME} [s]"
 _TITLE = re.compile(r"(.*) \[([^\[\]]*)\]", re.DOTALL)  # of a signal with its unit
 _UNIT, _KIND, _PROVENANCE = b"unit", b"l1_depth.kind", b"l1_depth.provenance"
 _RECORDING = b"recording"
-
-
-class Format(StrEnum):
-    """Kinds of files that a recording is written to, by their ending."""
-
-    CSV = "csv"
-    PARQUET = "parquet"
 
 
 class Content(NamedTuple):
@@ -42,7 +35,7 @@ class Content(NamedTuple):
 
 def write(path: Path, content: Content) -> None:
     """Write a file of the format that the ending of the path names."""
-    {Format.CSV: _write_csv, Format.PARQUET: _write_parquet}[_format(path)](path, content)
+    {RecordingFormat.CSV: _write_csv, RecordingFormat.PARQUET: _write_parquet}[_format(path)](path, content)
 
 
 def read(path: Path) -> Content:
@@ -51,24 +44,26 @@ def read(path: Path) -> Content:
     Raises OrchestrationError for a file that is not a recording, or is damaged.
     """
     if not path.is_file():
-        beside = [file.name for file in path.parent.glob("*") if file.suffix[1:] in set(Format)]
+        beside = [file.name for file in path.parent.glob("*") if file.suffix[1:] in set(RecordingFormat)]
         raise OrchestrationError(f"no file {path}; beside it, {nearest(path.name, beside)}")
-    return {Format.CSV: _read_csv, Format.PARQUET: _read_parquet}[_format(path)](path)
+    return {RecordingFormat.CSV: _read_csv, RecordingFormat.PARQUET: _read_parquet}[_format(path)](path)
 
 
 def is_recording(path: Path) -> bool:
     """Whether a file is marked as a recording; its data is not read."""
-    if path.suffix[1:] == Format.CSV:
+    if path.suffix[1:] == RecordingFormat.CSV:
         with path.open("rb") as stream:
             return stream.readline().startswith(_TIME_TITLE.encode())
-    return path.suffix[1:] == Format.PARQUET and _metadata(path).get(_KIND) == _RECORDING
+    return path.suffix[1:] == RecordingFormat.PARQUET and _metadata(path).get(_KIND) == _RECORDING
 
 
-def _format(path: Path) -> Format:
+def _format(path: Path) -> RecordingFormat:
     try:
-        return Format(path.suffix[1:])
+        return RecordingFormat(path.suffix[1:])
     except ValueError:
-        raise OrchestrationError(f"{path}: expected a file ending in {' or '.join(Format)}") from None
+        raise OrchestrationError(
+            f"{path}: expected a file ending in {' or '.join(RecordingFormat)}"
+        ) from None
 
 
 def _write_csv(path: Path, content: Content) -> None:

@@ -6,6 +6,9 @@ no published figures: its oracles were computed independently (docs/fidelity.md)
 
 from dataclasses import dataclass
 
+CONTROLLERS = {"l1": "L1", "extended": "extended L1"}
+"""Name of a controller in the scenarios' names -> its name for readers."""
+
 
 @dataclass(frozen=True)
 class Published:

@@ -1,6 +1,6 @@
 """Running scenarios into a folder: one, or all that ship, side by side."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -11,11 +11,12 @@ from fmus.files import write_json_atomically
 from fmus.registry import Flavour
 from orchestration.errors import SimulationError
 from orchestration.master import simulate
-from orchestration.results import figures as report
 from orchestration.results import metrics
-from orchestration.results.files import Format
+from orchestration.results.formats import FigureFormat, RecordingFormat
+from orchestration.results.metric_units import metric_unit
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
+from orchestration.scenarios.paper_tables import summary
 from orchestration.scenarios.scenario import Scenario
 
 _LONGEST_FIRST = ("example-extended", "example-l1")  # so that no core idles at the end
@@ -29,12 +30,18 @@ class Result:
     recording: Recording
     metrics: dict[str, float]
 
+    @property
+    def metric_units(self) -> dict[str, str]:
+        """Unit of each metric, "" where it is not known."""
+        signals = dict(zip(self.recording.names, self.recording.units, strict=True))
+        return {name: metric_unit(call, signals) for name, call in self.scenario.metrics.items()}
+
 
 def run(
     chosen: Scenario,
     folder: Path,
     progress: Callable[[int, int], None] | None = None,
-    file_format: Format = Format.CSV,
+    file_format: RecordingFormat = RecordingFormat.CSV,
     **options: Any,
 ) -> Result:
     """Run one scenario and write NAME.csv or .parquet and NAME.json (what was run, metrics) to `folder`.
@@ -89,16 +96,15 @@ def _run_named(name: str, folder: Path, flavour: Flavour) -> tuple[Recording, di
     return result.recording, result.metrics
 
 
-def write_report(results: dict[str, Result], folder: Path) -> list[Path]:
-    """The figures of the paper and summary.json."""
+def write_report(
+    results: Mapping[str, Result], folder: Path, formats: Sequence[FigureFormat] = (FigureFormat.PNG,)
+) -> list[Path]:
+    """Write summary.json and the figures of the paper; returns the files."""
+    from orchestration.scenarios import paper_figures
+
     recordings = {name: result.recording for name, result in results.items()}
     measured = {name: result.metrics for name, result in results.items()}
     path = folder / "summary.json"
-    content = report.summary(measured)
-    write_json_atomically(path, content)
-    return [
-        path,
-        *report.figure_3(recordings, folder / "figure_3"),
-        *report.figure_5(recordings, folder / "figure_5"),
-        *report.figure_6(recordings, folder / "figure_6"),
-    ]
+    write_json_atomically(path, summary(measured))
+    figures = (paper_figures.figure_3, paper_figures.figure_5, paper_figures.figure_6)
+    return [path, *(file for draw in figures for file in draw(recordings, measured, folder, formats))]

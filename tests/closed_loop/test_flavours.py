@@ -11,9 +11,9 @@ import pytest
 
 from fmus.registry import Flavour
 from orchestration.master import simulate
-from orchestration.results import figures as report
 from orchestration.results.recording import Recording
 from orchestration.scenarios import reproduce, scenario
+from orchestration.scenarios.paper_tables import summary as summary_of
 from orchestration.scenarios.reproduce import Result
 from tests.shared_builds import built_once, session_folder
 
@@ -65,7 +65,7 @@ def test_trajectories_agree(results: dict[str, Result], python_results: dict[str
 def test_the_tables_are_the_same(
     results: dict[str, Result], python_results: dict[str, Result], summary: dict[str, Any]
 ) -> None:
-    by_python = report.summary({name: result.metrics for name, result in python_results.items()})
+    by_python = summary_of({name: result.metrics for name, result in python_results.items()})
     assert summary.keys() == by_python.keys()
     for ours, theirs in zip(flat(summary), flat(by_python), strict=True):
         assert ours == (pytest.approx(theirs, rel=1e-6) if isinstance(theirs, float) else theirs)

@@ -101,7 +101,6 @@ def test_the_fmus_defaults_are_the_identified_gains() -> None:
 def test_figures_and_recordings_are_written(summary: dict[str, Any], folder: Path) -> None:
     for number in (3, 5, 6):
         assert (folder / f"figure_{number}.png").read_bytes().startswith(b"\x89PNG")
-        assert "</svg>" in (folder / f"figure_{number}.svg").read_text()
     for name in scenario.shipped():
         header = (folder / f"{name}.csv").open().readline()
         assert header.startswith("time [s],")

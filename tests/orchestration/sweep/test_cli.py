@@ -83,8 +83,8 @@ values = ["none", "hang"]
         assert time.monotonic() < until
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGINT)
-    _, error = ended(process, tmp_path, expect=1)
-    assert "of 8 samples are done and kept; the same command goes on" in error
+    _, error = ended(process, tmp_path, expect=130)
+    assert "of 8 samples are done and kept; the same command continues" in error
     done = sum(table.pq.read_metadata(part).num_rows for part in parts.glob("[0-9]*.parquet"))
     assert 0 < done < 8
     assert f"interrupted: {done} of 8" in error

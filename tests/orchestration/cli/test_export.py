@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from orchestration.exchange.handover import Tool
+from orchestration.cli.exchange import Tool
 
 
 def _export(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:

@@ -1,0 +1,43 @@
+"""The scenario that a command is given: loaded, and the FMUs of our blocks that it needs built."""
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from fmus import catalogue
+from fmus.registry import Flavour
+from orchestration.errors import ScenarioError
+from orchestration.exchange import ssp_read
+from orchestration.scenarios import scenario
+from orchestration.scenarios.scenario import Scenario
+
+
+def load(name: str, flavour: Flavour = Flavour.NATIVE) -> Scenario:
+    """The shipped scenario of that name, or the one in that .toml file."""
+    chosen = scenario.load(scenario.find(name), flavour=flavour)
+    build_missing_fmus([chosen])
+    return chosen
+
+
+def build_missing_fmus(scenarios: Iterable[Scenario]) -> None:
+    """Build the FMUs of our blocks that these scenarios run and that are missing or stale."""
+    catalogue.build_missing({fmu for chosen in scenarios for fmu in chosen.system.components.values()})
+
+
+@contextmanager
+def opened(name: str, parameter_set: str, flavour: Flavour) -> Iterator[Scenario]:
+    """As `load`, also of an SSP package, whose FMUs exist only inside the context.
+
+    parameter_set: of the package, "" for its own.
+    """
+    if name.endswith(".ssp"):
+        if flavour is not Flavour.NATIVE:
+            raise ScenarioError(f"--flavour {flavour} of a package: expected none, it holds its own FMUs")
+        with ssp_read.opened(Path(name), parameter_set) as chosen:
+            yield chosen
+        return
+    if parameter_set:
+        raise ScenarioError(
+            f"--parameters {parameter_set}: expected an .ssp package to take it from, got {name}"
+        )
+    yield load(name, flavour)

@@ -1,0 +1,109 @@
+"""Commands run and scenarios."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fmus.registry import Flavour
+from orchestration.cli.shared import (
+    FigureFormatsOption,
+    FlavourOption,
+    OutFolder,
+    figure_formats,
+    print_table,
+    progress,
+    shipped_scenarios,
+)
+from orchestration.errors import OrchestrationError
+from orchestration.results.formats import RecordingFormat
+
+if TYPE_CHECKING:
+    from orchestration.results.recording import Recording
+
+
+def run(
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="SCENARIO",
+            help="Name of a shipped scenario, a .toml file, or an .ssp package.",
+            autocompletion=shipped_scenarios,
+        ),
+    ],
+    out: OutFolder = Path("results"),
+    flavour: FlavourOption = Flavour.NATIVE,
+    parameters: Annotated[
+        str, typer.Option(metavar="NAME", help="Use this parameter set of the package.")
+    ] = "",
+    file_format: Annotated[
+        RecordingFormat, typer.Option("--format", help="Write the recording in this format.")
+    ] = RecordingFormat.CSV,
+    formats: FigureFormatsOption = "png",
+    real_time: Annotated[
+        float | None,
+        typer.Option(metavar="FACTOR", help="Keep pace with the clock; 2 is twice as fast as it."),
+    ] = None,
+    timeout: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="Run the FMUs in another process, and end it if a step takes longer."),
+    ] = None,
+    checkpoint: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Save the state of the whole system here on an interrupt."),
+    ] = None,
+    every: Annotated[
+        float,
+        typer.Option(metavar="S", help="Save the checkpoint also at this interval of simulated seconds."),
+    ] = math.inf,
+    resume: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Continue from this checkpoint.")
+    ] = None,
+) -> None:
+    """Run one scenario, and write its recording (CSV or Parquet), its metrics (JSON) and a figure."""
+    from orchestration.cli import chosen_scenario
+    from orchestration.master.checkpoint import Checkpoints, read_checkpoint
+    from orchestration.results.figures import run_figure
+    from orchestration.results.tables import metrics_table
+    from orchestration.scenarios import reproduce
+
+    written_formats = figure_formats(formats)
+    if every < math.inf and checkpoint is None:
+        raise OrchestrationError(f"--every {every:g}: expected --checkpoint FILE beside it")
+    with (
+        chosen_scenario.opened(name, parameters, flavour) as chosen,
+        progress(chosen.name, 1) as bar,
+    ):
+        result = reproduce.run(
+            chosen,
+            out,
+            bar.update,
+            file_format,
+            real_time=real_time,
+            timeout=timeout,
+            checkpoints=Checkpoints(checkpoint, every) if checkpoint else None,
+            resume=read_checkpoint(resume) if resume else None,
+        )
+    figures = run_figure(chosen.title, result.recording, out / chosen.name, written_formats)
+    if result.metrics:
+        print_table(metrics_table(chosen.title, result.metrics, result.metric_units))
+    _print_pace(result.recording)
+    for path in (out / f"{chosen.name}.{file_format}", out / f"{chosen.name}.json", *figures):
+        print(path)
+
+
+def _print_pace(recording: "Recording") -> None:
+    """How well a run in real time kept pace."""
+    pace = recording.provenance.get("real_time")
+    if pace:
+        missed, worst, where = pace["missed_deadlines"], pace["worst_lateness_s"], pace["worst_at_s"]
+        print(f"{missed} deadlines missed, the worst by {1e3 * worst:.3g} ms at t = {where:g} s")
+
+
+def scenarios() -> None:
+    """List the scenarios that ship with the package."""
+    from orchestration.scenarios import scenario
+
+    for name, path in scenario.shipped().items():
+        print(f"{name:28} {scenario.load(path).title}")

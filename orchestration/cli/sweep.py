@@ -1,0 +1,92 @@
+"""Command sweep: a scenario many times, with other values each time."""
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fmus.registry import Flavour
+from orchestration.cli.shared import (
+    INTERRUPTED,
+    FlavourOption,
+    OutFolder,
+    ScenarioArgument,
+    fail,
+    print_table,
+    progress,
+)
+
+if TYPE_CHECKING:
+    from orchestration.sweep.plan import Plan
+
+
+def sweep(
+    name: ScenarioArgument,
+    out: OutFolder = Path("results"),
+    workers: Annotated[
+        int, typer.Option(help="Run so many processes on this machine.", min=1)
+    ] = os.cpu_count() or 1,
+    scheduler: Annotated[
+        str,
+        typer.Option(
+            metavar="ADDRESS", help="Run on the Dask cluster at this address instead, tcp://HOST:PORT."
+        ),
+    ] = "",
+    recordings: Annotated[
+        str,
+        typer.Option(
+            metavar="SIGNALS",
+            help="Keep these signals of every sample, separated by commas; all keeps all of them.",
+        ),
+    ] = "",
+    sample: Annotated[
+        int | None,
+        typer.Option(metavar="NUMBER", help="Run this sample alone, and keep its recording.", min=0),
+    ] = None,
+    restart: Annotated[
+        bool, typer.Option("--restart", help="Discard the samples of an earlier sweep of that name.")
+    ] = False,
+    flavour: FlavourOption = Flavour.NATIVE,
+) -> None:
+    """Run the samples of a scenario that has a table [sweep]; an interrupted sweep continues."""
+    from orchestration.cli import chosen_scenario
+    from orchestration.sweep import cluster, table
+    from orchestration.sweep.job import signals
+    from orchestration.sweep.plan import plan
+    from orchestration.sweep.run import sweep as run_samples
+    from orchestration.sweep.summary import summary_table
+
+    planned = plan(chosen_scenario.load(name, flavour))
+    if sample is not None:
+        _run_one(planned, sample, out)
+        return
+    recorded = signals(recordings, planned)
+    client = cluster.remote(scheduler) if scheduler else cluster.local(workers)
+    with progress("sweep", planned.count) as bar:
+        try:
+            path = run_samples(planned, out, client, recorded, restart, bar.advance)
+        except KeyboardInterrupt:
+            fail(
+                f"interrupted: {bar.done} of {planned.count} samples are done and kept; "
+                "the same command continues",
+                INTERRUPTED,
+            )
+    print_table(summary_table(*table.read(path)))
+    print(path)
+    if recordings:
+        print(path.with_suffix(".recordings"))
+
+
+def _run_one(planned: "Plan", sample: int, out: Path) -> None:
+    from orchestration.results.tables import metrics_table
+    from orchestration.scenarios import reproduce
+
+    chosen = planned.of_sample(sample)
+    result = reproduce.run(chosen, out)
+    if result.metrics:
+        print_table(metrics_table(chosen.title, result.metrics, result.metric_units))
+    for name, value in planned.values(sample).items():
+        print(f"{name} = {value}")
+    print(out / f"{chosen.name}.csv")
+    print(out / f"{chosen.name}.json")

@@ -1,0 +1,18 @@
+"""The kinds of files that results are written to, by their ending."""
+
+from enum import StrEnum
+
+
+class RecordingFormat(StrEnum):
+    """Of a recording."""
+
+    CSV = "csv"
+    PARQUET = "parquet"
+
+
+class FigureFormat(StrEnum):
+    """Of a figure: pixels, or lines for print."""
+
+    PNG = "png"
+    PDF = "pdf"
+    SVG = "svg"

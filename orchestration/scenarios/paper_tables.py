@@ -1,0 +1,47 @@
+"""The tables of the paper, reproduced: every published figure beside ours."""
+
+from collections.abc import Mapping
+
+from rich.markup import escape
+from rich.table import Table
+
+from orchestration.scenarios.published import CONTROLLERS, PUBLISHED
+
+Measured = Mapping[str, Mapping[str, float]]
+
+
+def summary(measured: Measured) -> dict[str, dict[str, dict[str, float]]]:
+    """{case: {controller: metrics}} of the paper's experiments."""
+    return {
+        case: {controller: dict(measured[f"{case}-{controller}"]) for controller in CONTROLLERS}
+        for case in ("nominal", "buoyancy", "example")
+    }
+
+
+def comparison_table(measured: Measured) -> Table:
+    """Every published figure beside ours, with the deviation."""
+    table = Table(title="Published and reproduced", title_justify="left")
+    for heading in ("Source", "Case", "Controller", "Figure"):
+        table.add_column(heading)
+    for heading in ("Reference", "Ours", "Deviation", "in %"):
+        table.add_column(heading, justify="right")
+    table.add_column("Ours is")
+    before = None
+    for figure in PUBLISHED:
+        ours = measured[figure.scenario][figure.metric]
+        deviation = ours - figure.value
+        if before not in (None, figure.where):
+            table.add_section()
+        before = figure.where
+        table.add_row(
+            figure.where,
+            figure.case,
+            CONTROLLERS[figure.controller],
+            escape(figure.label),
+            f"{figure.value:.4g}",
+            f"{ours:.4g}",
+            f"{deviation:+.2g}",
+            f"{100.0 * deviation / figure.value:+.1f}",
+            figure.status,
+        )
+    return table
