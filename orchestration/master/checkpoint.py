@@ -1,8 +1,8 @@
-"""A whole system at one communication point as one file, and a run that goes on from it.
+"""The whole system at one communication point as one file, and a run that continues from it.
 
-It holds the FMUs' serialised states, what every connection carries, and the record so far. A run that goes
-on from it gives the same record, to the last bit, as one that was never interrupted. Its past must be the
-same; its future, a later stop time for instance, may be another.
+The file holds the FMUs' serialised states, the values of every connection, and the record so far. A run that
+continues from it gives the same record, to the last bit, as a run without interruption. Its past must be the
+same; its future, a later stop time for instance, may differ.
 """
 
 import hashlib
@@ -17,22 +17,24 @@ from typing import Any
 import numpy as np
 
 from fmus.files import open_atomically
-from orchestration.errors import OrchestrationError
-from orchestration.fmi.instance import FmuInstance
-from orchestration.master.loop import RECORDED
-from orchestration.master.snapshot import moving_arrays
-from orchestration.master.stepping import MOST_STEPS, Run
+from orchestration.errors import OrchestrationError, SystemDefinitionError
+from orchestration.master.loop_data import RECORDED
+from orchestration.master.snapshot import changing_arrays
+from orchestration.master.stepping import MOST_STEPS, RunInProgress
+from orchestration.system.prepared_run import PreparedRun
+from orchestration.system.system import CheckedSystem
 
-_VERSION = 1
+_VERSION = 2
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """position, time: the communication point, its number and its time [s]
+    """A saved system.
 
-    step_size: the next that the error allows [s]
-
-    past: part of the run -> digest of what it was until then; states: component -> its serialised state
+    position, time: index and time [s] of the communication point
+    step_size: next step size of the step control [s]
+    past: part of the run -> digest of its data until then
+    states: component -> serialised state of its FMU; arrays: those of the loop, by name
     """
 
     position: int
@@ -43,6 +45,7 @@ class Checkpoint:
     arrays: Mapping[str, np.ndarray]
 
     def write(self, path: str | Path) -> None:
+        """Write the file; an older one is replaced when the new one is complete."""
         head = {
             "version": _VERSION,
             "position": self.position,
@@ -52,7 +55,7 @@ class Checkpoint:
             "components": list(self.states),
         }
         content: dict[str, Any] = {
-            f"state {i}": np.frombuffer(each, np.uint8) for i, each in enumerate(self.states.values())
+            f"state {i}": np.frombuffer(state, np.uint8) for i, state in enumerate(self.states.values())
         }
         content |= {f"array {name}": array for name, array in self.arrays.items()}
         content["head"] = np.frombuffer(json.dumps(head).encode(), np.uint8)
@@ -83,78 +86,107 @@ def read_checkpoint(path: str | Path) -> Checkpoint:
         raise OrchestrationError(f"{path} is not a checkpoint, or is damaged: {error}") from error
 
 
-def capture(run: Run, components: Mapping[str, FmuInstance]) -> Checkpoint:
-    """The system where it is. OrchestrationError where that is no place to go on from."""
-    last = run.position == len(run.wiring.points) - 1
-    if last and np.any(run.position % run.wiring.period):
+def check_can_save(system: CheckedSystem) -> None:
+    """SystemDefinitionError if an FMU cannot serialise its state."""
+    incapable = system.components_without("canSerializeFMUstate")
+    if incapable:
+        raise SystemDefinitionError(
+            f"checkpoint: {', '.join(incapable)} cannot serialise its state: expected canSerializeFMUstate"
+        )
+
+
+def capture(run: RunInProgress) -> Checkpoint:
+    """The system at the present communication point; OrchestrationError where no run can continue."""
+    wiring, position = run.wiring, run.position
+    is_last = position == len(wiring.points) - 1
+    if is_last and np.any(position % wiring.periods):
         raise OrchestrationError(
             "at the end of the run components are between communication points of their own"
         )
     states = {}
-    for name, component in components.items():
-        state = component.get_fmu_state()
-        states[name] = component.serialize_fmu_state(state)
-        component.free_fmu_state(state)
-    w, i = run.wiring, run.position
-    arrays = {name: array.copy() for name, array in moving_arrays(w).items()}
-    arrays |= {"rows": w.rows[:i].copy(), "history": w.faults.history[:, : i + 1].copy()}
-    step_size = run.shorter.step_size if run.shorter else 0.0
-    return Checkpoint(i, float(w.points[i]), step_size, past(run, i), states, arrays)
+    for name, instance in run.instances.items():
+        state = instance.get_fmu_state()
+        states[name] = instance.serialize_fmu_state(state)
+        instance.free_fmu_state(state)
+    return Checkpoint(
+        position=position,
+        time=float(wiring.points[position]),
+        step_size=run.step_control.step_size if run.step_control else 0.0,
+        past=_past(run, position),
+        states=states,
+        arrays={name: array.copy() for name, array in _saved_arrays(run, position).items()},
+    )
 
 
-def restore(checkpoint: Checkpoint, run: Run, components: Mapping[str, FmuInstance]) -> None:
-    """Bring a run that has been initialised to the checkpoint."""
-    w, i = run.wiring, checkpoint.position
-    present = past(run, i)
-    other = [part for part in present if present[part] != checkpoint.past.get(part)]
-    if other:
+def restore(checkpoint: Checkpoint, run: RunInProgress) -> None:
+    """Set an initialised run to the checkpoint; OrchestrationError if it belongs to another run."""
+    position, past = checkpoint.position, _past(run, checkpoint.position)
+    different = [part for part in past if past[part] != checkpoint.past.get(part)]
+    if different:
         raise OrchestrationError(
-            f"the checkpoint belongs to another run, of which {', '.join(other)} differ: "
+            f"the checkpoint belongs to another run, of which {', '.join(different)} differ: "
             "expected the same past"
         )
-    if i >= len(w.points):
+    if position >= len(run.wiring.points):
         raise OrchestrationError(
             f"the checkpoint is at t = {checkpoint.time:.9g} s: expected a stop time behind that"
         )
-    places = {**moving_arrays(w), "rows": w.rows[:i], "history": w.faults.history[:, : i + 1]}
-    for name, place in places.items():
-        found = checkpoint.arrays.get(name)
-        if found is None or (found.shape, found.dtype) != (place.shape, place.dtype):
-            raise OrchestrationError(f"the checkpoint is damaged: expected {name} of shape {place.shape}")
-        place[:] = found
-    w.report[RECORDED] = i
-    for name, component in components.items():
-        state = component.deserialize_fmu_state(checkpoint.states[name])
-        component.set_fmu_state(state)
-        component.free_fmu_state(state)
-    run.position = i
-    if run.shorter:
-        run.shorter.step_size = checkpoint.step_size
+    for name, array in _saved_arrays(run, position).items():
+        saved = checkpoint.arrays.get(name)
+        if saved is None or (saved.shape, saved.dtype) != (array.shape, array.dtype):
+            raise OrchestrationError(f"the checkpoint is damaged: expected {name} of shape {array.shape}")
+        array[:] = saved
+    run.wiring.report[RECORDED] = position
+    for name, instance in run.instances.items():
+        state = instance.deserialize_fmu_state(checkpoint.states[name])
+        instance.set_fmu_state(state)
+        instance.free_fmu_state(state)
+    run.position = position
+    if run.step_control:
+        run.step_control.step_size = checkpoint.step_size
 
 
-def past(run: Run, position: int) -> dict[str, str]:
-    """Digests of all that made a run what it is at a communication point."""
-    w, until = run.wiring, position + 1
+def _saved_arrays(run: RunInProgress, position: int) -> dict[str, np.ndarray]:
+    wiring = run.wiring
+    return {
+        **changing_arrays(wiring),
+        "rows": wiring.rows[:position],
+        "history": wiring.faults.history[:, : position + 1],
+    }
+
+
+def _past(run: RunInProgress, position: int) -> dict[str, str]:
+    """Digests of everything that determines a run up to a communication point."""
+    prepared, wiring, until = run.prepared, run.wiring, position + 1
+    faults = wiring.faults
     parts: dict[str, list[object]] = {
-        "the FMUs": [(name, each.guid) for name, each in run.prepared.system.descriptions.items()],
+        "the FMUs": [(name, d.guid) for name, d in prepared.system.descriptions.items()],
         "the algorithm": [
-            w.gauss_seidel,
-            w.period.tobytes(),
-            w.links.carried.tobytes(),
-            run.prepared.experiment.tolerance,
+            wiring.gauss_seidel,
+            wiring.periods.tobytes(),
+            wiring.connections.input_mode.tobytes(),
+            prepared.experiment.tolerance,
         ],
-        "the communication points": [w.points[:until].tobytes()],
-        "the connections": list(run.loom.links),
-        "the record": list(run.loom.recorded),
-        "the signals": [w.signals[:, :until].tobytes()],
-        "the faults": [w.faults.source[:, :until].tobytes(), w.faults.addition[:, :until].tobytes()],
-        "parameters, inputs and events": [_settings(run), run.changes_before(position)],
+        "the communication points": [wiring.points[:until].tobytes()],
+        "the connections": list(run.named.bus.connections),
+        "the record": list(prepared.recorded),
+        "the signals": [wiring.signal_values[:, :until].tobytes()],
+        "the faults": [faults.source[:, :until].tobytes(), faults.addition[:, :until].tobytes()],
+        "parameters, inputs and events": _values_set(prepared, position),
     }
     return {name: hashlib.sha256(repr(part).encode()).hexdigest() for name, part in parts.items()}
 
 
-def _settings(run: Run) -> list[tuple[str, Any]]:
-    return [(port.name, value) for port, value in run.prepared.settings]
+def _values_set(prepared: PreparedRun, position: int) -> list[object]:
+    """Parameters, constant inputs, and the scheduled changes before a communication point."""
+    settings = [(port.name, value) for port, value in prepared.settings]
+    changes = [
+        (index, port.name, value)
+        for index, values in sorted(prepared.changes.items())
+        for port, value in values
+        if index < position
+    ]
+    return [settings, changes]
 
 
 @dataclass(frozen=True)
@@ -168,19 +200,20 @@ class Checkpoints:
         if not self.every > 0.0:
             raise OrchestrationError(f"a checkpoint every {self.every!r} s: expected more than 0")
 
-    def save(self, run: Run, components: Mapping[str, FmuInstance]) -> None:
-        capture(run, components).write(self.path)
+    def save(self, run: RunInProgress) -> None:
+        """Write a checkpoint of the present communication point."""
+        capture(run).write(self.path)
 
-    def keeper(self, run: Run, components: Mapping[str, FmuInstance]) -> Callable[[int], int]:
-        """For `Run.go`: saves at the points that are due, and tells how far it is to the next."""
+    def checkpoint_callback(self, run: RunInProgress) -> Callable[[int], int]:
+        """A callback of `RunInProgress.run_to_end` that saves when due, and returns the steps to the next."""
         points = run.wiring.points
         due = float(points[run.position]) + self.every
 
-        def keep(position: int) -> int:
+        def save_if_due(position: int) -> int:
             nonlocal due
             if points[position] >= due:
-                self.save(run, components)
+                self.save(run)
                 due = float(points[position]) + self.every
             return min(max(1, int(np.searchsorted(points, due)) - position), MOST_STEPS)
 
-        return keep
+        return save_if_due

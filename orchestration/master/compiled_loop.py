@@ -11,39 +11,46 @@ from platformdirs import user_cache_path
 
 from fmus import compiled_library
 from fmus.errors import ExportError
-from orchestration.master.loop import Entries, Wiring, plain
+from orchestration.master.loop import python_loop
+from orchestration.master.loop_data import LoopFunctions, Wiring
 
 _SOURCE = "loop.c"
 
 
-def compiled(w: Wiring) -> Entries:
+def compiled_loop(wiring: Wiring) -> LoopFunctions:
     """The functions of the loop for one wiring; if it cannot be compiled those in Python, and a warning."""
     try:
         functions = library()
     except (ExportError, OSError) as error:
         warnings.warn(f"the communication loop runs in Python, which is slower: {error}", stacklevel=2)
-        return plain(w)
-    memory = np.array(_members(w), np.int64)
+        return python_loop(wiring)
+    memory = np.array(_members(wiring), np.int64)
     pointer = ctypes.c_void_p(memory.ctypes.data)
-    pointer.memory = memory, w  # type: ignore[attr-defined]  # they must live as long as the functions
-    return Entries(*(partial(getattr(functions, name), pointer) for name in _SIGNATURES))
+    pointer.memory = memory, wiring  # type: ignore[attr-defined]  # they must live as long as the functions
+    return LoopFunctions(*(partial(getattr(functions, name), pointer) for name in _SIGNATURES))
 
 
 _INDEX, _TIME = ctypes.c_int64, ctypes.c_double
-# in the order of `Entries`: the type of the result, and of the arguments after the wiring
+# in the order of `LoopFunctions`: the type of the result, and of the arguments after the wiring
 _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "loop_run": (_INDEX, (_INDEX, _INDEX)),
-    "loop_arrive": (ctypes.c_int, (_INDEX,)),
+    "loop_exchange_and_record": (ctypes.c_int, (_INDEX,)),
     "loop_exchange": (ctypes.c_int, (_INDEX, _TIME, ctypes.c_int)),
     "loop_step": (ctypes.c_int, (_INDEX, _TIME, _TIME)),
     "loop_read_outputs": (ctypes.c_int, (_INDEX,)),
 }
 
 
-def _members(w: Wiring) -> list[int]:
+def _members(wiring: Wiring) -> list[int]:
     """`Wiring` of loop.c: counts, then every member in its order, an array as its address."""
-    counts = [len(w.points), len(w.instance), len(w.links.source), len(w.signal_places), len(w.record)]
-    return [*counts, *_flat(w)]
+    counted = (
+        wiring.points,
+        wiring.instances,
+        wiring.connections.source,
+        wiring.signal_index,
+        wiring.record_index,
+    )
+    return [*map(len, counted), *_flat(wiring)]
 
 
 def _flat(value: Any) -> list[int]:

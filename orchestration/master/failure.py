@@ -1,47 +1,62 @@
-"""What the loop reports, in words."""
+"""Failures and warnings of the loop as errors and warnings of Python."""
 
 from collections.abc import Mapping
 
+from fmus.binding import DISCARD, OK, WARNING
 from orchestration.errors import FmuError, OrchestrationError
 from orchestration.fmi.instance import FmuInstance
-from orchestration.master.loop import CONNECTION, FAILURE, STATUS, STEP, WHICH, WHO, Wiring
-from orchestration.master.wiring import Loom
+from orchestration.master.loop_data import (
+    COMPONENT,
+    DO_STEP,
+    FAILURE,
+    INDEX,
+    NO_FAILURE,
+    NOT_FINITE,
+    STATUS,
+    Wiring,
+)
+from orchestration.master.wiring import NamedWiring
 
-_DISCARD = 2  # of fmi2Status
+
+def is_discarded_step(wiring: Wiring) -> bool:
+    """Whether the reported failure is a step that a component discarded."""
+    return wiring.report[FAILURE] == DO_STEP and wiring.report[STATUS] == DISCARD
 
 
-def is_discarded_step(w: Wiring) -> bool:
-    return w.report[FAILURE] == STEP and w.report[STATUS] == _DISCARD
-
-
-def explain(loom: Loom, components: Mapping[str, FmuInstance], t: float) -> OrchestrationError:
-    """The failure that the loop reports, as an error to raise; t: begin of the step under way [s]."""
-    report = loom.wiring.report
-    which = int(report[WHICH])
-    if report[FAILURE] == CONNECTION:
-        source, target = loom.links[which]
-        value = loom.wiring.links.value[which]
+def failure_error(
+    named: NamedWiring, instances: Mapping[str, FmuInstance], time: float
+) -> OrchestrationError:
+    """The error for the reported failure; time: start of the present step [s]."""
+    report = named.wiring.report
+    index = int(report[INDEX])
+    if report[FAILURE] == NOT_FINITE:
+        source, target = named.bus.connections[index]
+        value = named.wiring.connections.value[index]
         return OrchestrationError(
-            f"{source} is {value:g} at t = {t:.9g} s: expected a finite number, as it goes to {target}"
+            f"{source} is {value:g} at t = {time:.9g} s: expected a finite number, as it goes to {target}"
         )
-    component = list(components.values())[report[WHO]]
-    component.time = t
-    call = loom.functions[int(report[FAILURE])][which]
+    instance = list(instances.values())[report[COMPONENT]]
+    instance.time = time
+    function = named.functions[int(report[FAILURE])][index]
     try:
-        component.check_status(call, int(report[STATUS]))
+        instance.check_status(function, int(report[STATUS]))
     except FmuError as error:
         return error
-    return FmuError(component.name, t, call, "an error that it took back", [])
+    return FmuError(instance.name, time, function, "an error, and its log was cleared", [])
 
 
-def judge_warnings(loom: Loom, components: Mapping[str, FmuInstance], failed: bool) -> None:
-    """Let Python warn of what components warned of in the loop; what failed there is explained elsewhere."""
-    w = loom.wiring
-    for c, component in enumerate(components.values()):
-        if failed and c == w.report[WHO]:
+def emit_warnings(named: NamedWiring, instances: Mapping[str, FmuInstance], failed: bool) -> None:
+    """Warn of the calls in the loop that returned warnings or logged messages.
+
+    failed: whether the loop ended with a failure; the log of that component is left for `failure_error`
+    """
+    wiring = named.wiring
+    for c, instance in enumerate(instances.values()):
+        if failed and c == wiring.report[COMPONENT]:
             continue
-        if w.warned[c] or component.log:
-            call = loom.functions[int(w.warned[c])][0] if w.warned[c] else "fmi2DoStep"
-            component.time = float(w.warned_at[c] if w.warned[c] else w.begun[c])
-            component.check_status(call, int(w.warned[c] > 0))
-            w.warned[c] = 0
+        kind = int(wiring.warning[c])
+        if kind != NO_FAILURE or instance.log:
+            instance.time = float(wiring.warning_time[c] if kind else wiring.step_start[c])
+            function = named.functions[kind][0] if kind else "fmi2DoStep"
+            instance.check_status(function, WARNING if kind else OK)
+            wiring.warning[c] = NO_FAILURE

@@ -1,4 +1,5 @@
-/* The communication loop, as orchestration/master/loop.py has it, function by function; read it there.
+/* The communication loop: the twin of orchestration/master/loop.py, function by function; read it there.
+   The structures are those of loop_data.py, whose docstrings explain their members.
 
    Every member of Wiring is eight bytes wide: a count, an address, or a number that Python writes there. */
 
@@ -12,9 +13,9 @@
 #define EXPORT __attribute__((visibility("default")))
 #endif
 
-enum { HELD, BY_THE_FMU, AT_THE_MIDDLE };
-enum { NOTHING, WRITE, SLOPES, STEP, READ, CONNECTION };
-enum { RECORDED, FAILURE, WHO, WHICH, STATUS, BUSY, CALLS };
+enum { HOLD, FMU_DERIVATIVE, MIDPOINT };
+enum { NO_FAILURE, SET_INPUTS, SET_DERIVATIVES, DO_STEP, GET_OUTPUTS, NOT_FINITE };
+enum { RECORDED, FAILURE, COMPONENT, INDEX, STATUS, BUSY, CALLS };
 enum { OK, WARNING };
 
 typedef char sixty_four_bits[sizeof(void *) == 8 ? 1 : -1];
@@ -22,20 +23,20 @@ typedef char sixty_four_bits[sizeof(void *) == 8 ? 1 : -1];
 typedef int ExchangeValues(void *instance, const void *references, size_t count, void *values);
 typedef int SetDerivatives(void *instance, const void *references, size_t count, const void *orders,
                            const void *values);
-typedef int DoStep(void *instance, double t, double h, int no_return_before_t);
+typedef int DoStep(void *instance, double start, double size, int no_return_before_start);
 
 typedef struct {
     const int64_t *first;
     const intptr_t *function, *references, *buffer;
-    const int64_t *size, *place, *whole;
+    const int64_t *size, *bus_index, *integer_index;
 } Calls;
 
 typedef struct {
-    const int64_t *first, *source, *target, *giver, *fault, *carried;
-    const double *low, *high;
-    double *value, *slope, *stamp, *given, *interval;
-    const double *reach;
-} Links;
+    const int64_t *first, *source, *target, *source_component, *fault, *input_mode;
+    const double *minimum, *maximum;
+    double *value, *slope, *sample_time, *sample, *sample_interval;
+    const double *slope_validity;
+} Connections;
 
 typedef struct {
     const int64_t *source;
@@ -44,207 +45,226 @@ typedef struct {
 } Faults;
 
 typedef struct {
-    int64_t n_points, n_components, n_links, n_signals, n_columns;
-    int64_t gauss_seidel, whole_steps;
+    int64_t n_points, n_components, n_connections, n_signals, n_columns;
+    int64_t gauss_seidel, full_steps;
     const double *points;
     double *bus, *slopes;
-    int32_t *whole;
+    int32_t *integers;
     const void *orders;
-    const intptr_t *instance, *do_step;
-    const int64_t *period;
-    const double *only_step;
-    double *begun;
-    const volatile int64_t *heard; /* written by the logger, in a call of an FMU */
-    int64_t *warned;
-    double *warned_at;
-    Calls writes, derivatives, reads;
-    Links links;
+    const intptr_t *instances, *do_step;
+    const int64_t *periods;
+    const double *fixed_step_size;
+    double *step_start;
+    const volatile int64_t *error_logged; /* written by the logger, in a call of an FMU */
+    int64_t *warning;
+    double *warning_time;
+    Calls input_calls, derivative_calls, output_calls;
+    Connections connections;
     Faults faults;
-    const double *signals;
-    const int64_t *signal_places, *record;
+    const double *signal_values;
+    const int64_t *signal_index, *record_index;
     double *rows;
     int64_t *report;
 } Wiring;
 
 /* A division takes longer than many a component of period 1. */
-static int is_multiple(int64_t i, int64_t period) { return period == 1 || i % period == 0; }
+static int is_multiple(int64_t point, int64_t period) { return period == 1 || point % period == 0; }
 
-static int accepted(Wiring *w, int call, int64_t c, int64_t which, int status) {
-    w->report[BUSY] = 0;
-    w->report[CALLS]++;
-    if (status == OK && !w->heard[c]) return 1;
-    if (status <= WARNING && !w->heard[c]) {
-        if (w->warned[c] == NOTHING) {
-            w->warned[c] = call;
-            w->warned_at[c] = w->begun[c];
+static int is_accepted(Wiring *wiring, int kind, int64_t c, int64_t index, int status) {
+    wiring->report[BUSY] = 0;
+    wiring->report[CALLS]++;
+    if (status == OK && !wiring->error_logged[c]) return 1;
+    if (status <= WARNING && !wiring->error_logged[c]) {
+        if (wiring->warning[c] == NO_FAILURE) {
+            wiring->warning[c] = kind;
+            wiring->warning_time[c] = wiring->step_start[c];
         }
         return 1;
     }
-    w->report[FAILURE] = call;
-    w->report[WHO] = c;
-    w->report[WHICH] = which;
-    w->report[STATUS] = status;
+    wiring->report[FAILURE] = kind;
+    wiring->report[COMPONENT] = c;
+    wiring->report[INDEX] = index;
+    wiring->report[STATUS] = status;
     return 0;
 }
 
-static int take(Wiring *w, int64_t k, int64_t i, double t, int given) {
-    Links *links = &w->links;
-    const int64_t fault = links->fault[k];
-    double value = w->bus[links->source[k]];
+static int transfer(Wiring *wiring, int64_t k, int64_t point, double time, int is_new) {
+    Connections *connections = &wiring->connections;
+    Faults *faults = &wiring->faults;
+    const int64_t fault = connections->fault[k];
+    double value = wiring->bus[connections->source[k]];
     if (fault >= 0) {
-        double *history = w->faults.history + fault * w->n_points;
-        const int64_t origin = w->faults.source[fault * w->n_points + i];
-        history[i] = value;
-        value = w->faults.addition[fault * w->n_points + i];
+        double *history = faults->history + fault * wiring->n_points;
+        const int64_t origin = faults->source[fault * wiring->n_points + point];
+        history[point] = value;
+        value = faults->addition[fault * wiring->n_points + point];
         if (origin >= 0) value += history[origin];
     }
-    if (links->carried[k] != HELD && given) {
-        if (t > links->stamp[k]) {
-            links->interval[k] = t - links->stamp[k];
-            links->slope[k] = (value - links->given[k]) / links->interval[k];
-            links->stamp[k] = t;
+    if (connections->input_mode[k] != HOLD && is_new) {
+        if (time > connections->sample_time[k]) {
+            connections->sample_interval[k] = time - connections->sample_time[k];
+            connections->slope[k] = (value - connections->sample[k]) / connections->sample_interval[k];
+            connections->sample_time[k] = time;
         }
-        links->given[k] = value;
+        connections->sample[k] = value;
     }
-    links->value[k] = value;
-    w->bus[links->target[k]] = value;
+    connections->value[k] = value;
+    wiring->bus[connections->target[k]] = value;
     if (isfinite(value)) return 1;
-    w->report[FAILURE] = CONNECTION;
-    w->report[WHO] = -1;
-    w->report[WHICH] = k;
+    wiring->report[FAILURE] = NOT_FINITE;
+    wiring->report[COMPONENT] = -1;
+    wiring->report[INDEX] = k;
     return 0;
 }
 
-EXPORT int loop_exchange(Wiring *w, int64_t i, double t, int on_point) {
-    int fine = 1;
-    const int last = i + 1 == w->n_points;
-    for (int64_t k = 0; k < w->n_links; k++) {
-        const int64_t giver = w->links.giver[k];
-        const int faulty = w->links.fault[k] >= 0;
-        const int given = giver < 0 || last || is_multiple(i, w->period[giver]);
-        if ((faulty ? on_point : given) && !take(w, k, i, t, given)) fine = 0;
+EXPORT int loop_exchange(Wiring *wiring, int64_t point, double time, int on_point) {
+    const Connections *connections = &wiring->connections;
+    const int is_last = point + 1 == wiring->n_points;
+    int is_finite = 1;
+    for (int64_t k = 0; k < wiring->n_connections; k++) {
+        const int64_t source = connections->source_component[k];
+        const int has_fault = connections->fault[k] >= 0;
+        const int is_new = source < 0 || is_last || is_multiple(point, wiring->periods[source]);
+        if ((has_fault ? on_point : is_new) && !transfer(wiring, k, point, time, is_new)) is_finite = 0;
     }
-    return fine;
+    return is_finite;
 }
 
-EXPORT int loop_arrive(Wiring *w, int64_t i) {
-    double *row = w->rows + i * w->n_columns;
-    int fine;
-    for (int64_t s = 0; s < w->n_signals; s++) w->bus[w->signal_places[s]] = w->signals[s * w->n_points + i];
-    fine = loop_exchange(w, i, w->points[i], 1);
-    for (int64_t column = 0; column < w->n_columns; column++) row[column] = w->bus[w->record[column]];
-    w->report[RECORDED] = i + 1;
-    return fine;
+EXPORT int loop_exchange_and_record(Wiring *wiring, int64_t point) {
+    double *row = wiring->rows + point * wiring->n_columns;
+    int is_finite;
+    for (int64_t signal = 0; signal < wiring->n_signals; signal++)
+        wiring->bus[wiring->signal_index[signal]] = wiring->signal_values[signal * wiring->n_points + point];
+    is_finite = loop_exchange(wiring, point, wiring->points[point], 1);
+    for (int64_t column = 0; column < wiring->n_columns; column++)
+        row[column] = wiring->bus[wiring->record_index[column]];
+    wiring->report[RECORDED] = point + 1;
+    return is_finite;
 }
 
-static int is_due(const Wiring *w, int64_t c, int64_t i) {
-    return is_multiple(i + 1, w->period[c]) || i + 2 == w->n_points;
+static int ends_step(const Wiring *wiring, int64_t c, int64_t point) {
+    return is_multiple(point + 1, wiring->periods[c]) || point + 2 == wiring->n_points;
 }
 
-static int call(Wiring *w, const Calls *calls, int kind, int64_t c, int64_t g) {
+static int exchange_values(Wiring *wiring, const Calls *calls, int kind, int64_t c, int64_t g) {
     ExchangeValues *function = (ExchangeValues *)calls->function[g];
     int status;
-    w->report[BUSY] = c + 1;
-    status = function((void *)w->instance[c], (const void *)calls->references[g], (size_t)calls->size[g],
-                      (void *)calls->buffer[g]);
-    return accepted(w, kind, c, g, status);
+    wiring->report[BUSY] = c + 1;
+    status = function((void *)wiring->instances[c], (const void *)calls->references[g],
+                      (size_t)calls->size[g], (void *)calls->buffer[g]);
+    return is_accepted(wiring, kind, c, g, status);
 }
 
-static int write_inputs(Wiring *w, int64_t c, double t, double h) {
-    const Links *links = &w->links;
-    const Calls *calls = &w->writes;
-    for (int64_t k = links->first[c]; k < links->first[c + 1]; k++) {
-        double value = links->value[k], slope = links->slope[k], reach;
-        if (links->carried[k] == HELD) continue; /* `take` has put it on the bus */
-        reach = links->reach[k] * links->interval[k];
-        if (h > reach) slope *= reach / h;
-        value += slope * (t - links->stamp[k]);
-        if (links->carried[k] == AT_THE_MIDDLE) {
-            value += slope * (0.5 * h);
-            if (value < links->low[k]) value = links->low[k];
-            if (value > links->high[k]) value = links->high[k];
-        }
-        w->slopes[links->target[k]] = slope;
-        w->bus[links->target[k]] = value;
+static int write_derivatives(Wiring *wiring, int64_t c, int64_t g) {
+    const Calls *calls = &wiring->derivative_calls;
+    SetDerivatives *function = (SetDerivatives *)calls->function[g];
+    int status;
+    wiring->report[BUSY] = c + 1;
+    status = function((void *)wiring->instances[c], (const void *)calls->references[g],
+                      (size_t)calls->size[g], wiring->orders, (const void *)calls->buffer[g]);
+    return is_accepted(wiring, SET_DERIVATIVES, c, g, status);
+}
+
+static void extrapolate(Wiring *wiring, int64_t k, double start, double size) {
+    const Connections *connections = &wiring->connections;
+    const double longest = connections->slope_validity[k] * connections->sample_interval[k];
+    double value = connections->value[k], slope = connections->slope[k];
+    if (size > longest) slope *= longest / size;
+    value += slope * (start - connections->sample_time[k]);
+    if (connections->input_mode[k] == MIDPOINT) {
+        value += slope * (0.5 * size);
+        if (value < connections->minimum[k]) value = connections->minimum[k];
+        if (value > connections->maximum[k]) value = connections->maximum[k];
     }
+    wiring->slopes[connections->target[k]] = slope;
+    wiring->bus[connections->target[k]] = value;
+}
+
+static int write_inputs(Wiring *wiring, int64_t c, double start, double size) {
+    const Connections *connections = &wiring->connections;
+    const Calls *calls = &wiring->input_calls;
+    for (int64_t k = connections->first[c]; k < connections->first[c + 1]; k++)
+        if (connections->input_mode[k] != HOLD) extrapolate(wiring, k, start, size); /* else on the bus */
     for (int64_t g = calls->first[c]; g < calls->first[c + 1]; g++) {
-        if (calls->whole[g] >= 0)
+        if (calls->integer_index[g] >= 0)
             for (int64_t j = 0; j < calls->size[g]; j++)
-                w->whole[calls->whole[g] + j] = (int32_t)w->bus[calls->place[g] + j];
-        if (!call(w, calls, WRITE, c, g)) return 0;
+                wiring->integers[calls->integer_index[g] + j] = (int32_t)wiring->bus[calls->bus_index[g] + j];
+        if (!exchange_values(wiring, calls, SET_INPUTS, c, g)) return 0;
     }
-    calls = &w->derivatives;
-    for (int64_t g = calls->first[c]; g < calls->first[c + 1]; g++) {
-        SetDerivatives *function = (SetDerivatives *)calls->function[g];
-        int status;
-        w->report[BUSY] = c + 1;
-        status = function((void *)w->instance[c], (const void *)calls->references[g], (size_t)calls->size[g],
-                          w->orders, (const void *)calls->buffer[g]);
-        if (!accepted(w, SLOPES, c, g, status)) return 0;
-    }
+    calls = &wiring->derivative_calls;
+    for (int64_t g = calls->first[c]; g < calls->first[c + 1]; g++)
+        if (!write_derivatives(wiring, c, g)) return 0;
     return 1;
 }
 
-static int advance(Wiring *w, int64_t c, double end) {
-    DoStep *function = (DoStep *)w->do_step[c];
-    const double begun = w->begun[c];
-    const double h = w->only_step[c] > 0.0 ? w->only_step[c] : end - begun;
-    w->report[BUSY] = c + 1;
-    return accepted(w, STEP, c, 0, function((void *)w->instance[c], begun, h, 1));
+static int do_step(Wiring *wiring, int64_t c, double end) {
+    DoStep *function = (DoStep *)wiring->do_step[c];
+    const double start = wiring->step_start[c];
+    const double size = wiring->fixed_step_size[c] > 0.0 ? wiring->fixed_step_size[c] : end - start;
+    wiring->report[BUSY] = c + 1;
+    return is_accepted(wiring, DO_STEP, c, 0, function((void *)wiring->instances[c], start, size, 1));
 }
 
-EXPORT int loop_read_outputs(Wiring *w, int64_t c) {
-    const Calls *calls = &w->reads;
+EXPORT int loop_read_outputs(Wiring *wiring, int64_t c) {
+    const Calls *calls = &wiring->output_calls;
     for (int64_t g = calls->first[c]; g < calls->first[c + 1]; g++) {
-        if (!call(w, calls, READ, c, g)) return 0;
-        if (calls->whole[g] >= 0)
+        if (!exchange_values(wiring, calls, GET_OUTPUTS, c, g)) return 0;
+        if (calls->integer_index[g] >= 0)
             for (int64_t j = 0; j < calls->size[g]; j++)
-                w->bus[calls->place[g] + j] = w->whole[calls->whole[g] + j];
+                wiring->bus[calls->bus_index[g] + j] = wiring->integers[calls->integer_index[g] + j];
     }
     return 1;
 }
 
-static int begin(Wiring *w, int64_t c, int64_t i, double t, double end) {
-    w->begun[c] = t;
-    if (w->period[c] > 1) {
-        const int64_t until = i + w->period[c], last = w->n_points - 1;
-        end = w->points[until < last ? until : last];
+static int start_step(Wiring *wiring, int64_t c, int64_t point, double start, double end) {
+    wiring->step_start[c] = start;
+    if (wiring->periods[c] > 1) {
+        const int64_t until = point + wiring->periods[c], last = wiring->n_points - 1;
+        end = wiring->points[until < last ? until : last];
     }
-    return write_inputs(w, c, t, end - t);
+    return write_inputs(wiring, c, start, end - start);
 }
 
-static int jacobi(Wiring *w, int64_t i, double t, double end) {
-    for (int64_t c = 0; c < w->n_components; c++)
-        if (is_multiple(i, w->period[c]) && !begin(w, c, i, t, end)) return 0;
-    for (int64_t c = 0; c < w->n_components; c++)
-        if (is_due(w, c, i) && !advance(w, c, end)) return 0;
-    for (int64_t c = 0; c < w->n_components; c++)
-        if (is_due(w, c, i) && !loop_read_outputs(w, c)) return 0;
+static int jacobi_step(Wiring *wiring, int64_t point, double start, double end) {
+    const int64_t count = wiring->n_components;
+    for (int64_t c = 0; c < count; c++)
+        if (is_multiple(point, wiring->periods[c]) && !start_step(wiring, c, point, start, end)) return 0;
+    for (int64_t c = 0; c < count; c++)
+        if (ends_step(wiring, c, point) && !do_step(wiring, c, end)) return 0;
+    for (int64_t c = 0; c < count; c++)
+        if (ends_step(wiring, c, point) && !loop_read_outputs(wiring, c)) return 0;
     return 1;
 }
 
-static int gauss_seidel(Wiring *w, int64_t i, double t, double end) {
-    const int whole = w->whole_steps && t == w->points[i] && end == w->points[i + 1];
-    for (int64_t c = 0; c < w->n_components; c++) {
-        if (is_multiple(i, w->period[c])) w->begun[c] = t;
-        if (!is_due(w, c, i)) continue;
-        for (int64_t k = w->links.first[c]; k < w->links.first[c + 1]; k++) {
-            const int64_t giver = w->links.giver[k];
-            const int is_newer = 0 <= giver && giver < c && is_due(w, giver, i);
-            if (is_newer && (whole || w->links.fault[k] < 0) && !take(w, k, i + 1, end, 1)) return 0;
+static int gauss_seidel_step(Wiring *wiring, int64_t point, double start, double end) {
+    const Connections *connections = &wiring->connections;
+    const int is_full_step =
+        wiring->full_steps && start == wiring->points[point] && end == wiring->points[point + 1];
+    for (int64_t c = 0; c < wiring->n_components; c++) {
+        if (is_multiple(point, wiring->periods[c])) wiring->step_start[c] = start;
+        if (!ends_step(wiring, c, point)) continue;
+        for (int64_t k = connections->first[c]; k < connections->first[c + 1]; k++) {
+            const int64_t source = connections->source_component[k];
+            const int is_newer = 0 <= source && source < c && ends_step(wiring, source, point);
+            const int may_transfer = is_full_step || connections->fault[k] < 0;
+            if (is_newer && may_transfer && !transfer(wiring, k, point + 1, end, 1)) return 0;
         }
-        if (!(write_inputs(w, c, w->begun[c], end - w->begun[c]) && advance(w, c, end) && loop_read_outputs(w, c)))
+        if (!(write_inputs(wiring, c, wiring->step_start[c], end - wiring->step_start[c]) &&
+              do_step(wiring, c, end) && loop_read_outputs(wiring, c)))
             return 0;
     }
     return 1;
 }
 
-EXPORT int loop_step(Wiring *w, int64_t i, double t, double end) {
-    return w->gauss_seidel ? gauss_seidel(w, i, t, end) : jacobi(w, i, t, end);
+EXPORT int loop_step(Wiring *wiring, int64_t point, double start, double end) {
+    return wiring->gauss_seidel ? gauss_seidel_step(wiring, point, start, end)
+                                : jacobi_step(wiring, point, start, end);
 }
 
-EXPORT int64_t loop_run(Wiring *w, int64_t first, int64_t last) {
-    for (int64_t i = first; i < last; i++)
-        if (!(loop_arrive(w, i) && loop_step(w, i, w->points[i], w->points[i + 1]))) return i;
+EXPORT int64_t loop_run(Wiring *wiring, int64_t first, int64_t last) {
+    for (int64_t point = first; point < last; point++)
+        if (!(loop_exchange_and_record(wiring, point) &&
+              loop_step(wiring, point, wiring->points[point], wiring->points[point + 1])))
+            return point;
     return last;
 }

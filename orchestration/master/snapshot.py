@@ -1,4 +1,4 @@
-"""The whole system at one communication point, kept so that it can be gone back to."""
+"""The whole system at one communication point, kept in memory to go back to."""
 
 from collections.abc import Mapping
 
@@ -6,46 +6,45 @@ import numpy as np
 
 from orchestration.errors import FmuError
 from orchestration.fmi.instance import FmuInstance
-from orchestration.master.loop import Wiring
+from orchestration.master.loop_data import Wiring
 
 
-def moving_arrays(w: Wiring) -> dict[str, np.ndarray]:
-    """What a step changes, but for the record and the history of faults, which only grow."""
-    links = w.links
-    return {
-        "bus": w.bus, "slopes": w.slopes, "whole": w.whole, "begun": w.begun, "warned": w.warned,
-        "value": links.value, "slope": links.slope, "stamp": links.stamp, "given": links.given,
-        "interval": links.interval,
-    }  # fmt: skip
+def changing_arrays(wiring: Wiring) -> dict[str, np.ndarray]:
+    """The arrays that a step changes; the record and the history of faults, which only grow, are left out."""
+    names = ("bus", "slopes", "integers", "step_start", "warning")
+    arrays = {name: getattr(wiring, name) for name in names}
+    names = ("value", "slope", "sample_time", "sample", "sample_interval")
+    return arrays | {name: getattr(wiring.connections, name) for name in names}
 
 
 class Snapshot:
-    """States of all FMUs and the arrays between them; `free` when it is needed no more."""
+    """The states of all FMUs and the arrays of the loop at one time; call `free` at the end."""
 
-    def __init__(self, components: Mapping[str, FmuInstance], w: Wiring) -> None:
-        self._components, self._wiring = components, w
+    def __init__(self, instances: Mapping[str, FmuInstance], wiring: Wiring) -> None:
+        self._instances, self._wiring = instances, wiring
         self._states: dict[str, int] = {}
-        self._arrays = {name: array.copy() for name, array in moving_arrays(w).items()}
+        self._arrays = {name: array.copy() for name, array in changing_arrays(wiring).items()}
 
     def take(self) -> None:
-        """Now."""
-        for name, array in moving_arrays(self._wiring).items():
+        """Replace the snapshot by the present states and arrays."""
+        for name, array in changing_arrays(self._wiring).items():
             self._arrays[name][:] = array
-        for name, component in self._components.items():
-            self._states[name] = component.get_fmu_state(self._states.get(name))
+        for name, instance in self._instances.items():
+            self._states[name] = instance.get_fmu_state(self._states.get(name))
 
     def restore(self) -> None:
-        """Back to when it was taken."""
-        for name, array in moving_arrays(self._wiring).items():
+        """Set all states and arrays back to those of the snapshot."""
+        for name, array in changing_arrays(self._wiring).items():
             array[:] = self._arrays[name]
-        for name, component in self._components.items():
-            component.log.clear()
-            component.set_fmu_state(self._states[name])
+        for name, instance in self._instances.items():
+            instance.log.clear()
+            instance.set_fmu_state(self._states[name])
 
     def free(self) -> None:
+        """Free the states."""
         for name, state in self._states.items():
             try:
-                self._components[name].free_fmu_state(state)
-            except FmuError:  # the instance goes next, and its states with it
+                self._instances[name].free_fmu_state(state)
+            except FmuError:  # the instance is freed next, and its states with it
                 continue
         self._states.clear()

@@ -1,162 +1,147 @@
-"""Steps between two communication points: after a discarded step, and as short as a tolerance needs.
+"""Steps between two communication points: after a discarded step, and to meet a tolerance.
 
-Step doubling: the step h is done at once and in two halves. Their difference, divided by 2^p - 1, estimates
-the error of the halves, p being the order of the exchange: 1, or 2 with extrapolation. A step may bring the
-part h / T of the tolerance, T being the length of the run: what all steps bring together stays below it.
+Step doubling: a step of size h is taken once as a whole and once as two halves. The difference of the two,
+divided by 2^p - 1, estimates the error of the halves, where p is the order of the exchange: 1, or 2 with
+extrapolation. A step may contribute the share h / T of the tolerance, where T is the duration of the run:
+the sum over all steps stays below the tolerance.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-
-import numpy as np
 
 from orchestration.errors import OrchestrationError
 from orchestration.fmi.instance import FmuInstance
-from orchestration.master.failure import explain, is_discarded_step
-from orchestration.master.loop import WHO, Entries
+from orchestration.master.failure import failure_error, is_discarded_step
+from orchestration.master.loop_data import COMPONENT, LoopFunctions
 from orchestration.master.snapshot import Snapshot
-from orchestration.master.wiring import Loom
-from orchestration.system.signals import Signal
+from orchestration.master.tolerance import tolerance_of
+from orchestration.master.wiring import NamedWiring
+from orchestration.system.prepared_run import PreparedRun
 
 _SHORTEST = 1e-9  # of a communication step
-_SAFETY, _LEAST, _MOST = 0.9, 0.2, 5.0  # the usual factors of a step-size control
-_MOST_AFTER_DISCARD = 2.0
+_SAFETY, _LARGEST_REDUCTION, _LARGEST_GROWTH = 0.9, 0.2, 5.0  # the usual factors of step-size control
+_GROWTH_AFTER_DISCARD = 2.0
 
 
 @dataclass
-class Effort:
-    """What it took: steps between points, and tries that were discarded or not exact enough."""
+class StepStatistics:
+    """Steps between communication points.
 
-    steps: int = 0
+    accepted; discarded: by an FMU; inexact: their estimated error was too large
+    """
+
+    accepted: int = 0
     discarded: int = 0
     inexact: int = 0
 
 
-@dataclass(frozen=True)
-class Tolerance:
-    """Error that a run may bring, relative to max(|value|, nominal); `places` of the values on the bus.
+class StepControl:
+    """Divides communication steps into shorter ones; every FMU must be able to restore its state.
 
-    at_once: whether an output may follow an input directly. What it is late by is an error of its own, which
-    does not add up from step to step: it is judged against the whole tolerance.
+    step_size: the next to try [s]
     """
-
-    relative: float
-    order: int
-    duration: float
-    places: np.ndarray
-    nominal: np.ndarray
-    at_once: np.ndarray
-
-    def excess(self, coarse: np.ndarray, fine: np.ndarray, h: float) -> float:
-        """Estimated error of the fine values over what a step of h s may bring; 1 is just allowed.
-
-        A value that is not finite either way is only recorded, and no matter of this step.
-        """
-        part = np.where(self.at_once, 1.0, h / self.duration)
-        scale = self.relative * np.maximum(np.abs(fine), self.nominal) * part
-        with np.errstate(invalid="ignore"):
-            ratio = np.abs(fine - coarse) / (2.0**self.order - 1.0) / scale
-        ratio[~(np.isfinite(coarse) | np.isfinite(fine))] = 0.0
-        ratio[np.isnan(ratio)] = np.inf
-        return float(np.max(ratio, initial=0.0))
-
-
-class ShorterSteps:
-    """Covers a communication step in several; components must be able to go back."""
 
     def __init__(
         self,
-        components: Mapping[str, FmuInstance],
-        loom: Loom,
-        loop: Entries,
-        signals: Sequence[Signal],
-        tolerance: Tolerance | None,
-        step_size: float,
+        prepared: PreparedRun,
+        instances: Mapping[str, FmuInstance],
+        named: NamedWiring,
+        loop: LoopFunctions,
     ) -> None:
-        self._components, self._loom, self._wiring, self._loop = components, loom, loom.wiring, loop
-        self._signals, self.tolerance = signals, tolerance
-        self._before = Snapshot(components, loom.wiring)
-        self.step_size = step_size  # the next to try [s]
-        self.effort = Effort()
+        self._instances, self._named, self._wiring, self._loop = instances, named, named.wiring, loop
+        self._signals = list(prepared.experiment.signals.values())
+        self._before = Snapshot(instances, named.wiring)
+        self._shortest = 0.0
+        self.tolerance = tolerance_of(prepared, named)
+        self.step_size = prepared.experiment.step_size
+        self.statistics = StepStatistics()
 
-    def cover(self, i: int, check_interrupt: Callable[[], None]) -> None:
-        """From communication point i, which was looked at, to the next."""
-        t, end = float(self._wiring.points[i]), float(self._wiring.points[i + 1])
-        self._shortest = _SHORTEST * (end - t)
+    def advance_to(self, point: int, check_interrupt: Callable[[], None]) -> None:
+        """Advance from the communication point before `point`, where the exchange is done, to `point`."""
+        time, stop = float(self._wiring.points[point - 1]), float(self._wiring.points[point])
+        self._shortest = _SHORTEST * (stop - time)
         if not self.tolerance:
-            self.step_size = end - t
-        while t < end:
+            self.step_size = stop - time
+        while time < stop:
             check_interrupt()
-            aim = t + self.step_size
-            if aim > end - self._shortest:
-                aim = end
-            elif self.tolerance and end - aim < self.step_size:
-                aim = t + 0.5 * (end - t)  # two equal steps rather than a long and a short one
+            end = time + self.step_size
+            if end > stop - self._shortest:
+                end = stop
+            elif self.tolerance and stop - end < self.step_size:
+                end = time + 0.5 * (stop - time)  # two equal steps rather than a long and a short one
             self._before.take()
-            if self._reaches(i, t, aim):
+            if self.try_controlled_step(point - 1, time, end):
                 if not self.tolerance:
-                    self.step_size = _MOST_AFTER_DISCARD * (aim - t)
-                t = aim
-                self.effort.steps += 1
+                    self.step_size = _GROWTH_AFTER_DISCARD * (end - time)
+                time = end
+                self.statistics.accepted += 1
             else:
                 self._before.restore()
 
-    def _reaches(self, i: int, t: float, aim: float) -> bool:
-        """Go from t to aim; if not accepted, the step size is shorter afterwards."""
-        if not self.tolerance:
-            return self._goes(i, t, aim)
-        if not self._goes(i, t, aim):
-            return False
-        coarse = self._wiring.bus[self.tolerance.places]
-        self._before.restore()
-        middle = t + 0.5 * (aim - t)
-        if not (self._goes(i, t, middle) and self._goes(i, middle, aim)):
-            return False
-        fine, h = self._wiring.bus[self.tolerance.places], aim - t
-        excess = self.tolerance.excess(coarse, fine, h)
-        # the error of a step is of order p + 1, what it may bring of order 1
-        factor = _SAFETY * excess ** (-1.0 / self.tolerance.order) if excess > 0.0 else _MOST
-        if not excess <= 1.0:
-            self.effort.inexact += 1
-            if h <= 2.0 * self._shortest:
-                raise OrchestrationError(
-                    f"at t = {t:.9g} s the tolerance needs a step of less than {h:.3g} s: expected outputs "
-                    "without jumps; take a larger tolerance, or steps of fixed size"
-                )
-        self.step_size = h * max(_LEAST, min(factor, _MOST))
-        return excess <= 1.0
+    def try_controlled_step(self, point: int, start: float, end: float) -> bool:
+        """Step from `start` to `end`, with error control if there is a tolerance.
 
-    def _goes(self, i: int, t: float, aim: float) -> bool:
-        """One step; False if a component discarded it."""
-        w = self._wiring
-        if t != w.points[i]:
-            for place, signal in zip(w.signal_places, self._signals, strict=True):
-                w.bus[place] = signal(t)
-            if not self._loop.exchange(i, t, False):
-                raise explain(self._loom, self._components, t)
-        if self._loop.step(i, t, aim):
+        point: the communication point at or before `start`
+        False if the step is not accepted: `step_size` is shorter then.
+        """
+        if not self.try_step(point, start, end):
+            return False
+        if not self.tolerance:
             return True
-        if not is_discarded_step(w):
-            raise explain(self._loom, self._components, t)
-        self.effort.discarded += 1
-        self.step_size = self._accepted_part(t, aim)
+        coarse = self._wiring.bus[self.tolerance.bus_index]
+        self._before.restore()
+        middle = start + 0.5 * (end - start)
+        if not (self.try_step(point, start, middle) and self.try_step(point, middle, end)):
+            return False
+        fine, size = self._wiring.bus[self.tolerance.bus_index], end - start
+        ratio = self.tolerance.error_ratio(coarse, fine, size)
+        # the error of a step is of order p + 1 in its size, the permitted error of order 1
+        factor = _SAFETY * ratio ** (-1.0 / self.tolerance.order) if ratio > 0.0 else _LARGEST_GROWTH
+        if not ratio <= 1.0:
+            self.statistics.inexact += 1
+            self._check_can_be_shorter(start, size)
+        self.step_size = size * max(_LARGEST_REDUCTION, min(factor, _LARGEST_GROWTH))
+        return ratio <= 1.0
+
+    def _check_can_be_shorter(self, start: float, size: float) -> None:
+        if size <= 2.0 * self._shortest:
+            raise OrchestrationError(
+                f"at t = {start:.9g} s the tolerance needs a step of less than {size:.3g} s: expected "
+                "outputs without jumps; choose a larger tolerance, or steps of fixed size"
+            )
+
+    def try_step(self, point: int, start: float, end: float) -> bool:
+        """Step from `start` to `end`; False if a component discarded the step."""
+        wiring = self._wiring
+        if start != wiring.points[point]:
+            for index, signal in zip(wiring.signal_index, self._signals, strict=True):
+                wiring.bus[index] = signal(start)
+            if not self._loop.exchange(point, start, False):
+                raise failure_error(self._named, self._instances, start)
+        if self._loop.step(point, start, end):
+            return True
+        if not is_discarded_step(wiring):
+            raise failure_error(self._named, self._instances, start)
+        self.statistics.discarded += 1
+        self.step_size = self._possible_step_size(start, end)
         if self.step_size < self._shortest:
-            raise explain(self._loom, self._components, t)
+            raise failure_error(self._named, self._instances, start)
         return False
 
-    def _accepted_part(self, t: float, aim: float) -> float:
-        """The step [s] that the component which discarded the one to `aim` can do."""
-        component = list(self._components.values())[self._wiring.report[WHO]]
-        reached = component.last_successful_time()
+    def _possible_step_size(self, start: float, end: float) -> float:
+        """The step size [s] that the component which discarded the step to `end` can take."""
+        instance = list(self._instances.values())[self._wiring.report[COMPONENT]]
+        reached = instance.last_successful_time()
         if reached is None:
-            return 0.5 * (aim - t)
+            return 0.5 * (end - start)
         slack = self._shortest
-        if not t - slack <= reached <= aim + slack:
+        if not start - slack <= reached <= end + slack:
             raise OrchestrationError(
-                f"{component.name} discarded the step from {t:.9g} to {aim:.9g} s and gave "
+                f"{instance.name} discarded the step from {start:.9g} to {end:.9g} s and returned "
                 f"LastSuccessfulTime = {reached:.9g} s: expected a time within the step"
             )
-        return reached - t if t + slack < reached < aim - slack else 0.5 * (aim - t)
+        return reached - start if start + slack < reached < end - slack else 0.5 * (end - start)
 
     def free(self) -> None:
+        """Free the saved states."""
         self._before.free()

@@ -12,7 +12,7 @@ import numpy as np
 from fmus.process import ProcessEndedError, WorkerProcess
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.master.interrupt import kept_interrupts
-from orchestration.master.loop import BUSY, CALLS, RECORDED
+from orchestration.master.loop_data import BUSY, CALLS, RECORDED
 from orchestration.master.progress import Progress
 from orchestration.master.record import make_recording
 from orchestration.master.subprocess_worker import STOP, Outcome, SharedRecord, Task, Warned, run_task

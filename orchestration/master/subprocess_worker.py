@@ -22,7 +22,7 @@ import numpy as np
 from fmus.process import Parent
 from orchestration.errors import OrchestrationError
 from orchestration.master.interrupt import kept_interrupts
-from orchestration.master.loop import RECORDED, REPORT_SIZE, Storage
+from orchestration.master.loop_data import RECORDED, REPORT_SIZE, Storage
 from orchestration.master.simulator import Simulator
 from orchestration.results.recording import Recording
 from orchestration.system.experiment import Experiment

@@ -1,274 +1,213 @@
-"""A checked system with live components and an experiment -> the arrays that the loop works on."""
+"""A prepared run and its FMU instances as the arrays of the communication loop."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from fmpy.model_description import ScalarVariable
 
 from orchestration.fmi.instance import CallInProgress, FmuInstance
-from orchestration.master.loop import (
-    AT_THE_MIDDLE,
+from orchestration.master.bus import SIGNAL, BusLayout, VariableGroup, component_of, lay_out_bus
+from orchestration.master.loop_data import (
     BUSY,
-    BY_THE_FMU,
     CALLS,
-    HELD,
-    READ,
+    DO_STEP,
+    FMU_DERIVATIVE,
+    GET_OUTPUTS,
+    HOLD,
+    MIDPOINT,
     REPORT_SIZE,
-    SLOPES,
-    STEP,
-    WRITE,
+    SET_DERIVATIVES,
+    SET_INPUTS,
     Calls,
+    Connections,
     Faults,
-    Links,
     Storage,
     Wiring,
 )
 from orchestration.system.experiment import Algorithm
 from orchestration.system.prepared_run import PreparedRun
-from orchestration.system.values import TRANSFER_TYPE, value_range
+from orchestration.system.values import value_range
 
-# How much longer than usual a step may be than the one that its slope was taken from. Where a tolerance
-# judges the outcome, it follows half a step and may be five times as long as the whole.
-_REACH, _JUDGED_REACH = 2.0, 10.0
-
-
-@dataclass
-class _Bus:
-    """Places for every value that travels, before their number is known."""
-
-    names: list[str] = field(default_factory=list)
-    places: dict[str, int] = field(default_factory=dict)
-    whole: int = 0
-
-    def add(self, names: Iterable[str]) -> int:
-        """Consecutive places; the first of them."""
-        first = len(self.names)
-        for name in names:
-            self.places[name] = len(self.names)
-            self.names.append(name)
-        return first
+# How much longer than usual a step may be than the interval from which its slope was taken. With a tolerance
+# the error is estimated, and a step may follow half a step and be five times as long as the whole.
+_SLOPE_VALIDITY, _SLOPE_VALIDITY_WITH_TOLERANCE = 2.0, 10.0
 
 
-@dataclass
-class _Group:
-    """Variables of one component and type that are read or written in one call."""
+@dataclass(frozen=True)
+class NamedWiring:
+    """The wiring of a run, and the names of its elements.
 
-    component: str
-    kind: str
-    variables: list[ScalarVariable]
-    place: int
-    whole: int
-
-
-class Loom:
-    """Weaves the wiring of one run.
-
-    wiring: what the loop takes; recorded: names of the columns of its rows; links: (source, target) of its
-    connections; functions: what its calls call
+    functions: kind of call -> the FMI function of each of its rows
+    references: value references, whose addresses are in the wiring
     """
 
-    def __init__(
-        self,
-        prepared: PreparedRun,
-        components: Mapping[str, FmuInstance],
-        storage: Storage | None = None,
-    ) -> None:
-        checked, experiment, points = prepared.system, prepared.experiment, prepared.points
-        self._prepared = prepared
-        self._checked, self._experiment, self._components = checked, experiment, components
-        self._names = list(components)
-        self._bus, self._kept = _Bus(), []
-        self.functions: dict[int, list[str]] = {STEP: ["fmi2DoStep"]}
-        self.links = self._sorted_links()
-        self.recorded = prepared.recorded
-        wanted = {*self.recorded, *(source for source, _ in self.links)}
-        driven = {target for _, target in self.links}
-        self.outputs = [name for name in checked.ports if name in wanted and self._is_output(name)]
-        reads = [group for name in components for group in self._groups(name, "output", wanted)]
-        writes = [group for name in components for group in self._groups(name, "input", driven)]
-        signals = self._bus.add(f"signal {name}" for name in experiment.signals)
-        columns = [self._bus.places[name] for name in self.recorded]
-        self._values, self._slopes = np.zeros(len(self._bus.names)), np.zeros(len(self._bus.names))
-        self._whole = np.zeros(self._bus.whole, np.int32)
-        count = len(components)
-        ones = self._keep(np.ones(len(self._values), np.int32))
-        carried = [self._carried(*link) for link in self.links]
-        storage = storage or Storage(np.empty(prepared.shape), np.zeros(REPORT_SIZE, np.int64))
-        heard = np.zeros(count, np.int64)
-        for c, component in enumerate(components.values()):
-            component.log.error_logged = heard[c : c + 1]
-            component.call_in_progress = CallInProgress(
-                c + 1, *(storage.report[i : i + 1] for i in (BUSY, CALLS))
-            )
-        self.wiring = Wiring(
-            gauss_seidel=int(experiment.algorithm is Algorithm.GAUSS_SEIDEL),
-            whole_steps=int(not experiment.tolerance),
-            points=points,
-            bus=self._values,
-            slopes=self._slopes,
-            whole=self._whole,
-            orders=ones.ctypes.data,
-            instance=np.array([each.address for each in components.values()], np.int64),
-            do_step=np.array([each.function("fmi2DoStep") for each in components.values()], np.int64),
-            period=np.array([prepared.periods[name] for name in components], np.int64),
-            only_step=np.array([self._only_step(name) for name in components]),
-            begun=np.full(count, experiment.start_time),
-            heard=heard,
-            warned=np.zeros(count, np.int64),
-            warned_at=np.zeros(count),
-            writes=self._calls(writes, WRITE, "fmi2Set"),
-            derivatives=self._derivatives(writes, carried),
-            reads=self._calls(reads, READ, "fmi2Get"),
-            links=self._links(carried),
-            faults=self._faults(points),
-            signals=prepared.signal_values,
-            signal_places=np.arange(signals, signals + len(experiment.signals)),
-            record=np.array(columns, np.int64),
-            rows=storage.rows,
-            report=storage.report,
+    wiring: Wiring
+    bus: BusLayout
+    functions: Mapping[int, Sequence[str]]
+    references: Sequence[np.ndarray]
+
+
+def build_wiring(
+    prepared: PreparedRun, instances: Mapping[str, FmuInstance], storage: Storage | None = None
+) -> NamedWiring:
+    """The arrays of a run at its start time; storage: the arrays for the record and the report, if given."""
+    bus, experiment = lay_out_bus(prepared), prepared.experiment
+    count = len(instances)
+    values, slopes = np.zeros(len(bus.index)), np.zeros(len(bus.index))
+    integers, ones = np.zeros(bus.integer_count, np.int32), np.ones(len(bus.index), np.int32)
+    storage = storage or Storage(np.empty(prepared.shape), np.zeros(REPORT_SIZE, np.int64))
+    modes = [_input_mode(prepared, source, target) for source, target in bus.connections]
+    extrapolated = _groups_with_mode(bus, modes, FMU_DERIVATIVE)
+    functions = {
+        SET_INPUTS: [f"fmi2Set{group.type}" for group in bus.inputs],
+        SET_DERIVATIVES: ["fmi2SetRealInputDerivatives"] * len(extrapolated),
+        GET_OUTPUTS: [f"fmi2Get{group.type}" for group in bus.outputs],
+        DO_STEP: ["fmi2DoStep"],
+    }
+    references: list[np.ndarray] = []
+
+    def calls(kind: int, groups: Sequence[VariableGroup], reals: np.ndarray) -> Calls:
+        arrays = [np.array([v.valueReference for v in group.variables], np.uint32) for group in groups]
+        references.extend(arrays)
+        buffers = [_buffer(group, reals, integers) for group in groups]
+        return _calls(instances, groups, functions[kind], arrays, buffers)
+
+    wiring = Wiring(
+        gauss_seidel=int(experiment.algorithm is Algorithm.GAUSS_SEIDEL),
+        full_steps=int(not experiment.tolerance),
+        points=prepared.points,
+        bus=values,
+        slopes=slopes,
+        integers=integers,
+        orders=ones.ctypes.data,
+        instances=np.array([instance.address for instance in instances.values()], np.int64),
+        do_step=np.array([instance.function("fmi2DoStep") for instance in instances.values()], np.int64),
+        periods=np.array([prepared.periods[name] for name in instances], np.int64),
+        fixed_step_size=np.array([_fixed_step_size(prepared, name) for name in instances]),
+        step_start=np.full(count, experiment.start_time),
+        error_logged=np.zeros(count, np.int64),
+        warning=np.zeros(count, np.int64),
+        warning_time=np.zeros(count),
+        input_calls=calls(SET_INPUTS, bus.inputs, values),
+        derivative_calls=calls(SET_DERIVATIVES, extrapolated, slopes),
+        output_calls=calls(GET_OUTPUTS, bus.outputs, values),
+        connections=_connections(prepared, bus, modes),
+        faults=_faults(prepared),
+        signal_values=prepared.signal_values,
+        signal_index=np.array([bus.index[f"{SIGNAL}{name}"] for name in experiment.signals], np.int64),
+        record_index=np.array([bus.index[name] for name in prepared.recorded], np.int64),
+        rows=storage.rows,
+        report=storage.report,
+    )
+    return NamedWiring(wiring, bus, functions, [*references, ones])
+
+
+def report_calls(instances: Mapping[str, FmuInstance], wiring: Wiring) -> None:
+    """Let the instances count their calls in the report, and flag logged errors for the loop."""
+    for c, instance in enumerate(instances.values()):
+        instance.log.error_logged = wiring.error_logged[c : c + 1]
+        busy, calls = wiring.report[BUSY : BUSY + 1], wiring.report[CALLS : CALLS + 1]
+        instance.call_in_progress = CallInProgress(c + 1, busy, calls)
+
+
+def _buffer(group: VariableGroup, reals: np.ndarray, integers: np.ndarray) -> int:
+    """Address of the first value of a group."""
+    is_real = group.integer_index < 0
+    array, index = (reals, group.bus_index) if is_real else (integers, group.integer_index)
+    return array.ctypes.data + index * array.itemsize
+
+
+def _calls(
+    instances: Mapping[str, FmuInstance],
+    groups: Sequence[VariableGroup],
+    functions: Sequence[str],
+    references: Sequence[np.ndarray],
+    buffers: Sequence[int],
+) -> Calls:
+    rows = [
+        (
+            instances[group.component].function(function),
+            array.ctypes.data,
+            buffer,
+            len(group.variables),
+            group.bus_index,
+            group.integer_index,
         )
-
-    def _sorted_links(self) -> list[tuple[str, str]]:
-        """(source, target) of every connection and signal, in the order of the target's component."""
-        pairs = [(a.name, b.name) for a, b in self._checked.connections]
-        pairs += [(f"signal {name}", name) for name in self._experiment.signals]
-        return sorted(pairs, key=lambda pair: self._names.index(_component(pair[1])))
-
-    def place(self, name: str) -> int:
-        """On the bus."""
-        return self._bus.places[name]
-
-    def _is_output(self, name: str) -> bool:
-        return self._checked.ports[name].variable.causality == "output"
-
-    def _groups(self, component: str, causality: str, only: set[str]) -> list[_Group]:
-        """The variables that are needed, a group a type."""
-        by_kind: dict[str, list[ScalarVariable]] = {}
-        for variable in self._checked.descriptions[component].modelVariables:
-            if variable.causality == causality and f"{component}.{variable.name}" in only:
-                by_kind.setdefault(TRANSFER_TYPE[variable.type], []).append(variable)
-        groups = []
-        for kind, variables in by_kind.items():
-            place = self._bus.add(f"{component}.{v.name}" for v in variables)
-            whole = -1
-            if kind != "Real":
-                whole = self._bus.whole
-                self._bus.whole += len(variables)
-            groups.append(_Group(component, kind, variables, place, whole))
-        return groups
-
-    def _keep(self, array: np.ndarray) -> np.ndarray:
-        """The FMUs are given addresses in it: it must live as long as the wiring."""
-        self._kept.append(array)
-        return array
-
-    def _references(self, variables: list[ScalarVariable]) -> int:
-        return self._keep(np.array([v.valueReference for v in variables], np.uint32)).ctypes.data
-
-    def _calls(self, groups: list[_Group], call: int, verb: str) -> Calls:
-        names = [f"{verb}{group.kind}" for group in groups]
-        buffers = [
-            _address(self._whole, group.whole) if group.whole >= 0 else _address(self._values, group.place)
-            for group in groups
-        ]
-        return self._rows(call, groups, names, buffers)
-
-    def _derivatives(self, groups: list[_Group], carried: list[int]) -> Calls:
-        """fmi2SetRealInputDerivatives for the inputs that their FMU carries on itself."""
-        there = {target for (_, target), how in zip(self.links, carried, strict=True) if how == BY_THE_FMU}
-        groups = [each for each in groups if f"{each.component}.{each.variables[0].name}" in there]
-        names = ["fmi2SetRealInputDerivatives"] * len(groups)
-        return self._rows(SLOPES, groups, names, [_address(self._slopes, each.place) for each in groups])
-
-    def _rows(self, call: int, groups: list[_Group], names: list[str], buffers: list[int]) -> Calls:
-        self.functions[call] = names
-        rows = [
-            (
-                self._components[group.component].function(name),
-                self._references(group.variables),
-                buffer,
-                len(group.variables),
-                group.place,
-                group.whole,
-            )
-            for group, name, buffer in zip(groups, names, buffers, strict=True)
-        ]
-        columns = np.array(rows, np.int64).reshape(-1, 6).T
-        first = _starts([group.component for group in groups], self._names)
-        return Calls(first, *(np.ascontiguousarray(column) for column in columns))
-
-    def _only_step(self, component: str) -> float:
-        """The step size [s] of one that cannot vary it; otherwise 0."""
-        interface: Any = self._checked.descriptions[component].coSimulation
-        if interface.canHandleVariableCommunicationStepSize:
-            return 0.0
-        return self._prepared.periods[component] * self._experiment.step_size
-
-    def _carried(self, source: str, target: str) -> int:
-        port = self._checked.ports[target]
-        ends = [port, *([] if source.startswith("signal ") else [self._checked.ports[source]])]
-        is_continuous = all(
-            each.variable.type == "Real" and each.variable.variability in (None, "continuous")
-            for each in ends
-        )
-        if not (self._experiment.extrapolation and is_continuous):
-            return HELD
-        interface: Any = self._checked.descriptions[port.component].coSimulation
-        return BY_THE_FMU if interface.canInterpolateInputs else AT_THE_MIDDLE
-
-    def _links(self, carried: list[int]) -> Links:
-        faulted = list(self._prepared.fault_patterns)
-        count = len(self.links)
-
-        def giver(source: str) -> int:
-            return -1 if source.startswith("signal ") else self._names.index(_component(source))
-
-        usual = _JUDGED_REACH if self._experiment.tolerance else _REACH
-        givers = [giver(source) for source, _ in self.links]
-        periods = [self._prepared.periods[name] for name in self._names]
-        ranges = [value_range(self._checked.ports[target]) for _, target in self.links]
-        return Links(
-            first=_starts([_component(target) for _, target in self.links], self._names),
-            source=np.array([self._bus.places[source] for source, _ in self.links], np.int64),
-            target=np.array([self._bus.places[target] for _, target in self.links], np.int64),
-            giver=np.array(givers, np.int64),
-            fault=np.array([faulted.index(t) if t in faulted else -1 for _, t in self.links], np.int64),
-            carried=np.array(carried, np.int64),
-            low=np.array([low for low, _ in ranges]),
-            high=np.array([high for _, high in ranges]),
-            value=np.zeros(count),
-            slope=np.zeros(count),
-            stamp=np.full(count, -np.inf),
-            given=np.zeros(count),
-            interval=np.zeros(count),
-            reach=np.array(
-                [
-                    usual * self._prepared.periods[_component(target)] / (periods[c] if c >= 0 else 1)
-                    for c, (_, target) in zip(givers, self.links, strict=True)
-                ]
-            ),
-        )
-
-    def _faults(self, points: np.ndarray) -> Faults:
-        patterns = self._prepared.fault_patterns
-        shape = len(patterns), len(points)
-        source, addition = np.zeros(shape, np.int64), np.zeros(shape)
-        for row, pattern in enumerate(patterns.values()):
-            source[row], addition[row] = pattern
-        return Faults(source, addition, np.zeros(shape))
+        for group, function, array, buffer in zip(groups, functions, references, buffers, strict=True)
+    ]
+    columns = np.array(rows, np.int64).reshape(-1, 6).T
+    first = _first_of_each([group.component for group in groups], list(instances))
+    return Calls(first, *(np.ascontiguousarray(column) for column in columns))
 
 
-def _component(name: str) -> str:
-    return name.partition(".")[0]
+def _groups_with_mode(bus: BusLayout, modes: Sequence[int], mode: int) -> list[VariableGroup]:
+    """The groups whose first input has this input mode."""
+    targets = {target for (_, target), own in zip(bus.connections, modes, strict=True) if own == mode}
+    return [group for group in bus.inputs if group.names[0] in targets]
 
 
-def _address(array: np.ndarray, place: int) -> int:
-    return array.ctypes.data + place * array.itemsize
+def _fixed_step_size(prepared: PreparedRun, component: str) -> float:
+    interface: Any = prepared.system.descriptions[component].coSimulation
+    if interface.canHandleVariableCommunicationStepSize:
+        return 0.0
+    return prepared.periods[component] * prepared.experiment.step_size
 
 
-def _starts(owners: list[str], names: list[str]) -> np.ndarray:
-    """Where the entries of each component begin, and behind the last; `owners` are in order."""
-    counts = [owners.count(name) for name in names]
+def _input_mode(prepared: PreparedRun, source: str, target: str) -> int:
+    ports = prepared.system.ports
+    ends = [ports[name].variable for name in (source, target) if not name.startswith(SIGNAL)]
+    is_continuous = all(v.type == "Real" and v.variability in (None, "continuous") for v in ends)
+    if not (prepared.experiment.extrapolation and is_continuous):
+        return HOLD
+    interface: Any = prepared.system.descriptions[ports[target].component].coSimulation
+    return FMU_DERIVATIVE if interface.canInterpolateInputs else MIDPOINT
+
+
+def _connections(prepared: PreparedRun, bus: BusLayout, modes: list[int]) -> Connections:
+    components, faulted = list(prepared.system.components), list(prepared.fault_patterns)
+    count = len(bus.connections)
+    sources = [
+        -1 if source.startswith(SIGNAL) else components.index(component_of(source))
+        for source, _ in bus.connections
+    ]
+    targets = [component_of(target) for _, target in bus.connections]
+    ranges = [value_range(prepared.system.ports[target]) for _, target in bus.connections]
+    validity = _SLOPE_VALIDITY_WITH_TOLERANCE if prepared.experiment.tolerance else _SLOPE_VALIDITY
+    source_periods = [1 if c < 0 else prepared.periods[components[c]] for c in sources]
+    return Connections(
+        first=_first_of_each(targets, components),
+        source=np.array([bus.index[source] for source, _ in bus.connections], np.int64),
+        target=np.array([bus.index[target] for _, target in bus.connections], np.int64),
+        source_component=np.array(sources, np.int64),
+        fault=np.array([faulted.index(t) if t in faulted else -1 for _, t in bus.connections], np.int64),
+        input_mode=np.array(modes, np.int64),
+        minimum=np.array([low for low, _ in ranges]),
+        maximum=np.array([high for _, high in ranges]),
+        value=np.zeros(count),
+        slope=np.zeros(count),
+        sample_time=np.full(count, -np.inf),
+        sample=np.zeros(count),
+        sample_interval=np.zeros(count),
+        slope_validity=np.array(
+            [
+                validity * prepared.periods[target] / period
+                for target, period in zip(targets, source_periods, strict=True)
+            ]
+        ),
+    )
+
+
+def _faults(prepared: PreparedRun) -> Faults:
+    patterns = prepared.fault_patterns
+    shape = len(patterns), len(prepared.points)
+    source, addition = np.zeros(shape, np.int64), np.zeros(shape)
+    for row, pattern in enumerate(patterns.values()):
+        source[row], addition[row] = pattern
+    return Faults(source, addition, np.zeros(shape))
+
+
+def _first_of_each(owners: list[str], components: list[str]) -> np.ndarray:
+    """Index of each component's first entry, and the number of entries; `owners` are in order."""
+    counts = [owners.count(name) for name in components]
     return np.array([0, *np.cumsum(counts)], np.int64)

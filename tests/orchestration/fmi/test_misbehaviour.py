@@ -228,7 +228,7 @@ def test_a_last_successful_time_outside_the_step_ends_the_run(
     linear: Build, rogue: Build, compiled: bool, misdeed: Misdeed, told: str
 ) -> None:
     message = (
-        rf"rogue discarded the step from 0.5 to 0.6 s and gave LastSuccessfulTime = {told} s: "
+        rf"rogue discarded the step from 0.5 to 0.6 s and returned LastSuccessfulTime = {told} s: "
         "expected a time within the step"
     )
     failure(pair(linear, rogue), doing(misdeed, 0.5, 0.04), compiled, message)

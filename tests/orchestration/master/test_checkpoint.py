@@ -73,6 +73,7 @@ def test_it_is_the_same_run_to_the_last_bit(linear: Build, tmp_path: Path, chang
     assert np.array_equal(resumed.values, whole.values)
 
 
+@pytest.mark.usefixtures("scenario_fmus")
 def test_the_shipped_vehicle_goes_on_from_a_file_bit_for_bit(tmp_path: Path) -> None:
     """Controller, noise of the sensor and all."""
     chosen = scenario.load(scenario.find("nominal-extended"))

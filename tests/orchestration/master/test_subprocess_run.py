@@ -25,7 +25,7 @@ from orchestration.errors import FmuWarning, OrchestrationError, SimulationError
 from orchestration.master import Simulator, simulate
 from orchestration.master import subprocess_run as apart
 from orchestration.master.checkpoint import Checkpoints, read_checkpoint
-from orchestration.master.loop import BUSY, CALLS, REPORT_SIZE, Storage
+from orchestration.master.loop_data import BUSY, CALLS, REPORT_SIZE, Storage
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
@@ -137,9 +137,9 @@ def test_an_interrupt_at_the_terminal_does_not_cut_off_a_checkpoint(
         from orchestration.system.system import System
 
         class Slow(Checkpoints):
-            def save(self, run, components):
+            def save(self, run):
                 time.sleep(0.5)
-                super().save(run, components)
+                super().save(run)
 
         try:
             simulate(
@@ -209,9 +209,9 @@ class Sleeps:
 
 
 class SlowCheckpoints(Checkpoints):
-    def save(self, run: Any, components: Any) -> None:
+    def save(self, run: Any) -> None:
         time.sleep(SHORT + 0.5)
-        super().save(run, components)
+        super().save(run)
 
 
 SHORT = 0.3

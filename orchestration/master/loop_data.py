@@ -1,0 +1,145 @@
+"""The arrays that the communication loop works on; they stay at their addresses for a whole run.
+
+`loop.c` declares the same structures, member by member.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+Array = np.ndarray
+
+# Connections.input_mode: how an input is extrapolated between communication points
+HOLD, FMU_DERIVATIVE, MIDPOINT = range(3)
+# the kinds of failure and, but for the first and the last, of calls
+NO_FAILURE, SET_INPUTS, SET_DERIVATIVES, DO_STEP, GET_OUTPUTS, NOT_FINITE = range(6)
+# indices of Wiring.report
+RECORDED, FAILURE, COMPONENT, INDEX, STATUS, BUSY, CALLS = range(7)
+REPORT_SIZE = 7
+
+
+class Calls(NamedTuple):
+    """fmi2Get... or fmi2Set... calls, one a row; those of component c are rows first[c]..first[c+1]-1.
+
+    function, references, buffer: addresses; size: number of values
+    bus_index: of the first value on the bus
+    integer_index: of the first value in `Wiring.integers`; -1 for Real, whose buffer is on the bus itself
+    """
+
+    first: Array
+    function: Array
+    references: Array
+    buffer: Array
+    size: Array
+    bus_index: Array
+    integer_index: Array
+
+
+class Connections(NamedTuple):
+    """Connections and signals; those into component c are first[c]..first[c+1]-1.
+
+    source, target: indices on the bus; source_component: -1 for a signal; fault: row of `Faults` or -1
+    input_mode: HOLD, FMU_DERIVATIVE or MIDPOINT; minimum, maximum: of the target, for MIDPOINT
+
+    Between communication points a connection carries value + slope (t - sample_time):
+    value, slope: the slope is 0 or, with extrapolation, the difference quotient of the last two samples
+    sample, sample_time [s]: the last value that its source provided, without extrapolation
+    sample_interval: time between the last two samples [s]
+    slope_validity: length of the step, in sample intervals, from which on the slope is reduced
+    """
+
+    first: Array
+    source: Array
+    target: Array
+    source_component: Array
+    fault: Array
+    input_mode: Array
+    minimum: Array
+    maximum: Array
+    value: Array
+    slope: Array
+    sample_time: Array
+    sample: Array
+    sample_interval: Array
+    slope_validity: Array
+
+
+class Faults(NamedTuple):
+    """One row for each faulted connection, one column for each communication point i: the connection carries
+    history[source[i]] + addition[i], or addition[i] alone where source[i] is negative."""
+
+    source: Array
+    addition: Array
+    history: Array
+
+
+class Wiring(NamedTuple):
+    """All data of the communication loop.
+
+    gauss_seidel: 1 for Gauss-Seidel, 0 for Jacobi
+    full_steps: 1 if every step ends at a communication point; 0 with a tolerance, where a faulted connection
+    carries the sample of the last communication point throughout
+    points: communication points [s]
+    bus: every exchanged value, as float64; slopes: of inputs, at their indices on the bus
+    integers: Integer and Boolean values; orders: address of an array of ones, for the input derivatives
+    instances, do_step: addresses, one for each component
+    periods: communication steps in one step of the component
+    fixed_step_size: step size [s] of a component that cannot vary it, else 0
+    step_start: time [s] at which the present step of the component starts
+    error_logged: not 0 after the component logged an error
+    warning, warning_time: kind of its first call that returned a warning, and the step start then [s]
+    signal_values: one row for each signal, one column for each point; signal_index: of the signals on the bus
+    record_index: of the recorded values on the bus; rows: the recorded values, one row for each point
+    report: RECORDED rows; the kind of FAILURE with its COMPONENT, the INDEX of its call or connection and its
+    STATUS; BUSY: 1 + the component whose call is in progress, its negative while it is loaded, else 0;
+    CALLS that have returned
+    """
+
+    gauss_seidel: int
+    full_steps: int
+    points: Array
+    bus: Array
+    slopes: Array
+    integers: Array
+    orders: int
+    instances: Array
+    do_step: Array
+    periods: Array
+    fixed_step_size: Array
+    step_start: Array
+    error_logged: Array
+    warning: Array
+    warning_time: Array
+    input_calls: Calls
+    derivative_calls: Calls
+    output_calls: Calls
+    connections: Connections
+    faults: Faults
+    signal_values: Array
+    signal_index: Array
+    record_index: Array
+    rows: Array
+    report: Array
+
+
+@dataclass(frozen=True)
+class Storage:
+    """Arrays for `Wiring.rows` and `Wiring.report` that another process can read during the run.
+
+    rows: shape (communication points, recorded variables); report: shape (REPORT_SIZE,)
+    """
+
+    rows: Array
+    report: Array
+
+
+class LoopFunctions(NamedTuple):
+    """The functions of the loop for one wiring: those of loop.py, without their first argument."""
+
+    run: Callable[[int, int], int]
+    exchange_and_record: Callable[[int], bool]
+    exchange: Callable[[int, float, bool], bool]
+    step: Callable[[int, float, float], bool]
+    read_outputs: Callable[[int], bool]
