@@ -1,6 +1,6 @@
 """Figures 3, 5 and 6 of the paper, drawn from the recordings of a reproduction.
 
-Every figure shows the published numbers beside those of the run. Captions: docs/explanation/fidelity.md.
+Every figure shows the published numbers beside those of the run. Captions: docs/explanation/results.md.
 """
 
 from collections.abc import Mapping, Sequence
