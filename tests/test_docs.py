@@ -59,6 +59,13 @@ def test_the_picture_of_the_packages_shows_every_room() -> None:
     )
 
 
+def test_the_architecture_lists_every_file_of_the_master() -> None:
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    table = text[text.index("| file | question |") : text.index("\nA run:\n")]
+    files = {path.name for path in (ROOT / "orchestration" / "master").glob("*.py")} - {"__init__.py"}
+    assert files | {"loop.c"} == set(re.findall(r"`(\w+\.(?:py|c))`", table))
+
+
 @pytest.mark.parametrize("page", TOOL_PAGES, ids=_name)
 def test_a_page_says_what_was_tested_and_what_was_not(page: Path) -> None:
     """Every claim of a test names a file that exists, or says that nothing was tested."""
