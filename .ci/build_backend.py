@@ -60,7 +60,7 @@ class BuildWithLoop(build_py):
 class SourcesWithBackend(sdist):
     """Adds this file, and leaves out the few tests that setuptools takes."""
 
-    def add_defaults(self) -> None:
-        super().add_defaults()
+    def make_distribution(self) -> None:
         self.filelist.append(".ci/build_backend.py")
         self.filelist.prune("tests")
+        super().make_distribution()
