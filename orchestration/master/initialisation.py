@@ -35,12 +35,14 @@ def initialise(
 ) -> None:
     """Bring new instances to step mode with consistent initial values; groups: of `connection_groups`."""
     experiment = prepared.experiment
+    parameters = {name: _settings_of(prepared, name, "parameter") for name in instances}
+    inputs = {name: _settings_of(prepared, name, "input") for name in instances}
     for name, instance in instances.items():
-        instance.set_all(_settings_of(prepared, name, "parameter"))
+        instance.set_all(parameters[name])
     for instance in instances.values():
         instance.initialise(experiment.start_time, experiment.stop_time)
     for name, instance in instances.items():
-        instance.set_all(_settings_of(prepared, name, "input"))
+        instance.set_all(inputs[name])
     for name, values in zip(experiment.signals, prepared.signal_values, strict=True):
         port = prepared.system.ports[name]
         instances[port.component].set(port.variable, float(values[0]))

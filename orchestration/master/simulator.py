@@ -85,9 +85,11 @@ class Simulator:
         prepared = prepare_checked(system, experiment)
         if checkpoints or resume:
             check_can_save(system)
-        self._load_or_reset(storage)
-        named = build_wiring(prepared, self._instances, storage)
-        report_calls(self._instances, named.wiring)
+        report = storage.report if storage else np.zeros(REPORT_SIZE, np.int64)
+        rows = storage.rows if storage else np.empty(prepared.shape)
+        self._load_or_reset(report)
+        error_logged = report_calls(self._instances, report)
+        named = build_wiring(prepared, self._instances, Storage(rows, report), error_logged)
         run = RunInProgress(prepared, self._instances, named, self._loop(named.wiring))
         try:
             with deferred_interrupt() as check_interrupt:
@@ -116,7 +118,7 @@ class Simulator:
             self._checked[driven] = system, connection_groups(system)
         return self._checked[driven]
 
-    def _load_or_reset(self, storage: Storage | None) -> None:
+    def _load_or_reset(self, report: np.ndarray) -> None:
         """Load the FMUs that are not loaded, and reset the used ones."""
         if self._must_reload or not all(
             instance.is_fresh or instance.reset() for instance in self._instances.values()
@@ -126,12 +128,11 @@ class Simulator:
         if not self._instances:
             with ExitStack() as loading:
                 self._instances = {
-                    name: loading.enter_context(self._load(name, storage)) for name in self.system.components
+                    name: loading.enter_context(self._load(name, report)) for name in self.system.components
                 }
                 self._loaded = loading.pop_all()
 
-    def _load(self, name: str, storage: Storage | None) -> FmuInstance:
-        report = storage.report if storage else np.zeros(REPORT_SIZE, np.int64)
+    def _load(self, name: str, report: np.ndarray) -> FmuInstance:
         report[BUSY] = -1 - list(self.system.components).index(name)
         try:
             return FmuInstance(name, Path(self.system.components[name]), self._descriptions[name])

@@ -16,7 +16,6 @@ from orchestration.master.loop_data import (
     GET_OUTPUTS,
     HOLD,
     MIDPOINT,
-    REPORT_SIZE,
     SET_DERIVATIVES,
     SET_INPUTS,
     Calls,
@@ -27,7 +26,6 @@ from orchestration.master.loop_data import (
 )
 from orchestration.system.experiment import Algorithm
 from orchestration.system.prepared_run import PreparedRun
-from orchestration.system.values import value_range
 
 # How much longer than usual a step may be than the interval from which its slope was taken. With a tolerance
 # the error is estimated, and a step may follow half a step and be five times as long as the whole.
@@ -49,14 +47,16 @@ class NamedWiring:
 
 
 def build_wiring(
-    prepared: PreparedRun, instances: Mapping[str, FmuInstance], storage: Storage | None = None
+    prepared: PreparedRun,
+    instances: Mapping[str, FmuInstance],
+    storage: Storage,
+    error_logged: np.ndarray,
 ) -> NamedWiring:
-    """The arrays of a run at its start time; storage: the arrays for the record and the report, if given."""
+    """The arrays of a run at its start time; error_logged: of `report_calls`."""
     bus, experiment = lay_out_bus(prepared), prepared.experiment
     count = len(instances)
     values, slopes = np.zeros(len(bus.index)), np.zeros(len(bus.index))
     integers, ones = np.zeros(bus.integer_count, np.int32), np.ones(len(bus.index), np.int32)
-    storage = storage or Storage(np.empty(prepared.shape), np.zeros(REPORT_SIZE, np.int64))
     modes = [_input_mode(prepared, source, target) for source, target in bus.connections]
     extrapolated = _groups_with_mode(bus, modes, FMU_DERIVATIVE)
     functions = {
@@ -86,7 +86,7 @@ def build_wiring(
         periods=np.array([prepared.periods[name] for name in instances], np.int64),
         fixed_step_size=np.array([_fixed_step_size(prepared, name) for name in instances]),
         step_start=np.full(count, experiment.start_time),
-        error_logged=np.zeros(count, np.int64),
+        error_logged=error_logged,
         warning=np.zeros(count, np.int64),
         warning_time=np.zeros(count),
         input_calls=calls(SET_INPUTS, bus.inputs, values),
@@ -103,12 +103,14 @@ def build_wiring(
     return NamedWiring(wiring, bus, functions, [*references, ones])
 
 
-def report_calls(instances: Mapping[str, FmuInstance], wiring: Wiring) -> None:
-    """Let the instances count their calls in the report, and flag logged errors for the loop."""
+def report_calls(instances: Mapping[str, FmuInstance], report: np.ndarray) -> np.ndarray:
+    """Let the instances count their calls in the report; returns the array where they flag logged errors."""
+    error_logged = np.zeros(len(instances), np.int64)
+    busy, calls = report[BUSY : BUSY + 1], report[CALLS : CALLS + 1]
     for c, instance in enumerate(instances.values()):
-        instance.log.error_logged = wiring.error_logged[c : c + 1]
-        busy, calls = wiring.report[BUSY : BUSY + 1], wiring.report[CALLS : CALLS + 1]
+        instance.log.error_logged = error_logged[c : c + 1]
         instance.call_in_progress = CallInProgress(c + 1, busy, calls)
+    return error_logged
 
 
 def _buffer(group: VariableGroup, reals: np.ndarray, integers: np.ndarray) -> int:
@@ -172,7 +174,7 @@ def _connections(prepared: PreparedRun, bus: BusLayout, modes: list[int]) -> Con
         for source, _ in bus.connections
     ]
     targets = [component_of(target) for _, target in bus.connections]
-    ranges = [value_range(prepared.system.ports[target]) for _, target in bus.connections]
+    ranges = [prepared.input_ranges[target] for _, target in bus.connections]
     validity = _SLOPE_VALIDITY_WITH_TOLERANCE if prepared.experiment.tolerance else _SLOPE_VALIDITY
     source_periods = [1 if c < 0 else prepared.periods[components[c]] for c in sources]
     return Connections(

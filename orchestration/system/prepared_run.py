@@ -14,7 +14,7 @@ from orchestration.system.experiment_checks import check_capabilities, check_fau
 from orchestration.system.faults import Fault, Pattern, compose
 from orchestration.system.signals import values_at
 from orchestration.system.system import CheckedSystem, Port, System, check
-from orchestration.system.values import TRANSFER_TYPE, FmiValue, fmi_value
+from orchestration.system.values import TRANSFER_TYPE, FmiValue, fmi_value, value_range
 
 Setting = tuple[Port, FmiValue]
 
@@ -28,6 +28,7 @@ class PreparedRun:
     settings: parameters and constant inputs, with their values as the FMUs take them
     changes: index of a communication point -> what is set there
     periods: component -> communication steps in one step of its own
+    input_ranges: driven input -> its smallest and largest value
     retry_obstacle: why a discarded step cannot be repeated in shorter steps; empty if it can
     """
 
@@ -38,6 +39,7 @@ class PreparedRun:
     settings: tuple[Setting, ...]
     changes: Mapping[int, tuple[Setting, ...]]
     periods: Mapping[str, int]
+    input_ranges: Mapping[str, tuple[float, float]]
     retry_obstacle: str
 
     @property
@@ -99,8 +101,14 @@ def prepare_checked(system: CheckedSystem, experiment: Experiment) -> PreparedRu
         settings=_settings(system, experiment),
         changes=_changes(system, experiment, points),
         periods={name: experiment.period(name) for name in system.components},
+        input_ranges={name: value_range(system.ports[name]) for name in _driven(system, experiment)},
         retry_obstacle=_retry_obstacle(system, experiment),
     )
+
+
+def _driven(system: CheckedSystem, experiment: Experiment) -> list[str]:
+    """Names of the inputs that a connection or a signal drives."""
+    return [*experiment.signals, *(target.name for _, target in system.connections)]
 
 
 def _recorded(system: CheckedSystem, experiment: Experiment) -> tuple[str, ...]:
@@ -110,7 +118,7 @@ def _recorded(system: CheckedSystem, experiment: Experiment) -> tuple[str, ...]:
         for name, port in system.ports.items()
         if port.variable.causality == "output" and port.variable.type in TRANSFER_TYPE
     ]
-    driven = [*experiment.signals, *(target.name for _, target in system.connections)]
+    driven = _driven(system, experiment)
     names = experiment.record or (*experiment.signals, *outputs)
     for name in names:
         if name not in outputs and name not in driven:
@@ -122,7 +130,7 @@ def _recorded(system: CheckedSystem, experiment: Experiment) -> tuple[str, ...]:
 
 
 def _check_event(system: CheckedSystem, experiment: Experiment, event: Event) -> None:
-    driven = {target.name for _, target in system.connections} | set(experiment.signals)
+    driven = _driven(system, experiment)
     purpose = f"event at {event.time} s"
     for name, value in event.values.items():
         port = system.port(name, purpose)
