@@ -1,19 +1,27 @@
 """Libraries that only some features need: one line for whoever has not installed them."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from types import ModuleType
 
 from fmus.errors import MissingExtraError
 
 
-def require(module: str, extra: str, purpose: str) -> ModuleType:
-    """The imported module.
+@contextmanager
+def imports_of(extra: str, purpose: str) -> Iterator[None]:
+    """A context for imports: MissingExtraError names the command that installs a missing library.
 
     purpose: subject of the message, such as "a sweep"
-    Raises MissingExtraError, which names the command that installs it.
     """
     try:
-        return import_module(module)
+        yield
     except ModuleNotFoundError as error:
-        missing = (error.name or module).partition(".")[0]
+        missing = (error.name or "a library").partition(".")[0]
         raise MissingExtraError(f"{purpose} needs {missing}: pip install 'l1-depth[{extra}]'") from None
+
+
+def require(module: str, extra: str, purpose: str) -> ModuleType:
+    """The imported module; MissingExtraError as of `imports_of`."""
+    with imports_of(extra, purpose):
+        return import_module(module)

@@ -43,9 +43,11 @@ _EXPECTED = {
     "dict_type": "a table",
     "model_type": "a table",
     "finite_number": "a finite number",
-    "too_short": "a list of {min_length}",
-    "too_long": "a list of {max_length}",
+    "too_short": "{min_length} or more items",
+    "too_long": "at most {max_length} items",
     "kind": "a table",
+    "greater_than": "more than {gt}",
+    "greater_than_equal": "{ge} or more",
 }
 _CHOICES = ("enum", "literal_error")
 _FILE_TYPES = {npt.ArrayLike: list[float]}  # types of Python that a TOML file writes in another way
@@ -119,24 +121,40 @@ def _default(value: Any) -> Any:
 
 
 class OneOf:
-    """Marks a type as a table whose `key` names its kind; if droppable, `false` stands for none."""
+    """Marks a type as a table whose `key` names its kind; if droppable, `false` stands for none.
 
-    def __init__(self, key: str, tables: Mapping[str, type[Table]], droppable: bool = False) -> None:
-        self._key, self._tables, self._droppable = key, tables, droppable
+    keyless: tables without that key, by one that they have in its place
+    """
+
+    def __init__(
+        self,
+        key: str,
+        tables: Mapping[str, type[Table]],
+        droppable: bool = False,
+        keyless: Mapping[str, type[Table]] | None = None,
+    ) -> None:
+        self._key, self._droppable = key, droppable
+        self._keyless = dict(keyless or {})
+        self._tables = {**tables, **self._keyless}
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
-        members: list[Any] = [Annotated[table, Tag(name)] for name, table in self._tables.items()]
+        members: list[Any] = [Annotated[table, Tag(f":{name}")] for name, table in self._tables.items()]
         if self._droppable:
-            members.append(Annotated[Literal[False], Tag("false")])
-        context: dict[str, Any] = {"key": self._key, "known": ",".join(self._tables)}
+            members.append(Annotated[Literal[False], Tag(":false")])
+        context: dict[str, Any] = {
+            "known": ",".join(name for name in self._tables if name not in self._keyless),
+            "keys": ",".join([self._key, *self._keyless]),
+        }
         discriminator = Discriminator(self._kind, _KIND, _KIND, context)
         return handler.generate_schema(Annotated[Union[tuple(members)], discriminator])  # noqa: UP007
 
     def _kind(self, value: Any) -> str | None:
         if value is False and self._droppable:
-            return "false"
+            return ":false"
         named = value.get(self._key) if isinstance(value, dict) else getattr(value, self._key, None)
-        return None if named is None else str(named)
+        if named is None and isinstance(value, dict):
+            named = next((key for key in self._keyless if key in value), None)
+        return None if named is None else f":{named}"  # no key of a table begins like that
 
 
 def checked(model: TypeAdapter[T], data: object, where: str) -> T:
@@ -166,7 +184,7 @@ def _line(error: ErrorDetails, data: object) -> str:
     if kind == _UNKNOWN_KEY:
         return f"{before}{error['msg']}"
     if kind == _KIND and isinstance(value, dict):
-        return f"{before}{_unknown_kind(value, context['key'], context['known'].split(','))}"
+        return f"{before}{_unknown_kind(value, context['keys'].split(','), context['known'].split(','))}"
     if kind in _CHOICES:
         known = re.findall(r"'([^']*)'", context["expected"])
         return f"{subject}{value!r}; {nearest(str(value), known)}"
@@ -174,7 +192,10 @@ def _line(error: ErrorDetails, data: object) -> str:
     return f"{subject}{reprlib.repr(value)}: expected {expected}"
 
 
-def _unknown_kind(value: Mapping[str, object], key: str, known: list[str]) -> str:
+def _unknown_kind(value: Mapping[str, object], keys: list[str], known: list[str]) -> str:
+    key, *others = keys
+    if key not in value and others:
+        return f"expected one of the keys {', '.join(keys)}; {nearest(next(iter(value), ''), keys)}"
     if key not in value:
         return f"{key} is missing; expected one of {', '.join(known)}"
     return f"unknown {key} {value[key]!r}; {nearest(str(value[key]), known)}"

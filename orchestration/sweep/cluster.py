@@ -5,11 +5,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from tempfile import TemporaryDirectory
 
-from dask import config
-from distributed import Client, LocalCluster
-
+from fmus.extras import imports_of
 from orchestration.errors import SweepError
-from orchestration.sweep.worker import DeafToInterrupts
+from orchestration.sweep.worker import IgnoreSigint
+
+with imports_of("sweep", "a sweep"):
+    from dask import config
+    from distributed import Client, LocalCluster
 
 _PATIENCE_S = 30.0  # for a scheduler to answer and for its first worker
 
@@ -32,7 +34,7 @@ def local(workers: int) -> Iterator[Client]:
         ) as cluster,
         Client(cluster) as client,
     ):
-        client.register_plugin(DeafToInterrupts())
+        client.register_plugin(IgnoreSigint())
         yield client
 
 

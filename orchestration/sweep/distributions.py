@@ -14,7 +14,6 @@ from typing import Any
 
 from scipy import stats
 
-from fmus.errors import nearest
 from orchestration.errors import ScenarioError
 
 
@@ -31,119 +30,112 @@ class Distribution:
     probes: tuple[float, ...] = (0.5,)
 
 
-def _frozen(law: Any, low: float, high: float) -> Distribution:
-    """One of SciPy's continuous distributions, truncated to low..high."""
+def _truncated(law: Any, low: float, high: float) -> Distribution:
+    """One of SciPy's continuous distributions, truncated to low..high.
+
+    Not by `scipy.stats.truncate`, which rounds otherwise: the samples of sweeps already run would change.
+    """
     begin, end = float(law.cdf(low)), float(law.cdf(high))
     if not begin < end:
         raise ScenarioError(f"expected some probability within {low:g}..{high:g}, got none")
-    reach = max(low, float(law.support()[0])), min(high, float(law.support()[1]))
-    return Distribution(
-        lambda u: min(max(float(law.ppf(begin + u * (end - begin))), reach[0]), reach[1]), reach
-    )
+    least, largest = max(low, float(law.support()[0])), min(high, float(law.support()[1]))
+
+    def quantile(u: float) -> float:
+        return min(max(float(law.ppf(begin + u * (end - begin))), least), largest)
+
+    return Distribution(quantile, (least, largest))
+
+
+def _within(law: Any, low: float, high: float) -> Distribution:
+    """One of SciPy's continuous distributions that ends at low and high; rounding does not leave them."""
+    return Distribution(lambda u: min(max(float(law.ppf(u)), low), high), (low, high))
 
 
 def normal(mean: float, std: float, low: float = -math.inf, high: float = math.inf) -> Distribution:
     _positive("std", std)
-    return _frozen(stats.norm(mean, std), low, high)
+    return _truncated(stats.norm(mean, std), low, high)
 
 
 def lognormal(median: float, sigma: float, low: float = 0.0, high: float = math.inf) -> Distribution:
     """sigma: standard deviation of the natural logarithm."""
     _positive("median", median)
     _positive("sigma", sigma)
-    return _frozen(stats.lognorm(sigma, scale=median), low, high)
+    return _truncated(stats.lognorm(sigma, scale=median), low, high)
 
 
 def uniform(low: float, high: float) -> Distribution:
     _ascending(low, high)
-    return _frozen(stats.uniform(low, high - low), low, high)
+    return _within(stats.uniform(low, high - low), low, high)
 
 
 def loguniform(low: float, high: float) -> Distribution:
     """Uniform in the logarithm."""
     _positive("low", low)
     _ascending(low, high)
-    return _frozen(stats.loguniform(low, high), low, high)
+    return _within(stats.loguniform(low, high), low, high)
 
 
 def triangular(low: float, mode: float, high: float) -> Distribution:
     _ascending(low, high)
     if not low <= mode <= high:
         raise ScenarioError(f"mode = {mode!r}: expected {low:g}..{high:g}")
-    return _frozen(stats.triang((mode - low) / (high - low), low, high - low), low, high)
+    return _within(stats.triang((mode - low) / (high - low), low, high - low), low, high)
 
 
 def integers(low: int, high: int) -> Distribution:
     """Each from low to high with equal probability, both included."""
-    for name, value in (("low", low), ("high", high)):
-        if not isinstance(value, int):
-            raise ScenarioError(f"{name} = {value!r}: expected a whole number")
     _ascending(low, high + 1)
     return Distribution(lambda u: low + math.floor(u * (high - low + 1)), (low, high))
 
 
+def seed(low: int, high: int) -> Distribution:
+    """Each integer of the variable's range with equal probability."""
+    return integers(low, high)
+
+
 def choice(values: list[Any], weights: list[float] | None = None) -> Distribution:
     """One of the values, with probabilities in proportion to the weights; equal ones by default."""
-    if not isinstance(values, list) or not values:
-        raise ScenarioError(f"values = {values!r}: expected a list of values")
     shares = [1.0] * len(values) if weights is None else weights
-    numbers = isinstance(shares, list) and all(_is_number(share) and share >= 0.0 for share in shares)
-    if not numbers or len(shares) != len(values) or not sum(shares) > 0.0:
+    if not values:
+        raise ScenarioError("values = []: expected a list of values")
+    if len(shares) != len(values) or min(shares) < 0.0 or not sum(shares) > 0.0:
         raise ScenarioError(f"weights = {weights!r}: expected {len(values)} numbers that are not all 0")
     ends = list(accumulate(shares))
     middles = tuple((end - 0.5 * share) / ends[-1] for end, share in zip(ends, shares, strict=True) if share)
     return Distribution(lambda u: values[bisect_right(ends[:-1], u * ends[-1])], probes=middles)
 
 
-_FROM_THE_FMU = "seed"  # its range is that of the variable
-_UNBOUNDED = ("normal", "lognormal")
+UNBOUNDED = ("normal", "lognormal")
+FROM_THE_FMU = "seed"  # its range is that of the variable
 FUNCTIONS: dict[str, Callable[..., Distribution]] = {
-    each.__name__: each for each in (normal, lognormal, uniform, loguniform, triangular, integers, choice)
+    function.__name__: function
+    for function in (normal, lognormal, uniform, loguniform, triangular, integers, seed, choice)
 }
 
 
-def distribution(declared: Mapping[str, Any], permitted: tuple[float, float], truncate: bool) -> Distribution:
-    """What a table with the key `distribution` declares.
+def distribution(
+    name: str, arguments: Mapping[str, Any], permitted: tuple[float, float], truncate: bool
+) -> Distribution:
+    """The distribution of that name with the arguments that a file gives.
 
     permitted: the range of the variable; truncate: whether to draw within it
-    Raises ScenarioError without saying where: who calls knows.
+    Raises ScenarioError without saying where: the caller knows.
     """
-    arguments = dict(declared)
-    name = arguments.pop("distribution")
-    if name == _FROM_THE_FMU:
-        name, arguments = "integers", arguments | _whole(permitted)
-    if not isinstance(name, str) or name not in FUNCTIONS:
-        raise ScenarioError(
-            f"unknown distribution {name!r}; {nearest(str(name), [*FUNCTIONS, _FROM_THE_FMU])}"
-        )
-    for key, value in arguments.items():
-        if name != "choice" and not _is_number(value):
-            raise ScenarioError(f"{key} = {value!r}: expected a finite number")
+    given = dict(arguments)
+    if name == FROM_THE_FMU:
+        given |= _integer_range(permitted)
     if truncate:
-        arguments |= _narrowed(name, arguments, permitted)
-    try:
-        return FUNCTIONS[name](**arguments)
-    except TypeError as error:
-        raise ScenarioError(str(error)) from error
+        given["low"] = max(given.get("low", -math.inf), permitted[0])
+        given["high"] = min(given.get("high", math.inf), permitted[1])
+    return FUNCTIONS[name](**given)
 
 
-def _whole(permitted: tuple[float, float]) -> dict[str, int]:
+def _integer_range(permitted: tuple[float, float]) -> dict[str, int]:
     if not all(math.isfinite(limit) for limit in permitted):
         raise ScenarioError(
             "a seed is drawn from the variable's range: expected an FMU that gives min and max"
         )
     return {"low": math.ceil(permitted[0]), "high": math.floor(permitted[1])}
-
-
-def _narrowed(name: str, arguments: Mapping[str, float], permitted: tuple[float, float]) -> dict[str, float]:
-    if name not in _UNBOUNDED:
-        raise ScenarioError(f"truncate: expected {' or '.join(_UNBOUNDED)}; {name} has its own limits")
-    low, high = arguments.get("low", -math.inf), arguments.get("high", math.inf)
-    return {"low": max(low, permitted[0]), "high": min(high, permitted[1])}
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _positive(name: str, value: float) -> None:

@@ -3,19 +3,21 @@
 import threading
 from pathlib import Path
 
-import cloudpickle
-
+from fmus.extras import imports_of
 from fmus.process import ProcessEndedError, WorkerProcess
 from orchestration.errors import SweepError
 from orchestration.sweep.job import Job, Outcome, Settings
 from orchestration.sweep.sample_worker import run_samples
+
+with imports_of("sweep", "a sweep"):
+    import cloudpickle
 
 _ATTEMPTS = 2  # a process that dies once may have been killed by somebody, one that dies again by its sample
 _START_S = 300.0  # to import, load and compile, on a machine that is busy
 
 
 class ClosedError(SweepError):
-    """Somebody else shall run the sample."""
+    """The process was closed while it ran a sample: another worker has to run it."""
 
 
 class IsolatedSamples:

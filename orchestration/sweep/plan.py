@@ -13,16 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from fmus.errors import nearest
 from orchestration.errors import ScenarioError
+from orchestration.scenarios.file_tables import Table
 from orchestration.scenarios.scenario import Scenario
+from orchestration.sweep.file_format import SweepTable, sweep_table
 from orchestration.sweep.target import laid_over, target
 from orchestration.sweep.varied import Varied, varied
 from orchestration.system.prepared_run import prepare
 from orchestration.system.system import CheckedSystem
 
-_KEYS = ("samples", "seed", "timeout", "vary")
-_TAKEN = ("sample", "error")  # columns of the table
+_COLUMNS = ("sample", "error")  # of the table, besides those of metrics and of what is varied
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Plan:
 
     @cached_property
     def _shape(self) -> tuple[int, ...]:
-        return (*(len(each.grid) for each in self.varied if each.draw is None), self.draws)
+        return (*(len(entry.grid) for entry in self.varied if entry.draw is None), self.draws)
 
     @property
     def count(self) -> int:
@@ -52,18 +52,18 @@ class Plan:
         """Name -> value of what is varied, in one sample."""
         if not 0 <= sample < self.count:
             raise ScenarioError(f"sample {sample}: expected 0..{self.count - 1}")
-        places = iter(np.unravel_index(sample, self._shape))
+        grid_indices = iter(np.unravel_index(sample, self._shape))
         random = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(sample,)))
         return {
-            each.target.name: each.draw(random.random()) if each.draw else each.grid[next(places)]
-            for each in self.varied
+            entry.target.name: entry.draw(random.random()) if entry.draw else entry.grid[next(grid_indices)]
+            for entry in self.varied
         }
 
     def settings(self, values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         """The values as a scenario file would say them: table -> key -> value."""
         tables: dict[str, dict[str, Any]] = {}
-        for each in self.varied:
-            tables.setdefault(each.target.table, {})[each.target.key] = values[each.target.name]
+        for entry in self.varied:
+            tables.setdefault(entry.target.table, {})[entry.target.key] = values[entry.target.name]
         return tables
 
     def of_sample(self, sample: int) -> Scenario:
@@ -84,53 +84,36 @@ class Plan:
 
 def plan(scenario: Scenario) -> Plan:
     """The sweep that a scenario declares; a ScenarioError or SystemDefinitionError says what is wrong."""
-    what, declared = f"{scenario.name}: sweep", scenario.sweep
-    for key in declared:
-        if key not in _KEYS:
-            raise ScenarioError(f"{what}: unknown key {key!r}; {nearest(key, _KEYS)}")
-    entries = declared.get("vary")
-    if not isinstance(entries, dict) or not entries:
-        raise ScenarioError(f'{what}: expected a table [sweep.vary."component.variable"], got {entries!r}')
-    for name in _TAKEN:
+    where = f"{scenario.name}: sweep"
+    table = sweep_table(scenario.sweep, where)
+    for name in _COLUMNS:
         if name in scenario.metrics:
             raise ScenarioError(
-                f"{what}: metric {name}: expected another name, the table has a column of that one"
+                f"{where}: metric {name}: expected another name, the table has a column of that one"
             )
     experiment = scenario.experiment
     checked = prepare(scenario.system, experiment).system
-    wanted = {
-        name: each for name, each in entries.items() if each is not False
-    }  # false drops one of the base
-    found = tuple(varied(target(n, checked, experiment), each, f"{what}: {n}") for n, each in wanted.items())
+    entries = tuple(
+        varied(target(name, checked, experiment), declared, f"{where}: {name}")
+        for name, declared in table.vary.items()
+        if isinstance(declared, Table)
+    )
     return Plan(
         scenario=scenario,
         checked=checked,
-        varied=found,
-        seed=_whole(declared, "seed", 0, 0, what),
-        draws=_draws(declared, found, what),
-        timeout=_timeout(declared, what),
+        varied=entries,
+        seed=table.seed,
+        draws=_draws(table, entries, where),
+        timeout=table.timeout,
     )
 
 
-def _draws(declared: Mapping[str, Any], found: tuple[Varied, ...], what: str) -> int:
-    if any(each.draw for each in found):
-        return _whole(declared, "samples", None, 1, what)
-    if "samples" in declared:
-        raise ScenarioError(f"{what}: samples: expected none, nothing is drawn")
+def _draws(table: SweepTable, entries: tuple[Varied, ...], where: str) -> int:
+    is_given = "samples" in table.model_fields_set
+    if any(entry.draw for entry in entries):
+        if not is_given:
+            raise ScenarioError(f"{where}: samples is missing")
+        return table.samples
+    if is_given:
+        raise ScenarioError(f"{where}: samples: expected none, nothing is drawn")
     return 1
-
-
-def _whole(declared: Mapping[str, Any], key: str, default: int | None, least: int, what: str) -> int:
-    value = declared.get(key, default)
-    if not isinstance(value, int) or isinstance(value, bool) or value < least:
-        raise ScenarioError(f"{what}: {key} = {value!r}: expected a whole number, {least} or more")
-    return value
-
-
-def _timeout(declared: Mapping[str, Any], what: str) -> float | None:
-    value = declared.get("timeout")
-    if value is None:
-        return None
-    if not isinstance(value, (int, float)) or isinstance(value, bool) or not 0.0 < value < math.inf:
-        raise ScenarioError(f"{what}: timeout = {value!r}: expected a number of seconds, more than 0")
-    return float(value)

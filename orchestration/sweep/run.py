@@ -9,14 +9,16 @@ from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from typing import Any
 
-from distributed import Client, Future, KilledWorker, wait
-
+from fmus.extras import imports_of
 from orchestration.errors import SweepError
 from orchestration.sweep.job import Job, Outcome, job
 from orchestration.sweep.plan import Plan
 from orchestration.sweep.store import Store
 from orchestration.sweep.table import ERROR, SAMPLE, provenance, schema
-from orchestration.sweep.worker import Laboratory, run_batch
+from orchestration.sweep.worker import SamplePlugin, run_batch
+
+with imports_of("sweep", "a sweep"):
+    from distributed import Client, Future, KilledWorker, wait
 
 _BUDGET_S = 2.0  # of a batch: what comes back so often costs little, and is little to lose
 _LARGEST_BATCH = 64
@@ -65,7 +67,7 @@ def _run(
     progress: Callable[[int], object],
 ) -> None:
     name = f"l1-depth-sweep-{uuid.uuid4()}"  # others may sweep on the same cluster
-    client.register_plugin(Laboratory(name, shared))
+    client.register_plugin(SamplePlugin(name, shared))
     try:
         _Dispatch(plan, client, store, name, missing, progress).work()
     finally:
@@ -85,12 +87,12 @@ class _Dispatch:
         plan: Plan,
         client: Client,
         store: Store,
-        laboratory: str,
+        plugin: str,
         missing: list[int],
         progress: Callable[[int], object],
     ) -> None:
         self._plan, self._client, self._store = plan, client, store
-        self._laboratory, self._progress = laboratory, progress
+        self._plugin, self._progress = plugin, progress
         self._waiting = deque(missing)
         self._suspects: deque[int] = deque()  # each to be run alone
         self._batches: dict[Future, list[int]] = {}
@@ -121,7 +123,7 @@ class _Dispatch:
             else:
                 numbers = [self._suspects.popleft()]
             samples = [(number, self._plan.settings(self._plan.values(number))) for number in numbers]
-            future = self._client.submit(run_batch, self._laboratory, samples, _BUDGET_S, pure=False)
+            future = self._client.submit(run_batch, self._plugin, samples, _BUDGET_S, pure=False)
             self._batches[future] = numbers
 
     def _threads(self) -> int:

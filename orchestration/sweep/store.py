@@ -11,12 +11,14 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-import pyarrow.parquet as pq
-
+from fmus.extras import imports_of
 from fmus.files import write_bytes_atomically, write_json_atomically
 from orchestration.errors import SweepError
 from orchestration.sweep import table
+
+with imports_of("sweep", "a sweep"):
+    import pyarrow as pa
+    import pyarrow.parquet as pq
 
 
 class Store:

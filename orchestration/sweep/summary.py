@@ -3,11 +3,14 @@
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 from rich.markup import escape
 from rich.table import Table
 
+from fmus.extras import imports_of
 from orchestration.sweep import table
+
+with imports_of("sweep", "a sweep"):
+    import pyarrow as pa
 
 _PERCENT = (5, 50, 95)
 

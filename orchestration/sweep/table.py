@@ -13,13 +13,15 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-import pyarrow.parquet as pq
-
+from fmus.extras import imports_of
 from fmus.files import open_atomically
 from orchestration.errors import SweepError
 from orchestration.results.metric_units import metric_unit
 from orchestration.sweep.plan import Plan
+
+with imports_of("sweep", "a sweep"):
+    import pyarrow as pa
+    import pyarrow.parquet as pq
 
 SAMPLE, ERROR = "sample", "error"
 _KIND, _PROVENANCE, _SWEEP = b"l1_depth.kind", b"l1_depth.provenance", b"sweep"

@@ -8,22 +8,23 @@ import signal
 import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
-from distributed import Reschedule, WorkerPlugin, get_worker
-
+from fmus.extras import imports_of
 from orchestration.sweep.isolated import ClosedError, IsolatedSamples
 from orchestration.sweep.job import Job, Outcome, Settings
 
+with imports_of("sweep", "a sweep"):
+    from distributed import Reschedule, Worker, WorkerPlugin, get_worker
 
-class Laboratory(WorkerPlugin):
+
+class SamplePlugin(WorkerPlugin):
     """Runs samples on a worker, one process of FMUs for each of its threads."""
 
     def __init__(self, name: str, job: Job) -> None:
         self.name = name
         self._job = job
 
-    def setup(self, worker: Any) -> None:
+    def setup(self, worker: Worker) -> None:
         self._folder = TemporaryDirectory(
             dir=worker.local_directory, prefix="sweep-", ignore_cleanup_errors=True
         )
@@ -31,43 +32,42 @@ class Laboratory(WorkerPlugin):
         self._idle: list[IsolatedSamples] = []
         self._all: list[IsolatedSamples] = []
 
-    def teardown(self, worker: Any) -> None:
-        for each in self._all:
-            each.close()
+    def teardown(self, worker: Worker) -> None:
+        for runner in self._all:
+            runner.close()
         self._folder.cleanup()
 
     def run(self, samples: list[tuple[int, Settings]], budget: float) -> list[tuple[int, Outcome]]:
         """As many of the samples, in their order, as end within `budget` seconds, but one at least."""
-        place = self._idle.pop() if self._idle else self._new()
+        runner = self._idle.pop() if self._idle else self._new()
         begin, done = time.monotonic(), []
         for number, settings in samples:
             try:
-                done.append((number, place.run(settings)))
+                done.append((number, runner.run(settings)))
             except ClosedError:  # this worker leaves the cluster
                 raise Reschedule from None
             if time.monotonic() - begin > budget:
                 break
-        self._idle.append(place)
+        self._idle.append(runner)
         return done
 
     def _new(self) -> IsolatedSamples:
-        place = IsolatedSamples(self._unpacked, Path(self._folder.name))
-        self._all.append(place)
-        return place
+        runner = IsolatedSamples(self._unpacked, Path(self._folder.name))
+        self._all.append(runner)
+        return runner
 
 
-class DeafToInterrupts(WorkerPlugin):
-    """For workers at the same terminal as who started them: Ctrl-C is not for them."""
+class IgnoreSigint(WorkerPlugin):
+    """Workers ignore SIGINT: Ctrl-C at their terminal is for the process that started them."""
 
-    name = "deaf-to-interrupts"
+    name = "ignore-sigint"
 
-    def setup(self, worker: Any) -> None:
+    def setup(self, worker: Worker) -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def run_batch(
-    laboratory: str, samples: list[tuple[int, Settings]], budget: float
-) -> list[tuple[int, Outcome]]:
-    """`Laboratory.run` of the worker that this is called on."""
-    found: Any = get_worker().plugins[laboratory]
-    return found.run(samples, budget)
+def run_batch(plugin: str, samples: list[tuple[int, Settings]], budget: float) -> list[tuple[int, Outcome]]:
+    """`SamplePlugin.run` of the worker that this is called on."""
+    installed = get_worker().plugins[plugin]
+    assert isinstance(installed, SamplePlugin)
+    return installed.run(samples, budget)

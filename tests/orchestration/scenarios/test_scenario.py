@@ -123,7 +123,7 @@ def test_scenarios_are_found_by_name_or_path_and_misspelt_ones_offer_the_nearest
         ("[experiment]\nstop_time = 1\nstep_size = 0.1", r"components is missing"),
         (MINIMAL.replace("ExamplePlant", "BenchmarkPlan"), r"no block 'BenchmarkPlan'.*'ExamplePlant'"),
         (MINIMAL.replace("[inputs]", 'algorithm = "jakobi"\n[inputs]'), r"'jakobi'; nearest is 'jacobi'"),
-        ('connections = [["a.b"]]\n' + MINIMAL, r"connections\[0\] = \['a.b'\]: expected a list of 2"),
+        ('connections = [["a.b"]]\n' + MINIMAL, r"connections\[0\] = \['a.b'\]: expected 2 or more items"),
         ('connections = "a"\n' + MINIMAL, r"connections = 'a': expected a list"),
         ('record = "p.output"\n' + MINIMAL, r"record = 'p.output': expected a list"),
         ("events = [{ time = 1.0 }]\n" + MINIMAL, r"events\[0\].set is missing"),

@@ -52,10 +52,10 @@ DEADLY = """
 import os, signal
 from orchestration.sweep import worker
 
-def run_batch(laboratory, samples, budget):
+def run_batch(plugin, samples, budget):
     if any(number == 3 for number, _ in samples):
         os.kill(os.getpid(), signal.SIGKILL)
-    return worker.run_batch(laboratory, samples, budget)
+    return worker.run_batch(plugin, samples, budget)
 """
 
 

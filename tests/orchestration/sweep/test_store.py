@@ -50,6 +50,7 @@ def test_the_table_is_sorted_and_says_what_its_columns_are(planned: Make, tmp_pa
     assert [each.name for each in out.iterdir()] == ["mine.sweep.parquet"]
 
 
+@pytest.mark.usefixtures("scenario_fmus")
 def test_units_stand_in_the_columns(tmp_path: Path) -> None:
     from orchestration.scenarios import scenario
     from orchestration.sweep.plan import plan
