@@ -25,9 +25,7 @@ FAULT = OneOf(
 METRIC = OneOf(
     "function",
     {
-        name: table_of(
-            "function", name, made, without=["recording"], types={"window": Pair}, also={"unit": (str, "")}
-        )
+        name: table_of("function", name, made, without=["recording"], types={"window": Pair})
         for name, made in metrics.FUNCTIONS.items()
     },
     droppable=True,
