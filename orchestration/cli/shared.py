@@ -52,12 +52,12 @@ FigureFormatsOption = Annotated[
 
 def figure_formats(names: str) -> list[FigureFormat]:
     """Formats of figures, from their names separated by commas."""
-    formats = []
-    for name in (part.strip() for part in names.split(",")):
-        if name not in set(FigureFormat):
-            raise OrchestrationError(f"--formats: no format {name!r}; {nearest(name, FigureFormat)}")
-        formats.append(FigureFormat(name))
-    return formats
+    known = [str(ending) for ending in FigureFormat]
+    chosen = [name.strip() for name in names.split(",")]
+    for name in chosen:
+        if name not in known:
+            raise OrchestrationError(f"--formats: no format {name!r}; {nearest(name, known)}")
+    return [FigureFormat(name) for name in chosen]
 
 
 def fail(message: str, status: int = 1) -> NoReturn:

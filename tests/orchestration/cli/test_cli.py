@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -37,17 +38,47 @@ largest = 0.1
 SCENARIOS = Path(__file__).parents[3] / "orchestration" / "scenarios"
 
 
-def l1_depth(*arguments: object, folder: Path, expect: int = 0) -> subprocess.CompletedProcess[str]:
+MAIN = "from orchestration.cli import main; main()"
+INTERRUPTED_MAIN = """
+from orchestration.cli import main
+from orchestration.scenarios import reproduce
+def interrupted(*arguments, **options):
+    raise KeyboardInterrupt
+reproduce.run = interrupted
+main()
+"""
+LOADED_MAIN = """
+import sys
+from orchestration.cli import main
+try:
+    main()
+finally:
+    print(*sys.modules)
+"""
+
+
+def l1_depth(
+    *arguments: object,
+    folder: Path,
+    expect: int = 0,
+    main: str = MAIN,
+    environment: Mapping[str, str] | None = None,
+) -> subprocess.CompletedProcess[str]:
     """Run the command in a folder whose temporary folder must be empty afterwards."""
     temporary = folder / "tmp"
     temporary.mkdir(exist_ok=True)
     done = subprocess.run(
-        [sys.executable, "-c", "from orchestration.cli import main; main()", *map(str, arguments)],
+        [sys.executable, "-c", main, *map(str, arguments)],
         capture_output=True,
         text=True,
         check=False,
         cwd=folder,
-        env={**os.environ, "TMPDIR": str(temporary), "MPLCONFIGDIR": str(folder / "mpl")},
+        env={
+            **os.environ,
+            "TMPDIR": str(temporary),
+            "MPLCONFIGDIR": str(folder / "mpl"),
+            **(environment or {}),
+        },
     )
     assert done.returncode == expect, done.stderr
     assert not list(temporary.iterdir())
@@ -189,8 +220,50 @@ def test_a_value_out_of_range_is_refused_before_the_run(tmp_path: Path) -> None:
     assert "plant.inertia = -1.0: expected 0.1..1e+06 kg" in refused("run", path, folder=tmp_path)
 
 
+def test_a_mistyped_name_offers_the_nearest(tmp_path: Path) -> None:
+    assert "'build'" in l1_depth("buidl", folder=tmp_path, expect=2).stderr
+    assert "--out" in l1_depth("run", "nominal-l1", "--oot", "x", folder=tmp_path, expect=2).stderr
+    assert "nearest is 'pdf'" in refused("run", "nominal-l1", "--formats", "png,pfd", folder=tmp_path)
+
+
 def test_bad_usage_is_exit_status_2(tmp_path: Path) -> None:
     done = l1_depth("run", folder=tmp_path, expect=2)
     assert "SCENARIO" in done.stderr
     done = l1_depth("build", "--flavour", "wasm", folder=tmp_path, expect=2)
     assert "'wasm' is not one of 'native', 'python'" in done.stderr
+
+
+def test_an_interrupt_is_exit_status_130(tmp_path: Path) -> None:
+    done = l1_depth("run", short_scenario(tmp_path), folder=tmp_path, expect=130, main=INTERRUPTED_MAIN)
+    assert done.stderr == "l1-depth: interrupted\n"
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["run", "-h"], ["buidl"], ["--version"]])
+def test_help_and_bad_usage_load_nothing_heavy(tmp_path: Path, arguments: list[str]) -> None:
+    """Nothing of these is what takes the time of a command that runs nothing."""
+    done = l1_depth(*arguments, folder=tmp_path, expect=2 if "buidl" in arguments else 0, main=LOADED_MAIN)
+    loaded = {name.partition(".")[0] for name in done.stdout.splitlines()[-1].split()}
+    assert "typer" in loaded
+    assert not loaded & {"numpy", "scipy", "matplotlib", "fmpy", "casadi", "pandas", "pyarrow", "dask"}
+
+
+def test_sweep_help_names_the_table_of_the_file(tmp_path: Path) -> None:
+    assert "[sweep]" in l1_depth("sweep", "--help", folder=tmp_path).stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        ("run nominal-extended-", "nominal-extended-smooth"),
+        ("build Rov", "RovDepthPlant"),
+        ("rep", "reproduce"),
+    ],
+)
+def test_shells_complete_commands_scenarios_and_blocks(tmp_path: Path, words: str, offered: str) -> None:
+    asked = {
+        "_L1_DEPTH_COMPLETE": "complete_bash",
+        "COMP_WORDS": f"l1-depth {words}",
+        "COMP_CWORD": str(len(words.split())),
+    }
+    done = l1_depth(folder=tmp_path, environment=asked)
+    assert offered in done.stdout.split()

@@ -1,0 +1,70 @@
+"""Figures: every extreme value is drawn, equal data give equal files, and the caller's settings stay."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orchestration.results import figures
+from orchestration.results.formats import FigureFormat
+from orchestration.results.recording import Recording
+
+TIME = np.linspace(0.0, 100.0, 50_001)
+
+
+@pytest.fixture
+def recording() -> Recording:
+    """A wave with a spike of one sample, and a signal of another unit."""
+    wave = np.sin(TIME)
+    wave[33_333] = 7.0
+    return Recording(("a.y", "a.z"), ("m", "N"), TIME, np.column_stack([wave, np.cos(TIME)]))
+
+
+def drawn(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+    """Points of the first signal's curve."""
+    _, (panel,) = figures.stacked_panels([1.0], "Time [s]")
+    figures.draw_curve(panel, recording.time, recording["a.y"])
+    (line,) = panel.get_lines()
+    return np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
+
+
+def test_a_dense_curve_keeps_its_ends_and_a_spike_of_one_sample(recording: Recording) -> None:
+    time, values = drawn(recording)
+    assert len(time) < 0.1 * len(TIME)
+    assert (time[0], time[-1]) == (TIME[0], TIME[-1])
+    assert np.all(np.diff(time) > 0.0)
+    assert time[values == 7.0] == TIME[33_333]
+
+
+def test_the_band_of_a_noisy_signal_holds_all_of_its_values() -> None:
+    values = np.random.default_rng(1).normal(size=len(TIME))
+    _, (panel,) = figures.stacked_panels([1.0], "Time [s]")
+    figures.draw_noisy(panel, TIME, values, 1.0, color=figures.BLUE)
+    (band,) = panel.collections
+    edge = np.asarray(band.get_paths()[0].vertices)[:, 1]
+    assert (edge.min(), edge.max()) == (values.min(), values.max())
+
+
+@pytest.mark.parametrize("ending", FigureFormat)
+def test_equal_data_give_the_same_file(recording: Recording, tmp_path: Path, ending: FigureFormat) -> None:
+    files = [
+        figures.run_figure("A run", recording, tmp_path / name, [ending])[0] for name in ("first", "second")
+    ]
+    assert [file.suffix for file in files] == [f".{ending}"] * 2
+    assert files[0].read_bytes() == files[1].read_bytes()
+
+
+def test_figures_leave_pyplot_and_the_settings_of_the_caller_alone() -> None:
+    code = """
+import sys
+import matplotlib
+before = matplotlib.rcParams.copy()
+from orchestration.results import figures
+with figures.figure_style():
+    figures.stacked_panels([1.0], "Time [s]")
+assert matplotlib.rcParams.copy() == before
+assert "matplotlib.pyplot" not in sys.modules
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
