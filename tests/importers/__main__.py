@@ -1,21 +1,40 @@
-"""One importer in a process of its own: `python -m tests.importers MODULE TASK.json RESULT.npz`."""
+"""Run packages in other people's importers and compare the depth with that of this master.
 
-import json
-import sys
-from importlib import import_module
+Run `python -m tests.importers` in the project's root, with the extra `test` installed.
+"""
+
+import tempfile
 from pathlib import Path
+from typing import Annotated
 
-import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import track
 
-from tests.importers.task import Task
+from fmus import catalogue
+from orchestration.scenarios import scenario
+from tests.importers import comparison
+from tests.printing import print_tables
 
 
-def main(module: str, task: str, result: str) -> None:
-    declared = json.loads(Path(task).read_text(encoding="utf-8"))
-    asked = Task(**{**declared, "package": Path(declared["package"])})
-    answer = import_module(f"tests.importers.{module}").run(asked)
-    np.savez(result, time=answer.time, values=answer.values)
+def main(
+    markdown: Annotated[bool, typer.Option(help="Print the table of docs/how-to/ssp.md.")] = False,
+) -> None:
+    """Run two packages in every importer that is installed and compare the depth with this master's."""
+    for name in comparison.SCENARIOS:
+        catalogue.build_missing(scenario.load(scenario.find(name)).system.components.values())
+    with tempfile.TemporaryDirectory() as folder:
+        count = len(comparison.DISTRIBUTIONS) * len(comparison.SCENARIOS)
+        outcomes = list(
+            track(
+                comparison.outcomes(Path(folder)), total=count, console=Console(stderr=True), transient=True
+            )
+        )
+    print_tables([comparison.table(outcomes)], markdown)
+    failed = sorted({outcome.importer for outcome in outcomes if outcome.problem and outcome.version})
+    if failed:
+        raise SystemExit(f"{', '.join(failed)} failed: expected the same depth as this master's")
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    typer.run(main)

@@ -18,7 +18,7 @@ from orchestration.exchange.ssp_read import opened
 from orchestration.master import simulate
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
-from tests.importers.task import Task, Trajectory
+from tests.importers.importer_job import ImporterJob, Trajectory
 
 DISTRIBUTIONS = {
     "fmpy_ssp": "fmpy",
@@ -59,32 +59,32 @@ def outcomes(folder: Path) -> Iterator[Outcome]:
         experiment = chosen.experiment
         times = experiment.start_time, experiment.stop_time, experiment.step_size
         for importer in DISTRIBUTIONS:
-            yield outcome(importer, Task(package, name, WATCHED, *times), ours)
+            yield outcome(importer, ImporterJob(package, name, WATCHED, *times), ours)
 
 
-def outcome(importer: str, task: Task, ours: Recording) -> Outcome:
+def outcome(importer: str, job: ImporterJob, ours: Recording) -> Outcome:
     """One importer on one package."""
-    blank = Outcome(importer, "", task.parameter_set)
+    blank = Outcome(importer, "", job.parameter_set)
     try:
         blank = replace(blank, version=version(DISTRIBUTIONS[importer]))
     except PackageNotFoundError:
         return replace(blank, problem="not installed")
-    answer = run_apart(importer, task)
+    answer = run_apart(importer, job)
     if isinstance(answer, str):
         return replace(blank, problem=answer)
-    points = (task.stop_time - task.start_time) / task.step_size
+    points = (job.stop_time - job.start_time) / job.step_size
     if len(answer.time) < round(points) or not np.all(np.isfinite(answer.values)):
         return replace(blank, problem=f"gave {len(answer.time)} of {round(points) + 1} points, or no numbers")
-    shift, difference = least_difference(answer, ours, task)
+    shift, difference = least_difference(answer, ours, job)
     return replace(blank, shift=shift, difference=difference)
 
 
-def run_apart(importer: str, task: Task) -> Trajectory | str:
+def run_apart(importer: str, job: ImporterJob) -> Trajectory | str:
     """What the importer answers in a process of its own, or how that process failed."""
     with tempfile.TemporaryDirectory() as folder:
-        asked, result = Path(folder) / "task.json", Path(folder) / "result.npz"
-        asked.write_text(json.dumps({**asdict(task), "package": str(task.package.resolve())}))
-        command = [sys.executable, "-m", f"{__package__}", importer, str(asked), str(result)]
+        asked, result = Path(folder) / "job.json", Path(folder) / "result.npz"
+        asked.write_text(json.dumps({**asdict(job), "package": str(job.package.resolve())}))
+        command = [sys.executable, "-m", f"{__package__}.worker", importer, str(asked), str(result)]
         try:
             done = subprocess.run(
                 command, capture_output=True, text=True, errors="replace", timeout=_LONGEST_S, check=False,
@@ -99,10 +99,10 @@ def run_apart(importer: str, task: Task) -> Trajectory | str:
             return Trajectory(arrays["time"], arrays["values"])
 
 
-def least_difference(answer: Trajectory, ours: Recording, task: Task) -> tuple[int, float]:
+def least_difference(answer: Trajectory, ours: Recording, job: ImporterJob) -> tuple[int, float]:
     """(shift, difference) as `Outcome` has them."""
-    points = np.rint((answer.time - task.start_time) / task.step_size).astype(int)
-    found = {shift: _difference(answer.values, points + shift, ours[task.watched]) for shift in _SHIFTS}
+    points = np.rint((answer.time - job.start_time) / job.step_size).astype(int)
+    found = {shift: _difference(answer.values, points + shift, ours[job.watched]) for shift in _SHIFTS}
     shift = min(found, key=lambda each: found[each])
     return shift, found[shift]
 
@@ -128,8 +128,3 @@ def table(found: list[Outcome]) -> Table:
     for each in found:
         shown.add_row(*_cells(each))
     return shown
-
-
-def markdown(found: list[Outcome]) -> str:
-    rows = [_HEADINGS, ("---",) * len(_HEADINGS), *(_cells(each) for each in found)]
-    return "".join(f"| {' | '.join(row)} |\n" for row in rows)

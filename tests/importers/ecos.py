@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 from ecospy.EcosSimulation import EcosSimulation
 
-from tests.importers.task import Task, Trajectory
+from tests.importers.importer_job import ImporterJob, Trajectory
 
 
-def run(task: Task) -> Trajectory:
-    watched = task.watched.replace(".", "::", 1)
-    with EcosSimulation(ssp_path=str(task.package), step_size=task.step_size) as simulation:
-        start: Any = task.start_time  # declared as int, handed on as double
-        if not simulation.init(start, task.parameter_set):
+def run(job: ImporterJob) -> Trajectory:
+    watched = job.watched.replace(".", "::", 1)
+    with EcosSimulation(ssp_path=str(job.package), step_size=job.step_size) as simulation:
+        start: Any = job.start_time  # declared as int, handed on as double
+        if not simulation.init(start, job.parameter_set):
             raise RuntimeError("the initialisation failed")
-        time, values = [task.start_time], [simulation.get_real(watched)]
-        for _ in range(task.steps):
+        time, values = [job.start_time], [simulation.get_real(watched)]
+        for _ in range(job.steps):
             time.append(simulation.step())
             values.append(simulation.get_real(watched))
     return Trajectory(np.array(time), np.array(values))

@@ -7,15 +7,15 @@ initial exchange, and labels a row with the time before the step whose result it
 from fmpy.ssp.simulation import simulate_ssp
 from fmpy.ssp.ssd import read_ssv
 
-from tests.importers.task import Task, Trajectory
+from tests.importers.importer_job import ImporterJob, Trajectory
 
 
-def run(task: Task) -> Trajectory:
-    parameter_set = read_ssv(str(task.package), f"parameters/{task.parameter_set}.ssv")
+def run(job: ImporterJob) -> Trajectory:
+    parameter_set = read_ssv(str(job.package), f"parameters/{job.parameter_set}.ssv")
     for parameter in parameter_set.parameters:
         if parameter.type == "Boolean":  # FMPy takes every text but a number for true
             parameter.value = parameter.value in ("true", "1")
     result = simulate_ssp(
-        str(task.package), task.start_time, task.stop_time, task.step_size, parameter_set=parameter_set
+        str(job.package), job.start_time, job.stop_time, job.step_size, parameter_set=parameter_set
     )
-    return Trajectory(result["time"], result[task.watched])
+    return Trajectory(result["time"], result[job.watched])

@@ -13,30 +13,30 @@ from fmu_manipulation_toolbox.assembly import Assembly
 
 from orchestration.exchange.ssp_read import opened
 from orchestration.scenarios.scenario import Scenario
-from tests.importers.task import Task, Trajectory
+from tests.importers.importer_job import ImporterJob, Trajectory
 
 _WATCHED = "watched"
 
 
-def run(task: Task) -> Trajectory:
-    with opened(task.package) as loop, tempfile.TemporaryDirectory() as folder:
+def run(job: ImporterJob) -> Trajectory:
+    with opened(job.package) as loop, tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
         for fmu in loop.system.components.values():
             (place / fmu.name).write_bytes(fmu.read_bytes())
-        (place / "loop.json").write_text(json.dumps(_described(loop, task)))
+        (place / "loop.json").write_text(json.dumps(_described(loop, job)))
         Assembly("loop.json", fmu_directory=place).make_fmu()
         result = fmpy.simulate_fmu(
             str(place / "loop.fmu"),
-            start_time=task.start_time,
-            stop_time=task.stop_time,
-            step_size=task.step_size,
-            output_interval=task.step_size,
+            start_time=job.start_time,
+            stop_time=job.stop_time,
+            step_size=job.step_size,
+            output_interval=job.step_size,
             output=[_WATCHED],
         )
     return Trajectory(result["time"], result[_WATCHED])
 
 
-def _described(loop: Scenario, task: Task) -> dict[str, Any]:
+def _described(loop: Scenario, job: ImporterJob) -> dict[str, Any]:
     """The container in the toolbox's own terms, [FMU, variable]."""
 
     def split(name: str) -> list[str]:
@@ -46,12 +46,12 @@ def _described(loop: Scenario, task: Task) -> dict[str, Any]:
     values = {**loop.experiment.parameters, **loop.experiment.inputs}
     return {
         "name": "loop.fmu",
-        "step_size": task.step_size,
+        "step_size": job.step_size,
         "auto_link": False,
         "auto_input": False,
         "auto_output": False,
         "fmu": [fmu.name for fmu in loop.system.components.values()],
         "link": [[*split(source), *split(target)] for source, target in loop.system.connections],
         "start": [[*split(name), value] for name, value in values.items()],
-        "output": [[*split(task.watched), _WATCHED]],
+        "output": [[*split(job.watched), _WATCHED]],
     }

@@ -7,14 +7,14 @@ import numpy as np
 from libcosimpy.CosimExecution import CosimExecution
 from libcosimpy.CosimObserver import CosimObserver
 
-from tests.importers.task import Task, Trajectory
+from tests.importers.importer_job import ImporterJob, Trajectory
 
 _NANOSECOND = 1e-9
 
 
-def run(task: Task) -> Trajectory:
-    component, _, variable = task.watched.partition(".")
-    execution = CosimExecution.from_ssp_file(str(task.package), round(task.step_size / _NANOSECOND))
+def run(job: ImporterJob) -> Trajectory:
+    component, _, variable = job.watched.partition(".")
+    execution = CosimExecution.from_ssp_file(str(job.package), round(job.step_size / _NANOSECOND))
     observer = CosimObserver.create_last_value()
     execution.add_observer(observer)
     slave = execution.slave_index_from_instance_name(component)
@@ -22,9 +22,9 @@ def run(task: Task) -> Trajectory:
         raise RuntimeError(f"no component {component!r} in the package")
     (reference,) = [v.reference for v in execution.slave_variables(slave) if v.name.decode() == variable]
     time, values = [], []
-    for _ in range(task.steps):
+    for _ in range(job.steps):
         if not execution.step():
             raise RuntimeError(f"a step failed at {execution.status().current_time} ns")
-        time.append(task.start_time + execution.status().current_time * _NANOSECOND)
+        time.append(job.start_time + execution.status().current_time * _NANOSECOND)
         values.append(observer.last_real_values(slave, [reference])[0])
     return Trajectory(np.array(time), np.array(values))

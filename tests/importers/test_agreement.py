@@ -15,7 +15,7 @@ from orchestration.scenarios import scenario
 from orchestration.system.experiment import Experiment
 from tests.importers import comparison
 from tests.importers.comparison import DISTRIBUTIONS, SCENARIOS, WATCHED, least_difference, run_apart
-from tests.importers.task import Task, Trajectory
+from tests.importers.importer_job import ImporterJob, Trajectory
 
 pytestmark = pytest.mark.importers
 
@@ -26,8 +26,8 @@ ROUNDING_OF_TIME = 1e-9
 STEP_SHIFT = {"fmpy_ssp": 1, "libcosim": 0, "ecos": 0, "fmucontainer": 0}
 
 
-def task(package: Path, name: str, stop_time: float = 310.0) -> Task:
-    return Task(package, name, WATCHED, 0.0, stop_time, 0.02)
+def job(package: Path, name: str, stop_time: float = 310.0) -> ImporterJob:
+    return ImporterJob(package, name, WATCHED, 0.0, stop_time, 0.02)
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -39,10 +39,10 @@ def test_the_depth_is_ours(
     ours: dict[str, Recording],
     installed: Callable[[str], str],
 ) -> None:
-    answer = run_apart(installed(importer), task(packages[name], name))
+    answer = run_apart(installed(importer), job(packages[name], name))
     assert isinstance(answer, Trajectory), answer
     assert len(answer.values) >= 15500
-    shift, difference = least_difference(answer, ours[name], task(packages[name], name))
+    shift, difference = least_difference(answer, ours[name], job(packages[name], name))
     assert difference < ROUNDING_OF_TIME
     assert shift == STEP_SHIFT[importer]
 
@@ -79,45 +79,42 @@ def test_packages_and_extraction_in_folders_of_any_name_work(
     folder.mkdir()
     package = folder / "loop.ssp"
     package.write_bytes(packages["nominal-extended"].read_bytes())
-    plain = run_apart(installed(importer), task(packages["nominal-extended"], "nominal-extended", 1.0))
+    plain = run_apart(installed(importer), job(packages["nominal-extended"], "nominal-extended", 1.0))
     monkeypatch.setenv("TMPDIR", str(folder))  # where importers extract
-    odd = run_apart(importer, task(package, "nominal-extended", 1.0))
+    odd = run_apart(importer, job(package, "nominal-extended", 1.0))
     assert isinstance(plain, Trajectory), plain
     assert isinstance(odd, Trajectory), odd
     np.testing.assert_array_equal(odd.values, plain.values)
 
 
 def test_the_command_writes_a_row_for_each_importer_and_scenario(
-    tmp_path: Path, installed: Callable[[str], str]
+    installed: Callable[[str], str], scenario_fmus: None
 ) -> None:
     for importer in DISTRIBUTIONS:
         installed(importer)
-    script = "from orchestration.cli import main; main()"
-    command = [sys.executable, "-c", script, "importers", "--out", str(tmp_path / "table.md")]
-    subprocess.run(command, check=True, capture_output=True)
-    rows = [row.split(" | ") for row in (tmp_path / "table.md").read_text().splitlines()[2:]]
-    assert {(row[0].strip("| "), row[2]) for row in rows} == {
-        (i, s) for i in DISTRIBUTIONS for s in SCENARIOS
-    }
+    command = [sys.executable, "-m", "tests.importers", "--markdown"]
+    printed = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    lines = [line for line in printed.splitlines() if line.startswith("|")]
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
+    assert {(row[0], row[2]) for row in rows} == {(i, s) for i in DISTRIBUTIONS for s in SCENARIOS}
     assert all(float(row[3].removesuffix(" m")) < ROUNDING_OF_TIME for row in rows)
 
 
 def test_a_crash_is_a_row(packages: dict[str, Path], ours: dict[str, Recording], tmp_path: Path) -> None:
-    nowhere = replace(task(packages["nominal-l1"], "nominal-l1"), package=tmp_path / "nothing.ssp")
+    nowhere = replace(job(packages["nominal-l1"], "nominal-l1"), package=tmp_path / "nothing.ssp")
     found = comparison.outcome("fmpy_ssp", nowhere, ours["nominal-l1"])
     assert "ended with status 1: FileNotFoundError" in found.problem
-    assert found.problem in comparison.markdown([found])
 
 
 def test_an_importer_that_is_not_installed_is_a_row(
     packages: dict[str, Path], ours: dict[str, Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(DISTRIBUTIONS, "ecos", "a distribution that does not exist")
-    found = comparison.outcome("ecos", task(packages["nominal-l1"], "nominal-l1"), ours["nominal-l1"])
+    found = comparison.outcome("ecos", job(packages["nominal-l1"], "nominal-l1"), ours["nominal-l1"])
     assert (found.version, found.problem) == ("", "not installed")
 
 
 def test_a_shift_of_labels_is_found_and_not_hidden(ours: dict[str, Recording]) -> None:
     run = ours["nominal-l1"]
     late = Trajectory(run.time[:-2], run[WATCHED][2:])
-    assert least_difference(late, run, task(Path(), "nominal-l1")) == (2, 0.0)
+    assert least_difference(late, run, job(Path(), "nominal-l1")) == (2, 0.0)

@@ -9,9 +9,9 @@ Medians over rounds; what is compared takes turns, so that all see the same dist
     tables.py     what was measured, with the ratios that matter
 """
 
-from tests.speed.importers import LOOPS, race
+from tests.speed.importers import LOOPS, compare
 from tests.speed.layers import layer
 from tests.speed.scenarios import loop
 from tests.speed.tables import machine, tables
 
-__all__ = ["LOOPS", "layer", "loop", "machine", "race", "tables"]
+__all__ = ["LOOPS", "compare", "layer", "loop", "machine", "tables"]

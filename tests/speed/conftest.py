@@ -1,4 +1,4 @@
-"""The pair of the race, built once, and the C program that gives what must come out."""
+"""The pair of the comparison, built once, and the C program that gives what must come out."""
 
 from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version

@@ -30,7 +30,7 @@ FLOOR = "a bare C loop"
 
 @dataclass(frozen=True)
 class Runner:
-    """What can run the pair: its name, the distribution it comes from, what it records in the race."""
+    """What can run the pair: its name, the distribution it comes from, what it records in the comparison."""
 
     name: str
     distribution: str
@@ -51,7 +51,7 @@ LOOPS = {
     "sofirpy": Runner("SOFiRpy", "sofirpy", "nothing"),
 }
 # what pip does not install beside this project, or what cannot run these FMUs: as of November 2026
-UNABLE = {
+UNSUPPORTED = {
     "PyFMI": "2.5 on PyPI is source of 2018 that pip cannot prepare: it asks for NumPy before it says so",
     "OMSimulator": "3.0.0.post198 on PyPI downloads the engine from another server when it is installed",
     "FMI++, mosaik-fmi": "2.1.0 on PyPI is source that needs SWIG",
@@ -92,7 +92,7 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Lap:
+class Measurement:
     """What one process measured: seconds of `steps` and of twice as many, and the first level after each."""
 
     steps: int
@@ -104,31 +104,31 @@ class Lap:
         return (self.seconds[1] - self.seconds[0]) / self.steps
 
 
-def race(
+def compare(
     rounds: int = 3, loops: Iterable[str] = LOOPS, progress: Callable[[], object] = lambda: None
 ) -> list[Entry]:
     """Every loop, medians over rounds in which all take turns; then what cannot run here.
 
-    progress: called after each lap.
+    progress: called after each measurement.
     """
     with workplace() as folder:
         built = pair_module.build(folder)
         bare = Bare(built)
-        laps: dict[str, list[Lap | str]] = {name: [] for name in loops}
+        measurements: dict[str, list[Measurement | str]] = {name: [] for name in loops}
         floors = []
         for _ in range(rounds):
             floors.append(bare.per_step())
-            for name, found in laps.items():
-                if not found or isinstance(found[-1], Lap):
-                    found.append(lap(name, built))
+            for name, found in measurements.items():
+                if not found or isinstance(found[-1], Measurement):
+                    found.append(measure(name, built))
                 progress()
         floor = median(floors)
-        entries = [entry(name, found, bare.level, floor) for name, found in laps.items()]
-    missing = [Entry(name, problem=why) for name, why in UNABLE.items()]
+        entries = [entry(name, found, bare.level, floor) for name, found in measurements.items()]
+    missing = [Entry(name, problem=why) for name, why in UNSUPPORTED.items()]
     return [Entry(FLOOR, "", floor, floor, "records nothing"), *entries, *missing]
 
 
-def lap(name: str, built: Pair, enough: float = _ENOUGH_S) -> Lap | str:
+def measure(name: str, built: Pair, enough: float = _ENOUGH_S) -> Measurement | str:
     """One measurement in a process of its own, or why there is none.
 
     enough: seconds that N steps should take at least
@@ -137,8 +137,8 @@ def lap(name: str, built: Pair, enough: float = _ENOUGH_S) -> Lap | str:
         version(LOOPS[name].distribution)
     except PackageNotFoundError:
         return "not installed"
-    with tempfile.TemporaryDirectory(prefix="l1-depth-bench-") as scratch:
-        asked = (name, str(built.folder), f"{scratch}/lap.json", str(enough))
+    with tempfile.TemporaryDirectory(prefix="l1-depth-speed-") as scratch:
+        asked = (name, str(built.folder), f"{scratch}/measurement.json", str(enough))
         command = [sys.executable, "-m", "tests.speed.loops", *asked]
         try:
             done = subprocess.run(
@@ -147,24 +147,26 @@ def lap(name: str, built: Pair, enough: float = _ENOUGH_S) -> Lap | str:
             )  # fmt: skip
         except subprocess.TimeoutExpired:
             return f"not done in {_LONGEST_S:g} s"
-        answer = Path(scratch) / "lap.json"
+        answer = Path(scratch) / "measurement.json"
         if done.returncode or not answer.is_file():
             said = (done.stderr.strip() or done.stdout.strip() or "it said nothing").splitlines()[-1]
             return f"ended with status {done.returncode}: {said}"
         told = json.loads(answer.read_text())
-    return Lap(told["steps"], tuple(told["seconds"]), tuple(told["levels"]))
+    return Measurement(told["steps"], tuple(told["seconds"]), tuple(told["levels"]))
 
 
-def entry(name: str, laps: list[Lap | str], level: Callable[[int], float], floor: float) -> Entry:
-    """The median of the laps, if all of them did the work.
+def entry(
+    name: str, measurements: list[Measurement | str], level: Callable[[int], float], floor: float
+) -> Entry:
+    """The median of the measurements, if all of them did the work.
 
     level: steps -> the first level after them
     """
     runner = LOOPS[name]
-    failed = [each for each in laps if isinstance(each, str)]
+    failed = [each for each in measurements if isinstance(each, str)]
     if failed:
         return Entry(runner.name, problem=failed[0])
-    good = [each for each in laps if isinstance(each, Lap)]
+    good = [each for each in measurements if isinstance(each, Measurement)]
     difference = max(_difference(each, level) for each in good)
     blank = Entry(runner.name, version(runner.distribution), floor=floor)
     if difference > _NEAR:
@@ -177,10 +179,12 @@ def entry(name: str, laps: list[Lap | str], level: Callable[[int], float], floor
     return replace(blank, per_step=median(each.per_step for each in good), remark=remark)
 
 
-def _difference(lap: Lap, level: Callable[[int], float]) -> float:
-    """The largest of a lap's levels from the right ones, relative to these."""
-    right = level(lap.steps), level(2 * lap.steps)
-    differences = [abs(found - wanted) / abs(wanted) for found, wanted in zip(lap.levels, right, strict=True)]
+def _difference(measurement: Measurement, level: Callable[[int], float]) -> float:
+    """The largest of a measurement's levels from the right ones, relative to these."""
+    right = level(measurement.steps), level(2 * measurement.steps)
+    differences = [
+        abs(found - wanted) / abs(wanted) for found, wanted in zip(measurement.levels, right, strict=True)
+    ]
     return math.inf if any(map(math.isnan, differences)) else max(differences)
 
 

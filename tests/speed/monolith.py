@@ -1,7 +1,7 @@
 """A plan as one C program: what a closed loop costs when there is nothing between its equations.
 
 The same equations as in the FMUs (their own sources), joined by assignments: the yardstick of
-`l1-depth bench`.
+`python -m tests.speed`.
 """
 
 from pathlib import Path

@@ -20,7 +20,7 @@ _LIBRARIES = () if os.name == "nt" else ("-ldl", "-lm")
 @contextmanager
 def workplace() -> Iterator[Path]:
     """A folder that is gone afterwards."""
-    with tempfile.TemporaryDirectory(prefix="l1-depth-bench-") as name:
+    with tempfile.TemporaryDirectory(prefix="l1-depth-speed-") as name:
         yield Path(name)
 
 

@@ -13,7 +13,7 @@ from tests.speed.scenarios import Loop
 
 def tables(layers: Sequence[Layer], loops: Sequence[Loop], entries: Sequence[Entry]) -> list[Table]:
     """One of each kind."""
-    return [_steps(layers), _runs(loops), _race(entries)]
+    return [_steps(layers), _runs(loops), _importers(entries)]
 
 
 def machine() -> str:
@@ -49,7 +49,7 @@ def _runs(loops: Sequence[Loop]) -> Table:
     return table
 
 
-def _race(entries: Sequence[Entry]) -> Table:
+def _importers(entries: Sequence[Entry]) -> Table:
     """Fastest first, those that did not run last."""
     title = "Two FMUs, one signal each way: a communication step"
     table = _table(title, ("Importer", "Version"), ("us", "us overhead", "times the FMUs"), ("Remark",))

@@ -1,4 +1,4 @@
-"""Every importer does the same work in the race, and the table says what was measured.
+"""Every importer does the same work in the comparison, and the table says what was measured.
 
 No time is a pass or a fail: machines differ and are noisy.
 """
@@ -16,7 +16,17 @@ from orchestration.errors import OrchestrationError
 from orchestration.master import Simulator
 from tests.speed import importers
 from tests.speed import pair as pair_module
-from tests.speed.importers import LOOPS, UNABLE, Bare, Entry, Lap, Runner, entry, lap, race
+from tests.speed.importers import (
+    LOOPS,
+    UNSUPPORTED,
+    Bare,
+    Entry,
+    Measurement,
+    Runner,
+    compare,
+    entry,
+    measure,
+)
 from tests.speed.pair import LEVEL, STEP_SIZE, Inputs, Pair, State
 from tests.speed.tables import tables
 
@@ -56,8 +66,8 @@ def test_this_master_records_what_the_equations_say(pair: Pair) -> None:
 def test_every_importer_ends_where_the_bare_loop_ends(
     pair: Pair, bare: Bare, installed: Callable[[str], str], name: str
 ) -> None:
-    found = lap(installed(name), pair, AT_ONCE)
-    assert isinstance(found, Lap), found
+    found = measure(installed(name), pair, AT_ONCE)
+    assert isinstance(found, Measurement), found
     if name == "pathsim":
         own = levels(2 * found.steps + 1, one_after_another=True)
         assert found.levels == (own[found.steps + 1], own[2 * found.steps + 1])
@@ -76,9 +86,9 @@ def test_who_is_not_installed_or_fails_is_a_row_with_the_reason(
     pair: Pair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(LOOPS, "ecos", replace(LOOPS["ecos"], distribution="no-such-distribution"))
-    assert lap("ecos", pair) == "not installed"
+    assert measure("ecos", pair) == "not installed"
     monkeypatch.setitem(LOOPS, "nobody", Runner("Nobody", "l1-depth", "nothing"))
-    failed = lap("nobody", pair)
+    failed = measure("nobody", pair)
     assert isinstance(failed, str)
     assert failed.startswith("ended with status 1: ModuleNotFoundError")
     assert entry("nobody", [failed], float, FLOOR_S) == Entry("Nobody", problem=failed)
@@ -86,7 +96,7 @@ def test_who_is_not_installed_or_fails_is_a_row_with_the_reason(
 
 def test_who_does_not_end_is_a_row_with_the_reason(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importers, "_LONGEST_S", 0.01)
-    assert lap("ours", pair) == "not done in 0.01 s"
+    assert measure("ours", pair) == "not done in 0.01 s"
 
 
 def test_a_fault_of_an_fmu_is_no_measurement(bare: Bare, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -95,14 +105,14 @@ def test_a_fault_of_an_fmu_is_no_measurement(bare: Bare, monkeypatch: pytest.Mon
         bare.per_step(10)
 
 
-def made_up(first: float, second: float, scale: float = 1.0) -> Lap:
-    """A lap of 1000 steps whose level is the number of steps, times `scale`."""
-    return Lap(1000, (first, second), (1000.0 * scale, 2000.0 * scale))
+def made_up(first: float, second: float, scale: float = 1.0) -> Measurement:
+    """A measurement of 1000 steps whose level is the number of steps, times `scale`."""
+    return Measurement(1000, (first, second), (1000.0 * scale, 2000.0 * scale))
 
 
 def test_loading_cancels_and_the_median_counts() -> None:
-    laps: list[Lap | str] = [made_up(5.0, 5.5), made_up(1.0, 1.25), made_up(2.0, 2.375)]
-    found = entry("ours", laps, float, 0.125e-3)
+    measurements: list[Measurement | str] = [made_up(5.0, 5.5), made_up(1.0, 1.25), made_up(2.0, 2.375)]
+    found = entry("ours", measurements, float, 0.125e-3)
     assert (found.per_step, found.overhead, found.ratio) == (0.375e-3, 0.25e-3, 3.0)
     assert (found.remark, found.problem) == ("records every output", "")
 
@@ -136,20 +146,22 @@ def test_the_table_has_the_fastest_first_and_every_reason() -> None:
     ]
 
 
-def test_a_race_has_a_row_for_everyone(monkeypatch: pytest.MonkeyPatch) -> None:
-    laps = []
-    monkeypatch.setattr(importers, "lap", lambda name, built: laps.append(name) or made_up(1.0, 2.0))
+def test_a_comparison_has_a_row_for_everyone(monkeypatch: pytest.MonkeyPatch) -> None:
+    measurements = []
+    monkeypatch.setattr(
+        importers, "measure", lambda name, built: measurements.append(name) or made_up(1.0, 2.0)
+    )
     monkeypatch.setattr(Bare, "level", lambda self, steps: float(steps))
     shown = []
-    found = race(2, ["ours", "ecos"], lambda: shown.append(1))
-    assert laps == ["ours", "ecos"] * 2
-    assert len(shown) == len(laps)
-    assert [each.name for each in found] == [importers.FLOOR, "this master", "Ecos", *UNABLE]
+    found = compare(2, ["ours", "ecos"], lambda: shown.append(1))
+    assert measurements == ["ours", "ecos"] * 2
+    assert len(shown) == len(measurements)
+    assert [each.name for each in found] == [importers.FLOOR, "this master", "Ecos", *UNSUPPORTED]
     assert all(each.floor == found[0].per_step > 0.0 for each in found[:3])
 
 
 def test_nothing_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
-    race(1, ["prebound_ctypes"])
+    compare(1, ["prebound_ctypes"])
     assert not list(tmp_path.iterdir())

@@ -1,4 +1,4 @@
-"""What `l1-depth bench` measures of our own programs, and what its tables make of it.
+"""What `python -m tests.speed` measures of our own programs, and what its tables make of it.
 
 No time is a pass or a fail.
 """

@@ -1,6 +1,6 @@
-"""One loop measured in a process of its own: `python -m tests.speed.loops NAME FOLDER LAP ENOUGH`.
+"""One loop measured in a process of its own: `python -m tests.speed.loops NAME FOLDER RESULT ENOUGH`.
 
-N grows until the second N of 2 N steps take as many seconds as are enough, or are many. LAP becomes a JSON
+N grows until the second N of 2 N steps take as many seconds as are enough, or are many. RESULT becomes a JSON
 file.
 """
 
@@ -19,7 +19,7 @@ _GROWTH = 4
 _REPEATS = 3
 
 
-def main(name: str, folder: str, lap: str, enough: str) -> None:
+def main(name: str, folder: str, measurement: str, enough: str) -> None:
     run: Callable[[Pair, int], float] = import_module(f"{__package__}.{name}").run
     pair, steps = Pair(Path(folder)), 1 << 10
     run(pair, 16)  # what is imported or compiled once is paid for here
@@ -32,7 +32,7 @@ def main(name: str, folder: str, lap: str, enough: str) -> None:
     for _ in range(_REPEATS - 1):
         timed += [_timed(run, pair, count) for count in (steps, 2 * steps)]
     seconds = [median(time for time, _ in timed[place::2]) for place in (0, 1)]
-    Path(lap).write_text(json.dumps({"steps": steps, "seconds": seconds, "levels": levels}))
+    Path(measurement).write_text(json.dumps({"steps": steps, "seconds": seconds, "levels": levels}))
 
 
 def _timed(run: Callable[[Pair, int], float], pair: Pair, steps: int) -> tuple[float, float]:

@@ -1,6 +1,6 @@
 """FMPy's `FMU2Slave` in a Python loop, nothing recorded."""
 
-from tests.speed.loops.slaves import loaded
+from tests.speed.loops.instances import loaded
 from tests.speed.pair import STEP_SIZE, Pair
 
 

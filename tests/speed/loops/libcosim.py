@@ -12,8 +12,8 @@ def run(pair: Pair, steps: int) -> float:
     execution.add_observer(observer)
     if not execution.step(steps):
         raise RuntimeError("a step failed")
-    slave = execution.slave_index_from_instance_name("first")
-    if slave is None:
+    instance = execution.slave_index_from_instance_name("first")
+    if instance is None:
         raise RuntimeError("expected a component called first")
-    (reference,) = [v.reference for v in execution.slave_variables(slave) if v.name.decode() == LEVEL]
-    return observer.last_real_values(slave, [reference])[0]
+    (reference,) = [v.reference for v in execution.slave_variables(instance) if v.name.decode() == LEVEL]
+    return observer.last_real_values(instance, [reference])[0]

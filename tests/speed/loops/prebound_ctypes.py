@@ -2,7 +2,7 @@
 
 from ctypes import c_double, c_int, c_size_t, c_uint32, c_void_p
 
-from tests.speed.loops.slaves import loaded
+from tests.speed.loops.instances import loaded
 from tests.speed.pair import STEP_SIZE, Pair
 
 

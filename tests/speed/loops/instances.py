@@ -13,25 +13,25 @@ from tests.speed.pair import LEVEL, SIGNAL, Pair
 
 @contextmanager
 def loaded(pair: Pair) -> Iterator[tuple[FMU2Slave, FMU2Slave, int, int]]:
-    """Both slaves, ready to step, and the value references of input and output."""
+    """Both instances, ready to step, and the value references of input and output."""
     with ExitStack() as stack:
-        slaves: list[FMU2Slave] = []
+        instances: list[FMU2Slave] = []
         references: dict[str, int] = {}
         for name, path in pair.fmus.items():
             folder = stack.enter_context(TemporaryDirectory())
             description: Any = fmpy.read_model_description(str(path))
             references = {v.name: v.valueReference for v in description.modelVariables}
-            slave = FMU2Slave(
+            instance = FMU2Slave(
                 guid=description.guid,
                 unzipDirectory=fmpy.extract(str(path), folder),
                 modelIdentifier=description.coSimulation.modelIdentifier,
                 instanceName=name,
             )
-            stack.callback(slave.freeInstance)
-            slave.instantiate()
-            slave.setupExperiment(startTime=0.0)
-            slave.enterInitializationMode()
-            slave.exitInitializationMode()
-            slaves.append(slave)
-        first, second = slaves
+            stack.callback(instance.freeInstance)
+            instance.instantiate()
+            instance.setupExperiment(startTime=0.0)
+            instance.enterInitializationMode()
+            instance.exitInitializationMode()
+            instances.append(instance)
+        first, second = instances
         yield first, second, references[SIGNAL], references[LEVEL]

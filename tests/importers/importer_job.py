@@ -7,7 +7,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class Task:
+class ImporterJob:
     """Run a package from its start to its stop time and report one output.
 
     parameter_set: name of the set that the package binds
