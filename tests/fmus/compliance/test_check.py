@@ -1,6 +1,5 @@
 """The check finds nothing in our FMUs, and ends with findings whatever a file holds."""
 
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -10,29 +9,7 @@ from fmus import catalogue
 from fmus.compliance import report
 from fmus.compliance.examine import all_rules, examine
 
-Members = dict[str, bytes]
-PYTHONFMU_ERRORS = {  # its binary looks at no GUID, and fmi2FreeFMUstate leaves the address
-    "refuses-a-wrong-guid": ("fmi2Instantiate gave an instance for a wrong GUID: expected NULL",),
-    "state-restores": ("fmi2FreeFMUstate left the state's address: expected NULL",),
-}
-
-
-def members(path: Path) -> Members:
-    with zipfile.ZipFile(path) as archive:
-        return {name: archive.read(name) for name in archive.namelist()}
-
-
-def write(content: Members, path: Path) -> Path:
-    """An archive as it is told to be, also with members that no tool should write."""
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, data in content.items():
-            archive.writestr(name, data)
-    return path
-
-
-def broken_rules(path: Path, timeout: float = 10) -> dict[str, tuple[str, ...]]:
-    """Rule -> its messages, of the rules that the FMU breaks."""
-    return {r.rule.name: r.messages for r in examine(path, timeout) if r.messages}
+from .archives import PYTHONFMU_ERRORS, broken_rules
 
 
 @pytest.mark.parametrize("name", catalogue.block_names())

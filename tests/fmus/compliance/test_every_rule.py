@@ -2,8 +2,7 @@
 
 from fmus.compliance.examine import all_rules
 
-from .test_behaviour import C_MUTANTS, FALSE_CLAIMS
-from .test_mutants import ARCHIVE_MUTANTS, XML_MUTANTS
+from .mutants import ARCHIVE_MUTANTS, C_MUTANTS, FALSE_CLAIMS, XML_MUTANTS
 
 BY_A_TEST_OF_ITS_OWN = {
     "archive-is-zip", "archive-members-are-plain", "library-exports", "has-an-implementation",

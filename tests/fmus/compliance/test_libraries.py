@@ -10,7 +10,7 @@ from fmus.compliance.examine import examine
 from fmus.export import native as native_flavour
 from fmus.platforms import host_platform, library_name
 
-from .test_check import broken_rules, members, write
+from .archives import broken_rules, members, write
 
 pytestmark = pytest.mark.cross
 

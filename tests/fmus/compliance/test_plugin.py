@@ -10,7 +10,7 @@ import pytest
 
 from fmus.compliance.examine import all_rules
 
-from .test_check import PYTHONFMU_ERRORS, members, write
+from .archives import PYTHONFMU_ERRORS, members, write
 
 NAME = "DepthReference"
 PLUGIN = "fmus.compliance.pytest_plugin"

@@ -12,7 +12,7 @@ import pytest
 from fmus.compliance.__main__ import main
 from fmus.compliance.examine import all_rules
 
-from .test_check import members, write
+from .archives import members, write
 
 NAME = "DepthReference"
 

@@ -17,7 +17,7 @@ from orchestration.system.experiment import Algorithm, Experiment
 from orchestration.system.faults import Delay, DropOut, Effect, Fault, Noise
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
-from tests.orchestration.system.test_faults import received
+from tests.orchestration.fault_model import received
 
 Build = Callable[..., Path]
 ROUNDING = 1e-12  # relative: communication points, and sums of steps, differ in the last digits

@@ -1,0 +1,235 @@
+"""Changes to an FMU, each with the rule that it breaks: description, archive, C sources, claims."""
+
+from collections.abc import Callable
+
+from fmus.platforms import host_platform, library_name
+
+from .archives import Members
+
+Patch = dict[str, str]  # what stands in the sources -> what is to stand there
+XML, LIBRARY = "modelDescription.xml", library_name("L1Controller", host_platform())
+
+XML_MUTANTS = [
+    ("description-is-readable", "</fmiModelDescription>", ""),
+    (
+        "description-is-readable",
+        '<fmiModelDescription ',
+        '<!DOCTYPE x [<!ENTITY a "b">]><fmiModelDescription ',
+    ),
+    ("description-is-utf-8", "encoding='UTF-8'", "encoding='US-ASCII'"),
+    ("fmi-version", 'fmiVersion="2.0"', 'fmiVersion="2.1"'),
+    ("guid-is-given", 'guid="', 'guid="" was="'),
+    (
+        "generation-date",
+        'variableNamingConvention="',
+        'generationDateAndTime="2026-01-01T00:00:00" variableNamingConvention="',
+    ),
+    ("schema", "<LogCategories>", "<Nonsense/><LogCategories>"),
+    ("log-categories-are-unique", 'Category name="logStatusDiscard"', 'Category name="logStatusWarning"'),
+    ("default-experiment", 'stopTime="', 'stopTime="-1" was="'),
+    ("model-identifier", 'modelIdentifier="L1Controller"', 'modelIdentifier="1 bad"'),
+    ("library-names", 'modelIdentifier="L1Controller"', 'modelIdentifier="Other"'),
+    ("capabilities-agree", 'canGetAndSetFMUstate="true"', 'canGetAndSetFMUstate="false"'),
+    ("source-files-exist", '<File name="fmi2.c"', '<File name="none.c"'),
+    ("type-names", 'SimpleType name="FilterOrder"', 'SimpleType name="Augmentation"'),
+    ("type-names", 'SimpleType name="FilterOrder"', 'SimpleType name="internal_step"'),
+    ("enumeration-items", 'Item name="pi" value="2"', 'Item name="pi" value="1"'),
+    ("variable-names-are-unique", 'name="filter_order"', 'name="internal_step"'),
+    ("variable-names-are-legal", 'name="internal_step"', 'name="internal step"'),
+    ("variable-names-are-short", 'name="internal_step"', f'name="{"x" * 56}"'),
+    (
+        "causality-and-variability",
+        'causality="parameter" variability="fixed"',
+        'causality="parameter" variability="discrete"',
+    ),
+    ("initial-is-legal", 'variability="fixed" initial="exact"', 'variability="fixed" initial="approx"'),
+    ("start-is-given", ' start="0.001"', ""),
+    ("numbers-are-finite", 'max="10.0" unit="s"', 'max="INF" unit="s"'),
+    ("range-is-not-empty", 'min="1e-07" max="10.0"', 'min="11.0" max="10.0"'),
+    ("start-is-in-range", 'start="0.001"', 'start="11.0"'),
+    ("nominal-is-positive", 'start="0.001"', 'nominal="0" start="0.001"'),
+    ("declared-type-fits", 'declaredType="FilterOrder"', 'declaredType="FilterOrde"'),
+    ("enumeration-start-is-an-item", '"Regressor" start="2"', '"Regressor" start="7"'),
+    ("unit-names-are-unique", 'Unit name="rad/s"', 'Unit name="s"'),
+    ("units-are-defined", 'unit="s" start="0.001"', 'unit="sec" start="0.001"'),
+    ("unit-exponents", 'BaseUnit rad="1" s="-1"', 'BaseUnit rad="1" s="-2"'),
+    ("unit-factors", '<BaseUnit s="1"', '<BaseUnit factor="0" s="1"'),
+    ("alias-settable-once", 'valueReference="6"', 'valueReference="5"'),
+    ("alias-units", 'valueReference="5"', 'valueReference="0"'),
+    ("dependencies-are-legal", 'dependencies=""', 'dependencies="9999"'),
+    ("dependencies-kind", 'dependencies=""', 'dependencies="" dependenciesKind="fixed"'),
+    ("instantiates-and-frees", 'guid="', 'guid="{00000000-0000-0000-0000-000000000000}" was="'),
+    ("output-derivatives", 'maxOutputDerivativeOrder="1"', 'maxOutputDerivativeOrder="2"'),
+    (
+        "alias-constants",
+        'name="u_m" valueReference="50" description="State feedback -k_m x" '
+        'causality="output" variability="continuous" initial="calculated"',
+        'name="u_m" valueReference="49" causality="output" variability="constant" initial="exact"',
+    ),
+    ("outputs-are-listed", '<Unknown index="50" dependencies="" />', ""),
+    ("outputs-are-listed", '<Unknown index="50" dependencies="" />', '<Unknown index="1" />'),
+    ("structure-indices", '<Unknown index="50" dependencies="" />', '<Unknown index="999" />'),
+    ("structure-indices", '<Unknown index="50" dependencies="" />', '<Unknown index="51" />'),
+    ("initial-unknowns-are-complete", '<Unknown index="34" dependencies="12" />', ""),
+    (
+        "initial-unknowns-ascend",
+        '<Unknown index="34" dependencies="12" />\n      <Unknown index="35" dependencies="13" />',
+        '<Unknown index="35" dependencies="13" />\n      <Unknown index="34" dependencies="12" />',
+    ),
+    (
+        "derivatives-are-marked",
+        "<InitialUnknowns>",
+        '<Derivatives><Unknown index="50" /></Derivatives><InitialUnknowns>',
+    ),
+    ("derivative-is-of-a-variable", '<Real unit="1" />', '<Real unit="1" derivative="999" />'),
+    (
+        "one-independent-variable",
+        'causality="parameter" variability="fixed" initial="exact">\n      <Enumeration',
+        'causality="independent" variability="continuous">\n      <Enumeration',
+    ),
+    ("variables-have-a-type", 'valueReference="0"', 'valueReference="-1"'),
+    ("start-values-are-as-declared", 'start="0.001"', 'start="0.002"'),
+    ("variables-can-be-read", 'valueReference="49"', 'valueReference="999"'),
+    ("fmpy-validation", "<LogCategories>", "<Nonsense/><LogCategories>"),
+    ("fmutool-generic-check", "<LogCategories>", "<Nonsense/><LogCategories>"),
+    ("fmutool-semantic-check", 'name="filter_order"', 'name="internal_step"'),
+]  # fmt: skip
+
+
+def _changed(**changes: bytes | None) -> Callable[[Members], Members]:
+    def change(content: Members) -> Members:
+        return {k: v for k, v in {**content, **changes}.items() if v is not None}
+
+    return change
+
+
+ARCHIVE_MUTANTS = [
+    ("archive-has-description", _changed(**{XML: None})),
+    ("archive-paths-are-portable", _changed(**{"../escape": b""})),
+    ("archive-paths-are-unique", _changed(**{"MODELDESCRIPTION.xml": b""})),
+    ("archive-layout", _changed(**{"readme.txt": b""})),
+    ("platform-names", _changed(**{"binaries/amiga/x": b""})),
+    ("library-format", _changed(**{LIBRARY: b"no library"})),
+    ("source-files-exist", _changed(**{"sources/fmi2.c": None})),
+    ("library-names", _changed(**{LIBRARY: None, f"{LIBRARY}.so": b""})),
+    ("runs-on-this-platform", _changed(**{LIBRARY: None})),
+]
+
+
+STEP = 'if (!is_allowed(it, STEPPING, "fmi2DoStep")) return fmi2Error;'
+GLOBALS = "static const char *const TYPE_NAMES[]"
+LAST_OF_BECOME = "d->parameters_are_stale = d->outputs_are_stale = 0;"
+RESET = "if (!it) return fmi2Error;\n    instance_reset(it);"
+RESTORE = "((Instance *)c)->data = snapshot->data;"
+
+C_MUTANTS: dict[str, tuple[str, Patch]] = {
+    "another version": ("library-says-version", {"return fmi2Version;": 'return "2.1";'}),
+    "no second instance": (
+        "instantiates-and-frees",
+        {
+            "it = allocate(1, sizeof *it": (
+                "static int count;\n    if (count++) return NULL;\n    it = allocate(1, sizeof *it"
+            )
+        },
+    ),
+    "any GUID": ("refuses-a-wrong-guid", {"!fmuGUID || strcmp(fmuGUID, MODEL_GUID)": "!fmuGUID"}),
+    "another start value": (
+        "start-values-are-as-declared",
+        {"= VARIABLES[i].start;": "= VARIABLES[i].start * (i == INTERNAL_STEP ? 0.5 : 1);"},
+    ),
+    "an output that is no number": (
+        "variables-can-be-read",
+        {LAST_OF_BECOME: LAST_OF_BECOME + " d->value[FIRST_OUTPUT] = NAN;"},
+    ),
+    "no end": ("steps-and-terminates", {"it->data.mode = TERMINATED;": "return fmi2Error;"}),
+    "a tool by the search path": (
+        "needs-no-tool",
+        {STEP: STEP + ' if (!*getenv("PATH")) return refuse(it, fmi2Error, "no tool");'},
+    ),
+    "a reset of the mode alone": (
+        "reset-gives-the-start-values",
+        {
+            RESET: "if (!it) return fmi2Error;\n    it->data.mode = INSTANTIATED;",
+            "DBL_MAX; /* infinity: no end */\n    it->data.outputs_are_stale = 1;": "DBL_MAX;",
+        },
+    ),
+    "a reset that forgets a parameter": (
+        "reset-gives-the-start-values",
+        {RESET: RESET + " it->data.value[INTERNAL_STEP] *= 0.5;"},
+    ),
+    "one instance at a time": (
+        "several-instances",
+        {
+            GLOBALS: "static int live;\n" + GLOBALS,
+            "it = allocate(1, sizeof *it": "if (live++) return NULL;\n    it = allocate(1, sizeof *it",
+            "if (it) it->release(it);": "live = 0;\n    if (it) it->release(it);",
+        },
+    ),
+    "instances that share a count": (
+        "several-instances",
+        {LAST_OF_BECOME: LAST_OF_BECOME + " static int count; d->value[FIRST_OUTPUT] += 1e-9 * count++;"},
+    ),
+    "one step size": (
+        "variable-step-size",
+        {STEP: STEP + " static double first; if (!first) first = h; if (h != first) return fmi2Discard;"},
+    ),
+    "memory leaked": ("memory-is-given-back", {"if (it) it->release(it);": "(void)it;"}),
+    "memory freed twice": (
+        "memory-is-given-back",
+        {
+            "if (it) it->release(it);": (
+                "const fmi2CallbackFreeMemory release = it->release;\n    release(it), release(it);"
+            )
+        },
+    ),
+    "inputs without derivatives": ("input-derivatives", {"if (!is_input(vr[i]))": "if (is_input(vr[i]))"}),
+    "an infinite derivative": (
+        "output-derivatives",
+        {"value[i] = rate[vr[i] - FIRST_OUTPUT]": "value[i] = INFINITY"},
+    ),
+    "a wrong derivative": ("directional-derivatives", {"dvUnknown[i] = along[": "dvUnknown[i] = 1 + along["}),
+    "a state that is not restored": (
+        "state-restores",
+        {RESTORE: "const Data old = ((Instance *)c)->data;\n    " + RESTORE
+         + "\n    memcpy(((Instance *)c)->data.state, old.state, sizeof old.state);"},
+    ),
+    "a state freed but not forgotten": (
+        "state-restores",
+        {"*FMUstate = NULL;\n    return fmi2OK;": "return fmi2OK;"},
+    ),
+    "a single state": (
+        "state-can-be-saved-often",
+        {
+            GLOBALS: "static Snapshot only;\n" + GLOBALS,
+            "*FMUstate ? *FMUstate : it->allocate(1, sizeof *snapshot);": "&only;",
+        },
+    ),
+    "a state that is not written over": (
+        "state-can-be-saved-often",
+        {"snapshot->data = it->data;": "if (!*FMUstate) snapshot->data = it->data;"},
+    ),
+    "a serialised state cut short": (
+        "serialised-state-restores",
+        {"*size = SERIALIZED_SIZE;": "*size = SERIALIZED_SIZE - 8;"},
+    ),
+    "a serialised state without its states": (
+        "serialised-state-restores",
+        {
+            "*(Snapshot *)*FMUstate = restored;": (
+                "memset(restored.data.state, 0, sizeof restored.data.state);\n"
+                "    *(Snapshot *)*FMUstate = restored;"
+            )
+        },
+    ),
+}  # fmt: skip
+
+
+FALSE_CLAIMS = [
+    ("input-derivatives", 'canInterpolateInputs="false"', 'canInterpolateInputs="true"'),
+    ("output-derivatives", 'maxOutputDerivativeOrder="0"', 'maxOutputDerivativeOrder="1"'),
+    (
+        "directional-derivatives",
+        'providesDirectionalDerivative="false"',
+        'providesDirectionalDerivative="true"',
+    ),
+]
