@@ -41,6 +41,11 @@ std = 1.0
 MakeFile = Callable[..., Path]
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _built(scenario_fmus: None) -> None:
+    """Every block's FMU stands where the shipped sweeps find it."""
+
+
 @pytest.fixture
 def sweep_file(rogue: Callable[..., Path], tmp_path: Path) -> MakeFile:
     """Writes a scenario of one rogue FMU with y' = u, and a sweep of it."""
