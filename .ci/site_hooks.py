@@ -42,6 +42,7 @@ def _generated() -> Contents:
         working = Path(folder)
         return {
             **_downloads(working),
+            **_schemas(),
             **_gallery(working),
             **_results(working),
             **_commands(working),
@@ -56,6 +57,12 @@ def _downloads(working: Path) -> Contents:
     if not made:
         downloads.make(folder)
     return {f"downloads/{kind}.zip": _zipped(folder / kind, working) for kind in downloads.KINDS}
+
+
+def _schemas() -> Contents:
+    """downloads/NAME.schema.json of the files that editors check."""
+    folder = ROOT / "orchestration" / "scenarios"
+    return {f"downloads/{path.name}": path.read_bytes() for path in folder.glob("*.schema.json")}
 
 
 def _zipped(folder: Path, working: Path) -> bytes:
