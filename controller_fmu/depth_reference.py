@@ -1,15 +1,14 @@
 """Block DepthReference: the depth that is wanted, as ramps through given points.
 
 Straight or quintic lines through (point_time, point_depth), held before the first and after the last
-point. A system that is handed on without its scenario, such as an SSP package, carries its reference in it.
+point. For an importer that has no other means to give the controller its reference.
 """
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 from controller_fmu.depth_reference_guide import GUIDE
 from fmus.block import Block, NoValues, variable
-from fmus.numerics import where
+from fmus.numerics import ramps
 
 POINTS = 12  # spare ones come later than the last wanted one, at the same depth
 
@@ -60,17 +59,7 @@ def step(
 
 
 def output(t: float, state: NoValues, p: Parameters, calculated: NoValues) -> Outputs:
-    points = list(zip(p.point_time, p.point_depth, strict=True))
-    depth = points[-1][1]
-    for (t_0, z_0), (t_1, z_1) in reversed(list(pairwise(points))):
-        s = (t - t_0) / (t_1 - t_0)
-        depth = where(t <= t_1, z_0 + (z_1 - z_0) * where(p.smooth, _quintic(s), s), depth)
-    return Outputs(depth_reference=where(t <= points[0][0], points[0][1], depth))
-
-
-def _quintic(s: float) -> float:
-    """0 to 1 with zero first and second derivatives at both ends."""
-    return s**3 * (10.0 + s * (6.0 * s - 15.0))
+    return Outputs(depth_reference=ramps(t, p.point_time, p.point_depth, p.smooth))
 
 
 BLOCK = Block(

@@ -21,13 +21,8 @@ from fmus.platforms import host_platform, library_name
 OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)  # fmi2Status
 _STATUS_NAMES = ("ok", "warning", "discard", "error", "fatal", "pending")
 
-# FMI type -> (ctypes element, the type in the names of getter and setter)
-ELEMENTS = {
-    "Real": (fmi2.fmi2Real, "Real"),
-    "Integer": (fmi2.fmi2Integer, "Integer"),
-    "Enumeration": (fmi2.fmi2Integer, "Integer"),
-    "Boolean": (fmi2.fmi2Boolean, "Boolean"),
-}
+# type of the functions that transfer numbers -> ctypes element
+ELEMENTS = {"Real": fmi2.fmi2Real, "Integer": fmi2.fmi2Integer, "Boolean": fmi2.fmi2Boolean}
 
 
 def status_name(status: int) -> str:

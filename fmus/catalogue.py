@@ -58,11 +58,18 @@ def build(
 
     platforms: of the libraries in a native FMU, by default this one; those in a python one are PythonFMU's.
     """
-    block, export = load_block(name), _EXPORTS[flavour]
+    return build_block(load_block(name), folder or fmu_folder(flavour), flavour, platforms)
+
+
+def build_block(
+    block: Block, folder: Path, flavour: Flavour = Flavour.NATIVE, platforms: Sequence[str] = ()
+) -> Path:
+    """As `build`, of a block that no entry point names."""
+    export = _EXPORTS[flavour]
     _, members = export.content(block)
     libraries = export.libraries(block.name, members, platforms)
-    shown = {"model.png": icon(block)} | reference_files.members(reference_run(block), name)
-    return write_archive((folder or fmu_folder(flavour)) / f"{name}.fmu", members | libraries | shown)
+    shown = {"model.png": icon(block)} | reference_files.members(reference_run(block), block.name)
+    return write_archive(folder / f"{block.name}.fmu", members | libraries | shown)
 
 
 def write_cross_check(name: str, folder: Path) -> list[Path]:

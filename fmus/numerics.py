@@ -9,8 +9,9 @@ must still be legal.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
+from itertools import pairwise
 from typing import Any
 
 _NUMBERS = (float, int)
@@ -108,6 +109,21 @@ log = _elementary("log")
 sin = _elementary("sin")
 cos = _elementary("cos")
 floor = _elementary("floor")
+
+
+def ramps(t: Any, times: Sequence[Any], values: Sequence[Any], smooth: Any) -> Any:
+    """Lines through (time, value) at time t, held before the first and after the last point.
+
+    times: ascending, each later than the one before
+    smooth: quintic ramps instead, 10 s^3 - 15 s^4 + 6 s^5: no first or second derivative at the points
+    """
+    points = list(zip(times, values, strict=True))
+    value = points[-1][1]
+    for (t_0, y_0), (t_1, y_1) in reversed(list(pairwise(points))):
+        s = (t - t_0) / (t_1 - t_0)
+        quintic = s**3 * (10.0 + s * (6.0 * s - 15.0))
+        value = where(t <= t_1, y_0 + (y_1 - y_0) * where(smooth, quintic, s), value)
+    return where(t <= points[0][0], points[0][1], value)
 
 
 def rk4_step(derivative: Callable[[Any, tuple], tuple], t: float, x: tuple, h: float) -> tuple:

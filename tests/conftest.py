@@ -115,7 +115,7 @@ def c_program(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path, str],
     zig then takes from its cache what it has built for them already: on Windows that is most of a minute.
     """
     root = Path(__file__).parent.parent
-    headers = (root / "tests" / "speed" / "c", Path(fmpy.__file__).parent / "c-code")
+    headers = (root / "orchestration" / "exchange", Path(fmpy.__file__).parent / "c-code")
 
     def compiled(source: Path, platform: str) -> Path:
         target, libraries = _C_TARGETS[platform]

@@ -10,7 +10,8 @@ from typing import Any
 import lxml.etree
 
 from fmus.binding import library_member
-from fmus.compliance.variable import KINDS, Variable, integer
+from fmus.compliance.variable import Variable, integer
+from fmus.fmi_types import TYPES
 
 etree: Any = lxml.etree  # without types
 DESCRIPTION = "modelDescription.xml"
@@ -113,7 +114,7 @@ class FmuFile:
         """Name -> element inside SimpleType, such as Enumeration."""
         found = {}
         for simple in self.root.iterfind("TypeDefinitions/SimpleType"):
-            found.update({simple.get("name", ""): each for each in simple if each.tag in KINDS})
+            found.update({simple.get("name", ""): each for each in simple if each.tag in TYPES})
         return found
 
     @cached_property
@@ -122,7 +123,7 @@ class FmuFile:
         return tuple(self._variable(index, each) for index, each in enumerate(elements, 1))
 
     def _variable(self, index: int, element: Any) -> Variable:
-        typed = next((each for each in element if each.tag in KINDS), None)
+        typed = next((each for each in element if each.tag in TYPES), None)
         if typed is None:
             return Variable(index, dict(element.attrib), "", _NOTHING, _NOTHING)
         declared = self.types.get(typed.get("declaredType", ""))

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-KINDS = ("Real", "Integer", "Boolean", "String", "Enumeration")
+from fmus.fmi_types import TRANSFER_TYPE
 
 # (causality, variability) -> values that `initial` may have, the default first
 INITIAL = {
@@ -64,7 +64,7 @@ class Variable:
     @property
     def base_kind(self) -> str:
         """The type of the getter: an Enumeration is read as an Integer."""
-        return "Integer" if self.kind == "Enumeration" else self.kind
+        return TRANSFER_TYPE.get(self.kind, self.kind)
 
     def get(self, attribute: str) -> str | None:
         """An attribute of the type element, or else of its declared type (2.2.3)."""

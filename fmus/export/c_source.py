@@ -13,10 +13,10 @@ import fmpy
 from fmus.block import Block, ScalarVariable
 from fmus.errors import ExportError
 from fmus.export.symbolic import Traced
+from fmus.fmi_types import TRANSFER_TYPE
 
 COMPILED = ("fmi2.c",)
 _FMI_HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
-_C_TYPES = {"Real": "REAL", "Integer": "INTEGER", "Enumeration": "INTEGER", "Boolean": "BOOLEAN"}
 _WORD = 32  # bits of the set of items
 _LARGEST_INTEGER = 2**31 - 1
 
@@ -108,7 +108,7 @@ def _row(v: ScalarVariable) -> str:
     settable = "NEVER" if not v.settable else "BEFORE_STEPPING" if v.variability == "fixed" else "ALWAYS"
     cells = (
         _string(v.name),
-        _C_TYPES[v.type],
+        TRANSFER_TYPE[v.type].upper(),
         settable,
         float(v.start),
         low,

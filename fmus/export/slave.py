@@ -15,6 +15,7 @@ from pythonfmu.enums import Fmi2Status
 from pythonfmu.fmi2slave import Fmi2Slave
 
 from fmus.block import Block
+from fmus.fmi_types import types_of_transfer
 from fmus.instance import BlockError, Instance
 
 
@@ -80,7 +81,7 @@ class BlockSlave(Fmi2Slave):
         return self._get(vrs, "Real")
 
     def get_integer(self, vrs: list[int]) -> list[int]:
-        return self._get(vrs, "Integer", "Enumeration")
+        return self._get(vrs, *types_of_transfer("Integer"))
 
     def get_boolean(self, vrs: list[int]) -> list[bool]:
         return self._get(vrs, "Boolean")
@@ -92,7 +93,7 @@ class BlockSlave(Fmi2Slave):
         self._set(vrs, values, "Real")
 
     def set_integer(self, vrs: list[int], values: list[int]) -> None:
-        self._set(vrs, values, "Integer", "Enumeration")
+        self._set(vrs, values, *types_of_transfer("Integer"))
 
     def set_boolean(self, vrs: list[int], values: list[bool]) -> None:
         self._set(vrs, values, "Boolean")

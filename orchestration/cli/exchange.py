@@ -23,14 +23,12 @@ def package(
     ] = None,
 ) -> None:
     """Write a scenario as an SSP 1.0 package, with a parameter set for each scenario of its system."""
-    from fmus import catalogue
     from orchestration.cli import chosen_scenario
+    from orchestration.cli.ramp_sources import build_ramp_source
     from orchestration.exchange import ssp_write
-    from orchestration.exchange.signal_sources import SOURCE
 
     chosen = chosen_scenario.load(name)
-    catalogue.build_if_stale(SOURCE)
-    print(ssp_write.package(chosen, out or Path(f"{chosen.name}.ssp")))
+    print(ssp_write.package(chosen, out or Path(f"{chosen.name}.ssp"), build_ramp_source))
 
 
 def export(

@@ -1,220 +1,155 @@
-"""A scenario as a Modelica package: a block for each FMU, and the closed loop of them.
+"""A scenario as a Modelica package: a block for each FMU, and the system of them.
 
-A block calls its FMU through an external object (c/modelica_fmu.h). Its outputs depend on the inputs of
-the communication point before, so the loop has no algebraic equation, as in the master's Jacobi.
+A block calls its FMU through an external object (modelica_fmu.h). Its outputs depend on the inputs of
+the communication point before, so the system has no algebraic equation, as in the master's Jacobi.
 The package needs the Modelica Standard Library 4, and the unpacked FMUs in its folder Resources.
 """
 
-import json
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from graphlib import CycleError, TopologicalSorter
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import fmpy
-from fmpy.model_description import ModelDescription, ScalarVariable
+from fmpy.model_description import ModelDescription
 
-from orchestration.errors import OrchestrationError
+from fmus.fmi_types import NUMBERS
+from orchestration.errors import ScenarioError
 from orchestration.exchange import modelica_templates
-from orchestration.exchange.arrays import arrays, base, of_causality, start_value
-from orchestration.exchange.signal_sources import straight_points
-from orchestration.fmi.description import describe
+from orchestration.exchange.limits import check_plain_exchange, check_types, straight_points
+from orchestration.exchange.modelica_blocks import array, block, identifier, number, quoted, vector_name
+from orchestration.fmi.description import describe, start_value
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.prepared_run import PreparedRun, prepare
+from orchestration.system.signals import Signal
 from orchestration.system.system import CheckedSystem
 
 PACKAGE = "L1Depth"
-LOOP = "DepthControl"
+SYSTEM = "System"
+_TARGET = "a Modelica package"
 _HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
-_KINDS = {"Real": "Real", "Integer": "Integer", "Enumeration": "Integer", "Boolean": "Boolean"}
+_CONSTANT = {
+    "FMU": modelica_templates.FMU,
+    "startFMU": modelica_templates.START,
+    "stepFMU": modelica_templates.STEP,
+}
 
 
-def texts(chosen: Scenario) -> dict[str, str]:
+def texts(scenario: Scenario) -> dict[str, str]:
     """Path inside the package's folder -> Modelica text, of a scenario.
 
-    Raises OrchestrationError for what the package cannot express: `Experiment.beyond_the_plain_loop`, inputs
-    and outputs that are not Real, signals that are no straight ramps, a loop of initial values.
+    Raises ScenarioError for what the package cannot express: more than `check_plain_exchange` allows, inputs
+    and outputs that are not Real, parameters of text, signals that are no straight ramps, a loop of initial
+    values.
     """
-    experiment = chosen.experiment
-    prepared = prepare(chosen.system, experiment)
+    experiment = scenario.experiment
+    check_plain_exchange(experiment, _TARGET)
+    prepared = prepare(scenario.system, experiment)
     checked = prepared.system
-    special = experiment.beyond_the_plain_loop()
-    if special:
-        raise OrchestrationError(f"a Modelica package with {special}: expected none, it cannot carry them")
-    blocks = {_identifier(d): d for d in checked.descriptions.values()}
-    constant = {
-        "FMU": modelica_templates.FMU,
-        "startFMU": modelica_templates.START,
-        "stepFMU": modelica_templates.STEP,
+    of_causality = {
+        causality: [port for port in checked.ports.values() if port.variable.causality in causality]
+        for causality in (("input", "output"), ("parameter",))
     }
-    found = {
-        "package.mo": modelica_templates.PACKAGE.format(package=PACKAGE, title=_quoted(chosen.title)),
-        "package.order": "".join(f"{name}\n" for name in (LOOP, *blocks, *constant)),
-        f"{LOOP}.mo": _loop(chosen, prepared),
+    check_types(of_causality["input", "output"], ("Real",), _TARGET)
+    check_types(of_causality["parameter",], NUMBERS, _TARGET)
+    blocks = {identifier(description): description for description in checked.descriptions.values()}
+    files = {
+        "package.mo": modelica_templates.PACKAGE.format(package=PACKAGE, title=quoted(scenario.title)),
+        "package.order": "".join(f"{name}\n" for name in (SYSTEM, *blocks, *_CONSTANT)),
+        f"{SYSTEM}.mo": _system(scenario.title, prepared),
     }
-    found |= {f"{name}.mo": _block(name, each, experiment.step_size) for name, each in blocks.items()}
-    return found | {f"{name}.mo": text.replace("{package}", PACKAGE) for name, text in constant.items()}
+    files |= {
+        f"{name}.mo": block(PACKAGE, name, description, experiment.step_size)
+        for name, description in blocks.items()
+    }
+    return files | {f"{name}.mo": text.replace("{package}", PACKAGE) for name, text in _CONSTANT.items()}
 
 
-def write(chosen: Scenario, folder: Path) -> Path:
+def write(scenario: Scenario, folder: Path) -> Path:
     """Write the package with its C headers and FMUs to `folder/L1Depth`; returns its package.mo."""
-    root, written = folder / PACKAGE, texts(chosen)
+    root, files = folder / PACKAGE, texts(scenario)
     include = root / "Resources" / "Include"
     include.mkdir(parents=True, exist_ok=True)
-    for path, text in written.items():
+    for path, text in files.items():
         (root / path).write_text(text, encoding="utf-8", newline="\n")
     own = resources.files("orchestration.exchange")
     sources = [own / "modelica_fmu.h", own / "load.h"]
     for source in sources + [resources.files(fmpy) / "c-code" / name for name in _HEADERS]:
         (include / source.name).write_bytes(source.read_bytes())
-    for fmu in chosen.system.components.values():
+    for fmu in scenario.system.components.values():
         with zipfile.ZipFile(fmu) as archive:
-            archive.extractall(root / "Resources" / "FMUs" / _identifier(describe(fmu)))
+            archive.extractall(root / "Resources" / "FMUs" / identifier(describe(fmu)))
     return root / "package.mo"
 
 
-def _identifier(description: ModelDescription) -> str:
-    if description.coSimulation is None:
-        raise OrchestrationError(f"{description.modelName}: expected an FMU for co-simulation")
-    return str(description.coSimulation.modelIdentifier)
-
-
-def _block(name: str, description: ModelDescription, step: float) -> str:
-    given, inputs, outputs = (of_causality(description, c) for c in ("parameter", "input", "output"))
-    for v in inputs + outputs:
-        if v.type != "Real":
-            raise OrchestrationError(
-                f"{name}.{v.name}: expected an input or output of type Real, got {v.type}"
-            )
-    of_type = {kind: [v for v in given if _KINDS[v.type] == kind] for kind in ("Real", "Integer", "Boolean")}
-    values = {}
-    for kind, variables in of_type.items():
-        values[f"{kind.lower()}_references"] = _references(variables)
-        values[f"{kind.lower()}s"] = _array([_argument(v) for v in variables], kind)
-    declarations = [_declaration(n, vs, "parameter ", _KINDS[vs[0].type]) for n, vs in arrays(given).items()]
-    for kind, variables in (("Input", inputs), ("Output", outputs)):
-        connector = f"Modelica.Blocks.Interfaces.Real{kind}"
-        declarations += [_declaration(n, vs, "", connector) for n, vs in arrays(variables).items()]
-    return modelica_templates.BLOCK.format(
-        package=PACKAGE,
-        name=name,
-        description=_quoted(description.description or name),
-        step=step,
-        declarations="\n".join(declarations),
-        inputs=_array([v.name for v in inputs], "Real"),
-        starts=_array([_number(v, start_value(v)) for v in inputs], "Real"),
-        n_inputs=len(inputs),
-        n_outputs=len(outputs),
-        input_references=_references(inputs),
-        output_references=_references(outputs),
-        outputs="\n".join(f"  {v.name} = y[{i}];" for i, v in enumerate(outputs, start=1)),
-        **values,
-    )
-
-
-def _argument(variable: ScalarVariable) -> str:
-    return f"if {variable.name} then 1 else 0" if variable.type == "Boolean" else variable.name
-
-
-def _quoted(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False)
-
-
-def _references(variables: Iterable[ScalarVariable]) -> str:
-    return _array([str(v.valueReference) for v in variables], "Integer")
-
-
-def _array(elements: list[str], kind: str) -> str:
-    """{a, b}, or a zero-length array of the type."""
-    empty = {"Real": "fill(0.0, 0)", "Integer": "fill(0, 0)", "Boolean": "fill(0, 0)"}[kind]
-    return "{" + ", ".join(elements) + "}" if elements else empty
-
-
-def _number(variable: ScalarVariable, value: Any) -> str:
-    if variable.type == "Boolean":
-        return "true" if str(value).lower() in ("true", "1") else "false"
-    return repr(float(value)) if variable.type == "Real" else str(int(value))
-
-
-def _declaration(name: str, scalars: list[ScalarVariable], prefix: str, kind: str) -> str:
-    first, vector = scalars[0], "[" in scalars[0].name
-    each = "each " if vector else ""
-    modifiers = []
-    if first.type == "Real" and first.unit:
-        units = [json.dumps(v.unit or "1") for v in scalars]
-        same = len(set(units)) == 1
-        modifiers.append(f"{each}unit = {units[0]}" if same else f"unit = {{{', '.join(units)}}}")
-    items = first.declaredType.items if first.declaredType is not None else None
-    modifiers += [
-        f"{each}{limit} = {_number(first, value)}"
-        for limit, value in (("min", first.min), ("max", first.max))
-        if value is not None and prefix
+def _system(title: str, prepared: PreparedRun) -> str:
+    """The model of the components, their connections and the signals."""
+    checked, experiment = prepared.system, prepared.experiment
+    modifiers = _modifiers(prepared)
+    components = [
+        f"  {identifier(description)} {component}(\n    {modifiers[component]});"
+        for component, description in checked.descriptions.items()
     ]
-    text = first.description or name
-    if items:
-        modifiers += [f"{each}min = 1", f"{each}max = {len(items)}"]
-        text += ": " + ", ".join(f"{item.value} {item.name}" for item in items)
-    subscript = f"[{len(scalars)}]" if vector else ""
-    starts = [_number(v, start_value(v)) for v in scalars] if prefix else []
-    value = f" = {_array(starts, kind) if vector else starts[0]}" if prefix else ""
-    inside = f"({', '.join(modifiers)})" if modifiers else ""
-    return f"  {prefix}{kind} {name}{subscript}{inside}{value} {_quoted(text)};"
-
-
-def _loop(chosen: Scenario, prepared: PreparedRun) -> str:
-    experiment, checked = chosen.experiment, prepared.system
-    modifiers: dict[str, dict[str, dict[str, str]]] = {name: {} for name in checked.components}
-    for port, value in prepared.settings:
-        scalars = modifiers[port.component].setdefault(base(port.variable.name), {})
-        scalars[port.variable.name] = _number(port.variable, value)
-    follow = _followers(checked)
-    lines = []
-    for component, description in checked.descriptions.items():
-        given = [f"communicationStep = {experiment.step_size}", f"startTime = {experiment.start_time}"]
-        given += ["initialOutputsFollowInputs = true"] * (component in follow)
-        given += [f"{n} = {_whole(description, n, values)}" for n, values in modifiers[component].items()]
-        inside = ",\n    ".join(given)
-        lines.append(f"  {_identifier(description)} {component}(\n    {inside});")
     equations = [f"  connect({source.name}, {target.name});" for source, target in checked.connections]
-    for target, declared in chosen.resolved["signals"].items():
-        name = base(target.partition(".")[2])
-        lines.append(_ramps(name, target, declared))
+    for target, signal in experiment.signals.items():
+        name = vector_name(target.partition(".")[2])
+        components.append(_table(name, target, signal))
         equations.append(f"  connect({name}.y[1], {target});")
-    return modelica_templates.LOOP.format(
-        package=PACKAGE, loop=LOOP, title=_quoted(chosen.title), components="\n".join(lines),
+    return modelica_templates.SYSTEM.format(
+        package=PACKAGE, system=SYSTEM, title=quoted(title), components="\n".join(components),
         equations="\n".join(equations), start=experiment.start_time, stop=experiment.stop_time,
         step=experiment.step_size,
     )  # fmt: skip
 
 
-def _whole(description: ModelDescription, name: str, values: Mapping[str, str]) -> str:
-    """The value of a scalar, or of every element of a vector: what is not given keeps its start value."""
-    scalars = [v for v in description.modelVariables if base(v.name) == name]
-    texts = [values.get(v.name, _number(v, start_value(v))) for v in scalars]
-    return _array(texts, "Real") if "[" in scalars[0].name else texts[0]
+def _modifiers(prepared: PreparedRun) -> dict[str, str]:
+    """Component -> the modifiers of its declaration: the step, and what the experiment sets."""
+    checked, experiment = prepared.system, prepared.experiment
+    values: dict[str, dict[str, dict[str, str]]] = {name: {} for name in checked.components}
+    for port, value in prepared.settings:
+        scalars = values[port.component].setdefault(vector_name(port.variable.name), {})
+        scalars[port.variable.name] = number(port.variable, value)
+    following = _components_that_follow(checked)
+    found = {}
+    for component, description in checked.descriptions.items():
+        modifiers = [f"communicationStep = {experiment.step_size}", f"startTime = {experiment.start_time}"]
+        modifiers += ["initialOutputsFollowInputs = true"] * (component in following)
+        modifiers += [f"{n} = {_elements(description, n, given)}" for n, given in values[component].items()]
+        found[component] = ",\n    ".join(modifiers)
+    return found
 
 
-def _ramps(name: str, target: str, declared: Mapping[str, Any]) -> str:
-    table = "; ".join(f"{t!r}, {value!r}" for t, value in straight_points(target, declared))
+def _elements(description: ModelDescription, name: str, values: Mapping[str, str]) -> str:
+    """The value of a scalar, or of every element of a vector; an element without value keeps its start."""
+    scalars = [v for v in description.modelVariables if vector_name(v.name) == name]
+    elements = [values.get(v.name, number(v, start_value(v))) for v in scalars]
+    return array(elements, "Real") if "[" in scalars[0].name else elements[0]
+
+
+def _table(name: str, target: str, signal: Signal) -> str:
+    table = "; ".join(f"{time!r}, {value!r}" for time, value in straight_points(target, signal))
     return (
         f"  Modelica.Blocks.Sources.CombiTimeTable {name}(\n    table = [{table}],\n"
         "    extrapolation = Modelica.Blocks.Types.Extrapolation.HoldLastPoint);"
     )
 
 
-def _followers(checked: CheckedSystem) -> set[str]:
-    """Components whose initial outputs that are passed on follow inputs that are connected."""
-    fed = {target.name: source.component for source, target in checked.connections}
-    needs: dict[str, set[str]] = {name: set() for name in checked.components}
+def _components_that_follow(checked: CheckedSystem) -> set[str]:
+    """Components with a connected output whose initial value follows a connected input.
+
+    Raises ScenarioError if they form a loop.
+    """
+    sources = {target.name: source.component for source, target in checked.connections}
+    needed: dict[str, set[str]] = {name: set() for name in checked.components}
     for source, _ in checked.connections:
-        if any(name in fed for name in checked.initial_dependencies(source)):
-            needs[source.component] |= {fed[n] for n in fed if n.startswith(f"{source.component}.")}
+        if any(name in sources for name in checked.initial_dependencies(source)):
+            inputs = [name for name in sources if name.startswith(f"{source.component}.")]
+            needed[source.component] |= {sources[name] for name in inputs}
     try:
-        TopologicalSorter(needs).prepare()
+        TopologicalSorter(needed).prepare()
     except CycleError as error:
-        raise OrchestrationError(
-            "the initial values form a loop: expected one that a pass settles"
+        raise ScenarioError(
+            f"{_TARGET} with a loop of initial values: expected values that one pass gives"
         ) from error
-    return {name for name, sources in needs.items() if sources}
+    return {name for name, components in needed.items() if components}

@@ -117,13 +117,13 @@ equation
 end {name};
 """
 
-LOOP = """\
+SYSTEM = """\
 within {package};
-model {loop} {title}
+model {system} {title}
   extends Modelica.Icons.Example;
 {components}
 equation
 {equations}
   annotation (experiment(StartTime = {start}, StopTime = {stop}, Interval = {step}));
-end {loop};
+end {system};
 """

@@ -1,74 +1,111 @@
 """A scenario's signals as components: a system that is handed on without its scenario drives itself.
 
-Each signal becomes an instance of the block `DepthReference`, named as the input that it drives.
+Each signal of ramps becomes an FMU without inputs, with the unit of the input that it drives. Such an FMU is
+built when it is needed; whoever calls this room hands it the function that builds.
 """
 
-from collections.abc import Mapping
-from dataclasses import replace
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
-from fmus.registry import Flavour, fmu_path
-from orchestration.errors import OrchestrationError, ScenarioError
-from orchestration.fmi.description import describe
+from orchestration.errors import ScenarioError
+from orchestration.exchange.limits import as_ramps
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Experiment
-from orchestration.system.system import System
+from orchestration.system.signals import Ramps
+from orchestration.system.system import CheckedSystem, System, check
 
-SOURCE = "DepthReference"
-_SPARE_S = 10.0  # between the points that are not needed
+_SPARE_S = 10.0  # between points that a signal does not use
+_FEWEST_POINTS = 2
 
 
-def with_sources(chosen: Scenario, flavour: Flavour = Flavour.NATIVE) -> tuple[System, Experiment]:
-    """The scenario's system and experiment, every signal replaced by a component with its parameters.
+@dataclass(frozen=True)
+class RampSource:
+    """The FMU that takes the place of a signal.
 
-    Raises ScenarioError for a signal that is no ramp.
+    name: of the component, and of its only output
+    unit: of the output as FMI names it, "" if the driven input has none
+    points: how many; parameters point_time[i] [s], point_value[i] [unit] and smooth
+    driven: FMU that it drives; the source is to run on the same platforms
     """
-    components = dict(chosen.system.components)
-    connections = list(chosen.system.connections)
-    parameters = dict(chosen.experiment.parameters)
-    for target, declared in chosen.resolved.get("signals", {}).items():
-        name = target.partition(".")[2]
-        if name in components:
-            raise ScenarioError(f"signal {target}: expected no component of the name {name!r}")
-        components[name] = fmu_path(SOURCE, flavour)
-        connections.append((f"{name}.{_output(components[name])}", target))
-        values = _ramp_parameters(declared, target, components[name])
-        parameters |= {f"{name}.{variable}": value for variable, value in values.items()}
-    giving = {target: source for source, target in connections}  # a signal is recorded where it is given
-    record = tuple(giving.get(name, name) for name in chosen.experiment.record)
-    experiment = replace(chosen.experiment, parameters=parameters, signals={}, record=record)
-    return System(components, tuple(connections)), experiment
+
+    name: str
+    unit: str
+    points: int
+    driven: Path
 
 
-def _output(fmu: Path) -> str:
-    (output,) = [v.name for v in describe(fmu).modelVariables if v.causality == "output"]
-    return output
+BuildSource = Callable[[RampSource, Path], Path]
+"""(source, folder) -> its FMU, written to that folder."""
 
 
-def straight_points(target: str, declared: Mapping[str, Any]) -> list[tuple[float, float]]:
-    """(time [s], value) of a signal of straight ramps, as a table that is interpolated needs them.
+def ramp_sources(scenarios: Sequence[Scenario]) -> dict[str, RampSource]:
+    """Driven input -> its source, with as many points as the longest of its signals in these scenarios.
 
-    Raises OrchestrationError for another signal.
+    The scenarios have the same system and driven inputs. Raises ScenarioError for a signal that is no ramps.
     """
-    if declared["kind"] != "ramps" or declared.get("smooth"):
-        raise OrchestrationError(f"signal {target}: expected straight ramps, the only ones a table gives")
-    return [(float(t), float(value)) for t, value in declared["points"]]
+    first = scenarios[0]
+    checked = check(first.system, first.experiment.driven_inputs)
+    sources: dict[str, RampSource] = {}
+    names = set(checked.components)
+    for target in first.experiment.signals:
+        signals = [as_ramps(target, scenario.experiment.signals[target]) for scenario in scenarios]
+        name = _unused_name(target, names)
+        names.add(name)
+        points = max(_FEWEST_POINTS, *(len(signal.points) for signal in signals))
+        sources[target] = RampSource(name, _unit(checked, target), points, _fmu(checked, target))
+    return sources
 
 
-def _ramp_parameters(declared: Mapping[str, Any], target: str, fmu: Path) -> dict[str, Any]:
-    if declared["kind"] != "ramps":
-        raise ScenarioError(
-            f"signal {target}: expected kind = 'ramps', the only one that a block gives; "
-            f"got {declared['kind']!r}"
-        )
-    points = [(float(t), float(value)) for t, value in declared["points"]]
-    room = sum(v.name.startswith("point_time[") for v in describe(fmu).modelVariables)
-    if len(points) > room:
-        raise ScenarioError(f"signal {target}: expected at most {room} points, got {len(points)}")
-    while len(points) < room:
+def _unused_name(target: str, used: set[str]) -> str:
+    """The name of the input as an identifier, with that of its component before it if it is used already."""
+    for name in (target.partition(".")[2], target):
+        identifier = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")
+        if identifier not in used:
+            return identifier
+    raise ScenarioError(f"signal {target}: expected no component of the name {identifier!r}")
+
+
+def _unit(checked: CheckedSystem, target: str) -> str:
+    return checked.ports[target].variable.unit or ""
+
+
+def _fmu(checked: CheckedSystem, target: str) -> Path:
+    return checked.components[checked.ports[target].component]
+
+
+def with_sources(
+    scenario: Scenario, sources: Mapping[str, RampSource], fmus: Mapping[str, Path]
+) -> tuple[System, Experiment]:
+    """The system and the experiment with a component for every signal, its points as parameters.
+
+    sources, fmus: of every driven input
+    """
+    components = dict(scenario.system.components)
+    connections = list(scenario.system.connections)
+    parameters = dict(scenario.experiment.parameters)
+    for target, source in sources.items():
+        ramps = as_ramps(target, scenario.experiment.signals[target])
+        components[source.name] = fmus[target]
+        connections.append((_output(source), target))
+        parameters |= _parameters(source, ramps)
+    record = tuple(_output(sources[n]) if n in sources else n for n in scenario.experiment.record)
+    experiment = replace(scenario.experiment, parameters=parameters, signals={}, record=record)
+    return System(components, connections), experiment
+
+
+def _output(source: RampSource) -> str:
+    """A signal is recorded where its component gives it."""
+    return f"{source.name}.{source.name}"
+
+
+def _parameters(source: RampSource, ramps: Ramps) -> dict[str, float | bool]:
+    """Points that the signal does not use come after its last one and have its value."""
+    points = [(float(time), float(value)) for time, value in ramps.points]
+    while len(points) < source.points:
         points.append((points[-1][0] + _SPARE_S, points[-1][1]))
-    found: dict[str, Any] = {"smooth": True} if declared.get("smooth") else {}
-    for i, (t, value) in enumerate(points, start=1):
-        found |= {f"point_time[{i}]": t, f"point_depth[{i}]": value}
-    return found
+    parameters: dict[str, float | bool] = {f"{source.name}.smooth": True} if ramps.smooth else {}
+    for i, (time, value) in enumerate(points, start=1):
+        parameters |= {f"{source.name}.point_time[{i}]": time, f"{source.name}.point_value[{i}]": value}
+    return parameters

@@ -4,21 +4,22 @@ Names of the FMU block and its parameters: MathWorks, reference page of the FMU 
 """
 
 import re
-from collections.abc import Mapping
 from pathlib import Path
 from shutil import copyfile
-from typing import Any
 
 from fmpy.model_description import ScalarVariable
 
-from orchestration.errors import OrchestrationError
-from orchestration.exchange.arrays import of_causality, start_value
-from orchestration.exchange.signal_sources import straight_points
+from fmus.fmi_types import NUMBERS, FmiValue
+from orchestration.errors import ScenarioError
+from orchestration.exchange.limits import check_plain_exchange, check_types, straight_points
+from orchestration.fmi.description import of_causality, start_value
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.prepared_run import Setting, prepare
+from orchestration.system.signals import Signal
 from orchestration.system.system import CheckedSystem, Port
 
 SCRIPT = "import_l1_depth"
+_TARGET = "a Simulink model"
 LONGEST_NAME = 55  # of a parameter of the FMU block, on that page
 
 _TEXT = """\
@@ -75,37 +76,31 @@ end
 """
 
 
-def text(chosen: Scenario) -> str:
+def text(scenario: Scenario) -> str:
     """The script of a scenario.
 
-    Raises OrchestrationError for what it cannot express: another algorithm than Jacobi, events, faults,
-    signals that are no straight ramps, names that are too long for MATLAB.
+    Raises ScenarioError for what it cannot express: more than `check_plain_exchange` allows, settings that
+    are no numbers, signals that are no straight ramps, names that MATLAB cannot hold.
     """
-    experiment = chosen.experiment
-    prepared = prepare(chosen.system, experiment)
-    checked = prepared.system
-    special = experiment.beyond_the_plain_loop()
-    if special:
-        raise OrchestrationError(f"a Simulink model with {special}: expected none, it cannot carry them")
-    settings = prepared.settings
-    for name in (*checked.components, *(path.name for path in checked.components.values())):
-        if "'" in name:
-            raise OrchestrationError(f"{name}: expected a name without apostrophe, for MATLAB")
-    for port in checked.ports.values():
-        if len(port.variable.name) > LONGEST_NAME:
-            raise OrchestrationError(f"{port.name}: expected at most {LONGEST_NAME} characters, for Simulink")
+    experiment = scenario.experiment
+    check_plain_exchange(experiment, _TARGET)
+    prepared = prepare(scenario.system, experiment)
+    checked, settings = prepared.system, prepared.settings
+    check_types([port for port, _ in settings], NUMBERS, _TARGET)
+    _check_names(checked)
     constants = [(port, value) for port, value in settings if port.variable.causality == "input"]
     drivers = [_constant(checked, port, value) for port, value in constants]
-    drivers += [_ramps(checked, name, declared) for name, declared in chosen.resolved["signals"].items()]
-    wires = checked.connections
+    drivers += [_ramps(checked, name, signal) for name, signal in experiment.signals.items()]
     lines = [
-        f"add_line(model, '{_at(checked, a)}', '{_at(checked, b)}', 'autorouting', 'on');" for a, b in wires
+        f"add_line(model, '{_block_port(checked, source)}', '{_block_port(checked, target)}', "
+        "'autorouting', 'on');"
+        for source, target in checked.connections
     ]
     return _TEXT.format(
         script=SCRIPT,
         upper=SCRIPT.upper(),
-        model=_model_name(chosen.name),
-        title=" ".join(chosen.title.split()),
+        model=_model_name(scenario.name),
+        title=" ".join(scenario.title.split()),
         step=experiment.step_size,
         start=experiment.start_time,
         stop=experiment.stop_time,
@@ -116,15 +111,24 @@ def text(chosen: Scenario) -> str:
     )
 
 
-def write(chosen: Scenario, folder: Path) -> Path:
+def write(scenario: Scenario, folder: Path) -> Path:
     """Write the script and the FMUs beside it; returns the script."""
-    script = text(chosen)
+    script = text(scenario)
     folder.mkdir(parents=True, exist_ok=True)
-    for fmu in chosen.system.components.values():
+    for fmu in scenario.system.components.values():
         copyfile(fmu, folder / fmu.name)
     path = folder / f"{SCRIPT}.m"
     path.write_text(script, encoding="utf-8", newline="\n")
     return path
+
+
+def _check_names(checked: CheckedSystem) -> None:
+    for name in (*checked.components, *(path.name for path in checked.components.values())):
+        if "'" in name:
+            raise ScenarioError(f"{name}: expected a name without apostrophe, for MATLAB")
+    for port in checked.ports.values():
+        if len(port.variable.name) > LONGEST_NAME:
+            raise ScenarioError(f"{port.name}: expected at most {LONGEST_NAME} characters, for Simulink")
 
 
 def _model_name(name: str) -> str:
@@ -132,34 +136,34 @@ def _model_name(name: str) -> str:
     return ("l1_depth_" + re.sub(r"\W", "_", name, flags=re.ASCII))[:63]
 
 
-def _fmus(checked: CheckedSystem, settings: tuple[Setting, ...], step: float) -> list[str]:
-    found = []
+def _fmus(checked: CheckedSystem, settings: tuple[Setting, ...], step_size: float) -> list[str]:
+    lines = []
     for i, (name, path) in enumerate(checked.components.items()):
         count = [len(of_causality(checked.descriptions[name], c)) for c in ("input", "output")]
         left = 200 + 400 * i
-        found.append(
-            f"add_fmu(model, '{name}', '{path.name}', '{step}', [{left} 40 {left + 240} 440], "
+        lines.append(
+            f"add_fmu(model, '{name}', '{path.name}', '{step_size}', [{left} 40 {left + 240} 440], "
             f"{count[0]}, {count[1]});"
         )
-        found += [
+        lines += [
             f"set_param([model '/{name}'], '{port.variable.name}', '{_value(port.variable, value)}');"
             for port, value in settings
             if port.component == name and port.variable.causality == "parameter"
             if value != start_value(port.variable)
         ]
-    return found
+    return lines
 
 
-def _value(variable: ScalarVariable, value: Any) -> str:
+def _value(variable: ScalarVariable, value: FmiValue) -> str:
     if variable.type == "Boolean":
         return "on" if value else "off"
     return repr(float(value)) if variable.type == "Real" else str(int(value))
 
 
-def _at(checked: CheckedSystem, port: Port) -> str:
-    """Block and number of a port: in the order of the model description."""
-    alike = of_causality(checked.descriptions[port.component], str(port.variable.causality))
-    names = [v.name for v in alike]
+def _block_port(checked: CheckedSystem, port: Port) -> str:
+    """Block and number of a port, which are numbered in the order of the model description."""
+    variables = of_causality(checked.descriptions[port.component], str(port.variable.causality))
+    names = [variable.name for variable in variables]
     return f"{port.component}/{names.index(port.variable.name) + 1}"
 
 
@@ -167,19 +171,20 @@ def _block_name(port: Port) -> str:
     return port.name.replace(".", "_").replace("[", "_").replace("]", "")
 
 
-def _constant(checked: CheckedSystem, port: Port, value: Any) -> str:
+def _constant(checked: CheckedSystem, port: Port, value: FmiValue) -> str:
     return (
-        f"drive(model, '{_block_name(port)}', 'simulink/Sources/Constant', '{_at(checked, port)}', ...\n"
+        f"drive(model, '{_block_name(port)}', 'simulink/Sources/Constant', "
+        f"'{_block_port(checked, port)}', ...\n"
         f"    'Value', '{float(value)!r}');"
     )
 
 
-def _ramps(checked: CheckedSystem, name: str, declared: Mapping[str, Any]) -> str:
-    table = "; ".join(f"{t!r} {value!r}" for t, value in straight_points(name, declared))
+def _ramps(checked: CheckedSystem, name: str, signal: Signal) -> str:
+    table = "; ".join(f"{time!r} {value!r}" for time, value in straight_points(name, signal))
     port = checked.ports[name]
-    at = _at(checked, port)
     return (
-        f"drive(model, '{_block_name(port)}', 'simulink/Sources/From Workspace', '{at}', ...\n"
+        f"drive(model, '{_block_name(port)}', 'simulink/Sources/From Workspace', "
+        f"'{_block_port(checked, port)}', ...\n"
         f"    'VariableName', '[{table}]', ...\n"
         "    'Interpolate', 'on', 'OutputAfterFinalValue', 'Holding final value');"
     )
@@ -191,4 +196,4 @@ def _is_output(checked: CheckedSystem, name: str) -> bool:
 
 def _scope(checked: CheckedSystem, name: str) -> str:
     port = checked.ports[name]
-    return f"show(model, 'scope_{_block_name(port)}', '{_at(checked, port)}');"
+    return f"show(model, 'scope_{_block_name(port)}', '{_block_port(checked, port)}');"

@@ -1,8 +1,8 @@
 """An SSP 1.0 package -> a scenario that our master runs.
 
 Read are the components and connections of one system, parameter values inline or in .ssv files at components
-or at the system, and the default experiment. Values are taken in the units of the FMUs. What is not
-understood is refused rather than ignored; a name that fits no variable, too, though SSP lets it pass.
+or at the system, and the default experiment. Values are taken in the units of the FMUs. Elements that are not
+understood are refused rather than ignored; so is a name that fits no variable, which SSP permits.
 """
 
 import tempfile
@@ -10,18 +10,18 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path, PurePosixPath
-from typing import Any
-from xml.etree import ElementTree
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from fmpy.model_description import ModelDescription
 
 from fmus.errors import nearest
 from orchestration.errors import ScenarioError
-from orchestration.exchange.arrays import start_value
-from orchestration.exchange.ssp_xml import STRUCTURE, read_value, tag
-from orchestration.fmi.description import describe
+from orchestration.exchange.ssp_package import OpenedPackage
+from orchestration.exchange.ssp_parameters import Values, bound_values, chosen_values
+from orchestration.exchange.ssp_xml import STRUCTURE, tag
+from orchestration.fmi.description import describe, of_causality, start_value
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
@@ -34,99 +34,86 @@ _REFUSED = (
 )
 
 
+@dataclass(frozen=True)
+class _Times:
+    """Of the default experiment [s]."""
+
+    start_time: float
+    stop_time: float
+    step_size: float
+
+
 @contextmanager
-def opened(package: Path, parameter_set: str = "") -> Iterator[Scenario]:
+def opened(path: Path, parameter_set: str = "") -> Iterator[Scenario]:
     """The scenario in a package, its FMUs extracted until the context ends.
 
     parameter_set: name of an .ssv in the package, whose values replace those bound in it.
-    Raises ScenarioError for what cannot be read.
+    Raises ScenarioError for a package that cannot be read.
     """
-    if not package.is_file():
-        beside = [each.name for each in package.parent.glob("*.ssp")]
-        raise ScenarioError(f"no package {package}; beside it, {nearest(package.name, beside)}")
+    if not path.is_file():
+        beside = [package.name for package in path.parent.glob("*.ssp")]
+        raise ScenarioError(f"no package {path}; beside it, {nearest(path.name, beside)}")
     with tempfile.TemporaryDirectory(prefix="l1-depth-ssp-") as folder:
         try:
-            with zipfile.ZipFile(package) as archive:
+            with zipfile.ZipFile(path) as archive:
                 archive.extractall(folder)
         except (zipfile.BadZipFile, EOFError, zlib.error, RuntimeError, NotImplementedError) as error:
-            raise ScenarioError(f"{package}: expected an SSP package, a zip: {error}") from error
-        yield _scenario(Path(folder), package, parameter_set)
+            raise ScenarioError(f"{path}: expected an SSP package, a zip: {error}") from error
+        yield _scenario(OpenedPackage(path, Path(folder)), parameter_set)
 
 
-def _scenario(folder: Path, package: Path, parameter_set: str) -> Scenario:
-    root = _parsed(folder / STRUCTURE, package)
-    if root.tag != tag("ssd:SystemStructureDescription"):
-        raise ScenarioError(f"{package}: {STRUCTURE}: expected a SystemStructureDescription of SSP 1.0")
-    for path, what in _REFUSED:
-        if root.find("/".join(step if step == "*" else tag(step) for step in path.split("/"))) is not None:
-            raise ScenarioError(
-                f"{package}: {what}: not supported; expected components and plain connections"
-            )
-    components = _components(root, folder, package)
-    connections = tuple(_connection(each) for each in root.iter(tag("ssd:Connection")))
+def _scenario(package: OpenedPackage, parameter_set: str) -> Scenario:
+    root = _checked_root(package)
+    components = _components(root, package)
+    connections = tuple(_connection(element) for element in root.iter(tag("ssd:Connection")))
     descriptions = {name: describe(path) for name, path in components.items()}
-    bound = _chosen_set(folder, parameter_set) if parameter_set else _bound_values(root, folder, package)
-    parameters, inputs = _by_causality(bound, descriptions, {target for _, target in connections})
+    values = chosen_values(parameter_set, package) if parameter_set else bound_values(root, package)
+    parameters, inputs = _by_causality(values, descriptions, {target for _, target in connections})
     times = _times(root, descriptions, package)
-    record = tuple(_outputs(root))
-    experiment = Experiment(**times, parameters=parameters, inputs=inputs, record=record)
+    experiment = Experiment(
+        times.stop_time, times.step_size, times.start_time,
+        parameters=parameters, inputs=inputs, record=tuple(_outputs(root)),
+    )  # fmt: skip
     system = root.find(tag("ssd:System"))
-    resolved = {
-        "components": {name: path.name for name, path in components.items()},
-        "connections": [list(pair) for pair in connections],
-        "experiment": times,
-        "parameters": parameters,
-        "inputs": inputs,
-    }
+    stem = package.path.stem
     return Scenario(
-        name=parameter_set or package.stem,
-        title=parameter_set or (system is not None and system.get("description")) or package.stem,
+        name=parameter_set or stem,
+        title=parameter_set or (system is not None and system.get("description")) or stem,
         system=System(components, connections),
         experiment=experiment,
         metrics={},
-        resolved=resolved,
+        resolved={
+            "components": {name: path.name for name, path in components.items()},
+            "connections": [list(pair) for pair in connections],
+            "experiment": asdict(times),
+            "parameters": parameters,
+            "inputs": inputs,
+        },
     )
 
 
-def _inside(folder: Path, source: str, what: str, package: Path) -> Path:
-    """A file of the package, and nothing outside it."""
-    path = PurePosixPath(source)
-    plain = not path.is_absolute() and ".." not in path.parts and not {"\\", ":"} & set(source)
-    if not (plain and (folder / path).is_file()):
-        raise ScenarioError(f"{package}: {what}: source {source!r}: expected a file in the package")
-    return folder / path
+def _checked_root(package: OpenedPackage) -> Element:
+    """The root of the structure, if it holds nothing that is refused."""
+    root = package.root(package.folder / STRUCTURE)
+    if root.tag != tag("ssd:SystemStructureDescription"):
+        raise package.error(f"{STRUCTURE}: expected a SystemStructureDescription of SSP 1.0")
+    for path, name in _REFUSED:
+        if root.find("/".join(step if step == "*" else tag(step) for step in path.split("/"))) is not None:
+            raise package.error(f"{name}: not supported; expected components and plain connections")
+    return root
 
 
-def _only(element: Element, attribute: str, expected: str, what: str, package: Path) -> None:
-    """Refuse what an attribute says otherwise; unstated is as expected."""
-    if element.get(attribute, expected) != expected:
-        said = element.get(attribute)
-        raise ScenarioError(f"{package}: {what}: {attribute} {said!r}: expected {expected!r}")
-
-
-def _parsed(path: Path, package: Path) -> Element:
-    try:
-        if b"<!DOCTYPE" in path.read_bytes():
-            raise ScenarioError(f"{package}: {path.name}: expected XML without a document type")
-        return ElementTree.parse(path).getroot()
-    except FileNotFoundError:
-        beside = [each.name for each in path.parent.glob("*")] if path.parent.is_dir() else []
-        raise ScenarioError(f"{package}: no {path.name} in it; {nearest(path.name, beside)}") from None
-    except (ElementTree.ParseError, LookupError, ValueError) as error:
-        raise ScenarioError(f"{package}: {path.name}: expected XML: {error}") from error
-
-
-def _components(root: Element, folder: Path, package: Path) -> dict[str, Path]:
-    found = {}
+def _components(root: Element, package: OpenedPackage) -> dict[str, Path]:
+    components = {}
     for component in root.iter(tag("ssd:Component")):
         name = component.get("name", "")
-        _only(component, "type", "application/x-fmu-sharedlibrary", name, package)
-        found[name] = _inside(folder, component.get("source", ""), name, package)
-    return found
+        package.check_attribute(component, "type", "application/x-fmu-sharedlibrary", name)
+        components[name] = package.file(component.get("source", ""), name)
+    return components
 
 
 def _outputs(root: Element) -> Iterator[str]:
-    """What the package shows of its components is what a run records."""
+    """Names of the output connectors of components, which a run records."""
     for component in root.iter(tag("ssd:Component")):
         for connector in component.iter(tag("ssd:Connector")):
             if connector.get("kind") == "output":
@@ -134,85 +121,40 @@ def _outputs(root: Element) -> Iterator[str]:
 
 
 def _connection(element: Element) -> tuple[str, str]:
-    ends = [
-        (element.get(f"{end}Element", ""), element.get(f"{end}Connector", "")) for end in ("start", "end")
-    ]
-    return f"{ends[0][0]}.{ends[0][1]}", f"{ends[1][0]}.{ends[1][1]}"
-
-
-def _bound_values(root: Element, folder: Path, package: Path) -> dict[str, Any]:
-    """ "component.variable" -> value; the system's bindings go over the components' (SSP 1.0, 5.3.2)."""
-    found = {}
-    for component in root.iter(tag("ssd:Component")):
-        values = _bindings(component, folder, package)
-        found |= {f"{component.get('name')}.{name}": value for name, value in values.items()}
-    for system in root.findall(tag("ssd:System")):
-        found |= _bindings(system, folder, package)
-    return found
-
-
-def _bindings(element: Element, folder: Path, package: Path) -> dict[str, Any]:
-    found = {}
-    for binding in element.findall(f"{tag('ssd:ParameterBindings')}/{tag('ssd:ParameterBinding')}"):
-        if binding.find(tag("ssd:ParameterMapping")) is not None:
-            raise ScenarioError(f"{package}: a parameter mapping: not supported; expected names of variables")
-        _only(binding, "type", "application/x-ssp-parameter-set", "a parameter binding", package)
-        _only(binding, "sourceBase", "SSD", "a parameter binding", package)
-        source, prefix = binding.get("source"), binding.get("prefix", "")
-        inline = binding.iter(tag("ssv:ParameterSet"))
-        path = _inside(folder, source, "a parameter binding", package) if source else None
-        sets = [_parsed(path, package)] if path else inline
-        for each in sets:
-            found |= {prefix + name: value for name, value in _values(each, package).items()}
-    return found
-
-
-def _chosen_set(folder: Path, name: str) -> dict[str, Any]:
-    """The values of the .ssv file whose parameter set has that name."""
-    known = {}
-    for path in sorted(folder.rglob("*.ssv")):
-        root = _parsed(path, path)
-        known[root.get("name", "")] = root
-    if name not in known:
-        raise ScenarioError(f"no parameter set {name!r} in the package; {nearest(name, known)}")
-    return _values(known[name], name)
-
-
-def _values(parameter_set: Element, where: object) -> dict[str, Any]:
-    try:
-        return {p.get("name", ""): read_value(p) for p in parameter_set.iter(tag("ssv:Parameter"))}
-    except ValueError as error:
-        raise ScenarioError(f"{where}: {error}") from error
+    source, target = (
+        f"{element.get(f'{end}Element', '')}.{element.get(f'{end}Connector', '')}" for end in ("start", "end")
+    )
+    return source, target
 
 
 def _by_causality(
-    values: Mapping[str, Any], descriptions: Mapping[str, ModelDescription], connected: set[str]
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """(parameters, inputs): an input that nothing drives keeps the start value that its FMU states."""
+    values: Values, descriptions: Mapping[str, ModelDescription], connected: set[str]
+) -> tuple[Values, Values]:
+    """(parameters, inputs): an input that nothing drives keeps the start value of its FMU."""
     inputs = {
-        f"{component}.{v.name}": start_value(v)
+        f"{component}.{variable.name}": start_value(variable)
         for component, description in descriptions.items()
-        for v in description.modelVariables
-        if v.causality == "input" and f"{component}.{v.name}" not in connected
+        for variable in of_causality(description, "input")
+        if f"{component}.{variable.name}" not in connected
     }
-    given = {name: value for name, value in values.items() if name not in connected}
-    parameters = {name: value for name, value in given.items() if name not in inputs}
-    return parameters, inputs | {name: given[name] for name in given if name in inputs}
+    settable = {name: value for name, value in values.items() if name not in connected}
+    parameters = {name: value for name, value in settable.items() if name not in inputs}
+    return parameters, inputs | {name: settable[name] for name in settable if name in inputs}
 
 
-def _times(root: Element, descriptions: Mapping[str, ModelDescription], package: Path) -> dict[str, Any]:
-    """Times [s]; a step size that is not stated is the smallest that an FMU suggests."""
+def _times(root: Element, descriptions: Mapping[str, ModelDescription], package: OpenedPackage) -> _Times:
+    """A step size that is not given is the smallest that an FMU suggests."""
     default = root.find(tag("ssd:DefaultExperiment"))
     stop = None if default is None else default.get("stopTime")
     if default is None or stop is None:
-        raise ScenarioError(f"{package}: expected a default experiment with a stop time")
-    stated = [each.get("baseStepSize") for each in default.iter(tag("osp:FixedStepAlgorithm"))]
+        raise package.error("expected a default experiment with a stop time")
+    given = [algorithm.get("baseStepSize") for algorithm in default.iter(tag("osp:FixedStepAlgorithm"))]
     suggested = [d.defaultExperiment.stepSize for d in descriptions.values() if d.defaultExperiment]
     try:
-        steps = [float(step) for step in stated or suggested if step]
+        steps = [float(step) for step in given or suggested if step]
         start_time, stop_time = float(default.get("startTime", "0")), float(stop)
     except ValueError as error:
-        raise ScenarioError(f"{package}: default experiment: {error}; expected numbers of seconds") from error
+        raise package.error(f"default experiment: {error}; expected numbers of seconds") from error
     if not steps:
-        raise ScenarioError(f"{package}: expected a communication step size, from it or from an FMU")
-    return {"start_time": start_time, "stop_time": stop_time, "step_size": min(steps)}
+        raise package.error("expected a communication step size, from it or from an FMU")
+    return _Times(start_time, stop_time, min(steps))

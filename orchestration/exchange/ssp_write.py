@@ -9,82 +9,100 @@ Only what libcosim, Ecos, fmucontainer and FMPy all understand: no connector of 
 inline at each component, enumeration items as integers.
 """
 
-from collections.abc import Iterable, Mapping
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 from xml.etree.ElementTree import Element
 
 from fmus.files import write_archive
-from orchestration.errors import ScenarioError, SystemDefinitionError
+from fmus.fmi_types import FmiValue
+from orchestration.errors import SystemDefinitionError
 from orchestration.exchange import ssp_xml
 from orchestration.exchange.integer_enumerations import without_enumerations
-from orchestration.exchange.signal_sources import with_sources
+from orchestration.exchange.limits import check_plain_exchange
+from orchestration.exchange.signal_sources import BuildSource, RampSource, ramp_sources, with_sources
 from orchestration.exchange.ssp_xml import STRUCTURE, add, add_value
-from orchestration.scenarios import scenario
-from orchestration.scenarios.scenario import Scenario
+from orchestration.scenarios.scenario import Scenario, load, shipped
 from orchestration.system.experiment import Experiment
-from orchestration.system.prepared_run import prepare
+from orchestration.system.prepared_run import PreparedRun, prepare
 from orchestration.system.system import CheckedSystem, Port
 
 
 @dataclass(frozen=True)
 class _Variant:
-    """One scenario as it goes into the package."""
+    """One scenario of the package, its signals replaced by components."""
 
     name: str
     title: str
-    checked: CheckedSystem
-    experiment: Experiment
-    values: list[tuple[Port, Any]]
+    prepared: PreparedRun
+
+    @property
+    def system(self) -> CheckedSystem:
+        return self.prepared.system
 
     @property
     def connected(self) -> dict[str, Port]:
         """Every port that is connected or recorded, by name."""
-        ports = [port for pair in self.checked.connections for port in pair]
-        ports += [self.checked.port(name, "record") for name in self.experiment.record]
+        ports = [port for pair in self.system.connections for port in pair]
+        ports += [self.system.ports[name] for name in self.prepared.recorded]
         return {port.name: port for port in ports}
 
+    @property
+    def values(self) -> list[tuple[Port, FmiValue]]:
+        """Parameters and constant inputs; the value of a Real is a float."""
+        return [
+            (port, float(value) if port.variable.type == "Real" else value)
+            for port, value in self.prepared.settings
+        ]
 
-def package(chosen: Scenario, path: Path) -> Path:
+
+def package(scenario: Scenario, path: Path, build_source: BuildSource) -> Path:
     """Write the scenario, and every shipped one of the same system as a variant, to `path`.
 
-    Raises ScenarioError for what SSP cannot carry: events, faults, and signals other than ramps.
+    build_source: makes the FMU that gives a signal; called once for every driven input
+    Raises ScenarioError for a scenario with more than `check_plain_exchange` allows, or another signal than
+    ramps.
     """
-    variants = {each.name: _variant(each) for each in family(chosen)}
-    members = {STRUCTURE: _structure(variants[chosen.name])}
-    for name, variant in variants.items():
-        members[f"{name}.ssd"] = _structure(variant)
-        members[f"parameters/{name}.ssv"] = ssp_xml.document(_parameter_set(variant))
-    for component, fmu in variants[chosen.name].checked.components.items():
+    scenarios = family(scenario)
+    for variant in scenarios:
+        check_plain_exchange(variant.experiment, f"an SSP package of {variant.name}")
+    sources = ramp_sources(scenarios)
+    with tempfile.TemporaryDirectory(prefix="l1-depth-sources-") as folder:
+        fmus = {target: build_source(source, Path(folder)) for target, source in sources.items()}
+        return write_archive(path, _members(scenarios, sources, fmus))
+
+
+def _members(
+    scenarios: Sequence[Scenario], sources: Mapping[str, RampSource], fmus: Mapping[str, Path]
+) -> dict[str, bytes]:
+    """Path inside the package -> content; the first scenario is the one that importers open."""
+    variants = [_variant(scenario, sources, fmus) for scenario in scenarios]
+    members = {STRUCTURE: _structure(variants[0])}
+    for variant in variants:
+        members[f"{variant.name}.ssd"] = _structure(variant)
+        members[f"parameters/{variant.name}.ssv"] = ssp_xml.document(_parameter_set(variant))
+    for component, fmu in variants[0].system.components.items():
         content = without_enumerations(fmu.read_bytes())
         if members.setdefault(f"resources/{fmu.name}", content) != content:
             raise SystemDefinitionError(f"{component}: {fmu}: expected different names of different FMUs")
-    return write_archive(path, members)
+    return members
 
 
-def family(chosen: Scenario) -> list[Scenario]:
+def family(scenario: Scenario) -> list[Scenario]:
     """The scenario and the shipped ones with the same components, connections and driven inputs."""
-    shipped = [scenario.load(path) for name, path in scenario.shipped().items() if name != chosen.name]
-    return [chosen, *(each for each in shipped if _kind(each) == _kind(chosen))]
+    others = [load(path) for name, path in shipped().items() if name != scenario.name]
+    return [scenario, *(other for other in others if _structure_of(other) == _structure_of(scenario))]
 
 
-def _kind(of: Scenario) -> tuple:
-    return dict(of.system.components), of.system.connections, set(of.experiment.signals)
+def _structure_of(scenario: Scenario) -> tuple[dict[str, Path], tuple[tuple[str, str], ...], set[str]]:
+    system = scenario.system
+    return dict(system.components), system.connections, set(scenario.experiment.signals)
 
 
-def _variant(chosen: Scenario) -> _Variant:
-    special = chosen.experiment.beyond_the_plain_loop()
-    if special:
-        raise ScenarioError(f"{chosen.name} with {special}: expected none, an SSP package cannot carry them")
-    system, experiment = with_sources(chosen)
-    prepared = prepare(system, experiment)
-    settings = [(port, _typed(port, value)) for port, value in prepared.settings]
-    return _Variant(chosen.name, chosen.title, prepared.system, experiment, settings)
-
-
-def _typed(port: Port, value: Any) -> Any:
-    return float(value) if port.variable.type == "Real" else value
+def _variant(scenario: Scenario, sources: Mapping[str, RampSource], fmus: Mapping[str, Path]) -> _Variant:
+    system, experiment = with_sources(scenario, sources, fmus)
+    return _Variant(scenario.name, scenario.title, prepare(system, experiment))
 
 
 def _structure(variant: _Variant) -> bytes:
@@ -92,20 +110,20 @@ def _structure(variant: _Variant) -> bytes:
     root.set("generationTool", "l1-depth")
     system = add(root, "ssd:System", name="system", description=variant.title)
     elements = add(system, "ssd:Elements")
-    for name in variant.checked.components:
+    for name in variant.system.components:
         _component(elements, name, variant)
     connections = add(system, "ssd:Connections")
-    for source, target in variant.checked.connections:
+    for source, target in variant.system.connections:
         ends = {"startElement": source.component, "startConnector": source.variable.name}
         ends |= {"endElement": target.component, "endConnector": target.variable.name}
         add(connections, "ssd:Connection", **ends)
-    _units(root, "ssd:Units", variant.checked, variant.connected.values())
-    _default_experiment(root, variant.experiment)
+    _units(root, "ssd:Units", variant.system, variant.connected.values())
+    _default_experiment(root, variant.prepared.experiment)
     return ssp_xml.document(root)
 
 
 def _component(parent: Element, name: str, variant: _Variant) -> None:
-    fmu = variant.checked.components[name]
+    fmu = variant.system.components[name]
     kind = {"type": "application/x-fmu-sharedlibrary", "source": f"resources/{fmu.name}"}
     component = add(parent, "ssd:Component", name=name, **kind)
     connectors = add(component, "ssd:Connectors")
@@ -124,7 +142,9 @@ def _component(parent: Element, name: str, variant: _Variant) -> None:
         _parameters(values, own)
 
 
-def _parameters(parent: Element, values: Iterable[tuple[str, Any]], units: Mapping[str, str] = {}) -> None:
+def _parameters(
+    parent: Element, values: Iterable[tuple[str, FmiValue]], units: Mapping[str, str] = {}
+) -> None:
     parameters = add(parent, "ssv:Parameters")
     for name, value in values:
         add_value(add(parameters, "ssv:Parameter", name=name), value, units.get(name))
@@ -135,7 +155,7 @@ def _parameter_set(variant: _Variant) -> Element:
     root = ssp_xml.root("ssv:ParameterSet", version="1.0", name=variant.name, description=variant.title)
     units = {port.name: port.variable.unit or "" for port, _ in variant.values}
     _parameters(root, [(port.name, value) for port, value in variant.values], units)
-    _units(root, "ssv:Units", variant.checked, [port for port, _ in variant.values])
+    _units(root, "ssv:Units", variant.system, [port for port, _ in variant.values])
     return root
 
 

@@ -1,8 +1,9 @@
 """The XML of SSP 1.0: its namespaces, and elements with values of the types that FMI 2.0 has."""
 
-from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
+
+from fmus.fmi_types import FmiValue
 
 _STANDARD = "http://ssp-standard.org/SSP1/SystemStructure"
 NAMESPACES = {
@@ -39,7 +40,7 @@ def document(element: Element) -> bytes:
     return ElementTree.tostring(element, encoding="UTF-8", xml_declaration=True)
 
 
-def add_value(parent: Element, value: Any, unit: str | None = None) -> None:
+def add_value(parent: Element, value: FmiValue, unit: str | None = None) -> None:
     """The value of an ssv:Parameter. An enumeration item is an Integer: few importers read another."""
     if isinstance(value, bool):
         add(parent, "ssv:Boolean", value=str(value).lower())
@@ -51,7 +52,7 @@ def add_value(parent: Element, value: Any, unit: str | None = None) -> None:
         add(parent, "ssv:String", value=str(value))
 
 
-def read_value(parameter: Element) -> Any:
+def read_value(parameter: Element) -> FmiValue:
     """The value of an ssv:Parameter; ValueError for a type that FMI 2.0 does not have, or another's value."""
     for element in parameter:
         kind, text = element.tag.rpartition("}")[2], element.get("value", "")

@@ -5,9 +5,10 @@ from pathlib import Path
 from typing import Any
 
 import fmpy
-from fmpy.model_description import ModelDescription
+from fmpy.model_description import ModelDescription, ScalarVariable
 
 from fmus.errors import nearest
+from fmus.fmi_types import FmiValue
 from fmus.registry import block_fmus
 from orchestration.errors import FmuLoadError
 
@@ -34,6 +35,21 @@ def describe(path: Path) -> ModelDescription:
         raise FmuLoadError(f"{path}: expected FMI 2.0 for co-simulation, got FMI {description.fmiVersion}")
     _take_over_declared_types(description)
     return description
+
+
+def of_causality(description: ModelDescription, causality: str) -> list[ScalarVariable]:
+    """The variables of a causality, in the order of the model description."""
+    return [variable for variable in description.modelVariables if variable.causality == causality]
+
+
+def start_value(variable: ScalarVariable) -> FmiValue:
+    """The start value in the Python type of the variable; 0, False or "" where none is given."""
+    text = str(variable.start or "")
+    if variable.type == "String":
+        return text
+    if variable.type == "Boolean":
+        return text.lower() in ("true", "1")
+    return float(text or 0) if variable.type == "Real" else int(text or 0)
 
 
 def _take_over_declared_types(description: ModelDescription) -> None:

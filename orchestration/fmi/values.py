@@ -7,6 +7,7 @@ import numpy as np
 from fmpy.model_description import ScalarVariable
 
 from fmus.binding import ELEMENTS, BoundInstance, reference_array
+from fmus.fmi_types import NUMBERS, TRANSFER_TYPE
 
 
 class Values:
@@ -16,8 +17,8 @@ class Values:
     """
 
     def __init__(self, instance: BoundInstance, fmi_type: str, variables: list[ScalarVariable]) -> None:
-        element, name = ELEMENTS[fmi_type]
-        buffer = (element * len(variables))()
+        name = TRANSFER_TYPE[fmi_type]
+        buffer = (ELEMENTS[name] * len(variables))()
         references = reference_array([v.valueReference for v in variables])
         self.variables = variables
         self.array: np.ndarray = np.ctypeslib.as_array(buffer)
@@ -38,6 +39,6 @@ def grouped(instance: BoundInstance, variables: Iterable[ScalarVariable]) -> lis
     """The variables grouped by FMI type, in the order in which the types appear; String is left out."""
     groups: dict[str, list[ScalarVariable]] = {}
     for variable in variables:
-        if variable.type in ELEMENTS:
+        if variable.type in NUMBERS:
             groups.setdefault(variable.type, []).append(variable)
     return [Values(instance, fmi_type, members) for fmi_type, members in groups.items()]

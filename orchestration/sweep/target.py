@@ -7,7 +7,7 @@ from typing import Any
 
 from fmus.errors import nearest
 from orchestration.errors import ScenarioError
-from orchestration.exchange.arrays import start_value
+from orchestration.fmi.description import start_value
 from orchestration.system.experiment import Algorithm, Experiment
 from orchestration.system.system import CheckedSystem, Port
 from orchestration.system.values import fmi_value

@@ -102,18 +102,6 @@ class Experiment:
         """Names of the inputs that a constant value or a signal drives."""
         return (*self.inputs, *self.signals)
 
-    def beyond_the_plain_loop(self) -> str:
-        """What it uses beyond a Jacobi exchange at fixed communication points, as text; empty if nothing."""
-        features = {
-            f"algorithm {self.algorithm}": self.algorithm is not Algorithm.JACOBI,
-            "extrapolation": self.extrapolation,
-            "step sizes of components": self.step_sizes,
-            "a tolerance": self.tolerance,
-            "events": self.events,
-            "faults": self.faults,
-        }
-        return ", ".join(name for name, is_used in features.items() if is_used)
-
     def period(self, component: str) -> int:
         """Communication steps in one step of a component."""
         return round(self.step_sizes.get(component, self.step_size) / self.step_size)

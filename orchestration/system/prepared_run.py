@@ -8,13 +8,13 @@ from itertools import pairwise
 
 import numpy as np
 
+from fmus.fmi_types import NUMBERS, FmiValue
 from orchestration.errors import SystemDefinitionError
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.experiment_checks import check_capabilities, check_faults, check_signals
 from orchestration.system.faults import Fault, Pattern, compose
 from orchestration.system.signals import values_at
 from orchestration.system.system import CheckedSystem, Port, System, check
-from orchestration.system.values import TRANSFER_TYPE, FmiValue, fmi_value, value_range
 
 Setting = tuple[Port, FmiValue]
 
@@ -116,7 +116,7 @@ def _recorded(system: CheckedSystem, experiment: Experiment) -> tuple[str, ...]:
     outputs = [
         name
         for name, port in system.ports.items()
-        if port.variable.causality == "output" and port.variable.type in TRANSFER_TYPE
+        if port.variable.causality == "output" and port.variable.type in NUMBERS
     ]
     driven = _driven(system, experiment)
     names = experiment.record or (*experiment.signals, *outputs)

@@ -5,16 +5,14 @@ import sys
 
 import numpy as np
 
+from fmus.fmi_types import FmiValue
 from orchestration.errors import SystemDefinitionError
 from orchestration.system.system import Port
 
-FmiValue = float | int | bool | str
 Value = FmiValue | np.generic  # as users give it
 
 _INTEGER_RANGE = (-(2**31), 2**31 - 1)  # fmi2Integer
 _PYTHON_TYPES: dict[str, tuple[type, ...]] = {"Real": (int, float), "Boolean": (bool,)}  # others: int
-# type of FMI 2.0 -> the functions that get and set it; Strings are not exchanged
-TRANSFER_TYPE = {"Real": "Real", "Integer": "Integer", "Enumeration": "Integer", "Boolean": "Boolean"}
 
 
 def fmi_value(port: Port, value: Value) -> FmiValue:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
+from orchestration.cli.ramp_sources import build_ramp_source
 from orchestration.exchange import ssp_write
 from orchestration.exchange.ssp_read import opened
 from orchestration.master import simulate
@@ -53,7 +54,7 @@ def outcomes(folder: Path) -> Iterator[Outcome]:
     """Every importer on every scenario; packages are written to `folder`."""
     for name in SCENARIOS:
         chosen = scenario.load(scenario.find(name))
-        package = ssp_write.package(chosen, folder / f"{name}.ssp")
+        package = ssp_write.package(chosen, folder / f"{name}.ssp", build_ramp_source)
         with opened(package) as loop:
             ours = simulate(loop.system, loop.experiment)
         experiment = chosen.experiment

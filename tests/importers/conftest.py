@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from orchestration.cli.ramp_sources import build_ramp_source
 from orchestration.exchange import ssp_write
 from orchestration.master import simulate
 from orchestration.results.recording import Recording
@@ -19,7 +20,7 @@ from tests.importers.comparison import DISTRIBUTIONS, SCENARIOS
 def packages(tmp_path_factory: pytest.TempPathFactory, scenario_fmus: None) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("packages")
     return {
-        name: ssp_write.package(scenario.load(scenario.find(name)), folder / f"{name}.ssp")
+        name: ssp_write.package(scenario.load(scenario.find(name)), folder / f"{name}.ssp", build_ramp_source)
         for name in SCENARIOS
     }
 

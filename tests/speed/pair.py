@@ -13,6 +13,7 @@ from pathlib import Path
 from fmus.block import Block, NoValues, variable
 from fmus.export import native as native_flavour
 from fmus.files import write_archive
+from orchestration.cli.ramp_sources import build_ramp_source
 from orchestration.exchange import ssp_write
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Experiment
@@ -111,5 +112,7 @@ def build(folder: Path) -> Pair:
         _, members = native_flavour.content(block)
         write_archive(path, members | native_flavour.libraries(block.name, members, ()))
     experiment = replace(pair.experiment(1), record=(f"first.{LEVEL}", f"second.{LEVEL}"))
-    ssp_write.package(Scenario(PACKAGE, "Two lags", pair.system, experiment, {}), pair.package)
+    ssp_write.package(
+        Scenario(PACKAGE, "Two lags", pair.system, experiment, {}), pair.package, build_ramp_source
+    )
     return pair

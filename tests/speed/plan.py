@@ -11,24 +11,29 @@ from typing import Any
 import fmpy
 import numpy as np
 
+from fmus.fmi_types import NUMBERS, TRANSFER_TYPE
 from fmus.platforms import library_name
 from orchestration.errors import OrchestrationError
+from orchestration.exchange.limits import check_plain_exchange, check_types
 from orchestration.system.prepared_run import PreparedRun
 from orchestration.system.system import CheckedSystem, Port
 
-_KINDS = {"Real": "real", "Integer": "integer", "Enumeration": "integer", "Boolean": "boolean"}
+_TARGET = "a plan"
 
 
 def write_plan(prepared: PreparedRun, folder: Path, platform: str) -> Path:
     """Extract the FMUs to a folder and write the plan and its table there.
 
-    Returns the plan. Raises OrchestrationError for what the host does not know:
-    `Experiment.beyond_the_plain_loop`, and connections, signals and records of another type than Real.
+    Returns the plan. Raises ScenarioError for more than `check_plain_exchange` allows, and for connections,
+    signals and records of another type than Real.
     """
     checked, experiment = prepared.system, prepared.experiment
-    special = experiment.beyond_the_plain_loop()
-    if special:
-        raise OrchestrationError(f"a plan with {special}: expected none, the host exchanges and steps only")
+    check_plain_exchange(experiment, _TARGET)
+    recorded = _recorded(prepared)
+    driven = [checked.ports[name] for name in experiment.signals]
+    connected = [port for pair in checked.connections for port in pair]
+    check_types([*connected, *driven, *recorded], ("Real",), _TARGET)
+    check_types([port for port, _ in prepared.settings], NUMBERS, _TARGET)
     folder.mkdir(parents=True, exist_ok=True)
     folder = folder.absolute()
     plan, table = folder / "plan.txt", folder / "table.bin"
@@ -37,9 +42,9 @@ def write_plan(prepared: PreparedRun, folder: Path, platform: str) -> Path:
     statements = [
         *_components(checked, folder, platform),
         *_settings(prepared),
-        *(f"connect {_real(checked, a)} {_real(checked, b)}" for a, b in checked.connections),
-        *(f"signal {_real(checked, checked.ports[name])}" for name in experiment.signals),
-        *(f"record {_real(checked, port)}" for port in _recorded(prepared)),
+        *(f"connect {_address(checked, a)} {_address(checked, b)}" for a, b in checked.connections),
+        *(f"signal {_address(checked, port)}" for port in driven),
+        *(f"record {_address(checked, port)}" for port in recorded),
         f"table {len(rows)} {table}",
     ]
     plan.write_text("".join(f"{line}\n" for line in statements), encoding="utf-8", newline="\n")
@@ -73,11 +78,9 @@ def _components(checked: CheckedSystem, folder: Path, platform: str) -> Iterator
 def _settings(prepared: PreparedRun) -> Iterator[str]:
     """Parameters, then constant inputs; the shortest decimal of a double is read back exactly."""
     for port, value in prepared.settings:
-        if port.variable.type not in _KINDS:
-            raise OrchestrationError(f"{port.name} in a plan: expected a number, got {port.variable.type}")
-        kind = _KINDS[port.variable.type]
+        kind = TRANSFER_TYPE[port.variable.type].lower()
         number = repr(float(value)) if kind == "real" else int(value)
-        component, reference = _place(prepared.system, port).split()
+        component, reference = _address(prepared.system, port).split()
         yield f"set {component} {kind} {reference} {number}"
 
 
@@ -89,11 +92,5 @@ def _recorded(prepared: PreparedRun) -> list[Port]:
     return ports
 
 
-def _place(checked: CheckedSystem, port: Port) -> str:
+def _address(checked: CheckedSystem, port: Port) -> str:
     return f"{list(checked.components).index(port.component)} {port.variable.valueReference}"
-
-
-def _real(checked: CheckedSystem, port: Port) -> str:
-    if port.variable.type != "Real":
-        raise OrchestrationError(f"{port.name} in a plan: expected type Real, got {port.variable.type}")
-    return _place(checked, port)

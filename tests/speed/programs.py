@@ -5,6 +5,7 @@ import subprocess
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from importlib import resources
 from pathlib import Path
 
 from fmus.export.toolchain import FLAGS, zig
@@ -12,6 +13,7 @@ from orchestration.errors import OrchestrationError
 from tests.speed import monolith
 
 C_SOURCES = Path(__file__).parent / "c"
+_LOADER = Path(str(resources.files("orchestration.exchange")))  # of load.h
 # those of the FMUs, and the same instructions of the processor
 _FLAGS = (*FLAGS, "-mcpu=baseline")
 _LIBRARIES = () if os.name == "nt" else ("-ldl", "-lm")
@@ -33,7 +35,7 @@ def compile_equations(folder: Path, part: int, sources: Path, *options: str) -> 
 
 def compile_program(folder: Path, program: str, files: Sequence[str], includes: Sequence[Path]) -> None:
     """Compile and link with the flags of the FMUs."""
-    options = [*_FLAGS, f"-I{C_SOURCES}", *(f"-I{include}" for include in includes)]
+    options = [*_FLAGS, f"-I{_LOADER}", *(f"-I{include}" for include in includes)]
     zig(["cc", *options, "-o", program, *files, *_LIBRARIES], folder)
 
 

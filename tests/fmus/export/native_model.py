@@ -14,6 +14,7 @@ import casadi
 
 from fmus.block import Block
 from fmus.export.symbolic import Traced
+from fmus.fmi_types import TRANSFER_TYPE
 
 OK, DISCARD, ERROR = 0, 2, 3
 INSTANTIATED, INITIALIZATION, STEPPING, TERMINATED, FAILED = [
@@ -25,7 +26,7 @@ INSTANTIATED, INITIALIZATION, STEPPING, TERMINATED, FAILED = [
 ]
 WRITABLE = (INSTANTIATED, INITIALIZATION, STEPPING)
 ALL = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
-TYPES = {"Real": "R", "Integer": "I", "Enumeration": "I", "Boolean": "B"}
+TYPES = {name: transferred[0] for name, transferred in TRANSFER_TYPE.items()}
 LAST_TIME, ENDED = 2, 3  # fmi2LastSuccessfulTime, fmi2Terminated
 _HIGHEST = sys.float_info.max
 

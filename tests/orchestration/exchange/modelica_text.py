@@ -7,6 +7,8 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from orchestration.exchange import modelica
+
 
 @dataclass(frozen=True)
 class Block:
@@ -82,7 +84,7 @@ class Loop:
 
 
 def read_loop(folder: Path) -> Loop:
-    text = (folder / "DepthControl.mo").read_text(encoding="utf-8")
+    text = (folder / f"{modelica.SYSTEM}.mo").read_text(encoding="utf-8")
     blocks = {}
     for kind, name, inside in re.findall(r"^  (\w+) (\w+)\(\n(.*?)\);\n", text, re.S | re.M):
         modifiers = dict(re.findall(r"(\w+) = (\{.*?\}|[^,\n]+)", inside))

@@ -1,42 +1,126 @@
-"""A scenario whose signals are components is the same experiment."""
+"""A scenario whose signals are components is the same experiment, whatever the units of its inputs."""
 
+import zipfile
+from collections.abc import Callable
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
+from orchestration.cli.ramp_sources import build_ramp_source
 from orchestration.errors import ScenarioError
-from orchestration.exchange.signal_sources import with_sources
+from orchestration.exchange import ssp_read, ssp_write
+from orchestration.exchange.signal_sources import RampSource, ramp_sources, with_sources
+from orchestration.fmi.description import describe, of_causality
 from orchestration.master import simulate
+from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
+from orchestration.scenarios.scenario import Scenario
+from orchestration.system.experiment import Experiment
+from orchestration.system.signals import Constant, Ramps
+from orchestration.system.system import System
+
+Build = Callable[..., Path]
+STRAIGHT = Ramps(((1.0, 0.5), (2.0, 3.0), (2.5, 3.0), (4.0, -1.0)))
+SMOOTH = Ramps(((0.0, 1.0), (4.0, 2.0)), smooth=True)
+
+
+UNITS = {
+    "newton": ("N", '<BaseUnit kg="1" m="1" s="-2"/>'),
+    "angular": ("rad/s", '<BaseUnit rad="1" s="-1"/>'),
+    "furlong": ("furlong", '<BaseUnit m="1" factor="201.168"/>'),
+    "unitless": ("", ""),
+}
+
+
+@pytest.fixture(scope="module")
+def lags(linear: Build, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """First-order lags whose input and output have a unit, by name."""
+    folder, plain = tmp_path_factory.mktemp("lags"), linear()
+    for name, (unit, definition) in UNITS.items():
+        with zipfile.ZipFile(plain) as source, zipfile.ZipFile(folder / f"{name}.fmu", "w") as target:
+            for info in source.infolist():
+                content = source.read(info)
+                if info.filename == "modelDescription.xml" and unit:
+                    content = with_unit(content, unit, definition)
+                target.writestr(info, content)
+    return {name: folder / f"{name}.fmu" for name in UNITS}
+
+
+def with_unit(description: bytes, unit: str, definition: str) -> bytes:
+    root = ElementTree.fromstring(description)
+    units = f'<UnitDefinitions><Unit name="{unit}">{definition}</Unit></UnitDefinitions>'
+    root.insert(1, ElementTree.fromstring(units))
+    for variable in root.iter("ScalarVariable"):
+        if variable.get("causality") in ("input", "output"):
+            variable[0].set("unit", unit)
+    return ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
+
+
+def packaged(mine: Scenario, folder: Path) -> Recording:
+    """What our master records of a scenario's package."""
+    package = ssp_write.package(mine, folder / "mine.ssp", build_ramp_source)
+    with ssp_read.opened(package) as loop:
+        return simulate(loop.system, loop.experiment)
 
 
 @pytest.mark.parametrize(
     ("name", "rounding"), [("nominal-extended", 0.0), ("nominal-extended-smooth", 1e-11)]
 )
-def test_the_run_is_the_scenarios_own(name: str, rounding: float) -> None:
+def test_the_run_is_the_scenarios_own(name: str, rounding: float, tmp_path: Path) -> None:
     """Bit by bit; a smooth ramp but for the rounding of s^3, a product in C and a power in Python."""
     chosen = scenario.load(scenario.find(name))
-    system, experiment = with_sources(chosen)
+    sources = ramp_sources([chosen])
+    fmus = {target: build_ramp_source(source, tmp_path) for target, source in sources.items()}
+    system, experiment = with_sources(chosen, sources, fmus)
     own, driven = simulate(chosen.system, chosen.experiment), simulate(system, experiment)
     assert driven.names[0] == "depth_reference.depth_reference"
     np.testing.assert_allclose(driven.values, own.values, rtol=0.0, atol=rounding)
 
 
-def refused(tmp_path: Path, declared: str) -> str:
-    path = tmp_path / "mine.toml"
-    path.write_text(f'base = "nominal-l1"\n[signals."controller.depth_reference"]\n{declared}\n')
-    with pytest.raises(ScenarioError) as caught:
-        with_sources(scenario.load(path))
-    return str(caught.value)
+def test_inputs_of_every_unit_are_packaged(lags: dict[str, Path], tmp_path: Path) -> None:
+    """In N, in rad/s, in a unit that only the driven FMU defines, and without a unit; ramps are straight."""
+    signals = {f"{name}.u[1]": STRAIGHT for name in lags}
+    experiment = Experiment(5.0, 0.125, signals=signals)
+    mine = Scenario("mine", "Ramps in every unit", System(lags), experiment, {})
+    own, read_back = simulate(mine.system, mine.experiment), packaged(mine, tmp_path)
+    np.testing.assert_array_equal(read_back.time, own.time)
+    for name in lags:
+        np.testing.assert_array_equal(read_back[f"{name}.y[1]"], own[f"{name}.y[1]"], err_msg=name)
 
 
-def test_a_cosine_is_refused() -> None:
-    chosen = scenario.load(scenario.find("example-l1"))
-    with pytest.raises(ScenarioError, match=r"controller\.reference: expected kind = 'ramps'.* got 'cosine'"):
-        with_sources(chosen)
+def test_the_source_has_the_name_and_the_unit_of_the_input(lags: dict[str, Path], tmp_path: Path) -> None:
+    signals = {f"{name}.u[1]": SMOOTH for name in lags}
+    mine = Scenario("mine", "", System(lags), Experiment(5.0, 0.125, signals=signals), {})
+    sources = ramp_sources([mine])
+    assert sources["newton.u[1]"] == RampSource("u_1", "N", 2, lags["newton"])
+    assert [sources[target].name for target in signals] == [
+        "u_1",
+        "angular_u_1",
+        "furlong_u_1",
+        "unitless_u_1",
+    ]
+    units = {}
+    for target, source in sources.items():
+        (output,) = of_causality(describe(build_ramp_source(source, tmp_path / source.name)), "output")
+        units[target] = output.unit
+        assert output.name == source.name
+    assert units == {"newton.u[1]": "N", "angular.u[1]": "rad/s", "furlong.u[1]": None, "unitless.u[1]": None}
 
 
-def test_more_points_than_the_block_has_are_refused(tmp_path: Path) -> None:
-    points = [[float(i), 0.1] for i in range(13)]
-    assert "expected at most 12 points, got 13" in refused(tmp_path, f'kind = "ramps"\npoints = {points}')
+def test_one_point_and_many_points_are_handed_on(linear: Build, tmp_path: Path) -> None:
+    through = linear()
+    many = Ramps([[0.125 * i, 0.1 * (-1) ** i] for i in range(30)])
+    for signal in (Ramps([[1.0, 0.7]]), many):
+        experiment = Experiment(4.0, 0.125, signals={"a.u[1]": signal})
+        mine = Scenario("mine", "", System({"a": through}), experiment, {})
+        own = simulate(mine.system, mine.experiment)
+        np.testing.assert_array_equal(packaged(mine, tmp_path)["a.y[1]"], own["a.y[1]"])
+
+
+def test_another_signal_is_refused(linear: Build) -> None:
+    experiment = Experiment(1.0, 0.125, signals={"a.u[1]": Constant(1.0)})
+    mine = Scenario("mine", "", System({"a": linear()}), experiment, {})
+    with pytest.raises(ScenarioError, match=r"signal a\.u\[1\]: expected ramps, .*; got Constant"):
+        ramp_sources([mine])

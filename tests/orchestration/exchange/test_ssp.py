@@ -14,6 +14,7 @@ import pytest
 from fmpy.ssp.ssd import read_ssd, read_ssv
 from fmpy.validation import validate_fmu
 
+from orchestration.cli.ramp_sources import build_ramp_source
 from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.exchange import ssp_read, ssp_write
 from orchestration.exchange.ssp_xml import STRUCTURE, tag
@@ -27,7 +28,7 @@ VEHICLE = [name for name in scenario.shipped() if not name.startswith("example")
 @pytest.fixture(scope="module")
 def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     chosen = scenario.load(scenario.find("nominal-extended"))
-    return ssp_write.package(chosen, tmp_path_factory.mktemp("ssp") / "loop.ssp")
+    return ssp_write.package(chosen, tmp_path_factory.mktemp("ssp") / "loop.ssp", build_ramp_source)
 
 
 @pytest.fixture
@@ -51,7 +52,9 @@ def edited(package: Path, tmp_path: Path) -> Callable[[str, str, str], Path]:
 def test_it_holds_a_structure_and_a_parameter_set_for_each_scenario_of_the_system(package: Path) -> None:
     with zipfile.ZipFile(package) as archive:
         names = set(archive.namelist())
-    fmus = {f"resources/{name}.fmu" for name in ("DepthReference", "L1DepthController", "RovDepthPlant")}
+    fmus = {
+        f"resources/{name}.fmu" for name in ("Ramps_depth_reference", "L1DepthController", "RovDepthPlant")
+    }
     expected = {f"{name}.ssd" for name in VEHICLE} | {f"parameters/{name}.ssv" for name in VEHICLE}
     assert names == expected | fmus | {STRUCTURE}
 
@@ -69,10 +72,12 @@ def test_every_file_follows_the_schemas_of_ssp(package: Path, tmp_path: Path, na
 def test_packing_twice_gives_the_same_file_and_packing_a_package_its_loop(
     package: Path, tmp_path: Path
 ) -> None:
-    again = ssp_write.package(scenario.load(scenario.find("nominal-extended")), tmp_path / "again.ssp")
+    again = ssp_write.package(
+        scenario.load(scenario.find("nominal-extended")), tmp_path / "again.ssp", build_ramp_source
+    )
     assert again.read_bytes() == package.read_bytes()
     with ssp_read.opened(package) as loop:
-        repacked = ssp_write.package(loop, tmp_path / "repacked.ssp")
+        repacked = ssp_write.package(loop, tmp_path / "repacked.ssp", build_ramp_source)
         with ssp_read.opened(repacked) as second:
             assert second.system.connections == loop.system.connections
             assert second.experiment.parameters == loop.experiment.parameters
@@ -143,7 +148,7 @@ def test_a_scenario_with_events_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text('base = "nominal-l1"\n[[events]]\ntime = 1.0\nset = {"plant.roll" = 0.1}\n')
     with pytest.raises(ScenarioError, match="mine with events: expected none"):
-        ssp_write.package(scenario.load(path), tmp_path / "mine.ssp")
+        ssp_write.package(scenario.load(path), tmp_path / "mine.ssp", build_ramp_source)
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from orchestration.cli.ramp_sources import build_ramp_source
 from orchestration.errors import OrchestrationError, SystemDefinitionError
 from orchestration.exchange import modelica, simulink, ssp_write
 from orchestration.master import simulate
@@ -267,7 +268,7 @@ def test_every_kind_is_documented() -> None:
 @pytest.mark.parametrize("name", ["ssp_write", "modelica", "simulink"])
 def test_what_cannot_carry_faults_refuses_them(name: str, tmp_path: Path) -> None:
     writers: dict[str, Callable[[Any], Any]] = {
-        "ssp_write": lambda chosen: ssp_write.package(chosen, tmp_path / "x.ssp"),
+        "ssp_write": lambda chosen: ssp_write.package(chosen, tmp_path / "x.ssp", build_ramp_source),
         "modelica": modelica.texts,
         "simulink": simulink.text,
     }
