@@ -59,7 +59,7 @@ def octave(tool: Callable[[str], str], chosen: scenario.Scenario, tmp_path: Path
         (stubs / "get_param.m").write_text(_PORTS.format(cases="\n".join(cases)))
         simulink.write(chosen, tmp_path)
         done = subprocess.run(
-            [program, "--norc", "--quiet", "--path", str(stubs), "--eval", simulink.SCRIPT],
+            [program, "--norc", "--no-history", "--quiet", "--path", str(stubs), "--eval", simulink.SCRIPT],
             cwd=tmp_path, capture_output=True, text=True, check=False, timeout=120,
         )  # fmt: skip
         return done.returncode, [line.split("\t") for line in done.stdout.splitlines()], done.stderr
