@@ -39,15 +39,14 @@ class CheckedInstance(BoundInstance):
         """Name -> value, of numbers and Booleans."""
         values = {}
         for kind, members in _grouped(variables).items():
-            element, name = ELEMENTS[kind]
-            buffer = (element * len(members))()
-            self.call(f"fmi2Get{name}", _references(members), len(members), buffer)
+            buffer = (ELEMENTS[kind] * len(members))()
+            self.call(f"fmi2Get{kind}", _references(members), len(members), buffer)
             values.update({v.name: value for v, value in zip(members, buffer, strict=True)})
         return values
 
     def set(self, variable: Variable, value: float) -> None:
-        element, name = ELEMENTS[variable.base_kind]
-        self.call(f"fmi2Set{name}", _references([variable]), 1, (element * 1)(value))
+        kind = variable.base_kind
+        self.call(f"fmi2Set{kind}", _references([variable]), 1, (ELEMENTS[kind] * 1)(value))
 
     def initialise(self, start: float = 0.0) -> None:
         """Set the experiment up and enter initialization mode."""

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 from fmpy.model_description import ScalarVariable
 
+from fmus.fmi_types import TRANSFER_TYPE
 from orchestration.system.prepared_run import PreparedRun
-from orchestration.system.values import TRANSFER_TYPE
 
 SIGNAL = "signal "  # prefix of the name of a signal on the bus
 

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from fmus.fmi_types import TRANSFER_TYPE
 from orchestration.fmi.instance import CallInProgress, FmuInstance
 from orchestration.master.bus import SIGNAL, BusLayout, VariableGroup, component_of, lay_out_bus
 from orchestration.master.loop_data import (
