@@ -15,6 +15,7 @@ from orchestration.system.experiment_checks import check_capabilities, check_fau
 from orchestration.system.faults import Fault, Pattern, compose
 from orchestration.system.signals import values_at
 from orchestration.system.system import CheckedSystem, Port, System, check
+from orchestration.system.values import fmi_value, value_range
 
 Setting = tuple[Port, FmiValue]
 
