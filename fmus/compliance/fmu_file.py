@@ -7,13 +7,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import lxml.etree
-
 from fmus.binding import library_member
 from fmus.compliance.variable import Variable, integer
+from fmus.extras import require
 from fmus.fmi_types import TYPES
 
-etree: Any = lxml.etree  # without types
+etree: Any = require("lxml.etree", "check", "a check of FMUs")  # without types
 DESCRIPTION = "modelDescription.xml"
 _LARGEST_DESCRIPTION = 500_000_000  # bytes; far beyond any that tools write
 _LARGEST_ARCHIVE = 8_000_000_000  # bytes unpacked

@@ -4,12 +4,13 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-import lief
 from fmpy.fmi2 import FMU2Model, FMU2Slave
 
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.rule import Stage, rule
+from fmus.extras import require
 
+lief: Any = require("lief", "check", "a check of FMUs")
 lief.logging.disable()
 _MACHINES = {
     "linux64": ("ELF", "X86_64"),

@@ -3,12 +3,15 @@
 import warnings
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
+if TYPE_CHECKING:
+    from fmus.compliance.rule import Result
 
-class FmuWarning(UserWarning):
+
+class BrokenRuleWarning(UserWarning):
     """An FMU breaks a rule that only warns."""
 
 
@@ -28,7 +31,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 @pytest.hookimpl(trylast=True)
-def pytest_collection_modifyitems(session: pytest.Session, config: pytest.Config, items: list[Any]) -> None:
+def pytest_collection_modifyitems(
+    session: pytest.Session, config: pytest.Config, items: list[pytest.Item]
+) -> None:
     """Add the rules after what the project's own tests are."""
     for path in config.getoption("--fmu") or ():
         file = FmuTests.from_parent(session, path=Path(path).resolve(), name=str(path))
@@ -39,14 +44,16 @@ def pytest_collection_modifyitems(session: pytest.Session, config: pytest.Config
 class FmuTests(pytest.File):
     """One FMU; examined once, when its first rule is run."""
 
-    _results: dict[str, Any] | None = None
+    _results: "dict[str, Result] | None" = None
 
     def collect(self) -> Iterable["RuleTest"]:
-        from fmus.compliance.examine import all_rules
-
+        try:
+            from fmus.compliance.examine import all_rules
+        except ImportError as error:  # of the extra `check`
+            raise pytest.UsageError(f"--fmu: {error}") from None
         return [RuleTest.from_parent(self, name=each.name) for each in all_rules()]
 
-    def result(self, name: str) -> Any:
+    def result(self, name: str) -> "Result":
         if self._results is None:
             from fmus.compliance.examine import examine
 
@@ -65,7 +72,7 @@ class RuleTest(pytest.Item):
             pytest.skip(result.not_applicable)
         text = f"{self.name} ({result.rule.clause}): " + "; ".join(result.messages)
         if result.outcome == "warning":
-            warnings.warn(FmuWarning(f"{parent.path.name}: {text}"), stacklevel=1)
+            warnings.warn(BrokenRuleWarning(f"{parent.path.name}: {text}"), stacklevel=1)
         elif result.messages:
             raise BrokenRuleError(text)
 

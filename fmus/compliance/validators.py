@@ -1,11 +1,13 @@
-"""What others check: FMI's own schema, FMPy and the FMU manipulation toolbox."""
+"""Checks of others: FMI's own schema, FMPy and the FMU manipulation toolbox."""
 
 import logging
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from fmus.compliance.fmu_file import FmuFile, etree
 from fmus.compliance.rule import Stage, rule
+from fmus.extras import require
 
 _SCHEMA = Path("schema") / "fmi2" / "fmi2ModelDescription.xsd"
 _TOOLBOX = "fmu_manipulation_toolbox"
@@ -30,8 +32,8 @@ def fmpy_validation(fmu: FmuFile) -> Iterator[str]:
     yield from validate_fmu(str(fmu.path))
 
 
-class _Kept(logging.Handler):
-    """Keeps what is logged as an error."""
+class _ErrorMessages(logging.Handler):
+    """Collects the messages that are logged as errors."""
 
     def __init__(self) -> None:
         super().__init__(logging.ERROR)
@@ -42,20 +44,19 @@ class _Kept(logging.Handler):
 
 
 def _toolbox(fmu: FmuFile, operation: str) -> list[str]:
-    """What the toolbox logs as errors in one of its checks. Raises what it raises."""
-    from fmu_manipulation_toolbox import checker
-    from fmu_manipulation_toolbox.operations import FMU
-
-    kept, logger = _Kept(), logging.getLogger(_TOOLBOX)
+    """The errors that one check of the toolbox logs. Raises what the toolbox raises."""
+    checker: Any = require("fmu_manipulation_toolbox.checker", "check", "a check of FMUs")
+    operations: Any = require("fmu_manipulation_toolbox.operations", "check", "a check of FMUs")
+    handler, logger = _ErrorMessages(), logging.getLogger(_TOOLBOX)
     propagated, logger.propagate = logger.propagate, False
-    logger.addHandler(kept)
+    logger.addHandler(handler)
     try:
-        with FMU(str(fmu.path)) as opened:
+        with operations.FMU(str(fmu.path)) as opened:
             opened.apply_operation(getattr(checker, operation)())
     finally:
-        logger.removeHandler(kept)
+        logger.removeHandler(handler)
         logger.propagate = propagated
-    return kept.messages
+    return handler.messages
 
 
 @rule("2.2 FMI Description Schema, as fmutool -check reads it", Stage.DESCRIPTION)

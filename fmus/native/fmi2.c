@@ -4,7 +4,7 @@
  *   error     an illegal call; nothing has changed, but FMI allows only to read, restore, reset or free then
  *   fatal     never: no call can damage an instance
  *
- * All that an instance is lies in one block of the importer's memory. There are no globals.
+ * An instance is one block of the importer's memory. There are no globals.
  */
 
 #include "instance.h"
@@ -21,14 +21,14 @@ typedef struct {
 
 static const char *const TYPE_NAMES[] = {"Real", "Integer or Enumeration", "Boolean"};
 
-/* Refusals. `fmi2Error` ends what may be done with an instance until it is restored or reset. */
+/* Refusals. After `fmi2Error` FMI allows little until the instance is restored or reset. */
 
-static fmi2Status refuse(Instance *it, fmi2Status status, const char *format, ...) {
+static fmi2Status refuse(Instance *instance, fmi2Status status, const char *format, ...) {
     va_list arguments;
     va_start(arguments, format);
-    log_send(&it->log, status, format, arguments);
+    log_send(&instance->log, status, format, arguments);
     va_end(arguments);
-    if (status == fmi2Error) it->data.mode = IN_ERROR;
+    if (status == fmi2Error) instance->data.mode = IN_ERROR;
     return status;
 }
 
@@ -40,33 +40,36 @@ static const char *mode_name(int mode) {
                                     : "error";
 }
 
-static int is_allowed(Instance *it, int modes, const char *function) {
-    if (!it) return 0;
-    if (it->data.mode & modes) return 1;
-    refuse(it, fmi2Error, "%s is not allowed in the state '%s'", function, mode_name((int)it->data.mode));
+static int is_allowed(Instance *instance, int modes, const char *function) {
+    if (!instance) return 0;
+    if (instance->data.mode & modes) return 1;
+    refuse(instance, fmi2Error, "%s is not allowed in the state '%s'", function, mode_name((int)instance->data.mode));
     return 0;
 }
 
-static fmi2Status missing(Instance *it, const char *function, const char *argument) {
-    return refuse(it, fmi2Error, "%s: %s is NULL", function, argument);
+static fmi2Status missing(Instance *instance, const char *function, const char *argument) {
+    return refuse(instance, fmi2Error, "%s: %s is NULL", function, argument);
 }
 
-static fmi2Status contradictory(Instance *it, int broken, const char *function) {
-    return refuse(it, fmi2Discard, "%s: parameters of " MODEL_NAME ": expected %s", function, REQUIRED[broken]);
+static fmi2Status contradictory(Instance *instance, int broken, const char *function) {
+    return refuse(instance, fmi2Discard, "%s: parameters of " MODEL_NAME ": expected %s", function, REQUIRED[broken]);
 }
 
-/* `broken` is a pointer as it becomes known with the outcome, which may be evaluated after the other arguments. */
-static fmi2Status report(Instance *it, Outcome outcome, const int *broken, const char *function, double h) {
+/* broken: a pointer, because the outcome, which sets it, may be evaluated after the other arguments. */
+static fmi2Status report(Instance *instance, Outcome outcome, const int *broken, const char *function, double h) {
     if (outcome == DONE) return fmi2OK;
-    if (outcome == CONTRADICTORY) return contradictory(it, *broken, function);
+    if (outcome == CONTRADICTORY) return contradictory(instance, *broken, function);
     if (outcome == TOO_MANY_STEPS)
-        return refuse(it, fmi2Discard, "%s: communication step size %s s: expected at most %s internal steps", function,
+        return refuse(instance, fmi2Discard,
+                      "%s: communication step size %s s: expected at most %s internal steps", function,
                       DECIMAL(h), DECIMAL(MOST_INTERNAL_STEPS));
-    if (it->data.mode != STEPPING)
-        return refuse(it, fmi2Discard, "%s: parameters and inputs of " MODEL_NAME ": state or outputs are not finite at the start",
+    if (instance->data.mode != STEPPING)
+        return refuse(instance, fmi2Discard,
+                      "%s: parameters and inputs of " MODEL_NAME ": state or outputs are not finite at the start",
                       function);
-    return refuse(it, fmi2Discard, "%s at %s s: state or outputs are not finite any more; take shorter steps", function,
-                  DECIMAL(it->data.time));
+    return refuse(instance, fmi2Discard,
+                  "%s at %s s: state or outputs are not finite any more; take shorter steps", function,
+                  DECIMAL(instance->data.time));
 }
 
 /* Values */
@@ -77,45 +80,46 @@ static int has_type(fmi2ValueReference reference, Type type) {
     return reference < N_VARIABLES && VARIABLES[reference].type == type;
 }
 
-static fmi2Status not_of_type(Instance *it, Type type, fmi2ValueReference reference, const char *function) {
+static fmi2Status not_of_type(Instance *instance, Type type, fmi2ValueReference reference, const char *function) {
     if (reference >= N_VARIABLES)
-        return refuse(it, fmi2Error, "%s: value reference %u: expected 0..%d of " MODEL_NAME, function, reference,
+        return refuse(instance, fmi2Error, "%s: value reference %u: expected 0..%d of " MODEL_NAME, function, reference,
                       N_VARIABLES - 1);
-    return refuse(it, fmi2Error, "%s: %s is %s: expected %s", function, VARIABLES[reference].name,
+    return refuse(instance, fmi2Error, "%s: %s is %s: expected %s", function, VARIABLES[reference].name,
                   TYPE_NAMES[VARIABLES[reference].type], TYPE_NAMES[type]);
 }
 
-static int are_given(Instance *it, const fmi2ValueReference references[], size_t count, const void *values,
+static int are_given(Instance *instance, const fmi2ValueReference references[], size_t count, const void *values,
                      const char *function) {
     if (!count || (references && values)) return 1;
-    missing(it, function, references ? "value" : "vr");
+    missing(instance, function, references ? "value" : "vr");
     return 0;
 }
 
-static int are_of_type(Instance *it, Type type, const fmi2ValueReference references[], size_t count,
+static int are_of_type(Instance *instance, Type type, const fmi2ValueReference references[], size_t count,
                        const char *function) {
     for (size_t i = 0; i < count; i++) {
         if (has_type(references[i], type)) continue;
-        not_of_type(it, type, references[i], function);
+        not_of_type(instance, type, references[i], function);
         return 0;
     }
     return 1;
 }
 
-static int are_allowed(Instance *it, int modes, Type type, const fmi2ValueReference references[], size_t count,
+static int are_allowed(Instance *instance, int modes, Type type, const fmi2ValueReference references[], size_t count,
                        const void *values, const char *function) {
-    return is_allowed(it, modes, function) && are_given(it, references, count, values, function) &&
-           are_of_type(it, type, references, count, function);
+    return is_allowed(instance, modes, function) && are_given(instance, references, count, values, function) &&
+           are_of_type(instance, type, references, count, function);
 }
 
-/* Until stepping begins, what is calculated follows what was set, also when an error has ended that; later it is
- * what the last step left, and nothing is stale. */
-static fmi2Status refreshed(Instance *it, const fmi2ValueReference references[], size_t count, const char *function) {
+/* Until stepping begins, calculated values follow the values that are set, also after an error; later they are
+ * those of the last step, and nothing is stale. */
+static fmi2Status refreshed(Instance *instance, const fmi2ValueReference references[], size_t count,
+                            const char *function) {
     int broken = 0;
-    if (!it->data.outputs_are_stale) return fmi2OK;
+    if (!instance->data.outputs_are_stale) return fmi2OK;
     for (size_t i = 0; i < count; i++)
         if (!is_settable((int)references[i]))
-            return report(it, data_refresh(&it->data, &broken), &broken, function, 0);
+            return report(instance, data_refresh(&instance->data, &broken), &broken, function, 0);
     return fmi2OK;
 }
 
@@ -124,39 +128,39 @@ static int can_be_set(const Data *d, fmi2ValueReference reference, Type type, do
            is_acceptable((int)reference, value);
 }
 
-/* The first type that is wrong, or else the value at `place`, which is the first that is refused. */
-static fmi2Status cannot_be_set(Instance *it, Type type, const fmi2ValueReference references[], size_t count,
+/* Refuses the first wrong type, or else the value at `place`, which is the first refused value. */
+static fmi2Status cannot_be_set(Instance *instance, Type type, const fmi2ValueReference references[], size_t count,
                                 size_t place, double value, const char *function) {
-    if (!are_of_type(it, type, references, count, function)) return fmi2Error;
+    if (!are_of_type(instance, type, references, count, function)) return fmi2Error;
     const Variable *v = VARIABLES + references[place];
     if (v->settable == NEVER)
-        return refuse(it, fmi2Error, "%s: %s can not be set, it is calculated", function, v->name);
-    if (!(it->data.mode & v->settable))
-        return refuse(it, fmi2Error, "%s: %s is fixed, set it before the initialization ends", function, v->name);
-    return refuse(it, fmi2Discard, "%s: %s = %s: expected %s", function, v->name, DECIMAL(value), v->expected);
+        return refuse(instance, fmi2Error, "%s: %s can not be set, it is calculated", function, v->name);
+    if (!(instance->data.mode & v->settable))
+        return refuse(instance, fmi2Error, "%s: %s is fixed, set it before the initialization ends", function, v->name);
+    return refuse(instance, fmi2Discard, "%s: %s = %s: expected %s", function, v->name, DECIMAL(value), v->expected);
 }
 
 #define DEFINE_GET(Name, CType, TYPE)                                                                            \
     fmi2Status fmi2Get##Name(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, CType value[]) {        \
-        Instance *it = c;                                                                                        \
+        Instance *instance = c;                                                                                        \
         fmi2Status status;                                                                                       \
-        if (!are_allowed(it, READABLE, TYPE, vr, nvr, value, "fmi2Get" #Name)) return fmi2Error;                 \
-        status = refreshed(it, vr, nvr, "fmi2Get" #Name);                                                        \
+        if (!are_allowed(instance, READABLE, TYPE, vr, nvr, value, "fmi2Get" #Name)) return fmi2Error;                 \
+        status = refreshed(instance, vr, nvr, "fmi2Get" #Name);                                                        \
         if (status != fmi2OK) return status;                                                                     \
-        for (size_t i = 0; i < nvr; i++) value[i] = (CType)it->data.value[vr[i]];                                \
+        for (size_t i = 0; i < nvr; i++) value[i] = (CType)instance->data.value[vr[i]];                                \
         return fmi2OK;                                                                                           \
     }
 
-/* All values or none: the first that is refused leaves every variable as it was. */
+/* Sets all values or none: a refused value leaves every variable as it was. */
 #define DEFINE_SET(Name, CType, TYPE)                                                                            \
     fmi2Status fmi2Set##Name(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const CType value[]) {  \
-        Instance *it = c;                                                                                        \
-        if (!is_allowed(it, ALWAYS, "fmi2Set" #Name)) return fmi2Error;                                          \
-        if (!are_given(it, vr, nvr, value, "fmi2Set" #Name)) return fmi2Error;                                   \
+        Instance *instance = c;                                                                                        \
+        if (!is_allowed(instance, ALWAYS, "fmi2Set" #Name)) return fmi2Error;                                          \
+        if (!are_given(instance, vr, nvr, value, "fmi2Set" #Name)) return fmi2Error;                                   \
         for (size_t i = 0; i < nvr; i++)                                                                         \
-            if (!can_be_set(&it->data, vr[i], TYPE, (double)value[i]))                                           \
-                return cannot_be_set(it, TYPE, vr, nvr, i, (double)value[i], "fmi2Set" #Name);                   \
-        for (size_t i = 0; i < nvr; i++) data_set(&it->data, (int)vr[i], (double)value[i]);                      \
+            if (!can_be_set(&instance->data, vr[i], TYPE, (double)value[i]))                                           \
+                return cannot_be_set(instance, TYPE, vr, nvr, i, (double)value[i], "fmi2Set" #Name);                   \
+        for (size_t i = 0; i < nvr; i++) data_set(&instance->data, (int)vr[i], (double)value[i]);                      \
         return fmi2OK;                                                                                           \
     }
 
@@ -167,9 +171,9 @@ DEFINE_SET(Real, fmi2Real, REAL)
 DEFINE_SET(Integer, fmi2Integer, INTEGER)
 DEFINE_SET(Boolean, fmi2Boolean, BOOLEAN)
 
-static fmi2Status no_strings(Instance *it, int modes, size_t count, const char *function) {
-    if (!is_allowed(it, modes, function)) return fmi2Error;
-    return count ? refuse(it, fmi2Error, "%s: " MODEL_NAME " has no String variables", function) : fmi2OK;
+static fmi2Status no_strings(Instance *instance, int modes, size_t count, const char *function) {
+    if (!is_allowed(instance, modes, function)) return fmi2Error;
+    return count ? refuse(instance, fmi2Error, "%s: " MODEL_NAME " has no String variables", function) : fmi2OK;
 }
 
 fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2String value[]) {
@@ -190,17 +194,18 @@ const char *fmi2GetVersion(void) { return fmi2Version; }
 
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nCategories,
                                const fmi2String categories[]) {
-    Instance *it = c;
+    Instance *instance = c;
     unsigned enabled = 0;
-    if (!it) return fmi2Error;
-    if (loggingOn && nCategories && !categories) return missing(it, "fmi2SetDebugLogging", "categories");
+    if (!instance) return fmi2Error;
+    if (loggingOn && nCategories && !categories) return missing(instance, "fmi2SetDebugLogging", "categories");
     for (size_t i = 0; loggingOn && i < nCategories; i++) {
         if (!log_category(categories[i]))
-            return refuse(it, fmi2Discard, "fmi2SetDebugLogging: log category '%s': expected one of the model description",
+            return refuse(instance, fmi2Discard,
+                          "fmi2SetDebugLogging: log category '%s': expected one of the model description",
                           categories[i] ? categories[i] : "NULL");
         enabled |= log_category(categories[i]);
     }
-    it->log.enabled = loggingOn && nCategories ? enabled : log_mask(loggingOn);
+    instance->log.enabled = loggingOn && nCategories ? enabled : log_mask(loggingOn);
     return fmi2OK;
 }
 
@@ -212,16 +217,16 @@ static void cannot_instantiate(const fmi2CallbackFunctions *functions, fmi2Strin
     va_end(arguments);
 }
 
-static void instance_reset(Instance *it) {
-    data_reset(&it->data);
-    it->stop_time = DBL_MAX;
+static void instance_reset(Instance *instance) {
+    data_reset(&instance->data);
+    instance->stop_time = DBL_MAX;
 }
 
-/* The resource location is not looked at: the model needs no file, so that every URI is as good. */
+/* The resource location is not used: the model needs no file. */
 fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID,
                               fmi2String fmuResourceLocation, const fmi2CallbackFunctions *functions,
                               fmi2Boolean visible, fmi2Boolean loggingOn) {
-    Instance *it;
+    Instance *instance;
     char *name;
     (void)fmuResourceLocation, (void)visible;
     if (!functions) return NULL;
@@ -240,98 +245,100 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
                            MODEL_GUID);
         return NULL;
     }
-    it = allocate(1, sizeof *it + strlen(instanceName) + 1);
-    if (!it) {
+    instance = allocate(1, sizeof *instance + strlen(instanceName) + 1);
+    if (!instance) {
         cannot_instantiate(functions, instanceName, "fmi2Instantiate: no memory");
         return NULL;
     }
-    name = strcpy((char *)(it + 1), instanceName);
-    it->log = (Log){functions->logger, functions->componentEnvironment, name, log_mask(loggingOn)};
-    it->allocate = allocate;
-    it->release = has_memory ? functions->freeMemory : free;
-    instance_reset(it);
-    return it;
+    name = strcpy((char *)(instance + 1), instanceName);
+    instance->log = (Log){functions->logger, functions->componentEnvironment, name, log_mask(loggingOn)};
+    instance->allocate = allocate;
+    instance->release = has_memory ? functions->freeMemory : free;
+    instance_reset(instance);
+    return instance;
 }
 
 void fmi2FreeInstance(fmi2Component c) {
-    Instance *it = c;
-    if (it) it->release(it);
+    Instance *instance = c;
+    if (instance) instance->release(instance);
 }
 
 /* Modes */
 
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fmi2Real tolerance, fmi2Real startTime,
                                fmi2Boolean stopTimeDefined, fmi2Real stopTime) {
-    Instance *it = c;
+    Instance *instance = c;
     (void)toleranceDefined, (void)tolerance; /* no solver with error control inside */
-    if (!is_allowed(it, INSTANTIATED, "fmi2SetupExperiment")) return fmi2Error;
+    if (!is_allowed(instance, INSTANTIATED, "fmi2SetupExperiment")) return fmi2Error;
     if (!isfinite(startTime))
-        return refuse(it, fmi2Error, "fmi2SetupExperiment: start time %s s: expected a finite number",
+        return refuse(instance, fmi2Error, "fmi2SetupExperiment: start time %s s: expected a finite number",
                       DECIMAL(startTime));
     if (stopTimeDefined && !(stopTime > startTime))
-        return refuse(it, fmi2Error, "fmi2SetupExperiment: stop time %s s: expected more than the start time %s s",
+        return refuse(instance, fmi2Error,
+                      "fmi2SetupExperiment: stop time %s s: expected more than the start time %s s",
                       DECIMAL(stopTime), DECIMAL(startTime));
-    it->data.time = startTime;
-    it->stop_time = stopTimeDefined ? fmin(stopTime, DBL_MAX) : DBL_MAX; /* infinity: no end */
-    it->data.outputs_are_stale = 1;
+    instance->data.time = startTime;
+    instance->stop_time = stopTimeDefined ? fmin(stopTime, DBL_MAX) : DBL_MAX; /* infinity: no end */
+    instance->data.outputs_are_stale = 1;
     return fmi2OK;
 }
 
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
-    Instance *it = c;
-    if (!is_allowed(it, INSTANTIATED, "fmi2EnterInitializationMode")) return fmi2Error;
-    it->data.mode = INITIALIZATION;
+    Instance *instance = c;
+    if (!is_allowed(instance, INSTANTIATED, "fmi2EnterInitializationMode")) return fmi2Error;
+    instance->data.mode = INITIALIZATION;
     return fmi2OK;
 }
 
 fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
-    Instance *it = c;
+    Instance *instance = c;
     fmi2Status status;
     int broken = 0;
-    if (!is_allowed(it, INITIALIZATION, "fmi2ExitInitializationMode")) return fmi2Error;
-    status = report(it, data_refresh(&it->data, &broken), &broken, "fmi2ExitInitializationMode", 0);
-    if (status == fmi2OK) it->data.mode = STEPPING;
+    if (!is_allowed(instance, INITIALIZATION, "fmi2ExitInitializationMode")) return fmi2Error;
+    status = report(instance, data_refresh(&instance->data, &broken), &broken, "fmi2ExitInitializationMode", 0);
+    if (status == fmi2OK) instance->data.mode = STEPPING;
     return status;
 }
 
 fmi2Status fmi2Terminate(fmi2Component c) {
-    Instance *it = c;
-    if (!is_allowed(it, STEPPING, "fmi2Terminate")) return fmi2Error;
-    it->data.mode = TERMINATED;
+    Instance *instance = c;
+    if (!is_allowed(instance, STEPPING, "fmi2Terminate")) return fmi2Error;
+    instance->data.mode = TERMINATED;
     return fmi2OK;
 }
 
 fmi2Status fmi2Reset(fmi2Component c) {
-    Instance *it = c;
-    if (!it) return fmi2Error;
-    instance_reset(it);
+    Instance *instance = c;
+    if (!instance) return fmi2Error;
+    instance_reset(instance);
     return fmi2OK;
 }
 
 /* Steps */
 
-/* Communication points are computed in floating point: far less than a step, but never less than rounding. */
+/* The tolerance of a communication point: far less than a step, but more than the rounding of the importer. */
 static double tolerance_at(double t, double h) {
     return fmin(1e-9 * fmax(1, fabs(t)), 1e-3 * h) + 8 * DBL_EPSILON * fabs(t);
 }
 
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2Real communicationStepSize,
                       fmi2Boolean noSetFMUStatePriorToCurrentPoint) {
-    Instance *it = c;
+    Instance *instance = c;
     const double t = currentCommunicationPoint, h = communicationStepSize;
     int broken = 0;
     (void)noSetFMUStatePriorToCurrentPoint; /* a state is never kept by the FMU itself */
-    if (!is_allowed(it, STEPPING, "fmi2DoStep")) return fmi2Error;
+    if (!is_allowed(instance, STEPPING, "fmi2DoStep")) return fmi2Error;
     if (!(h > 0 && h <= DBL_MAX))
-        return refuse(it, fmi2Error, "fmi2DoStep: communication step size %s s: expected more than 0", DECIMAL(h));
-    if (!isfinite(t) || !(fabs(t - it->data.time) <= tolerance_at(t, h)))
-        return refuse(it, fmi2Error, "fmi2DoStep: communication point %s s: expected %s s, the current time",
-                      DECIMAL(t), DECIMAL(it->data.time));
-    if (!(t + h <= it->stop_time + tolerance_at(t, h)))
-        return refuse(it, fmi2Error, "fmi2DoStep: step to %s s: expected at most the stop time %s s",
-                      DECIMAL(t + h), DECIMAL(it->stop_time));
-    const Outcome outcome = data_step(&it->data, t, h, &broken);
-    return outcome == DONE ? fmi2OK : report(it, outcome, &broken, "fmi2DoStep", h);
+        return refuse(instance, fmi2Error,
+                      "fmi2DoStep: communication step size %s s: expected more than 0", DECIMAL(h));
+    if (!isfinite(t) || !(fabs(t - instance->data.time) <= tolerance_at(t, h)))
+        return refuse(instance, fmi2Error, "fmi2DoStep: communication point %s s: expected %s s, the current time",
+                      DECIMAL(t), DECIMAL(instance->data.time));
+    if (!(t + h <= instance->stop_time + tolerance_at(t, h)))
+        return refuse(instance, fmi2Error, "fmi2DoStep: step to %s s: expected at most the stop time %s s",
+                      DECIMAL(t + h), DECIMAL(instance->stop_time));
+    const Outcome outcome = data_step(&instance->data, t, h, &broken);
+    return outcome == DONE ? fmi2OK : report(instance, outcome, &broken, "fmi2DoStep", h);
 }
 
 fmi2Status fmi2CancelStep(fmi2Component c) {
@@ -342,43 +349,44 @@ fmi2Status fmi2CancelStep(fmi2Component c) {
 fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
                                        const fmi2Integer order[], const fmi2Real value[]) {
     static const char *const function = "fmi2SetRealInputDerivatives";
-    Instance *it = c;
-    if (!are_allowed(it, ALWAYS, REAL, vr, nvr, value, function)) return fmi2Error;
-    if (nvr && !order) return missing(it, function, "order");
+    Instance *instance = c;
+    if (!are_allowed(instance, ALWAYS, REAL, vr, nvr, value, function)) return fmi2Error;
+    if (nvr && !order) return missing(instance, function, "order");
     for (size_t i = 0; i < nvr; i++) {
         const char *name = VARIABLES[vr[i]].name;
         if (!is_input(vr[i]))
-            return refuse(it, fmi2Error, "%s: %s: expected an input", function, name);
+            return refuse(instance, fmi2Error, "%s: %s: expected an input", function, name);
         if (order[i] != 1)
-            return refuse(it, fmi2Error, "%s: %s: order %d: expected 1", function, name, order[i]);
+            return refuse(instance, fmi2Error, "%s: %s: order %d: expected 1", function, name, order[i]);
         if (!isfinite(value[i]))
-            return refuse(it, fmi2Discard, "%s: %s: derivative %s: expected a finite number", function, name,
+            return refuse(instance, fmi2Discard, "%s: %s: derivative %s: expected a finite number", function, name,
                           DECIMAL(value[i]));
     }
-    for (size_t i = 0; i < nvr; i++) it->data.input_rate[vr[i] - FIRST_INPUT] = value[i];
-    if (nvr) it->data.inputs_have_rates = 1;
+    for (size_t i = 0; i < nvr; i++) instance->data.input_rate[vr[i] - FIRST_INPUT] = value[i];
+    if (nvr) instance->data.inputs_have_rates = 1;
     return fmi2OK;
 }
 
 fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
                                         const fmi2Integer order[], fmi2Real value[]) {
     static const char *const function = "fmi2GetRealOutputDerivatives";
-    Instance *it = c;
+    Instance *instance = c;
     const double *v, *calculated;
     double fresh[N_CALCULATED + 1], rate[N_OUTPUTS + 1];
     int broken = 0;
-    if (!are_allowed(it, STEPPING | TERMINATED, REAL, vr, nvr, value, function)) return fmi2Error;
-    if (nvr && !order) return missing(it, function, "order");
+    if (!are_allowed(instance, STEPPING | TERMINATED, REAL, vr, nvr, value, function)) return fmi2Error;
+    if (nvr && !order) return missing(instance, function, "order");
     for (size_t i = 0; i < nvr; i++) {
         if (vr[i] < FIRST_OUTPUT)
-            return refuse(it, fmi2Error, "%s: %s: expected an output", function, VARIABLES[vr[i]].name);
+            return refuse(instance, fmi2Error, "%s: %s: expected an output", function, VARIABLES[vr[i]].name);
         if (order[i] != 1)
-            return refuse(it, fmi2Error, "%s: %s: order %d: expected 1", function, VARIABLES[vr[i]].name, order[i]);
+            return refuse(instance, fmi2Error,
+                          "%s: %s: order %d: expected 1", function, VARIABLES[vr[i]].name, order[i]);
     }
-    v = it->data.value;
-    calculated = data_calculated(&it->data, fresh, &broken);
-    if (!calculated) return contradictory(it, broken, function);
-    model_output_rate(it->data.time, it->data.state, v + FIRST_INPUT, v, calculated, rate);
+    v = instance->data.value;
+    calculated = data_calculated(&instance->data, fresh, &broken);
+    if (!calculated) return contradictory(instance, broken, function);
+    model_output_rate(instance->data.time, instance->data.state, v + FIRST_INPUT, v, calculated, rate);
     for (size_t i = 0; i < nvr; i++) value[i] = rate[vr[i] - FIRST_OUTPUT];
     return fmi2OK;
 }
@@ -389,29 +397,30 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
                                         const fmi2ValueReference vKnown_ref[], size_t nKnown, const fmi2Real dvKnown[],
                                         fmi2Real dvUnknown[]) {
     static const char *const function = "fmi2GetDirectionalDerivative";
-    Instance *it = c;
+    Instance *instance = c;
     double seed[N_PARAMETERS + N_INPUTS + 1] = {0}, along[N_CALCULATED + N_OUTPUTS + 1];
     const int modes = INITIALIZATION | STEPPING | TERMINATED;
-    if (!are_allowed(it, modes, REAL, vUnknown_ref, nUnknown, dvUnknown, function)) return fmi2Error;
-    if (!are_allowed(it, modes, REAL, vKnown_ref, nKnown, dvKnown, function)) return fmi2Error;
+    if (!are_allowed(instance, modes, REAL, vUnknown_ref, nUnknown, dvUnknown, function)) return fmi2Error;
+    if (!are_allowed(instance, modes, REAL, vKnown_ref, nKnown, dvKnown, function)) return fmi2Error;
     for (size_t i = 0; i < nUnknown; i++)
         if (is_settable((int)vUnknown_ref[i]))
-            return refuse(it, fmi2Error, "%s: unknown %s: expected an output or a calculated parameter", function,
+            return refuse(instance, fmi2Error, "%s: unknown %s: expected an output or a calculated parameter", function,
                           VARIABLES[vUnknown_ref[i]].name);
     for (size_t i = 0; i < nKnown; i++) {
         const int reference = (int)vKnown_ref[i];
         if (!is_settable(reference))
-            return refuse(it, fmi2Error, "%s: known %s: expected a parameter or an input", function,
+            return refuse(instance, fmi2Error, "%s: known %s: expected a parameter or an input", function,
                           VARIABLES[reference].name);
         seed[reference < FIRST_CALCULATED ? reference : reference - N_CALCULATED] += dvKnown[i];
     }
-    if (it->data.mode == INITIALIZATION) {
+    if (instance->data.mode == INITIALIZATION) {
         int broken = 0;
-        const fmi2Status status = report(it, data_refresh(&it->data, &broken), &broken, function, 0);
+        const fmi2Status status = report(instance, data_refresh(&instance->data, &broken), &broken, function, 0);
         if (status != fmi2OK) return status;
-        model_initial_derivative(it->data.time, it->data.value, it->data.value + FIRST_INPUT, seed, along);
+        model_initial_derivative(instance->data.time, instance->data.value, instance->data.value + FIRST_INPUT,
+                                 seed, along);
     } else {
-        model_output_derivative(it->data.time, it->data.state, it->data.value, seed, along);
+        model_output_derivative(instance->data.time, instance->data.state, instance->data.value, seed, along);
     }
     for (size_t i = 0; i < nUnknown; i++) {
         const int reference = (int)vUnknown_ref[i];
@@ -421,11 +430,12 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
     return fmi2OK;
 }
 
-/* Status of a step. None is ever pending, so that only the last successful time and the end can be asked for. */
+/* Status of a step. No step is ever pending: only the last successful time and the end are available. */
 
-static fmi2Status no_status(Instance *it, fmi2StatusKind kind, const char *function) {
-    if (!is_allowed(it, STEPPING | TERMINATED, function)) return fmi2Error;
-    return refuse(it, fmi2Discard, "%s: status kind %d: not available, steps are never asynchronous", function, kind);
+static fmi2Status no_status(Instance *instance, fmi2StatusKind kind, const char *function) {
+    if (!is_allowed(instance, STEPPING | TERMINATED, function)) return fmi2Error;
+    return refuse(instance, fmi2Discard,
+                  "%s: status kind %d: not available, steps are never asynchronous", function, kind);
 }
 
 fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind s, fmi2Status *value) {
@@ -434,11 +444,11 @@ fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind s, fmi2Status *va
 }
 
 fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind s, fmi2Real *value) {
-    Instance *it = c;
-    if (s != fmi2LastSuccessfulTime) return no_status(it, s, "fmi2GetRealStatus");
-    if (!is_allowed(it, STEPPING | TERMINATED, "fmi2GetRealStatus")) return fmi2Error;
-    if (!value) return missing(it, "fmi2GetRealStatus", "value");
-    *value = it->data.time;
+    Instance *instance = c;
+    if (s != fmi2LastSuccessfulTime) return no_status(instance, s, "fmi2GetRealStatus");
+    if (!is_allowed(instance, STEPPING | TERMINATED, "fmi2GetRealStatus")) return fmi2Error;
+    if (!value) return missing(instance, "fmi2GetRealStatus", "value");
+    *value = instance->data.time;
     return fmi2OK;
 }
 
@@ -448,10 +458,10 @@ fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind s, fmi2Int
 }
 
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boolean *value) {
-    Instance *it = c;
-    if (s != fmi2Terminated) return no_status(it, s, "fmi2GetBooleanStatus");
-    if (!is_allowed(it, STEPPING | TERMINATED, "fmi2GetBooleanStatus")) return fmi2Error;
-    if (!value) return missing(it, "fmi2GetBooleanStatus", "value");
+    Instance *instance = c;
+    if (s != fmi2Terminated) return no_status(instance, s, "fmi2GetBooleanStatus");
+    if (!is_allowed(instance, STEPPING | TERMINATED, "fmi2GetBooleanStatus")) return fmi2Error;
+    if (!value) return missing(instance, "fmi2GetBooleanStatus", "value");
     *value = fmi2False; /* the model never wants the simulation to end */
     return fmi2OK;
 }
@@ -463,24 +473,24 @@ fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind s, fmi2Stri
 
 /* Saved states */
 
-static const Snapshot *own_snapshot(Instance *it, fmi2FMUstate FMUstate, const char *function) {
+static const Snapshot *own_snapshot(Instance *instance, fmi2FMUstate FMUstate, const char *function) {
     const Snapshot *snapshot = FMUstate;
-    if (!it) return NULL;
+    if (!instance) return NULL;
     if (snapshot && !strcmp(snapshot->guid, MODEL_GUID)) return snapshot;
-    refuse(it, fmi2Error, snapshot ? "%s: the state is another FMU's" : "%s: FMUstate is NULL", function);
+    refuse(instance, fmi2Error, snapshot ? "%s: the state is another FMU's" : "%s: FMUstate is NULL", function);
     return NULL;
 }
 
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
-    Instance *it = c;
+    Instance *instance = c;
     Snapshot *snapshot;
-    if (!it) return fmi2Error;
-    if (!FMUstate) return missing(it, "fmi2GetFMUstate", "FMUstate");
-    if (*FMUstate && !own_snapshot(it, *FMUstate, "fmi2GetFMUstate")) return fmi2Error;
-    snapshot = *FMUstate ? *FMUstate : it->allocate(1, sizeof *snapshot);
-    if (!snapshot) return refuse(it, fmi2Error, "fmi2GetFMUstate: no memory");
+    if (!instance) return fmi2Error;
+    if (!FMUstate) return missing(instance, "fmi2GetFMUstate", "FMUstate");
+    if (*FMUstate && !own_snapshot(instance, *FMUstate, "fmi2GetFMUstate")) return fmi2Error;
+    snapshot = *FMUstate ? *FMUstate : instance->allocate(1, sizeof *snapshot);
+    if (!snapshot) return refuse(instance, fmi2Error, "fmi2GetFMUstate: no memory");
     memcpy(snapshot->guid, MODEL_GUID, sizeof snapshot->guid);
-    snapshot->data = it->data;
+    snapshot->data = instance->data;
     *FMUstate = snapshot;
     return fmi2OK;
 }
@@ -493,10 +503,10 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate FMUstate) {
 }
 
 fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
-    Instance *it = c;
-    if (!it) return fmi2Error;
+    Instance *instance = c;
+    if (!instance) return fmi2Error;
     if (!FMUstate || !*FMUstate) return fmi2OK; /* nothing to free, as FMI has it */
-    it->release(*FMUstate);
+    instance->release(*FMUstate);
     *FMUstate = NULL;
     return fmi2OK;
 }
@@ -521,17 +531,17 @@ fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate FMUstate, fmi2Byt
 
 fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedState[], size_t size,
                                    fmi2FMUstate *FMUstate) {
-    Instance *it = c;
+    Instance *instance = c;
     Snapshot restored;
     const char *reason;
-    if (!it) return fmi2Error;
-    if (!serializedState) return missing(it, "fmi2DeSerializeFMUstate", "serializedState");
-    if (!FMUstate) return missing(it, "fmi2DeSerializeFMUstate", "FMUstate");
-    if (*FMUstate && !own_snapshot(it, *FMUstate, "fmi2DeSerializeFMUstate")) return fmi2Error;
+    if (!instance) return fmi2Error;
+    if (!serializedState) return missing(instance, "fmi2DeSerializeFMUstate", "serializedState");
+    if (!FMUstate) return missing(instance, "fmi2DeSerializeFMUstate", "FMUstate");
+    if (*FMUstate && !own_snapshot(instance, *FMUstate, "fmi2DeSerializeFMUstate")) return fmi2Error;
     reason = deserialize((const unsigned char *)serializedState, size, &restored);
-    if (reason) return refuse(it, fmi2Error, "fmi2DeSerializeFMUstate: %s", reason);
-    if (!*FMUstate) *FMUstate = it->allocate(1, sizeof restored);
-    if (!*FMUstate) return refuse(it, fmi2Error, "fmi2DeSerializeFMUstate: no memory");
+    if (reason) return refuse(instance, fmi2Error, "fmi2DeSerializeFMUstate: %s", reason);
+    if (!*FMUstate) *FMUstate = instance->allocate(1, sizeof restored);
+    if (!*FMUstate) return refuse(instance, fmi2Error, "fmi2DeSerializeFMUstate: no memory");
     *(Snapshot *)*FMUstate = restored;
     return fmi2OK;
 }

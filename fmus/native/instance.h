@@ -42,8 +42,8 @@ static void data_set(Data *d, int reference, double value) {
     if (d->mode != STEPPING) d->outputs_are_stale = 1;
 }
 
-/* Calculated parameters: those there are or, once per change, `fresh` ones. NULL if parameters contradict each other;
- * `broken` is the first requirement that does not hold. */
+/* The calculated parameters, computed into `fresh` after a change. NULL if parameters contradict each other:
+ * `broken` is then the first requirement that does not hold. */
 static const double *data_calculated(const Data *d, double *fresh, int *broken) {
     double holds[N_REQUIREMENTS + 1];
     if (!d->parameters_are_stale) return d->value + FIRST_CALCULATED;
@@ -58,8 +58,7 @@ static const double *data_calculated(const Data *d, double *fresh, int *broken) 
     return fresh;
 }
 
-/* A number less itself is zero unless it is infinite or no number at all. Without branches, compilers check several
- * at a time. */
+/* A number minus itself is zero unless it is infinite or NaN. Without branches, compilers check several at a time. */
 static int are_finite(const double *numbers, int count) {
     int bad = 0;
     for (int i = 0; i < count; i++) bad |= numbers[i] - numbers[i] != 0;

@@ -22,7 +22,7 @@ static const struct {
 
 enum { N_LOG_CATEGORIES = sizeof LOG_CATEGORIES / sizeof LOG_CATEGORIES[0] };
 
-/* What an instance needs to speak: copied from the importer's callbacks, which need not outlive a call. */
+/* What logging needs of the importer's callbacks: a copy, because they need not outlive the call. */
 typedef struct {
     fmi2CallbackLogger logger;
     fmi2ComponentEnvironment environment;
@@ -73,7 +73,7 @@ static const char *shortest(double number, char *text, size_t size) {
     return text;
 }
 
-/* As an argument of a message; the characters live as long as the block that it stands in. */
+/* A number as an argument of a message; its characters live until the end of the enclosing block. */
 #define DECIMAL(number) shortest(number, (char[32]){0}, 32)
 
 #endif

@@ -1,8 +1,8 @@
 /* A saved state, in memory and as bytes.
  *
  * Bytes: magic, format, GUID, the words of `Data` and a checksum, little-endian on every platform, so that
- * what one host saved another one restores. They are refused when they are another FMU's or damaged.
- * The stop time is no part of a state: it is what the importer said to an instance when it set that up.
+ * a state saved on one host can be restored on another. Damaged bytes and those of another FMU are refused.
+ * The stop time is no part of a state: the importer sets it once for each instance.
  */
 
 #ifndef SNAPSHOT_H
@@ -72,7 +72,7 @@ static int is_consistent(const Data *d) {
     return good;
 }
 
-/* What is wrong with the bytes, or NULL when `snapshot` is what they say. */
+/* The error in the bytes; or NULL, and `snapshot` holds their state. */
 static const char *deserialize(const unsigned char *bytes, size_t size, Snapshot *snapshot) {
     unsigned char *words = (unsigned char *)&snapshot->data;
     if (size < WORDS_PLACE || memcmp(bytes, MAGIC, MAGIC_SIZE)) return "these bytes are not a serialized state";

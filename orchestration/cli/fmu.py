@@ -85,7 +85,7 @@ def check(
     every: Annotated[bool, typer.Option("--all", help="Show every rule, not only broken ones.")] = False,
 ) -> None:
     """Check FMUs against the rules of FMI 2.0.5; the command fails if one has an error."""
-    from fmus.compliance.__main__ import check as count_errors
+    from fmus.compliance.check import check as count_errors
     from orchestration.fmi.description import describe
 
     for path in fmus:

@@ -116,10 +116,12 @@ ARCHIVE_MUTANTS = [
 ]
 
 
-STEP = 'if (!is_allowed(it, STEPPING, "fmi2DoStep")) return fmi2Error;'
+STEP = 'if (!is_allowed(instance, STEPPING, "fmi2DoStep")) return fmi2Error;'
 GLOBALS = "static const char *const TYPE_NAMES[]"
 LAST_OF_BECOME = "d->parameters_are_stale = d->outputs_are_stale = 0;"
-RESET = "if (!it) return fmi2Error;\n    instance_reset(it);"
+RESET = "if (!instance) return fmi2Error;\n    instance_reset(instance);"
+ALLOCATE = "instance = allocate(1, sizeof *instance"
+FREE = "if (instance) instance->release(instance);"
 RESTORE = "((Instance *)c)->data = snapshot->data;"
 
 C_MUTANTS: dict[str, tuple[str, Patch]] = {
@@ -127,8 +129,8 @@ C_MUTANTS: dict[str, tuple[str, Patch]] = {
     "no second instance": (
         "instantiates-and-frees",
         {
-            "it = allocate(1, sizeof *it": (
-                "static int count;\n    if (count++) return NULL;\n    it = allocate(1, sizeof *it"
+            ALLOCATE: (
+                "static int count;\n    if (count++) return NULL;\n    " + ALLOCATE
             )
         },
     ),
@@ -141,28 +143,28 @@ C_MUTANTS: dict[str, tuple[str, Patch]] = {
         "variables-can-be-read",
         {LAST_OF_BECOME: LAST_OF_BECOME + " d->value[FIRST_OUTPUT] = NAN;"},
     ),
-    "no end": ("steps-and-terminates", {"it->data.mode = TERMINATED;": "return fmi2Error;"}),
+    "no end": ("steps-and-terminates", {"instance->data.mode = TERMINATED;": "return fmi2Error;"}),
     "a tool by the search path": (
         "needs-no-tool",
-        {STEP: STEP + ' if (!*getenv("PATH")) return refuse(it, fmi2Error, "no tool");'},
+        {STEP: STEP + ' if (!*getenv("PATH")) return refuse(instance, fmi2Error, "no tool");'},
     ),
     "a reset of the mode alone": (
         "reset-gives-the-start-values",
         {
-            RESET: "if (!it) return fmi2Error;\n    it->data.mode = INSTANTIATED;",
-            "DBL_MAX; /* infinity: no end */\n    it->data.outputs_are_stale = 1;": "DBL_MAX;",
+            RESET: "if (!instance) return fmi2Error;\n    instance->data.mode = INSTANTIATED;",
+            "DBL_MAX; /* infinity: no end */\n    instance->data.outputs_are_stale = 1;": "DBL_MAX;",
         },
     ),
     "a reset that forgets a parameter": (
         "reset-gives-the-start-values",
-        {RESET: RESET + " it->data.value[INTERNAL_STEP] *= 0.5;"},
+        {RESET: RESET + " instance->data.value[INTERNAL_STEP] *= 0.5;"},
     ),
     "one instance at a time": (
         "several-instances",
         {
             GLOBALS: "static int live;\n" + GLOBALS,
-            "it = allocate(1, sizeof *it": "if (live++) return NULL;\n    it = allocate(1, sizeof *it",
-            "if (it) it->release(it);": "live = 0;\n    if (it) it->release(it);",
+            ALLOCATE: "if (live++) return NULL;\n    " + ALLOCATE,
+            FREE: "live = 0;\n    " + FREE,
         },
     ),
     "instances that share a count": (
@@ -173,12 +175,13 @@ C_MUTANTS: dict[str, tuple[str, Patch]] = {
         "variable-step-size",
         {STEP: STEP + " static double first; if (!first) first = h; if (h != first) return fmi2Discard;"},
     ),
-    "memory leaked": ("memory-is-given-back", {"if (it) it->release(it);": "(void)it;"}),
+    "memory leaked": ("memory-is-given-back", {FREE: "(void)instance;"}),
     "memory freed twice": (
         "memory-is-given-back",
         {
-            "if (it) it->release(it);": (
-                "const fmi2CallbackFreeMemory release = it->release;\n    release(it), release(it);"
+            FREE: (
+                "const fmi2CallbackFreeMemory release = instance->release;\n"
+                "    release(instance), release(instance);"
             )
         },
     ),
@@ -201,12 +204,12 @@ C_MUTANTS: dict[str, tuple[str, Patch]] = {
         "state-can-be-saved-often",
         {
             GLOBALS: "static Snapshot only;\n" + GLOBALS,
-            "*FMUstate ? *FMUstate : it->allocate(1, sizeof *snapshot);": "&only;",
+            "*FMUstate ? *FMUstate : instance->allocate(1, sizeof *snapshot);": "&only;",
         },
     ),
     "a state that is not written over": (
         "state-can-be-saved-often",
-        {"snapshot->data = it->data;": "if (!*FMUstate) snapshot->data = it->data;"},
+        {"snapshot->data = instance->data;": "if (!*FMUstate) snapshot->data = instance->data;"},
     ),
     "a serialised state cut short": (
         "serialised-state-restores",

@@ -49,7 +49,7 @@ def test_a_broken_fmu_fails_the_tests_of_the_rules_that_it_breaks(
 def test_a_warning_of_the_check_is_a_warning_of_pytest(built: Mapping[str, Path], tmp_path: Path) -> None:
     path = write(members(built[NAME]) | {"readme.txt": b""}, tmp_path / "warned.fmu")
     done = run_pytest(tmp_path, "--fmu", str(path), "-q")
-    assert "FmuWarning: warned.fmu: archive-layout" in done.stdout
+    assert "BrokenRuleWarning: warned.fmu: archive-layout" in done.stdout
     assert done.returncode == 0
 
 
@@ -78,3 +78,17 @@ def test_without_an_fmu_nothing_is_collected_and_nothing_heavy_imported(tmp_path
     assert "no tests ran" in done.stdout
     assert "imported: []" in done.stdout
     assert done.returncode == pytest.ExitCode.NO_TESTS_COLLECTED
+
+
+def test_a_missing_library_of_the_checks_is_a_line_that_names_the_command(tmp_path: Path) -> None:
+    (tmp_path / "lief.py").write_text("raise ModuleNotFoundError(name='lief')")
+    line = "a check of FMUs needs lief: pip install 'l1-depth[check]'"
+    done = run_pytest(tmp_path, "--fmu", "none.fmu", "-q")
+    assert f"ERROR: --fmu: {line}" in done.stderr
+    command = [sys.executable, "-m", "fmus.compliance", "none.fmu"]
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]),
+    }
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=120)
+    assert (done.returncode, done.stderr) == (1, f"python -m fmus.compliance: {line}\n")

@@ -48,14 +48,18 @@ def test_any_sequence_of_calls_is_answered_as_fmi_wants_it(tmp_path: Path, name:
 
 MUTANTS = {
     "values are set before all of them are checked": (
-        "if (!can_be_set(&it->data,",
-        "if ((i ? data_set(&it->data, (int)vr[i - 1], value[i - 1]) : (void)0), !can_be_set(&it->data,",
+        "if (!can_be_set(&instance->data,",
+        "if ((i ? data_set(&instance->data, (int)vr[i - 1], value[i - 1]) : (void)0), "
+        "!can_be_set(&instance->data,",
     ),
     "a step is taken in every state": (
-        'if (!is_allowed(it, STEPPING, "fmi2DoStep")) return fmi2Error;',
+        'if (!is_allowed(instance, STEPPING, "fmi2DoStep")) return fmi2Error;',
         "",
     ),
-    "an error does not end what may be done": ("if (status == fmi2Error) it->data.mode = IN_ERROR;", ""),
+    "an error does not end what may be done": (
+        "if (status == fmi2Error) instance->data.mode = IN_ERROR;",
+        "",
+    ),
     "one value reference too many": (
         "return reference < N_VARIABLES &&",
         "return reference <= N_VARIABLES &&",
@@ -74,10 +78,10 @@ MUTANTS = {
         "((Instance *)c)->data = snapshot->data, ((Instance *)c)->stop_time = DBL_MAX;",
     ),
     "a reset leaves the stop time": (
-        "    data_reset(&it->data);\n    it->stop_time = DBL_MAX;",
-        "    if (it->stop_time == 0) it->stop_time = DBL_MAX;\n    data_reset(&it->data);",
+        "    data_reset(&instance->data);\n    instance->stop_time = DBL_MAX;",
+        "    if (instance->stop_time == 0) instance->stop_time = DBL_MAX;\n    data_reset(&instance->data);",
     ),
-    "a saved state is never freed": ("it->release(*FMUstate);", ""),
+    "a saved state is never freed": ("instance->release(*FMUstate);", ""),
 }
 
 
