@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from fmus.compliance.__main__ import main
+from fmus.compliance.check import main
 from fmus.compliance.examine import all_rules
 
 from .archives import members, write
