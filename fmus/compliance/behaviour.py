@@ -7,23 +7,12 @@ from pathlib import Path
 from fmus.binding import platform_name
 from fmus.compliance.behaviour_worker import judge_rules
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.rule import Level, Result, Stage, registered, rule
+from fmus.compliance.library_rules import no_co_simulation
+from fmus.compliance.rule import Result, Stage, registered
 from fmus.process import ProcessEndedError, WorkerProcess
 
 DEFAULT_TIMEOUT_S = 30.0
 _START_S = 30.0  # for the interpreter, whatever the rules take
-
-
-def _no_co_simulation(fmu: FmuFile) -> str:
-    return "" if fmu.co_simulation is not None else "it has no co-simulation interface"
-
-
-@rule("2.3 FMU Distribution (binaries)", Stage.LIBRARY, Level.WARNING, condition=_no_co_simulation)
-def runs_on_this_platform(fmu: FmuFile) -> Iterator[str]:
-    """There is a library for the platform of this check, or its behaviour is not judged."""
-    if not fmu.host_library:
-        platforms = ", ".join(sorted(set(fmu.libraries().values()))) or "none"
-        yield f"libraries for {platforms}: without one for {platform_name()} the behaviour is not judged"
 
 
 def behaviour(fmu: FmuFile, timeout: float) -> Iterator[Result]:
@@ -40,7 +29,7 @@ def _obstacle(fmu: FmuFile) -> str:
     """The reason why no behaviour can be judged, if there is one."""
     if fmu.archive_problem or fmu.too_large or fmu.description_problem:
         return "the FMU cannot be read"
-    return _no_co_simulation(fmu) or ("" if fmu.host_library else f"no library for {platform_name()}")
+    return no_co_simulation(fmu) or ("" if fmu.host_library else f"no library for {platform_name()}")
 
 
 def _messages(fmu: FmuFile, names: Sequence[str], timeout: float) -> dict[str, list[str]]:

@@ -6,8 +6,9 @@ from typing import Any
 
 from fmpy.fmi2 import FMU2Model, FMU2Slave
 
+from fmus.binding import platform_name
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.rule import Stage, rule
+from fmus.compliance.rule import Level, Stage, rule
 from fmus.extras import require
 
 lief: Any = require("lief", "check", "a check of FMUs")
@@ -82,3 +83,15 @@ def _functions(fmu: FmuFile) -> set[str]:
     classes = {"CoSimulation": FMU2Slave, "ModelExchange": FMU2Model}
     chosen = [classes[kind] for kind in fmu.interfaces]
     return {name for each in chosen for name in dir(each) if re.match(r"fmi2[A-Z]", name)}
+
+
+def no_co_simulation(fmu: FmuFile) -> str:
+    return "" if fmu.co_simulation is not None else "it has no co-simulation interface"
+
+
+@rule("2.3 FMU Distribution (binaries)", Stage.LIBRARY, Level.WARNING, condition=no_co_simulation)
+def runs_on_this_platform(fmu: FmuFile) -> Iterator[str]:
+    """There is a library for the platform of this check, or its behaviour is not judged."""
+    if not fmu.host_library:
+        platforms = ", ".join(sorted(set(fmu.libraries().values()))) or "none"
+        yield f"libraries for {platforms}: without one for {platform_name()} the behaviour is not judged"
