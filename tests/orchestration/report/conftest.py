@@ -25,6 +25,11 @@ _FLAGS = (
 )
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _built(scenario_fmus: None) -> None:
+    """The made-up results are of shipped scenarios."""
+
+
 @pytest.fixture(scope="session")
 def browser(
     tool: Callable[[str], str], tmp_path_factory: pytest.TempPathFactory
