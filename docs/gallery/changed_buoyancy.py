@@ -22,7 +22,7 @@ for name, label in (("nominal-l1", "L1"), ("nominal-extended", "extended L1 (PI)
         for change in changes:
             inputs = {**chosen.experiment.inputs, "plant.buoyancy_change": float(change)}
             recording = simulator.run(replace(chosen.experiment, inputs=inputs))
-            rmse.append(metrics.evaluate(recording, chosen.metrics)["rmse_cm"])
+            rmse.append(metrics.evaluate(recording, chosen.metrics)["rmse"])
     axes.plot(changes, rmse, "o-", label=label)
     print(f"{label}: RMSE from {min(rmse):.1f} to {max(rmse):.1f} cm")
 axes.set(xlabel="change of buoyancy [N]", ylabel="RMSE [cm]", ylim=(0.0, None))

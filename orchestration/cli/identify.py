@@ -29,7 +29,7 @@ def identify(
         )
     identification.write(fit, out)
     for name, metrics in fit.metrics.items():
-        print_table(metrics_table(name, metrics))
+        print_table(metrics_table(name, metrics, fit.metric_units))
     for name, value in fit.gains.items():
         print(f"{name} = {value}")
     print(out)

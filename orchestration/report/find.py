@@ -2,9 +2,10 @@
 
 import json
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -106,7 +107,21 @@ def _run(document: Path) -> Run:
         toml(content["scenario"])
     except TypeError as error:
         raise OrchestrationError(f"{document}: scenario: expected what TOML can say: {error}") from error
-    return Run(document.stem, _recording(recording), content["scenario"], content["run"], content["metrics"])
+    values, units = _metrics(content["metrics"], document)
+    return Run(document.stem, _recording(recording), content["scenario"], content["run"], values, units)
+
+
+def _metrics(content: Mapping[str, Any], document: Path) -> tuple[dict[str, float], dict[str, str]]:
+    """The values of the metrics and their units."""
+    for name, metric in content.items():
+        if not isinstance(metric, dict) or metric.keys() != {"value", "unit"}:
+            raise OrchestrationError(
+                f"{document}: metric {name}: expected a value and a unit, got {metric!r}"
+            )
+    return (
+        {name: metric["value"] for name, metric in content.items()},
+        {name: metric["unit"] for name, metric in content.items()},
+    )
 
 
 def _recording(file: Path) -> Recording:

@@ -21,7 +21,6 @@ from orchestration.report.embedded import run_data, sweep_data
 from orchestration.report.result import Run, Sweep
 from orchestration.report.statistics import correlations, distributions
 from orchestration.report.toml import toml
-from orchestration.results.metric_units import metric_unit
 
 _SCRIPTS = ("common.js", "tables.js", "signals.js", "sweeps.js")
 
@@ -71,23 +70,15 @@ def _title(runs: Sequence[Run], sweeps: Sequence[Sweep]) -> str:
 
 
 def _metric_groups(runs: Sequence[Run]) -> list[dict[str, Any]]:
-    """Runs with the same metrics side by side, with the units in which each is given."""
-    groups: dict[tuple[str, ...], list[Run]] = {}
+    """Runs with the same metrics in the same units side by side."""
+    groups: dict[tuple[tuple[str, str], ...], list[Run]] = {}
     for run in runs:
         if run.metrics:
-            groups.setdefault(tuple(run.metrics), []).append(run)
-    return [{"names": names, "runs": members, "units": _units(members)} for names, members in groups.items()]
-
-
-def _units(runs: Sequence[Run]) -> dict[str, str]:
-    """Of each metric the unit in which all of these runs give it, "" if they do not agree."""
-    found: dict[str, set[str]] = {}
-    for run in runs:
-        of_signals = dict(zip(run.recording.names, run.recording.units, strict=True))
-        for name in run.metrics:
-            call = run.scenario.get("metrics", {}).get(name, {})
-            found.setdefault(name, set()).add(metric_unit(call, of_signals))
-    return {name: units.pop() if len(units) == 1 else "" for name, units in found.items()}
+            groups.setdefault(tuple(run.metric_units.items()), []).append(run)
+    return [
+        {"names": list(dict(units)), "units": dict(units), "runs": members}
+        for units, members in groups.items()
+    ]
 
 
 def _failures(sweep: Sweep) -> list[dict[str, Any]]:

@@ -14,6 +14,7 @@ class Run:
     """A run. Of a recording that stands alone, scenario, provenance and metrics are empty.
 
     name: unique on a page; scenario: resolved, as TOML has it; provenance: FMUs, algorithm, step size
+    metric_units: by the names of the metrics, "" where a unit is not known
     """
 
     name: str
@@ -21,6 +22,7 @@ class Run:
     scenario: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     metrics: Mapping[str, float] = field(default_factory=dict)
+    metric_units: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def title(self) -> str:

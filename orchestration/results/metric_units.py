@@ -1,26 +1,49 @@
-"""Units of metrics, derived from what a scenario says of them and from the units of its signals."""
+"""Units of metrics: as a scenario gives them, or derived from the function and the units of its signals."""
 
 from collections.abc import Mapping
 from typing import Any
 
-_SECONDS = ("settling_time", "shift_lag", "phase_lag")
-_AS_THE_SIGNAL = ("rmse", "mean", "total_variation")
+FIXED_UNITS = {"settling_time": "s", "shift_lag": "s", "phase_lag": "s", "overshoot": "%"}
+"""Function -> its unit, whatever the signal is measured in."""
+_UNIT_OF_THE_SIGNAL = ("rmse", "mean", "total_variation")
+
+MetricDocument = dict[str, dict[str, float | str]]
+"""Metric -> {"value": number, "unit": text}, as the JSON files of runs hold it."""
 
 
-def metric_unit(call: Mapping[str, Any], units: Mapping[str, str]) -> str:
+def metric_units(
+    declared: Mapping[str, Mapping[str, Any]], signal_units: Mapping[str, str]
+) -> dict[str, str]:
+    """Unit of each metric that a scenario declares, "" where it is not known."""
+    return {name: metric_unit(call, signal_units) for name, call in declared.items()}
+
+
+def metric_unit(call: Mapping[str, Any], signal_units: Mapping[str, str]) -> str:
     """The unit of a metric, "" where it is not known.
 
-    call: the metric as the scenario declares it; units: of the signals, by name.
-    A scaled metric has a scaled unit: 100 times an RMSE in m is in 0.01 m.
+    call: the metric as the scenario declares it; signal_units: by the names of the signals.
+    A scaled metric without a unit of its own has a scaled unit: 100 times an RMSE in m is in 0.01 m.
     """
-    function, signal = call.get("function"), units.get(call.get("signal", ""), "")
-    if function in _SECONDS:
-        return "s"
-    if function == "overshoot":
-        return "%"
+    function, scale = call.get("function"), call.get("scale", 1.0)
+    signal_unit = signal_units.get(call.get("signal", ""), "")
+    if function in FIXED_UNITS:
+        return FIXED_UNITS[function]
+    if call.get("unit"):
+        return call["unit"]
     if function == "effort":
-        return f"{signal} s" if signal not in ("", "1") else "s" if signal else ""
-    scale = call.get("scale", 1.0)
-    if function not in _AS_THE_SIGNAL or not signal or scale == 0.0:
+        return _times_seconds(signal_unit)
+    if function not in _UNIT_OF_THE_SIGNAL or not signal_unit or scale == 0.0:
         return ""
-    return signal if scale == 1.0 else f"{1.0 / scale:g} {signal}"
+    return signal_unit if scale == 1.0 else f"{1.0 / scale:g} {signal_unit}"
+
+
+def _times_seconds(unit: str) -> str:
+    """The unit of an integral over time, in the notation of FMI's units: N -> N.s."""
+    if unit in ("", "1"):
+        return "s" if unit else ""
+    return f"({unit}).s" if "/" in unit else f"{unit}.s"
+
+
+def with_units(values: Mapping[str, float], units: Mapping[str, str]) -> MetricDocument:
+    """Each metric as a value with its unit, for a file."""
+    return {name: {"value": value, "unit": units.get(name, "")} for name, value in values.items()}

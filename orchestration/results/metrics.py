@@ -9,7 +9,6 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from fmus.errors import nearest
 from orchestration.errors import OrchestrationError, ScenarioError
@@ -81,8 +80,8 @@ def total_variation(
     time, values = recording.time[inside], recording[signal][inside]
     if every is not None:
         count = round((time[-1] - time[0]) / every)
-        wanted = time[0] + every * np.arange(count + 1)
-        values = values[np.searchsorted(time, wanted - 1e-6 * every).clip(max=len(time) - 1)]
+        sampling_times = time[0] + every * np.arange(count + 1)
+        values = values[np.searchsorted(time, sampling_times - 1e-6 * every).clip(max=len(time) - 1)]
     return float(np.abs(np.diff(values)).sum())
 
 
@@ -91,19 +90,21 @@ def shift_lag(recording: Recording, signal: str, reference: str, largest: float)
 
     Judged from `largest` seconds after the start, so that every delay sees the same points.
     """
+    from scipy.optimize import minimize_scalar  # which takes longer to import than to run
+
     time = recording.time
     late = time >= time[0] + largest
-    wanted, values = recording[reference], recording[signal][late]
+    reference_values, values = recording[reference], recording[signal][late]
 
     def distance(delay: float) -> float:
-        delayed = np.interp(time[late] - delay, time, wanted)
+        delayed = np.interp(time[late] - delay, time, reference_values)
         return float(np.mean((values - delayed) ** 2))
 
     coarse = np.linspace(0.0, largest, 61)
     best = int(np.argmin([distance(delay) for delay in coarse]))
     bounds = (coarse[max(best - 1, 0)], coarse[min(best + 1, 60)])
-    found: Any = minimize_scalar(distance, bounds=bounds, method="bounded", options={"xatol": 1e-4})
-    return float(found.x)
+    minimum: Any = minimize_scalar(distance, bounds=bounds, method="bounded", options={"xatol": 1e-4})
+    return float(minimum.x)
 
 
 def phase_lag(
@@ -118,14 +119,15 @@ def phase_lag(
 
 
 FUNCTIONS: dict[str, Callable[..., float]] = {
-    each.__name__: each
-    for each in (settling_time, rmse, overshoot, mean, effort, total_variation, shift_lag, phase_lag)
+    function.__name__: function
+    for function in (settling_time, rmse, overshoot, mean, effort, total_variation, shift_lag, phase_lag)
 }
+_NO_ARGUMENTS = ("function", "unit")  # keys of a metric that its function does not take
 
 
 def evaluate(recording: Recording, declared: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
-    """The metrics that a scenario declares: name -> {function = ..., its arguments}."""
-    return {name: _one(recording, name, dict(call)) for name, call in declared.items()}
+    """The metrics that a scenario declares: name -> {function = ..., its arguments, perhaps a unit}."""
+    return {name: _one(recording, name, call) for name, call in declared.items()}
 
 
 def check(declared: Mapping[str, Mapping[str, Any]], what: str) -> None:
@@ -136,7 +138,7 @@ def check(declared: Mapping[str, Mapping[str, Any]], what: str) -> None:
             raise ScenarioError(
                 f"{what}: metric {name}: unknown function {function!r}; {nearest(str(function), FUNCTIONS)}"
             )
-        arguments = {key: value for key, value in call.items() if key != "function"}
+        arguments = {key: value for key, value in call.items() if key not in _NO_ARGUMENTS}
         try:
             inspect.signature(FUNCTIONS[function]).bind(None, **arguments)
         except TypeError as error:
@@ -171,15 +173,15 @@ def check_run(
                 )
 
 
-def _one(recording: Recording, name: str, call: dict[str, Any]) -> float:
+def _one(recording: Recording, name: str, call: Mapping[str, Any]) -> float:
     check({name: call}, "scenario")
-    function = FUNCTIONS[call.pop("function")]
+    arguments = {key: value for key, value in call.items() if key not in _NO_ARGUMENTS}
     try:
-        value = function(recording, **call)
+        value = FUNCTIONS[call["function"]](recording, **arguments)
     except OrchestrationError as error:
         raise ScenarioError(f"metric {name}: {error}") from error
     except (TypeError, ValueError, ArithmeticError, IndexError) as error:
-        raise ScenarioError(f"metric {name}: {call}: {error}") from error
+        raise ScenarioError(f"metric {name}: {dict(call)}: {error}") from error
     if not np.isfinite(value):
-        raise ScenarioError(f"metric {name} is {value}: expected a finite number; check {call}")
+        raise ScenarioError(f"metric {name} is {value}: expected a finite number; check {dict(call)}")
     return value

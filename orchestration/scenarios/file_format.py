@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, Strict
 
 from orchestration.results import metrics
+from orchestration.results.metric_units import FIXED_UNITS
 from orchestration.scenarios.file_tables import OneOf, Table, Value, table_of
 from orchestration.system import faults, signals
 from orchestration.system.experiment import Algorithm, Initialisation
@@ -25,8 +26,15 @@ FAULT = OneOf(
 METRIC = OneOf(
     "function",
     {
-        name: table_of("function", name, made, without=["recording"], types={"window": Pair})
-        for name, made in metrics.FUNCTIONS.items()
+        name: table_of(
+            "function",
+            name,
+            function,
+            without=["recording"],
+            types={"window": Pair},
+            also={} if name in FIXED_UNITS else {"unit": (str, "")},
+        )
+        for name, function in metrics.FUNCTIONS.items()
     },
     droppable=True,
 )

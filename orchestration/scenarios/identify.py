@@ -13,7 +13,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import tomli_w
@@ -24,14 +23,15 @@ from fmus.files import write_text_atomically
 from orchestration.errors import OrchestrationError
 from orchestration.master import simulate
 from orchestration.results import metrics
+from orchestration.results.metric_units import metric_units, with_units
 from orchestration.scenarios import scenario
 from orchestration.scenarios.published import PUBLISHED, Published
+from orchestration.system.prepared_run import prepare
 
 SCENARIOS = ("nominal-l1", "nominal-extended")
 
-
 # How far a fit may end from each figure of the nominal row: plain L1, extended L1
-TOLERANCES = {"settling_time_s": (3.0, 3.0), "rmse_cm": (0.6, 0.25)}
+TOLERANCES = {"settling_time": (3.0, 3.0), "rmse": (0.6, 0.25)}
 TARGETS = tuple(figure for figure in PUBLISHED if figure.where == "Table 1")
 AT_A_LIMIT = 1.05  # a gain this near to a limit of its search was stopped by it
 LARGEST_OVERSHOOT_PCT = 1.0  # "no significant overshoot", section 5.2
@@ -64,6 +64,7 @@ class Fit:
 
     gains: dict[str, float]
     metrics: dict[str, dict[str, float]]
+    metric_units: dict[str, str]
     cost: float
     evaluations: int
     seed: int
@@ -78,7 +79,7 @@ def residuals(measured: Mapping[str, Mapping[str, float]]) -> np.ndarray:
     """Deviation of each target over its tolerance, then the excess overshoot of each scenario."""
     fit = [(measured[t.scenario][t.metric] - t.value) / tolerance(t) for t in TARGETS]
     excess = [
-        max(0.0, measured[name]["overshoot_pct"] - LARGEST_OVERSHOOT_PCT) / OVERSHOOT_TOLERANCE_PCT
+        max(0.0, measured[name]["overshoot"] - LARGEST_OVERSHOOT_PCT) / OVERSHOOT_TOLERANCE_PCT
         for name in SCENARIOS
     ]
     return np.array(fit + excess)
@@ -86,8 +87,15 @@ def residuals(measured: Mapping[str, Mapping[str, float]]) -> np.ndarray:
 
 def run_with(name: str, gains: Mapping[str, float]) -> dict[str, float]:
     """Metrics of one shipped scenario with these gains laid over it."""
-    chosen = scenario.load(scenario.find(name), {"parameters": dict(gains)})
-    return metrics.evaluate(simulate(chosen.system, chosen.experiment), chosen.metrics)
+    with_gains = scenario.load(scenario.find(name), {"parameters": dict(gains)})
+    return metrics.evaluate(simulate(with_gains.system, with_gains.experiment), with_gains.metrics)
+
+
+def _units() -> dict[str, str]:
+    """Unit of each metric; both scenarios have the same metrics."""
+    loaded = scenario.load(scenario.find(SCENARIOS[0]))
+    ports = prepare(loaded.system, loaded.experiment).system.ports
+    return metric_units(loaded.metrics, {name: port.variable.unit or "" for name, port in ports.items()})
 
 
 def identify(
@@ -113,20 +121,21 @@ def identify(
         return Fit(
             gains=search.best_gains,
             metrics=search.best_metrics,
+            metric_units=_units(),
             cost=search.lowest,
             evaluations=search.count,
             seed=seed,
         )
 
 
-# A gain is searched as the place of its logarithm between its limits, scaled to 1..2: SciPy's finite
+# A gain is searched as the position of its logarithm between its limits, scaled to 1..2: SciPy's finite
 # differences take a step relative to the value, which must therefore stay away from 0.
 _SCALED_LOW, _SCALED_HIGH = 1.0, 2.0
 _STEP = 0.01  # 1 to 2 % of the range of each gain
 
 
-def _unscaled(gain: Gain, place: float) -> float:
-    value = gain.low * (gain.high / gain.low) ** (place - _SCALED_LOW)
+def _unscaled(gain: Gain, scaled: float) -> float:
+    value = gain.low * (gain.high / gain.low) ** (scaled - _SCALED_LOW)
     return float(f"{value:.4g}")  # what is written is what was run
 
 
@@ -143,28 +152,31 @@ class _Search:
         self.best_gains: dict[str, float] = {}
         self.best_metrics: dict[str, dict[str, float]] = {}
 
-    def __call__(self, places: np.ndarray) -> np.ndarray:
+    def __call__(self, scaled_gains: np.ndarray) -> np.ndarray:
         if self.count >= self._evaluations:
             raise _OutOfEvaluations
-        gains = {g.name: _unscaled(g, float(x)) for g, x in zip(GAINS, places, strict=True)}
+        gains = {g.name: _unscaled(g, float(x)) for g, x in zip(GAINS, scaled_gains, strict=True)}
         runs = self._pool.map(run_with, SCENARIOS, [gains] * len(SCENARIOS))
         measured: dict[str, dict[str, float]] = dict(zip(SCENARIOS, runs, strict=True))
-        found = residuals(measured)
-        cost = 0.5 * float(found @ found)
+        deviations = residuals(measured)
+        cost = 0.5 * float(deviations @ deviations)
         self.count += 1
         if cost < self.lowest:
             self.lowest, self.best_gains, self.best_metrics = cost, gains, measured
         self._progress(self.lowest)
-        return found
+        return deviations
 
 
 def write(fit: Fit, path: Path) -> None:
-    """The parameter file that the scenarios use, provenance and limits beside each value."""
+    """The parameter file that the scenarios use, provenance and limits beside each value.
+
+    A file that is replaced passes on the line that names its schema for editors.
+    """
     source = (
         "identified: least squares on the nominal row of Table 1 of Maalouf et al. (2013), "
         f"seed {fit.seed}, {fit.evaluations} evaluations; not a published value"
     )
-    parameters: dict[str, Any] = {
+    parameters = {
         gain.name: {
             "value": fit.gains[gain.name],
             "unit": gain.unit,
@@ -180,8 +192,16 @@ def write(fit: Fit, path: Path) -> None:
             "seed": fit.seed,
             "evaluations": fit.evaluations,
             "cost": fit.cost,
-            "metrics": fit.metrics,
+            "metrics": {name: with_units(values, fit.metric_units) for name, values in fit.metrics.items()},
         },
         "parameters": parameters,
     }
-    write_text_atomically(path, tomli_w.dumps(document))
+    write_text_atomically(path, _schema_line(path) + tomli_w.dumps(document))
+
+
+def _schema_line(path: Path) -> str:
+    """The line `#:schema ...` at the top of a file, "" if there is none."""
+    if not path.is_file():
+        return ""
+    first_line, _, _ = path.read_text(encoding="utf-8").partition("\n")
+    return f"{first_line}\n" if first_line.startswith("#:schema") else ""

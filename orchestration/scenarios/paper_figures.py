@@ -25,7 +25,7 @@ from orchestration.results.recording import Recording
 from orchestration.scenarios.published import PUBLISHED
 
 _DEPTH, _REFERENCE, _THRUST = "plant.depth", "controller.depth_reference", "plant.total_force"
-_SETTLING, _RMSE, _HOLDING = "settling_time_s", "rmse_cm", "holding_thrust_n"
+_SETTLING, _RMSE, _HOLDING = "settling_time", "rmse", "holding_thrust"
 _TARGET, _BAND, _BAND_END = 0.8, 0.04, 140.0  # m, m, s: 5 % of the first depth, while it is commanded
 _NOISE_WINDOW_S = 1.0
 _SURFACE_END_S = 20.0  # the oscillation at the surface is over
@@ -83,7 +83,7 @@ def figure_3(recordings: Recordings, measured: Measured, folder: Path, formats: 
         extended.set_ylim(-3.0, 3.0)
         numbers = zip(
             _rows("rmse", "RMSE {:.3g} ({:.3g})", _FIGURE_3, measured),
-            _rows("lag_s", "lag {:.3f} s ({:.3f} s)", _FIGURE_3, measured),
+            _rows("lag", "lag {:.3f} s ({:.3f} s)", _FIGURE_3, measured),
             strict=True,
         )
         lines = [f"{curve.label}: {', '.join(pair)}" for curve, pair in zip(_FIGURE_3, numbers, strict=True)]

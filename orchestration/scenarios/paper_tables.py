@@ -5,15 +5,16 @@ from collections.abc import Mapping
 from rich.markup import escape
 from rich.table import Table
 
+from orchestration.results.metric_units import MetricDocument
 from orchestration.scenarios.published import CONTROLLERS, PUBLISHED
 
 Measured = Mapping[str, Mapping[str, float]]
 
 
-def summary(measured: Measured) -> dict[str, dict[str, dict[str, float]]]:
-    """{case: {controller: metrics}} of the paper's experiments."""
+def summary(metrics: Mapping[str, MetricDocument]) -> dict[str, dict[str, MetricDocument]]:
+    """{case: {controller: metrics with units}} of the paper's experiments, from those of the scenarios."""
     return {
-        case: {controller: dict(measured[f"{case}-{controller}"]) for controller in CONTROLLERS}
+        case: {controller: metrics[f"{case}-{controller}"] for controller in CONTROLLERS}
         for case in ("nominal", "buoyancy", "example")
     }
 
@@ -21,7 +22,7 @@ def summary(measured: Measured) -> dict[str, dict[str, dict[str, float]]]:
 def comparison_table(measured: Measured) -> Table:
     """Every published figure beside ours, with the deviation."""
     table = Table(title="Published and reproduced", title_justify="left")
-    for heading in ("Source", "Case", "Controller", "Figure"):
+    for heading in ("Source", "Case", "Controller", "Figure", "Unit"):
         table.add_column(heading)
     for heading in ("Reference", "Ours", "Deviation", "in %"):
         table.add_column(heading, justify="right")
@@ -37,7 +38,8 @@ def comparison_table(measured: Measured) -> Table:
             figure.where,
             figure.case,
             CONTROLLERS[figure.controller],
-            escape(figure.label),
+            figure.label,
+            escape(figure.unit),
             f"{figure.value:.4g}",
             f"{ours:.4g}",
             f"{deviation:+.2g}",

@@ -19,6 +19,7 @@ class Published:
     controller: str
     metric: str
     label: str
+    unit: str
     value: float
     status: str  # how ours came about: fitted, predicted, or computed from published numbers alone
 
@@ -28,24 +29,24 @@ class Published:
 
 
 def _row(
-    where: str, case: str, metric: str, label: str, l1: float, extended: float, status: str
+    where: str, case: str, metric: str, label: str, unit: str, l1: float, extended: float, status: str
 ) -> list[Published]:
     return [
-        Published(where, case, "l1", metric, label, l1, status),
-        Published(where, case, "extended", metric, label, extended, status),
+        Published(where, case, "l1", metric, label, unit, l1, status),
+        Published(where, case, "extended", metric, label, unit, extended, status),
     ]
 
 
 PUBLISHED = (
-    *_row("Table 1", "nominal", "settling_time_s", "Settling time [s]", 65.0, 45.0, "fitted"),
-    *_row("Table 1", "nominal", "rmse_cm", "RMSE [cm]", 12.1, 4.35, "fitted"),
-    *_row("Table 2", "buoyancy", "settling_time_s", "Settling time [s]", 68.0, 45.0, "predicted"),
-    *_row("Table 2", "buoyancy", "rmse_cm", "RMSE [cm]", 13.8, 4.86, "predicted"),
-    *_row("Section 5.2", "nominal", "holding_thrust_n", "Holding thrust [N]", 1.2, 1.2, "W - B, drag"),
+    *_row("Table 1", "nominal", "settling_time", "Settling time", "s", 65.0, 45.0, "fitted"),
+    *_row("Table 1", "nominal", "rmse", "RMSE", "cm", 12.1, 4.35, "fitted"),
+    *_row("Table 2", "buoyancy", "settling_time", "Settling time", "s", 68.0, 45.0, "predicted"),
+    *_row("Table 2", "buoyancy", "rmse", "RMSE", "cm", 13.8, 4.86, "predicted"),
+    *_row("Section 5.2", "nominal", "holding_thrust", "Holding thrust", "N", 1.2, 1.2, "W - B, drag"),
     Published(
-        "Section 5.3", "buoyancy", "extended", "holding_thrust_n", "Holding thrust [N]", 1.4, "W - B, drag"
+        "Section 5.3", "buoyancy", "extended", "holding_thrust", "Holding thrust", "N", 1.4, "W - B, drag"
     ),
-    *_row("Oracle, x(0) = 0", "example", "lag_s", "Lag [s]", 1.403, 0.048, "computed"),
-    *_row("Oracle, x(0) = 0", "example", "rmse", "RMSE [1]", 19.80, 0.798, "computed"),
+    *_row("Oracle, x(0) = 0", "example", "lag", "Lag", "s", 1.403, 0.048, "computed"),
+    *_row("Oracle, x(0) = 0", "example", "rmse", "RMSE", "1", 19.80, 0.798, "computed"),
 )
 """Published figures and, for the example, the independent oracles."""

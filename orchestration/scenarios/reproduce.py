@@ -5,15 +5,15 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
 
 from fmus.files import write_json_atomically
 from fmus.registry import Flavour
 from orchestration.errors import SimulationError
 from orchestration.master import simulate
+from orchestration.master.checkpoint import Checkpoint, Checkpoints
 from orchestration.results import metrics
 from orchestration.results.formats import FigureFormat, RecordingFormat
-from orchestration.results.metric_units import metric_unit
+from orchestration.results.metric_units import MetricDocument, metric_units, with_units
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 from orchestration.scenarios.paper_tables import summary
@@ -34,37 +34,55 @@ class Result:
     def metric_units(self) -> dict[str, str]:
         """Unit of each metric, "" where it is not known."""
         signals = dict(zip(self.recording.names, self.recording.units, strict=True))
-        return {name: metric_unit(call, signals) for name, call in self.scenario.metrics.items()}
+        return metric_units(self.scenario.metrics, signals)
+
+    @property
+    def metrics_with_units(self) -> MetricDocument:
+        """The metrics as the files hold them."""
+        return with_units(self.metrics, self.metric_units)
 
 
 def run(
-    chosen: Scenario,
+    loaded: Scenario,
     folder: Path,
     progress: Callable[[int, int], None] | None = None,
     file_format: RecordingFormat = RecordingFormat.CSV,
-    **options: Any,
+    *,
+    timeout: float | None = None,
+    real_time: float | None = None,
+    checkpoints: Checkpoints | None = None,
+    resume: Checkpoint | None = None,
 ) -> Result:
-    """Run one scenario and write NAME.csv or .parquet and NAME.json (what was run, metrics) to `folder`.
+    """Run one scenario and write NAME.csv or .parquet and NAME.json (settings, FMUs, metrics) to `folder`.
 
-    options: of `simulate`. A run that ends early leaves what was recorded as NAME.partial.csv or .parquet.
+    progress .. resume: of `simulate`. A run that ends early leaves its recording as NAME.partial.csv or
+    .parquet.
     """
-    file = folder / f"{chosen.name}.{file_format}"
+    file = folder / f"{loaded.name}.{file_format}"
     try:
-        recording = simulate(chosen.system, chosen.experiment, progress, **options)
+        recording = simulate(
+            loaded.system,
+            loaded.experiment,
+            progress,
+            timeout=timeout,
+            real_time=real_time,
+            checkpoints=checkpoints,
+            resume=resume,
+        )
     except SimulationError as error:
         if len(error.recording.time):
-            error.recording.write(file.with_name(f"{chosen.name}.partial.{file_format}"))
+            error.recording.write(file.with_name(f"{loaded.name}.partial.{file_format}"))
         raise
     recording.write(file)
-    measured = metrics.evaluate(recording, chosen.metrics)
+    result = Result(loaded, recording, metrics.evaluate(recording, loaded.metrics))
     document = {
         "recording": file.name,
-        "scenario": chosen.resolved,
+        "scenario": loaded.resolved,
         "run": recording.provenance,
-        "metrics": measured,
+        "metrics": result.metrics_with_units,
     }
-    write_json_atomically(folder / f"{chosen.name}.json", document)
-    return Result(chosen, recording, measured)
+    write_json_atomically(folder / f"{loaded.name}.json", document)
+    return result
 
 
 def run_all(
@@ -73,7 +91,7 @@ def run_all(
     progress: Callable[[str], None] = lambda name: None,
     flavour: Flavour = Flavour.NATIVE,
 ) -> dict[str, Result]:
-    """Run every shipped scenario in `workers` processes; `progress` hears of each that is done."""
+    """Run every shipped scenario in `workers` processes; `progress` gets the name of each that is done."""
     paths = scenario.shipped()
     names = sorted(paths, key=lambda name: name not in _LONGEST_FIRST)
     scenarios = {name: scenario.load(paths[name], flavour=flavour) for name in names}
@@ -105,6 +123,6 @@ def write_report(
     recordings = {name: result.recording for name, result in results.items()}
     measured = {name: result.metrics for name, result in results.items()}
     path = folder / "summary.json"
-    write_json_atomically(path, summary(measured))
+    write_json_atomically(path, summary({name: r.metrics_with_units for name, r in results.items()}))
     figures = (paper_figures.figure_3, paper_figures.figure_5, paper_figures.figure_6)
     return [path, *(file for draw in figures for file in draw(recordings, measured, folder, formats))]

@@ -16,7 +16,7 @@ from typing import Any
 from fmus.extras import imports_of
 from fmus.files import open_atomically
 from orchestration.errors import SweepError
-from orchestration.results.metric_units import metric_unit
+from orchestration.results.metric_units import metric_units
 from orchestration.sweep.plan import Plan
 
 with imports_of("sweep", "a sweep"):
@@ -56,15 +56,13 @@ def provenance(plan: Plan, recorded: tuple[str, ...] | None) -> dict[str, Any]:
 
 def schema(plan: Plan) -> pa.Schema:
     """The columns, each with its role and unit."""
-    units = {name: port.variable.unit or "" for name, port in plan.checked.ports.items()}
+    signal_units = {name: port.variable.unit or "" for name, port in plan.checked.ports.items()}
+    units = metric_units(plan.scenario.metrics, signal_units)
     return pa.schema(
         [
             _field(SAMPLE, pa.int64(), SAMPLE),
             *(_field(v.target.name, _TYPES[v.target.type], "varied", v.target.unit) for v in plan.varied),
-            *(
-                _field(n, pa.float64(), "metric", metric_unit(m, units))
-                for n, m in plan.scenario.metrics.items()
-            ),
+            *(_field(name, pa.float64(), "metric", unit) for name, unit in units.items()),
             _field(ERROR, pa.string(), ERROR),
         ]
     )

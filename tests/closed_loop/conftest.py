@@ -32,9 +32,21 @@ def results(folder: Path, scenario_fmus: None) -> dict[str, Result]:
 
 
 @pytest.fixture(scope="session")
-def summary(results: dict[str, Result], folder: Path) -> dict[str, Any]:
-    """What `l1-depth reproduce` writes to summary.json."""
+def summary_document(results: dict[str, Result], folder: Path) -> dict[str, Any]:
+    """What `l1-depth reproduce` writes to summary.json: case -> controller -> metric -> value and unit."""
     return json.loads((folder / "summary.json").read_text())
+
+
+@pytest.fixture(scope="session")
+def summary(summary_document: dict[str, Any]) -> dict[str, dict[str, dict[str, float]]]:
+    """The values of summary.json: case -> controller -> metric."""
+    return {
+        case: {
+            controller: {name: metric["value"] for name, metric in metrics.items()}
+            for controller, metrics in controllers.items()
+        }
+        for case, controllers in summary_document.items()
+    }
 
 
 @pytest.fixture(scope="session")

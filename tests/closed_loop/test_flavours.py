@@ -63,11 +63,11 @@ def test_trajectories_agree(results: dict[str, Result], python_results: dict[str
 
 @pytest.mark.slow
 def test_the_tables_are_the_same(
-    results: dict[str, Result], python_results: dict[str, Result], summary: dict[str, Any]
+    results: dict[str, Result], python_results: dict[str, Result], summary_document: dict[str, Any]
 ) -> None:
-    by_python = summary_of({name: result.metrics for name, result in python_results.items()})
-    assert summary.keys() == by_python.keys()
-    for ours, theirs in zip(flat(summary), flat(by_python), strict=True):
+    by_python = summary_of({name: result.metrics_with_units for name, result in python_results.items()})
+    assert summary_document.keys() == by_python.keys()
+    for ours, theirs in zip(flat(summary_document), flat(by_python), strict=True):
         assert ours == (pytest.approx(theirs, rel=1e-6) if isinstance(theirs, float) else theirs)
 
 

@@ -17,19 +17,19 @@ base = "{base}"
 [experiment]
 stop_time = {stop}
 step_size = 0.02
-[metrics.settling_time_s]
+[metrics.settling_time]
 function = "settling_time"
 signal = "plant.depth"
 target = 0.8
 band = 0.04
-[metrics.overshoot_pct]
+[metrics.overshoot]
 function = "overshoot"
 signal = "plant.depth"
 target = 0.8
-[metrics.holding_thrust_n]
+[metrics.holding_thrust]
 function = "mean"
 signal = "plant.total_force"
-[metrics.lag_s]
+[metrics.lag]
 function = "shift_lag"
 signal = "plant.depth"
 reference = "controller.depth_reference"
@@ -149,7 +149,7 @@ def test_run_writes_recording_metrics_provenance_and_figure(tmp_path: Path) -> N
     document = json.loads((tmp_path / "out" / "short.json").read_text())
     assert document["scenario"]["parameters"]["controller.augmentation"] == "pi"
     assert len(document["run"]["fmus"]["plant"]["guid"]) == 36
-    assert set(document["metrics"]) >= {"rmse_cm", "holding_thrust_n"}
+    assert set(document["metrics"]) >= {"rmse", "holding_thrust"}
 
 
 def test_run_writes_parquet_with_the_provenance_inside(tmp_path: Path) -> None:

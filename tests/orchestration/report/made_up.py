@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from fmus.files import write_json_atomically
+from orchestration.results.metric_units import with_units
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 from orchestration.sweep import table
@@ -19,15 +20,17 @@ SCENARIO: dict[str, Any] = {
     "parameters": {"plant.mass": 5.5},
     "experiment": {"stop_time": 10.0, "step_size": 0.1},
     "metrics": {
-        "rmse_cm": {
+        "rmse": {
             "function": "rmse",
             "signal": "plant.depth",
             "reference": "plant.reference",
             "scale": 100.0,
+            "unit": "cm",
         },
-        "settling_time_s": {"function": "settling_time", "signal": "plant.depth"},
+        "settling_time": {"function": "settling_time", "signal": "plant.depth"},
     },
 }
+UNITS = {"rmse": "cm", "settling_time": "s"}
 PROVENANCE = {
     "fmus": {"plant": {"guid": "1f2e-3d4c", "model": "Vehicle", "tool": "made up"}},
     "algorithm": "jacobi",
@@ -59,7 +62,7 @@ def write_run(
         "recording": f"{name}.{ending}",
         "scenario": {**SCENARIO, **scenario_keys},
         "run": run.provenance,
-        "metrics": {"rmse_cm": 4.35, "settling_time_s": 43.7} if measured is None else measured,
+        "metrics": with_units({"rmse": 4.35, "settling_time": 43.7} if measured is None else measured, UNITS),
     }
     write_json_atomically(folder / f"{name}.json", document)
     return folder / f"{name}.json"
@@ -77,8 +80,8 @@ def write_sweep(folder: Path, samples: int = 100) -> Path:
         values = wanted.values(sample)
         mass, lift = values["plant.inertia"], values["plant.buoyancy_change"]
         metrics = {name: i + mass for i, name in enumerate(wanted.scenario.metrics)}
-        metrics["rmse_cm"] = -mass
-        metrics["holding_thrust_n"] = 1.2 + lift + 0.1 * math.sin(sample)
+        metrics["rmse"] = -mass
+        metrics["holding_thrust"] = 1.2 + lift + 0.1 * math.sin(sample)
         error = FAILED.get(sample)
         rows.append({"sample": sample, **values, **({} if error else metrics), "error": error})
     path = folder / "monte-carlo.sweep.parquet"

@@ -44,6 +44,7 @@ def test_a_recording_that_the_document_does_not_name_stands_alone(tmp_path: Path
     assert names(tmp_path) == ["dive.csv", "dive.json"]
 
 
+@pytest.mark.usefixtures("scenario_fmus")
 def test_a_folder_gives_its_runs_sweeps_and_recordings_and_nothing_else(tmp_path: Path) -> None:
     write_run(tmp_path, "dive")
     write_sweep(tmp_path, 3)
@@ -106,6 +107,14 @@ def test_a_document_with_something_else_in_a_table_is_refused(key: str, tmp_path
         found_results([document])
 
 
+def test_a_metric_without_a_unit_is_refused(tmp_path: Path) -> None:
+    document = write_run(tmp_path, "dive")
+    content = json.loads(document.read_text()) | {"metrics": {"rmse": 4.35}}
+    document.write_text(json.dumps(content))
+    with pytest.raises(OrchestrationError, match=r"metric rmse: expected a value and a unit, got 4\.35"):
+        found_results([document])
+
+
 def test_a_document_whose_recording_is_gone_is_refused(tmp_path: Path) -> None:
     document = write_run(tmp_path, "dive")
     (tmp_path / "dive.csv").unlink()
@@ -113,6 +122,7 @@ def test_a_document_whose_recording_is_gone_is_refused(tmp_path: Path) -> None:
         found_results([document])
 
 
+@pytest.mark.usefixtures("scenario_fmus")
 def test_an_empty_folder_and_an_empty_sweep_are_refused(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(OrchestrationError, match="no result in this folder"):
@@ -123,12 +133,14 @@ def test_an_empty_folder_and_an_empty_sweep_are_refused(tmp_path: Path) -> None:
         found_results([path])
 
 
+@pytest.mark.usefixtures("scenario_fmus")
 def test_equal_results_give_equal_pages(tmp_path: Path) -> None:
     write_run(tmp_path, "dive")
     write_sweep(tmp_path, 20)
     assert render(found_results([tmp_path])) == render(found_results([tmp_path]))
 
 
+@pytest.mark.usefixtures("scenario_fmus")
 def test_a_page_names_what_is_on_it(tmp_path: Path) -> None:
     run = write_run(tmp_path, "dive")
     sweep = write_sweep(tmp_path, 20)

@@ -18,8 +18,8 @@ Open = Callable[..., OpenedPage]
 @pytest.fixture
 def everything(opened: Open, tmp_path: Path) -> OpenedPage:
     """Three runs, one of them with other metrics and parameters, and a sweep."""
-    write_run(tmp_path, "a", measured={"rmse_cm": 12.1, "settling_time_s": -2.0})
-    write_run(tmp_path, "b", recording(phase=0.1), {"rmse_cm": 4.35, "settling_time_s": -10.0})
+    write_run(tmp_path, "a", measured={"rmse": 12.1, "settling_time": -2.0})
+    write_run(tmp_path, "b", recording(phase=0.1), {"rmse": 4.35, "settling_time": -10.0})
     write_run(tmp_path, "c", measured={"overshoot": -0.5}, parameters={"plant.mass": 7.0})
     write_sweep(tmp_path)
     return opened(tmp_path)
@@ -28,7 +28,7 @@ def everything(opened: Open, tmp_path: Path) -> OpenedPage:
 def test_runs_with_the_same_metrics_stand_side_by_side(everything: OpenedPage) -> None:
     tables = [" ".join(each.text.split()) for each in everything.all("#metrics table")]
     assert tables == [
-        "Run rmse_cm [0.01 m] settling_time_s [s] a 12.1 -2 b 4.35 -10",
+        "Run rmse [cm] settling_time [s] a 12.1 -2 b 4.35 -10",
         "Run overshoot c -0.5",
     ]
 
@@ -187,7 +187,7 @@ def test_hostile_texts_of_sweeps_stay_texts(opened: Open, tmp_path: Path) -> Non
     path = write_sweep(tmp_path)
     sweep = pq.read_table(path)
     renamed = [
-        HOSTILE if name == "plant.inertia" else HOSTILE + "2" if name == "rmse_cm" else name
+        HOSTILE if name == "plant.inertia" else HOSTILE + "2" if name == "rmse" else name
         for name in sweep.column_names
     ]
     errors = [HOSTILE if i == 0 else None for i in range(len(sweep))]

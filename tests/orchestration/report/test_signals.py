@@ -20,8 +20,8 @@ Open = Callable[..., OpenedPage]
 @pytest.fixture
 def two(opened: Open, tmp_path: Path) -> OpenedPage:
     """Two runs that differ in all signals but the reference, from results of both formats."""
-    write_run(tmp_path, "slow", measured={"rmse_cm": 12.1, "settling_time_s": 64.8})
-    write_run(tmp_path, "fast", recording(phase=0.5), {"rmse_cm": 4.35, "settling_time_s": 43.7}, "parquet")
+    write_run(tmp_path, "slow", measured={"rmse": 12.1, "settling_time": 64.8})
+    write_run(tmp_path, "fast", recording(phase=0.5), {"rmse": 4.35, "settling_time": 43.7}, "parquet")
     return opened(tmp_path / "slow.json", tmp_path / "fast.json")
 
 

@@ -52,15 +52,15 @@ def test_every_metric_has_its_histogram_of_the_samples_that_succeeded(
     assert counts == [len(rows) - len(FAILED)] * len(metrics)
     captions = [each.text for each in swept.all(".histograms figcaption")]
     assert [caption.split(" [")[0] for caption in captions] == metrics
-    assert "rmse_cm [0.01 m]" in captions
+    assert "rmse [cm]" in captions
 
 
 def test_the_table_of_distributions_tells_mean_and_percentiles(
     swept: OpenedPage, rows: list[dict[str, Any]]
 ) -> None:
-    values = [row["holding_thrust_n"] for row in rows if not row["error"]]
+    values = [row["holding_thrust"] for row in rows if not row["error"]]
     (row,) = [each for each in swept.all(".distributions tbody tr") if each.text.startswith("holding")]
-    shown = [float(cell) for cell in row.text.removeprefix("holding_thrust_n [N]").split()]
+    shown = [float(cell) for cell in row.text.removeprefix("holding_thrust N").split()]
     expected = [np.mean(values), np.std(values, ddof=1), *np.percentile(values, [0, 5, 50, 95, 100])]
     assert shown == pytest.approx(expected, rel=1e-4)  # shown with five digits
 
@@ -70,14 +70,14 @@ def test_at_first_the_strongest_dependence_is_drawn(swept: OpenedPage, rows: lis
 
 
 def test_the_selects_choose_what_is_drawn_against_what(swept: OpenedPage, rows: list[dict[str, Any]]) -> None:
-    swept.choose(".across", "plant.inertia [kg]").choose(".up", "rmse_cm [0.01 m]")
+    swept.choose(".across", "plant.inertia [kg]").choose(".up", "rmse [cm]")
     drawn = points(swept)
     assert drawn["x"] == [row["plant.inertia"] for row in rows]
-    assert drawn["y"] == [row["rmse_cm"] for row in rows]
+    assert drawn["y"] == [row["rmse"] for row in rows]
     titles = swept.run(
         "return ['xaxis', 'yaxis'].map((axis) => document.querySelector('.scatter').layout[axis].title.text)"
     )
-    assert titles == ["plant.inertia [kg]", "rmse_cm [0.01 m]"]
+    assert titles == ["plant.inertia [kg]", "rmse [cm]"]
     swept.choose(".across", "sample")
     assert points(swept)["x"] == list(range(len(rows)))
 
@@ -85,13 +85,13 @@ def test_the_selects_choose_what_is_drawn_against_what(swept: OpenedPage, rows: 
 def test_a_click_on_a_point_shows_its_sample_and_how_to_run_it_again(
     swept: OpenedPage, rows: list[dict[str, Any]]
 ) -> None:
-    swept.choose(".across", "plant.inertia [kg]").choose(".up", "holding_thrust_n [N]")
+    swept.choose(".across", "plant.inertia [kg]").choose(".up", "holding_thrust [N]")
     sample = max(range(len(rows)), key=lambda i: rows[i]["plant.inertia"])  # at the edge: nothing covers it
     swept.click_point(swept.one(".scatter"), 0, sample)
     swept.until(lambda: facts(swept))
     assert swept.one(".chosen h4").text == f"Sample {sample}"
     assert float(facts(swept)["plant.inertia [kg]"]) == rows[sample]["plant.inertia"]
-    assert float(facts(swept)["holding_thrust_n [N]"]) == rows[sample]["holding_thrust_n"]
+    assert float(facts(swept)["holding_thrust [N]"]) == rows[sample]["holding_thrust"]
     assert swept.one(".chosen code").text == f"l1-depth sweep monte-carlo --sample {sample}"
     ring = swept.run("return document.querySelector('.scatter').data[1].x")
     assert ring == [rows[sample]["plant.inertia"]]
@@ -101,7 +101,7 @@ def test_a_sample_is_found_by_its_number_also_one_that_failed(swept: OpenedPage)
     swept.write("input.sample", "7")
     assert FAILED[7] in swept.one(".chosen").text
     assert "plant.inertia [kg]" in facts(swept)
-    assert "rmse_cm [0.01 m]" not in facts(swept)
+    assert "rmse [cm]" not in facts(swept)
     swept.write("input.sample", "100")
     assert swept.one(".chosen").text == "No sample 100: expected 0 to 99."
 
@@ -117,7 +117,7 @@ def test_failed_samples_are_listed_with_their_errors(swept: OpenedPage, rows: li
 
 def test_rank_correlations_tell_what_a_metric_depends_on(swept: OpenedPage) -> None:
     """-1 for the metric that was made to fall with the mass."""
-    cells = swept.all(".correlations td[data-label=rmse_cm]")
+    cells = swept.all(".correlations td[data-label=rmse]")
     by_row = {cell.find_element("xpath", "../th").text: cell.text for cell in cells}
     assert by_row["plant.inertia"] == "-1.00"
     assert abs(float(by_row["plant.sensor_noise"])) < 0.5

@@ -2,10 +2,16 @@
 
 import pytest
 
-from orchestration.results.metric_units import metric_unit
+from orchestration.results.metric_units import metric_unit, with_units
 from orchestration.results.metrics import FUNCTIONS
 
-UNITS = {"plant.depth": "m", "plant.force": "N", "plant.ratio": "1", "plant.unknown": ""}
+UNITS = {
+    "plant.depth": "m",
+    "plant.force": "N",
+    "plant.speed": "m/s",
+    "plant.ratio": "1",
+    "plant.unknown": "",
+}
 
 
 @pytest.mark.parametrize(
@@ -19,8 +25,11 @@ UNITS = {"plant.depth": "m", "plant.force": "N", "plant.ratio": "1", "plant.unkn
         ({"function": "total_variation", "signal": "plant.ratio"}, "1"),
         ({"function": "rmse", "signal": "plant.depth"}, "m"),
         ({"function": "rmse", "signal": "plant.depth", "scale": 100.0}, "0.01 m"),
+        ({"function": "rmse", "signal": "plant.depth", "scale": 100.0, "unit": "cm"}, "cm"),
         ({"function": "rmse", "signal": "plant.depth", "scale": 0.0}, ""),
-        ({"function": "effort", "signal": "plant.force"}, "N s"),
+        ({"function": "mean", "signal": "plant.unknown", "unit": "V"}, "V"),
+        ({"function": "effort", "signal": "plant.force"}, "N.s"),
+        ({"function": "effort", "signal": "plant.speed"}, "(m/s).s"),
         ({"function": "effort", "signal": "plant.ratio"}, "s"),
         ({"function": "effort", "signal": "plant.unknown"}, ""),
         ({"function": "mean", "signal": "plant.unknown"}, ""),
@@ -29,6 +38,13 @@ UNITS = {"plant.depth": "m", "plant.force": "N", "plant.ratio": "1", "plant.unkn
 )
 def test_a_unit_follows_from_the_function_and_its_signal(call: dict, unit: str) -> None:
     assert metric_unit(call, UNITS) == unit
+
+
+def test_a_file_has_a_unit_beside_every_value() -> None:
+    assert with_units({"lag": 1.5, "score": 2.0}, {"lag": "s"}) == {
+        "lag": {"value": 1.5, "unit": "s"},
+        "score": {"value": 2.0, "unit": ""},
+    }
 
 
 @pytest.mark.parametrize("function", FUNCTIONS)

@@ -11,16 +11,16 @@ from orchestration.scenarios import scenario
 from orchestration.scenarios.identify import GAINS, SCENARIOS, TARGETS, identify, residuals
 
 ON_TARGET: dict[str, dict[str, Any]] = {
-    name: {t.metric: t.value for t in TARGETS if t.scenario == name} | {"overshoot_pct": 0.5}
+    name: {t.metric: t.value for t in TARGETS if t.scenario == name} | {"overshoot": 0.5}
     for name in SCENARIOS
 }
 
 
 def test_the_residual_is_zero_on_target_and_one_at_the_tolerance() -> None:
     assert residuals(ON_TARGET).tolist() == [0.0] * 6
-    late = {**ON_TARGET, "nominal-l1": ON_TARGET["nominal-l1"] | {"settling_time_s": 68.0}}
+    late = {**ON_TARGET, "nominal-l1": ON_TARGET["nominal-l1"] | {"settling_time": 68.0}}
     assert residuals(late).tolist() == [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-    high = {**ON_TARGET, "nominal-extended": ON_TARGET["nominal-extended"] | {"overshoot_pct": 1.25}}
+    high = {**ON_TARGET, "nominal-extended": ON_TARGET["nominal-extended"] | {"overshoot": 1.25}}
     assert residuals(high).tolist() == [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
 
 
@@ -39,15 +39,29 @@ def test_one_seed_one_fit_and_the_file_is_what_scenarios_read(tmp_path: Path) ->
         assert gain.low <= first.gains[gain.name] <= gain.high
     path = tmp_path / "fit.toml"
     identification.write(first, path)
+    assert not path.read_text().startswith("#")
     assert scenario.parameter_values(path) == first.gains
     entry = tomllib.loads(path.read_text())["parameters"]["controller.proportional_gain"]
     assert entry["unit"] == "N/m"
     assert "not a published value" in entry["source"]
+    rmse = tomllib.loads(path.read_text())["identification"]["metrics"]["nominal-l1"]["rmse"]
+    assert rmse == {"value": first.metrics["nominal-l1"]["rmse"], "unit": "cm"}
+
+
+def test_a_file_that_is_replaced_keeps_the_line_of_its_schema(tmp_path: Path) -> None:
+    values = {gain.name: gain.low for gain in GAINS}
+    fit = identification.Fit(gains=values, metrics={}, metric_units={}, cost=0.0, evaluations=1, seed=1)
+    path = tmp_path / "identified.toml"
+    path.write_text("#:schema ../parameters.schema.json\n[parameters]\n")
+    identification.write(fit, path)
+    assert path.read_text().startswith("#:schema ../parameters.schema.json\n[identification]\n")
+    assert scenario.parameter_values(path) == values
 
 
 def test_the_shipped_gains_are_the_fit_that_their_file_claims() -> None:
     """Running the nominal scenario gives the metrics that the file was written with."""
     path = Path(scenario.__file__).parent / "parameters" / "identified.toml"
-    claimed = tomllib.loads(path.read_text())["identification"]["metrics"]["nominal-extended"]
+    document = tomllib.loads(path.read_text())["identification"]["metrics"]["nominal-extended"]
+    claimed = {name: metric["value"] for name, metric in document.items()}
     # the same program on another machine differs by the rounding of its libm, which noise enlarges
     assert identification.run_with("nominal-extended", {}) == pytest.approx(claimed, rel=1e-3)

@@ -69,9 +69,9 @@ def test_a_shipped_scenario_can_be_the_base_by_its_name(tmp_path: Path) -> None:
 
 def test_a_window_beyond_the_run_is_refused_before_it(tmp_path: Path) -> None:
     text = 'base = "nominal-extended"\n[experiment]\nstop_time = 60.0\nstep_size = 0.02\n'
-    with pytest.raises(ScenarioError, match=r"metric holding_thrust_n: window \[290.0, 310.0\]: .*0..60 s"):
+    with pytest.raises(ScenarioError, match=r"metric holding_thrust: window \[290.0, 310.0\]: .*0..60 s"):
         scenario.load(write(tmp_path, text))
-    assert scenario.load(write(tmp_path, text + "[metrics]\nholding_thrust_n = false\n"))
+    assert scenario.load(write(tmp_path, text + "[metrics]\nholding_thrust = false\n"))
 
 
 def test_a_metric_of_the_base_can_be_dropped(tmp_path: Path) -> None:

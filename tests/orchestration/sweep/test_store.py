@@ -58,7 +58,7 @@ def test_units_stand_in_the_columns(tmp_path: Path) -> None:
     columns = table.schema(plan(scenario.load(scenario.find("monte-carlo"))))
     units = {field.name: field.metadata[b"unit"].decode() for field in columns}
     assert units["plant.inertia"] == "kg"
-    assert units["settling_time_s"] == "s"
+    assert units["settling_time"] == "s"
     assert units["sample"] == units["error"] == ""
 
 
