@@ -10,7 +10,7 @@ import io
 from xml.etree import ElementTree
 
 from fmus.block import Value
-from fmus.documentation.reference_results import Run
+from fmus.documentation.reference_results import ReferenceRun
 
 LS_REF = "org.fmi-standard.fmi-ls-ref"
 RELATIVE_TOLERANCE = (
@@ -20,7 +20,7 @@ _FOLDER = f"extra/{LS_REF}"
 _MANIFEST_NAMESPACE = "http://fmi-standard.org/fmi-ls-manifest"
 
 
-def cross_check_files(run: Run, name: str) -> dict[str, bytes]:
+def cross_check_files(run: ReferenceRun, name: str) -> dict[str, bytes]:
     """File name -> content of what stands beside NAME.fmu for the FMI cross-check."""
     options = {
         "StartTime": 0.0,
@@ -34,7 +34,7 @@ def cross_check_files(run: Run, name: str) -> dict[str, bytes]:
     return _tables(run, name) | {f"{name}_ref.opt": lines.encode()}
 
 
-def members(run: Run, name: str) -> dict[str, bytes]:
+def members(run: ReferenceRun, name: str) -> dict[str, bytes]:
     """Path inside the FMU -> content of what FMI-LS-REF describes."""
     tables = _tables(run, name)
     files = tables | {f"{name}.exp": _experiments(run, name, tables)}
@@ -43,7 +43,7 @@ def members(run: Run, name: str) -> dict[str, bytes]:
     }
 
 
-def _tables(run: Run, name: str) -> dict[str, bytes]:
+def _tables(run: ReferenceRun, name: str) -> dict[str, bytes]:
     tables = {f"{name}_ref.csv": _csv(run.outputs, run.output_rows)}
     return tables | ({f"{name}_in.csv": _csv(run.inputs, run.input_rows)} if run.inputs else {})
 
@@ -57,7 +57,7 @@ def _csv(names: tuple[str, ...], rows: tuple[tuple[Value, ...], ...]) -> bytes:
     return stream.getvalue().encode()
 
 
-def _experiments(run: Run, name: str, tables: dict[str, bytes]) -> bytes:
+def _experiments(run: ReferenceRun, name: str, tables: dict[str, bytes]) -> bytes:
     root = ElementTree.Element("Experiments", name=f"Reference experiment of {name}")
     experiment = ElementTree.SubElement(
         root,

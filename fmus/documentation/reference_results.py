@@ -17,7 +17,7 @@ _MOST_INTERVALS = 400
 
 
 @dataclass(frozen=True)
-class Run:
+class ReferenceRun:
     """The experiment of a block in numbers: times in s, rows of (time, value, ...)."""
 
     stop_time: float
@@ -29,7 +29,7 @@ class Run:
     output_rows: tuple[tuple[Value, ...], ...]
 
 
-def reference_run(block: Block) -> Run:
+def reference_run(block: Block) -> ReferenceRun:
     """Inputs and outputs of the experiment of a block's guide.
 
     Outputs are those before the inputs of the same time are set, as every master records them; a start
@@ -43,7 +43,7 @@ def reference_run(block: Block) -> Run:
     stimuli = _stimuli(block)
     outputs = block.of_causality("output")
     rows = tuple(_trajectory(block, stimuli, step_size, count, every))
-    return Run(
+    return ReferenceRun(
         stop_time=count * step_size,
         step_size=step_size,
         output_interval=every * step_size,

@@ -2,6 +2,6 @@
 
 from orchestration.report.find import found_results
 from orchestration.report.render import render
-from orchestration.report.result import Run, Sweep
+from orchestration.report.result import RunResult, SweepResult
 
-__all__ = ["Run", "Sweep", "found_results", "render"]
+__all__ = ["RunResult", "SweepResult", "found_results", "render"]

@@ -4,14 +4,14 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from orchestration.report.result import Run
+from orchestration.report.result import RunResult
 
 _ABSENT = "not said"
 _FEW = 3
 _NEVER_TELLING = ("title",)  # it always differs, and is shown
 
 
-def differences(runs: list[Run]) -> dict[str, dict[str, str]]:
+def differences(runs: list[RunResult]) -> dict[str, dict[str, str]]:
     """Setting -> value as text -> who has it; of the settings that differ, sorted, rare values first."""
     settings = {run.name: flat({**run.scenario, "run": run.provenance}) for run in runs if run.scenario}
     found: dict[str, dict[str, str]] = {}

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from orchestration.report.result import Run, Sweep
+from orchestration.report.result import RunResult, SweepResult
 from orchestration.report.statistics import correlations, strongest
 
 
@@ -24,7 +24,7 @@ def _column(values: np.ndarray) -> str | list[str]:
     return packed(values) if np.issubdtype(values.dtype, np.number) else values.tolist()
 
 
-def run_data(run: Run) -> dict[str, Any]:
+def run_data(run: RunResult) -> dict[str, Any]:
     """What the page's script draws of a run."""
     recording = run.recording
     columns = zip(recording.names, recording.units, recording.values.T, strict=True)
@@ -45,7 +45,7 @@ def run_data(run: Run) -> dict[str, Any]:
     }
 
 
-def sweep_data(sweep: Sweep) -> dict[str, Any]:
+def sweep_data(sweep: SweepResult) -> dict[str, Any]:
     """What the page's script draws of a sweep."""
     return {
         "name": sweep.name,

@@ -12,7 +12,7 @@ import numpy as np
 from fmus.errors import nearest
 from orchestration.errors import OrchestrationError
 from orchestration.report import sweeps
-from orchestration.report.result import Run, Sweep
+from orchestration.report.result import RunResult, SweepResult
 from orchestration.report.toml import toml
 from orchestration.results.files import is_recording
 from orchestration.results.formats import RecordingFormat
@@ -23,12 +23,12 @@ _RUN_KEYS = {"recording", "scenario", "run", "metrics"}
 _RECORDINGS = {f".{ending}" for ending in RecordingFormat}
 
 
-def found_results(paths: Iterable[Path]) -> list[Run | Sweep]:
+def found_results(paths: Iterable[Path]) -> list[RunResult | SweepResult]:
     """The results that files and folders hold, each once, in the order given; those of a folder sorted.
 
     Raises OrchestrationError for a path that does not exist or holds no result.
     """
-    found: dict[Path, Run | Sweep] = {}
+    found: dict[Path, RunResult | SweepResult] = {}
     for path in paths:
         for file in _files(path):
             if file not in found:
@@ -84,16 +84,16 @@ def _recording_of(document: Path) -> Path | None:
     return document.with_name(str(content["recording"]))
 
 
-def _read(file: Path) -> Run | Sweep:
+def _read(file: Path) -> RunResult | SweepResult:
     if file.suffix == ".json":
         return _run(file)
     if table.is_sweep(file):
         return sweeps.read(file)
     recording = _recording(file)
-    return Run(file.stem, recording, provenance=recording.provenance)
+    return RunResult(file.stem, recording, provenance=recording.provenance)
 
 
-def _run(document: Path) -> Run:
+def _run(document: Path) -> RunResult:
     recording = _recording_of(document)
     if recording is None:
         raise OrchestrationError(
@@ -108,7 +108,7 @@ def _run(document: Path) -> Run:
     except TypeError as error:
         raise OrchestrationError(f"{document}: scenario: expected what TOML can say: {error}") from error
     values, units = _metrics(content["metrics"], document)
-    return Run(document.stem, _recording(recording), content["scenario"], content["run"], values, units)
+    return RunResult(document.stem, _recording(recording), content["scenario"], content["run"], values, units)
 
 
 def _metrics(content: Mapping[str, Any], document: Path) -> tuple[dict[str, float], dict[str, str]]:

@@ -12,23 +12,26 @@ from importlib import metadata
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
-from plotly.offline import get_plotlyjs, get_plotlyjs_version
 
+from fmus.extras import imports_of
 from orchestration.report.differences import differences, flat
 from orchestration.report.embedded import run_data, sweep_data
-from orchestration.report.result import Run, Sweep
+from orchestration.report.result import RunResult, SweepResult
 from orchestration.report.statistics import correlations, distributions
 from orchestration.report.toml import toml
+
+with imports_of("report", "a report"):
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup
+    from plotly.offline import get_plotlyjs, get_plotlyjs_version
 
 _SCRIPTS = ("common.js", "tables.js", "signals.js", "sweeps.js")
 
 
-def render(results: Sequence[Run | Sweep], title: str = "") -> str:
+def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
     """A self-contained HTML page of these results; by default titled after them."""
-    runs = [each for each in results if isinstance(each, Run)]
-    sweeps = [each for each in results if isinstance(each, Sweep)]
+    runs = [each for each in results if isinstance(each, RunResult)]
+    sweeps = [each for each in results if isinstance(each, SweepResult)]
     environment = Environment(
         loader=PackageLoader("orchestration.report", "files"), autoescape=True, undefined=StrictUndefined
     )
@@ -62,16 +65,16 @@ def _sha256(script: str) -> str:
     return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
 
 
-def _title(runs: Sequence[Run], sweeps: Sequence[Sweep]) -> str:
+def _title(runs: Sequence[RunResult], sweeps: Sequence[SweepResult]) -> str:
     if len(runs) + len(sweeps) == 1:
         return [*runs, *sweeps][0].title
     counted = [(len(runs), "run"), (len(sweeps), "sweep")]
     return " and ".join(f"{count} {what}{'s' * (count > 1)}" for count, what in counted if count)
 
 
-def _metric_groups(runs: Sequence[Run]) -> list[dict[str, Any]]:
+def _metric_groups(runs: Sequence[RunResult]) -> list[dict[str, Any]]:
     """Runs with the same metrics in the same units side by side."""
-    groups: dict[tuple[tuple[str, str], ...], list[Run]] = {}
+    groups: dict[tuple[tuple[str, str], ...], list[RunResult]] = {}
     for run in runs:
         if run.metrics:
             groups.setdefault(tuple(run.metric_units.items()), []).append(run)
@@ -81,7 +84,7 @@ def _metric_groups(runs: Sequence[Run]) -> list[dict[str, Any]]:
     ]
 
 
-def _failures(sweep: Sweep) -> list[dict[str, Any]]:
+def _failures(sweep: SweepResult) -> list[dict[str, Any]]:
     return [
         {
             "sample": int(sweep.samples[i]),
@@ -93,7 +96,7 @@ def _failures(sweep: Sweep) -> list[dict[str, Any]]:
     ]
 
 
-def _facts(result: Run | Sweep) -> dict[str, str]:
+def _facts(result: RunResult | SweepResult) -> dict[str, str]:
     """What is known of how a result came about, but for the FMUs; "step_size_s" is a step size [s]."""
     told = {key: value for key, value in result.provenance.items() if key != "fmus" and value is not None}
     return {re.sub(r"_s$", " [s]", key).replace("_", " "): value for key, value in flat(told).items()}

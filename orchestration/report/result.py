@@ -10,7 +10,7 @@ from orchestration.results.recording import Recording
 
 
 @dataclass(frozen=True)
-class Run:
+class RunResult:
     """A run. Of a recording that stands alone, scenario, provenance and metrics are empty.
 
     name: unique on a page; scenario: resolved, as TOML has it; provenance: FMUs, algorithm, step size
@@ -30,7 +30,7 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Sweep:
+class SweepResult:
     """Samples of a scenario; arrays have an entry a sample.
 
     samples: their numbers; varied: "component.variable" -> values; metrics: name -> values, NaN where a

@@ -5,14 +5,14 @@ from typing import Any
 import numpy as np
 from scipy.stats import rankdata
 
-from orchestration.report.result import Sweep
+from orchestration.report.result import SweepResult
 
 _PERCENTS = (0, 5, 50, 95, 100)
 
 Correlations = dict[str, dict[str, float | None]]
 
 
-def distributions(sweep: Sweep) -> list[dict[str, Any]]:
+def distributions(sweep: SweepResult) -> list[dict[str, Any]]:
     """Of each metric: mean, standard deviation (n - 1), least, 5 %, median, 95 % and largest value."""
     found = []
     for name, values in sweep.metrics.items():
@@ -24,7 +24,7 @@ def distributions(sweep: Sweep) -> list[dict[str, Any]]:
     return found
 
 
-def correlations(sweep: Sweep) -> Correlations:
+def correlations(sweep: SweepResult) -> Correlations:
     """varied number -> metric -> Spearman's rank correlation; None where one of them does not vary."""
     return {
         name: {metric: _rank_correlation(values, of) for metric, of in sweep.metrics.items()}

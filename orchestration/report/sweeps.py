@@ -4,23 +4,27 @@ import shlex
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 
+from fmus.extras import imports_of
 from orchestration.errors import OrchestrationError
-from orchestration.report.result import Sweep
+from orchestration.report.result import SweepResult
 from orchestration.scenarios import scenario
-from orchestration.sweep import table
+
+with imports_of("report", "a report"):
+    import pyarrow as pa
+
+    from orchestration.sweep import table  # which needs no more of the extra sweep
 
 _SHOWN_APART = {"name", "title", "scenario", "varied"}
 
 
-def read(file: Path) -> Sweep:
+def read(file: Path) -> SweepResult:
     """The sweep that a file holds, named after the file; OrchestrationError if it has no sample."""
     rows, provenance = table.read(file)
     if not rows.num_rows:
         raise OrchestrationError(f"{file}: expected at least one sample, got none")
     varied, metrics = table.names(rows.schema, "varied"), table.names(rows.schema, "metric")
-    return Sweep(
+    return SweepResult(
         name=file.stem,
         samples=rows[table.SAMPLE].to_numpy(),
         varied={name: _values(rows[name]) for name in varied},

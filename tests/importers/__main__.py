@@ -1,4 +1,4 @@
-"""Run packages in other people's importers and compare the depth with that of this master.
+"""Run packages in other people's importers and compare one output of each with this master's.
 
 Run `python -m tests.importers` in the project's root, with the extra `test` installed.
 """
@@ -20,7 +20,7 @@ from tests.printing import print_tables
 def main(
     markdown: Annotated[bool, typer.Option(help="Print the table of docs/how-to/ssp.md.")] = False,
 ) -> None:
-    """Run two packages in every importer that is installed and compare the depth with this master's."""
+    """Run two packages in every importer that is installed and compare an output with this master's."""
     for name in comparison.SCENARIOS:
         catalogue.build_missing(scenario.load(scenario.find(name)).system.components.values())
     with tempfile.TemporaryDirectory() as folder:
@@ -33,7 +33,7 @@ def main(
     print_tables([comparison.table(outcomes)], markdown)
     failed = sorted({outcome.importer for outcome in outcomes if outcome.problem and outcome.version})
     if failed:
-        raise SystemExit(f"{', '.join(failed)} failed: expected the same depth as this master's")
+        raise SystemExit(f"{', '.join(failed)} failed: expected the same values as this master's")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Our master against other importers: the same package, the depth at the same communication points."""
+"""Our master against other importers: the same package, one output at the same communication points."""
 
 import json
 import os
@@ -19,6 +19,7 @@ from orchestration.exchange.ssp_read import opened
 from orchestration.master import simulate
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
+from orchestration.scenarios.scenario import Scenario
 from tests.importers.importer_job import ImporterJob, Trajectory
 
 DISTRIBUTIONS = {
@@ -28,7 +29,6 @@ DISTRIBUTIONS = {
     "fmucontainer": "fmu-manipulation-toolbox",
 }
 SCENARIOS = ("nominal-extended", "nominal-l1")
-WATCHED = "plant.depth"
 _LONGEST_S = 300.0
 _SHIFTS = (0, 1, -1, 2, -2)
 
@@ -37,14 +37,17 @@ _SHIFTS = (0, 1, -1, 2, -2)
 class Outcome:
     """How one importer ran one scenario.
 
-    shift: communication steps that its labels are early, found as that of the least difference
-    difference: largest difference of the watched output from our master's, labels shifted by that
-    problem: why there is none
+    output: "component.variable" that is compared; unit: of this output
+    shift: communication steps that the importer's labels are early: the shift with the least difference
+    difference: largest difference of the output from our master's, labels shifted by that
+    problem: why there is no difference
     """
 
     importer: str
     version: str
     scenario: str
+    output: str
+    unit: str
     shift: int = 0
     difference: float = float("nan")
     problem: str = ""
@@ -60,12 +63,17 @@ def outcomes(folder: Path) -> Iterator[Outcome]:
         experiment = chosen.experiment
         times = experiment.start_time, experiment.stop_time, experiment.step_size
         for importer in DISTRIBUTIONS:
-            yield outcome(importer, ImporterJob(package, name, WATCHED, *times), ours)
+            yield outcome(importer, ImporterJob(package, name, compared_output(chosen, ours), *times), ours)
+
+
+def compared_output(chosen: Scenario, recording: Recording) -> str:
+    """The signal of the scenario's first metric; without metrics, the first that is recorded."""
+    return next((str(metric["signal"]) for metric in chosen.metrics.values()), recording.names[0])
 
 
 def outcome(importer: str, job: ImporterJob, ours: Recording) -> Outcome:
     """One importer on one package."""
-    blank = Outcome(importer, "", job.parameter_set)
+    blank = Outcome(importer, "", job.parameter_set, job.output, ours.unit(job.output))
     try:
         blank = replace(blank, version=version(DISTRIBUTIONS[importer]))
     except PackageNotFoundError:
@@ -103,7 +111,7 @@ def run_apart(importer: str, job: ImporterJob) -> Trajectory | str:
 def least_difference(answer: Trajectory, ours: Recording, job: ImporterJob) -> tuple[int, float]:
     """(shift, difference) as `Outcome` has them."""
     points = np.rint((answer.time - job.start_time) / job.step_size).astype(int)
-    found = {shift: _difference(answer.values, points + shift, ours[job.watched]) for shift in _SHIFTS}
+    found = {shift: _difference(answer.values, points + shift, ours[job.output]) for shift in _SHIFTS}
     shift = min(found, key=lambda each: found[each])
     return shift, found[shift]
 
@@ -113,13 +121,13 @@ def _difference(values: np.ndarray, points: np.ndarray, ours: np.ndarray) -> flo
     return float(np.max(np.abs(values[there] - ours[points[there]])))
 
 
-_HEADINGS = ("Importer", "Version", "Scenario", "Largest difference of depth", "Labels early by")
+_HEADINGS = ("Importer", "Version", "Scenario", "Output", "Largest difference", "Labels early by")
 
 
 def _cells(of: Outcome) -> tuple[str, ...]:
-    difference = of.problem or f"{of.difference:.1e} m"
+    difference = of.problem or f"{of.difference:.1e} {of.unit}".strip()
     shift = "" if of.problem else f"{of.shift} steps" if of.shift != 1 else "1 step"
-    return of.importer, of.version, of.scenario, difference, shift
+    return of.importer, of.version, of.scenario, of.output, difference, shift
 
 
 def table(found: list[Outcome]) -> Table:

@@ -18,4 +18,4 @@ def run(job: ImporterJob) -> Trajectory:
     result = simulate_ssp(
         str(job.package), job.start_time, job.stop_time, job.step_size, parameter_set=parameter_set
     )
-    return Trajectory(result["time"], result[job.watched])
+    return Trajectory(result["time"], result[job.output])

@@ -1,6 +1,6 @@
 """`fmucontainer` of the FMU manipulation toolbox: all FMUs in one container FMU, which FMPy then runs.
 
-It reads SSP packages itself, but not their parameters; here it is told everything in its own format.
+It reads SSP packages itself, but not their parameters; here everything is given in its own format.
 """
 
 import json
@@ -15,7 +15,7 @@ from orchestration.exchange.ssp_read import opened
 from orchestration.scenarios.scenario import Scenario
 from tests.importers.importer_job import ImporterJob, Trajectory
 
-_WATCHED = "watched"
+_OUTPUT = "compared"
 
 
 def run(job: ImporterJob) -> Trajectory:
@@ -31,9 +31,9 @@ def run(job: ImporterJob) -> Trajectory:
             stop_time=job.stop_time,
             step_size=job.step_size,
             output_interval=job.step_size,
-            output=[_WATCHED],
+            output=[_OUTPUT],
         )
-    return Trajectory(result["time"], result[_WATCHED])
+    return Trajectory(result["time"], result[_OUTPUT])
 
 
 def _described(loop: Scenario, job: ImporterJob) -> dict[str, Any]:
@@ -53,5 +53,5 @@ def _described(loop: Scenario, job: ImporterJob) -> dict[str, Any]:
         "fmu": [fmu.name for fmu in loop.system.components.values()],
         "link": [[*split(source), *split(target)] for source, target in loop.system.connections],
         "start": [[*split(name), value] for name, value in values.items()],
-        "output": [[*split(job.watched), _WATCHED]],
+        "output": [[*split(job.output), _OUTPUT]],
     }

@@ -1,4 +1,4 @@
-"""What every importer is asked, and what it answers."""
+"""What an importer does, and what it returns."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,13 +11,13 @@ class ImporterJob:
     """Run a package from its start to its stop time and report one output.
 
     parameter_set: name of the set that the package binds
-    watched: "component.variable"
+    output: "component.variable"
     start_time, stop_time, step_size: s
     """
 
     package: Path
     parameter_set: str
-    watched: str
+    output: str
     start_time: float
     stop_time: float
     step_size: float
@@ -29,7 +29,7 @@ class ImporterJob:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """The watched output at the times that the importer says [s]."""
+    """Values of the output at the importer's times [s]."""
 
     time: np.ndarray
     values: np.ndarray

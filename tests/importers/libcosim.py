@@ -13,7 +13,7 @@ _NANOSECOND = 1e-9
 
 
 def run(job: ImporterJob) -> Trajectory:
-    component, _, variable = job.watched.partition(".")
+    component, _, variable = job.output.partition(".")
     execution = CosimExecution.from_ssp_file(str(job.package), round(job.step_size / _NANOSECOND))
     observer = CosimObserver.create_last_value()
     execution.add_observer(observer)

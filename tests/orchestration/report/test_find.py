@@ -1,6 +1,8 @@
 """From paths to results: what is found, what is refused, what they are called."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from orchestration.errors import OrchestrationError
-from orchestration.report import Run, Sweep, found_results, render
+from orchestration.report import RunResult, SweepResult, found_results, render
 from orchestration.results.recording import Recording
 
 from .made_up import PROVENANCE, SCENARIO, recording, write_run, write_sweep
@@ -24,7 +26,7 @@ def test_a_run_is_found_by_either_of_its_files_and_once(ending: str, tmp_path: P
     document = write_run(tmp_path, "dive", ending=ending)
     data = document.with_suffix(f".{ending}")
     (run,) = found_results([document, data, tmp_path, document])
-    assert isinstance(run, Run)
+    assert isinstance(run, RunResult)
     assert (run.name, run.title, run.scenario, run.provenance) == (
         "dive",
         "A made-up dive",
@@ -39,7 +41,7 @@ def test_a_recording_that_the_document_does_not_name_stands_alone(tmp_path: Path
     write_run(tmp_path, "dive", ending="parquet")
     recording().write(tmp_path / "dive.csv")
     (run,) = found_results([tmp_path / "dive.csv"])
-    assert isinstance(run, Run)
+    assert isinstance(run, RunResult)
     assert (run.scenario, run.metrics) == ({}, {})
     assert names(tmp_path) == ["dive.csv", "dive.json"]
 
@@ -54,7 +56,7 @@ def test_a_folder_gives_its_runs_sweeps_and_recordings_and_nothing_else(tmp_path
     (tmp_path / "prices.csv").write_text("what,price\nthruster,100\n")
     pq.write_table(pa.table({"x": [1.0]}), tmp_path / "other.parquet")
     assert names(tmp_path) == ["dive", "failed.partial", "monte-carlo.sweep"]
-    assert [type(each) for each in found_results([tmp_path])] == [Run, Run, Sweep]
+    assert [type(each) for each in found_results([tmp_path])] == [RunResult, RunResult, SweepResult]
 
 
 def test_equal_names_are_told_apart_by_their_folders(tmp_path: Path) -> None:
@@ -147,5 +149,27 @@ def test_a_page_names_what_is_on_it(tmp_path: Path) -> None:
     bare = Recording(("a.x",), ("m",), np.arange(2.0), np.ones((2, 1)))
     assert "<title>A made-up dive</title>" in render(found_results([run]))
     assert "<title>1 run and 1 sweep</title>" in render(found_results([run, sweep]))
-    assert "<title>2 runs</title>" in render([Run("a", bare), Run("b", bare)])
+    assert "<title>2 runs</title>" in render([RunResult("a", bare), RunResult("b", bare)])
     assert "<title>For the customer</title>" in render(found_results([run]), "For the customer")
+
+
+def without(*libraries: str) -> str:
+    """What a process prints that imports the report where some libraries are not installed."""
+    code = f"""
+import sys
+sys.modules.update(dict.fromkeys({libraries!r}))
+try:
+    import orchestration.report
+except ImportError as error:
+    print(error)
+"""
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+
+
+@pytest.mark.parametrize("library", ["jinja2", "markupsafe", "plotly", "pyarrow"])
+def test_a_missing_library_is_one_line_with_the_extra(library: str) -> None:
+    assert without(library) == f"a report needs {library}: pip install 'l1-depth[report]'\n"
+
+
+def test_a_report_needs_nothing_else_of_other_extras() -> None:
+    assert without("dask", "distributed", "lief", "lxml", "pandas", "xarray") == ""

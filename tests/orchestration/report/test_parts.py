@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from orchestration.errors import OrchestrationError
-from orchestration.report import Run, Sweep, found_results
+from orchestration.report import RunResult, SweepResult, found_results
 from orchestration.report.differences import differences
 from orchestration.report.embedded import packed
 from orchestration.report.statistics import correlations, distributions, strongest
@@ -61,7 +61,7 @@ def test_embedded_numbers_are_exact(values: np.ndarray) -> None:
 
 
 def test_differences_are_by_setting_and_the_many_are_counted() -> None:
-    run = Run("run", recording(), SCENARIO, PROVENANCE)
+    run = RunResult("run", recording(), SCENARIO, PROVENANCE)
     heavy = replace(
         run, name="heavy", scenario={**SCENARIO, "parameters": {"plant.mass": 7.0}, "title": "Heavy"}
     )
@@ -77,9 +77,9 @@ def test_differences_are_by_setting_and_the_many_are_counted() -> None:
     assert differences([run, without])["parameters: plant.mass"] == {"5.5": "run", "not said": "without"}
 
 
-def sweep(varied: list[float], metric: list[float]) -> Sweep:
+def sweep(varied: list[float], metric: list[float]) -> SweepResult:
     count = len(metric)
-    return Sweep(
+    return SweepResult(
         "sweep",
         np.arange(count),
         {"plant.mass": np.array(varied), "plant.kind": np.array(["a"] * count)},

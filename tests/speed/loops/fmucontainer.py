@@ -10,7 +10,7 @@ from fmu_manipulation_toolbox.assembly import Assembly
 
 from tests.speed.pair import LEVEL, SIGNAL, STEP_SIZE, Pair
 
-_WATCHED = "watched"
+_OUTPUT = "level"
 
 
 def run(pair: Pair, steps: int) -> float:
@@ -26,9 +26,9 @@ def run(pair: Pair, steps: int) -> float:
             stop_time=stop_time,
             step_size=stop_time,
             output_interval=stop_time,
-            output=[_WATCHED],
+            output=[_OUTPUT],
         )
-    return float(result[_WATCHED][-1])
+    return float(result[_OUTPUT][-1])
 
 
 def _described(pair: Pair) -> dict:
@@ -41,5 +41,5 @@ def _described(pair: Pair) -> dict:
         "auto_output": False,
         "fmu": [first, second],
         "link": [[first, LEVEL, second, SIGNAL], [second, LEVEL, first, SIGNAL]],
-        "output": [[first, LEVEL, _WATCHED]],
+        "output": [[first, LEVEL, _OUTPUT]],
     }
