@@ -1,12 +1,7 @@
 """Our master against other importers: the same package, one output at the same communication points."""
 
-import json
-import os
-import subprocess
-import sys
-import tempfile
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -21,6 +16,8 @@ from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
 from tests.importers.importer_job import ImporterJob, Trajectory
+from tests.importers.worker import run_job
+from tests.isolated import answer_of
 
 DISTRIBUTIONS = {
     "fmpy_ssp": "fmpy",
@@ -78,7 +75,7 @@ def outcome(importer: str, job: ImporterJob, ours: Recording) -> Outcome:
         blank = replace(blank, version=version(DISTRIBUTIONS[importer]))
     except PackageNotFoundError:
         return replace(blank, problem="not installed")
-    answer = run_apart(importer, job)
+    answer = run_isolated(importer, job)
     if isinstance(answer, str):
         return replace(blank, problem=answer)
     points = (job.stop_time - job.start_time) / job.step_size
@@ -88,24 +85,9 @@ def outcome(importer: str, job: ImporterJob, ours: Recording) -> Outcome:
     return replace(blank, shift=shift, difference=difference)
 
 
-def run_apart(importer: str, job: ImporterJob) -> Trajectory | str:
-    """What the importer answers in a process of its own, or how that process failed."""
-    with tempfile.TemporaryDirectory() as folder:
-        asked, result = Path(folder) / "job.json", Path(folder) / "result.npz"
-        asked.write_text(json.dumps({**asdict(job), "package": str(job.package.resolve())}))
-        command = [sys.executable, "-m", f"{__package__}.worker", importer, str(asked), str(result)]
-        try:
-            done = subprocess.run(
-                command, capture_output=True, text=True, errors="replace", timeout=_LONGEST_S, check=False,
-                env={**os.environ, "TMPDIR": folder},  # some leave what they extract behind
-            )  # fmt: skip
-        except subprocess.TimeoutExpired:
-            return f"not done in {_LONGEST_S:g} s"
-        if done.returncode or not result.is_file():
-            said = (done.stderr.strip() or done.stdout.strip() or "it said nothing").splitlines()[-1]
-            return f"ended with status {done.returncode}: {said}"
-        with np.load(result) as arrays:
-            return Trajectory(arrays["time"], arrays["values"])
+def run_isolated(importer: str, job: ImporterJob) -> Trajectory | str:
+    """The importer's trajectory, or why there is none."""
+    return answer_of(run_job, (importer, job), _LONGEST_S)
 
 
 def least_difference(answer: Trajectory, ours: Recording, job: ImporterJob) -> tuple[int, float]:

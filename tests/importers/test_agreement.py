@@ -14,7 +14,7 @@ from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 from orchestration.system.experiment import Experiment
 from tests.importers import comparison
-from tests.importers.comparison import DISTRIBUTIONS, SCENARIOS, least_difference, run_apart
+from tests.importers.comparison import DISTRIBUTIONS, SCENARIOS, least_difference, run_isolated
 from tests.importers.importer_job import ImporterJob, Trajectory
 
 pytestmark = pytest.mark.importers
@@ -40,7 +40,7 @@ def test_the_depth_is_that_of_this_master(
     ours: dict[str, Recording],
     installed: Callable[[str], str],
 ) -> None:
-    answer = run_apart(installed(importer), job(packages[name], name))
+    answer = run_isolated(installed(importer), job(packages[name], name))
     assert isinstance(answer, Trajectory), answer
     assert len(answer.values) >= 15500
     shift, difference = least_difference(answer, ours[name], job(packages[name], name))
@@ -80,9 +80,9 @@ def test_packages_and_extraction_in_folders_of_any_name_work(
     folder.mkdir()
     package = folder / "loop.ssp"
     package.write_bytes(packages["nominal-extended"].read_bytes())
-    plain = run_apart(installed(importer), job(packages["nominal-extended"], "nominal-extended", 1.0))
-    monkeypatch.setenv("TMPDIR", str(folder))  # where importers extract
-    odd = run_apart(importer, job(package, "nominal-extended", 1.0))
+    plain = run_isolated(installed(importer), job(packages["nominal-extended"], "nominal-extended", 1.0))
+    monkeypatch.setattr("tempfile.tempdir", str(folder))  # where importers extract
+    odd = run_isolated(importer, job(package, "nominal-extended", 1.0))
     assert isinstance(plain, Trajectory), plain
     assert isinstance(odd, Trajectory), odd
     np.testing.assert_array_equal(odd.values, plain.values)
@@ -104,7 +104,7 @@ def test_the_command_writes_a_row_for_each_importer_and_scenario(
 def test_a_crash_is_a_row(packages: dict[str, Path], ours: dict[str, Recording], tmp_path: Path) -> None:
     nowhere = replace(job(packages["nominal-l1"], "nominal-l1"), package=tmp_path / "nothing.ssp")
     found = comparison.outcome("fmpy_ssp", nowhere, ours["nominal-l1"])
-    assert "ended with status 1: FileNotFoundError" in found.problem
+    assert "ended with exit status 1: FileNotFoundError" in found.problem
 
 
 def test_an_importer_that_is_not_installed_is_a_row(

@@ -1,21 +1,11 @@
-"""One importer in a process of its own: `python -m tests.importers.worker MODULE JOB.json RESULT.npz`."""
+"""One importer runs a job, in a process of its own."""
 
-import json
-import sys
 from importlib import import_module
-from pathlib import Path
 
-import numpy as np
-
-from tests.importers.importer_job import ImporterJob
+from fmus.process import Parent
 
 
-def main(module: str, job: str, result: str) -> None:
-    declared = json.loads(Path(job).read_text(encoding="utf-8"))
-    asked = ImporterJob(**{**declared, "package": Path(declared["package"])})
-    answer = import_module(f"tests.importers.{module}").run(asked)
-    np.savez(result, time=answer.time, values=answer.values)
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:])
+def run_job(parent: Parent) -> None:
+    """Run the job that is sent with the name of an importer; send its trajectory."""
+    importer, job = parent.receive()
+    parent.send(import_module(f"tests.importers.{importer}").run(job))

@@ -90,7 +90,7 @@ def test_who_is_not_installed_or_fails_is_a_row_with_the_reason(
     monkeypatch.setitem(LOOPS, "nobody", Runner("Nobody", "l1-depth", "nothing"))
     failed = measure("nobody", pair)
     assert isinstance(failed, str)
-    assert failed.startswith("ended with status 1: ModuleNotFoundError")
+    assert failed.startswith("ended with exit status 1: ModuleNotFoundError")
     assert entry("nobody", [failed], float, FLOOR_S) == Entry("Nobody", problem=failed)
 
 
@@ -115,6 +115,11 @@ def test_loading_cancels_and_the_median_counts() -> None:
     found = entry("ours", measurements, float, 0.125e-3)
     assert (found.per_step, found.overhead, found.ratio) == (0.375e-3, 0.25e-3, 3.0)
     assert (found.remark, found.problem) == ("records every output", "")
+
+
+def test_a_time_below_zero_is_a_row_with_the_reason() -> None:
+    found = entry("ours", [made_up(2.0, 1.0)], float, FLOOR_S)
+    assert found.problem == "N steps took longer than 2 N steps: expected a machine that is less busy"
 
 
 @pytest.mark.parametrize("scale", [1.1, 0.0, math.nan, math.inf])
@@ -161,7 +166,6 @@ def test_a_comparison_has_a_row_for_everyone(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_nothing_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    monkeypatch.setattr("tempfile.tempdir", None)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     compare(1, ["prebound_ctypes"])
     assert not list(tmp_path.iterdir())
