@@ -1,4 +1,4 @@
-"""Results as one interactive HTML page that needs no network: who receives it opens it, and that is all."""
+"""Results as one interactive HTML page that opens in a browser and needs no network."""
 
 from orchestration.report.find import found_results
 from orchestration.report.render import render

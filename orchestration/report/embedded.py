@@ -15,8 +15,8 @@ def packed(values: np.ndarray) -> str:
 
     Neighbours in time share sign and exponent, so that these bytes compress well side by side.
     """
-    bytes_of_each = np.ascontiguousarray(values, dtype="<f8").view(np.uint8).reshape(-1, 8)
-    return base64.b64encode(zlib.compress(bytes_of_each.T.tobytes())).decode("ascii")
+    bytes_of_values = np.ascontiguousarray(values, dtype="<f8").view(np.uint8).reshape(-1, 8)
+    return base64.b64encode(zlib.compress(bytes_of_values.T.tobytes())).decode("ascii")
 
 
 def _column(values: np.ndarray) -> str | list[str]:
@@ -25,7 +25,7 @@ def _column(values: np.ndarray) -> str | list[str]:
 
 
 def run_data(run: RunResult) -> dict[str, Any]:
-    """What the page's script draws of a run."""
+    """The data that the page's script draws of a run."""
     recording = run.recording
     columns = zip(recording.names, recording.units, recording.values.T, strict=True)
     return {
@@ -34,7 +34,7 @@ def run_data(run: RunResult) -> dict[str, Any]:
         "signals": [
             {"name": name, "unit": unit or "1", "values": packed(column)} for name, unit, column in columns
         ],
-        "judged": sorted(
+        "in_metrics": sorted(
             {
                 str(call[key])
                 for call in run.scenario.get("metrics", {}).values()
@@ -46,7 +46,7 @@ def run_data(run: RunResult) -> dict[str, Any]:
 
 
 def sweep_data(sweep: SweepResult) -> dict[str, Any]:
-    """What the page's script draws of a sweep."""
+    """The data that the page's script draws of a sweep."""
     return {
         "name": sweep.name,
         "samples": packed(sweep.samples),

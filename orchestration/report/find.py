@@ -28,13 +28,13 @@ def found_results(paths: Iterable[Path]) -> list[RunResult | SweepResult]:
 
     Raises OrchestrationError for a path that does not exist or holds no result.
     """
-    found: dict[Path, RunResult | SweepResult] = {}
+    results: dict[Path, RunResult | SweepResult] = {}
     for path in paths:
         for file in _files(path):
-            if file not in found:
-                found[file] = _read(file)
-    names = _names(list(found))
-    return [replace(result, name=names[file]) for file, result in found.items()]
+            if file not in results:
+                results[file] = _read(file)
+    names = _names(list(results))
+    return [replace(result, name=names[file]) for file, result in results.items()]
 
 
 def _files(path: Path) -> list[Path]:
@@ -42,31 +42,31 @@ def _files(path: Path) -> list[Path]:
     if path.is_dir():
         return _of_folder(path.resolve())
     if not path.is_file():
-        beside = path.parent.iterdir() if path.parent.is_dir() else []
-        known = [each.name for each in beside if each.is_dir() or each.suffix in {".json", *_RECORDINGS}]
+        neighbours = path.parent.iterdir() if path.parent.is_dir() else []
+        known = [file.name for file in neighbours if file.is_dir() or file.suffix in {".json", *_RECORDINGS}]
         raise OrchestrationError(f"no file or folder {path}; beside it, {nearest(path.name, known)}")
     if path.suffix not in {".json", *_RECORDINGS}:
         raise OrchestrationError(
             f"{path}: expected a result: a .json, .csv or .parquet file as l1-depth writes them, or a folder"
         )
     file = path.resolve()
-    beside = file.with_suffix(".json")
-    return [beside] if _recording_of(beside) == file else [file]
+    document = file.with_suffix(".json")
+    return [document] if _recording_of(document) == file else [file]
 
 
 def _of_folder(folder: Path) -> list[Path]:
     documents = {file: _recording_of(file) for file in sorted(folder.glob("*.json"))}
     runs = {file: recording for file, recording in documents.items() if recording}
-    alone = [
+    recordings_and_sweeps = [
         file
         for file in sorted(folder.iterdir())
         if file.suffix in _RECORDINGS and file not in runs.values() and _is_result(file)
     ]
-    if not runs and not alone:
+    if not runs and not recordings_and_sweeps:
         raise OrchestrationError(
             f"{folder}: no result in this folder: expected what l1-depth run, reproduce or sweep writes"
         )
-    return sorted([*runs, *alone])
+    return sorted([*runs, *recordings_and_sweeps])
 
 
 def _is_result(file: Path) -> bool:
@@ -137,8 +137,8 @@ def _recording(file: Path) -> Recording:
 
 def _names(files: list[Path]) -> dict[Path, str]:
     """The stem of a file, with the ending or as many folders before it as tell it from the others."""
-    beside = Counter(file.with_suffix("") for file in files)
-    own = {file: file.stem if beside[file.with_suffix("")] == 1 else file.name for file in files}
+    count_of_stem = Counter(file.with_suffix("") for file in files)
+    own = {file: file.stem if count_of_stem[file.with_suffix("")] == 1 else file.name for file in files}
     names = dict(own)
     for depth in range(1, max((len(file.parts) for file in files), default=0)):
         count = Counter(names.values())

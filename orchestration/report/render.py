@@ -30,8 +30,8 @@ _SCRIPTS = ("common.js", "tables.js", "signals.js", "sweeps.js")
 
 def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
     """A self-contained HTML page of these results; by default titled after them."""
-    runs = [each for each in results if isinstance(each, RunResult)]
-    sweeps = [each for each in results if isinstance(each, SweepResult)]
+    runs = [result for result in results if isinstance(result, RunResult)]
+    sweeps = [result for result in results if isinstance(result, SweepResult)]
     environment = Environment(
         loader=PackageLoader("orchestration.report", "files"), autoescape=True, undefined=StrictUndefined
     )
@@ -44,11 +44,11 @@ def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
         sweeps=sweeps,
         metric_groups=_metric_groups(runs),
         differences=differences(runs),
-        facts={each.name: _facts(each) for each in results},
+        facts={result.name: _facts(result) for result in results},
         distributions={sweep.name: distributions(sweep) for sweep in sweeps},
         correlations={sweep.name: correlations(sweep) for sweep in sweeps},
         failures={sweep.name: _failures(sweep) for sweep in sweeps},
-        data={"runs": [run_data(run) for run in runs], "sweeps": [sweep_data(each) for each in sweeps]},
+        data={"runs": [run_data(run) for run in runs], "sweeps": [sweep_data(sweep) for sweep in sweeps]},
         style=Markup(_file(environment, "page.css")),
         scripts=[Markup(script) for script in scripts],
         hashes=" ".join(f"'sha256-{_sha256(script)}'" for script in scripts),
@@ -97,9 +97,9 @@ def _failures(sweep: SweepResult) -> list[dict[str, Any]]:
 
 
 def _facts(result: RunResult | SweepResult) -> dict[str, str]:
-    """What is known of how a result came about, but for the FMUs; "step_size_s" is a step size [s]."""
-    told = {key: value for key, value in result.provenance.items() if key != "fmus" and value is not None}
-    return {re.sub(r"_s$", " [s]", key).replace("_", " "): value for key, value in flat(told).items()}
+    """The provenance of a result without the FMUs; "step_size_s" is a step size [s]."""
+    facts = {key: value for key, value in result.provenance.items() if key != "fmus" and value is not None}
+    return {re.sub(r"_s$", " [s]", key).replace("_", " "): value for key, value in flat(facts).items()}
 
 
 def _number(value: Any) -> str:

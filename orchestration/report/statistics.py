@@ -13,15 +13,15 @@ Correlations = dict[str, dict[str, float | None]]
 
 
 def distributions(sweep: SweepResult) -> list[dict[str, Any]]:
-    """Of each metric: mean, standard deviation (n - 1), least, 5 %, median, 95 % and largest value."""
-    found = []
+    """For each metric: mean, standard deviation (n - 1), least, 5 %, median, 95 % and largest value."""
+    rows = []
     for name, values in sweep.metrics.items():
         good = values[np.isfinite(values)]
         if len(good):
             spread = float(np.std(good, ddof=1)) if len(good) > 1 else 0.0
             row = [float(np.mean(good)), spread, *np.percentile(good, _PERCENTS).tolist()]
-            found.append({"name": name, "unit": sweep.units.get(name, ""), "values": row})
-    return found
+            rows.append({"name": name, "unit": sweep.units.get(name, ""), "values": row})
+    return rows
 
 
 def correlations(sweep: SweepResult) -> Correlations:
@@ -40,11 +40,11 @@ def _rank_correlation(values: np.ndarray, metric: np.ndarray) -> float | None:
     return float(np.corrcoef(rankdata(values[good]), rankdata(metric[good]))[0, 1])
 
 
-def strongest(found: Correlations) -> tuple[str, str] | None:
-    """The varied number and the metric that are worth looking at first."""
+def strongest(coefficients: Correlations) -> tuple[str, str] | None:
+    """The varied number and the metric with the largest correlation."""
     strength = {
         (name, metric): abs(value)
-        for name, row in found.items()
+        for name, row in coefficients.items()
         for metric, value in row.items()
         if value is not None
     }

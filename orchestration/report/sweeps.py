@@ -15,7 +15,7 @@ with imports_of("report", "a report"):
 
     from orchestration.sweep import table  # which needs no more of the extra sweep
 
-_SHOWN_APART = {"name", "title", "scenario", "varied"}
+_SHOWN_ELSEWHERE = {"name", "title", "scenario", "varied"}
 
 
 def read(file: Path) -> SweepResult:
@@ -32,7 +32,7 @@ def read(file: Path) -> SweepResult:
         errors=tuple(error or "" for error in rows[table.ERROR].to_pylist()),
         units={name: rows.schema.field(name).metadata[b"unit"].decode() for name in [*varied, *metrics]},
         scenario=provenance["scenario"],
-        provenance={key: value for key, value in provenance.items() if key not in _SHOWN_APART},
+        provenance={key: value for key, value in provenance.items() if key not in _SHOWN_ELSEWHERE},
         command=f"l1-depth sweep {_scenario_argument(provenance['name'])} --sample {{sample}}",
     )
 

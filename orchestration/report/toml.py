@@ -15,6 +15,6 @@ def toml(content: Mapping[str, Any]) -> str:
     return _SHORT_LIST.sub(_on_one_line, tomli_w.dumps(content))
 
 
-def _on_one_line(found: re.Match[str]) -> str:
-    items = [line.strip(" ").removesuffix(",") for line in found[1].removesuffix("\n").split("\n")]
+def _on_one_line(match: re.Match[str]) -> str:
+    items = [line.strip(" ").removesuffix(",") for line in match[1].removesuffix("\n").split("\n")]
     return f"[{', '.join(items)}]"

@@ -1,4 +1,4 @@
-"""Other people's importers, each running an SSP package of ours: one small file an importer.
+"""Other people's importers, each running an SSP package of this project, in a file of its own.
 
 Each has `run(job) -> Trajectory`; `comparison.py` starts them in processes of their own.
 """

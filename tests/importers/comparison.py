@@ -93,9 +93,9 @@ def run_isolated(importer: str, job: ImporterJob) -> Trajectory | str:
 def least_difference(answer: Trajectory, ours: Recording, job: ImporterJob) -> tuple[int, float]:
     """(shift, difference) as `Outcome` has them."""
     points = np.rint((answer.time - job.start_time) / job.step_size).astype(int)
-    found = {shift: _difference(answer.values, points + shift, ours[job.output]) for shift in _SHIFTS}
-    shift = min(found, key=lambda each: found[each])
-    return shift, found[shift]
+    differences = {shift: _difference(answer.values, points + shift, ours[job.output]) for shift in _SHIFTS}
+    shift = min(differences, key=lambda shift: differences[shift])
+    return shift, differences[shift]
 
 
 def _difference(values: np.ndarray, points: np.ndarray, ours: np.ndarray) -> float:
@@ -106,16 +106,16 @@ def _difference(values: np.ndarray, points: np.ndarray, ours: np.ndarray) -> flo
 _HEADINGS = ("Importer", "Version", "Scenario", "Output", "Largest difference", "Labels early by")
 
 
-def _cells(of: Outcome) -> tuple[str, ...]:
-    difference = of.problem or f"{of.difference:.1e} {of.unit}".strip()
-    shift = "" if of.problem else f"{of.shift} steps" if of.shift != 1 else "1 step"
-    return of.importer, of.version, of.scenario, of.output, difference, shift
+def _cells(outcome: Outcome) -> tuple[str, ...]:
+    difference = outcome.problem or f"{outcome.difference:.1e} {outcome.unit}".strip()
+    shift = "" if outcome.problem else f"{outcome.shift} steps" if outcome.shift != 1 else "1 step"
+    return outcome.importer, outcome.version, outcome.scenario, outcome.output, difference, shift
 
 
-def table(found: list[Outcome]) -> Table:
-    shown = Table(title="Our master against other importers")
+def table(outcomes: list[Outcome]) -> Table:
+    table = Table(title="Our master against other importers")
     for heading in _HEADINGS:
-        shown.add_column(heading, overflow="fold")
-    for each in found:
-        shown.add_row(*_cells(each))
-    return shown
+        table.add_column(heading, overflow="fold")
+    for outcome in outcomes:
+        table.add_row(*_cells(outcome))
+    return table

@@ -20,13 +20,13 @@ _OUTPUT = "compared"
 
 def run(job: ImporterJob) -> Trajectory:
     with opened(job.package) as loop, tempfile.TemporaryDirectory() as folder:
-        place = Path(folder)
+        working_folder = Path(folder)
         for fmu in loop.system.components.values():
-            (place / fmu.name).write_bytes(fmu.read_bytes())
-        (place / "loop.json").write_text(json.dumps(_described(loop, job)))
-        Assembly("loop.json", fmu_directory=place).make_fmu()
+            (working_folder / fmu.name).write_bytes(fmu.read_bytes())
+        (working_folder / "loop.json").write_text(json.dumps(_described(loop, job)))
+        Assembly("loop.json", fmu_directory=working_folder).make_fmu()
         result = fmpy.simulate_fmu(
-            str(place / "loop.fmu"),
+            str(working_folder / "loop.fmu"),
             start_time=job.start_time,
             stop_time=job.stop_time,
             step_size=job.step_size,

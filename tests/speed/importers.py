@@ -48,7 +48,7 @@ LOOPS = {
 }
 # what pip does not install beside this project, or what cannot run these FMUs: as of November 2026
 UNSUPPORTED = {
-    "PyFMI": "2.5 on PyPI is source of 2018 that pip cannot prepare: it asks for NumPy before it says so",
+    "PyFMI": "2.5 on PyPI is source of 2018 whose set-up needs NumPy without declaring it",
     "OMSimulator": "3.0.0.post198 on PyPI downloads the engine from another server when it is installed",
     "FMI++, mosaik-fmi": "2.1.0 on PyPI is source that needs SWIG",
     "CoFmuPy": "1.0.0 wants FMPy 0.3.20 and PythonFMU 0.6.3, this project later ones",
@@ -114,12 +114,12 @@ def compare(
         floors = []
         for _ in range(rounds):
             floors.append(bare.per_step())
-            for name, found in measurements.items():
-                if not found or isinstance(found[-1], Measurement):
-                    found.append(measure(name, built))
+            for name, own in measurements.items():
+                if not own or isinstance(own[-1], Measurement):
+                    own.append(measure(name, built))
                 progress()
         floor = median(floors)
-        entries = [entry(name, found, bare.level, floor) for name, found in measurements.items()]
+        entries = [entry(name, own, bare.level, floor) for name, own in measurements.items()]
     missing = [Entry(name, problem=why) for name, why in UNSUPPORTED.items()]
     return [Entry(FLOOR, "", floor, floor, "records nothing"), *entries, *missing]
 
@@ -145,17 +145,17 @@ def entry(
     level: steps -> the first level after them
     """
     runner = LOOPS[name]
-    failed = [each for each in measurements if isinstance(each, str)]
-    if failed:
-        return Entry(runner.name, problem=failed[0])
-    good = [each for each in measurements if isinstance(each, Measurement)]
-    difference = max(_difference(each, level) for each in good)
+    problems = [problem for problem in measurements if isinstance(problem, str)]
+    if problems:
+        return Entry(runner.name, problem=problems[0])
+    good = [m for m in measurements if isinstance(m, Measurement)]
+    difference = max(_difference(m, level) for m in good)
     blank = Entry(runner.name, version(runner.distribution), floor=floor)
     if difference > _NEAR:
         return replace(
             blank, problem=f"its level is off by {difference:.1e} of its value: expected other numbers"
         )
-    per_step = median(each.per_step for each in good)
+    per_step = median(m.per_step for m in good)
     if per_step <= 0.0:
         return replace(
             blank, problem="N steps took longer than 2 N steps: expected a machine that is less busy"

@@ -60,9 +60,9 @@ int main(int argc, char **argv) {{
     fclose(file);
     for (int i = 0; i < atoi(argv[3]); i++) {{
         initialise({arguments});
-        const double begun = seconds();
+        const double start = seconds();
         run({arguments});
-        printf("%.9f\\n", seconds() - begun);
+        printf("%.9f\\n", seconds() - start);
     }}
     file = fopen(argv[2], "wb");
     return !file || fwrite(result, sizeof result, 1, file) != 1 || fclose(file) != 0;
@@ -77,13 +77,13 @@ def part(component: int, function: str) -> str:
 
 def program(plan: Path) -> str:
     """The main program of a plan; one part is compiled from c/equations.c for each of its components."""
-    said = [line.split(maxsplit=5) for line in plan.read_text(encoding="utf-8").splitlines()]
-    count = sum(words[0] == "component" for words in said)
-    (rows,) = [int(words[1]) for words in said if words[0] == "table"]
-    settings = [f"v{a}[{r}] = {value}" for _, a, _, r, value in _of("set", said)]
-    links = [f"v{b}[{s}] = v{a}[{r}]" for _, a, r, b, s in _of("connect", said)]
-    signals = [f"v{a}[{r}] = row[{i}]" for i, (_, a, r) in enumerate(_of("signal", said), 1)]
-    records = [f"result[i][{i}] = v{a}[{r}]" for i, (_, a, r) in enumerate(_of("record", said))]
+    statements = [line.split(maxsplit=5) for line in plan.read_text(encoding="utf-8").splitlines()]
+    count = sum(words[0] == "component" for words in statements)
+    (rows,) = [int(words[1]) for words in statements if words[0] == "table"]
+    settings = [f"v{a}[{r}] = {value}" for _, a, _, r, value in _of("set", statements)]
+    links = [f"v{b}[{s}] = v{a}[{r}]" for _, a, r, b, s in _of("connect", statements)]
+    signals = [f"v{a}[{r}] = row[{i}]" for i, (_, a, r) in enumerate(_of("signal", statements), 1)]
+    records = [f"result[i][{i}] = v{a}[{r}]" for i, (_, a, r) in enumerate(_of("record", statements))]
     every = range(count)
     return _PROGRAM.format(
         declarations="\n".join(_declaration(i) for i in every),

@@ -118,6 +118,6 @@ def _check_agreement(name: str, folder: Path) -> None:
 
 
 def _timed(action: Callable[[], object]) -> float:
-    begun = time.perf_counter()
+    start = time.perf_counter()
     action()
-    return time.perf_counter() - begun
+    return time.perf_counter() - start

@@ -23,10 +23,10 @@ function signalsSection() {
   function names(unit) {
     const all = (runs) => runs.flatMap((run) => run.signals);
     const found = [...new Set(all(page.runs).filter((signal) => signal.unit === unit).map((signal) => signal.name))];
-    const judged = new Set(page.runs.flatMap((run) => run.judged));
+    const inMetrics = new Set(page.runs.flatMap((run) => run.in_metrics));
     const first = new Set(all(page.runs).slice(0, FEW_SIGNALS).map((signal) => signal.name));
-    const anyJudged = all(page.runs).some((signal) => judged.has(signal.name));
-    return found.map((name) => [name, (anyJudged ? judged : first).has(name)]);
+    const anyInMetrics = all(page.runs).some((signal) => inMetrics.has(signal.name));
+    return found.map((name) => [name, (anyInMetrics ? inMetrics : first).has(name)]);
   }
 
   /** Tick boxes with a heading and a button for all of them; returns what tells the ticked ones. */

@@ -74,7 +74,7 @@ def test_differences_are_by_setting_and_the_many_are_counted() -> None:
     many = [replace(run, name=f"run{i}") for i in range(4)]
     assert differences([heavy, *many]) == {"parameters: plant.mass": {"7.0": "heavy", "5.5": "the other 4"}}
     without = replace(run, name="without", scenario={k: v for k, v in SCENARIO.items() if k != "parameters"})
-    assert differences([run, without])["parameters: plant.mass"] == {"5.5": "run", "not said": "without"}
+    assert differences([run, without])["parameters: plant.mass"] == {"5.5": "run", "absent": "without"}
 
 
 def sweep(varied: list[float], metric: list[float]) -> SweepResult:
