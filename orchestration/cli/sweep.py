@@ -52,7 +52,7 @@ def sweep(
     """Run the samples of a scenario that has a table [sweep]; an interrupted sweep continues."""
     from orchestration.cli import chosen_scenario
     from orchestration.sweep import cluster, table
-    from orchestration.sweep.job import signals
+    from orchestration.sweep.job import recorded_signals
     from orchestration.sweep.plan import plan
     from orchestration.sweep.run import sweep as run_samples
     from orchestration.sweep.summary import summary_table
@@ -61,7 +61,7 @@ def sweep(
     if sample is not None:
         _run_one(planned, sample, out)
         return
-    recorded = signals(recordings, planned)
+    recorded = recorded_signals(recordings, planned)
     client = cluster.remote(scheduler) if scheduler else cluster.local(workers)
     with progress("sweep", planned.count) as bar:
         try:
@@ -82,11 +82,11 @@ def _run_one(planned: "Plan", sample: int, out: Path) -> None:
     from orchestration.results.tables import metrics_table
     from orchestration.scenarios import reproduce
 
-    chosen = planned.of_sample(sample)
-    result = reproduce.run(chosen, out)
+    drawn = planned.of_sample(sample)
+    result = reproduce.run(drawn, out)
     if result.metrics:
-        print_table(metrics_table(chosen.title, result.metrics, result.metric_units))
+        print_table(metrics_table(drawn.title, result.metrics, result.metric_units))
     for name, value in planned.values(sample).items():
         print(f"{name} = {value}")
-    print(out / f"{chosen.name}.csv")
-    print(out / f"{chosen.name}.json")
+    print(out / f"{drawn.name}.csv")
+    print(out / f"{drawn.name}.json")

@@ -123,7 +123,7 @@ def _default(value: Any) -> Any:
 class OneOf:
     """Marks a type as a table whose `key` names its kind; if droppable, `false` stands for none.
 
-    keyless: tables without that key, by one that they have in its place
+    keyless: tables without that key, by one that they have instead
     """
 
     def __init__(
@@ -204,11 +204,11 @@ def _unknown_kind(value: Mapping[str, object], keys: list[str], known: list[str]
 def _key_path(error: ErrorDetails, data: Any) -> str:
     """Where in a file an error is, as TOML writes it; the kinds of unions are no part of it."""
     path, missing = "", error["type"] == "missing"
-    for place in error["loc"][:-1] if missing else error["loc"]:
-        if isinstance(data, list) and isinstance(place, int):
-            path, data = f"{path}[{place}]", data[place]
-        elif isinstance(data, Mapping) and place in data:
-            path, data = _joined(path, str(place)), data[place]
+    for part in error["loc"][:-1] if missing else error["loc"]:
+        if isinstance(data, list) and isinstance(part, int):
+            path, data = f"{path}[{part}]", data[part]
+        elif isinstance(data, Mapping) and part in data:
+            path, data = _joined(path, str(part)), data[part]
     return _joined(path, str(error["loc"][-1])) if missing else path
 
 

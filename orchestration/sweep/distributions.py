@@ -22,7 +22,7 @@ class Distribution:
     """quantile: a uniform number in [0, 1) -> a value
 
     reach: least and largest value that it can give; nan where that says nothing
-    probes: numbers whose values stand for all that it can give, to be checked before anything is drawn
+    probes: numbers whose values stand for all that it can give, to check before anything is drawn
     """
 
     quantile: Callable[[float], Any]

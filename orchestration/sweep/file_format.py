@@ -36,12 +36,12 @@ VARIED = OneOf(
         name: table_of(
             "distribution",
             name,
-            made,
+            function,
             without=["low", "high"] if name == FROM_THE_FMU else (),
             types={"values": list[Value]},
             also=_RELATIVE | (_TRUNCATE if name in UNBOUNDED else {}),
         )
-        for name, made in FUNCTIONS.items()
+        for name, function in FUNCTIONS.items()
     },
     droppable=True,
     keyless={"values": ValuesTable, "linspace": LinspaceTable},

@@ -6,13 +6,14 @@ from pathlib import Path
 from fmus.extras import imports_of
 from fmus.process import ProcessEndedError, WorkerProcess
 from orchestration.errors import SweepError
-from orchestration.sweep.job import Job, Outcome, Settings
+from orchestration.sweep.job import Job, Outcome
 from orchestration.sweep.sample_worker import run_samples
+from orchestration.sweep.target import Settings
 
 with imports_of("sweep", "a sweep"):
     import cloudpickle
 
-_ATTEMPTS = 2  # a process that dies once may have been killed by somebody, one that dies again by its sample
+_ATTEMPTS = 2  # a process that ends once may have been killed by somebody, one that ends again by its sample
 _START_S = 300.0  # to import, load and compile, on a machine that is busy
 
 
@@ -21,7 +22,7 @@ class ClosedError(SweepError):
 
 
 class IsolatedSamples:
-    """Runs samples one after another in a process, which is replaced when it dies or takes too long.
+    """Runs samples one after another in a process, which is replaced when it ends or takes too long.
 
     job: its FMUs are unpacked; folder: for what they would leave behind when they crash, its owner removes it
     """

@@ -1,4 +1,4 @@
-"""What the process that runs samples is told, and what it answers."""
+"""What the process that runs samples receives and returns."""
 
 import hashlib
 from collections.abc import Mapping
@@ -11,15 +11,13 @@ from orchestration.sweep.plan import Plan
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 
-Settings = Mapping[str, Mapping[str, Any]]  # table of the scenario file -> key -> value
-
 
 @dataclass(frozen=True)
 class Job:
     """What the samples share.
 
     fmus: file name -> content; system: its components are such file names
-    kept: signals of each sample to send back; empty for all, None for no recordings
+    recorded: signals of each sample to send back; empty for all, None for no recordings
     timeout: s that a sample may take, None for ever
     """
 
@@ -27,10 +25,10 @@ class Job:
     fmus: Mapping[str, bytes]
     experiment: Experiment
     metrics: Mapping[str, Mapping[str, Any]]
-    kept: tuple[str, ...] | None
+    recorded: tuple[str, ...] | None
     timeout: float | None
 
-    def unpacked(self, folder: Path) -> "Job":
+    def with_unpacked_fmus(self, folder: Path) -> "Job":
         """The same with its FMUs as files in a folder."""
         for name, content in self.fmus.items():
             path = folder / name
@@ -42,18 +40,18 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a sample: its metrics, or why it failed; its recording as a Parquet file."""
+    """The result of a sample: its metrics, or why it failed; its recording as a Parquet file."""
 
     metrics: Mapping[str, float]
     error: str | None = None
     recording: bytes | None = None
 
 
-def signals(text: str, plan: Plan) -> tuple[str, ...] | None:
-    """What `kept` is for a user's list of signals, separated by commas; "" is no recordings, "all" is all."""
+def recorded_signals(text: str, plan: Plan) -> tuple[str, ...] | None:
+    """`Job.recorded` for a user's list of signals, separated by commas; "" is no recordings, "all" is all."""
     if text in ("", "all"):
         return None if not text else ()
-    names = tuple(dict.fromkeys(each.strip() for each in text.split(",")))
+    names = tuple(dict.fromkeys(name.strip() for name in text.split(",")))
     for name in names:
         port = plan.checked.port(name, "recordings")
         if port.variable.causality != "output" and name not in plan.scenario.experiment.signals:
@@ -61,16 +59,16 @@ def signals(text: str, plan: Plan) -> tuple[str, ...] | None:
     return names
 
 
-def job(plan: Plan, kept: tuple[str, ...] | None) -> Job:
+def job(plan: Plan, recorded: tuple[str, ...] | None) -> Job:
     """What the samples of a plan share, FMUs included.
 
-    kept: signals to keep of each sample; empty for all, None for no recordings
+    recorded: signals to record of each sample; empty for all, None for no recordings
     """
     system, experiment = plan.scenario.system, plan.scenario.experiment
-    if kept and experiment.record:
-        experiment = replace(experiment, record=tuple(dict.fromkeys([*experiment.record, *kept])))
+    if recorded and experiment.record:
+        experiment = replace(experiment, record=tuple(dict.fromkeys([*experiment.record, *recorded])))
     contents = {name: path.read_bytes() for name, path in system.components.items()}
-    # FMUs of one name may be different ones; of equal ones there must be one file
+    # the hash tells apart FMUs of one file name; equal FMUs share one file
     files = {
         name: f"{hashlib.sha256(contents[name]).hexdigest()[:12]}/{Path(path).name}"
         for name, path in system.components.items()
@@ -80,6 +78,6 @@ def job(plan: Plan, kept: tuple[str, ...] | None) -> Job:
         fmus={file: contents[name] for name, file in files.items()},
         experiment=experiment,
         metrics=plan.scenario.metrics,
-        kept=kept,
+        recorded=recorded,
         timeout=plan.timeout,
     )

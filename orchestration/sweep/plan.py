@@ -9,15 +9,15 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
+from fmus.fmi_types import FmiValue
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.file_tables import Table
 from orchestration.scenarios.scenario import Scenario
 from orchestration.sweep.file_format import SweepTable, sweep_table
-from orchestration.sweep.target import laid_over, target
+from orchestration.sweep.target import Settings, target, with_settings
 from orchestration.sweep.varied import Varied, varied
 from orchestration.system.prepared_run import prepare
 from orchestration.system.system import CheckedSystem
@@ -48,7 +48,7 @@ class Plan:
         """Samples in all."""
         return math.prod(self._shape)
 
-    def values(self, sample: int) -> dict[str, Any]:
+    def values(self, sample: int) -> dict[str, FmiValue]:
         """Name -> value of what is varied, in one sample."""
         if not 0 <= sample < self.count:
             raise ScenarioError(f"sample {sample}: expected 0..{self.count - 1}")
@@ -59,9 +59,9 @@ class Plan:
             for entry in self.varied
         }
 
-    def settings(self, values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-        """The values as a scenario file would say them: table -> key -> value."""
-        tables: dict[str, dict[str, Any]] = {}
+    def settings(self, values: Mapping[str, FmiValue]) -> Settings:
+        """The values as a scenario file would give them."""
+        tables: dict[str, dict[str, FmiValue]] = {}
         for entry in self.varied:
             tables.setdefault(entry.target.table, {})[entry.target.key] = values[entry.target.name]
         return tables
@@ -76,7 +76,7 @@ class Plan:
             self.scenario,
             name=f"{self.scenario.name}.sample-{sample}",
             title=f"{self.scenario.title}, sample {sample}",
-            experiment=laid_over(self.scenario.experiment, settings),
+            experiment=with_settings(self.scenario.experiment, settings),
             resolved=resolved,
             sweep={},
         )

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from concurrent.futures import CancelledError
 from contextlib import AbstractContextManager, suppress
 from pathlib import Path
-from typing import Any
 
 from fmus.extras import imports_of
 from orchestration.errors import SweepError
@@ -22,7 +21,7 @@ with imports_of("sweep", "a sweep"):
 
 _BUDGET_S = 2.0  # of a batch: what comes back so often costs little, and is little to lose
 _LARGEST_BATCH = 64
-_LOOK_S = 5.0  # after which workers that have joined meanwhile are given work
+_LOOK_S = 5.0  # after which workers that have joined meanwhile get work
 _WITHOUT_WORKERS_S = 120.0
 _AHEAD = 2  # batches for each thread: one at work, one waiting
 _ROUNDS = 4  # of batches for each thread in a small sweep, so that all threads end at about the same time
@@ -31,43 +30,43 @@ _ROUNDS = 4  # of batches for each thread in a small sweep, so that all threads 
 def sweep(
     plan: Plan,
     folder: Path,
-    place: AbstractContextManager[Client],
-    kept: tuple[str, ...] | None = None,
+    cluster: AbstractContextManager[Client],
+    recorded: tuple[str, ...] | None = None,
     restart: bool = False,
     progress: Callable[[int], object] = lambda done: None,
 ) -> Path:
     """Run the samples that are missing in a folder, and write the table; gives its path.
 
-    place: `cluster.local` or `cluster.remote`, entered if a sample is missing
-    kept: signals to keep of each sample; empty for all, None for no recordings
+    cluster: `cluster.local` or `cluster.remote`, entered if a sample is missing
+    recorded: signals to record of each sample; empty for all, None for no recordings
     restart: discard what an earlier sweep of that name has left
-    progress: called with how many more are done, at first with those of an earlier start
+    progress: called with how many more samples are done, at first with those of an earlier start
     Raises SweepError if the folder holds another sweep, or if the cluster is lost or cannot run samples at
     all. A sample that fails is a row, and raises nothing.
     """
-    store = Store(folder, schema(plan), provenance(plan, kept))
+    store = Store(folder, schema(plan), provenance(plan, recorded))
     if restart:
         store.discard()
-    done = store.begin()
-    progress(len(done))
-    missing = [sample for sample in range(plan.count) if sample not in done]
+    finished = store.begin()
+    progress(len(finished))
+    missing = [sample for sample in range(plan.count) if sample not in finished]
     if missing:
-        with place as client:
-            _run(plan, job(plan, kept), client, store, missing, progress)
+        with cluster as client:
+            _run(plan, job(plan, recorded), client, store, missing, progress)
     store.finish()
     return store.path
 
 
 def _run(
     plan: Plan,
-    shared: Job,
+    shared_job: Job,
     client: Client,
     store: Store,
     missing: list[int],
     progress: Callable[[int], object],
 ) -> None:
     name = f"l1-depth-sweep-{uuid.uuid4()}"  # others may sweep on the same cluster
-    client.register_plugin(SamplePlugin(name, shared))
+    client.register_plugin(SamplePlugin(name, shared_job))
     try:
         _Dispatch(plan, client, store, name, missing, progress).work()
     finally:
@@ -76,9 +75,9 @@ def _run(
 
 
 class _Dispatch:
-    """The batches on their way.
+    """The batches that the cluster runs.
 
-    A batch whose workers died is run again sample by sample; a sample whose workers die again is a row
+    A batch whose workers ended is run again sample by sample; a sample whose workers end again is a row
     with that error.
     """
 
@@ -94,22 +93,22 @@ class _Dispatch:
         self._plan, self._client, self._store = plan, client, store
         self._plugin, self._progress = plugin, progress
         self._waiting = deque(missing)
-        self._suspects: deque[int] = deque()  # each to be run alone
+        self._suspects: deque[int] = deque()  # to be run one by one
         self._batches: dict[Future, list[int]] = {}
-        self._seen = time.monotonic()  # when there was a worker
+        self._last_time_with_workers = time.monotonic()
 
     def work(self) -> None:
         try:
             self._fill()
             while self._batches:
                 for future in self._ended():
-                    self._take(future, self._batches.pop(future))
+                    self._handle(future, self._batches.pop(future))
                 self._fill()
         finally:
             self._client.cancel(list(self._batches))
 
     def _ended(self) -> list[Future]:
-        """Batches that are not on their way any more, whatever became of them."""
+        """Batches that have ended, in whatever state."""
         with suppress(TimeoutError, CancelledError):
             wait(list(self._batches), timeout=_LOOK_S, return_when="FIRST_COMPLETED")
         return [future for future in self._batches if future.status != "pending"]
@@ -128,20 +127,20 @@ class _Dispatch:
 
     def _threads(self) -> int:
         """Of all workers; workers that are replaced may be none for a while."""
-        of_workers: Any = self._client.nthreads()
-        if of_workers:
-            self._seen = time.monotonic()
-        elif time.monotonic() - self._seen > _WITHOUT_WORKERS_S:
+        threads_by_worker: dict[str, int] = self._client.nthreads()  # type: ignore[assignment]
+        if threads_by_worker:
+            self._last_time_with_workers = time.monotonic()
+        elif time.monotonic() - self._last_time_with_workers > _WITHOUT_WORKERS_S:
             raise SweepError(
                 f"the cluster has had no workers for {_WITHOUT_WORKERS_S:g} s; what is done is kept"
             )
-        return max(sum(of_workers.values()), 1)
+        return max(sum(threads_by_worker.values()), 1)
 
-    def _take(self, future: Future, numbers: list[int]) -> None:
+    def _handle(self, future: Future, numbers: list[int]) -> None:
         if future.status == "finished":
-            done = future.result()
-            self._keep(done)
-            self._waiting.extendleft(reversed(numbers[len(done) :]))
+            outcomes = future.result()
+            self._store_outcomes(outcomes)
+            self._waiting.extendleft(reversed(numbers[len(outcomes) :]))
         elif future.status == "lost":  # its worker died when it was done, before its rows were fetched
             self._waiting.extendleft(reversed(numbers))
         elif future.status != "error":
@@ -151,13 +150,13 @@ class _Dispatch:
         elif len(numbers) > 1:
             self._suspects.extend(numbers)
         else:
-            self._keep([(numbers[0], Outcome({}, error="every worker that ran it died"))])
+            self._store_outcomes([(numbers[0], Outcome({}, error="every worker that ran it died"))])
 
-    def _keep(self, done: list[tuple[int, Outcome]]) -> None:
+    def _store_outcomes(self, outcomes: list[tuple[int, Outcome]]) -> None:
         rows = [
             {SAMPLE: number, **self._plan.values(number), **outcome.metrics, ERROR: outcome.error}
-            for number, outcome in done
+            for number, outcome in outcomes
         ]
-        recordings = {number: outcome.recording for number, outcome in done if outcome.recording}
+        recordings = {number: outcome.recording for number, outcome in outcomes if outcome.recording}
         self._store.add(rows, recordings)
-        self._progress(len(done))
+        self._progress(len(outcomes))

@@ -16,8 +16,8 @@ from orchestration.errors import OrchestrationError
 from orchestration.master import Simulator
 from orchestration.results import metrics
 from orchestration.results.recording import Recording
-from orchestration.sweep.job import Job, Outcome, Settings
-from orchestration.sweep.target import laid_over
+from orchestration.sweep.job import Job, Outcome
+from orchestration.sweep.target import Settings, with_settings
 
 READY = "ready"
 
@@ -37,27 +37,27 @@ class _Runner:
 
     def run(self, settings: Settings) -> Outcome:
         try:
-            recording = self.open().run(laid_over(self._job.experiment, settings))
+            recording = self.open().run(with_settings(self._job.experiment, settings))
             measured = metrics.evaluate(recording, self._job.metrics)
-            return Outcome(measured, recording=self._kept(recording))
-        except Exception as error:  # a sample that fails is a row, whatever it failed of
+            return Outcome(measured, recording=self._as_parquet(recording))
+        except Exception as error:  # a sample that fails is a row, whatever the reason
             self.close()
-            return Outcome({}, error=_told(error))
+            return Outcome({}, error=_error_line(error))
 
     def close(self) -> None:
         self._simulator = None
         self._stack.close()
 
-    def _kept(self, recording: Recording) -> bytes | None:
-        if self._job.kept is None:
+    def _as_parquet(self, recording: Recording) -> bytes | None:
+        if self._job.recorded is None:
             return None
         with TemporaryDirectory() as folder:
             path = Path(folder) / "sample.parquet"
-            _only(recording, self._job.kept).write(path)
+            _with_signals(recording, self._job.recorded).write(path)
             return path.read_bytes()
 
 
-def _only(recording: Recording, names: tuple[str, ...]) -> Recording:
+def _with_signals(recording: Recording, names: tuple[str, ...]) -> Recording:
     if not names:
         return recording
     columns = [recording.names.index(name) for name in names]
@@ -65,11 +65,11 @@ def _only(recording: Recording, names: tuple[str, ...]) -> Recording:
     return replace(recording, names=names, units=units, values=recording.values[:, columns])
 
 
-def _told(error: Exception) -> str:
+def _error_line(error: Exception) -> str:
     """One line that does not depend on where this process keeps its files."""
     text = str(error) if isinstance(error, OrchestrationError) else f"{type(error).__name__}: {error}"
-    own = Path(gettempdir())
-    for folder in (own, own.parent):  # of what was unpacked, and of the FMUs
+    temporary = Path(gettempdir())
+    for folder in (temporary, temporary.parent):  # of what was unpacked, and of the FMUs
         text = re.sub(rf"{re.escape(str(folder))}/[^/\s]+/", "", text)
     return " ".join(text.split())
 
@@ -77,7 +77,7 @@ def _told(error: Exception) -> str:
 def run_samples(parent: Parent) -> None:
     """Receive a pickled job, send READY; then receive the settings of samples and send their outcomes."""
     runner = _Runner(pickle.loads(parent.receive()))
-    with suppress(OrchestrationError):  # each sample will fail of it
+    with suppress(OrchestrationError):  # each sample will fail with it
         runner.open()
     parent.send(READY)
     while True:

@@ -24,15 +24,15 @@ with imports_of("sweep", "a sweep"):
 class Store:
     """The files of one sweep.
 
-    about: its provenance; SweepError if the files are those of another one
+    provenance: of the sweep; SweepError if the files are those of another one
     """
 
-    def __init__(self, folder: Path, columns: pa.Schema, about: Mapping[str, Any]) -> None:
-        name = about["name"]
+    def __init__(self, folder: Path, columns: pa.Schema, provenance: Mapping[str, Any]) -> None:
+        name = provenance["name"]
         self.path = folder / f"{name}.sweep.parquet"
         self.recordings = folder / f"{name}.recordings"
         self._parts, self._manifest = folder / f"{name}.sweep", folder / f"{name}.sweep" / "sweep.json"
-        self._columns, self._about = columns, about
+        self._columns, self._provenance = columns, provenance
 
     @property
     def complete(self) -> bool:
@@ -47,19 +47,19 @@ class Store:
     def begin(self) -> set[int]:
         """The samples that are done already."""
         if self.complete:
-            _, before = table.read(self.path)
-            self._check_same(before, self.path)
-            return set(range(self._about["samples"]))
+            _, stored = table.read(self.path)
+            self._check_same(stored, self.path)
+            return set(range(self._provenance["samples"]))
         if self._manifest.is_file():
             self._check_same(json.loads(self._manifest.read_text(encoding="utf-8")), self._parts)
             return {row[table.SAMPLE] for row in self._rows([table.SAMPLE])}
-        write_json_atomically(self._manifest, self._about)
+        write_json_atomically(self._manifest, self._provenance)
         return set()
 
-    def _check_same(self, before: Mapping[str, Any], path: Path) -> None:
+    def _check_same(self, stored: Mapping[str, Any], path: Path) -> None:
         """Rows of two sweeps must not be mixed."""
-        now = json.loads(json.dumps(self._about))
-        differing = [key for key in now if _identity(key, now[key]) != _identity(key, before.get(key))]
+        ours = json.loads(json.dumps(self._provenance))
+        differing = [key for key in ours if _identity(key, ours[key]) != _identity(key, stored.get(key))]
         if differing:
             raise SweepError(
                 f"{path} is of another sweep ({', '.join(differing)} differ): expected the same to go on; "
@@ -67,9 +67,9 @@ class Store:
             )
 
     def add(self, rows: list[dict[str, Any]], recordings: Mapping[int, bytes]) -> None:
-        """Keep rows that are done, with the recordings of their samples."""
+        """Store rows that are done, with the recordings of their samples."""
         for sample, content in recordings.items():
-            number = f"{sample:0{len(str(self._about['samples'] - 1))}}"
+            number = f"{sample:0{len(str(self._provenance['samples'] - 1))}}"
             write_bytes_atomically(self.recordings / f"sample-{number}.parquet", content)
         numbers = [row[table.SAMPLE] for row in rows]
         table.write(rows, self._columns, self._parts / f"{min(numbers)}-{max(numbers)}.parquet")
@@ -78,7 +78,7 @@ class Store:
         """Make the parts one table."""
         if self.complete:
             return
-        table.write(self._rows(), table.with_provenance(self._columns, self._about), self.path)
+        table.write(self._rows(), table.with_provenance(self._columns, self._provenance), self.path)
         shutil.rmtree(self._parts)
 
     def _rows(self, columns: list[str] | None = None) -> Iterable[dict[str, Any]]:
@@ -87,7 +87,7 @@ class Store:
 
 
 def _identity(key: str, value: Any) -> Any:
-    """Where FMUs stand is no difference; which they are is told apart."""
+    """The paths of FMUs make no difference; their hashes are compared."""
     if key == "scenario" and isinstance(value, dict):
         return {**value, "components": sorted(value["components"])}
     return value

@@ -20,15 +20,15 @@ def summary(results: pa.Table) -> dict[str, dict[str, float]]:
 
     A metric without two values is left out.
     """
-    found = {}
+    statistics = {}
     for name in table.names(results.schema, "metric"):
         values = results[name].drop_null().to_numpy()
         if len(values) > 1:
             percentiles = dict(
                 zip((f"{p} %" for p in _PERCENT), np.percentile(values, _PERCENT), strict=True)
             )
-            found[name] = {"mean": values.mean(), "std": values.std(ddof=1), **percentiles}
-    return found
+            statistics[name] = {"mean": values.mean(), "std": values.std(ddof=1), **percentiles}
+    return statistics
 
 
 def failed(results: pa.Table) -> int:
@@ -36,13 +36,13 @@ def failed(results: pa.Table) -> int:
     return len(results) - results[table.ERROR].null_count
 
 
-def summary_table(results: pa.Table, about: dict[str, Any]) -> Table:
-    """The summary as it is printed."""
-    shown = Table(title=escape(f"{about['title']}: {len(results)} samples, {failed(results)} failed"))
-    shown.add_column("Metric", no_wrap=True)
+def summary_table(results: pa.Table, provenance: dict[str, Any]) -> Table:
+    """The summary as a table for a terminal."""
+    printed = Table(title=escape(f"{provenance['title']}: {len(results)} samples, {failed(results)} failed"))
+    printed.add_column("Metric", no_wrap=True)
     for heading in ("Unit", "Mean", "Std", *(f"{p} %" for p in _PERCENT)):
-        shown.add_column(heading, justify="left" if heading == "Unit" else "right")
+        printed.add_column(heading, justify="left" if heading == "Unit" else "right")
     for name, numbers in summary(results).items():
         unit = (results.schema.field(name).metadata or {}).get(b"unit", b"").decode()
-        shown.add_row(name, unit, *(f"{number:.4g}" for number in numbers.values()))
-    return shown
+        printed.add_row(name, unit, *(f"{number:.4g}" for number in numbers.values()))
+    return printed

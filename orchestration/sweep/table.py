@@ -31,7 +31,7 @@ _TYPES = {"Real": pa.float64(), "Integer": pa.int64(), "Boolean": pa.bool_(), "S
 def provenance(plan: Plan, recorded: tuple[str, ...] | None) -> dict[str, Any]:
     """What is run, as plain data: sweeps with the same one have the same rows.
 
-    recorded: names of the signals that are kept of each sample; empty for all, None for no recordings
+    recorded: names of the signals of each sample; empty for all, None for no recordings
     """
     fmus = {
         name: {
@@ -49,7 +49,7 @@ def provenance(plan: Plan, recorded: tuple[str, ...] | None) -> dict[str, Any]:
         "fmus": fmus,
         "seed": plan.seed,
         "samples": plan.count,
-        "varied": [each.target.name for each in plan.varied],
+        "varied": [entry.target.name for entry in plan.varied],
         "recorded": None if recorded is None else list(recorded),
     }
 
@@ -58,10 +58,11 @@ def schema(plan: Plan) -> pa.Schema:
     """The columns, each with its role and unit."""
     signal_units = {name: port.variable.unit or "" for name, port in plan.checked.ports.items()}
     units = metric_units(plan.scenario.metrics, signal_units)
+    targets = [entry.target for entry in plan.varied]
     return pa.schema(
         [
             _field(SAMPLE, pa.int64(), SAMPLE),
-            *(_field(v.target.name, _TYPES[v.target.type], "varied", v.target.unit) for v in plan.varied),
+            *(_field(t.name, _TYPES[t.type], "varied", t.unit) for t in targets),
             *(_field(name, pa.float64(), "metric", unit) for name, unit in units.items()),
             _field(ERROR, pa.string(), ERROR),
         ]
@@ -79,8 +80,8 @@ def write(rows: Iterable[Mapping[str, Any]], columns: pa.Schema, path: Path) -> 
         pq.write_table(table, stream)
 
 
-def with_provenance(columns: pa.Schema, about: Mapping[str, Any]) -> pa.Schema:
-    return columns.with_metadata({_KIND: _SWEEP, _PROVENANCE: json.dumps(about)})
+def with_provenance(columns: pa.Schema, content: Mapping[str, Any]) -> pa.Schema:
+    return columns.with_metadata({_KIND: _SWEEP, _PROVENANCE: json.dumps(content)})
 
 
 def is_sweep(path: Path) -> bool:

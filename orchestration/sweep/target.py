@@ -6,22 +6,26 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from fmus.errors import nearest
+from fmus.fmi_types import FmiValue
 from orchestration.errors import ScenarioError
 from orchestration.fmi.description import start_value
 from orchestration.system.experiment import Algorithm, Experiment
 from orchestration.system.system import CheckedSystem, Port
 from orchestration.system.values import fmi_value
 
-_OWN = {"experiment.step_size": "s", "experiment.stop_time": "s", "experiment.algorithm": ""}
+_EXPERIMENT_UNITS = {"experiment.step_size": "s", "experiment.stop_time": "s", "experiment.algorithm": ""}
 _PURPOSE = "sweep"
+
+Settings = Mapping[str, Mapping[str, FmiValue]]
+"""Table of the scenario file -> key -> value."""
 
 
 @dataclass(frozen=True)
 class Target:
     """A name that a sweep may vary.
 
-    table, key: where a scenario file says it; type: that of FMI 2.0, an enumeration's items are texts
-    permitted: its range; own: its value without a sweep; port: None for a setting of the experiment
+    table, key: where a scenario file gives it; type: that of FMI 2.0, an enumeration's items are texts
+    permitted: its range; base_value: without a sweep; port: None for a setting of the experiment
     """
 
     name: str
@@ -30,10 +34,10 @@ class Target:
     unit: str
     type: str
     permitted: tuple[float, float]
-    own: Any
+    base_value: FmiValue
     port: Port | None
 
-    def checked(self, value: Any) -> Any:
+    def checked(self, value: FmiValue) -> FmiValue:
         """The value as the table of results holds it; SystemDefinitionError if it cannot be set."""
         if self.port is None:
             return self._setting(value)
@@ -48,28 +52,32 @@ class Target:
         """The value, moved into the range if rounding has carried it out."""
         return min(max(value, self.permitted[0]), self.permitted[1])
 
-    def _setting(self, value: Any) -> Any:
+    def _setting(self, value: FmiValue) -> FmiValue:
         if self.type == "String":
-            known = [str(each) for each in Algorithm]
+            known = [str(algorithm) for algorithm in Algorithm]
             if value not in known:
                 raise ScenarioError(f"{self.name} = {value!r}: {nearest(str(value), known)}")
             return value
-        number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        if not number or not self.permitted[0] < value < self.permitted[1]:
-            raise ScenarioError(f"{self.name} = {value!r}: expected more than {self.permitted[0]:g} s")
-        return float(value)
+        low, high = self.permitted
+        if isinstance(value, (int, float)) and not isinstance(value, bool) and low < value < high:
+            return float(value)
+        raise ScenarioError(f"{self.name} = {value!r}: expected more than {low:g} s")
 
 
 def target(name: str, checked: CheckedSystem, experiment: Experiment) -> Target:
     """The target of that name; an unknown one offers the nearest, a wrong one says what was expected."""
-    if name in _OWN:
+    if name in _EXPERIMENT_UNITS:
         key = name.partition(".")[2]
-        kind = "Real" if _OWN[name] else "String"
+        kind = "Real" if _EXPERIMENT_UNITS[name] else "String"
         least = experiment.start_time if key == "stop_time" else 0.0
-        own = getattr(experiment, key)
-        return Target(name, "experiment", key, _OWN[name], kind, (least, math.inf), own, None)
+        base_value = getattr(experiment, key)
+        return Target(
+            name, "experiment", key, _EXPERIMENT_UNITS[name], kind, (least, math.inf), base_value, None
+        )
     if name.startswith("experiment.") and "experiment" not in checked.components:
-        raise ScenarioError(f"{_PURPOSE}: the experiment has no {name!r} to vary; {nearest(name, _OWN)}")
+        raise ScenarioError(
+            f"{_PURPOSE}: the experiment has no {name!r} to vary; {nearest(name, _EXPERIMENT_UNITS)}"
+        )
     port = checked.port(name, _PURPOSE)
     causality = port.variable.causality
     if causality not in ("parameter", "input"):
@@ -86,21 +94,21 @@ def target(name: str, checked: CheckedSystem, experiment: Experiment) -> Target:
         unit=port.variable.unit or "",
         type="String" if port.variable.type == "Enumeration" else port.variable.type,
         permitted=(_limit(port.variable.min, -math.inf), _limit(port.variable.max, math.inf)),
-        own=getattr(experiment, table).get(name, start_value(port.variable)),
+        base_value=getattr(experiment, table).get(name, start_value(port.variable)),
         port=port,
     )
 
 
-def laid_over(experiment: Experiment, settings: Mapping[str, Mapping[str, Any]]) -> Experiment:
-    """The experiment with other values: table of the scenario file -> key -> value."""
-    own = dict(settings.get("experiment", {}))
-    if "algorithm" in own:
-        own["algorithm"] = Algorithm(own["algorithm"])
+def with_settings(experiment: Experiment, settings: Settings) -> Experiment:
+    """The experiment with other values."""
+    changes: dict[str, Any] = dict(settings.get("experiment", {}))
+    if "algorithm" in changes:
+        changes["algorithm"] = Algorithm(changes["algorithm"])
     return replace(
         experiment,
         parameters={**experiment.parameters, **settings.get("parameters", {})},
         inputs={**experiment.inputs, **settings.get("inputs", {})},
-        **own,
+        **changes,
     )
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from fmus.fmi_types import FmiValue
 from orchestration.errors import OrchestrationError, ScenarioError
 from orchestration.scenarios.file_tables import Table
 from orchestration.sweep.distributions import distribution
@@ -18,8 +19,8 @@ class Varied:
     """What differs from sample to sample: `draw` maps a number in [0, 1) to a value, `grid` lists values."""
 
     target: Target
-    grid: tuple[Any, ...] = ()
-    draw: Callable[[float], Any] | None = None
+    grid: tuple[FmiValue, ...] = ()
+    draw: Callable[[float], FmiValue] | None = None
 
 
 def varied(target: Target, declared: Table, where: str) -> Varied:
@@ -40,19 +41,22 @@ def varied(target: Target, declared: Table, where: str) -> Varied:
         raise ScenarioError(f"{where}: {error}") from error
 
 
-def _own_value(target: Target) -> float:
-    """The target's own value, which relative values are multiplied with."""
-    if target.type != "Real" or target.own == 0.0:
-        raise ScenarioError(f"relative: expected a Real that is not 0, got {target.type} {target.own!r}")
-    return float(target.own)
+def _base_value(target: Target) -> float:
+    """The target's value without a sweep, which relative values are multiplied with."""
+    if target.type != "Real" or target.base_value == 0.0:
+        raise ScenarioError(
+            f"relative: expected a Real that is not 0, got {target.type} {target.base_value!r}"
+        )
+    return float(target.base_value)
 
 
-def _grid(target: Target, values: Sequence[Any], relative: bool) -> Varied:
+def _grid(target: Target, values: Sequence[FmiValue], relative: bool) -> Varied:
     if relative:
-        scale = _own_value(target)
-        if not all(isinstance(value, (int, float)) for value in values):
+        scale = _base_value(target)
+        factors = [value for value in values if isinstance(value, (int, float))]
+        if len(factors) < len(values):
             raise ScenarioError(f"values = {values!r}: expected numbers, factors of the variable's own value")
-        values = [scale * value for value in values]
+        values = [scale * factor for factor in factors]
     return Varied(target, grid=tuple(target.checked(value) for value in values))
 
 
@@ -64,19 +68,19 @@ def _linspace(declared: list[float]) -> list[float]:
 
 
 def _drawn(target: Target, name: str, arguments: dict[str, Any], relative: bool, truncate: bool) -> Varied:
-    scale = _own_value(target) if relative else None
+    scale = _base_value(target) if relative else None
     low, high = sorted(limit / (scale or 1.0) for limit in target.permitted)
-    drawn = distribution(name, arguments, (low, high), truncate)
-    if drawn.reach[0] < low or drawn.reach[1] > high:
+    law = distribution(name, arguments, (low, high), truncate)
+    if law.reach[0] < low or law.reach[1] > high:
         raise ScenarioError(
-            f"it reaches {drawn.reach[0]:g}..{drawn.reach[1]:g}, permitted is {low:g}..{high:g}: "
+            f"it reaches {law.reach[0]:g}..{law.reach[1]:g}, permitted is {low:g}..{high:g}: "
             "expected low and high within that, or truncate = true"
         )
 
-    def draw(u: float) -> Any:
-        value = drawn.quantile(u)
+    def draw(u: float) -> FmiValue:
+        value = law.quantile(u)
         return target.checked(value if scale is None else target.within(scale * value))
 
-    for u in drawn.probes:
+    for u in law.probes:
         draw(u)
     return Varied(target, draw=draw)

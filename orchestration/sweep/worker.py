@@ -1,7 +1,7 @@
 """What a Dask worker needs to run samples, and how it runs a batch of them.
 
 The job, FMUs included, is a plugin of the workers: the scheduler keeps it and gives it to every worker,
-also to those that join later or replace a dead one. Each unpacks it once, in its own local folder.
+also to those that join later or replace one that has ended. Each unpacks it once, in its own local folder.
 """
 
 import signal
@@ -11,7 +11,8 @@ from tempfile import TemporaryDirectory
 
 from fmus.extras import imports_of
 from orchestration.sweep.isolated import ClosedError, IsolatedSamples
-from orchestration.sweep.job import Job, Outcome, Settings
+from orchestration.sweep.job import Job, Outcome
+from orchestration.sweep.target import Settings
 
 with imports_of("sweep", "a sweep"):
     from distributed import Reschedule, Worker, WorkerPlugin, get_worker
@@ -28,7 +29,7 @@ class SamplePlugin(WorkerPlugin):
         self._folder = TemporaryDirectory(
             dir=worker.local_directory, prefix="sweep-", ignore_cleanup_errors=True
         )
-        self._unpacked = self._job.unpacked(Path(self._folder.name))
+        self._unpacked_job = self._job.with_unpacked_fmus(Path(self._folder.name))
         self._idle: list[IsolatedSamples] = []
         self._all: list[IsolatedSamples] = []
 
@@ -40,19 +41,19 @@ class SamplePlugin(WorkerPlugin):
     def run(self, samples: list[tuple[int, Settings]], budget: float) -> list[tuple[int, Outcome]]:
         """As many of the samples, in their order, as end within `budget` seconds, but one at least."""
         runner = self._idle.pop() if self._idle else self._new()
-        begin, done = time.monotonic(), []
+        begin, outcomes = time.monotonic(), []
         for number, settings in samples:
             try:
-                done.append((number, runner.run(settings)))
+                outcomes.append((number, runner.run(settings)))
             except ClosedError:  # this worker leaves the cluster
                 raise Reschedule from None
             if time.monotonic() - begin > budget:
                 break
         self._idle.append(runner)
-        return done
+        return outcomes
 
     def _new(self) -> IsolatedSamples:
-        runner = IsolatedSamples(self._unpacked, Path(self._folder.name))
+        runner = IsolatedSamples(self._unpacked_job, Path(self._folder.name))
         self._all.append(runner)
         return runner
 

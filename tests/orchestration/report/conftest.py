@@ -45,9 +45,7 @@ def browser(
 
 
 @pytest.fixture
-def opened(
-    browser: webdriver.Chrome, scenario_fmus: None, tmp_path: Path
-) -> Iterator[Callable[..., OpenedPage]]:
+def opened(browser: webdriver.Chrome, tmp_path: Path) -> Iterator[Callable[..., OpenedPage]]:
     """Opens the page of some results; afterwards nothing must have gone wrong and nothing been fetched."""
     pages: list[OpenedPage] = []
 

@@ -78,7 +78,7 @@ def write_sweep(folder: Path, samples: int = 100) -> Path:
     rows = []
     for sample in range(samples):
         values = wanted.values(sample)
-        mass, lift = values["plant.inertia"], values["plant.buoyancy_change"]
+        mass, lift = (float(values[name]) for name in ("plant.inertia", "plant.buoyancy_change"))
         metrics = {name: i + mass for i, name in enumerate(wanted.scenario.metrics)}
         metrics["rmse"] = -mass
         metrics["holding_thrust"] = 1.2 + lift + 0.1 * math.sin(sample)

@@ -46,7 +46,6 @@ def test_a_recording_that_the_document_does_not_name_stands_alone(tmp_path: Path
     assert names(tmp_path) == ["dive.csv", "dive.json"]
 
 
-@pytest.mark.usefixtures("scenario_fmus")
 def test_a_folder_gives_its_runs_sweeps_and_recordings_and_nothing_else(tmp_path: Path) -> None:
     write_run(tmp_path, "dive")
     write_sweep(tmp_path, 3)
@@ -124,7 +123,6 @@ def test_a_document_whose_recording_is_gone_is_refused(tmp_path: Path) -> None:
         found_results([document])
 
 
-@pytest.mark.usefixtures("scenario_fmus")
 def test_an_empty_folder_and_an_empty_sweep_are_refused(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(OrchestrationError, match="no result in this folder"):
@@ -135,14 +133,12 @@ def test_an_empty_folder_and_an_empty_sweep_are_refused(tmp_path: Path) -> None:
         found_results([path])
 
 
-@pytest.mark.usefixtures("scenario_fmus")
 def test_equal_results_give_equal_pages(tmp_path: Path) -> None:
     write_run(tmp_path, "dive")
     write_sweep(tmp_path, 20)
     assert render(found_results([tmp_path])) == render(found_results([tmp_path]))
 
 
-@pytest.mark.usefixtures("scenario_fmus")
 def test_a_page_names_what_is_on_it(tmp_path: Path) -> None:
     run = write_run(tmp_path, "dive")
     sweep = write_sweep(tmp_path, 20)

@@ -69,9 +69,9 @@ def swept(
     client: Client,
     folder: Path,
     progress: Callable[[int], object] = lambda done: None,
-    kept: tuple[str, ...] | None = None,
+    recorded: tuple[str, ...] | None = None,
 ) -> Path:
-    return running.sweep(made, folder, nullcontext(client), kept, progress=progress)
+    return running.sweep(made, folder, nullcontext(client), recorded, progress=progress)
 
 
 @pytest.fixture
@@ -156,7 +156,7 @@ def test_a_sample_whose_workers_die_again_and_again_is_found_among_the_others(
 def test_recordings_are_those_of_the_samples_run_alone(planned: Make, tmp_path: Path) -> None:
     made = planned(SWEEP.replace(f"samples = {COUNT}", "samples = 6"))
     with cluster.local(2) as client:
-        found, _ = table.read(swept(made, client, tmp_path, kept=()))
+        found, _ = table.read(swept(made, client, tmp_path, recorded=()))
     written = {path.name: Recording.read(path) for path in (tmp_path / "mine.recordings").iterdir()}
     good = [row["sample"] for row in found.to_pylist() if row["error"] is None]
     assert set(written) == {f"sample-{sample}.parquet" for sample in good}

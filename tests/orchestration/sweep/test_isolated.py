@@ -30,11 +30,11 @@ def does(misdeed: str, **parameters: float) -> dict[str, dict[str, Any]]:
 
 
 @pytest.fixture
-def place(sweep_file: Callable[..., Path], tmp_path: Path) -> Iterator[IsolatedSamples]:
+def samples(sweep_file: Callable[..., Path], tmp_path: Path) -> Iterator[IsolatedSamples]:
     """Where samples run; nothing is left of it afterwards but the FMU."""
-    made = job(plan(scenario.load(sweep_file(SWEEP))), kept=("r.y",))
+    made = job(plan(scenario.load(sweep_file(SWEEP))), recorded=("r.y",))
     folder, others = tmp_path / "worker", processes()
-    opened = IsolatedSamples(made.unpacked(folder), folder)
+    opened = IsolatedSamples(made.with_unpacked_fmus(folder), folder)
     yield opened
     opened.close()
     assert processes() <= others
@@ -52,26 +52,26 @@ def child() -> int:
 
 
 def test_a_sample_gives_the_metrics_and_the_recording_of_the_same_run_alone(
-    place: IsolatedSamples, sweep_file: Callable[..., Path], tmp_path: Path
+    samples: IsolatedSamples, sweep_file: Callable[..., Path], tmp_path: Path
 ) -> None:
     path = sweep_file(SWEEP)
     alone = scenario.load(path, {"inputs": SAMPLE["inputs"]})
     recording = simulate(alone.system, alone.experiment)
-    outcomes = [place.run(does("warning")), place.run(SAMPLE), place.run(SAMPLE)]
+    outcomes = [samples.run(does("warning")), samples.run(SAMPLE), samples.run(SAMPLE)]
     for outcome in outcomes[1:]:  # whatever ran before
         assert outcome.error is None
         assert outcome.metrics == metrics.evaluate(recording, alone.metrics)
-        (tmp_path / "kept.parquet").write_bytes(outcome.recording or b"")
-        kept = Recording.read(tmp_path / "kept.parquet")
-        assert kept.names == ("r.y",)
-        assert kept["r.y"].tolist() == recording["r.y"].tolist()
+        (tmp_path / "sample.parquet").write_bytes(outcome.recording or b"")
+        read = Recording.read(tmp_path / "sample.parquet")
+        assert read.names == ("r.y",)
+        assert read["r.y"].tolist() == recording["r.y"].tolist()
 
 
-def test_the_process_and_its_fmus_stay_from_sample_to_sample(place: IsolatedSamples) -> None:
-    place.run(SAMPLE)
+def test_the_process_and_its_fmus_stay_from_sample_to_sample(samples: IsolatedSamples) -> None:
+    samples.run(SAMPLE)
     first = child()
-    assert place.run(does("error")).error is not None
-    place.run(SAMPLE)
+    assert samples.run(does("error")).error is not None
+    samples.run(SAMPLE)
     assert child() == first
 
 
@@ -86,38 +86,38 @@ def test_the_process_and_its_fmus_stay_from_sample_to_sample(place: IsolatedSamp
     ],
 )
 def test_what_an_fmu_does_is_told_and_the_next_sample_runs(
-    place: IsolatedSamples, misdeed: str, error: str
+    samples: IsolatedSamples, misdeed: str, error: str
 ) -> None:
-    outcome = place.run(does(misdeed))
+    outcome = samples.run(does(misdeed))
     assert (outcome.error, outcome.metrics, outcome.recording) == (error, {}, None)
-    assert place.run(SAMPLE).error is None
+    assert samples.run(SAMPLE).error is None
 
 
 def test_a_process_killed_by_somebody_else_is_replaced_and_its_sample_run_again(
-    place: IsolatedSamples,
+    samples: IsolatedSamples,
 ) -> None:
-    place.run(SAMPLE)
+    samples.run(SAMPLE)
     before = child()
     os.kill(before, signal.SIGSTOP)  # so that the sample cannot end before it is killed
     threading.Timer(0.3, os.kill, (before, signal.SIGKILL)).start()
-    assert place.run(SAMPLE).error is None
+    assert samples.run(SAMPLE).error is None
     assert child() != before
 
 
-def test_closing_ends_a_sample_that_runs(place: IsolatedSamples) -> None:
-    place.run(SAMPLE)
-    threading.Timer(0.3, place.close).start()
+def test_closing_ends_a_sample_that_runs(samples: IsolatedSamples) -> None:
+    samples.run(SAMPLE)
+    threading.Timer(0.3, samples.close).start()
     begin = time.monotonic()
     with pytest.raises(SweepError, match="closed while a sample was running"):
-        place.run(does("hang"))
+        samples.run(does("hang"))
     assert time.monotonic() - begin < TIMEOUT_S
 
 
 def test_an_fmu_that_cannot_be_loaded_is_told_without_the_place_where_it_was_unpacked(
     sweep_file: Callable[..., Path], tmp_path: Path
 ) -> None:
-    made = job(plan(scenario.load(sweep_file(SWEEP))), kept=None)
-    unpacked = made.unpacked(tmp_path / "worker")
+    made = job(plan(scenario.load(sweep_file(SWEEP))), recorded=None)
+    unpacked = made.with_unpacked_fmus(tmp_path / "worker")
     (path,) = unpacked.system.components.values()
     path.write_bytes(b"no zip any more")
     opened = IsolatedSamples(unpacked, tmp_path / "worker")
@@ -131,8 +131,8 @@ def test_a_python_that_cannot_run_samples_is_told_at_once(
 ) -> None:
     (tmp_path / "numpy.py").write_text("raise ImportError('not this one')")
     monkeypatch.syspath_prepend(tmp_path)
-    made = job(plan(scenario.load(sweep_file(SWEEP))), kept=None)
-    opened = IsolatedSamples(made.unpacked(tmp_path / "worker"), tmp_path / "worker")
+    made = job(plan(scenario.load(sweep_file(SWEEP))), recorded=None)
+    opened = IsolatedSamples(made.with_unpacked_fmus(tmp_path / "worker"), tmp_path / "worker")
     with pytest.raises(SweepError, match="cannot start: ImportError: not this one"):
         opened.run(SAMPLE)
     opened.close()
