@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from fmus.platforms import PLATFORMS, host_platform
-from tests.shared_builds import Build
+from tests.shared_builds import Build, built_once, session_folder
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("fmus", "controller_fmu", "plant_fmu", "orchestration")
@@ -37,15 +37,21 @@ def run(command: Sequence[str | Path], cwd: Path, **variables: str) -> str:
 
 
 def built(folder: Path, *options: str) -> Path:
-    run([sys.executable, "-m", "build", "--no-isolation", "--outdir", folder, *options, ROOT], folder)
+    """The wheel, built in a copy of the sources: a build writes beside them, and two may run at once."""
+    unwanted = shutil.ignore_patterns(".git", ".*_cache", "__pycache__", "*.egg-info", "*.fmu")
+    sources = shutil.copytree(ROOT, folder / "copy", ignore=unwanted)
+    run([sys.executable, "-m", "build", "--no-isolation", "--outdir", folder, *options, sources], folder)
     (wheel,) = folder.glob("*.whl")
     return wheel
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Built from the archive of sources, which is beside it."""
-    return built(tmp_path_factory.mktemp("from archive"))
+    folder = built_once(
+        session_folder(tmp_path_factory, "packaging") / "wheel", lambda path: path.mkdir() or built(path)
+    )
+    return next(folder.glob("*.whl"))
 
 
 @pytest.fixture
