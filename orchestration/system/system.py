@@ -148,7 +148,7 @@ def _unit(checked: CheckedSystem, port: Port) -> object:
     """Equal for equal units: base units, factor and offset if the FMU declares them, else the name."""
     name = port.variable.unit
     for unit in checked.descriptions[port.component].unitDefinitions:
-        base = unit.baseUnit
+        base: Any = unit.baseUnit  # FMPy's declarations disagree from version to version
         if unit.name == name and base is not None:
             exponents = (base.kg, base.m, base.s, base.A, base.K, base.mol, base.cd, base.rad)
             return (*exponents, base.factor, base.offset)
