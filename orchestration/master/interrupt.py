@@ -20,18 +20,30 @@ def deferred_interrupt() -> Iterator[Callable[[], None]]:
     check_interrupt()  # one that came after the last look
 
 
+class _Recorder:
+    """A handler of SIGINT that only records the times [s of time.monotonic] of interrupts."""
+
+    def __init__(self) -> None:
+        self.times: list[float] = []
+
+    def __call__(self, number: int, frame: object) -> None:
+        self.times.append(time.monotonic())
+
+
 @contextmanager
 def kept_interrupts() -> Iterator[list[float]]:
     """Interrupts only leave their time [s of time.monotonic] in the list given.
 
+    Inside another such context the list is that of the outer one, with the interrupts that came before.
     Outside the main thread, which receives no interrupts, nothing is changed.
     """
-    received: list[float] = []
     if threading.current_thread() is not threading.main_thread():
-        yield received
+        yield []
         return
-    before = signal.signal(signal.SIGINT, lambda number, frame: received.append(time.monotonic()))
+    before = signal.getsignal(signal.SIGINT)
+    recorder = before if isinstance(before, _Recorder) else _Recorder()
+    signal.signal(signal.SIGINT, recorder)
     try:
-        yield received
+        yield recorder.times
     finally:
         signal.signal(signal.SIGINT, before)

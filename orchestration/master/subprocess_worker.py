@@ -8,7 +8,6 @@ import _thread
 import pickle
 import tempfile
 import threading
-import time
 import traceback
 import warnings
 from collections.abc import Mapping
@@ -29,7 +28,6 @@ from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 
 STOP = "stop"  # the message that asks the run to stop, as an interrupt does
-_INSIST_S = 0.1  # until the next interrupt: one that comes while the run is prepared changes nothing
 
 Outcome = Recording | BaseException
 
@@ -70,7 +68,7 @@ class SharedRecord:
 
 def run_task(parent: Parent) -> None:
     """Receive a pickled Task; send a Warned for each warning, then the Outcome."""
-    with kept_interrupts():  # the run itself looks at those that come while it goes on
+    with kept_interrupts():  # also those that come while the run is prepared end it
         try:
             outcome: Outcome = _run(parent, Path(tempfile.gettempdir()))
         except BaseException as error:  # whatever it is, it is for the other process
@@ -81,9 +79,7 @@ def run_task(parent: Parent) -> None:
 
 def _stop_when_asked(parent: Parent) -> None:
     if parent.receive() == STOP:
-        while True:
-            _thread.interrupt_main()
-            time.sleep(_INSIST_S)
+        _thread.interrupt_main()
 
 
 def _run(parent: Parent, folder: Path) -> Recording:

@@ -16,7 +16,7 @@ from fmus.errors import ExportError
 from fmus.export import native as native_flavour
 from fmus.export import python as python_flavour
 from fmus.export.model_description import model_description
-from fmus.platforms import PLATFORMS, host_platform, library_name
+from fmus.platforms import host_platform, library_name
 from fmus.registry import Flavour
 from fmus.units import BASE_UNITS, base_units
 
@@ -107,7 +107,7 @@ def test_a_stale_fmu_is_rebuilt_and_a_fresh_one_kept(tmp_path: Path) -> None:
 
 
 def test_a_native_fmu_of_another_platform_only_is_rebuilt_for_this_one(tmp_path: Path) -> None:
-    other = next(each for each in PLATFORMS if each != host_platform())
+    other = next(name for name in ("linux64", "aarch64-linux") if name != host_platform())
     path = catalogue.build("ExamplePlant", tmp_path, platforms=[other])
     catalogue.build_if_stale("ExamplePlant", tmp_path)
     assert library_name("ExamplePlant", host_platform()) in zipfile.ZipFile(path).namelist()
