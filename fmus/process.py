@@ -13,7 +13,7 @@ import tempfile
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from queue import Empty, SimpleQueue
+from queue import Empty, Queue
 from typing import IO, Any, BinaryIO, cast
 
 _TO_END_S = 10.0  # for a process whose messages have ended
@@ -35,7 +35,7 @@ class Parent:
 
     def __init__(self, incoming: BinaryIO, outgoing: BinaryIO) -> None:
         self._outgoing = outgoing
-        self._messages: SimpleQueue[bytes] = SimpleQueue()
+        self._messages: Queue[bytes] = Queue()
         threading.Thread(target=self._read, args=(incoming,), daemon=True).start()
 
     def _read(self, incoming: BinaryIO) -> None:
@@ -70,7 +70,7 @@ class WorkerProcess:
             dir=folder, prefix="l1-depth-process-", ignore_cleanup_errors=True
         )
         self.folder = Path(self._temporary.name)
-        self._messages: SimpleQueue[bytes | None] = SimpleQueue()
+        self._messages: Queue[bytes | None] = Queue()  # SimpleQueue.get may wait for ever after a signal
         with self._errors.open("wb") as errors:
             self._process = _started(worker, self.folder, errors)
         incoming = cast(IO[bytes], self._process.stdout)

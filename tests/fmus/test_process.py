@@ -40,6 +40,24 @@ def test_a_time_limit_leaves_the_process(tmp_path: Path) -> None:
     process.close()
 
 
+def test_a_signal_that_arrives_as_a_time_limit_ends_does_not_prolong_it(tmp_path: Path) -> None:
+    def fail_if_late(number: int, frame: object) -> None:
+        assert time.monotonic() < deadline
+
+    process = WorkerProcess(sleep, tmp_path)
+    before = signal.signal(signal.SIGALRM, fail_if_late)
+    deadline = time.monotonic() + TO_START_S
+    try:
+        for microseconds in range(950, 1100):
+            signal.setitimer(signal.ITIMER_REAL, 1e-6 * microseconds, 0.5)
+            with pytest.raises(TimeoutError):
+                process.receive(0.001)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+        process.close()
+
+
 def test_a_crash_is_told_each_time(tmp_path: Path) -> None:
     process = WorkerProcess(die, tmp_path)
     for _ in range(2):
