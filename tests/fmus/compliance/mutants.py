@@ -91,8 +91,6 @@ XML_MUTANTS = [
     ("start-values-are-as-declared", 'start="0.001"', 'start="0.002"'),
     ("variables-can-be-read", 'valueReference="49"', 'valueReference="999"'),
     ("fmpy-validation", "<LogCategories>", "<Nonsense/><LogCategories>"),
-    ("fmutool-generic-check", "<LogCategories>", "<Nonsense/><LogCategories>"),
-    ("fmutool-semantic-check", 'name="filter_order"', 'name="internal_step"'),
 ]  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from .archives import PYTHONFMU_ERRORS, members, write
 
 NAME = "DepthReference"
 PLUGIN = "fmus.compliance.pytest_plugin"
-HEAVY = ["lief", "fmpy", "lxml", "fmu_manipulation_toolbox", "casadi", "numpy", "rich"]
+HEAVY = ["lief", "fmpy", "lxml", "casadi", "numpy", "rich"]
 
 
 def run_pytest(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
