@@ -17,19 +17,6 @@ from fmus.guide import NO_GUIDE, Guide
 Value = float | int | bool
 
 
-@dataclass(frozen=True)
-class VariableInfo:
-    """What a declaration says of a variable besides its name and start value."""
-
-    description: str
-    unit: Any
-    minimum: Any
-    maximum: Any
-    nominal: Any
-    variability: str | None
-    source: str
-
-
 def variable(
     start: Any,
     description: str,
@@ -49,8 +36,10 @@ def variable(
     variability: "fixed" or "tunable" for a parameter; otherwise the class decides.
     source: where a number comes from: published, estimate or guess.
     """
-    info = VariableInfo(description, unit, min, max, nominal, variability, source)
-    return field(default=start, metadata={"variable": info})
+    ranges = {"minimum": min, "maximum": max, "nominal": nominal}
+    texts = {"description": description, "source": source}
+    metadata = {"unit": unit, "variability": variability, "ranges": ranges, "texts": texts}
+    return field(default=start, metadata=metadata)
 
 
 @dataclass(frozen=True)
@@ -128,14 +117,6 @@ class NoValues:
     """Stands for a class of variables that a block does not have."""
 
 
-def nothing_to_calculate(parameters: Any) -> NoValues:
-    return NoValues()
-
-
-def nothing_required(parameters: Any, calculated: Any) -> tuple[tuple[Any, str], ...]:
-    return ()
-
-
 @dataclass(frozen=True)
 class Block:
     """A model as data: four or five frozen dataclasses and the pure functions between them.
@@ -160,8 +141,8 @@ class Block:
     step: Callable[..., Any]
     output: Callable[..., Any]
     calculated: type = NoValues
-    calculate: Callable[[Any], Any] = nothing_to_calculate
-    requirements: Callable[[Any, Any], tuple[tuple[Any, str], ...]] = nothing_required
+    calculate: Callable[[Any], Any] = lambda parameters: NoValues()
+    requirements: Callable[[Any, Any], tuple[tuple[Any, str], ...]] = lambda parameters, calculated: ()
     stop_time: float = 1.0
     step_size: float = 0.01
     guide: Guide = NO_GUIDE
@@ -180,26 +161,22 @@ class Block:
 
 
 def _scalars(declared: Field, role: str, first_reference: int) -> Iterator[ScalarVariable]:
-    info: VariableInfo = declared.metadata["variable"]
+    said = declared.metadata
     causality, variability, initial = _ROLES[role]
     for offset, (index, start) in enumerate(_elements(declared.default)):
-        enumeration = type(start) if isinstance(start, IntEnum) else None
         is_real = isinstance(start, float)
         discrete = "discrete" if variability == "continuous" and not is_real else variability
         yield ScalarVariable(
-            name=declared.name + _subscript(index),
+            name=declared.name + (f"[{','.join(str(i + 1) for i in index)}]" if index else ""),
             value_reference=first_reference + offset,
             causality=causality,
-            variability=info.variability or discrete,
+            variability=said["variability"] or discrete,
             initial=initial,
             start=start,
-            description=info.description,
-            unit=_at(info.unit, index) if is_real else None,
-            minimum=_at(info.minimum, index),
-            maximum=_at(info.maximum, index),
-            nominal=_at(info.nominal, index),
-            source=info.source,
-            enumeration=enumeration,
+            unit=_at(said["unit"], index) if is_real else None,
+            enumeration=type(start) if isinstance(start, IntEnum) else None,
+            **said["texts"],
+            **{name: _at(value, index) for name, value in said["ranges"].items()},
         )
 
 
@@ -209,10 +186,6 @@ def _elements(value: Any, index: tuple[int, ...] = ()) -> Iterator[tuple[tuple[i
             yield from _elements(element, (*index, i))
     else:
         yield index, value
-
-
-def _subscript(index: tuple[int, ...]) -> str:
-    return f"[{','.join(str(i + 1) for i in index)}]" if index else ""
 
 
 def _at(value: Any, index: tuple[int, ...]) -> Any:

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
+from xml.etree import ElementTree
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest date that a zip can hold
 
@@ -55,3 +56,9 @@ def write_archive(path: Path, members: Mapping[str, bytes]) -> Path:
             info.external_attr = 0o644 << 16
             archive.writestr(info, members[name])
     return path
+
+
+def xml_document(root: ElementTree.Element) -> bytes:
+    """A whole XML file, indented."""
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, xml_declaration=True, encoding="UTF-8")

@@ -17,44 +17,30 @@ _TABLES = (
 )
 _HEADINGS = ("Name", "Unit", "Start", "Permitted", "Variability", "Meaning", "Source")
 
-_REFERENCE_NOTE = """\
-Reference results of {name}
-
-extra/org.fmi-standard.fmi-ls-ref holds the experiment {name}.exp, its outputs {name}_ref.csv
-and, for a block with inputs, these as {name}_in.csv.
-
-Parameters keep their start values. Between two rows inputs are straight lines, which the importer
-takes at each communication point and holds until the next. A row of outputs is what stands at
-its time before inputs are set.
-To be expected are differences of rounding only, for the same communication step size.
-"""
-
 
 def documentation(block: Block) -> dict[str, bytes]:
     """Path inside the FMU -> content of the page and of the note on the reference results."""
-    note = _REFERENCE_NOTE.format(name=block.name)
-    return {
-        "documentation/index.html": _page(block).encode(),
-        "documentation/fmi-ls-ref.txt": note.encode(),
+    templates, experiment = resources.files("fmus.documentation"), block.guide.experiment
+    files = {"index.html": "page.html", "fmi-ls-ref.txt": "fmi-ls-ref.txt"}
+    values = {
+        "name": escape(block.name),
+        "description": escape(block.description),
+        "release": escape(version("l1-depth")),
+        "stop_time": block.stop_time,
+        "step_size": block.step_size,
+        "guide": _guide(block),
+        "variables": "\n".join(_tables(block)),
+        "reference_stop_time": experiment.stop_time or block.stop_time,
+        "reference_step_size": experiment.step_size or block.step_size,
+        "stimuli": _stimuli(block),
+        "sources": _list(map(_source, block.guide.sources)),
     }
-
-
-def _page(block: Block) -> str:
-    template = Template((resources.files("fmus.documentation") / "page.html").read_text("utf-8"))
-    experiment = block.guide.experiment
-    return template.substitute(
-        name=escape(block.name),
-        description=escape(block.description),
-        release=escape(version("l1-depth")),
-        stop_time=block.stop_time,
-        step_size=block.step_size,
-        guide=_guide(block),
-        variables="\n".join(_tables(block)),
-        reference_stop_time=experiment.stop_time or block.stop_time,
-        reference_step_size=experiment.step_size or block.step_size,
-        stimuli=_stimuli(block),
-        sources=_list(map(_source, block.guide.sources)),
-    )
+    return {
+        f"documentation/{file}": Template((templates / template).read_text("utf-8"))
+        .substitute(values)
+        .encode()
+        for file, template in files.items()
+    }
 
 
 def _guide(block: Block) -> str:

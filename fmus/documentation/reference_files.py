@@ -11,11 +11,11 @@ from xml.etree import ElementTree
 
 from fmus.block import Value
 from fmus.documentation.reference_results import ReferenceRun
+from fmus.files import xml_document
 
 LS_REF = "org.fmi-standard.fmi-ls-ref"
-RELATIVE_TOLERANCE = (
-    1e-6  # elementary functions differ between C libraries by some 1e-16 a call; loops amplify
-)
+# elementary functions differ between C libraries by some 1e-16 a call; loops amplify
+RELATIVE_TOLERANCE = 1e-6
 _FOLDER = f"extra/{LS_REF}"
 _MANIFEST_NAMESPACE = "http://fmi-standard.org/fmi-ls-manifest"
 
@@ -59,44 +59,32 @@ def _csv(names: tuple[str, ...], rows: tuple[tuple[Value, ...], ...]) -> bytes:
 
 def _experiments(run: ReferenceRun, name: str, tables: dict[str, bytes]) -> bytes:
     root = ElementTree.Element("Experiments", name=f"Reference experiment of {name}")
-    experiment = ElementTree.SubElement(
-        root,
-        "Experiment",
-        name="reference",
-        description="Parameters at their start values; inputs in straight lines between the rows",
-        tolerance=repr(RELATIVE_TOLERANCE),
-    )
+    description = "Parameters at their start values; inputs in straight lines between the rows"
+    attributes = {"name": "reference", "description": description, "tolerance": repr(RELATIVE_TOLERANCE)}
+    experiment = ElementTree.SubElement(root, "Experiment", attributes)
     times = {"startTime": "0.0", "stopTime": repr(run.stop_time), "stepSize": repr(run.step_size)}
     ElementTree.SubElement(experiment, "TransientSimulation", times)
     for tag, file in (("Stimuli", f"{name}_in.csv"), ("References", f"{name}_ref.csv")):
         if file in tables:
             ElementTree.SubElement(experiment, tag, source=file)
-    return _xml(root)
+    return xml_document(root)
 
 
 def _manifest(name: str, files: dict[str, bytes]) -> bytes:
-    described = {
-        f"{name}.exp": ("experiment", "application/x-ma-hs-experiments", "Experiment to try the FMU with"),
-        f"{name}_ref.csv": ("result", "text/csv", "Outputs in that experiment"),
-        f"{name}_in.csv": ("other", "text/csv", "Inputs in that experiment"),
-    }
     ElementTree.register_namespace("fmi-ls", _MANIFEST_NAMESPACE)
     attributes = {
-        "fmi-ls-name": LS_REF,
-        "fmi-ls-version": "1.0.0-alpha.1",
-        "fmi-ls-description": "Layered Standard providing information on related files included in an FMU.",
+        "name": LS_REF,
+        "version": "1.0.0-alpha.1",
+        "description": "Layered Standard providing information on related files included in an FMU.",
     }
-    root = ElementTree.Element(
-        "fmiReferences", {f"{{{_MANIFEST_NAMESPACE}}}{key}": value for key, value in attributes.items()}
-    )
-    for file, (role, kind, description) in described.items():
+    qualified = {f"{{{_MANIFEST_NAMESPACE}}}fmi-ls-{key}": value for key, value in attributes.items()}
+    root = ElementTree.Element("fmiReferences", qualified)
+    for file, kind, role, description in (
+        (f"{name}.exp", "application/x-ma-hs-experiments", "experiment", "Experiment to try the FMU with"),
+        (f"{name}_ref.csv", "text/csv", "result", "Outputs in that experiment"),
+        (f"{name}_in.csv", "text/csv", "other", "Inputs in that experiment"),
+    ):
         if file in files:
-            ElementTree.SubElement(
-                root, "Related", type=kind, source=file, role=role, description=description
-            )
-    return _xml(root)
-
-
-def _xml(root: ElementTree.Element) -> bytes:
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, xml_declaration=True, encoding="UTF-8")
+            related = {"type": kind, "source": file, "role": role, "description": description}
+            ElementTree.SubElement(root, "Related", related)
+    return xml_document(root)

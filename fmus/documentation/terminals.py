@@ -9,6 +9,7 @@ out: the icon is model.png, and some readers take the first child of the root fo
 from xml.etree import ElementTree
 
 from fmus.block import Block
+from fmus.files import xml_document
 
 PATH = "terminalsAndIcons/terminalsAndIcons.xml"
 _TERMINALS = (("inputs", "input", "Every input"), ("outputs", "output", "Every output"))
@@ -19,19 +20,10 @@ def terminals(block: Block) -> dict[str, bytes]:
     root = ElementTree.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
     listed = ElementTree.SubElement(root, "Terminals")
     for name, causality, description in _TERMINALS:
-        variables = block.of_causality(causality)
-        if not variables:
-            continue
-        terminal = ElementTree.SubElement(
-            listed, "Terminal", name=name, matchingRule="bus", description=description
-        )
-        for v in variables:
-            ElementTree.SubElement(
-                terminal,
-                "TerminalMemberVariable",
-                variableName=v.name,
-                memberName=v.name,
-                variableKind="signal",
-            )
-    ElementTree.indent(root)
-    return {PATH: ElementTree.tostring(root, xml_declaration=True, encoding="UTF-8")} if len(listed) else {}
+        if variables := block.of_causality(causality):
+            attributes = {"name": name, "matchingRule": "bus", "description": description}
+            terminal = ElementTree.SubElement(listed, "Terminal", attributes)
+            for v in variables:
+                member = {"variableName": v.name, "memberName": v.name, "variableKind": "signal"}
+                ElementTree.SubElement(terminal, "TerminalMemberVariable", member)
+    return {PATH: xml_document(root)} if len(listed) else {}

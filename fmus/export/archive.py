@@ -1,41 +1,52 @@
 """What every .fmu holds besides its model: a GUID that follows from the content, and licences."""
 
 import hashlib
+import re
 import uuid
+from importlib import resources
 from importlib.metadata import distribution
-from pathlib import Path
 
-NO_GUID = str(uuid.UUID(int=0))  # stands for the GUID while it is being derived
-_LICENSES = "documentation/licenses/"
-_COVERED = {
-    "l1-depth": "the FMU: its model, its documentation and what makes an FMU of the model",
-    "fmi-headers": "sources/fmi2*.h, of the Modelica Association",
-    "zig": "what its compiler adds to the libraries",
-    "mingw-w64": "what it adds to the library for Windows",
-    "pythonfmu": "the libraries, and the package of that name in resources",
+# They stand for the GUID, and for a part of it in Python names, until it is known.
+GUID, GUID_IN_NAMES = "GUID-of-this-FMU", "GUID_of_this_FMU"
+
+# name -> (installed project, file of its metadata, what the licence is for)
+_LICENSES = {
+    "l1-depth": (
+        "l1-depth",
+        "LICENSE",
+        "the FMU: its model, its documentation and what makes an FMU of the model",
+    ),
+    "fmi-headers": ("fmpy", "", "sources/fmi2*.h, of the Modelica Association"),
+    "zig": ("ziglang", "ziglang/LICENSE", "what its compiler adds to the libraries"),
+    "mingw-w64": ("ziglang", "ziglang/lib/libc/mingw/COPYING", "what it adds to the library for Windows"),
+    "pythonfmu": ("pythonfmu", "LICENSE", "the libraries, and the package of that name in resources"),
 }
 
 
-def guid_of(members: dict[str, bytes]) -> str:
-    """A GUID that follows from the content: equal members have the same, others another one."""
-    digest = hashlib.sha256()
+def with_guid(members: dict[str, bytes], recipe: str = "") -> tuple[str, dict[str, bytes]]:
+    """A GUID that follows from members and recipe, and the members with it in names and contents."""
+    digest = hashlib.sha256(recipe.encode())
     for name, data in sorted(members.items()):
         digest.update(hashlib.sha256(name.encode()).digest() + hashlib.sha256(data).digest())
-    return str(uuid.uuid5(uuid.NAMESPACE_OID, digest.hexdigest()))
+    guid = str(uuid.uuid5(uuid.NAMESPACE_OID, digest.hexdigest()))
+    in_names = guid.replace("-", "")[:16]
+    return guid, {
+        name.replace(GUID_IN_NAMES, in_names): data.replace(GUID.encode(), guid.encode()).replace(
+            GUID_IN_NAMES.encode(), in_names.encode()
+        )
+        for name, data in members.items()
+    }
 
 
-def licenses(*projects: str) -> dict[str, bytes]:
-    """Path inside the FMU -> licence of each of these installed projects."""
-    found = {}
-    for project in projects:
-        for file in distribution(project).files or ():
-            if file.name == "LICENSE":
-                found[f"{_LICENSES}{project}.txt"] = Path(str(file.locate())).read_bytes()
-    return found
+def licenses(*names: str) -> dict[str, bytes]:
+    """Path inside the FMU -> licence, and the file that FMI 2.0 wants before them: what each is for."""
+    entry_point = "".join(f"{name}.txt: {_LICENSES[name][2]}\n" for name in names)
+    texts = {"license": entry_point} | {name: _license(*_LICENSES[name][:2]) for name in names}
+    return {f"documentation/licenses/{name}.txt": text.encode() for name, text in texts.items()}
 
 
-def with_entry_point(found: dict[str, bytes]) -> dict[str, bytes]:
-    """These licences and the file that FMI 2.0 wants before them: what each of them is for."""
-    names = [path.removeprefix(_LICENSES).removesuffix(".txt") for path in found]
-    lines = "".join(f"{name}.txt: {_COVERED[name]}\n" for name in names)
-    return found | {f"{_LICENSES}license.txt": lines.encode()}
+def _license(project: str, file: str) -> str:
+    if file:
+        return distribution(project).read_text(f"licenses/{file}") or ""
+    header = (resources.files(project) / "c-code" / "fmi2Functions.h").read_text("utf-8")
+    return "".join(re.findall(r"Copyright.*?(?=\*/)", header, re.DOTALL)[:1])

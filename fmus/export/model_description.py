@@ -24,11 +24,20 @@ LOG_CATEGORIES = {
     "logAll": "Every message.",
 }
 
+_CAPABILITIES = {
+    "needsExecutionTool": "false",
+    "canHandleVariableCommunicationStepSize": "true",
+    "canRunAsynchronuously": "false",
+    "canBeInstantiatedOnlyOncePerProcess": "false",
+    "canGetAndSetFMUstate": "true",
+    "canSerializeFMUstate": "true",
+}
+
 
 def model_description(
     block: Block, guid: str, capabilities: dict[str, str], source_files: Sequence[str] = ()
 ) -> bytes:
-    """The XML of a block; `capabilities` are the flavour's attributes of `CoSimulation`.
+    """The XML of a block; `capabilities` are the attributes of `CoSimulation` that the flavour decides.
 
     source_files: what an importer must compile to rebuild the FMU, inside the folder `sources`.
 
@@ -47,7 +56,7 @@ def model_description(
         "variableNamingConvention": "structured",
     }
     root = ElementTree.Element("fmiModelDescription", attributes)
-    interface = _add(root, "CoSimulation", modelIdentifier=block.name, **capabilities)
+    interface = _add(root, "CoSimulation", modelIdentifier=block.name, **_CAPABILITIES, **capabilities)
     if source_files:
         listed = _add(interface, "SourceFiles")
         for file in source_files:

@@ -10,53 +10,41 @@ from xml.etree import ElementTree
 from fmus.block import Block
 from fmus.documentation.page import documentation
 from fmus.documentation.terminals import terminals
-from fmus.export.archive import NO_GUID, guid_of, licenses, with_entry_point
-from fmus.export.c_source import COMPILED, c_sources, header_license
+from fmus.export.archive import GUID, licenses, with_guid
+from fmus.export.c_source import COMPILED, c_sources
 from fmus.export.model_description import model_description
-from fmus.export.toolchain import COMPILER, FLAGS, compile_library, runtime_licenses
+from fmus.export.toolchain import COMPILER, FLAGS, compile_library
+from fmus.files import xml_document
 from fmus.platforms import check_platforms, host_platform, library_name
 
 _CAPABILITIES = {
-    "needsExecutionTool": "false",
-    "canHandleVariableCommunicationStepSize": "true",
     "canInterpolateInputs": "true",
     "maxOutputDerivativeOrder": "1",
-    "canRunAsynchronuously": "false",
-    "canBeInstantiatedOnlyOncePerProcess": "false",
     "canNotUseMemoryManagementFunctions": "false",
-    "canGetAndSetFMUstate": "true",
-    "canSerializeFMUstate": "true",
     "providesDirectionalDerivative": "true",
 }
 
 
 def content(block: Block) -> tuple[str, dict[str, bytes]]:
     """(GUID, path -> content) of the FMU without its libraries."""
-    recipe = {"compiler": " ".join((*COMPILER, *FLAGS)).encode()}
-    guid = guid_of(_members(block, NO_GUID) | recipe)
-    return guid, _members(block, guid)
-
-
-def _members(block: Block, guid: str) -> dict[str, bytes]:
-    sources = {f"sources/{name}": text.encode() for name, text in c_sources(block, guid).items()}
-    return {
-        **sources,
+    members = {
+        **{f"sources/{name}": text.encode() for name, text in c_sources(block, GUID).items()},
         **documentation(block),
         **terminals(block),
-        **with_entry_point(licenses("l1-depth") | header_license() | runtime_licenses()),
+        **licenses("l1-depth", "fmi-headers", "zig", "mingw-w64"),
         "sources/buildDescription.xml": _build_description(block.name),
-        "modelDescription.xml": model_description(block, guid, _CAPABILITIES, COMPILED),
+        "modelDescription.xml": model_description(block, GUID, _CAPABILITIES, COMPILED),
     }
+    return with_guid(members, recipe=" ".join((*COMPILER, *FLAGS)))
 
 
 def _build_description(name: str) -> bytes:
-    root = ElementTree.Element("fmiBuildDescription", {"fmiVersion": "3.0"})
-    configuration = ElementTree.SubElement(root, "BuildConfiguration", {"modelIdentifier": name})
-    files = ElementTree.SubElement(configuration, "SourceFileSet", {"language": "C99"})
+    root = ElementTree.Element("fmiBuildDescription", fmiVersion="3.0")
+    configuration = ElementTree.SubElement(root, "BuildConfiguration", modelIdentifier=name)
+    files = ElementTree.SubElement(configuration, "SourceFileSet", language="C99")
     for file in COMPILED:
-        ElementTree.SubElement(files, "SourceFile", {"name": file})
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, xml_declaration=True, encoding="UTF-8")
+        ElementTree.SubElement(files, "SourceFile", name=file)
+    return xml_document(root)
 
 
 def libraries(name: str, members: dict[str, bytes], platforms: Sequence[str]) -> dict[str, bytes]:
@@ -64,12 +52,11 @@ def libraries(name: str, members: dict[str, bytes], platforms: Sequence[str]) ->
 
     Raises ExportError for an unknown platform.
     """
-    chosen = check_platforms(platforms) or (host_platform(),)
     prefix = "sources/"
     sources = {
-        path.removeprefix(prefix): text.decode() for path, text in members.items() if path.startswith(prefix)
+        path.removeprefix(prefix): members[path].decode() for path in members if path.startswith(prefix)
     }
     return {
         library_name(name, platform): compile_library(name, sources, COMPILED, platform)
-        for platform in chosen
+        for platform in check_platforms(platforms) or (host_platform(),)
     }

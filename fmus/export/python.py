@@ -11,20 +11,14 @@ from fmus.block import Block
 from fmus.documentation.page import documentation
 from fmus.documentation.terminals import terminals
 from fmus.errors import ExportError
-from fmus.export.archive import NO_GUID, guid_of, licenses, with_entry_point
+from fmus.export.archive import GUID, GUID_IN_NAMES, licenses, with_guid
 from fmus.export.model_description import model_description
 from fmus.export.sources import in_package, source_closure
 
 _CAPABILITIES = {
-    "needsExecutionTool": "false",
-    "canHandleVariableCommunicationStepSize": "true",
     "canInterpolateInputs": "false",
     "maxOutputDerivativeOrder": "0",
-    "canRunAsynchronuously": "false",
-    "canBeInstantiatedOnlyOncePerProcess": "false",
     "canNotUseMemoryManagementFunctions": "true",
-    "canGetAndSetFMUstate": "true",
-    "canSerializeFMUstate": "true",
     "providesDirectionalDerivative": "false",
 }
 
@@ -53,23 +47,23 @@ importer that is not itself Python mostly cannot load it: take the FMU of the na
 
 def content(block: Block) -> tuple[str, dict[str, bytes]]:
     """(GUID, path -> content) of the FMU; the GUID is derived from everything inside."""
-    guid = guid_of(_members(block, NO_GUID))
-    return guid, _members(block, guid)
-
-
-def _members(block: Block, guid: str) -> dict[str, bytes]:
     module = block.step.__module__
-    entry = f"{block.name.lower()}_{guid.replace('-', '')[:16]}"
+    entry = f"{block.name.lower()}_{GUID_IN_NAMES}"
     package = f"{entry}_sources"
-    text = in_package(source_closure(module), package)
-    text[f"{entry}.py"] = _ENTRY.format(name=block.name, package=package, module=module, guid=guid)
-    text["slavemodule.txt"] = entry
-    members = {f"resources/{path}": source.encode() for path, source in text.items()}
-    members |= _binaries(block.name) | with_entry_point(licenses("l1-depth", "pythonfmu"))
-    members |= documentation(block) | terminals(block)
-    members["documentation/externalDependencies.txt"] = _DEPENDENCIES.encode()
-    members["modelDescription.xml"] = model_description(block, guid, _CAPABILITIES)
-    return members
+    text = in_package(source_closure(module), package) | {
+        f"{entry}.py": _ENTRY.format(name=block.name, package=package, module=module, guid=GUID),
+        "slavemodule.txt": entry,
+    }
+    members = {
+        **{f"resources/{path}": source.encode() for path, source in text.items()},
+        **_binaries(block.name),
+        **licenses("l1-depth", "pythonfmu"),
+        **documentation(block),
+        **terminals(block),
+        "documentation/externalDependencies.txt": _DEPENDENCIES.encode(),
+        "modelDescription.xml": model_description(block, GUID, _CAPABILITIES),
+    }
+    return with_guid(members)
 
 
 def libraries(name: str, members: dict[str, bytes], platforms: Sequence[str]) -> dict[str, bytes]:

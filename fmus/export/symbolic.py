@@ -4,8 +4,6 @@ Every function takes and gives column vectors in the order of `flatten`; paramet
 parameters `c`, inputs `u`, state `x`, outputs `y`, times `t` and `h` in s.
 """
 
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import casadi
@@ -13,78 +11,49 @@ import casadi
 from fmus.block import Block, flatten, unflatten
 
 
-@dataclass(frozen=True)
 class Traced:
-    """The functions of a block as CasADi functions."""
+    """The functions of a block as CasADi functions.
 
-    block: Block
+    calculate: p -> c
+    requirements: (p, c) -> 1 for each condition that holds, 0 for each that does not
+    initial_state: (t, u, p, c) -> x
+    step: (t, h, x, u, p, c) -> x
+    output: (t, x, p, c) -> y
+    output_rate: (t, x, u, p, c) -> dy/dt just after t, the derivative of the outputs after a step by its length
+    initial_unknowns: (t, p, u) -> (c, y), what is calculated in initialisation mode
+    initial_derivative: (t, p, u, v) -> directional derivative of (c, y) along the seed v of (p, u)
+    output_derivative: (t, x, p, v) -> directional derivative of (c, y) along the seed v of p, the state held
+    required: what each of the requirements expects, in words
+    """
 
-    @cached_property
-    def calculate(self) -> casadi.Function:
-        """p -> c."""
-        return self._function("calculate", [self._p], self.block.calculate(self._p.filled))
+    def __init__(self, block: Block) -> None:
+        self.block = block
+        t, h = casadi.SX.sym("t"), casadi.SX.sym("h")
+        (ps, p), (cs, c), (us, u) = map(_symbols, (block.parameters, block.calculated, block.inputs))
+        initial, calculated, conditions = (
+            block.initial_state(t, u, p, c),
+            block.calculate(p),
+            block.requirements(p, c),
+        )
+        xs, x = _symbols(initial)
+        stepped = block.step(t, h, x, u, p, c)
+        self.required = tuple(text for _, text in conditions)
+        self.calculate = self._function("calculate", [ps], calculated)
+        self.requirements = self._function("requirements", [ps, cs], tuple(holds for holds, _ in conditions))
+        self.initial_state = self._function("initial_state", [t, us, ps, cs], initial)
+        self.step = self._function("step", [t, h, xs, us, ps, cs], stepped)
+        self.output = self._function("output", [t, xs, ps, cs], block.output(t, x, p, c))
 
-    @cached_property
-    def requirements(self) -> casadi.Function:
-        """(p, c) -> 1 for each condition that holds, 0 for each that does not."""
-        conditions = self.block.requirements(self._p.filled, self._c.filled)
-        return self._function("requirements", [self._p, self._c], tuple(holds for holds, _ in conditions))
+        reached = casadi.jacobian(_column(block.output(t + h, stepped, p, c)), h)
+        rate = casadi.substitute(reached, h, 0.0)
+        self.output_rate = self._function("output_rate", [t, xs, us, ps, cs], rate)
 
-    @cached_property
-    def required(self) -> tuple[str, ...]:
-        """What each of the requirements expects, in words."""
-        return tuple(text for _, text in self.block.requirements(self._p.filled, self._c.filled))
-
-    @cached_property
-    def initial_state(self) -> casadi.Function:
-        """(t, u, p, c) -> x."""
-        return self._function("initial_state", [self._t, self._u, self._p, self._c], self._initial)
-
-    @cached_property
-    def step(self) -> casadi.Function:
-        """(t, h, x, u, p, c) -> x."""
-        arguments = [self._t, self._h, self._x, self._u, self._p, self._c]
-        return self._function("step", arguments, self.block.step(*(each.filled for each in arguments)))
-
-    @cached_property
-    def output(self) -> casadi.Function:
-        """(t, x, p, c) -> y."""
-        arguments = [self._t, self._x, self._p, self._c]
-        return self._function("output", arguments, self.block.output(*(each.filled for each in arguments)))
-
-    @cached_property
-    def output_rate(self) -> casadi.Function:
-        """(t, x, u, p, c) -> dy/dt just after t: the derivative of the outputs after a step by its length."""
-        t, h, x, u, p, c = (each.filled for each in (self._t, self._h, self._x, self._u, self._p, self._c))
-        y = _column(self.block.output(t + h, self.block.step(t, h, x, u, p, c), p, c))
-        rate = casadi.substitute(casadi.jacobian(y, h), h, 0.0)
-        return self._function("output_rate", [self._t, self._x, self._u, self._p, self._c], rate)
-
-    @cached_property
-    def initial_unknowns(self) -> casadi.Function:
-        """(t, p, u) -> (c, y): what is calculated in initialisation mode."""
-        return self._function("initial_unknowns", [self._t, self._p, self._u], self._initial_unknowns)
-
-    @cached_property
-    def initial_derivative(self) -> casadi.Function:
-        """(t, p, u, v) -> directional derivative of (c, y) along the seed v of (p, u)."""
-        known = casadi.vertcat(self._p.column, self._u.column)
-        return self._along("initial_derivative", [self._t, self._p, self._u], self._initial_unknowns, known)
-
-    @cached_property
-    def output_derivative(self) -> casadi.Function:
-        """(t, x, p, v) -> directional derivative of (c, y) along the seed v of p, the state held."""
-        c = self.block.calculate(self._p.filled)
-        y = self.block.output(self._t.filled, self._x.filled, self._p.filled, c)
-        unknowns = casadi.vertcat(_column(c), _column(y))
-        return self._along("output_derivative", [self._t, self._x, self._p], unknowns, self._p.column)
-
-    def c_code(self) -> str:
-        """All functions as static C99 functions called MODEL_FUNCTION, after CasADi's convention."""
-        generator = casadi.CodeGenerator(self.block.name)
-        for function in self.functions():
-            generator.add(function)
-        return generator.dump()
+        first = block.output(t, block.initial_state(t, u, p, calculated), p, calculated)
+        unknowns, knowns = _column((calculated, first)), casadi.vertcat(ps, us)
+        self.initial_unknowns = self._function("initial_unknowns", [t, ps, us], unknowns)
+        self.initial_derivative = self._along("initial_derivative", [t, ps, us], unknowns, knowns)
+        held = _column((calculated, block.output(t, x, p, calculated)))
+        self.output_derivative = self._along("output_derivative", [t, xs, ps], held, ps)
 
     def functions(self) -> list[casadi.Function]:
         """Everything that an FMU needs."""
@@ -99,76 +68,32 @@ class Traced:
             self.output_derivative,
         ]
 
-    # symbols
-
-    @cached_property
-    def _t(self) -> "_Symbols":
-        return _scalar("t")
-
-    @cached_property
-    def _h(self) -> "_Symbols":
-        return _scalar("h")
-
-    @cached_property
-    def _p(self) -> "_Symbols":
-        return _symbols(self.block.parameters)
-
-    @cached_property
-    def _c(self) -> "_Symbols":
-        return _symbols(self.block.calculated)
-
-    @cached_property
-    def _u(self) -> "_Symbols":
-        return _symbols(self.block.inputs)
-
-    @cached_property
-    def _x(self) -> "_Symbols":
-        return _symbols(self._initial)
-
-    @cached_property
-    def _initial(self) -> Any:
-        return self.block.initial_state(self._t.filled, self._u.filled, self._p.filled, self._c.filled)
-
-    @cached_property
-    def _initial_unknowns(self) -> casadi.SX:
-        t, u, p = self._t.filled, self._u.filled, self._p.filled
-        c = self.block.calculate(p)
-        y = self.block.output(t, self.block.initial_state(t, u, p, c), p, c)
-        return casadi.vertcat(_column(c), _column(y))
+    def c_code(self) -> str:
+        """All functions as static C99 functions called MODEL_FUNCTION, after CasADi's convention."""
+        generator = casadi.CodeGenerator(self.block.name)
+        for function in self.functions():
+            generator.add(function)
+        return generator.dump()
 
     def _along(self, name: str, arguments: list, result: casadi.SX, known: casadi.SX) -> casadi.Function:
         seed = casadi.SX.sym("v", known.numel())
-        seeded = [*arguments, _Symbols(seed, None)]
-        return self._function(name, seeded, casadi.jtimes(result, known, seed))
+        return self._function(name, [*arguments, seed], casadi.jtimes(result, known, seed))
 
-    def _function(self, name: str, arguments: list["_Symbols"], result: Any) -> casadi.Function:
-        column = result if isinstance(result, casadi.SX) else _column(result)
-        columns = [each.column for each in arguments]
-        return casadi.Function(f"{self.block.name}_{name}", columns, [casadi.cse(casadi.densify(column))])
+    def _function(self, name: str, arguments: list, result: Any) -> casadi.Function:
+        column = casadi.cse(casadi.densify(result if isinstance(result, casadi.SX) else _column(result)))
+        return casadi.Function(f"{self.block.name}_{name}", arguments, [column])
 
 
-@dataclass(frozen=True)
-class _Symbols:
-    """A column of symbols and what it fills: a scalar or a dataclass."""
-
-    column: casadi.SX
-    filled: Any
-
-
-def _scalar(name: str) -> _Symbols:
-    symbol = casadi.SX.sym(name)
-    return _Symbols(symbol, symbol)
-
-
-def _symbols(template: Any) -> _Symbols:
+def _symbols(template: Any) -> tuple[casadi.SX, Any]:
+    """A column of symbols, and the same in the shape of the template."""
     count = len(flatten(template() if isinstance(template, type) else template))
     column = casadi.SX.sym("x", count)
-    return _Symbols(column, unflatten(template, [column[i] for i in range(count)]))
+    return column, unflatten(template, [column[i] for i in range(count)])
 
 
 def _column(value: Any) -> casadi.SX:
     scalars = flatten(value)
-    return casadi.vertcat(*(casadi.SX(each) for each in scalars)) if scalars else casadi.SX(0, 1)
+    return casadi.vertcat(*map(casadi.SX, scalars)) if scalars else casadi.SX(0, 1)
 
 
 def initial_dependencies(block: Block) -> dict[int, tuple[int, ...]]:

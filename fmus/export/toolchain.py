@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
-from importlib.metadata import distribution, version
+from importlib.metadata import version
 from pathlib import Path
 
 from fmus.errors import ExportError
@@ -63,11 +63,3 @@ def _universal(slices: Sequence[bytes]) -> bytes:
         body += each + b"\0" * (-len(each) % (1 << page))
     header = struct.pack(">II", 0xCAFEBABE, len(slices)) + table
     return header.ljust(start, b"\0") + body
-
-
-def runtime_licenses() -> dict[str, bytes]:
-    """Path inside the FMU -> licence of what the linker adds: Zig's runtime, and MinGW-w64's on Windows."""
-    zig = distribution(COMPILER[0])
-    files = {"zig": "ziglang/LICENSE", "mingw-w64": "ziglang/lib/libc/mingw/COPYING"}
-    texts = {name: zig.read_text(f"licenses/{path}") for name, path in files.items()}
-    return {f"documentation/licenses/{name}.txt": text.encode() for name, text in texts.items() if text}
