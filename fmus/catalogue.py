@@ -74,13 +74,10 @@ def build_block(
 
 def write_cross_check(name: str, folder: Path) -> list[Path]:
     """Write what the FMI cross-check wants beside `folder/NAME.fmu`: inputs, results and options."""
-    written = []
-    for file, data in sorted(
-        reference_files.cross_check_files(reference_run(load_block(name)), name).items()
-    ):
+    files = reference_files.cross_check_files(reference_run(load_block(name)), name)
+    for file, data in files.items():
         (folder / file).write_bytes(data)
-        written.append(folder / file)
-    return written
+    return [folder / file for file in sorted(files)]
 
 
 def build_if_stale(name: str, folder: Path | None = None, flavour: Flavour = Flavour.NATIVE) -> Path:

@@ -7,6 +7,7 @@ does what it says or raises `BlockError` and leaves the instance as it was.
 import json
 import math
 import sys
+from itertools import accumulate
 from typing import Any
 
 from fmus.block import Block, ScalarVariable, Value, flatten, unflatten
@@ -36,10 +37,8 @@ class Instance:
         self.fingerprint = fingerprint
         self.time = 0.0
         self._values: list[Any] = [v.start for v in block.variables]
-        count = {c: len(block.of_causality(c)) for c in ("parameter", "calculatedParameter", "input")}
-        self._parameters_end = count["parameter"]
-        self._calculated_end = self._parameters_end + count["calculatedParameter"]
-        self._inputs_end = self._calculated_end + count["input"]
+        counts = (len(block.of_causality(c)) for c in ("parameter", "calculatedParameter", "input"))
+        self._parameters_end, self._calculated_end, self._inputs_end = accumulate(counts)
         self._state: Any = None
         self._stepping = False
         self._parameters: Any = None
@@ -51,9 +50,7 @@ class Instance:
 
     def get(self, reference: int) -> Any:
         """Value of a variable; an output follows the inputs until stepping begins."""
-        self.variable(reference)
-        is_set = reference < self._parameters_end or self._calculated_end <= reference < self._inputs_end
-        if not is_set:
+        if not self.variable(reference).settable:
             self._refresh()
         return self._values[reference]
 
@@ -80,11 +77,10 @@ class Instance:
 
     def can_be_set(self, reference: int) -> bool:
         """Whether some value would be accepted now."""
-        known = 0 <= reference < len(self.block.variables)
-        variable = self.block.variables[reference] if known else None
-        return bool(
-            variable and variable.settable and not (self._stepping and variable.variability == "fixed")
-        )
+        if not 0 <= reference < len(self.block.variables):
+            return False
+        variable = self.block.variables[reference]
+        return self._refusal(variable, variable.start) is None
 
     def _refusal(self, variable: ScalarVariable, value: Value) -> str | None:
         if not variable.settable:
@@ -110,14 +106,12 @@ class Instance:
     def do_step(self, t: float, h: float) -> None:
         """Advance from t to t + h [s] in equal internal steps, the inputs held."""
         self._check_step(t, h)
-        values = self._values[: self._inputs_end]
-        derived = self._parameters, self._calculated, self._parameters_are_stale
+        before = {**self.__dict__, "_values": list(self._values)}
         try:
             self._prepare()
             self._become(t + h, self._advance(t, h))
         except BlockError:
-            self._values[: self._inputs_end] = values
-            self._parameters, self._calculated, self._parameters_are_stale = derived
+            self.__dict__.update(before)
             raise
 
     def _check_step(self, t: float, h: float) -> None:
@@ -168,16 +162,9 @@ class Instance:
         """Everything that the instance is, as text; floats survive exactly."""
         if not self._stepping:
             self._refresh()
-        return json.dumps(
-            {
-                "format": _FORMAT,
-                "fmu": self.fingerprint,
-                "time": self.time,
-                "stepping": self._stepping,
-                "values": self._values,
-                "state": flatten(self._state),
-            }
-        )
+        origin = {"format": _FORMAT, "fmu": self.fingerprint}
+        content = {"time": self.time, "stepping": self._stepping, "values": self._values}
+        return json.dumps(origin | content | {"state": flatten(self._state)})
 
     def restore(self, snapshot: str) -> None:
         """Become what `snapshot` says; refuses another FMU's, or a damaged one."""
@@ -190,9 +177,9 @@ class Instance:
             stepping, scalars = bool(saved["stepping"]), [float(x) for x in saved["state"]]
             if not all(map(math.isfinite, [time, *scalars, *map(float, values)])):
                 raise ValueError("a number that is not finite")
+        except BlockError:
+            raise
         except (ValueError, KeyError, TypeError) as error:
-            if isinstance(error, BlockError):
-                raise
             raise BlockError(f"not a serialised state of {self.block.name}: {error}") from error
         if len(values) != len(self._values):
             raise BlockError(f"state with {len(values)} values: expected {len(self._values)}")

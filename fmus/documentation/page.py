@@ -68,24 +68,16 @@ def _source(source: Source) -> str:
 
 def _tables(block: Block) -> Iterable[str]:
     for causality, caption in _TABLES:
-        variables = block.of_causality(causality)
-        if variables:
-            yield _table(caption, _HEADINGS, (_cells(v) for v in variables))
+        if variables := block.of_causality(causality):
+            yield _table(caption, _HEADINGS, map(_cells, variables))
 
 
 def _cells(v: ScalarVariable) -> tuple[str, ...]:
     """One row: what `_HEADINGS` says, as text."""
-    permitted = v.expected.removesuffix(f" {v.unit}") if v.settable else ""
-    start = _number(v) if v.settable else ""
-    return v.name, _unit(v), start, permitted, v.variability, v.description, v.source
-
-
-def _unit(v: ScalarVariable) -> str:
-    return v.type.lower() if v.unit is None else v.unit
-
-
-def _number(v: ScalarVariable) -> str:
-    return str(v.start).lower() if isinstance(v.start, bool) else repr(v.cast(v.start).real)
+    unit = v.type.lower() if v.unit is None else v.unit
+    number = str(v.start).lower() if isinstance(v.start, bool) else repr(v.cast(v.start).real)
+    start, permitted = (number, v.expected.removesuffix(f" {v.unit}")) if v.settable else ("", "")
+    return v.name, unit, start, permitted, v.variability, v.description, v.source
 
 
 def _stimuli(block: Block) -> str:

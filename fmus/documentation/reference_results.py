@@ -12,6 +12,7 @@ from fmus.block import Block, ScalarVariable, Value
 from fmus.errors import ExportError, nearest
 from fmus.guide import Point
 from fmus.instance import Instance
+from fmus.numerics import ramps
 
 _MOST_INTERVALS = 400
 
@@ -41,16 +42,14 @@ def reference_run(block: Block) -> ReferenceRun:
     fewest = math.ceil(count / _MOST_INTERVALS)
     every = next(steps for steps in range(fewest, count + 1) if count % steps == 0)
     stimuli = _stimuli(block)
-    outputs = block.of_causality("output")
-    rows = tuple(_trajectory(block, stimuli, step_size, count, every))
     return ReferenceRun(
         stop_time=count * step_size,
         step_size=step_size,
         output_interval=every * step_size,
         inputs=tuple(v.name for v in block.of_causality("input")),
         input_rows=tuple(_input_rows(block, stimuli, count * step_size)),
-        outputs=tuple(v.name for v in outputs),
-        output_rows=rows,
+        outputs=tuple(v.name for v in block.of_causality("output")),
+        output_rows=tuple(_trajectory(block, stimuli, step_size, count, every)),
     )
 
 
@@ -68,14 +67,7 @@ def _stimuli(block: Block) -> dict[str, tuple[Point, ...]]:
 def _value_at(v: ScalarVariable, stimuli: dict[str, tuple[Point, ...]], t: float) -> Value:
     """Value of an input at time t [s]."""
     points = stimuli.get(v.name)
-    if not points:
-        return v.start
-    if t <= points[0][0]:
-        return points[0][1]
-    for (t_0, y_0), (t_1, y_1) in pairwise(points):
-        if t <= t_1:
-            return y_0 + (y_1 - y_0) * ((t - t_0) / (t_1 - t_0))
-    return points[-1][1]
+    return ramps(t, *zip(*points, strict=True), smooth=False) if points else v.start
 
 
 def _trajectory(

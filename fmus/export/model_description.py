@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 from fmus.block import Block, ScalarVariable
 from fmus.errors import ExportError
 from fmus.export.symbolic import initial_dependencies
+from fmus.files import xml_document
 from fmus.units import base_units
 
 LOG_CATEGORIES = {
@@ -66,19 +67,13 @@ def model_description(
     categories = _add(root, "LogCategories")
     for name, description in LOG_CATEGORIES.items():
         _add(categories, "Category", name=name, description=description)
-    _add(
-        root,
-        "DefaultExperiment",
-        startTime="0",
-        stopTime=repr(block.stop_time),
-        stepSize=repr(block.step_size),
-    )
+    times = {"startTime": "0", "stopTime": repr(block.stop_time), "stepSize": repr(block.step_size)}
+    _add(root, "DefaultExperiment", **times)
     variables = _add(root, "ModelVariables")
     for variable in block.variables:
         _variable(variables, variable)
     _structure(root, block)
-    ElementTree.indent(root)
-    text = ElementTree.tostring(root, xml_declaration=True, encoding="UTF-8")
+    text = xml_document(root)
     try:
         ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
@@ -107,15 +102,13 @@ def _units(root: Any, block: Block) -> None:
 
 def _enumerations(root: Any, block: Block) -> None:
     enumerations = {v.enumeration.__name__: v.enumeration for v in block.variables if v.enumeration}
-    if not enumerations:
-        return
-    definitions = _add(root, "TypeDefinitions")
+    definitions = _add(root, "TypeDefinitions") if enumerations else root
     for name, enumeration in sorted(enumerations.items()):
         description = (enumeration.__doc__ or "").partition("\n")[0]
         simple = _add(definitions, "SimpleType", name=name, description=description)
-        kind = _add(simple, "Enumeration")
+        items = _add(simple, "Enumeration")
         for member in enumeration:
-            _add(kind, "Item", name=member.name.lower(), value=str(member.value))
+            _add(items, "Item", name=member.name.lower(), value=str(member.value))
 
 
 def _variable(parent: Any, v: ScalarVariable) -> None:
@@ -130,16 +123,10 @@ def _variable(parent: Any, v: ScalarVariable) -> None:
         variability=v.variability,
         initial=v.initial,
     )
-    limits = {"min": _text(v.minimum), "max": _text(v.maximum)}
-    _add(
-        scalar,
-        v.type,
-        declaredType=v.enumeration.__name__ if v.enumeration else None,
-        **(limits if v.type in ("Real", "Integer") else {}),
-        nominal=_text(v.nominal),
-        unit=v.unit,
-        start=_text(v.start) if v.settable else None,
-    )
+    limits = {"min": _text(v.minimum), "max": _text(v.maximum)} if v.type in ("Real", "Integer") else {}
+    start, nominal = _text(v.start) if v.settable else None, _text(v.nominal)
+    declared = v.enumeration.__name__ if v.enumeration else None
+    _add(scalar, v.type, declaredType=declared, **limits, nominal=nominal, unit=v.unit, start=start)
 
 
 def _text(value: Any) -> str | None:

@@ -9,6 +9,7 @@ for a call that nothing can put right (setting an output, an unknown value refer
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partialmethod
 from typing import Any, ClassVar
 
 from pythonfmu.enums import Fmi2Status
@@ -56,7 +57,7 @@ class BlockSlave(Fmi2Slave):
     def _can_be_righted(self, what: object) -> bool:
         return not isinstance(what, int) or self._instance.can_be_set(what)
 
-    def _get(self, vrs: list[int], *types: str) -> list[Any]:
+    def _get(self, vrs: list[int], types: tuple[str, ...]) -> list[Any]:
         try:
             self._check_types(vrs, types)
             return [self._instance.get(reference) for reference in vrs]
@@ -64,7 +65,7 @@ class BlockSlave(Fmi2Slave):
             self._error(str(error))
             return [0] * len(vrs)
 
-    def _set(self, vrs: list[int], values: list[Any], *types: str) -> None:
+    def _set(self, vrs: list[int], values: list[Any], types: tuple[str, ...]) -> None:
         for reference, value in zip(vrs, values, strict=True):
             self._attempt(reference, self._set_one, reference, value, types)
 
@@ -77,29 +78,17 @@ class BlockSlave(Fmi2Slave):
             if variable.type not in types:
                 raise BlockError(f"{variable.name} is {variable.type}: expected {' or '.join(types)}")
 
-    def get_real(self, vrs: list[int]) -> list[float]:
-        return self._get(vrs, "Real")
-
-    def get_integer(self, vrs: list[int]) -> list[int]:
-        return self._get(vrs, *types_of_transfer("Integer"))
-
-    def get_boolean(self, vrs: list[int]) -> list[bool]:
-        return self._get(vrs, "Boolean")
+    get_real: Any = partialmethod(_get, types=("Real",))
+    get_integer: Any = partialmethod(_get, types=types_of_transfer("Integer"))
+    get_boolean: Any = partialmethod(_get, types=("Boolean",))
 
     def get_string(self, vrs: list[int]) -> list[str]:
-        return [str(value) for value in self._get(vrs, "String")]
+        return [str(value) for value in self._get(vrs, ("String",))]
 
-    def set_real(self, vrs: list[int], values: list[float]) -> None:
-        self._set(vrs, values, "Real")
-
-    def set_integer(self, vrs: list[int], values: list[int]) -> None:
-        self._set(vrs, values, *types_of_transfer("Integer"))
-
-    def set_boolean(self, vrs: list[int], values: list[bool]) -> None:
-        self._set(vrs, values, "Boolean")
-
-    def set_string(self, vrs: list[int], values: list[str]) -> None:
-        self._set(vrs, values, "String")
+    set_real: Any = partialmethod(_set, types=("Real",))
+    set_integer: Any = partialmethod(_set, types=types_of_transfer("Integer"))
+    set_boolean: Any = partialmethod(_set, types=("Boolean",))
+    set_string: Any = partialmethod(_set, types=("String",))
 
     def _get_fmu_state(self) -> Any:
         try:

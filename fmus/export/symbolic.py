@@ -19,7 +19,7 @@ class Traced:
     initial_state: (t, u, p, c) -> x
     step: (t, h, x, u, p, c) -> x
     output: (t, x, p, c) -> y
-    output_rate: (t, x, u, p, c) -> dy/dt just after t, the derivative of the outputs after a step by its length
+    output_rate: (t, x, u, p, c) -> dy/dt just after t: outputs after a step, derived by its length
     initial_unknowns: (t, p, u) -> (c, y), what is calculated in initialisation mode
     initial_derivative: (t, p, u, v) -> directional derivative of (c, y) along the seed v of (p, u)
     output_derivative: (t, x, p, v) -> directional derivative of (c, y) along the seed v of p, the state held
@@ -30,11 +30,8 @@ class Traced:
         self.block = block
         t, h = casadi.SX.sym("t"), casadi.SX.sym("h")
         (ps, p), (cs, c), (us, u) = map(_symbols, (block.parameters, block.calculated, block.inputs))
-        initial, calculated, conditions = (
-            block.initial_state(t, u, p, c),
-            block.calculate(p),
-            block.requirements(p, c),
-        )
+        calculated, conditions = block.calculate(p), block.requirements(p, c)
+        initial = block.initial_state(t, u, p, c)
         xs, x = _symbols(initial)
         stepped = block.step(t, h, x, u, p, c)
         self.required = tuple(text for _, text in conditions)
