@@ -8,10 +8,9 @@ import ctypes
 import tempfile
 import warnings
 import zipfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import fmpy
 import numpy as np
@@ -20,6 +19,7 @@ from fmpy.model_description import ModelDescription, ScalarVariable
 
 from fmus.binding import (
     DISCARD,
+    ELEMENTS,
     ERROR,
     FATAL,
     BoundInstance,
@@ -29,44 +29,28 @@ from fmus.binding import (
     reference_array,
     status_name,
 )
+from fmus.fmi_types import TRANSFER_TYPE
 from orchestration.errors import FmuError, FmuLoadError, FmuWarning
-from orchestration.fmi.values import Values, grouped
 
+_ELEMENTS = {**ELEMENTS, "String": fmi2String}
 _MOST_MESSAGES = 10  # in an error or a warning
 
 
-class CallInProgress:
-    """Marks calls of an instance for someone who watches from another process; a context manager.
-
-    busy: shape (1,), `number` while a call is under way, else 0; calls: shape (1,), how many have returned
-    """
-
-    def __init__(self, number: int, busy: np.ndarray, calls: np.ndarray) -> None:
-        self._number, self._busy, self._calls = number, busy, calls
-
-    def __enter__(self) -> None:
-        self._busy[0] = self._number
-
-    def __exit__(self, *reason: object) -> None:
-        self._busy[0] = 0
-        self._calls[0] += 1
-
-
-class _PlatformError(FmuLoadError):
-    """The FMU has no library for this platform."""
-
-
-class FmuInstance(BoundInstance):
+class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"]):
     """An instance of an FMI 2.0 co-simulation FMU, between instantiation and `close`.
 
     Its library is a copy of its own: a fatal error, after which FMI forbids calls of any instance,
     ends this instance alone. Raises FmuLoadError if the FMU cannot be loaded.
+
+    is_fresh: whether it is instantiated or reset, and not yet initialised; time [s]: of the present call
+    busy: shape (1,), `number` while a call is in progress, else 0; calls: shape (1,), how many have returned.
+    Another process can watch them.
     """
 
     def __init__(self, name: str, path: Path, description: ModelDescription) -> None:
         self.name, self.description, self.time = name, description, 0.0
-        self._initialised = self._stepping = self._failed = self._dead = False
-        self.call_in_progress = CallInProgress(1, np.zeros(1, np.int64), np.zeros(1, np.int64))
+        self.is_fresh, self._stepping, self._failed, self._dead = True, False, False, False
+        self.number, self.busy, self.calls = 1, np.zeros(1, np.int64), np.zeros(1, np.int64)
         callbacks = Callbacks()
         try:
             with contextlib.ExitStack() as resources:
@@ -78,7 +62,7 @@ class FmuInstance(BoundInstance):
                 if not self.instantiate(name, description.guid or "", folder / "resources", logging_on=True):
                     raise RuntimeError("fmi2Instantiate returned NULL")
                 self._resources = resources.pop_all()
-        except _PlatformError:
+        except FmuLoadError:
             raise
         except Exception as error:
             reason = "; ".join(message for _, message in callbacks.log) or str(error)
@@ -93,49 +77,41 @@ class FmuInstance(BoundInstance):
         """Address of a function of the FMU's library."""
         return ctypes.cast(getattr(self.library, name), ctypes.c_void_p).value or 0
 
-    @property
-    def is_fresh(self) -> bool:
-        """Whether the instance is instantiated or reset, and not yet initialised."""
-        return not self._initialised
-
     def reset(self) -> bool:
         """Reset to the state after instantiation; False if the FMU refuses, and must be loaded anew."""
         status = self.status("fmi2Reset")
         self.log.clear()
         self._dead = self._dead or status == FATAL
         if status == 0:
-            self._initialised = self._stepping = self._failed = False
+            self.is_fresh, self._stepping, self._failed = True, False, False
         return status == 0
-
-    def values(self, variables: Iterable[ScalarVariable]) -> list[Values]:
-        """The variables grouped by FMI type, each group bound for fast reading and writing."""
-        return grouped(self, variables)
 
     def set(self, variable: ScalarVariable, value: Any) -> None:
         """Set one variable, outside the loop."""
         self.set_all([(variable, value)])
 
-    def set_all(self, settings: Sequence[tuple[ScalarVariable, Any]]) -> None:
+    def set_all(self, settings: Iterable[tuple[ScalarVariable, Any]]) -> None:
         """Set variables, those of one type in one call, outside the loop."""
-        values = {variable.name: value for variable, value in settings}
+        groups: dict[str, list[tuple[int, Any]]] = {}
         for variable, value in settings:
-            if variable.type == "String":
-                text = (fmi2String * 1)(str(value).encode())
-                self.call("fmi2SetString", reference_array([variable.valueReference]), 1, text)
-        for group in self.values(variable for variable, _ in settings):
-            group.array[:] = [values[variable.name] for variable in group.variables]
-            group.write()
+            pair = variable.valueReference, str(value).encode() if variable.type == "String" else value
+            groups.setdefault(TRANSFER_TYPE[variable.type], []).append(pair)
+        for fmi_type, members in groups.items():
+            references, values = zip(*members, strict=True)
+            buffer = (_ELEMENTS[fmi_type] * len(values))(*values)
+            self.call(f"fmi2Set{fmi_type}", reference_array(references), len(values), buffer)
 
     def get(self, variable: ScalarVariable) -> Any:
-        """Read one variable, outside the loop."""
-        (group,) = self.values([variable])
-        group.read()
-        return group.array[0].item()
+        """Read one number, outside the loop."""
+        fmi_type = TRANSFER_TYPE[variable.type]
+        buffer = (ELEMENTS[fmi_type] * 1)()
+        self.call(f"fmi2Get{fmi_type}", reference_array([variable.valueReference]), 1, buffer)
+        return buffer[0]
 
     def initialise(self, start_time: float, stop_time: float | None) -> None:
         """Set the experiment up and enter initialization mode."""
         self.time = start_time
-        self._initialised = True
+        self.is_fresh = False
         self.set_up_experiment(start_time, stop_time)
         self.enter_initialization_mode()
 
@@ -159,14 +135,13 @@ class FmuInstance(BoundInstance):
         self._remember(status)
         return time.value if status == 0 else None
 
-    def do_step(self, t: float, h: float) -> None:
-        """Advance from t to t + h seconds."""
-        self.time = t
-        self.call("fmi2DoStep", t, h, 1)
-
     def status(self, function: str, *arguments: Any) -> int:
-        with self.call_in_progress:
+        self.busy[0] = self.number
+        try:
             return super().status(function, *arguments)
+        finally:
+            self.busy[0] = 0
+            self.calls[0] += 1
 
     def check_status(self, function: str, status: int) -> None:
         """Raise FmuError for a refused call, warn for a warning, and clear the log.
@@ -206,12 +181,7 @@ class FmuInstance(BoundInstance):
             self.handle = None
             self._resources.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
 
@@ -235,7 +205,7 @@ def _unpacked_library(path: Path, description: ModelDescription, folder: Path) -
         available = [
             "C sources" if name == "c-code" else name for name in fmpy.supported_platforms(str(path))
         ]
-        raise _PlatformError(
+        raise FmuLoadError(
             f"{path} has no binary for {fmpy.platform}: it has {', '.join(available) or 'none'}"
         )
     fmpy.extract(str(path), str(folder))

@@ -13,15 +13,15 @@ Inputs are held over a step, first order in h, or extrapolated with their last s
     initialisation.py  initial values
     wiring.py          a prepared run as arrays
     loop.py            the communication loop over these arrays, compiled
-    stepping.py        from the first point to the last, with events and progress
+    stepping.py        from the first point to the last, with events and progress, and its recording
     step_control.py    shorter steps: after a discard, and to meet a tolerance
     snapshot.py, checkpoint.py  the system at one point, in memory and as a file
     subprocess_run.py  a run whose FMUs are in a process of their own
-    pacing.py, interrupt.py, failure.py, progress.py, record.py
+    pacing.py, interrupt.py, failure.py
 """
 
 from orchestration.master.one_run import simulate
-from orchestration.master.progress import Progress
 from orchestration.master.simulator import Simulator
+from orchestration.master.stepping import Progress
 
 __all__ = ["Progress", "Simulator", "simulate"]

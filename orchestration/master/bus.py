@@ -1,14 +1,17 @@
 """The layout of the bus: an index for every value that components exchange or that is recorded."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 from fmpy.model_description import ScalarVariable
 
 from fmus.fmi_types import TRANSFER_TYPE
+from orchestration.master.loop_data import InputMode
 from orchestration.system.prepared_run import PreparedRun
+from orchestration.system.system import Port
 
-SIGNAL = "signal "  # prefix of the name of a signal on the bus
+SIGNAL = "."  # prefix of the name of a signal on the bus, with which no name of a variable begins
 
 
 @dataclass(frozen=True)
@@ -33,60 +36,84 @@ class VariableGroup:
 class BusLayout:
     """connections: (source, target) of connections and signals, in the order of the target's component
 
+    input_modes: of the connections
     outputs, inputs: the variables that are read and set; integer_count: how many of them are not Real
+    derivatives: the inputs whose derivatives are set
     index: name -> index on the bus
     """
 
     connections: tuple[tuple[str, str], ...]
+    input_modes: tuple[InputMode, ...]
     outputs: tuple[VariableGroup, ...]
     inputs: tuple[VariableGroup, ...]
+    derivatives: tuple[VariableGroup, ...]
     integer_count: int
     index: Mapping[str, int]
 
 
 def lay_out_bus(prepared: PreparedRun) -> BusLayout:
     """Outputs come first, then inputs, then signals."""
-    connections = _sorted_connections(prepared)
-    sources, targets = {source for source, _ in connections}, {target for _, target in connections}
-    outputs = _variables_by_type(prepared, "output", {*prepared.recorded, *sources})
-    inputs = _variables_by_type(prepared, "input", targets)
+    pairs = [(source.name, target.name) for source, target in prepared.system.connections]
+    pairs += [(f"{SIGNAL}{name}", name) for name in prepared.experiment.signals]
+    order = {name: c for c, name in enumerate(prepared.system.components)}
+    connections = tuple(sorted(pairs, key=lambda pair: order[component_of(pair[1])]))
+    modes = {target: _input_mode(prepared, source, target) for source, target in connections}
+    smooth = {target for target, mode in modes.items() if mode is InputMode.FMU_DERIVATIVE}
+    outputs = _variables_by_type(
+        prepared, "output", {*prepared.recorded, *(s for s, _ in connections)}, smooth
+    )
     groups: list[VariableGroup] = []
     size = integer_count = 0
-    for component, fmi_type, variables in (*outputs, *inputs):
+    for component, fmi_type, members in (*outputs, *_variables_by_type(prepared, "input", {*modes}, smooth)):
         is_real = fmi_type == "Real"
-        groups.append(VariableGroup(component, fmi_type, variables, size, -1 if is_real else integer_count))
-        size += len(variables)
-        integer_count += 0 if is_real else len(variables)
+        groups.append(VariableGroup(component, fmi_type, members, size, -1 if is_real else integer_count))
+        size += len(members)
+        integer_count += 0 if is_real else len(members)
     names = [name for group in groups for name in group.names]
     names += [f"{SIGNAL}{name}" for name in prepared.experiment.signals]
+    inputs = tuple(groups[len(outputs) :])
+    counts = [sum(name in smooth for name in group.names) for group in inputs]
     return BusLayout(
         connections=connections,
+        input_modes=tuple(modes.values()),
         outputs=tuple(groups[: len(outputs)]),
-        inputs=tuple(groups[len(outputs) :]),
+        inputs=inputs,
+        derivatives=tuple(
+            replace(group, variables=group.variables[:count])
+            for group, count in zip(inputs, counts, strict=True)
+            if count
+        ),
         integer_count=integer_count,
         index={name: i for i, name in enumerate(names)},
     )
 
 
 def component_of(name: str) -> str:
-    """The component of "component.variable"."""
+    """The component of "component.variable"; empty for a signal."""
     return name.partition(".")[0]
 
 
-def _sorted_connections(prepared: PreparedRun) -> tuple[tuple[str, str], ...]:
-    pairs = [(source.name, target.name) for source, target in prepared.system.connections]
-    pairs += [(f"{SIGNAL}{name}", name) for name in prepared.experiment.signals]
-    order = list(prepared.system.components)
-    return tuple(sorted(pairs, key=lambda pair: order.index(component_of(pair[1]))))
+def _input_mode(prepared: PreparedRun, source: str, target: str) -> InputMode:
+    ports = prepared.system.ports
+    ends = [ports[name].variable for name in (source, target) if not name.startswith(SIGNAL)]
+    is_continuous = all(v.type == "Real" and v.variability in (None, "continuous") for v in ends)
+    if not (prepared.experiment.extrapolation and is_continuous):
+        return InputMode.HOLD
+    interface: Any = prepared.system.descriptions[ports[target].component].coSimulation
+    return InputMode.FMU_DERIVATIVE if interface.canInterpolateInputs else InputMode.MIDPOINT
 
 
 def _variables_by_type(
-    prepared: PreparedRun, causality: str, names: set[str]
+    prepared: PreparedRun, causality: str, names: set[str], first: set[str]
 ) -> list[tuple[str, str, tuple[ScalarVariable, ...]]]:
-    """(component, type of getter and setter, variables) of the variables of these names."""
-    groups: dict[tuple[str, str], list[ScalarVariable]] = {}
-    for component, description in prepared.system.descriptions.items():
-        for variable in description.modelVariables:
-            if variable.causality == causality and f"{component}.{variable.name}" in names:
-                groups.setdefault((component, TRANSFER_TYPE[variable.type]), []).append(variable)
-    return [(component, fmi_type, tuple(members)) for (component, fmi_type), members in groups.items()]
+    """(component, type of getter and setter, variables) of the variables of these names.
+
+    first: those that come before the others of their group
+    """
+    groups: dict[tuple[str, str], list[Port]] = {}
+    for name, port in prepared.system.ports.items():
+        if name in names and port.variable.causality == causality:
+            groups.setdefault((port.component, TRANSFER_TYPE[port.variable.type]), []).append(port)
+    for members in groups.values():
+        members.sort(key=lambda port: port.name not in first)
+    return [(*key, tuple(port.variable for port in members)) for key, members in groups.items()]

@@ -18,7 +18,7 @@ import numpy as np
 
 from fmus.files import open_atomically
 from orchestration.errors import OrchestrationError, SystemDefinitionError
-from orchestration.master.loop_data import RECORDED
+from orchestration.master.loop_data import Report
 from orchestration.master.snapshot import changing_arrays
 from orchestration.master.stepping import MOST_STEPS, RunInProgress
 from orchestration.system.prepared_run import PreparedRun
@@ -136,7 +136,7 @@ def restore(checkpoint: Checkpoint, run: RunInProgress) -> None:
         if saved is None or (saved.shape, saved.dtype) != (array.shape, array.dtype):
             raise OrchestrationError(f"the checkpoint is damaged: expected {name} of shape {array.shape}")
         array[:] = saved
-    run.wiring.report[RECORDED] = position
+    run.wiring.report[Report.RECORDED] = position
     for name, instance in run.instances.items():
         state = instance.deserialize_fmu_state(checkpoint.states[name])
         instance.set_fmu_state(state)

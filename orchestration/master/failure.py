@@ -5,22 +5,13 @@ from collections.abc import Mapping
 from fmus.binding import DISCARD, OK, WARNING
 from orchestration.errors import FmuError, OrchestrationError
 from orchestration.fmi.instance import FmuInstance
-from orchestration.master.loop_data import (
-    COMPONENT,
-    DO_STEP,
-    FAILURE,
-    INDEX,
-    NO_FAILURE,
-    NOT_FINITE,
-    STATUS,
-    Wiring,
-)
+from orchestration.master.loop_data import Call, Report, Wiring
 from orchestration.master.wiring import NamedWiring
 
 
 def is_discarded_step(wiring: Wiring) -> bool:
     """Whether the reported failure is a step that a component discarded."""
-    return wiring.report[FAILURE] == DO_STEP and wiring.report[STATUS] == DISCARD
+    return wiring.report[Report.FAILURE] == Call.DO_STEP and wiring.report[Report.STATUS] == DISCARD
 
 
 def failure_error(
@@ -28,18 +19,18 @@ def failure_error(
 ) -> OrchestrationError:
     """The error for the reported failure; time: start of the present step [s]."""
     report = named.wiring.report
-    index = int(report[INDEX])
-    if report[FAILURE] == NOT_FINITE:
+    index = int(report[Report.INDEX])
+    if report[Report.FAILURE] == Call.NOT_FINITE:
         source, target = named.bus.connections[index]
         value = named.wiring.connections.value[index]
         return OrchestrationError(
             f"{source} is {value:g} at t = {time:.9g} s: expected a finite number, as it goes to {target}"
         )
-    instance = list(instances.values())[report[COMPONENT]]
+    instance = list(instances.values())[report[Report.COMPONENT]]
     instance.time = time
-    function = named.functions[int(report[FAILURE])][index]
+    function = named.functions[int(report[Report.FAILURE])][index]
     try:
-        instance.check_status(function, int(report[STATUS]))
+        instance.check_status(function, int(report[Report.STATUS]))
     except FmuError as error:
         return error
     return FmuError(instance.name, time, function, "an error, and its log was cleared", [])
@@ -52,11 +43,11 @@ def emit_warnings(named: NamedWiring, instances: Mapping[str, FmuInstance], fail
     """
     wiring = named.wiring
     for c, instance in enumerate(instances.values()):
-        if failed and c == wiring.report[COMPONENT]:
+        if failed and c == wiring.report[Report.COMPONENT]:
             continue
         kind = int(wiring.warning[c])
-        if kind != NO_FAILURE or instance.log:
+        if kind != Call.NO_FAILURE or instance.log:
             instance.time = float(wiring.warning_time[c] if kind else wiring.step_start[c])
             function = named.functions[kind][0] if kind else "fmi2DoStep"
             instance.check_status(function, WARNING if kind else OK)
-            wiring.warning[c] = NO_FAILURE
+            wiring.warning[c] = Call.NO_FAILURE

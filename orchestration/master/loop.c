@@ -73,9 +73,8 @@ static int is_multiple(int64_t point, int64_t period) { return period == 1 || po
 static int is_accepted(Wiring *wiring, int kind, int64_t c, int64_t index, int status) {
     wiring->report[BUSY] = 0;
     wiring->report[CALLS]++;
-    if (status == OK && !wiring->error_logged[c]) return 1;
     if (status <= WARNING && !wiring->error_logged[c]) {
-        if (wiring->warning[c] == NO_FAILURE) {
+        if (status != OK && wiring->warning[c] == NO_FAILURE) {
             wiring->warning[c] = kind;
             wiring->warning_time[c] = wiring->step_start[c];
         }
@@ -147,22 +146,16 @@ static int ends_step(const Wiring *wiring, int64_t c, int64_t point) {
 }
 
 static int exchange_values(Wiring *wiring, const Calls *calls, int kind, int64_t c, int64_t g) {
-    ExchangeValues *function = (ExchangeValues *)calls->function[g];
+    void *instance = (void *)wiring->instances[c], *buffer = (void *)calls->buffer[g];
+    const void *references = (const void *)calls->references[g];
+    const size_t size = (size_t)calls->size[g];
     int status;
     wiring->report[BUSY] = c + 1;
-    status = function((void *)wiring->instances[c], (const void *)calls->references[g],
-                      (size_t)calls->size[g], (void *)calls->buffer[g]);
+    if (kind == SET_DERIVATIVES)
+        status = ((SetDerivatives *)calls->function[g])(instance, references, size, wiring->orders, buffer);
+    else
+        status = ((ExchangeValues *)calls->function[g])(instance, references, size, buffer);
     return is_accepted(wiring, kind, c, g, status);
-}
-
-static int write_derivatives(Wiring *wiring, int64_t c, int64_t g) {
-    const Calls *calls = &wiring->derivative_calls;
-    SetDerivatives *function = (SetDerivatives *)calls->function[g];
-    int status;
-    wiring->report[BUSY] = c + 1;
-    status = function((void *)wiring->instances[c], (const void *)calls->references[g],
-                      (size_t)calls->size[g], wiring->orders, (const void *)calls->buffer[g]);
-    return is_accepted(wiring, SET_DERIVATIVES, c, g, status);
 }
 
 static void extrapolate(Wiring *wiring, int64_t k, double start, double size) {
@@ -193,7 +186,7 @@ static int write_inputs(Wiring *wiring, int64_t c, double start, double size) {
     }
     calls = &wiring->derivative_calls;
     for (int64_t g = calls->first[c]; g < calls->first[c + 1]; g++)
-        if (!write_derivatives(wiring, c, g)) return 0;
+        if (!exchange_values(wiring, calls, SET_DERIVATIVES, c, g)) return 0;
     return 1;
 }
 

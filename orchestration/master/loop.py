@@ -20,26 +20,7 @@ from typing import Any
 import numpy as np
 
 from fmus.binding import OK, WARNING
-from orchestration.master.loop_data import (
-    BUSY,
-    CALLS,
-    COMPONENT,
-    DO_STEP,
-    FAILURE,
-    GET_OUTPUTS,
-    HOLD,
-    INDEX,
-    MIDPOINT,
-    NO_FAILURE,
-    NOT_FINITE,
-    RECORDED,
-    SET_DERIVATIVES,
-    SET_INPUTS,
-    STATUS,
-    Calls,
-    LoopFunctions,
-    Wiring,
-)
+from orchestration.master.loop_data import Call, Calls, InputMode, LoopFunctions, Report, Wiring
 
 
 def python_loop(wiring: Wiring) -> LoopFunctions:
@@ -67,7 +48,7 @@ def exchange_and_record(wiring: Wiring, point: int) -> bool:
     is_finite = exchange(wiring, point, wiring.points[point], True)
     for column in range(len(wiring.record_index)):
         wiring.rows[point, column] = wiring.bus[wiring.record_index[column]]
-    wiring.report[RECORDED] = point + 1
+    wiring.report[Report.RECORDED] = point + 1
     return is_finite
 
 
@@ -102,7 +83,7 @@ def transfer(wiring: Wiring, k: int, point: int, time: float, is_new: bool) -> b
         value = float(faults.addition[fault, point])
         if origin >= 0:
             value += float(faults.history[fault, origin])
-    if connections.input_mode[k] != HOLD and is_new:
+    if connections.input_mode[k] != InputMode.HOLD and is_new:
         if time > connections.sample_time[k]:
             connections.sample_interval[k] = time - connections.sample_time[k]
             connections.slope[k] = (value - connections.sample[k]) / connections.sample_interval[k]
@@ -112,9 +93,7 @@ def transfer(wiring: Wiring, k: int, point: int, time: float, is_new: bool) -> b
     wiring.bus[connections.target[k]] = value
     if np.isfinite(value):
         return True
-    wiring.report[FAILURE] = NOT_FINITE
-    wiring.report[COMPONENT] = -1
-    wiring.report[INDEX] = k
+    wiring.report[Report.FAILURE : Report.STATUS] = Call.NOT_FINITE, -1, k
     return False
 
 
@@ -145,9 +124,7 @@ def _start_step(wiring: Wiring, c: int, point: int, start: float, end: float) ->
 
 def _gauss_seidel_step(wiring: Wiring, point: int, start: float, end: float) -> bool:
     connections = wiring.connections
-    is_full_step = (
-        bool(wiring.full_steps) and start == wiring.points[point] and end == wiring.points[point + 1]
-    )
+    is_full_step = wiring.full_steps and (start, end) == (wiring.points[point], wiring.points[point + 1])
     for c in range(len(wiring.instances)):
         if point % wiring.periods[c] == 0:
             wiring.step_start[c] = start
@@ -159,12 +136,8 @@ def _gauss_seidel_step(wiring: Wiring, point: int, start: float, end: float) -> 
             may_transfer = is_full_step or connections.fault[k] < 0
             if is_newer and may_transfer and not transfer(wiring, k, point + 1, end, True):
                 return False
-        step_start = wiring.step_start[c]
-        if not (
-            _write_inputs(wiring, c, step_start, end - step_start)
-            and _do_step(wiring, c, end)
-            and read_outputs(wiring, c)
-        ):
+        has_inputs = _write_inputs(wiring, c, wiring.step_start[c], end - wiring.step_start[c])
+        if not (has_inputs and _do_step(wiring, c, end) and read_outputs(wiring, c)):
             return False
     return True
 
@@ -178,19 +151,18 @@ def _write_inputs(wiring: Wiring, c: int, start: float, size: float) -> bool:
     """Set the inputs of component c, and their derivatives, for a step of `size` [s]."""
     connections = wiring.connections
     for k in range(connections.first[c], connections.first[c + 1]):
-        if connections.input_mode[k] != HOLD:  # else `transfer` has put the value on the bus
+        if connections.input_mode[k] != InputMode.HOLD:  # else `transfer` has put the value on the bus
             _extrapolate(wiring, k, start, size)
     calls = wiring.input_calls
     for g in range(calls.first[c], calls.first[c + 1]):
         if calls.integer_index[g] >= 0:
             for j in range(calls.size[g]):
                 wiring.integers[calls.integer_index[g] + j] = int(wiring.bus[calls.bus_index[g] + j])
-        if not _exchange_values(wiring, calls, SET_INPUTS, c, g):
+        if not _exchange_values(wiring, calls, Call.SET_INPUTS, c, g):
             return False
-    return all(
-        _write_derivatives(wiring, c, g)
-        for g in range(wiring.derivative_calls.first[c], wiring.derivative_calls.first[c + 1])
-    )
+    calls = wiring.derivative_calls
+    groups = range(calls.first[c], calls.first[c + 1])
+    return all(_exchange_values(wiring, calls, Call.SET_DERIVATIVES, c, g) for g in groups)
 
 
 def _extrapolate(wiring: Wiring, k: int, start: float, size: float) -> None:
@@ -201,7 +173,7 @@ def _extrapolate(wiring: Wiring, k: int, start: float, size: float) -> None:
     if size > longest:
         slope *= longest / size
     value += slope * (start - connections.sample_time[k])
-    if connections.input_mode[k] == MIDPOINT:
+    if connections.input_mode[k] == InputMode.MIDPOINT:
         value = min(max(value + slope * (0.5 * size), connections.minimum[k]), connections.maximum[k])
     wiring.slopes[connections.target[k]] = slope
     wiring.bus[connections.target[k]] = value
@@ -211,7 +183,7 @@ def read_outputs(wiring: Wiring, c: int) -> bool:
     """Read the outputs of component c to the bus."""
     calls = wiring.output_calls
     for g in range(calls.first[c], calls.first[c + 1]):
-        if not _exchange_values(wiring, calls, GET_OUTPUTS, c, g):
+        if not _exchange_values(wiring, calls, Call.GET_OUTPUTS, c, g):
             return False
         if calls.integer_index[g] >= 0:
             for j in range(calls.size[g]):
@@ -235,43 +207,31 @@ def _function(kind: Any, address: int) -> Callable[..., int]:
 def _do_step(wiring: Wiring, c: int, end: float) -> bool:
     start, fixed_size = wiring.step_start[c], wiring.fixed_step_size[c]
     size = fixed_size if fixed_size > 0.0 else end - start
-    wiring.report[BUSY] = c + 1
+    wiring.report[Report.BUSY] = c + 1
     do_step = _function(_step_type, int(wiring.do_step[c]))
     status = do_step(int(wiring.instances[c]), start, size, 1)
-    return _is_accepted(wiring, DO_STEP, c, 0, status)
+    return _is_accepted(wiring, Call.DO_STEP, c, 0, status)
 
 
 def _exchange_values(wiring: Wiring, calls: Calls, kind: int, c: int, g: int) -> bool:
-    """fmi2Get... or fmi2Set... of Real, Integer or Boolean variables."""
-    wiring.report[BUSY] = c + 1
-    function = _function(_exchange_type, int(calls.function[g]))
-    arguments = calls.references[g], calls.size[g], calls.buffer[g]
-    status = function(int(wiring.instances[c]), *map(int, arguments))
+    """fmi2Get... or fmi2Set... of Real, Integer or Boolean variables, or of input derivatives."""
+    orders = (wiring.orders,) if kind == Call.SET_DERIVATIVES else ()
+    function = _function(_derivatives_type if orders else _exchange_type, int(calls.function[g]))
+    wiring.report[Report.BUSY] = c + 1
+    status = function(
+        int(wiring.instances[c]), int(calls.references[g]), int(calls.size[g]), *orders, int(calls.buffer[g])
+    )
     return _is_accepted(wiring, kind, c, g, status)
-
-
-def _write_derivatives(wiring: Wiring, c: int, g: int) -> bool:
-    calls = wiring.derivative_calls
-    wiring.report[BUSY] = c + 1
-    function = _function(_derivatives_type, int(calls.function[g]))
-    arguments = calls.references[g], calls.size[g], wiring.orders, calls.buffer[g]
-    status = function(int(wiring.instances[c]), *map(int, arguments))
-    return _is_accepted(wiring, SET_DERIVATIVES, c, g, status)
 
 
 def _is_accepted(wiring: Wiring, kind: int, c: int, index: int, status: int) -> bool:
     """Whether the loop goes on after a call that returned; a warning is kept, a failure reported."""
-    wiring.report[BUSY] = 0
-    wiring.report[CALLS] += 1
-    if status == OK and wiring.error_logged[c] == 0:
-        return True
-    if status <= WARNING and wiring.error_logged[c] == 0:
-        if wiring.warning[c] == NO_FAILURE:
+    wiring.report[Report.BUSY] = 0
+    wiring.report[Report.CALLS] += 1
+    if status <= WARNING and not wiring.error_logged[c]:
+        if status != OK and wiring.warning[c] == Call.NO_FAILURE:
             wiring.warning[c] = kind
             wiring.warning_time[c] = wiring.step_start[c]
         return True
-    wiring.report[FAILURE] = kind
-    wiring.report[COMPONENT] = c
-    wiring.report[INDEX] = index
-    wiring.report[STATUS] = status
+    wiring.report[Report.FAILURE : Report.BUSY] = kind, c, index, status
     return False

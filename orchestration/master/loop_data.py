@@ -5,19 +5,19 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
 
 Array = np.ndarray
 
-# Connections.input_mode: how an input is extrapolated between communication points
-HOLD, FMU_DERIVATIVE, MIDPOINT = range(3)
+# how an input is extrapolated between communication points
+InputMode = IntEnum("InputMode", "HOLD FMU_DERIVATIVE MIDPOINT", start=0)
 # the kinds of failure and, but for the first and the last, of calls
-NO_FAILURE, SET_INPUTS, SET_DERIVATIVES, DO_STEP, GET_OUTPUTS, NOT_FINITE = range(6)
+Call = IntEnum("Call", "NO_FAILURE SET_INPUTS SET_DERIVATIVES DO_STEP GET_OUTPUTS NOT_FINITE", start=0)
 # indices of Wiring.report
-RECORDED, FAILURE, COMPONENT, INDEX, STATUS, BUSY, CALLS = range(7)
-REPORT_SIZE = 7
+Report = IntEnum("Report", "RECORDED FAILURE COMPONENT INDEX STATUS BUSY CALLS", start=0)
 
 
 class Calls(NamedTuple):
@@ -128,7 +128,7 @@ class Wiring(NamedTuple):
 class Storage:
     """Arrays for `Wiring.rows` and `Wiring.report` that another process can read during the run.
 
-    rows: shape (communication points, recorded variables); report: shape (REPORT_SIZE,)
+    rows: shape (communication points, recorded variables); report: shape (len(Report),)
     """
 
     rows: Array

@@ -1,14 +1,15 @@
 """One run of a system."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from inspect import signature
 from typing import Any, Never
 
 from fmus.errors import nearest
 from orchestration.errors import SystemDefinitionError
 from orchestration.master.checkpoint import Checkpoint, Checkpoints
-from orchestration.master.progress import Progress
 from orchestration.master.simulator import Simulator
+from orchestration.master.stepping import Progress
 from orchestration.master.subprocess_run import simulate_in_subprocess
 from orchestration.results.recording import Recording
 from orchestration.system.experiment import (
@@ -18,9 +19,9 @@ from orchestration.system.experiment import (
     Experiment,
     Initialisation,
     InitialisationName,
+    suggested_times,
 )
 from orchestration.system.faults import Fault
-from orchestration.system.settings import suggested_times
 from orchestration.system.signals import Signal
 from orchestration.system.system import System
 from orchestration.system.values import Value
@@ -64,37 +65,24 @@ def simulate(
     Raises SystemDefinitionError or FmuLoadError before the run starts, SimulationError afterwards: its
     `recording` holds the values recorded until then.
     """
+    arguments = locals()
     if not isinstance(system, System):
         raise SystemDefinitionError(f"simulate: expected a System, got {system!r}")
-    times = {"stop_time": stop_time, "step_size": step_size, "start_time": start_time}
-    settings: dict[str, Any] = {
-        "algorithm": algorithm,
-        "parameters": parameters,
-        "inputs": inputs,
-        "signals": signals,
-        "events": events,
-        "record": record,
-        "extrapolation": extrapolation,
-        "step_sizes": step_sizes,
-        "tolerance": tolerance,
-        "initialisation": initialisation,
-        "faults": faults,
-    }
     known = signature(simulate).parameters
     for name in misspelt:
         raise SystemDefinitionError(f"no setting {name!r}; {nearest(name, [*known][1:-1])}")
+    names = [setting.name for setting in fields(Experiment)]  # the times first
     if experiment is None:
-        experiment = Experiment(*suggested_times(system, **times), **settings)
+        times = suggested_times(system, stop_time, step_size, start_time)
+        experiment = Experiment(*times, **{name: arguments[name] for name in names[3:]})
     else:
-        given = [name for name, value in {**times, **settings}.items() if value != known[name].default]
+        given = [name for name in names if arguments[name] != known[name].default]
         if given:
             raise SystemDefinitionError(
                 f"simulate: expected an experiment or its settings, got both: {', '.join(given)}"
             )
+    options: dict[str, Any] = {"real_time": real_time, "checkpoints": checkpoints, "resume": resume}
     if timeout is not None:
-        options = {"real_time": real_time, "checkpoints": checkpoints, "resume": resume}
         return simulate_in_subprocess(system, experiment, timeout, progress, options)
     with Simulator(system) as simulator:
-        return simulator.run(
-            experiment, progress, real_time=real_time, checkpoints=checkpoints, resume=resume
-        )
+        return simulator.run(experiment, progress, **options)

@@ -14,6 +14,8 @@ _LONGEST_SLEEP_S = 0.1  # between two checks for an interrupt
 class Pacing:
     """Simulated time passes at `factor` times the wall clock, from the first `wait` on.
 
+    Raises SystemDefinitionError for a factor that is not more than 0.
+
     missed: number of points reached too late
     worst: largest lateness [s of the wall clock]; worst_at: simulated time of that point [s]
     """
@@ -23,6 +25,10 @@ class Pacing:
     worst: float = 0.0
     worst_at: float = 0.0
     _zero: float | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.factor) and self.factor > 0.0):
+            raise SystemDefinitionError(f"real time factor {self.factor!r}: expected more than 0")
 
     def wait(self, t: float, check_interrupt: Callable[[], None]) -> None:
         """Wait until it is time for the communication point t [s]."""
@@ -34,11 +40,9 @@ class Pacing:
             while (left := self._zero + t / self.factor - time.perf_counter()) > 0.0:
                 time.sleep(min(left, _LONGEST_SLEEP_S))
                 check_interrupt()
-            return
-        if late > 0.0:
+        elif late > 0.0:
             self.missed += 1
-            if late > self.worst:
-                self.worst, self.worst_at = late, t
+            self.worst, self.worst_at = max((self.worst, self.worst_at), (late, t), key=lambda late: late[0])
 
     def report(self) -> dict[str, float | int]:
         """The factor and the missed deadlines, for the provenance of a recording."""
@@ -48,10 +52,3 @@ class Pacing:
             "worst_lateness_s": self.worst,
             "worst_at_s": self.worst_at,
         }
-
-
-def pacing_at(factor: float) -> Pacing:
-    """A pacing of `factor` simulated seconds in a second; SystemDefinitionError if it is not more than 0."""
-    if not (math.isfinite(factor) and factor > 0.0):
-        raise SystemDefinitionError(f"real time factor {factor!r}: expected more than 0")
-    return Pacing(factor)

@@ -1,6 +1,7 @@
 """A system whose FMUs stay loaded, and the runs that it makes."""
 
 import threading
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Self
@@ -15,10 +16,9 @@ from orchestration.master.compiled_loop import compiled_loop
 from orchestration.master.initialisation import ConnectionGroup, connection_groups, initialise
 from orchestration.master.interrupt import deferred_interrupt
 from orchestration.master.loop import python_loop
-from orchestration.master.loop_data import BUSY, REPORT_SIZE, Storage
-from orchestration.master.pacing import Pacing, pacing_at
-from orchestration.master.progress import Progress
-from orchestration.master.stepping import RunInProgress
+from orchestration.master.loop_data import Report, Storage
+from orchestration.master.pacing import Pacing
+from orchestration.master.stepping import Progress, RunInProgress
 from orchestration.master.wiring import build_wiring, report_calls
 from orchestration.results.recording import Recording
 from orchestration.system.experiment import Experiment
@@ -67,49 +67,21 @@ class Simulator:
         if not self._running.acquire(blocking=False):
             raise OrchestrationError("this simulator is running: expected another one for a run meanwhile")
         try:
-            pacing = None if real_time is None else pacing_at(real_time)
-            return self._run(experiment, progress, pacing, checkpoints, resume, storage)
+            pacing = None if real_time is None else Pacing(real_time)
+            system, groups = self._check(experiment.driven_inputs)
+            prepared = prepare_checked(system, experiment)
+            if checkpoints or resume:
+                check_can_save(system)
+            storage = storage or Storage(np.empty(prepared.shape), np.zeros(len(Report), np.int64))
+            self._load_or_reset(storage.report)
+            error_logged = report_calls(self._instances, storage.report)
+            named = build_wiring(prepared, self._instances, storage, error_logged)
+            run = RunInProgress(prepared, self._instances, named, self._loop(named.wiring))
+            recording = _run_to_end(run, groups, progress, pacing, checkpoints, resume)
+            self._must_reload = False
+            return recording
         finally:
             self._running.release()
-
-    def _run(
-        self,
-        experiment: Experiment,
-        progress: Progress | None,
-        pacing: Pacing | None,
-        checkpoints: Checkpoints | None,
-        resume: Checkpoint | None,
-        storage: Storage | None,
-    ) -> Recording:
-        system, groups = self._check(experiment.driven_inputs)
-        prepared = prepare_checked(system, experiment)
-        if checkpoints or resume:
-            check_can_save(system)
-        report = storage.report if storage else np.zeros(REPORT_SIZE, np.int64)
-        rows = storage.rows if storage else np.empty(prepared.shape)
-        self._load_or_reset(report)
-        error_logged = report_calls(self._instances, report)
-        named = build_wiring(prepared, self._instances, Storage(rows, report), error_logged)
-        run = RunInProgress(prepared, self._instances, named, self._loop(named.wiring))
-        try:
-            with deferred_interrupt() as check_interrupt:
-                initialise(prepared, groups, self._instances)
-                run.read_outputs()
-                if resume:
-                    restore(resume, run)
-                callback = checkpoints.checkpoint_callback(run) if checkpoints else None
-                run.run_to_end(check_interrupt, progress, pacing, callback)
-            self._must_reload = False
-            return run.recording(pacing)
-        except KeyboardInterrupt as error:
-            run.record_now()
-            saved = _save_interrupted(checkpoints, run) if checkpoints else ""
-            raise SimulationError(f"interrupted{saved}", run.recording(pacing)) from error
-        except Exception as error:  # also of a signal: the recorded values must not be lost
-            reason = str(error) if isinstance(error, OrchestrationError) else repr(error)
-            raise SimulationError(reason, run.recording(pacing)) from error
-        finally:
-            run.free()
 
     def _check(self, driven: tuple[str, ...]) -> tuple[CheckedSystem, tuple[ConnectionGroup, ...]]:
         """The checked system and its groups of initial values, computed once for the same driven inputs."""
@@ -133,11 +105,11 @@ class Simulator:
                 self._loaded = loading.pop_all()
 
     def _load(self, name: str, report: np.ndarray) -> FmuInstance:
-        report[BUSY] = -1 - list(self.system.components).index(name)
+        report[Report.BUSY] = -1 - list(self.system.components).index(name)
         try:
             return FmuInstance(name, Path(self.system.components[name]), self._descriptions[name])
         finally:
-            report[BUSY] = 0
+            report[Report.BUSY] = 0
 
     def close(self) -> None:
         """Free every instance; the next run loads them again."""
@@ -149,6 +121,35 @@ class Simulator:
 
     def __exit__(self, *reason: object) -> None:
         self.close()
+
+
+def _run_to_end(
+    run: RunInProgress,
+    groups: Sequence[ConnectionGroup],
+    progress: Progress | None,
+    pacing: Pacing | None,
+    checkpoints: Checkpoints | None,
+    resume: Checkpoint | None,
+) -> Recording:
+    """Initialise or restore a run, and run it to its end. SimulationError holds what was recorded."""
+    try:
+        with deferred_interrupt() as check_interrupt:
+            initialise(run.prepared, groups, run.instances)
+            run.read_outputs()
+            if resume:
+                restore(resume, run)
+            callback = checkpoints.checkpoint_callback(run) if checkpoints else None
+            run.run_to_end(check_interrupt, progress, pacing, callback)
+        return run.recording(pacing)
+    except KeyboardInterrupt as error:
+        run.record_now()
+        saved = _save_interrupted(checkpoints, run) if checkpoints else ""
+        raise SimulationError(f"interrupted{saved}", run.recording(pacing)) from error
+    except Exception as error:  # also of a signal: the recorded values must not be lost
+        reason = str(error) if isinstance(error, OrchestrationError) else repr(error)
+        raise SimulationError(reason, run.recording(pacing)) from error
+    finally:
+        run.free()
 
 
 def _save_interrupted(checkpoints: Checkpoints, run: RunInProgress) -> str:

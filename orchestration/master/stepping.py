@@ -7,15 +7,15 @@ batch, steps again to the discarded step, and takes that one in shorter steps.
 
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Protocol
+
+import numpy as np
 
 from orchestration.errors import OrchestrationError
 from orchestration.fmi.instance import FmuInstance
 from orchestration.master.failure import emit_warnings, failure_error, is_discarded_step
-from orchestration.master.loop_data import RECORDED, LoopFunctions
+from orchestration.master.loop_data import LoopFunctions, Report
 from orchestration.master.pacing import Pacing
-from orchestration.master.progress import Progress
-from orchestration.master.record import make_recording
 from orchestration.master.snapshot import Snapshot
 from orchestration.master.step_control import StepControl
 from orchestration.master.wiring import NamedWiring
@@ -25,6 +25,12 @@ from orchestration.system.prepared_run import PreparedRun
 _BATCH_S = 0.05
 _GROWTH = 8  # largest growth of a batch from one to the next: the first ones measure how long a step takes
 MOST_STEPS = 1_000_000  # in a batch
+
+
+class Progress(Protocol):
+    """Called some ten times a second with the communication points done, and all of the run."""
+
+    def __call__(self, done: int, total: int, /) -> object: ...
 
 
 class RunInProgress:
@@ -149,7 +155,7 @@ class RunInProgress:
 
     def recording(self, pacing: Pacing | None) -> Recording:
         """The values recorded until now."""
-        count = int(self.wiring.report[RECORDED])
+        count = int(self.wiring.report[Report.RECORDED])
         more = self._statistics() | ({"real_time": pacing.report()} if pacing else {})
         return make_recording(self.prepared, self.wiring.rows, count, more)
 
@@ -169,3 +175,37 @@ class RunInProgress:
         if self._snapshot and self.step_control:
             self._snapshot.free()
             self.step_control.free()
+
+
+def make_recording(
+    prepared: PreparedRun, rows: np.ndarray, count: int, more: Mapping[str, Any] | None = None
+) -> Recording:
+    """The recorded values at the first `count` communication points.
+
+    rows: shape `prepared.shape`; more: further entries of the provenance
+    """
+    ports = prepared.system.ports
+    return Recording(
+        names=prepared.recorded,
+        units=tuple(ports[name].variable.unit or "" for name in prepared.recorded),
+        time=prepared.points[:count].copy(),
+        values=np.array(rows[:count]),
+        provenance=_provenance(prepared) | dict(more or {}),
+    )
+
+
+def _provenance(prepared: PreparedRun) -> dict[str, Any]:
+    """The FMUs and the settings of the run, as plain data."""
+    experiment = prepared.experiment
+    return {
+        "fmus": {
+            name: {"guid": d.guid, "model": d.modelName, "tool": d.generationTool}
+            for name, d in prepared.system.descriptions.items()
+        },
+        "algorithm": str(experiment.algorithm),
+        "communication_step_size_s": experiment.step_size,
+        "extrapolation": experiment.extrapolation,
+        **({"tolerance": experiment.tolerance} if experiment.tolerance else {}),
+        **({"step_sizes_s": dict(experiment.step_sizes)} if experiment.step_sizes else {}),
+        **({"faults": [repr(fault) for fault in experiment.faults]} if experiment.faults else {}),
+    }

@@ -12,9 +12,8 @@ import numpy as np
 from fmus.process import ProcessEndedError, WorkerProcess
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.master.interrupt import kept_interrupts
-from orchestration.master.loop_data import BUSY, CALLS, RECORDED
-from orchestration.master.progress import Progress
-from orchestration.master.record import make_recording
+from orchestration.master.loop_data import Report
+from orchestration.master.stepping import Progress, make_recording
 from orchestration.master.subprocess_worker import STOP, Outcome, SharedRecord, Task, Warned, run_task
 from orchestration.results.recording import Recording
 from orchestration.system.experiment import Experiment
@@ -48,7 +47,7 @@ def simulate_in_subprocess(
         contextlib.closing(WorkerProcess(run_task)) as process,
         contextlib.closing(SharedRecord(process.folder, prepared.shape, "w+")) as record,
     ):
-        record.storage.report[RECORDED] = _NOT_BEGUN
+        record.storage.report[Report.RECORDED] = _NOT_BEGUN
         process.send(task)
         watch = _Watch(process, record, timeout, progress)
         problem, stopped = watch.until_the_end()
@@ -131,7 +130,7 @@ class _Watch:
 
     def _told(self) -> BaseException | None:
         """Tell the progress; what it raises."""
-        done, last = int(self._report[RECORDED]) - 1, len(self._record.storage.rows) - 1
+        done, last = int(self._report[Report.RECORDED]) - 1, len(self._record.storage.rows) - 1
         return _said(self._progress, done, last) if 0 <= done < last else None
 
     @property
@@ -140,7 +139,11 @@ class _Watch:
 
     def _exceeded(self) -> float:
         """The limit [s], if the present call of an FMU takes longer."""
-        calls = int(self._report[RECORDED]), int(self._report[CALLS]), int(self._report[BUSY])
+        calls = (
+            int(self._report[Report.RECORDED]),
+            int(self._report[Report.CALLS]),
+            int(self._report[Report.BUSY]),
+        )
         if calls[2] == 0 or calls != self._calls_seen:
             self._calls_seen, self._since = calls, time.monotonic()
         limit = max(self._timeout, _LOADING_S) if calls[2] < 0 else self._timeout
@@ -160,9 +163,9 @@ def _said(progress: Progress | None, done: int, last: int) -> BaseException | No
 def _failure(problem: str, prepared: PreparedRun, record: SharedRecord) -> OrchestrationError:
     """A run without an outcome: who did what, and what was recorded."""
     report, rows = record.storage.report, record.storage.rows
-    if report[RECORDED] == _NOT_BEGUN:
+    if report[Report.RECORDED] == _NOT_BEGUN:
         return OrchestrationError(f"a process for the FMUs could not begin: {problem}")
-    done, busy = int(report[RECORDED]), abs(int(report[BUSY]))
+    done, busy = int(report[Report.RECORDED]), abs(int(report[Report.BUSY]))
     who = list(prepared.system.components)[busy - 1] if busy else "the run"
     where = f"at t = {prepared.points[done - 1]:.9g} s" if done else "in the initialisation"
     return SimulationError(f"{who} {where}: {problem}", make_recording(prepared, rows, done))

@@ -21,7 +21,7 @@ import numpy as np
 from fmus.process import Parent
 from orchestration.errors import OrchestrationError
 from orchestration.master.interrupt import kept_interrupts
-from orchestration.master.loop_data import RECORDED, REPORT_SIZE, Storage
+from orchestration.master.loop_data import Report, Storage
 from orchestration.master.simulator import Simulator
 from orchestration.results.recording import Recording
 from orchestration.system.experiment import Experiment
@@ -59,7 +59,7 @@ class SharedRecord:
 
     def __init__(self, folder: Path, shape: tuple[int, int], mode: Literal["w+", "r+"]) -> None:
         rows = np.memmap(folder / "rows", float, mode, shape=shape)
-        report = np.memmap(folder / "report", np.int64, mode, shape=(REPORT_SIZE,))
+        report = np.memmap(folder / "report", np.int64, mode, shape=(len(Report),))
         self.storage = Storage(np.asarray(rows), np.asarray(report))
 
     def close(self) -> None:
@@ -92,7 +92,7 @@ def _run(parent: Parent, folder: Path) -> Recording:
         ) from error
     threading.Thread(target=_stop_when_asked, args=(parent,), daemon=True).start()
     storage = SharedRecord(folder, task.shape, "r+").storage
-    storage.report[RECORDED] = 0
+    storage.report[Report.RECORDED] = 0
     with warnings.catch_warnings():
         warnings.simplefilter("always")
         warnings.showwarning = lambda message, category, filename, lineno, *_: parent.send(

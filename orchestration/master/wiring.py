@@ -1,26 +1,20 @@
 """A prepared run and its FMU instances as the arrays of the communication loop."""
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from orchestration.fmi.instance import CallInProgress, FmuInstance
+from orchestration.fmi.instance import FmuInstance
 from orchestration.master.bus import SIGNAL, BusLayout, VariableGroup, component_of, lay_out_bus
 from orchestration.master.loop_data import (
-    BUSY,
-    CALLS,
-    DO_STEP,
-    FMU_DERIVATIVE,
-    GET_OUTPUTS,
-    HOLD,
-    MIDPOINT,
-    SET_DERIVATIVES,
-    SET_INPUTS,
+    Call,
     Calls,
     Connections,
     Faults,
+    Report,
     Storage,
     Wiring,
 )
@@ -37,7 +31,7 @@ class NamedWiring:
     """The wiring of a run, and the names of its elements.
 
     functions: kind of call -> the FMI function of each of its rows
-    references: value references, whose addresses are in the wiring
+    references: value references and orders, whose addresses are in the wiring
     """
 
     wiring: Wiring
@@ -57,21 +51,16 @@ def build_wiring(
     count = len(instances)
     values, slopes = np.zeros(len(bus.index)), np.zeros(len(bus.index))
     integers, ones = np.zeros(bus.integer_count, np.int32), np.ones(len(bus.index), np.int32)
-    modes = [_input_mode(prepared, source, target) for source, target in bus.connections]
-    extrapolated = _groups_with_mode(bus, modes, FMU_DERIVATIVE)
-    functions = {
-        SET_INPUTS: [f"fmi2Set{group.type}" for group in bus.inputs],
-        SET_DERIVATIVES: ["fmi2SetRealInputDerivatives"] * len(extrapolated),
-        GET_OUTPUTS: [f"fmi2Get{group.type}" for group in bus.outputs],
-        DO_STEP: ["fmi2DoStep"],
+    groups = {
+        Call.SET_INPUTS: [(group, f"fmi2Set{group.type}") for group in bus.inputs],
+        Call.SET_DERIVATIVES: [(group, "fmi2SetRealInputDerivatives") for group in bus.derivatives],
+        Call.GET_OUTPUTS: [(group, f"fmi2Get{group.type}") for group in bus.outputs],
     }
-    references: list[np.ndarray] = []
+    functions = {int(kind): [function for _, function in rows] for kind, rows in groups.items()}
+    references: list[np.ndarray] = [ones]
 
-    def calls(kind: int, groups: Sequence[VariableGroup], reals: np.ndarray) -> Calls:
-        arrays = [np.array([v.valueReference for v in group.variables], np.uint32) for group in groups]
-        references.extend(arrays)
-        buffers = [_buffer(group, reals, integers) for group in groups]
-        return _calls(instances, groups, functions[kind], arrays, buffers)
+    def calls(kind: Call, reals: np.ndarray) -> Calls:
+        return _calls(instances, groups[kind], references, reals, integers)
 
     wiring = Wiring(
         gauss_seidel=int(experiment.algorithm is Algorithm.GAUSS_SEIDEL),
@@ -89,10 +78,10 @@ def build_wiring(
         error_logged=error_logged,
         warning=np.zeros(count, np.int64),
         warning_time=np.zeros(count),
-        input_calls=calls(SET_INPUTS, bus.inputs, values),
-        derivative_calls=calls(SET_DERIVATIVES, extrapolated, slopes),
-        output_calls=calls(GET_OUTPUTS, bus.outputs, values),
-        connections=_connections(prepared, bus, modes),
+        input_calls=calls(Call.SET_INPUTS, values),
+        derivative_calls=calls(Call.SET_DERIVATIVES, slopes),
+        output_calls=calls(Call.GET_OUTPUTS, values),
+        connections=_connections(prepared, bus),
         faults=_faults(prepared),
         signal_values=prepared.signal_values,
         signal_index=np.array([bus.index[f"{SIGNAL}{name}"] for name in experiment.signals], np.int64),
@@ -100,53 +89,39 @@ def build_wiring(
         rows=storage.rows,
         report=storage.report,
     )
-    return NamedWiring(wiring, bus, functions, [*references, ones])
+    return NamedWiring(wiring, bus, {**functions, Call.DO_STEP: ["fmi2DoStep"]}, references)
 
 
 def report_calls(instances: Mapping[str, FmuInstance], report: np.ndarray) -> np.ndarray:
     """Let the instances count their calls in the report; returns the array where they flag logged errors."""
     error_logged = np.zeros(len(instances), np.int64)
-    busy, calls = report[BUSY : BUSY + 1], report[CALLS : CALLS + 1]
+    busy, calls = (report[index : index + 1] for index in (Report.BUSY, Report.CALLS))
     for c, instance in enumerate(instances.values()):
         instance.log.error_logged = error_logged[c : c + 1]
-        instance.call_in_progress = CallInProgress(c + 1, busy, calls)
+        instance.number, instance.busy, instance.calls = c + 1, busy, calls
     return error_logged
-
-
-def _buffer(group: VariableGroup, reals: np.ndarray, integers: np.ndarray) -> int:
-    """Address of the first value of a group."""
-    is_real = group.integer_index < 0
-    array, index = (reals, group.bus_index) if is_real else (integers, group.integer_index)
-    return array.ctypes.data + index * array.itemsize
 
 
 def _calls(
     instances: Mapping[str, FmuInstance],
-    groups: Sequence[VariableGroup],
-    functions: Sequence[str],
-    references: Sequence[np.ndarray],
-    buffers: Sequence[int],
+    groups: Sequence[tuple[VariableGroup, str]],
+    references: list[np.ndarray],
+    reals: np.ndarray,
+    integers: np.ndarray,
 ) -> Calls:
-    rows = [
-        (
-            instances[group.component].function(function),
-            array.ctypes.data,
-            buffer,
-            len(group.variables),
-            group.bus_index,
-            group.integer_index,
+    """One row for each group; its value references are added to `references`."""
+    rows = []
+    for group, function in groups:
+        references.append(np.array([v.valueReference for v in group.variables], np.uint32))
+        array, index = (
+            (reals, group.bus_index) if group.integer_index < 0 else (integers, group.integer_index)
         )
-        for group, function, array, buffer in zip(groups, functions, references, buffers, strict=True)
-    ]
-    columns = np.array(rows, np.int64).reshape(-1, 6).T
-    first = _first_of_each([group.component for group in groups], list(instances))
-    return Calls(first, *(np.ascontiguousarray(column) for column in columns))
-
-
-def _groups_with_mode(bus: BusLayout, modes: Sequence[int], mode: int) -> list[VariableGroup]:
-    """The groups whose first input has this input mode."""
-    targets = {target for (_, target), own in zip(bus.connections, modes, strict=True) if own == mode}
-    return [group for group in bus.inputs if group.names[0] in targets]
+        addresses = references[-1].ctypes.data, array.ctypes.data + index * array.itemsize
+        sizes = len(group.variables), group.bus_index, group.integer_index
+        rows.append((instances[group.component].function(function), *addresses, *sizes))
+    return Calls(
+        _first_of_each([group.component for group, _ in groups], instances), *_columns(rows, 6, np.int64)
+    )
 
 
 def _fixed_step_size(prepared: PreparedRun, component: str) -> float:
@@ -156,60 +131,50 @@ def _fixed_step_size(prepared: PreparedRun, component: str) -> float:
     return prepared.periods[component] * prepared.experiment.step_size
 
 
-def _input_mode(prepared: PreparedRun, source: str, target: str) -> int:
-    ports = prepared.system.ports
-    ends = [ports[name].variable for name in (source, target) if not name.startswith(SIGNAL)]
-    is_continuous = all(v.type == "Real" and v.variability in (None, "continuous") for v in ends)
-    if not (prepared.experiment.extrapolation and is_continuous):
-        return HOLD
-    interface: Any = prepared.system.descriptions[ports[target].component].coSimulation
-    return FMU_DERIVATIVE if interface.canInterpolateInputs else MIDPOINT
-
-
-def _connections(prepared: PreparedRun, bus: BusLayout, modes: list[int]) -> Connections:
-    components, faulted = list(prepared.system.components), list(prepared.fault_patterns)
-    count = len(bus.connections)
-    sources = [
-        -1 if source.startswith(SIGNAL) else components.index(component_of(source))
-        for source, _ in bus.connections
-    ]
-    targets = [component_of(target) for _, target in bus.connections]
-    ranges = [prepared.input_ranges[target] for _, target in bus.connections]
+def _connections(prepared: PreparedRun, bus: BusLayout) -> Connections:
+    numbers = {name: c for c, name in enumerate(prepared.system.components)}
+    faults = {name: row for row, name in enumerate(prepared.fault_patterns)}
     validity = _SLOPE_VALIDITY_WITH_TOLERANCE if prepared.experiment.tolerance else _SLOPE_VALIDITY
-    source_periods = [1 if c < 0 else prepared.periods[components[c]] for c in sources]
+    count, targets = len(bus.connections), [component_of(target) for _, target in bus.connections]
+    indices, limits = [], []
+    for (source, target), own in zip(bus.connections, targets, strict=True):
+        owner = component_of(source)
+        indices.append((bus.index[source], bus.index[target], numbers.get(owner, -1), faults.get(target, -1)))
+        periods = prepared.periods[own] / prepared.periods.get(owner, 1)
+        limits.append((*prepared.input_ranges[target], validity * periods))
+    source, target, source_component, fault = _columns(indices, 4, np.int64)
+    minimum, maximum, slope_validity = _columns(limits, 3, np.float64)
     return Connections(
-        first=_first_of_each(targets, components),
-        source=np.array([bus.index[source] for source, _ in bus.connections], np.int64),
-        target=np.array([bus.index[target] for _, target in bus.connections], np.int64),
-        source_component=np.array(sources, np.int64),
-        fault=np.array([faulted.index(t) if t in faulted else -1 for _, t in bus.connections], np.int64),
-        input_mode=np.array(modes, np.int64),
-        minimum=np.array([low for low, _ in ranges]),
-        maximum=np.array([high for _, high in ranges]),
+        first=_first_of_each(targets, prepared.system.components),
+        source=source,
+        target=target,
+        source_component=source_component,
+        fault=fault,
+        input_mode=np.array(bus.input_modes, np.int64),
+        minimum=minimum,
+        maximum=maximum,
         value=np.zeros(count),
         slope=np.zeros(count),
         sample_time=np.full(count, -np.inf),
         sample=np.zeros(count),
         sample_interval=np.zeros(count),
-        slope_validity=np.array(
-            [
-                validity * prepared.periods[target] / period
-                for target, period in zip(targets, source_periods, strict=True)
-            ]
-        ),
+        slope_validity=slope_validity,
     )
 
 
 def _faults(prepared: PreparedRun) -> Faults:
-    patterns = prepared.fault_patterns
+    patterns = prepared.fault_patterns.values()
     shape = len(patterns), len(prepared.points)
-    source, addition = np.zeros(shape, np.int64), np.zeros(shape)
-    for row, pattern in enumerate(patterns.values()):
-        source[row], addition[row] = pattern
-    return Faults(source, addition, np.zeros(shape))
+    source = np.array([source for source, _ in patterns], np.int64).reshape(shape)
+    return Faults(source, np.array([added for _, added in patterns], float).reshape(shape), np.zeros(shape))
 
 
-def _first_of_each(owners: list[str], components: list[str]) -> np.ndarray:
+def _columns(rows: Sequence[tuple[float, ...]], width: int, kind: type[np.generic]) -> np.ndarray:
+    """Rows as contiguous columns, shape (width, rows)."""
+    return np.ascontiguousarray(np.array(rows, kind).reshape(-1, width).T)
+
+
+def _first_of_each(owners: Iterable[str], components: Iterable[str]) -> np.ndarray:
     """Index of each component's first entry, and the number of entries; `owners` are in order."""
-    counts = [owners.count(name) for name in components]
-    return np.array([0, *np.cumsum(counts)], np.int64)
+    counts = Counter(owners)
+    return np.cumsum([0, *(counts[name] for name in components)], dtype=np.int64)

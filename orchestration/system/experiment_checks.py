@@ -1,13 +1,14 @@
 """Whether an experiment fits a system: its signals, its faults, and what the FMUs are able to do."""
 
+from collections import Counter
 from typing import Any
 
 from fmus.errors import nearest
 from orchestration.errors import SystemDefinitionError
 from orchestration.system.experiment import Experiment
-from orchestration.system.faults import Fault, Stuck
+from orchestration.system.faults import Stuck
 from orchestration.system.system import CheckedSystem
-from orchestration.system.time_grid import GRID_TOLERANCE, within
+from orchestration.system.time_grid import is_multiple, within
 from orchestration.system.values import fmi_value
 
 
@@ -23,33 +24,31 @@ def check_signals(system: CheckedSystem, experiment: Experiment) -> None:
             raise SystemDefinitionError(f"signal {name}: expected an input of type Real, got {input_type}")
 
 
-def check_faults(system: CheckedSystem, experiment: Experiment) -> None:
-    """SystemDefinitionError for a fault on an input that it cannot act on, or at no time of the run."""
-    driven = {target.name for _, target in system.connections} | set(experiment.signals)
+def check_faults(system: CheckedSystem, experiment: Experiment, driven: set[str]) -> None:
+    """SystemDefinitionError for a fault on an input that it cannot act on, or at no time of the run.
+
+    driven: inputs that a connection or a signal drives
+    """
     step_starts = experiment.time_grid()[:-1]
     for fault in experiment.faults:
-        _check_faulted_input(system, fault, driven)
-        if not len(within(step_starts, fault.start, fault.end)):
-            raise SystemDefinitionError(
-                f"fault on {fault.input}: no communication step begins at {fault.start:g}..{fault.end:g} s: "
+        port, effect = system.port(fault.input, f"fault on {fault.input}"), fault.effect
+        if fault.input not in driven:
+            problem = (
+                "expected an input that a connection or a signal drives; "
+                f"{nearest(fault.input, sorted(driven))}"
+            )
+        elif port.variable.type != "Real" and not effect.for_every_type:
+            problem = f"{type(effect).__name__}: expected an input of type Real, got {port.variable.type}"
+        elif not len(within(step_starts, fault.start, fault.end)):
+            problem = (
+                f"no communication step begins at {fault.start:g}..{fault.end:g} s: "
                 f"expected a part of the run, {experiment.start_time:g}..{experiment.stop_time:g} s"
             )
-
-
-def _check_faulted_input(system: CheckedSystem, fault: Fault, driven: set[str]) -> None:
-    purpose, kind = f"fault on {fault.input}", type(fault.effect).__name__
-    port = system.port(fault.input, purpose)
-    if fault.input not in driven:
-        raise SystemDefinitionError(
-            f"{purpose}: expected an input that a connection or a signal drives; "
-            f"{nearest(fault.input, driven)}"
-        )
-    if port.variable.type != "Real" and not fault.effect.for_every_type:
-        raise SystemDefinitionError(
-            f"{purpose}: {kind}: expected an input of type Real, got {port.variable.type}"
-        )
-    if isinstance(fault.effect, Stuck):
-        fmi_value(port, fault.effect.value)
+        else:
+            if isinstance(effect, Stuck):
+                fmi_value(port, effect.value)
+            continue
+        raise SystemDefinitionError(f"fault on {fault.input}: {problem}")
 
 
 def check_capabilities(system: CheckedSystem, experiment: Experiment) -> None:
@@ -60,8 +59,8 @@ def check_capabilities(system: CheckedSystem, experiment: Experiment) -> None:
                 f"step size of {name!r}: no such component; {nearest(name, system.components)}"
             )
     step_count = len(experiment.time_grid()) - 1
-    ratio = (experiment.stop_time - experiment.start_time) / experiment.step_size
-    last_is_shorter = abs(ratio - round(ratio)) > GRID_TOLERANCE * ratio
+    last_is_shorter = not is_multiple(experiment.stop_time - experiment.start_time, experiment.step_size)
+    instances = Counter(system.components.values())
     for name, description in system.descriptions.items():
         interface: Any = description.coSimulation
         can_vary_step = interface.canHandleVariableCommunicationStepSize
@@ -74,8 +73,9 @@ def check_capabilities(system: CheckedSystem, experiment: Experiment) -> None:
             raise SystemDefinitionError(
                 f"{name} cannot vary its step size: expected a stop time that is a multiple of the step size"
             )
-        copies = [other for other, path in system.components.items() if path == system.components[name]]
-        if len(copies) > 1 and interface.canBeInstantiatedOnlyOncePerProcess:
+        path = system.components[name]
+        if instances[path] > 1 and interface.canBeInstantiatedOnlyOncePerProcess:
+            copies = [other for other in system.components if system.components[other] == path]
             raise SystemDefinitionError(
                 f"{', '.join(copies)}: expected one instance, the FMU can be instantiated only once"
             )

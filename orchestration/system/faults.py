@@ -9,6 +9,7 @@ Faults act from the first communication step on; initial values are exchanged wi
 """
 
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -46,9 +47,8 @@ class Stuck(Effect):
     value: float | bool
 
     def __post_init__(self) -> None:
-        _expect(
-            _is_finite(self.value) or isinstance(self.value, bool), "value", self.value, "a finite number"
-        )
+        if not isinstance(self.value, bool):
+            _check_number("value", self.value)
 
     def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
         return np.full(inside.shape, -1), np.full(inside.shape, float(self.value))
@@ -62,7 +62,7 @@ class Offset(Effect):
     value: float
 
     def __post_init__(self) -> None:
-        _expect(_is_finite(self.value), "value", self.value, "a finite number")
+        _check_number("value", self.value)
 
     def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
         return inside, np.full(inside.shape, float(self.value))
@@ -76,7 +76,7 @@ class Drift(Effect):
     rate: float
 
     def __post_init__(self) -> None:
-        _expect(_is_finite(self.rate), "rate", self.rate, "a finite number")
+        _check_number("rate", self.rate)
 
     def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
         return inside, self.rate * (times[inside] - times[inside[0]])
@@ -91,10 +91,8 @@ class Noise(Effect):
     seed: int = 0
 
     def __post_init__(self) -> None:
-        deviation = self.standard_deviation
-        is_valid = _is_finite(deviation) and deviation >= 0.0
-        _expect(is_valid, "standard_deviation", deviation, "a finite number, 0 or more")
-        _check_seed(self.seed)
+        _check_number("standard_deviation", self.standard_deviation, "a finite number, 0 or more", 0.0)
+        _check_number("seed", self.seed, "an integer, 0 or more", 0, of_type=int)
 
     def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
         return inside, self.standard_deviation * stream.standard_normal(len(inside))
@@ -111,9 +109,8 @@ class DropOut(Effect):
     seed: int = 0
 
     def __post_init__(self) -> None:
-        is_valid = _is_finite(self.probability) and 0.0 <= self.probability <= 1.0
-        _expect(is_valid, "probability", self.probability, "0..1")
-        _check_seed(self.seed)
+        _check_number("probability", self.probability, "0..1", 0.0, 1.0)
+        _check_number("seed", self.seed, "an integer, 0 or more", 0, of_type=int)
 
     def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
         is_lost = stream.random(len(inside)) < self.probability
@@ -128,8 +125,7 @@ class Delay(Effect):
     delay: float
 
     def __post_init__(self) -> None:
-        is_valid = _is_finite(self.delay) and self.delay > 0.0
-        _expect(is_valid, "delay", self.delay, "a finite number of seconds, more than 0")
+        _check_number("delay", self.delay, "a finite number of seconds, more than 0", math.ulp(0.0))
 
     def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
         middles = 0.5 * (times[1:] + times[:-1])
@@ -186,23 +182,21 @@ def compose(faults: Sequence[Fault], times: np.ndarray) -> Pattern:
     times: of the samples, ascending [s].
     """
     source, addition = np.arange(len(times)), np.zeros(len(times))
-    for each in faults:
-        later_source, later_addition = each.pattern(times)
+    for fault in faults:
+        later_source, later_addition = fault.pattern(times)
         is_sent = later_source >= 0
         addition = np.where(is_sent, addition[later_source], 0.0) + later_addition
         source = np.where(is_sent, source[later_source], -1)
     return source, addition
 
 
-def _is_finite(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-
-
-def _check_seed(seed: Any) -> None:
-    is_valid = isinstance(seed, int) and not isinstance(seed, bool) and seed >= 0
-    _expect(is_valid, "seed", seed, "an integer, 0 or more")
-
-
-def _expect(condition: bool, name: str, value: Any, expected: str) -> None:
-    if not condition:
+def _check_number(
+    name: str,
+    value: Any,
+    expected: str = "a finite number",
+    low: float = -sys.float_info.max,
+    high: float = sys.float_info.max,
+    of_type: type | tuple[type, ...] = (int, float),
+) -> None:
+    if isinstance(value, bool) or not isinstance(value, of_type) or not low <= value <= high:
         raise SystemDefinitionError(f"{name} = {value!r}: expected {expected}")

@@ -87,10 +87,11 @@ def prepare(system: System, experiment: Experiment) -> PreparedRun:
 
 def prepare_checked(system: CheckedSystem, experiment: Experiment) -> PreparedRun:
     """Check an experiment against a system that was checked with the inputs that it drives."""
-    recorded = _recorded(system, experiment)
+    driven = {*experiment.signals, *(target.name for _, target in system.connections)}
+    recorded = _recorded(system, experiment, driven)
     for event in experiment.events:
-        _check_event(system, experiment, event)
-    check_faults(system, experiment)
+        _check_event(system, event, driven)
+    check_faults(system, experiment, driven)
     check_capabilities(system, experiment)
     check_signals(system, experiment)
     points = _communication_points(system, experiment)
@@ -102,24 +103,18 @@ def prepare_checked(system: CheckedSystem, experiment: Experiment) -> PreparedRu
         settings=_settings(system, experiment),
         changes=_changes(system, experiment, points),
         periods={name: experiment.period(name) for name in system.components},
-        input_ranges={name: value_range(system.ports[name]) for name in _driven(system, experiment)},
+        input_ranges={name: value_range(system.ports[name]) for name in driven},
         retry_obstacle=_retry_obstacle(system, experiment),
     )
 
 
-def _driven(system: CheckedSystem, experiment: Experiment) -> list[str]:
-    """Names of the inputs that a connection or a signal drives."""
-    return [*experiment.signals, *(target.name for _, target in system.connections)]
-
-
-def _recorded(system: CheckedSystem, experiment: Experiment) -> tuple[str, ...]:
+def _recorded(system: CheckedSystem, experiment: Experiment, driven: set[str]) -> tuple[str, ...]:
     """The names asked for, or signals and outputs; Strings are not recorded."""
-    outputs = [
-        name
+    outputs = {
+        name: port
         for name, port in system.ports.items()
         if port.variable.causality == "output" and port.variable.type in NUMBERS
-    ]
-    driven = _driven(system, experiment)
+    }
     names = experiment.record or (*experiment.signals, *outputs)
     for name in names:
         if name not in outputs and name not in driven:
@@ -130,20 +125,20 @@ def _recorded(system: CheckedSystem, experiment: Experiment) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _check_event(system: CheckedSystem, experiment: Experiment, event: Event) -> None:
-    driven = _driven(system, experiment)
+def _check_event(system: CheckedSystem, event: Event, driven: set[str]) -> None:
     purpose = f"event at {event.time} s"
     for name, value in event.values.items():
         port = system.port(name, purpose)
         fmi_value(port, value)
         if port.variable.causality not in ("parameter", "input"):
-            raise SystemDefinitionError(
-                f"{purpose}: {name}: expected a parameter or an input, got {port.variable.causality}"
-            )
-        if port.variable.variability == "fixed":
-            raise SystemDefinitionError(f"{purpose}: {name} is fixed: only tunable parameters may change")
-        if name in driven:
-            raise SystemDefinitionError(f"{purpose}: {name} is driven already, by a connection or signal")
+            problem = f"does not fit: expected a parameter or an input, got {port.variable.causality}"
+        elif port.variable.variability == "fixed":
+            problem = "is fixed: only tunable parameters may change"
+        elif name in driven:
+            problem = "is driven already, by a connection or signal"
+        else:
+            continue
+        raise SystemDefinitionError(f"{purpose}: {name} {problem}")
 
 
 def _communication_points(system: CheckedSystem, experiment: Experiment) -> np.ndarray:

@@ -19,3 +19,9 @@ def within(times: np.ndarray, start: float, end: float) -> np.ndarray:
     """Indices of the ascending times [s] from `start` on and before `end`, shape (n,) -> (m,)."""
     near = GRID_TOLERANCE * np.diff(times).min(initial=np.inf) if len(times) > 1 else 0.0
     return np.flatnonzero((times >= start - near) & (times < end - near))
+
+
+def is_multiple(length: float, step: float) -> bool:
+    """Whether a length is a multiple of a step, at least once."""
+    ratio = length / step
+    return math.isfinite(ratio) and ratio >= 0.5 and abs(ratio - round(ratio)) <= GRID_TOLERANCE * ratio

@@ -79,7 +79,7 @@ def test_after_fatal_nothing_is_called_any_more(foreign: Mapping[str, Path]) -> 
     component.exit_initialization_mode()
     component.library = spy = Spy(component.library)
     with pytest.raises(FmuError, match=r"returned fatal: .*the hull is breached"):
-        component.do_step(0.5, 0.1)
+        component.call("fmi2DoStep", 0.5, 0.1, 1)
     component.close()
     assert spy.calls == []
 
@@ -115,7 +115,7 @@ def test_an_instance_ends_as_fmi_allows_after_its_last_step(
 ) -> None:
     component, spy = doing(rogue, misdeed)
     with contextlib.suppress(FmuError):
-        component.do_step(0.0, 0.1)
+        component.call("fmi2DoStep", 0.0, 0.1, 1)
     component.close()
     assert spy.calls == calls
 
@@ -124,7 +124,7 @@ def test_a_restored_state_ends_an_error(rogue: Build) -> None:
     component, spy = doing(rogue, Misdeed.ERROR, saves_state=True)
     saved = component.get_fmu_state()
     with pytest.raises(FmuError, match="returned error: the rudder is stuck"):
-        component.do_step(0.0, 0.1)
+        component.call("fmi2DoStep", 0.0, 0.1, 1)
     component.set_fmu_state(saved)
     component.free_fmu_state(saved)
     component.close()
@@ -134,7 +134,7 @@ def test_a_restored_state_ends_an_error(rogue: Build) -> None:
 def test_a_reset_ends_an_error(rogue: Build) -> None:
     component, spy = doing(rogue, Misdeed.ERROR)
     with pytest.raises(FmuError, match="returned error: the rudder is stuck"):
-        component.do_step(0.0, 0.1)
+        component.call("fmi2DoStep", 0.0, 0.1, 1)
     assert component.reset()
     begin(component, Misdeed.NONE)
     component.close()
@@ -154,9 +154,9 @@ def test_a_fatal_error_ends_one_instance_as_each_has_a_library_of_its_own(rogue:
     good, spy = doing(rogue, Misdeed.NONE)
     assert bad.function("fmi2DoStep") != good.function("fmi2DoStep")
     with pytest.raises(FmuError, match="returned fatal: the hull is breached"):
-        bad.do_step(0.0, 0.1)
+        bad.call("fmi2DoStep", 0.0, 0.1, 1)
     bad.close()
-    good.do_step(0.0, 0.1)
+    good.call("fmi2DoStep", 0.0, 0.1, 1)
     good.close()
     assert spy.calls == ["fmi2Terminate", "fmi2FreeInstance"]
 
@@ -335,7 +335,7 @@ def test_two_instances_of_one_name_are_heard_apart(rogue: Build) -> None:
             component.initialise(0.0, None)
             component.exit_initialization_mode()
         with pytest.raises(FmuError) as caught:
-            first.do_step(0.0, 0.1)
+            first.call("fmi2DoStep", 0.0, 0.1, 1)
         assert caught.value.log
         assert second.log == []
 

@@ -25,7 +25,7 @@ from orchestration.errors import FmuWarning, OrchestrationError, SimulationError
 from orchestration.master import Simulator, simulate
 from orchestration.master import subprocess_run as apart
 from orchestration.master.checkpoint import Checkpoints, read_checkpoint
-from orchestration.master.loop_data import BUSY, CALLS, REPORT_SIZE, Storage
+from orchestration.master.loop_data import Report, Storage
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
@@ -255,13 +255,15 @@ def test_shorter_steps_between_two_points_each_count_alone(rogue: Build) -> None
 @pytest.mark.parametrize("compiled", [True, False])
 def test_every_call_is_counted(linear: Build, compiled: bool) -> None:
     """In the loop and outside: each has a time limit of its own."""
-    storage = Storage(np.empty((11, 2)), np.zeros(REPORT_SIZE, np.int64))
+    storage = Storage(np.empty((11, 2)), np.zeros(len(Report), np.int64))
     experiment = Experiment(1.0, 0.1, signals={"one.u[1]": lambda t: t})
     with Simulator(System({"one": linear()}), compiled) as simulator:
         simulator.run(experiment, storage=storage)
     initial = ["setup", "enter initialisation mode", "set the input", "leave it", "read"]
-    assert storage.report[CALLS] == len(initial) + 10 * len(["write", "step", "read"]) + len(["end", "free"])
-    assert storage.report[BUSY] == 0
+    assert storage.report[Report.CALLS] == len(initial) + 10 * len(["write", "step", "read"]) + len(
+        ["end", "free"]
+    )
+    assert storage.report[Report.BUSY] == 0
 
 
 HANGS = """

@@ -12,8 +12,7 @@ import pytest
 
 from orchestration import Cosine, Event, Experiment, Samples, Simulator, System, simulate
 from orchestration.errors import SystemDefinitionError
-from orchestration.system.experiment import Algorithm, Initialisation
-from orchestration.system.settings import suggested_times
+from orchestration.system.experiment import Algorithm, Initialisation, suggested_times
 
 Build = Callable[..., Path]
 
