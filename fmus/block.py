@@ -73,11 +73,7 @@ class ScalarVariable:
 
     def cast(self, value: Value) -> Value:
         """The value in the Python type of the start value, or as enumeration member."""
-        return self._python_type(value)
-
-    @cached_property
-    def _python_type(self) -> Callable[[Value], Value]:
-        return self.enumeration or type(self.start)
+        return (self.enumeration or type(self.start))(value)
 
     def refuse(self, value: Value) -> str | None:
         """Why this value is not acceptable, or None if it is."""

@@ -107,7 +107,7 @@ def _is_present(path: Path, guid: str, library: str | None) -> bool:
     try:
         with zipfile.ZipFile(path) as archive:
             root = ElementTree.fromstring(archive.read("modelDescription.xml"))
-            whole = not archive.testzip() and (library is None or library in archive.namelist())
+            is_complete = not archive.testzip() and (library is None or library in archive.namelist())
     except (OSError, zipfile.BadZipFile, zlib.error, KeyError, ElementTree.ParseError):
         return False
-    return whole and root.get("guid") == guid
+    return is_complete and root.get("guid") == guid

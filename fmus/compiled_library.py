@@ -88,9 +88,8 @@ def _is_private(folder: Path) -> bool:
 
 
 def _is_own(status: os.stat_result) -> bool:
-    if not hasattr(os, "geteuid"):  # Windows keeps the folders of a user from others
-        return True
-    return status.st_uid == os.geteuid() and not status.st_mode & 0o022
+    on_windows = not hasattr(os, "geteuid")  # it keeps the folders of a user from others
+    return on_windows or (status.st_uid == os.geteuid() and not status.st_mode & 0o022)
 
 
 def _store(content: bytes, path: Path) -> None:

@@ -21,10 +21,6 @@ def _tolerance(t: float, h: float) -> float:
     return min(1e-9 * max(1.0, abs(t)), 1e-3 * h) + 8.0 * sys.float_info.epsilon * abs(t)
 
 
-def _are_finite(numbers: list[float]) -> bool:
-    return all(map(math.isfinite, numbers))
-
-
 class BlockError(ValueError):
     """A call that this instance refuses; the message says what was wrong and what was expected."""
 
@@ -145,7 +141,7 @@ class Instance:
         """The state at time t, if it is one, with its outputs."""
         try:
             outputs = flatten(self.block.output(t, state, self._parameters, self._calculated))
-            is_number = _are_finite(flatten(state)) and _are_finite(outputs)
+            is_number = all(map(math.isfinite, [*flatten(state), *outputs]))
         except ArithmeticError:
             outputs, is_number = [], False
         if not is_number:

@@ -73,7 +73,7 @@ def sign(value: Any) -> Any:
 
 def absolute(value: Any) -> Any:
     """|value|."""
-    return abs(value) if isinstance(value, _NUMBERS) else _casadi().fabs(value)
+    return abs(value)
 
 
 def power(base: Any, exponent: Any) -> Any:

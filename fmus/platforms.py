@@ -28,13 +28,12 @@ def host_platform() -> str:
         ("darwin", "aarch64"): "aarch64-darwin",
         ("win32", "x86_64"): "win64",
     }
-    found = known.get((sys.platform, architecture))
-    if found is None:
+    if (sys.platform, architecture) not in known:
         raise ExportError(
             f"no native FMU for {sys.platform} on {machine}: expected one of {', '.join(PLATFORMS)}; "
             "use the python flavour"
         )
-    return found
+    return known[sys.platform, architecture]
 
 
 def check_platforms(names: Sequence[str]) -> tuple[str, ...]:

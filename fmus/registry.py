@@ -40,7 +40,9 @@ def fmu_folder(flavour: Flavour = Flavour.NATIVE) -> Path:
     It is in the user's cache, another one for each installation, so that two versions do not overwrite each
     other's FMUs. The environment variable L1_DEPTH_FMUS names another folder.
     """
-    return _root() / flavour.value
+    installation = hashlib.sha256(str(Path(__file__).resolve().parent).encode()).hexdigest()[:12]
+    own = user_cache_path("l1-depth", appauthor=False) / "fmus" / installation
+    return Path(os.environ.get(FOLDER_VARIABLE) or own).absolute() / flavour.value
 
 
 def fmu_path(block: str, flavour: Flavour = Flavour.NATIVE) -> Path:
@@ -52,11 +54,3 @@ def block_fmus(paths: Iterable[Path]) -> list[tuple[str, Flavour]]:
     """(block, flavour) of those paths that `fmu_path` gives."""
     known = {fmu_path(name, flavour): (name, flavour) for flavour in Flavour for name in block_names()}
     return sorted({known[path] for path in paths if path in known})
-
-
-def _root() -> Path:
-    chosen = os.environ.get(FOLDER_VARIABLE)
-    if chosen:
-        return Path(chosen).absolute()
-    installation = hashlib.sha256(str(Path(__file__).resolve().parent).encode()).hexdigest()[:12]
-    return user_cache_path("l1-depth", appauthor=False) / "fmus" / installation

@@ -29,7 +29,6 @@ BASE_UNITS: dict[str, dict[str, int]] = {
 
 def base_units(unit: str) -> dict[str, int]:
     """Exponents of a unit over kg, m, s, A, rad; ExportError names the nearest known unit."""
-    try:
-        return BASE_UNITS[unit]
-    except KeyError:
-        raise ExportError(f"unknown unit {unit!r}; {nearest(unit, BASE_UNITS)}") from None
+    if unit not in BASE_UNITS:
+        raise ExportError(f"unknown unit {unit!r}; {nearest(unit, BASE_UNITS)}")
+    return BASE_UNITS[unit]

@@ -52,14 +52,13 @@ def _ports(draw: ImageDraw.ImageDraw, block: Block) -> None:
     ):
         for i, name in enumerate(names):
             y = top + (i + 0.5) * (bottom - top) / len(names)
-            _triangle(draw, x, y, colour)
+            corners = (
+                (x - _PORT, y - _PORT),
+                (x + _PORT, y),
+                (x - _PORT, y + _PORT),
+            )  # a signal to the right
+            draw.polygon([(_px(a), _px(b)) for a, b in corners], colour)
             draw.text((_px(x + direction * 2 * _PORT), _px(y)), name, _INK, font, anchor)
-
-
-def _triangle(draw: ImageDraw.ImageDraw, x: float, y: float, colour: str) -> None:
-    """A signal that goes from left to right through the edge at x."""
-    corners = ((x - _PORT, y - _PORT), (x + _PORT, y), (x - _PORT, y + _PORT))
-    draw.polygon([(_px(a), _px(b)) for a, b in corners], colour)
 
 
 def _font(

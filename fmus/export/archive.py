@@ -29,13 +29,12 @@ def with_guid(members: dict[str, bytes], recipe: str = "") -> tuple[str, dict[st
     for name, data in sorted(members.items()):
         digest.update(hashlib.sha256(name.encode()).digest() + hashlib.sha256(data).digest())
     guid = str(uuid.uuid5(uuid.NAMESPACE_OID, digest.hexdigest()))
-    in_names = guid.replace("-", "")[:16]
-    return guid, {
-        name.replace(GUID_IN_NAMES, in_names): data.replace(GUID.encode(), guid.encode()).replace(
-            GUID_IN_NAMES.encode(), in_names.encode()
-        )
-        for name, data in members.items()
-    }
+    for placeholder, text in ((GUID, guid), (GUID_IN_NAMES, guid.replace("-", "")[:16])):
+        members = {
+            name.replace(placeholder, text): data.replace(placeholder.encode(), text.encode())
+            for name, data in members.items()
+        }
+    return guid, members
 
 
 def licenses(*names: str) -> dict[str, bytes]:

@@ -73,10 +73,8 @@ def _row(v: ScalarVariable) -> str:
 
 def _range(v: ScalarVariable) -> tuple[float, float]:
     """What the C layer lets pass: without declared limits, what the type can hold."""
-    if v.enumeration:
-        return float(min(_items(v))), float(max(_items(v)))
-    if v.type == "Boolean":
-        return 0.0, 1.0
+    if items := [0, 1] if v.type == "Boolean" else _items(v):
+        return float(min(items)), float(max(items))
     widest = _LARGEST_INTEGER if v.type == "Integer" else sys.float_info.max
     low = -widest if v.minimum is None else v.minimum
     high = widest if v.maximum is None else v.maximum

@@ -53,15 +53,14 @@ def model_description(
         "version": release,
         "license": "MIT",
         "generationTool": f"l1-depth {release}",
-        **_generation_date(),
+        "generationDateAndTime": _generation_date(),
         "variableNamingConvention": "structured",
     }
-    root = ElementTree.Element("fmiModelDescription", attributes)
+    root = ElementTree.Element("fmiModelDescription", _without_none(attributes))
     interface = _add(root, "CoSimulation", modelIdentifier=block.name, **_CAPABILITIES, **capabilities)
-    if source_files:
-        listed = _add(interface, "SourceFiles")
-        for file in source_files:
-            _add(listed, "File", name=file)
+    listed = _add(interface, "SourceFiles") if source_files else interface
+    for file in source_files:
+        _add(listed, "File", name=file)
     _units(root, block)
     _enumerations(root, block)
     categories = _add(root, "LogCategories")
@@ -82,15 +81,17 @@ def model_description(
 
 
 def _add(parent: Any, tag: str, **attributes: str | None) -> Any:
-    return ElementTree.SubElement(parent, tag, {k: v for k, v in attributes.items() if v is not None})
+    return ElementTree.SubElement(parent, tag, _without_none(attributes))
 
 
-def _generation_date() -> dict[str, str]:
+def _without_none(attributes: dict[str, str | None]) -> dict[str, str]:
+    return {name: value for name, value in attributes.items() if value is not None}
+
+
+def _generation_date() -> str | None:
     """Only if SOURCE_DATE_EPOCH gives one: two builds of one source are the same file."""
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
-    if not epoch:
-        return {}
-    return {"generationDateAndTime": datetime.fromtimestamp(int(epoch), UTC).strftime("%Y-%m-%dT%H:%M:%SZ")}
+    return datetime.fromtimestamp(int(epoch), UTC).strftime("%Y-%m-%dT%H:%M:%SZ") if epoch else None
 
 
 def _units(root: Any, block: Block) -> None:

@@ -5,6 +5,7 @@ compiler and its flags. It does not depend on which platforms were built.
 """
 
 from collections.abc import Sequence
+from pathlib import Path
 from xml.etree import ElementTree
 
 from fmus.block import Block
@@ -52,10 +53,7 @@ def libraries(name: str, members: dict[str, bytes], platforms: Sequence[str]) ->
 
     Raises ExportError for an unknown platform.
     """
-    prefix = "sources/"
-    sources = {
-        path.removeprefix(prefix): members[path].decode() for path in members if path.startswith(prefix)
-    }
+    sources = {Path(path).name: members[path].decode() for path in members if path.startswith("sources/")}
     return {
         library_name(name, platform): compile_library(name, sources, COMPILED, platform)
         for platform in check_platforms(platforms) or (host_platform(),)

@@ -38,15 +38,10 @@ class {name}(BlockSlave):
     fingerprint = "{guid}"
 '''
 
-_DEPENDENCIES = """\
-This FMU runs Python source in the importer's process. On Linux the importer must offer a Python 3 whose
-libpython has global symbols, on Windows python3.dll; nothing beyond the standard library is imported. An
-importer that is not itself Python mostly cannot load it: take the FMU of the native flavour there.
-"""
-
 
 def content(block: Block) -> tuple[str, dict[str, bytes]]:
     """(GUID, path -> content) of the FMU; the GUID is derived from everything inside."""
+    dependencies = resources.files("fmus.documentation") / "externalDependencies.txt"
     module = block.step.__module__
     entry = f"{block.name.lower()}_{GUID_IN_NAMES}"
     package = f"{entry}_sources"
@@ -60,7 +55,7 @@ def content(block: Block) -> tuple[str, dict[str, bytes]]:
         **licenses("l1-depth", "pythonfmu"),
         **documentation(block),
         **terminals(block),
-        "documentation/externalDependencies.txt": _DEPENDENCIES.encode(),
+        "documentation/externalDependencies.txt": dependencies.read_bytes(),
         "modelDescription.xml": model_description(block, GUID, _CAPABILITIES),
     }
     return with_guid(members)

@@ -45,7 +45,11 @@ class BlockSlave(Fmi2Slave):
     def do_step(self, current_time: float, step_size: float) -> bool:
         if self._refused:
             self._error("step refused until this is put right: " + "; ".join(self._refused.values()))
-            self._refused = {what: why for what, why in self._refused.items() if self._can_be_righted(what)}
+            self._refused = {
+                what: why
+                for what, why in self._refused.items()
+                if not isinstance(what, int) or self._instance.can_be_set(what)
+            }
             return False
         try:
             self._instance.do_step(current_time, step_size)
@@ -53,9 +57,6 @@ class BlockSlave(Fmi2Slave):
             self._error(str(error))
             return False
         return True
-
-    def _can_be_righted(self, what: object) -> bool:
-        return not isinstance(what, int) or self._instance.can_be_set(what)
 
     def _get(self, vrs: list[int], types: tuple[str, ...]) -> list[Any]:
         try:

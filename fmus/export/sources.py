@@ -28,7 +28,8 @@ def source_closure(module: str) -> dict[str, str]:
         if name in found:
             continue
         found[name] = _read(name)
-        for parent in _parents(name):
+        parts = name.split(".")
+        for parent in (".".join(parts[:i]) for i in range(1, len(parts))):
             found.setdefault(parent, "" if parent == "pythonfmu" else _read(parent))
         waiting.extend(_imported(name, found[name]))
     return dict(sorted(found.items()))
@@ -44,11 +45,6 @@ def in_package(sources: dict[str, str], package: str) -> dict[str, str]:
         path = f"{package}/{name.replace('.', '/')}{'/__init__' if is_package else ''}.py"
         moved[path] = absolute.sub(rf"\g<1>{package}.\g<2>", source)
     return moved
-
-
-def _parents(name: str) -> list[str]:
-    parts = name.split(".")
-    return [".".join(parts[:i]) for i in range(1, len(parts))]
 
 
 def _read(name: str) -> str:

@@ -20,8 +20,8 @@ class Traced:
     step: (t, h, x, u, p, c) -> x
     output: (t, x, p, c) -> y
     output_rate: (t, x, u, p, c) -> dy/dt just after t: outputs after a step, derived by its length
-    initial_unknowns: (t, p, u) -> (c, y), what is calculated in initialisation mode
-    initial_derivative: (t, p, u, v) -> directional derivative of (c, y) along the seed v of (p, u)
+    initial_derivative: (t, p, u, v) -> directional derivative of (c, y) along the seed v of (p, u), in
+        initialisation mode; initial_sparsity: which of (c, y) follow from which of (p, u) there
     output_derivative: (t, x, p, v) -> directional derivative of (c, y) along the seed v of p, the state held
     required: what each of the requirements expects, in words
     """
@@ -47,23 +47,14 @@ class Traced:
 
         first = block.output(t, block.initial_state(t, u, p, calculated), p, calculated)
         unknowns, knowns = _column((calculated, first)), casadi.vertcat(ps, us)
-        self.initial_unknowns = self._function("initial_unknowns", [t, ps, us], unknowns)
+        self.initial_sparsity = casadi.jacobian_sparsity(unknowns, knowns)
         self.initial_derivative = self._along("initial_derivative", [t, ps, us], unknowns, knowns)
         held = _column((calculated, block.output(t, x, p, calculated)))
         self.output_derivative = self._along("output_derivative", [t, xs, ps], held, ps)
 
     def functions(self) -> list[casadi.Function]:
         """Everything that an FMU needs."""
-        return [
-            self.calculate,
-            self.requirements,
-            self.initial_state,
-            self.step,
-            self.output,
-            self.output_rate,
-            self.initial_derivative,
-            self.output_derivative,
-        ]
+        return [value for value in vars(self).values() if isinstance(value, casadi.Function)]
 
     def c_code(self) -> str:
         """All functions as static C99 functions called MODEL_FUNCTION, after CasADi's convention."""
@@ -96,10 +87,8 @@ def _column(value: Any) -> casadi.SX:
 def initial_dependencies(block: Block) -> dict[int, tuple[int, ...]]:
     """Value reference of each initial unknown -> those of the parameters and inputs it follows from."""
     unknowns = (*block.of_causality("calculatedParameter"), *block.of_causality("output"))
-    function = Traced(block).initial_unknowns
+    knowns = (*block.of_causality("parameter"), *block.of_causality("input"))
     found: dict[int, list[int]] = {v.value_reference: [] for v in unknowns}
-    for argument, causality in ((1, "parameter"), (2, "input")):
-        knowns = block.of_causality(causality)
-        for row, column in zip(*function.jac_sparsity(0, argument).get_triplet(), strict=True):
-            found[unknowns[row].value_reference].append(knowns[column].value_reference)
+    for row, column in zip(*Traced(block).initial_sparsity.get_triplet(), strict=True):
+        found[unknowns[row].value_reference].append(knowns[column].value_reference)
     return {unknown: tuple(sorted(known)) for unknown, known in found.items()}
