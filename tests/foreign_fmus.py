@@ -177,14 +177,11 @@ def _write(
     sources |= {name: (_SOURCES / name).read_text("utf-8") for name in (f"{model}.c", "slave.h")}
     macros = {**macros, "START_VALUES": _array([v.start for v in variables]), **capabilities.macros()}
 
-    def described(guid: str) -> dict[str, bytes]:
-        config = {"MODEL_GUID": f'"{guid}"', **macros}
-        text = "".join(f"#define {name} {value}\n" for name, value in config.items())
-        xml = _description(model, guid, variables, capabilities, declares_dependencies)
-        return {"config.h": text.encode(), "modelDescription.xml": xml}
-
-    recipe = {name: text.encode() for name, text in sources.items()}
-    members = described(archive.guid_of(recipe | described(archive.NO_GUID)))
+    config = {"MODEL_GUID": f'"{archive.GUID}"', **macros}
+    text = "".join(f"#define {name} {value}\n" for name, value in config.items())
+    xml = _description(model, archive.GUID, variables, capabilities, declares_dependencies)
+    described = {"config.h": text.encode(), "modelDescription.xml": xml}
+    _, members = archive.with_guid(described, recipe=repr(sorted(sources.items())))
     sources["config.h"] = members.pop("config.h").decode()
     library = compile_library(model, sources, [f"{model}.c"], host_platform())
     return write_archive(path, members | {library_name(model, host_platform()): library})
