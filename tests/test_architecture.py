@@ -202,7 +202,6 @@ DISTRIBUTIONS = {
     "PIL": "pillow",
     "annotated_types": "pydantic",
     "distributed": "dask",
-    "fmu_manipulation_toolbox": "fmu-manipulation-toolbox",
     "pydantic_core": "pydantic",
     "tomli_w": "tomli-w",
 }

@@ -1,4 +1,1 @@
-"""Other people's importers, each running an SSP package of this project, in a file of its own.
-
-Each has `run(job) -> Trajectory`; `comparison.py` starts them in processes of their own.
-"""
+"""Other people's importers, each running SSP packages of this project in a process of its own."""

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,13 +12,10 @@ from orchestration.master import simulate
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 from orchestration.system.experiment import Experiment
-from tests.importers import comparison
-from tests.importers.comparison import DISTRIBUTIONS, SCENARIOS, least_difference, run_isolated
-from tests.importers.importer_job import ImporterJob, Trajectory
+from tests.importers.comparison import OUTPUT, SCENARIOS, least_difference, outcome, run_isolated
+from tests.importers.importers import IMPORTERS, ImporterJob, Trajectory
 
 pytestmark = pytest.mark.importers
-
-OUTPUT = "plant.depth"
 
 # All exchange as Jacobi does, at t_i, so that only the rounding of t_i differs: one counts steps, another
 # adds them up and ends at 310.000000000008 s. Below, this alone moves our own master's depth by some 1e-10 m.
@@ -27,23 +23,15 @@ ROUNDING_OF_TIME = 1e-9
 STEP_SHIFT = {"fmpy_ssp": 1, "libcosim": 0, "ecos": 0, "fmucontainer": 0}
 
 
-def job(package: Path, name: str, stop_time: float = 310.0) -> ImporterJob:
-    return ImporterJob(package, name, OUTPUT, 0.0, stop_time, 0.02)
-
-
 @pytest.mark.parametrize("name", SCENARIOS)
-@pytest.mark.parametrize("importer", DISTRIBUTIONS)
+@pytest.mark.parametrize("importer", IMPORTERS)
 def test_the_depth_is_that_of_this_master(
-    importer: str,
-    name: str,
-    packages: dict[str, Path],
-    ours: dict[str, Recording],
-    installed: Callable[[str], str],
+    importer: str, name: str, jobs: dict[str, ImporterJob], ours: dict[str, Recording]
 ) -> None:
-    answer = run_isolated(installed(importer), job(packages[name], name))
+    answer = run_isolated(importer, jobs[name])
     assert isinstance(answer, Trajectory), answer
     assert len(answer.values) >= 15500
-    shift, difference = least_difference(answer, ours[name], job(packages[name], name))
+    shift, difference = least_difference(answer, ours[name], jobs[name])
     assert difference < ROUNDING_OF_TIME
     assert shift == STEP_SHIFT[importer]
 
@@ -68,61 +56,52 @@ def test_the_scenarios_differ_by_far_more_than_importers_do(ours: dict[str, Reco
     assert np.max(np.abs(extended - plain)) > 0.1
 
 
-@pytest.mark.parametrize("importer", DISTRIBUTIONS)
+@pytest.mark.parametrize("importer", IMPORTERS)
 def test_packages_and_extraction_in_folders_of_any_name_work(
-    importer: str,
-    packages: dict[str, Path],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    installed: Callable[[str], str],
+    importer: str, jobs: dict[str, ImporterJob], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "a space #1 + 2 %20 [x] (y) Tiefe-äø 水深"
     folder.mkdir()
+    short = replace(jobs["nominal-extended"], stop_time=1.0)
+    plain = run_isolated(importer, short)
     package = folder / "loop.ssp"
-    package.write_bytes(packages["nominal-extended"].read_bytes())
-    plain = run_isolated(installed(importer), job(packages["nominal-extended"], "nominal-extended", 1.0))
+    package.write_bytes(short.package.read_bytes())
     monkeypatch.setattr("tempfile.tempdir", str(folder))  # where importers extract
-    odd = run_isolated(importer, job(package, "nominal-extended", 1.0))
+    odd = run_isolated(importer, replace(short, package=package))
     assert isinstance(plain, Trajectory), plain
     assert isinstance(odd, Trajectory), odd
     np.testing.assert_array_equal(odd.values, plain.values)
 
 
-def test_the_command_writes_a_row_for_each_importer_and_scenario(
-    installed: Callable[[str], str], scenario_fmus: None
+@pytest.mark.parametrize("importer", IMPORTERS)
+def test_an_importer_asked_for_the_last_value_alone_gives_the_same(
+    importer: str, jobs: dict[str, ImporterJob]
 ) -> None:
-    for importer in DISTRIBUTIONS:
-        installed(importer)
+    short = replace(jobs["nominal-extended"], stop_time=1.0)
+    every, last = run_isolated(importer, short), run_isolated(importer, replace(short, report_every=50))
+    assert isinstance(every, Trajectory), every
+    assert isinstance(last, Trajectory), last
+    assert last.values[-1] == every.values[-1]
+
+
+def test_the_command_writes_a_row_for_each_importer_and_scenario(scenario_fmus: None) -> None:
     command = [sys.executable, "-m", "tests.importers", "--markdown"]
     printed = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     lines = [line for line in printed.splitlines() if line.startswith("|")]
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
-    assert {(row[0], row[2]) for row in rows} == {(i, s) for i in DISTRIBUTIONS for s in SCENARIOS}
-    assert all(float(row[4].removesuffix(" m")) < ROUNDING_OF_TIME for row in rows)
+    assert {(row[0], row[2]) for row in rows} == {(i, s) for i in IMPORTERS for s in SCENARIOS}
+    assert all(float(row[3].removesuffix(" m")) < ROUNDING_OF_TIME for row in rows)
 
 
-def test_a_crash_is_a_row(packages: dict[str, Path], ours: dict[str, Recording], tmp_path: Path) -> None:
-    nowhere = replace(job(packages["nominal-l1"], "nominal-l1"), package=tmp_path / "nothing.ssp")
-    found = comparison.outcome("fmpy_ssp", nowhere, ours["nominal-l1"])
-    assert "ended with exit status 1: FileNotFoundError" in found.problem
+def test_a_crash_is_a_row(jobs: dict[str, ImporterJob], ours: dict[str, Recording], tmp_path: Path) -> None:
+    nowhere = replace(jobs["nominal-l1"], package=tmp_path / "nothing.ssp")
+    row = outcome("fmpy_ssp", nowhere, ours["nominal-l1"])
+    assert "ended with exit status 1: FileNotFoundError" in row.problem
 
 
-def test_an_importer_that_is_not_installed_is_a_row(
-    packages: dict[str, Path], ours: dict[str, Recording], monkeypatch: pytest.MonkeyPatch
+def test_a_shift_of_labels_is_found_and_not_hidden(
+    jobs: dict[str, ImporterJob], ours: dict[str, Recording]
 ) -> None:
-    monkeypatch.setitem(DISTRIBUTIONS, "ecos", "a distribution that does not exist")
-    found = comparison.outcome("ecos", job(packages["nominal-l1"], "nominal-l1"), ours["nominal-l1"])
-    assert (found.version, found.problem) == ("", "not installed")
-
-
-def test_a_shift_of_labels_is_found_and_not_hidden(ours: dict[str, Recording]) -> None:
     run = ours["nominal-l1"]
     late = Trajectory(run.time[:-2], run[OUTPUT][2:])
-    assert least_difference(late, run, job(Path(), "nominal-l1")) == (2, 0.0)
-
-
-def test_the_first_metric_names_the_output_that_is_compared(ours: dict[str, Recording]) -> None:
-    chosen = scenario.load(scenario.find("nominal-l1"))
-    assert comparison.compared_output(chosen, ours["nominal-l1"]) == OUTPUT
-    bare = replace(chosen, metrics={})
-    assert comparison.compared_output(bare, ours["nominal-l1"]) == ours["nominal-l1"].names[0]
+    assert least_difference(late, run, jobs["nominal-l1"]) == (2, 0.0)

@@ -2,32 +2,18 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
-import fmpy
 import numpy as np
 import pytest
 from fmpy.fmi2 import FMU2Slave
 
 from fmus import catalogue
+from tests.importers.importers import loaded_by_fmpy
 
 pytestmark = pytest.mark.importers
 
 
 NAMES = catalogue.block_names()
-
-
-def slave_of(fmu: Path, folder: Path) -> FMU2Slave:
-    description: Any = fmpy.read_model_description(str(fmu))
-    fmpy.extract(str(fmu), folder)
-    slave = FMU2Slave(
-        guid=description.guid,
-        unzipDirectory=str(folder),
-        modelIdentifier=description.coSimulation.modelIdentifier,
-        instanceName="it",
-    )
-    slave.instantiate()
-    return slave
 
 
 def outputs_after(slave: FMU2Slave, name: str, inputs_before_setup: bool) -> list[float]:
@@ -57,8 +43,8 @@ def outputs_after(slave: FMU2Slave, name: str, inputs_before_setup: bool) -> lis
 def test_it_runs_from_a_folder_of_any_name(
     built: Mapping[str, Path], tmp_path: Path, name: str, folder: str
 ) -> None:
-    plain = outputs_after(slave_of(built[name], tmp_path / "plain"), name, False)
-    odd = outputs_after(slave_of(built[name], tmp_path / "odd" / folder), name, False)
+    plain = outputs_after(loaded_by_fmpy(built[name], tmp_path / "plain"), name, False)
+    odd = outputs_after(loaded_by_fmpy(built[name], tmp_path / "odd" / folder), name, False)
     assert odd == plain
 
 
@@ -66,8 +52,8 @@ def test_it_runs_from_a_folder_of_any_name(
 def test_inputs_set_before_the_experiment_is_set_up_count(
     built: Mapping[str, Path], tmp_path: Path, name: str
 ) -> None:
-    before = outputs_after(slave_of(built[name], tmp_path / "one"), name, True)
-    after = outputs_after(slave_of(built[name], tmp_path / "two"), name, False)
+    before = outputs_after(loaded_by_fmpy(built[name], tmp_path / "one"), name, True)
+    after = outputs_after(loaded_by_fmpy(built[name], tmp_path / "two"), name, False)
     np.testing.assert_array_equal(before, after)
 
 
@@ -77,12 +63,15 @@ def test_two_copies_of_one_library_in_one_process_keep_apart(
 ) -> None:
     """As an importer has them that extracts an FMU once for each instance."""
     block = catalogue.load_block(name)
-    one, other = slave_of(built[name], tmp_path / "one"), slave_of(built[name], tmp_path / "other")
+    one, other = (
+        loaded_by_fmpy(built[name], tmp_path / "one"),
+        loaded_by_fmpy(built[name], tmp_path / "other"),
+    )
     parameter = next(v for v in block.variables if v.name == "internal_step")
     one.setReal([parameter.value_reference], [0.25 * float(parameter.start)])
     assert one.getReal([parameter.value_reference]) != other.getReal([parameter.value_reference])
     assert other.getReal([parameter.value_reference]) == [parameter.start]
     one.freeInstance()
     assert outputs_after(other, name, False) == outputs_after(
-        slave_of(built[name], tmp_path / "alone"), name, False
+        loaded_by_fmpy(built[name], tmp_path / "alone"), name, False
     )

@@ -3,6 +3,8 @@
 Run `python -m tests.speed` in the project's root, with the extra `test` installed.
 """
 
+import os
+import platform
 from typing import Annotated
 
 import typer
@@ -12,7 +14,11 @@ from rich.progress import Progress
 from fmus.registry import block_names
 from orchestration.scenarios import scenario
 from tests.printing import print_tables
-from tests.speed import LOOPS, compare, layer, loop, machine, tables
+from tests.speed.importers import compare
+from tests.speed.layers import layer
+from tests.speed.loops import LOOPS
+from tests.speed.scenarios import loop
+from tests.speed.tables import tables
 
 _MOST_ROUNDS_OF_IMPORTERS = 3
 
@@ -23,7 +29,6 @@ def main(
         typer.Argument(metavar="[SCENARIO]...", help="Shipped scenarios (Jacobi, no events)."),
     ] = None,
     rounds: Annotated[int, typer.Option(help="Measurements of which the median is taken.", min=1)] = 7,
-    importers: Annotated[bool, typer.Option(help="Measure other people's importers as well.")] = True,
     markdown: Annotated[bool, typer.Option(help="Print the tables of docs/performance.md.")] = False,
 ) -> None:
     """Measure how fast the FMUs and the master are, as ratios on this machine."""
@@ -31,17 +36,15 @@ def main(
     for name in chosen:
         scenario.find(name)
     of_importers = min(rounds, _MOST_ROUNDS_OF_IMPORTERS)
-    ours = [name for name, runner in LOOPS.items() if runner.distribution == "l1-depth"]
     with Progress(console=Console(stderr=True), transient=True) as progress:
-        steps = progress.add_task("blocks", total=len(block_names()))
-        layers = [layer(name, rounds=rounds) for name in progress.track(block_names(), task_id=steps)]
-        scenarios = progress.add_task("scenarios", total=len(chosen))
-        loops = [loop(name, rounds=rounds) for name in progress.track(chosen, task_id=scenarios)]
-        compared = LOOPS if importers else ours
-        others = progress.add_task("importers", total=of_importers * len(compared))
-        entries = compare(of_importers, compared, lambda: progress.advance(others))
+        layers = [layer(name, rounds=rounds) for name in progress.track(block_names(), description="blocks")]
+        loops = [loop(name, rounds=rounds) for name in progress.track(chosen, description="scenarios")]
+        others = progress.add_task("importers", total=of_importers * len(LOOPS))
+        entries = compare(of_importers, progress=lambda: progress.advance(others))
     print_tables(tables(layers, loops, entries), markdown)
-    print(f"Medians of {rounds} rounds, of importers {of_importers}, on {machine()}.")
+    machine = f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores"
+    python = f"Python {platform.python_version()}"
+    print(f"Medians of {rounds} rounds, of importers {of_importers}, on {machine}, {python}.")
 
 
 if __name__ == "__main__":

@@ -8,54 +8,17 @@ need themselves, and the values that must come out.
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from statistics import median
 
-import fmpy
-
-from fmus.platforms import host_platform, library_name
-from orchestration.fmi.description import describe
+from fmus.platforms import host_platform
 from tests.isolated import answer_of
 from tests.speed import pair as pair_module
-from tests.speed.loops.worker import measure_loop
-from tests.speed.pair import LEVEL, SIGNAL, STEP_SIZE, Pair
-from tests.speed.programs import C_SOURCES, compile_program, output_of, workplace
+from tests.speed.loops import LOOPS, Measurement, measure_loop
+from tests.speed.pair import STEP_SIZE, Pair
+from tests.speed.programs import C_SOURCES, compile_program, extracted, output_of, workplace
 
 FLOOR = "a bare C loop"
-
-
-@dataclass(frozen=True)
-class Runner:
-    """What can run the pair: its name, the distribution it comes from, what it records in the comparison."""
-
-    name: str
-    distribution: str
-    records: str
-
-
-# by module of tests.speed.loops
-LOOPS = {
-    "ours": Runner("this master", "l1-depth", "every output"),
-    "ours_plain": Runner("this master, its loop in Python", "l1-depth", "every output"),
-    "prebound_ctypes": Runner("ctypes bound before the loop", "fmpy", "nothing"),
-    "fmpy_slave": Runner("FMPy's FMU2Slave in a loop", "fmpy", "nothing"),
-    "fmpy_ssp": Runner("fmpy.ssp", "fmpy", "every connector"),
-    "libcosim": Runner("libcosim", "libcosimpy", "nothing"),
-    "ecos": Runner("Ecos", "ecospy", "nothing"),
-    "fmucontainer": Runner("fmucontainer", "fmu-manipulation-toolbox", "nothing"),
-    "pathsim": Runner("PathSim-FMI", "pathsim-fmi", "nothing"),
-    "sofirpy": Runner("SOFiRpy", "sofirpy", "nothing"),
-}
-# what pip does not install beside this project, or what cannot run these FMUs: as of November 2026
-UNSUPPORTED = {
-    "PyFMI": "2.5 on PyPI is source of 2018 whose set-up needs NumPy without declaring it",
-    "OMSimulator": "3.0.0.post198 on PyPI downloads the engine from another server when it is installed",
-    "FMI++, mosaik-fmi": "2.1.0 on PyPI is source that needs SWIG",
-    "CoFmuPy": "1.0.0 wants FMPy 0.3.20 and PythonFMU 0.6.3, this project later ones",
-    "energysim": "2.1.9.1 wants FMPy 0.2.14, this project a later one",
-    "syssimx": "0.4.3 begins with a step of zero length, which FMI 2.0 forbids and these FMUs refuse",
-    "PyCosimLibrary": "0.0.5 takes it for a failure that FMPy's doStep returns no status any more",
-}
 _ENOUGH_S = 0.05  # far more than what loading varies by
 _LONGEST_S = 120.0
 _CLOSE = 1e-12  # relative; rounding, where an importer adds up times
@@ -87,23 +50,10 @@ class Entry:
         return self.per_step / self.floor
 
 
-@dataclass(frozen=True)
-class Measurement:
-    """What one process measured: seconds of `steps` and of twice as many, and the first level after each."""
-
-    steps: int
-    seconds: tuple[float, float]
-    levels: tuple[float, float]
-
-    @property
-    def per_step(self) -> float:
-        return (self.seconds[1] - self.seconds[0]) / self.steps
-
-
 def compare(
     rounds: int = 3, loops: Iterable[str] = LOOPS, progress: Callable[[], object] = lambda: None
 ) -> list[Entry]:
-    """Every loop, medians over rounds in which all take turns; then what cannot run here.
+    """The bare loop and every other, medians over rounds in which all take turns.
 
     progress: called after each measurement.
     """
@@ -120,8 +70,7 @@ def compare(
                 progress()
         floor = median(floors)
         entries = [entry(name, own, bare.level, floor) for name, own in measurements.items()]
-    missing = [Entry(name, problem=why) for name, why in UNSUPPORTED.items()]
-    return [Entry(FLOOR, "", floor, floor, "records nothing"), *entries, *missing]
+    return [Entry(FLOOR, "", floor, floor, "records nothing"), *entries]
 
 
 def measure(name: str, built: Pair, enough: float = _ENOUGH_S) -> Measurement | str:
@@ -129,12 +78,7 @@ def measure(name: str, built: Pair, enough: float = _ENOUGH_S) -> Measurement | 
 
     enough: seconds that N steps should take at least
     """
-    try:
-        version(LOOPS[name].distribution)
-    except PackageNotFoundError:
-        return "not installed"
-    answer = answer_of(measure_loop, (name, built, enough), _LONGEST_S)
-    return answer if isinstance(answer, str) else Measurement(*answer)
+    return answer_of(measure_loop, (name, built, enough), _LONGEST_S)
 
 
 def entry(
@@ -144,25 +88,21 @@ def entry(
 
     level: steps -> the first level after them
     """
-    runner = LOOPS[name]
+    loop = LOOPS[name]
     problems = [problem for problem in measurements if isinstance(problem, str)]
     if problems:
-        return Entry(runner.name, problem=problems[0])
-    good = [m for m in measurements if isinstance(m, Measurement)]
-    difference = max(_difference(m, level) for m in good)
-    blank = Entry(runner.name, version(runner.distribution), floor=floor)
+        return Entry(loop.name, problem=problems[0])
+    complete = [m for m in measurements if isinstance(m, Measurement)]
+    blank = Entry(loop.name, version(loop.distribution), floor=floor)
+    difference = max(_difference(m, level) for m in complete)
+    off = f"its level is off by {difference:.1e} of its value"
     if difference > _NEAR:
-        return replace(
-            blank, problem=f"its level is off by {difference:.1e} of its value: expected other numbers"
-        )
-    per_step = median(m.per_step for m in good)
+        return replace(blank, problem=f"{off}: expected other numbers")
+    per_step = median(m.per_step for m in complete)
     if per_step <= 0.0:
-        return replace(
-            blank, problem="N steps took longer than 2 N steps: expected a machine that is less busy"
-        )
-    remark = f"records {runner.records}"
-    if difference > _CLOSE:
-        remark += f"; its level is off by {difference:.1e} of its value"
+        slower = "N steps took longer than 2 N steps: expected a machine that is less busy"
+        return replace(blank, problem=slower)
+    remark = f"records {loop.records}" + (f"; {off}" if difference > _CLOSE else "")
     return replace(blank, per_step=per_step, remark=remark)
 
 
@@ -180,31 +120,24 @@ class Bare:
     """The C program c/pair.c on a pair."""
 
     def __init__(self, built: Pair) -> None:
-        self._folder, self._levels = built.folder, dict[int, float]()
-        description = describe(built.fmus["first"])
-        reference = {v.name: v.valueReference for v in description.modelVariables}
-        self._ports = reference[SIGNAL], reference[LEVEL]
-        self._fmus: list[str] = []
+        self._folder, self._ports = built.folder, built.references
+        self._fmus: list[object] = []
         for name, path in built.fmus.items():
-            extracted, described = built.folder / name, describe(path)
-            fmpy.extract(str(path), extracted)
-            library = extracted / library_name(str(described.modelName), host_platform())
-            self._fmus += [str(library), str(described.guid)]
+            guid, library = extracted(path, built.folder / name, host_platform())
+            self._fmus += [library, guid]
         compile_program(
             built.folder, "pair", [str(C_SOURCES / "pair.c")], [built.folder / "first" / "sources"]
         )
 
     def per_step(self, steps: int = 1 << 18) -> float:
         """Seconds of a communication step."""
-        (line,) = self._run(steps)
-        return float(line.split()[0]) / steps
+        return self._run(steps)[0] / steps
 
     def level(self, steps: int) -> float:
         """The first level after so many steps."""
-        if steps not in self._levels:
-            (line,) = self._run(steps)
-            self._levels[steps] = float(line.split()[1])
-        return self._levels[steps]
+        return self._run(steps)[1]
 
-    def _run(self, steps: int) -> list[str]:
-        return output_of(self._folder, "pair", STEP_SIZE, steps, 1, *self._ports, *self._fmus)
+    def _run(self, steps: int) -> tuple[float, float]:
+        (line,) = output_of(self._folder, "pair", STEP_SIZE, steps, 1, *self._ports, *self._fmus)
+        seconds, level = map(float, line.split())
+        return seconds, level

@@ -90,11 +90,14 @@ class Pair:
 
     @property
     def system(self) -> System:
-        links = (
-            (f"first.{LEVEL}", f"second.{SIGNAL}"),
-            (f"second.{LEVEL}", f"first.{SIGNAL}"),
-        )
+        links = [(f"first.{LEVEL}", f"second.{SIGNAL}"), (f"second.{LEVEL}", f"first.{SIGNAL}")]
         return System(self.fmus, links)
+
+    @property
+    def references(self) -> tuple[int, int]:
+        """Value references of input and output in both."""
+        references = {v.name: v.value_reference for v in FIRST.variables}
+        return references[SIGNAL], references[LEVEL]
 
     @property
     def package(self) -> Path:

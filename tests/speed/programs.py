@@ -7,10 +7,14 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
+from typing import Any
+
+import fmpy
 
 from fmus.export.toolchain import FLAGS, zig
+from fmus.platforms import library_name
 from orchestration.errors import OrchestrationError
-from tests.speed import monolith
+from orchestration.fmi.description import describe
 
 C_SOURCES = Path(__file__).parent / "c"
 _LOADER = Path(str(resources.files("orchestration.exchange")))  # of load.h
@@ -26,9 +30,21 @@ def workplace() -> Iterator[Path]:
         yield Path(name)
 
 
+def extracted(fmu: Path, folder: Path, platform: str) -> tuple[str, Path]:
+    """The GUID of an FMU, which is extracted to a folder, and its library there."""
+    description: Any = describe(fmu)
+    fmpy.extract(str(fmu), str(folder))
+    return description.guid, folder / library_name(description.coSimulation.modelIdentifier, platform)
+
+
+def part_name(part: int) -> str:
+    """The compiler's option that gives the functions of c/equations.c the names of a part."""
+    return f"-DPART(f)=part{part}_##f"
+
+
 def compile_equations(folder: Path, part: int, sources: Path, *options: str) -> None:
     """Compile the equations of an FMU to partN.o."""
-    named = f"-DPART(f)={monolith.part(part, '##f')}"
+    named = part_name(part)
     source = str(C_SOURCES / "equations.c")
     zig(["cc", "-c", *_FLAGS, *options, named, f"-I{sources}", "-o", f"part{part}.o", source], folder)
 

@@ -1,75 +1,55 @@
 """What was measured, as tables with the ratios that matter."""
 
-import os
-import platform
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from rich.table import Table
 
 from tests.speed.importers import Entry
 from tests.speed.layers import Layer
-from tests.speed.scenarios import Loop
+from tests.speed.scenarios import MONOLITH, PYTHON, Loop
+
+_NUMBERS = {"ns by FMI", "ns in bare C", "ratio", "ms", "us a step", "of python", "of one C program", "us"}
+_NUMBERS |= {"us overhead", "times the FMUs"}
 
 
 def tables(layers: Sequence[Layer], loops: Sequence[Loop], entries: Sequence[Entry]) -> list[Table]:
     """One of each kind."""
-    return [_steps(layers), _runs(loops), _importers(entries)]
-
-
-def machine() -> str:
-    """What was measured on, for the record."""
-    system = f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores"
-    return f"{system}, Python {platform.python_version()}"
-
-
-def _steps(layers: Sequence[Layer]) -> Table:
-    table = _table("One communication step", ("Block",), ("ns by FMI", "ns in bare C", "ratio"))
-    for each in layers:
-        fmi, bare = each.through_fmi, each.bare
-        table.add_row(each.block, f"{1e9 * fmi:.0f}", f"{1e9 * bare:.0f}", f"{fmi / bare:.2f}")
-    return table
-
-
-def _runs(loops: Sequence[Loop]) -> Table:
-    table = _table(
-        "A whole scenario", ("Scenario", "How"), ("ms", "us a step", "of python", "of one C program")
-    )
-    for each in loops:
-        for how, seconds in each.ways.items():
-            per_step, speed = 1e6 * seconds / each.steps, each.master_python / seconds
-            table.add_row(
-                each.scenario,
-                how,
-                f"{1e3 * seconds:.2f}",
-                f"{per_step:.2f}",
-                f"1/{speed:.0f}",
-                f"{seconds / each.monolith:.2f}",
-            )
-        table.add_section()
-    return table
-
-
-def _importers(entries: Sequence[Entry]) -> Table:
-    """Fastest first, those that did not run last."""
     title = "Two FMUs, one signal each way: a communication step"
-    table = _table(title, ("Importer", "Version"), ("us", "us overhead", "times the FMUs"), ("Remark",))
-    for each in sorted(entries, key=lambda entry: (bool(entry.problem), entry.per_step)):
-        if each.problem:
-            table.add_row(each.name, each.version, "", "", "", each.problem)
-        else:
-            table.add_row(
-                each.name,
-                each.version,
-                f"{1e6 * each.per_step:.3f}",
-                f"{1e6 * each.overhead:.3f}",
-                f"{each.ratio:.1f}",
-                each.remark,
-            )
-    return table
+    headings = ("Importer", "Version", "us", "us overhead", "times the FMUs", "Remark")
+    return [
+        _table("One communication step", ("Block", "ns by FMI", "ns in bare C", "ratio"), map(_step, layers)),
+        _table(
+            "A whole scenario",
+            ("Scenario", "How", "ms", "us a step", "of python", "of one C program"),
+            (row for loop in loops for row in _ways(loop)),
+        ),
+        _table(title, headings, map(_importer, sorted(entries, key=lambda e: (bool(e.problem), e.per_step)))),
+    ]
 
 
-def _table(title: str, texts: Sequence[str], numbers: Sequence[str], remarks: Sequence[str] = ()) -> Table:
+def _step(layer: Layer) -> tuple[str, ...]:
+    fmi, bare = layer.through_fmi, layer.bare
+    return layer.block, f"{1e9 * fmi:.0f}", f"{1e9 * bare:.0f}", f"{fmi / bare:.2f}"
+
+
+def _ways(loop: Loop) -> Iterable[tuple[str, ...]]:
+    for way, seconds in loop.seconds.items():
+        speed, ratio = loop.seconds[PYTHON] / seconds, seconds / loop.seconds[MONOLITH]
+        times = f"{1e3 * seconds:.2f}", f"{1e6 * seconds / loop.steps:.2f}"
+        yield loop.scenario, way, *times, f"1/{speed:.0f}", f"{ratio:.2f}"
+
+
+def _importer(entry: Entry) -> tuple[str, ...]:
+    if entry.problem:
+        return entry.name, entry.version, "", "", "", entry.problem
+    times = f"{1e6 * entry.per_step:.3f}", f"{1e6 * entry.overhead:.3f}", f"{entry.ratio:.1f}"
+    return entry.name, entry.version, *times, entry.remark
+
+
+def _table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]]) -> Table:
     table = Table(title=title, title_justify="left")
-    for heading in (*texts, *numbers, *remarks):
-        table.add_column(heading, justify="right" if heading in numbers else "left", overflow="fold")
+    for heading in headings:
+        table.add_column(heading, justify="right" if heading in _NUMBERS else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
     return table

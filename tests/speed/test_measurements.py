@@ -9,9 +9,9 @@ from rich.console import Console
 
 from fmus import catalogue
 from orchestration.errors import OrchestrationError
-from tests.speed import layer, loop, scenarios
-from tests.speed.layers import Layer
-from tests.speed.scenarios import Loop
+from tests.speed import scenarios
+from tests.speed.layers import Layer, layer
+from tests.speed.scenarios import HOST, MASTER, MASTER_LOOP, MONOLITH, PYTHON, Loop, loop
 from tests.speed.tables import tables
 
 
@@ -29,11 +29,11 @@ def test_a_scenario_is_measured_in_every_way() -> None:
     """That the host and the one C program give equal trajectories is checked on the way."""
     found = loop("nominal-extended", rounds=1)
     assert found.steps == 15_500
-    assert min(found.master_python, found.master_native, found.host, found.monolith) > 0.0
+    assert min(found.seconds[way] for way in (PYTHON, MASTER, HOST, MONOLITH)) > 0.0
 
 
 def test_programs_that_differ_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scenarios, "_in_the_master", lambda chosen, rounds: [1.0])
+    monkeypatch.setattr(scenarios, "_seconds", lambda simulator, experiment: 1.0)
     given = iter([np.zeros(3), np.array([0.0, 0.0, 1e-300])])
     monkeypatch.setattr(scenarios, "read_result", lambda result, plan: next(given))
     with pytest.raises(OrchestrationError, match="differ: expected equal trajectories"):
@@ -42,7 +42,8 @@ def test_programs_that_differ_are_refused(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_the_tables_have_the_ratios() -> None:
     layers = [Layer("Block", 3e-8, 2e-8)]
-    loops = [Loop("scenario", 1000, 2.0, 8e-3, 6e-3, 5e-3, 4e-3)]
+    seconds = {PYTHON: 2.0, MASTER: 8e-3, MASTER_LOOP: 6e-3, HOST: 5e-3, MONOLITH: 4e-3}
+    loops = [Loop("scenario", 1000, seconds)]
     console = Console(width=150, record=True)
     for table in tables(layers, loops, []):
         console.print(table)

@@ -1,0 +1,193 @@
+"""Other people's importers: each runs an SSP package of this project and reports one output.
+
+A function for each, which imports its importer when it is called: in a process of its own, by `run_job`.
+"""
+
+import json
+import shutil
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import numpy as np
+from fmpy.fmi2 import FMU2Slave
+from numpy.typing import ArrayLike
+
+from fmus.process import Parent
+from orchestration.exchange.ssp_read import opened
+
+_NANOSECOND = 1e-9
+
+
+@dataclass(frozen=True)
+class ImporterJob:
+    """Run a package from its start to its stop time and report one output.
+
+    parameter_set: name of the set that the package binds
+    output: "component.variable"
+    start_time, stop_time, step_size: s
+    report_every: steps from one reported value to the next
+    """
+
+    package: Path
+    parameter_set: str
+    output: str
+    start_time: float
+    stop_time: float
+    step_size: float
+    report_every: int = 1
+
+    @property
+    def reports(self) -> int:
+        return round((self.stop_time - self.start_time) / self.step_size) // self.report_every
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Values of the output at the importer's times [s]."""
+
+    time: np.ndarray
+    values: np.ndarray
+
+
+Reports = tuple[ArrayLike, ArrayLike]  # times and values
+
+
+def ecos(job: ImporterJob) -> Reports:
+    """Ecos through `ecospy`: Jacobi, initial exchange, times by adding up steps.
+
+    It knows no enumerations, and applies a parameter set only when it is named.
+    """
+    from ecospy.EcosSimulation import EcosSimulation
+
+    output = job.output.replace(".", "::", 1)
+    with EcosSimulation(ssp_path=str(job.package), step_size=job.step_size) as simulation:
+        start: Any = job.start_time  # declared as int, handed on as double
+        if not simulation.init(start, job.parameter_set):
+            raise RuntimeError("the initialisation failed")
+        time, values = [job.start_time], [simulation.get_real(output)]
+        for _ in range(job.reports):
+            time.append(simulation.step(job.report_every))
+            values.append(simulation.get_real(output))
+    return time, values
+
+
+def fmpy_ssp(job: ImporterJob) -> Reports:
+    """FMPy's own SSP master, `fmpy.ssp`, which reports every step.
+
+    It reads components and connections, ignores parameter bindings, starts every connector at zero without
+    initial exchange, and labels a row with the time before the step whose result it holds.
+    """
+    from fmpy.ssp.simulation import simulate_ssp
+    from fmpy.ssp.ssd import read_ssv
+
+    parameter_set = read_ssv(str(job.package), f"parameters/{job.parameter_set}.ssv")
+    for parameter in parameter_set.parameters:
+        if parameter.type == "Boolean":  # FMPy takes every text but a number for true
+            parameter.value = parameter.value in ("true", "1")
+    times = job.start_time, job.stop_time, job.step_size
+    result = simulate_ssp(str(job.package), *times, parameter_set=parameter_set)
+    return result["time"], result[job.output]
+
+
+def libcosim(job: ImporterJob) -> Reports:
+    """OSP's libcosim through `libcosimpy`: Jacobi, initial exchange, times in whole nanoseconds.
+
+    It knows neither enumerations nor parameter bindings of the system, only those of components.
+    """
+    from libcosimpy.CosimExecution import CosimExecution
+    from libcosimpy.CosimObserver import CosimObserver
+
+    component, _, variable = job.output.partition(".")
+    execution = CosimExecution.from_ssp_file(str(job.package), round(job.step_size / _NANOSECOND))
+    observer = CosimObserver.create_last_value()
+    execution.add_observer(observer)
+    instance = execution.slave_index_from_instance_name(component)
+    if instance is None:
+        raise RuntimeError(f"no component {component!r} in the package")
+    (reference,) = [v.reference for v in execution.slave_variables(instance) if v.name.decode() == variable]
+    time, values = [], []
+    for _ in range(job.reports):
+        if not execution.step(job.report_every):
+            raise RuntimeError(f"a step failed at {execution.status().current_time} ns")
+        time.append(job.start_time + execution.status().current_time * _NANOSECOND)
+        values.append(observer.last_real_values(instance, [reference])[0])
+    return time, values
+
+
+def fmucontainer(job: ImporterJob) -> Reports:
+    """`fmucontainer` of the FMU manipulation toolbox: all FMUs in one container FMU, which FMPy then runs.
+
+    It reads SSP packages itself, but not their parameters; here everything is given in its own format.
+    """
+    from fmu_manipulation_toolbox.assembly import Assembly
+
+    interval = job.report_every * job.step_size
+    with opened(job.package) as loop, tempfile.TemporaryDirectory() as folder:
+        components = loop.system.components
+
+        def split(name: str) -> list[str]:
+            component, _, variable = name.partition(".")
+            return [components[component].name, variable]
+
+        for fmu in components.values():
+            shutil.copy(fmu, folder)
+        values = {**loop.experiment.parameters, **loop.experiment.inputs}
+        description = {
+            "name": "loop.fmu",
+            "step_size": job.step_size,
+            **dict.fromkeys(("auto_link", "auto_input", "auto_output"), False),
+            "fmu": [fmu.name for fmu in components.values()],
+            "link": [[*split(source), *split(target)] for source, target in loop.system.connections],
+            "start": [[*split(name), value] for name, value in values.items()],
+            "output": [[*split(job.output), "output"]],
+        }
+        Path(folder, "loop.json").write_text(json.dumps(description))
+        Assembly("loop.json", fmu_directory=Path(folder)).make_fmu()
+        result = fmpy.simulate_fmu(
+            str(Path(folder, "loop.fmu")),
+            start_time=job.start_time,
+            stop_time=job.stop_time,
+            step_size=interval,
+            output_interval=interval,
+            output=["output"],
+        )
+    return result["time"], result["output"]
+
+
+def loaded_by_fmpy(fmu: Path, folder: Path) -> FMU2Slave:
+    """An FMU extracted to a folder and instantiated by FMPy."""
+    description: Any = fmpy.read_model_description(str(fmu))
+    instance = FMU2Slave(
+        guid=description.guid,
+        unzipDirectory=fmpy.extract(str(fmu), str(folder)),
+        modelIdentifier=description.coSimulation.modelIdentifier,
+        instanceName=fmu.stem,
+    )
+    instance.instantiate()
+    return instance
+
+
+@dataclass(frozen=True)
+class Importer:
+    """A function of this file, and the distribution that it needs."""
+
+    run: Callable[[ImporterJob], Reports]
+    distribution: str
+
+
+IMPORTERS = {
+    "fmpy_ssp": Importer(fmpy_ssp, "fmpy"),
+    "libcosim": Importer(libcosim, "libcosimpy"),
+    "ecos": Importer(ecos, "ecospy"),
+    "fmucontainer": Importer(fmucontainer, "fmu-manipulation-toolbox"),
+}
+
+
+def run_job(parent: Parent) -> None:
+    """Run the job that is sent with the name of an importer; send its trajectory."""
+    importer, job = parent.receive()
+    parent.send(Trajectory(*map(np.asarray, IMPORTERS[importer].run(job))))
