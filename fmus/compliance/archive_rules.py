@@ -3,11 +3,10 @@
 import re
 import stat
 import zipfile
-from collections import Counter
 from collections.abc import Iterable, Iterator
 
 from fmus.compliance.fmu_file import DESCRIPTION, FmuFile
-from fmus.compliance.rule import Level, Stage, rule
+from fmus.compliance.rule import Level, Stage, repeated, rule
 
 _CLAUSE = "2.3 FMU Distribution"
 _FOLDERS = ("binaries", "documentation", "resources", "sources", "extra", "terminalsAndIcons")
@@ -64,9 +63,8 @@ def archive_paths_are_portable(fmu: FmuFile) -> Iterator[str]:
 @rule(_CLAUSE, Stage.FILE, condition=unreadable)
 def archive_paths_are_unique(fmu: FmuFile) -> Iterator[str]:
     """No two members have the same path, also where upper and lower case are the same (Windows, macOS)."""
-    for name, count in Counter(each.lower() for each in fmu.names).items():
-        if count > 1:
-            yield f"{count} members are called {name!r}, but for their case: expected one"
+    for name, count in repeated(name.lower() for name in fmu.names).items():
+        yield f"{count} members are called {name!r}, but for their case: expected one"
 
 
 @rule(_CLAUSE, Stage.FILE, condition=unreadable)
@@ -84,7 +82,7 @@ def archive_members_are_plain(fmu: FmuFile) -> Iterator[str]:
 @rule(_CLAUSE, Stage.FILE, Level.WARNING, condition=unreadable)
 def archive_layout(fmu: FmuFile) -> Iterator[str]:
     """At the top of the archive there is nothing but what FMI puts there."""
-    for name in sorted({each.split("/")[0] + "/" * ("/" in each) for each in fmu.names}):
+    for name in sorted({path.split("/")[0] + "/" * ("/" in path) for path in fmu.names}):
         known = name.rstrip("/") in _FOLDERS if name.endswith("/") else name in _FILES
         if not known:
             yield f"{name}: expected one of {', '.join(_FILES)}, {'/, '.join(_FOLDERS)}/"
@@ -93,27 +91,23 @@ def archive_layout(fmu: FmuFile) -> Iterator[str]:
 @rule(_CLAUSE, Stage.FILE, Level.WARNING, condition=unreadable)
 def platform_names(fmu: FmuFile) -> Iterator[str]:
     """Folders below binaries are named as FMI 2.0 (linux64) or FMI 3.0 (aarch64-linux) does."""
-    for folder in sorted({each.split("/")[1] for each in fmu.names if re.match(r"binaries/[^/]+/", each)}):
+    for folder in fmu.platforms():
         if not _PLATFORM.fullmatch(folder):
             yield f"binaries/{folder}: expected win64, linux64, darwin64 or the like"
-
-
-def _identifiers(fmu: FmuFile) -> set[str]:
-    return {each.get("modelIdentifier", "") for each in fmu.interfaces.values()}
 
 
 @rule(_CLAUSE, Stage.DESCRIPTION)
 def library_names(fmu: FmuFile) -> Iterator[str]:
     """Every platform's folder holds the library modelIdentifier with the platform's extension."""
-    for folder in sorted({each.split("/")[1] for each in fmu.names if re.match(r"binaries/[^/]+/", each)}):
+    for folder in fmu.platforms():
         known = _PLATFORM.fullmatch(folder)
         if known is None:
             continue
         extension = _EXTENSIONS[known.group(1) or known.group(2)]
-        for identifier in sorted(_identifiers(fmu)):
-            wanted = f"binaries/{folder}/{identifier}{extension}"
-            if wanted not in fmu.names:
-                yield f"no {wanted}: expected one, as the folder exists"
+        for identifier in sorted({kind.get("modelIdentifier", "") for kind in fmu.interfaces.values()}):
+            library = f"binaries/{folder}/{identifier}{extension}"
+            if library not in fmu.names:
+                yield f"no {library}: expected one, as the folder exists"
 
 
 @rule(_CLAUSE, Stage.DESCRIPTION)

@@ -1,16 +1,19 @@
 """Judge behaviour rules in another process: a crash or a hang of the FMU is a finding."""
 
+import os
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from fmus.binding import platform_name
-from fmus.compliance.behaviour_worker import judge_rules
+from fmus.compliance import derivative_rules, lifecycle_rules, state_rules
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.library_rules import no_co_simulation
+from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Result, Stage, registered
-from fmus.process import ProcessEndedError, WorkerProcess
+from fmus.process import Parent, ProcessEndedError, WorkerProcess
 
+MODULES = (lifecycle_rules, state_rules, derivative_rules)
 DEFAULT_TIMEOUT_S = 30.0
 _START_S = 30.0  # for the interpreter, whatever the rules take
 
@@ -68,3 +71,20 @@ def _judged_by_one_process(
         yield name, [f"the FMU ended the process with {ended}"]
     finally:
         process.close()
+
+
+def judge_rules(parent: Parent) -> None:
+    """Receive the paths of an FMU and of its folder, then names of rules; send each rule's messages."""
+    path, folder = parent.receive()
+    os.chdir(folder)  # where the FMU writes files
+    rules = {rule.name: rule for rule in registered(Stage.BEHAVIOUR)}
+    fmu, probe = FmuFile(path), None
+    parent.send(None)  # it has started
+    while True:
+        rule = rules[parent.receive()]
+        try:
+            probe = probe or Probe(fmu, folder)
+            messages = list(rule.check(probe))
+        except Exception as error:  # whatever a foreign library makes of a call is a finding
+            messages = [str(error) or type(error).__name__]
+        parent.send(messages)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from fmus.compliance import report
 from fmus.compliance.behaviour import DEFAULT_TIMEOUT_S
-from fmus.compliance.examine import all_rules, examine
+from fmus.compliance.examine import examine
 from fmus.compliance.rule import Result
 
 
@@ -32,29 +32,18 @@ def check(
 
 def _print_findings(path: Path, results: Sequence[Result], every: bool) -> None:
     print(f"{path}: {report.summary(results)}")
-    if every:
-        from rich.console import Console
-
-        Console(width=None if sys.stdout.isatty() else 160).print(report.table(str(path), results))
-        return
-    for line in report.lines(results):
+    for line in report.lines(results, every):
         print(f"  {line}")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Exit status: 0 without an error, 1 with one; argparse ends with 2 for bad usage."""
     parser = argparse.ArgumentParser(prog="python -m fmus.compliance", description="Judge FMUs by FMI 2.0.5.")
-    parser.add_argument("fmus", nargs="*", type=Path, metavar="FMU")
+    parser.add_argument("fmus", nargs="+", type=Path, metavar="FMU")
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON, to - for standard output")
     parser.add_argument("--timeout", type=float, default=DEFAULT_TIMEOUT_S, help="seconds for one behaviour")
     parser.add_argument("--all", action="store_true", help="show every rule, not only those broken")
-    parser.add_argument("--rules", action="store_true", help="print the table of rules as Markdown, and end")
     options = parser.parse_args(arguments)
-    if options.rules:
-        print(report.markdown(all_rules()))
-        return 0
-    if not options.fmus:
-        parser.error("no FMU: expected one or more")
     try:
         return 1 if check(options.fmus, options.json, options.timeout, options.all) else 0
     except OSError as error:

@@ -1,16 +1,19 @@
-"""Rules of the model description as a whole, its types and its CoSimulation element."""
+"""Rules of the model description as a whole, its types and its CoSimulation element; FMPy's validation."""
 
 import re
-from collections import Counter
 from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import fmpy
 
 from fmus.compliance.archive_rules import unreadable
-from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.rule import Stage, rule
+from fmus.compliance.fmu_file import FmuFile, etree
+from fmus.compliance.rule import Stage, repeated, rule
 from fmus.compliance.variable import integer, number
 
 _HEAD = "2.2.1 Definition of an FMU (fmiModelDescription)"
 _TYPES = "2.2.3 Definition of Types (TypeDefinitions)"
+_SCHEMA = Path(fmpy.__file__).parent / "schema" / "fmi2" / "fmi2ModelDescription.xsd"
 _DATE = re.compile(r"\d{4}-(0[1-9]|1[0-2])-(0[1-9]|[12]\d|3[01])T([01]\d|2[0-3]):[0-5]\d:[0-5]\d(\.\d+)?Z")
 _UTF_8 = re.compile(rb"(\xef\xbb\xbf)?<\?xml[^>]*encoding=[\"']utf-8[\"']", re.IGNORECASE)
 
@@ -26,6 +29,23 @@ def description_is_utf_8(fmu: FmuFile) -> Iterator[str]:
     """The XML declaration says encoding UTF-8."""
     if not _UTF_8.match(fmu.xml):
         yield f'it begins {fmu.xml[:40]!r}: expected <?xml version="1.0" encoding="UTF-8"?>'
+
+
+@rule("2.2 FMI Description Schema", Stage.DESCRIPTION)
+def schema(fmu: FmuFile) -> Iterator[str]:
+    """The model description is valid by the XML schema of FMI 2.0."""
+    definition = etree.XMLSchema(etree.parse(_SCHEMA))
+    definition.validate(fmu.root.getroottree())
+    for error in definition.error_log:
+        yield f"line {error.line}: {error.message}"
+
+
+@rule("2.2 FMI Description Schema, as FMPy reads it", Stage.DESCRIPTION)
+def fmpy_validation(fmu: FmuFile) -> Iterator[str]:
+    """FMPy's validate_fmu finds no problem."""
+    from fmpy.validation import validate_fmu
+
+    yield from validate_fmu(str(fmu.path))
 
 
 @rule(_HEAD, Stage.DESCRIPTION)
@@ -59,9 +79,8 @@ def log_categories_are_unique(fmu: FmuFile) -> Iterator[str]:
 
 
 def _repeated(what: str, names: Iterable[str | None]) -> Iterator[str]:
-    for name, count in Counter(names).items():
-        if count > 1:
-            yield f"{what} {name!r} is defined {count} times: expected once"
+    for name, count in repeated(names).items():
+        yield f"{what} {name!r} is defined {count} times: expected once"
 
 
 @rule("2.2.5 Definition of a Default Experiment (DefaultExperiment)", Stage.DESCRIPTION)

@@ -10,7 +10,6 @@ from fmus.compliance import (
     library_rules,
     structure_rules,
     unit_rules,
-    validators,
     variable_rules,
 )
 from fmus.compliance.behaviour import DEFAULT_TIMEOUT_S, behaviour
@@ -18,7 +17,7 @@ from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.rule import Result, Rule, Stage, registered
 
 MODULES = (
-    archive_rules, description_rules, validators, variable_rules, alias_rules, unit_rules, structure_rules,
+    archive_rules, description_rules, variable_rules, alias_rules, unit_rules, structure_rules,
     library_rules,
 )  # fmt: skip
 

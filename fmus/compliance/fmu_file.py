@@ -1,5 +1,6 @@
 """An FMU as a file: members and parsed description. What is broken is told, never raised."""
 
+import re
 import zipfile
 from collections.abc import Iterator, Mapping
 from functools import cached_property
@@ -135,6 +136,10 @@ class FmuFile:
             index = integer(element.get("index"))
             exists = index is not None and 1 <= index <= len(self.variables)
             yield (index if exists else None), element
+
+    def platforms(self) -> list[str]:
+        """Names of the folders below binaries."""
+        return sorted({path.split("/")[1] for path in self.names if re.match("binaries/[^/]+/", path)})
 
     def libraries(self) -> dict[str, str]:
         """Path inside the archive -> folder below binaries, of what looks like a shared library."""

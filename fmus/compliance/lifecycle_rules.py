@@ -5,7 +5,6 @@ import os
 from collections.abc import Iterator
 from typing import Any
 
-from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.instance import CheckedInstance
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Condition, Stage, rule
@@ -13,6 +12,9 @@ from fmus.compliance.rule import Condition, Stage, rule
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
 _INITIALIZATION = "2.1.6 Initialization, Termination, and Resetting an FMU"
 _FLAGS = "4.3.1 Co-Simulation FMU (CoSimulation)"
+_ONLY_ONCE = "canBeInstantiatedOnlyOncePerProcess"
+_OWN_MEMORY = "canNotUseMemoryManagementFunctions"
+_ANY_STEP = "canHandleVariableCommunicationStepSize"
 _ROUNDED = 1e-6  # relative: tools write start values with as few as seven digits
 _STEPS = 5
 
@@ -22,18 +24,9 @@ def unless_claimed(capability: str) -> Condition:
     return lambda fmu: "" if fmu.claims(capability) else f"{capability} is not claimed"
 
 
-def _several(fmu: FmuFile) -> str:
-    flag = "canBeInstantiatedOnlyOncePerProcess"
-    return f"{flag} is claimed" if fmu.claims(flag) else ""
-
-
-def _memory_is_the_importers(fmu: FmuFile) -> str:
-    flag = "canNotUseMemoryManagementFunctions"
-    return f"{flag} is claimed" if fmu.claims(flag) else ""
-
-
-def _needs_tool(fmu: FmuFile) -> str:
-    return "needsExecutionTool is claimed" if fmu.claims("needsExecutionTool") else ""
+def _if_claimed(flag: str) -> Condition:
+    """The condition of rules that a flag takes back."""
+    return lambda fmu: f"{flag} is claimed" if fmu.claims(flag) else ""
 
 
 @rule("2.1.4 Inquire Platform and Version Number of Header Files", Stage.BEHAVIOUR)
@@ -101,7 +94,7 @@ def steps_and_terminates(probe: Probe) -> Iterator[str]:
     yield from ()
 
 
-@rule(_FLAGS + ": needsExecutionTool", Stage.BEHAVIOUR, condition=_needs_tool)
+@rule(_FLAGS + ": needsExecutionTool", Stage.BEHAVIOUR, condition=_if_claimed("needsExecutionTool"))
 def needs_no_tool(probe: Probe) -> Iterator[str]:
     """Without needsExecutionTool, the FMU runs here although no program can be found by the search path."""
     before = os.environ.get("PATH", "")
@@ -139,7 +132,7 @@ def differing(expected: list[dict[str, Any]], got: list[dict[str, Any]], when: s
                 yield f"{name} is {other[name]!r} {when}, step {i}: expected {value!r} again"
 
 
-@rule(_FLAGS + ": canBeInstantiatedOnlyOncePerProcess", Stage.BEHAVIOUR, condition=_several)
+@rule(f"{_FLAGS}: {_ONLY_ONCE}", Stage.BEHAVIOUR, condition=_if_claimed(_ONLY_ONCE))
 def several_instances(probe: Probe) -> Iterator[str]:
     """Instances live side by side: steps of one change nothing in another."""
     with probe.instance() as alone:
@@ -153,11 +146,7 @@ def several_instances(probe: Probe) -> Iterator[str]:
         yield from differing(expected, first + probe.run(one, _STEPS - 2, 2), "beside another instance")
 
 
-@rule(
-    _FLAGS + ": canHandleVariableCommunicationStepSize",
-    Stage.BEHAVIOUR,
-    condition=unless_claimed("canHandleVariableCommunicationStepSize"),
-)
+@rule(f"{_FLAGS}: {_ANY_STEP}", Stage.BEHAVIOUR, condition=unless_claimed(_ANY_STEP))
 def variable_step_size(probe: Probe) -> Iterator[str]:
     """Steps of different sizes succeed one after the other."""
     with probe.instance() as instance:
@@ -169,11 +158,7 @@ def variable_step_size(probe: Probe) -> Iterator[str]:
     yield from ()
 
 
-@rule(
-    _FLAGS + ": canNotUseMemoryManagementFunctions",
-    Stage.BEHAVIOUR,
-    condition=_memory_is_the_importers,
-)
+@rule(f"{_FLAGS}: {_OWN_MEMORY}", Stage.BEHAVIOUR, condition=_if_claimed(_OWN_MEMORY))
 def memory_is_given_back(probe: Probe) -> Iterator[str]:
     """What an instance takes by allocateMemory it gives back by freeMemory, and nothing else."""
     before, foreign_frees = len(probe.memory.held), probe.memory.foreign_frees

@@ -1,13 +1,10 @@
-"""What the check found: a table for people, JSON for programs, and the documentation of the rules."""
+"""What the check found: lines for people, JSON for programs, and the documentation of the rules."""
 
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
-
-from rich.markup import escape
-from rich.table import Table
 
 from fmus.compliance.rule import Result, Rule
 
@@ -21,29 +18,18 @@ def count(findings: Findings, outcome: str) -> int:
 
 def summary(results: Sequence[Result]) -> str:
     """One line: how many rules passed, and so on."""
-    outcomes = Counter(each.outcome for each in results)
+    counts = Counter(result.outcome for result in results)
     known = ("passed", "not applicable", "warning", "error")
-    return ", ".join(f"{outcomes[each]} {each}" for each in known if outcomes[each])
+    return ", ".join(f"{counts[outcome]} {outcome}" for outcome in known if counts[outcome])
 
 
-def lines(results: Sequence[Result]) -> list[str]:
-    """A line for each message: what it means, rule, clause, message."""
+def lines(results: Sequence[Result], every: bool = False) -> list[str]:
+    """A line for each message: outcome, rule, clause, message. every: a line for the other rules too."""
     return [
-        f"{each.outcome}: {each.rule.name} ({each.rule.clause}): {message}"
-        for each in results
-        for message in each.messages
+        f"{result.outcome}: {result.rule.name} ({result.rule.clause}): {message}"
+        for result in results
+        for message in result.messages or [result.not_applicable or result.rule.claim] * every
     ]
-
-
-def table(title: str, results: Sequence[Result]) -> Table:
-    """A row for each rule."""
-    found = Table(title=escape(title), title_justify="left")
-    for heading in ("Rule", "FMI 2.0.5", "Outcome", "Said"):
-        found.add_column(heading, overflow="fold")
-    for each in results:
-        said = "\n".join(each.messages) or each.not_applicable
-        found.add_row(each.rule.name, escape(each.rule.clause), each.outcome, escape(said))
-    return found
 
 
 def document(findings: Findings) -> dict[str, Any]:
@@ -59,8 +45,10 @@ def document(findings: Findings) -> dict[str, Any]:
 
 def _rule(result: Result) -> dict[str, Any]:
     rule = result.rule
-    told = {"rule": rule.name, "clause": rule.clause, "claim": rule.claim, "outcome": result.outcome}
-    return {**told, "messages": list(result.messages), "not_applicable": result.not_applicable}
+    return {
+        **{"rule": rule.name, "clause": rule.clause, "claim": rule.claim, "outcome": result.outcome},
+        **{"messages": list(result.messages), "not_applicable": result.not_applicable},
+    }
 
 
 def write_json(findings: Findings, file: str) -> None:

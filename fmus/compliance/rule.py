@@ -1,6 +1,7 @@
 """What a rule is, and the list of all of them: one decorated function a rule."""
 
 import inspect
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
@@ -79,6 +80,11 @@ def rule(
         return check
 
     return register
+
+
+def repeated(names: Iterable[Any]) -> dict[Any, int]:
+    """How often each name occurs, of those that occur more than once."""
+    return {name: count for name, count in Counter(names).items() if count > 1}
 
 
 def registered(stage: Stage) -> tuple[Rule, ...]:

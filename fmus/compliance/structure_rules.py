@@ -1,11 +1,10 @@
 """Rules of dependencies and lists of unknowns: FMI 2.0.5, 2.2.8 Definition of the Model Structure."""
 
 import itertools
-from collections import Counter
 from collections.abc import Iterator
 
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.rule import Stage, rule
+from fmus.compliance.rule import Stage, repeated, rule
 from fmus.compliance.variable import integer
 
 _CLAUSE = "2.2.8 Definition of the Model Structure (ModelStructure)"
@@ -28,9 +27,8 @@ def structure_indices(fmu: FmuFile) -> Iterator[str]:
         for index, element in fmu.unknowns(section):
             if index is None:
                 yield f"{section}: index {element.get('index')}: expected 1..{len(fmu.variables)}"
-        for index, count in Counter(_indices(fmu, section)).items():
-            if count > 1:
-                yield f"{section} lists {_listed(fmu, {index})} {count} times: expected once"
+        for index, count in repeated(_indices(fmu, section)).items():
+            yield f"{section} lists {_listed(fmu, {index})} {count} times: expected once"
 
 
 @rule(_CLAUSE, Stage.DESCRIPTION)
@@ -91,9 +89,8 @@ def dependencies_are_legal(fmu: FmuFile) -> Iterator[str]:
             where = f"{section}, unknown {element.get('index')}"
             for text in listed:
                 yield from (f"{where}: {each}" for each in _illegal(fmu, unknown, text, section))
-            for text, count in Counter(listed).items():
-                if count > 1:
-                    yield f"{where}: dependency {text} is listed {count} times: expected once"
+            for text, count in repeated(listed).items():
+                yield f"{where}: dependency {text} is listed {count} times: expected once"
 
 
 def _illegal(fmu: FmuFile, unknown: int | None, text: str, section: str) -> Iterator[str]:
@@ -120,11 +117,9 @@ def dependencies_kind(fmu: FmuFile) -> Iterator[str]:
             kinds = element.get("dependenciesKind")
             if kinds is None:
                 continue
-            where, count = (
-                f"{section}, unknown {element.get('index')}",
-                element.get("dependencies", "").split(),
-            )
-            if len(kinds.split()) != len(count):
-                yield f"{where}: {len(kinds.split())} kinds of dependency: expected {len(count)}, one each"
+            where, count = f"{section}, unknown {element.get('index')}", len(kinds.split())
+            expected = len(element.get("dependencies", "").split())
+            if count != expected:
+                yield f"{where}: {count} kinds of dependency: expected {expected}, one each"
             for kind in sorted(set(kinds.split()) - set(legal)):
                 yield f"{where}: kind {kind!r}: expected one of {', '.join(legal)}"

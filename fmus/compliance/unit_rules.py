@@ -1,10 +1,9 @@
 """Rules of units: FMI 2.0.5, 2.2.2 Definition of Units (UnitDefinitions)."""
 
-from collections import Counter
 from collections.abc import Iterator
 
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.rule import Stage, rule
+from fmus.compliance.rule import Stage, repeated, rule
 from fmus.compliance.variable import integer, number
 from fmus.errors import nearest
 from fmus.units import BASE_UNITS
@@ -30,9 +29,8 @@ def unit_names_are_unique(fmu: FmuFile) -> Iterator[str]:
         for unit in units
     ]
     for what, names in groups:
-        for name, count in Counter(names).items():
-            if count > 1:
-                yield f"{what} {name!r} is defined {count} times: expected once"
+        for name, count in repeated(names).items():
+            yield f"{what} {name!r} is defined {count} times: expected once"
 
 
 @rule(_CLAUSE, Stage.DESCRIPTION)

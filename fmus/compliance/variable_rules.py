@@ -2,11 +2,10 @@
 
 import math
 import re
-from collections import Counter
 from collections.abc import Iterator
 
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.rule import Level, Stage, rule
+from fmus.compliance.rule import Level, Stage, repeated, rule
 from fmus.compliance.variable import INITIAL, Variable, integer
 
 _CLAUSE = "2.2.7 Definition of Model Variables (ModelVariables)"
@@ -23,9 +22,8 @@ _STRUCTURED = re.compile(rf"{_IDENTIFIER}|der\({_IDENTIFIER}(?:,[0-9]+)?\)")
 @rule(_CLAUSE, Stage.DESCRIPTION)
 def variable_names_are_unique(fmu: FmuFile) -> Iterator[str]:
     """No two variables have the same name."""
-    for name, count in Counter(v.name for v in fmu.variables).items():
-        if count > 1:
-            yield f"{count} variables are called {name!r}: expected one"
+    for name, count in repeated(v.name for v in fmu.variables).items():
+        yield f"{count} variables are called {name!r}: expected one"
 
 
 @rule(_NAMING, Stage.DESCRIPTION)
