@@ -6,7 +6,6 @@ The package needs the Modelica Standard Library 4, and the unpacked FMUs in its 
 """
 
 import zipfile
-from collections.abc import Mapping
 from graphlib import CycleError, TopologicalSorter
 from importlib import resources
 from pathlib import Path
@@ -16,12 +15,20 @@ from fmpy.model_description import ModelDescription
 
 from fmus.fmi_types import NUMBERS
 from orchestration.errors import ScenarioError
-from orchestration.exchange import modelica_templates
 from orchestration.exchange.limits import check_plain_exchange, check_types, straight_points
-from orchestration.exchange.modelica_blocks import array, block, identifier, number, quoted, vector_name
-from orchestration.fmi.description import describe, start_value
+from orchestration.exchange.modelica_blocks import (
+    block,
+    identifier,
+    number,
+    quoted,
+    value,
+    vector_name,
+    vectors,
+)
+from orchestration.exchange.template_files import filled
+from orchestration.fmi.description import describe
 from orchestration.scenarios.scenario import Scenario
-from orchestration.system.prepared_run import PreparedRun, prepare
+from orchestration.system.prepared_run import PreparedRun, Setting, prepare
 from orchestration.system.signals import Signal
 from orchestration.system.system import CheckedSystem
 
@@ -29,11 +36,7 @@ PACKAGE = "L1Depth"
 SYSTEM = "System"
 _TARGET = "a Modelica package"
 _HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
-_CONSTANT = {
-    "FMU": modelica_templates.FMU,
-    "startFMU": modelica_templates.START,
-    "stepFMU": modelica_templates.STEP,
-}
+_CLASSES = ("FMU", "startFMU", "stepFMU")  # the same in every package
 
 
 def texts(scenario: Scenario) -> dict[str, str]:
@@ -47,23 +50,17 @@ def texts(scenario: Scenario) -> dict[str, str]:
     check_plain_exchange(experiment, _TARGET)
     prepared = prepare(scenario.system, experiment)
     checked = prepared.system
-    of_causality = {
-        causality: [port for port in checked.ports.values() if port.variable.causality in causality]
-        for causality in (("input", "output"), ("parameter",))
-    }
-    check_types(of_causality["input", "output"], ("Real",), _TARGET)
-    check_types(of_causality["parameter",], NUMBERS, _TARGET)
+    ports = checked.ports.values()
+    check_types([p for p in ports if p.variable.causality in ("input", "output")], ("Real",), _TARGET)
+    check_types([p for p in ports if p.variable.causality == "parameter"], NUMBERS, _TARGET)
     blocks = {identifier(description): description for description in checked.descriptions.values()}
     files = {
-        "package.mo": modelica_templates.PACKAGE.format(package=PACKAGE, title=quoted(scenario.title)),
-        "package.order": "".join(f"{name}\n" for name in (SYSTEM, *blocks, *_CONSTANT)),
+        "package.mo": filled("package.mo", title=quoted(scenario.title)),
+        "package.order": "".join(f"{name}\n" for name in (SYSTEM, *blocks, *_CLASSES)),
         f"{SYSTEM}.mo": _system(scenario.title, prepared),
     }
-    files |= {
-        f"{name}.mo": block(PACKAGE, name, description, experiment.step_size)
-        for name, description in blocks.items()
-    }
-    return files | {f"{name}.mo": text.replace("{package}", PACKAGE) for name, text in _CONSTANT.items()}
+    files |= {f"{name}.mo": block(name, fmu, experiment.step_size) for name, fmu in blocks.items()}
+    return files | {f"{name}.mo": filled(f"{name}.mo") for name in _CLASSES}
 
 
 def write(scenario: Scenario, folder: Path) -> Path:
@@ -86,45 +83,32 @@ def write(scenario: Scenario, folder: Path) -> Path:
 def _system(title: str, prepared: PreparedRun) -> str:
     """The model of the components, their connections and the signals."""
     checked, experiment = prepared.system, prepared.experiment
-    modifiers = _modifiers(prepared)
-    components = [
-        f"  {identifier(description)} {component}(\n    {modifiers[component]});"
-        for component, description in checked.descriptions.items()
-    ]
+    following = _components_that_follow(checked)
+    components = []
+    for component, description in checked.descriptions.items():
+        modifiers = [f"communicationStep = {experiment.step_size}", f"startTime = {experiment.start_time}"]
+        modifiers += ["initialOutputsFollowInputs = true"] * (component in following)
+        modifiers += _settings(component, description, prepared.settings)
+        instance = f"  {identifier(description)} {component}"
+        components.append(f"{instance}(\n    {f',{chr(10)}    '.join(modifiers)});")
     equations = [f"  connect({source.name}, {target.name});" for source, target in checked.connections]
     for target, signal in experiment.signals.items():
         name = vector_name(target.partition(".")[2])
         components.append(_table(name, target, signal))
         equations.append(f"  connect({name}.y[1], {target});")
-    return modelica_templates.SYSTEM.format(
-        package=PACKAGE, system=SYSTEM, title=quoted(title), components="\n".join(components),
+    return filled(
+        f"{SYSTEM}.mo", title=quoted(title), components="\n".join(components),
         equations="\n".join(equations), start=experiment.start_time, stop=experiment.stop_time,
         step=experiment.step_size,
     )  # fmt: skip
 
 
-def _modifiers(prepared: PreparedRun) -> dict[str, str]:
-    """Component -> the modifiers of its declaration: the step, and what the experiment sets."""
-    checked, experiment = prepared.system, prepared.experiment
-    values: dict[str, dict[str, dict[str, str]]] = {name: {} for name in checked.components}
-    for port, value in prepared.settings:
-        scalars = values[port.component].setdefault(vector_name(port.variable.name), {})
-        scalars[port.variable.name] = number(port.variable, value)
-    following = _components_that_follow(checked)
-    found = {}
-    for component, description in checked.descriptions.items():
-        modifiers = [f"communicationStep = {experiment.step_size}", f"startTime = {experiment.start_time}"]
-        modifiers += ["initialOutputsFollowInputs = true"] * (component in following)
-        modifiers += [f"{n} = {_elements(description, n, given)}" for n, given in values[component].items()]
-        found[component] = ",\n    ".join(modifiers)
-    return found
-
-
-def _elements(description: ModelDescription, name: str, values: Mapping[str, str]) -> str:
-    """The value of a scalar, or of every element of a vector; an element without value keeps its start."""
-    scalars = [v for v in description.modelVariables if vector_name(v.name) == name]
-    elements = [values.get(v.name, number(v, start_value(v))) for v in scalars]
-    return array(elements, "Real") if "[" in scalars[0].name else elements[0]
+def _settings(component: str, description: ModelDescription, settings: tuple[Setting, ...]) -> list[str]:
+    """Modifiers of a component's parameters and inputs; an element without value keeps its start."""
+    own = [(port.variable, setting) for port, setting in settings if port.component == component]
+    given = {variable.name: number(variable, setting) for variable, setting in own}
+    declared = vectors(description.modelVariables)
+    return [f"{name} = {value(declared[name], given)}" for name in vectors(v for v, _ in own)]
 
 
 def _table(name: str, target: str, signal: Signal) -> str:

@@ -14,7 +14,7 @@ from orchestration.exchange.limits import as_ramps
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Experiment
 from orchestration.system.signals import Ramps
-from orchestration.system.system import CheckedSystem, System, check
+from orchestration.system.system import System, check
 
 _SPARE_S = 10.0  # between points that a signal does not use
 _FEWEST_POINTS = 2
@@ -35,6 +35,11 @@ class RampSource:
     points: int
     driven: Path
 
+    @property
+    def output(self) -> str:
+        """Its output, as "component.variable": the signal is recorded there."""
+        return f"{self.name}.{self.name}"
+
 
 BuildSource = Callable[[RampSource, Path], Path]
 """(source, folder) -> its FMU, written to that folder."""
@@ -54,7 +59,9 @@ def ramp_sources(scenarios: Sequence[Scenario]) -> dict[str, RampSource]:
         name = _unused_name(target, names)
         names.add(name)
         points = max(_FEWEST_POINTS, *(len(signal.points) for signal in signals))
-        sources[target] = RampSource(name, _unit(checked, target), points, _fmu(checked, target))
+        driven = checked.ports[target]
+        fmu = checked.components[driven.component]
+        sources[target] = RampSource(name, driven.variable.unit or "", points, fmu)
     return sources
 
 
@@ -67,14 +74,6 @@ def _unused_name(target: str, used: set[str]) -> str:
     raise ScenarioError(f"signal {target}: expected no component of the name {identifier!r}")
 
 
-def _unit(checked: CheckedSystem, target: str) -> str:
-    return checked.ports[target].variable.unit or ""
-
-
-def _fmu(checked: CheckedSystem, target: str) -> Path:
-    return checked.components[checked.ports[target].component]
-
-
 def with_sources(
     scenario: Scenario, sources: Mapping[str, RampSource], fmus: Mapping[str, Path]
 ) -> tuple[System, Experiment]:
@@ -82,22 +81,14 @@ def with_sources(
 
     sources, fmus: of every driven input
     """
-    components = dict(scenario.system.components)
-    connections = list(scenario.system.connections)
-    parameters = dict(scenario.experiment.parameters)
+    system, parameters = scenario.system, dict(scenario.experiment.parameters)
     for target, source in sources.items():
-        ramps = as_ramps(target, scenario.experiment.signals[target])
-        components[source.name] = fmus[target]
-        connections.append((_output(source), target))
-        parameters |= _parameters(source, ramps)
-    record = tuple(_output(sources[n]) if n in sources else n for n in scenario.experiment.record)
+        parameters |= _parameters(source, as_ramps(target, scenario.experiment.signals[target]))
+    components = {**system.components, **{source.name: fmus[target] for target, source in sources.items()}}
+    connections = [*system.connections, *((source.output, target) for target, source in sources.items())]
+    record = tuple(sources[n].output if n in sources else n for n in scenario.experiment.record)
     experiment = replace(scenario.experiment, parameters=parameters, signals={}, record=record)
     return System(components, connections), experiment
-
-
-def _output(source: RampSource) -> str:
-    """A signal is recorded where its component gives it."""
-    return f"{source.name}.{source.name}"
 
 
 def _parameters(source: RampSource, ramps: Ramps) -> dict[str, float | bool]:
