@@ -1,72 +1,17 @@
 """Everything that uses FMUs, through their model descriptions alone: the master algorithm and its tools.
 
 What is exported here is what it takes to run a system of FMUs from Python; scenarios, metrics and sweeps are
-modules: `from orchestration import scenario, metrics`.
+modules: `from orchestration.scenarios import scenario`. The names stand in `__init__.pyi` alone, a line each. A
+name is imported when it is asked for: the pytest plugin of the checker must load nothing heavy.
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
-if TYPE_CHECKING:
-    from orchestration.errors import OrchestrationError, SimulationError
-    from orchestration.master import Simulator, simulate
-    from orchestration.master.checkpoint import Checkpoints, read_checkpoint
-    from orchestration.results.recording import Recording
-    from orchestration.system.experiment import Event, Experiment
-    from orchestration.system.faults import Delay, Drift, DropOut, Fault, Freeze, Noise, Offset, Stuck
-    from orchestration.system.signals import Constant, Cosine, Ramps, Samples
-    from orchestration.system.system import System
-
-__all__ = [
-    "Checkpoints",
-    "Constant",
-    "Cosine",
-    "Delay",
-    "Drift",
-    "DropOut",
-    "Event",
-    "Experiment",
-    "Fault",
-    "Freeze",
-    "Noise",
-    "Offset",
-    "OrchestrationError",
-    "Ramps",
-    "Recording",
-    "Samples",
-    "SimulationError",
-    "Simulator",
-    "Stuck",
-    "System",
-    "read_checkpoint",
-    "simulate",
-]
-
-# imported when they are asked for: the pytest plugin of the compliance checks must load nothing heavy
-_HOMES = {
-    "Checkpoints": "orchestration.master.checkpoint",
-    "Constant": "orchestration.system.signals",
-    "Cosine": "orchestration.system.signals",
-    "Delay": "orchestration.system.faults",
-    "Drift": "orchestration.system.faults",
-    "DropOut": "orchestration.system.faults",
-    "Event": "orchestration.system.experiment",
-    "Experiment": "orchestration.system.experiment",
-    "Fault": "orchestration.system.faults",
-    "Freeze": "orchestration.system.faults",
-    "Noise": "orchestration.system.faults",
-    "Offset": "orchestration.system.faults",
-    "OrchestrationError": "orchestration.errors",
-    "Ramps": "orchestration.system.signals",
-    "Recording": "orchestration.results.recording",
-    "Samples": "orchestration.system.signals",
-    "SimulationError": "orchestration.errors",
-    "Simulator": "orchestration.master",
-    "Stuck": "orchestration.system.faults",
-    "System": "orchestration.system.system",
-    "read_checkpoint": "orchestration.master.checkpoint",
-    "simulate": "orchestration.master",
-}
+_STUB = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")
+_MODULES = {words[3]: words[1] for words in map(str.split, _STUB.splitlines())}  # from MODULE import NAME as
+__all__ = [*_MODULES]  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __dir__() -> list[str]:
@@ -74,6 +19,6 @@ def __dir__() -> list[str]:
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
+    return getattr(import_module(_MODULES[name]), name)
