@@ -106,7 +106,7 @@ def _commands(working: Path) -> Contents:
             "python",
             "-m",
             "typer",
-            "orchestration.cli",
+            "orchestration.cli.app",
             "utils",
             "docs",
             "--name",

@@ -1,8 +1,8 @@
 """Everything that uses FMUs, through their model descriptions alone: the master algorithm and its tools.
 
 What is exported here is what it takes to run a system of FMUs from Python; scenarios, metrics and sweeps are
-modules: `from orchestration.scenarios import scenario`. The names stand in `__init__.pyi` alone, a line each. A
-name is imported when it is asked for: the pytest plugin of the checker must load nothing heavy.
+modules: `from orchestration.scenarios import scenario`. The names stand in `__init__.pyi` alone, a line each.
+A name is imported when it is asked for: the pytest plugin of the checker must load nothing heavy.
 """
 
 from importlib import import_module
@@ -11,7 +11,7 @@ from typing import Any
 
 _STUB = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")
 _MODULES = {words[3]: words[1] for words in map(str.split, _STUB.splitlines())}  # from MODULE import NAME as
-__all__ = [*_MODULES]  # pyright: ignore[reportUnsupportedDunderAll]
+__all__ = [*_MODULES]  # noqa: PLE0604  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __dir__() -> list[str]:

@@ -1,7 +1,6 @@
 """What the commands share: options, completion, tables, progress, failure."""
 
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,8 +17,6 @@ if TYPE_CHECKING:
     from rich.progress import Progress
     from rich.table import Table
 
-INTERRUPTED = 130  # exit status that shells expect after Ctrl-C
-_BEFORE_PROGRESS_S = 2.0
 _PIPED_WIDTH = 130
 
 
@@ -74,38 +71,33 @@ def print_table(table: "Table", piped_width: int = _PIPED_WIDTH) -> None:
 
 
 class ProgressBar:
-    """A progress bar on standard error; it appears after two seconds, and only on a terminal."""
+    """How much of a command is done."""
 
-    def __init__(self, description: str, total: int) -> None:
-        self.description, self.total, self.done = description, total, 0
-        self._appears_at = time.monotonic() + _BEFORE_PROGRESS_S if sys.stderr.isatty() else float("inf")
-        self._bar: Progress | None = None
+    def __init__(self, progress: "Progress", description: str, total: int) -> None:
+        self._progress, self._description = progress, description
+        self._task = progress.add_task(description, total=total)
+
+    @property
+    def done(self) -> int:
+        return int(self._progress.tasks[0].completed)
 
     def advance(self, count: int = 1, note: str = "") -> None:
         """`count` more parts are done; `note` is shown beside the description."""
-        self.update(self.done + count, self.total, note)
+        description = f"{self._description} {note}".rstrip()
+        self._progress.update(self._task, advance=count, description=description)
 
-    def update(self, done: int, total: int, note: str = "") -> None:
+    def update(self, done: int, total: int) -> None:
         """So many parts of `total` are done."""
-        self.done, self.total = done, total
-        if self._bar is None and time.monotonic() >= self._appears_at:
-            self._bar = _rich_progress()
-            self._bar.start()
-            self._bar.add_task("")
-        if self._bar is not None:
-            description = f"{self.description} {note}".rstrip()
-            self._bar.update(self._bar.task_ids[0], completed=done, total=total, description=description)
-
-    def close(self) -> None:
-        if self._bar is not None:
-            self._bar.stop()
+        self._progress.update(self._task, completed=done, total=total)
 
 
-def _rich_progress() -> "Progress":
+@contextmanager
+def progress(description: str, total: int) -> Iterator[ProgressBar]:
+    """A progress bar on standard error, if that is a terminal, until the context ends."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    return Progress(
+    with Progress(
         TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
@@ -113,14 +105,6 @@ def _rich_progress() -> "Progress":
         console=Console(stderr=True),
         redirect_stdout=sys.stdout.isatty(),  # what goes into a pipe must not end on the terminal
         transient=True,
-    )
-
-
-@contextmanager
-def progress(description: str, total: int) -> Iterator[ProgressBar]:
-    """A progress bar that is closed at the end, whatever the end is."""
-    bar = ProgressBar(description, total)
-    try:
-        yield bar
-    finally:
-        bar.close()
+        disable=not sys.stderr.isatty(),
+    ) as bar:
+        yield ProgressBar(bar, description, total)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fmus.registry import Flavour
+from orchestration.cli.interrupts import INTERRUPTED
 from orchestration.cli.shared import (
-    INTERRUPTED,
     FlavourOption,
     OutFolder,
     ScenarioArgument,

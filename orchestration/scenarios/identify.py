@@ -8,10 +8,8 @@ through the FMUs and the master; the buoyancy row is never looked at.
 
 import math
 from collections.abc import Callable, Mapping
-from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +24,7 @@ from orchestration.results import metrics
 from orchestration.results.metric_units import metric_units, with_units
 from orchestration.scenarios import scenario
 from orchestration.scenarios.published import PUBLISHED, Published
+from orchestration.scenarios.worker_pool import Submit, worker_pool
 from orchestration.system.prepared_run import prepare
 
 SCENARIOS = ("nominal-l1", "nominal-extended")
@@ -112,8 +111,8 @@ def identify(
     """
     if not 1 <= starts < evaluations:
         raise OrchestrationError(f"evaluations {evaluations}: expected more than the {starts} starts")
-    with ProcessPoolExecutor(len(SCENARIOS), get_context("spawn")) as pool:
-        search = _Search(pool, evaluations, progress)
+    with worker_pool(len(SCENARIOS)) as submit:
+        search = _Search(submit, evaluations, progress)
         drawn = _SCALED_LOW + qmc.LatinHypercube(len(GAINS), rng=seed).random(starts)
         begin = min(drawn, key=lambda point: float(np.sum(search(point) ** 2)))
         with suppress(_OutOfEvaluations):
@@ -146,8 +145,8 @@ class _OutOfEvaluations(Exception):  # noqa: N818  (a signal to stop, not an err
 class _Search:
     """The objective, remembering the best point that it was asked for."""
 
-    def __init__(self, pool: Executor, evaluations: int, progress: Callable[[float], None]) -> None:
-        self._pool, self._evaluations, self._progress = pool, evaluations, progress
+    def __init__(self, submit: Submit, evaluations: int, progress: Callable[[float], None]) -> None:
+        self._submit, self._evaluations, self._progress = submit, evaluations, progress
         self.count, self.lowest = 0, math.inf
         self.best_gains: dict[str, float] = {}
         self.best_metrics: dict[str, dict[str, float]] = {}
@@ -156,8 +155,8 @@ class _Search:
         if self.count >= self._evaluations:
             raise _OutOfEvaluations
         gains = {g.name: _unscaled(g, float(x)) for g, x in zip(GAINS, scaled_gains, strict=True)}
-        runs = self._pool.map(run_with, SCENARIOS, [gains] * len(SCENARIOS))
-        measured: dict[str, dict[str, float]] = dict(zip(SCENARIOS, runs, strict=True))
+        runs = {name: self._submit(run_with, name, gains) for name in SCENARIOS}
+        measured = {name: run.result() for name, run in runs.items()}
         deviations = residuals(measured)
         cost = 0.5 * float(deviations @ deviations)
         self.count += 1

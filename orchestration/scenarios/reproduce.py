@@ -1,9 +1,8 @@
 """Running scenarios into a folder: one, or all that ship, side by side."""
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 
 from fmus.files import write_json_atomically
@@ -18,6 +17,7 @@ from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 from orchestration.scenarios.paper_tables import summary
 from orchestration.scenarios.scenario import Scenario
+from orchestration.scenarios.worker_pool import worker_pool
 
 _LONGEST_FIRST = ("example-extended", "example-l1")  # so that no core idles at the end
 
@@ -96,16 +96,12 @@ def run_all(
     names = sorted(paths, key=lambda name: name not in _LONGEST_FIRST)
     scenarios = {name: scenario.load(paths[name], flavour=flavour) for name in names}
     results = {}
-    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
-        futures = {pool.submit(_run_named, name, folder, flavour): name for name in names}
-        try:
-            for future in as_completed(futures):
-                name = futures[future]
-                results[name] = Result(scenarios[name], *future.result())
-                progress(name)
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
+    with worker_pool(workers) as submit:
+        futures = {submit(_run_named, name, folder, flavour): name for name in names}
+        for future in as_completed(futures):
+            name = futures[future]
+            results[name] = Result(scenarios[name], *future.result())
+            progress(name)
     return results
 
 

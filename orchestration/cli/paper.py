@@ -1,4 +1,4 @@
-"""Command reproduce."""
+"""Commands reproduce and identify."""
 
 import os
 from pathlib import Path
@@ -36,5 +36,29 @@ def reproduce(
         results = reproduction.run_all(out, workers, lambda name: bar.advance(), flavour)
     written = reproduction.write_report(results, out, written_formats)
     print_table(comparison_table({name: result.metrics for name, result in results.items()}))
-    for path in written:
-        print(path)
+    print(*written, sep="\n")
+
+
+def identify(
+    seed: Annotated[int, typer.Option(help="Draw the starting points from this seed.", min=0)] = 1,
+    evaluations: Annotated[int, typer.Option(help="Allow so many pairs of runs in all.", min=2)] = 80,
+    starts: Annotated[int, typer.Option(help="Spend so many pairs of runs on starting points.", min=1)] = 10,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Write this parameter file.")] = Path(
+        "identified.toml"
+    ),
+) -> None:
+    """Fit the gains that the paper does not publish to the nominal row of its Table 1."""
+    from orchestration.cli import chosen_scenario
+    from orchestration.results.tables import metrics_table
+    from orchestration.scenarios import identify as identification
+
+    for name in identification.SCENARIOS:
+        chosen_scenario.load(name)
+    with progress("identify", evaluations) as bar:
+        fit = identification.identify(
+            seed, evaluations, starts, lambda cost: bar.advance(note=f"cost {cost:.3g}")
+        )
+    identification.write(fit, out)
+    for name, metrics in fit.metrics.items():
+        print_table(metrics_table(name, metrics, fit.metric_units))
+    print(*(f"{name} = {value}" for name, value in fit.gains.items()), out, sep="\n")
