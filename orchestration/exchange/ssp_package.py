@@ -34,7 +34,7 @@ class OpenedPackage:
                 raise self.error(f"{file.name}: expected XML without a document type")
             return ElementTree.parse(file).getroot()
         except FileNotFoundError:
-            beside = [path.name for path in file.parent.glob("*")] if file.parent.is_dir() else []
+            beside = (path.name for path in file.parent.glob("*"))
             raise self.error(f"no {file.name} in it; {nearest(file.name, beside)}") from None
         except (ElementTree.ParseError, LookupError, ValueError) as error:
             raise self.error(f"{file.name}: expected XML: {error}") from error

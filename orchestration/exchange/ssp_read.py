@@ -10,7 +10,6 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -32,15 +31,6 @@ _REFUSED = (
     ("ssd:System/ssd:Elements/ssd:SignalDictionaryReference", "a signal dictionary"),
     ("ssd:System/ssd:Connections/ssd:Connection/*", "a transformation or geometry of a connection"),
 )
-
-
-@dataclass(frozen=True)
-class _Times:
-    """Of the default experiment [s]."""
-
-    start_time: float
-    stop_time: float
-    step_size: float
 
 
 @contextmanager
@@ -69,23 +59,25 @@ def _scenario(package: OpenedPackage, parameter_set: str) -> Scenario:
     descriptions = {name: describe(path) for name, path in components.items()}
     values = chosen_values(parameter_set, package) if parameter_set else bound_values(root, package)
     parameters, inputs = _by_causality(values, descriptions, {target for _, target in connections})
-    times = _times(root, descriptions, package)
-    experiment = Experiment(
-        times.stop_time, times.step_size, times.start_time,
-        parameters=parameters, inputs=inputs, record=tuple(_outputs(root)),
-    )  # fmt: skip
+    start, stop, step = _times(root, descriptions, package)
+    outputs = (
+        f"{component.get('name')}.{connector.get('name')}"
+        for component in root.iter(tag("ssd:Component"))
+        for connector in component.iter(tag("ssd:Connector"))
+        if connector.get("kind") == "output"
+    )
     system = root.find(tag("ssd:System"))
     stem = package.path.stem
     return Scenario(
         name=parameter_set or stem,
         title=parameter_set or (system is not None and system.get("description")) or stem,
         system=System(components, connections),
-        experiment=experiment,
+        experiment=Experiment(stop, step, start, parameters=parameters, inputs=inputs, record=tuple(outputs)),
         metrics={},
         resolved={
             "components": {name: path.name for name, path in components.items()},
             "connections": [list(pair) for pair in connections],
-            "experiment": asdict(times),
+            "experiment": {"start_time": start, "stop_time": stop, "step_size": step},
             "parameters": parameters,
             "inputs": inputs,
         },
@@ -112,14 +104,6 @@ def _components(root: Element, package: OpenedPackage) -> dict[str, Path]:
     return components
 
 
-def _outputs(root: Element) -> Iterator[str]:
-    """Names of the output connectors of components, which a run records."""
-    for component in root.iter(tag("ssd:Component")):
-        for connector in component.iter(tag("ssd:Connector")):
-            if connector.get("kind") == "output":
-                yield f"{component.get('name')}.{connector.get('name')}"
-
-
 def _connection(element: Element) -> tuple[str, str]:
     source, target = (
         f"{element.get(f'{end}Element', '')}.{element.get(f'{end}Connector', '')}" for end in ("start", "end")
@@ -142,8 +126,10 @@ def _by_causality(
     return parameters, inputs | {name: settable[name] for name in settable if name in inputs}
 
 
-def _times(root: Element, descriptions: Mapping[str, ModelDescription], package: OpenedPackage) -> _Times:
-    """A step size that is not given is the smallest that an FMU suggests."""
+def _times(
+    root: Element, descriptions: Mapping[str, ModelDescription], package: OpenedPackage
+) -> tuple[float, ...]:
+    """Start, stop and step [s]; a step size that is not given is the smallest that an FMU suggests."""
     default = root.find(tag("ssd:DefaultExperiment"))
     stop = None if default is None else default.get("stopTime")
     if default is None or stop is None:
@@ -157,4 +143,4 @@ def _times(root: Element, descriptions: Mapping[str, ModelDescription], package:
         raise package.error(f"default experiment: {error}; expected numbers of seconds") from error
     if not steps:
         raise package.error("expected a communication step size, from it or from an FMU")
-    return _Times(start_time, stop_time, min(steps))
+    return start_time, stop_time, min(steps)

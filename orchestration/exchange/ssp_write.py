@@ -38,15 +38,12 @@ class _Variant:
     prepared: PreparedRun
 
     @property
-    def system(self) -> CheckedSystem:
-        return self.prepared.system
-
-    @property
-    def connected(self) -> dict[str, Port]:
-        """Every port that is connected or recorded, by name."""
-        ports = [port for pair in self.system.connections for port in pair]
-        ports += [self.system.ports[name] for name in self.prepared.recorded]
-        return {port.name: port for port in ports}
+    def connectors(self) -> list[Port]:
+        """Every port that is connected or recorded."""
+        system = self.prepared.system
+        ports = [port for pair in system.connections for port in pair]
+        ports += [system.ports[name] for name in self.prepared.recorded]
+        return list({port.name: port for port in ports}.values())
 
     @property
     def values(self) -> list[tuple[Port, FmiValue]]:
@@ -82,7 +79,7 @@ def _members(
     for variant in variants:
         members[f"{variant.name}.ssd"] = _structure(variant)
         members[f"parameters/{variant.name}.ssv"] = ssp_xml.document(_parameter_set(variant))
-    for component, fmu in variants[0].system.components.items():
+    for component, fmu in variants[0].prepared.system.components.items():
         content = without_enumerations(fmu.read_bytes())
         if members.setdefault(f"resources/{fmu.name}", content) != content:
             raise SystemDefinitionError(f"{component}: {fmu}: expected different names of different FMUs")
@@ -110,29 +107,26 @@ def _structure(variant: _Variant) -> bytes:
     root.set("generationTool", "l1-depth")
     system = add(root, "ssd:System", name="system", description=variant.title)
     elements = add(system, "ssd:Elements")
-    for name in variant.system.components:
-        _component(elements, name, variant)
+    for name, fmu in variant.prepared.system.components.items():
+        _component(elements, name, fmu, variant)
     connections = add(system, "ssd:Connections")
-    for source, target in variant.system.connections:
+    for source, target in variant.prepared.system.connections:
         ends = {"startElement": source.component, "startConnector": source.variable.name}
         ends |= {"endElement": target.component, "endConnector": target.variable.name}
         add(connections, "ssd:Connection", **ends)
-    _units(root, "ssd:Units", variant.system, variant.connected.values())
+    _units(root, "ssd:Units", variant.prepared.system, variant.connectors)
     _default_experiment(root, variant.prepared.experiment)
     return ssp_xml.document(root)
 
 
-def _component(parent: Element, name: str, variant: _Variant) -> None:
-    fmu = variant.system.components[name]
+def _component(parent: Element, name: str, fmu: Path, variant: _Variant) -> None:
     kind = {"type": "application/x-fmu-sharedlibrary", "source": f"resources/{fmu.name}"}
     component = add(parent, "ssd:Component", name=name, **kind)
     connectors = add(component, "ssd:Connectors")
-    for port in variant.connected.values():
-        if port.component == name:
-            variable = port.variable
-            connector = add(connectors, "ssd:Connector", name=variable.name, kind=variable.causality or "")
-            unit = {"unit": variable.unit} if variable.type == "Real" and variable.unit else {}
-            add(connector, f"ssc:{variable.type}", **unit)
+    for variable in (port.variable for port in variant.connectors if port.component == name):
+        connector = add(connectors, "ssd:Connector", name=variable.name, kind=variable.causality or "")
+        unit = {"unit": variable.unit} if variable.type == "Real" and variable.unit else {}
+        add(connector, f"ssc:{variable.type}", **unit)
     own = [(port.variable.name, value) for port, value in variant.values if port.component == name]
     if own:
         binding = add(add(component, "ssd:ParameterBindings"), "ssd:ParameterBinding")
@@ -155,7 +149,7 @@ def _parameter_set(variant: _Variant) -> Element:
     root = ssp_xml.root("ssv:ParameterSet", version="1.0", name=variant.name, description=variant.title)
     units = {port.name: port.variable.unit or "" for port, _ in variant.values}
     _parameters(root, [(port.name, value) for port, value in variant.values], units)
-    _units(root, "ssv:Units", variant.system, [port for port, _ in variant.values])
+    _units(root, "ssv:Units", variant.prepared.system, [port for port, _ in variant.values])
     return root
 
 

@@ -9,7 +9,7 @@ through the FMUs and the master; the buoyancy row is never looked at.
 import math
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -112,19 +112,12 @@ def identify(
     if not 1 <= starts < evaluations:
         raise OrchestrationError(f"evaluations {evaluations}: expected more than the {starts} starts")
     with worker_pool(len(SCENARIOS)) as submit:
-        search = _Search(submit, evaluations, progress)
+        search = _Search(submit, seed, evaluations, progress)
         drawn = _SCALED_LOW + qmc.LatinHypercube(len(GAINS), rng=seed).random(starts)
         begin = min(drawn, key=lambda point: float(np.sum(search(point) ** 2)))
         with suppress(_OutOfEvaluations):
             least_squares(search, begin, bounds=(_SCALED_LOW, _SCALED_HIGH), diff_step=_STEP, ftol=1e-3)
-        return Fit(
-            gains=search.best_gains,
-            metrics=search.best_metrics,
-            metric_units=_units(),
-            cost=search.lowest,
-            evaluations=search.count,
-            seed=seed,
-        )
+        return search.best
 
 
 # A gain is searched as the position of its logarithm between its limits, scaled to 1..2: SciPy's finite
@@ -145,32 +138,29 @@ class _OutOfEvaluations(Exception):  # noqa: N818  (a signal to stop, not an err
 class _Search:
     """The objective, remembering the best point that it was asked for."""
 
-    def __init__(self, submit: Submit, evaluations: int, progress: Callable[[float], None]) -> None:
+    def __init__(
+        self, submit: Submit, seed: int, evaluations: int, progress: Callable[[float], None]
+    ) -> None:
         self._submit, self._evaluations, self._progress = submit, evaluations, progress
-        self.count, self.lowest = 0, math.inf
-        self.best_gains: dict[str, float] = {}
-        self.best_metrics: dict[str, dict[str, float]] = {}
+        self.best = Fit({}, {}, _units(), cost=math.inf, evaluations=0, seed=seed)
 
     def __call__(self, scaled_gains: np.ndarray) -> np.ndarray:
-        if self.count >= self._evaluations:
+        if self.best.evaluations >= self._evaluations:
             raise _OutOfEvaluations
         gains = {g.name: _unscaled(g, float(x)) for g, x in zip(GAINS, scaled_gains, strict=True)}
         runs = {name: self._submit(run_with, name, gains) for name in SCENARIOS}
         measured = {name: run.result() for name, run in runs.items()}
         deviations = residuals(measured)
         cost = 0.5 * float(deviations @ deviations)
-        self.count += 1
-        if cost < self.lowest:
-            self.lowest, self.best_gains, self.best_metrics = cost, gains, measured
-        self._progress(self.lowest)
+        if cost < self.best.cost:
+            self.best = replace(self.best, gains=gains, metrics=measured, cost=cost)
+        self.best = replace(self.best, evaluations=self.best.evaluations + 1)
+        self._progress(self.best.cost)
         return deviations
 
 
 def write(fit: Fit, path: Path) -> None:
-    """The parameter file that the scenarios use, provenance and limits beside each value.
-
-    A file that is replaced passes on the line that names its schema for editors.
-    """
+    """The parameter file that the scenarios use, provenance and limits beside each value."""
     source = (
         "identified: least squares on the nominal row of Table 1 of Maalouf et al. (2013), "
         f"seed {fit.seed}, {fit.evaluations} evaluations; not a published value"
@@ -195,12 +185,4 @@ def write(fit: Fit, path: Path) -> None:
         },
         "parameters": parameters,
     }
-    write_text_atomically(path, _schema_line(path) + tomli_w.dumps(document))
-
-
-def _schema_line(path: Path) -> str:
-    """The line `#:schema ...` at the top of a file, "" if there is none."""
-    if not path.is_file():
-        return ""
-    first_line, _, _ = path.read_text(encoding="utf-8").partition("\n")
-    return f"{first_line}\n" if first_line.startswith("#:schema") else ""
+    write_text_atomically(path, tomli_w.dumps(document))

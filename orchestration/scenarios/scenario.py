@@ -50,11 +50,7 @@ def shipped() -> dict[str, Path]:
 def find(name_or_path: str) -> Path:
     """The scenario file of that path, or of that name among the shipped ones."""
     if name_or_path.endswith(".toml"):
-        path = Path(name_or_path)
-        if path.is_file():
-            return path
-        beside = [file.name for file in path.parent.glob("*.toml")] if path.parent.is_dir() else []
-        raise ScenarioError(f"no scenario file {name_or_path}; beside it, {nearest(path.name, beside)}")
+        return Path(name_or_path)
     known = shipped()
     if name_or_path not in known:
         raise ScenarioError(f"no scenario {name_or_path!r}; {nearest(name_or_path, known)}")
@@ -116,7 +112,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        beside = [file.name for file in path.parent.glob("*.toml")] if path.parent.is_dir() else []
+        beside = (file.name for file in path.parent.glob("*.toml"))
         raise ScenarioError(f"no file {path}; beside it, {nearest(path.name, beside)}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ScenarioError(f"{path}: expected TOML: {error}") from error

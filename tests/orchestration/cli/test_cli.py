@@ -192,7 +192,7 @@ def test_a_run_that_fails_keeps_what_was_recorded(tmp_path: Path) -> None:
     ("arguments", "message"),
     [
         (["run", "nominal-l2"], "no scenario 'nominal-l2'; nearest is 'nominal-l1'"),
-        (["run", "none.toml"], "no scenario file none.toml"),
+        (["run", "none.toml"], "no file none.toml"),
         (["build", "Benchmarkplan"], "no block named 'Benchmarkplan'; nearest is 'ExamplePlant'"),
         (["package", "nominal-l1.ssp"], "no scenario 'nominal-l1.ssp'; nearest is 'nominal-l1'"),
         (["run", "none.ssp", "--flavour", "python"], "a package: expected none, it holds its own FMUs"),

@@ -48,16 +48,6 @@ def test_one_seed_one_fit_and_the_file_is_what_scenarios_read(tmp_path: Path) ->
     assert rmse == {"value": first.metrics["nominal-l1"]["rmse"], "unit": "cm"}
 
 
-def test_a_file_that_is_replaced_keeps_the_line_of_its_schema(tmp_path: Path) -> None:
-    values = {gain.name: gain.low for gain in GAINS}
-    fit = identification.Fit(gains=values, metrics={}, metric_units={}, cost=0.0, evaluations=1, seed=1)
-    path = tmp_path / "identified.toml"
-    path.write_text("#:schema ../parameters.schema.json\n[parameters]\n")
-    identification.write(fit, path)
-    assert path.read_text().startswith("#:schema ../parameters.schema.json\n[identification]\n")
-    assert scenario.parameter_values(path) == values
-
-
 def test_the_shipped_gains_are_the_fit_that_their_file_claims() -> None:
     """Running the nominal scenario gives the metrics that the file was written with."""
     path = Path(scenario.__file__).parent / "parameters" / "identified.toml"

@@ -107,7 +107,7 @@ def test_scenarios_are_found_by_name_or_path_and_misspelt_ones_offer_the_nearest
     with pytest.raises(ScenarioError, match=r"no scenario 'nominal-l2'; nearest is 'nominal-l1'"):
         scenario.find("nominal-l2")
     with pytest.raises(ScenarioError, match=r"nearest is 'mine.toml'"):
-        scenario.find(str(tmp_path / "mine2.toml"))
+        scenario.load(scenario.find(str(tmp_path / "mine2.toml")))
 
 
 @pytest.mark.parametrize(
