@@ -215,6 +215,18 @@ class BoundInstance(ABC):
         """Call a function and check its status."""
         self.check_status(function, self.status(function, *arguments))
 
+    def get_values(self, transfer_type: str, references: Sequence[int]) -> list[Any]:
+        """The values of numbers of one type, in one call."""
+        buffer = (ELEMENTS[transfer_type] * len(references))()
+        self.call(f"fmi2Get{transfer_type}", reference_array(references), len(references), buffer)
+        return list(buffer)
+
+    def set_values(self, transfer_type: str, references: Sequence[int], values: Sequence[Any]) -> None:
+        """Set variables of one type in one call; Strings are given as bytes."""
+        element = fmi2.fmi2String if transfer_type == "String" else ELEMENTS[transfer_type]
+        buffer = (element * len(references))(*values)
+        self.call(f"fmi2Set{transfer_type}", reference_array(references), len(references), buffer)
+
     def set_up_experiment(self, start_time: float, stop_time: float | None = None) -> None:
         stop = (fmi2.fmi2False, 0.0) if stop_time is None else (fmi2.fmi2True, stop_time)
         self.call("fmi2SetupExperiment", fmi2.fmi2False, 0.0, start_time, *stop)

@@ -39,14 +39,12 @@ class CheckedInstance(BoundInstance):
         """Name -> value, of numbers and Booleans."""
         values = {}
         for kind, members in _grouped(variables).items():
-            buffer = (ELEMENTS[kind] * len(members))()
-            self.call(f"fmi2Get{kind}", _references(members), len(members), buffer)
-            values.update({v.name: value for v, value in zip(members, buffer, strict=True)})
+            read = self.get_values(kind, [v.reference or 0 for v in members])
+            values.update({v.name: value for v, value in zip(members, read, strict=True)})
         return values
 
     def set(self, variable: Variable, value: float) -> None:
-        kind = variable.base_kind
-        self.call(f"fmi2Set{kind}", _references([variable]), 1, (ELEMENTS[kind] * 1)(value))
+        self.set_values(variable.base_kind, [variable.reference or 0], [value])
 
     def initialise(self, start: float = 0.0) -> None:
         """Set the experiment up and enter initialization mode."""

@@ -17,7 +17,7 @@ def describe(path: Path) -> ModelDescription:
     """The model description of an FMI 2.0 co-simulation FMU; FmuLoadError says what is wrong."""
     if not path.is_file():
         folder = path.parent
-        beside = [each.name for each in folder.glob("*.fmu")] if folder.is_dir() else []
+        beside = [other.name for other in folder.glob("*.fmu")]
         for block, flavour in block_fmus([path]):
             command = f"l1-depth build --cache --flavour {flavour} {block}"
             raise FmuLoadError(f"the FMU of block {block} is not built: {command} writes {path}")

@@ -5,34 +5,22 @@ Every call that an FMU refuses becomes an FmuError with the messages that the FM
 
 import contextlib
 import ctypes
-import tempfile
 import warnings
 import zipfile
 from collections.abc import Iterable
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import fmpy
 import numpy as np
-from fmpy.fmi2 import fmi2LastSuccessfulTime, fmi2String
+from fmpy.fmi2 import fmi2LastSuccessfulTime
 from fmpy.model_description import ModelDescription, ScalarVariable
 
-from fmus.binding import (
-    DISCARD,
-    ELEMENTS,
-    ERROR,
-    FATAL,
-    BoundInstance,
-    Callbacks,
-    Library,
-    library_member,
-    reference_array,
-    status_name,
-)
+from fmus.binding import DISCARD, ERROR, FATAL, BoundInstance, Callbacks, Library, library_member, status_name
 from fmus.fmi_types import TRANSFER_TYPE
 from orchestration.errors import FmuError, FmuLoadError, FmuWarning
 
-_ELEMENTS = {**ELEMENTS, "String": fmi2String}
 _MOST_MESSAGES = 10  # in an error or a warning
 
 
@@ -55,7 +43,11 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         try:
             with contextlib.ExitStack() as resources:
                 resources.callback(callbacks.close)
-                folder = Path(resources.enter_context(_temporary_folder()))
+                folder = Path(
+                    resources.enter_context(
+                        TemporaryDirectory(prefix="l1-depth-", ignore_cleanup_errors=True)
+                    )
+                )
                 library = _unpacked_library(path, description, folder)
                 super().__init__(library, callbacks)
                 resources.callback(library.unload)
@@ -96,17 +88,12 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         for variable, value in settings:
             pair = variable.valueReference, str(value).encode() if variable.type == "String" else value
             groups.setdefault(TRANSFER_TYPE[variable.type], []).append(pair)
-        for fmi_type, members in groups.items():
-            references, values = zip(*members, strict=True)
-            buffer = (_ELEMENTS[fmi_type] * len(values))(*values)
-            self.call(f"fmi2Set{fmi_type}", reference_array(references), len(values), buffer)
+        for transfer_type, members in groups.items():
+            self.set_values(transfer_type, *zip(*members, strict=True))
 
     def get(self, variable: ScalarVariable) -> Any:
         """Read one number, outside the loop."""
-        fmi_type = TRANSFER_TYPE[variable.type]
-        buffer = (ELEMENTS[fmi_type] * 1)()
-        self.call(f"fmi2Get{fmi_type}", reference_array([variable.valueReference]), 1, buffer)
-        return buffer[0]
+        return self.get_values(TRANSFER_TYPE[variable.type], [variable.valueReference])[0]
 
     def initialise(self, start_time: float, stop_time: float | None) -> None:
         """Set the experiment up and enter initialization mode."""
@@ -190,10 +177,6 @@ def _shortened(messages: list[str]) -> list[str]:
     different = list(dict.fromkeys(messages))
     left = len(different) - _MOST_MESSAGES
     return [*different[:_MOST_MESSAGES], *([f"and {left} more"] if left > 0 else [])]
-
-
-def _temporary_folder() -> tempfile.TemporaryDirectory[str]:
-    return tempfile.TemporaryDirectory(prefix="l1-depth-", ignore_cleanup_errors=True)
 
 
 def _unpacked_library(path: Path, description: ModelDescription, folder: Path) -> Library:

@@ -52,18 +52,12 @@ def solve_loop(
     loop = _Loop(connections, instances)
     start = loop.values()
     reasons = []
-    if method is not Initialisation.NEWTON:
-        try:
-            _iterate(loop)
-            return
-        except NoSolutionError as reason:
-            reasons.append(str(reason))
-    if method is not Initialisation.FIXED_POINT:
-        try:
-            _solve_by_newton(loop, start)
-            return
-        except NoSolutionError as reason:
-            reasons.append(str(reason))
+    for solve, other in ((_iterate, Initialisation.NEWTON), (_solve_by_newton, Initialisation.FIXED_POINT)):
+        if method is not other:
+            try:
+                return solve(loop, start)
+            except NoSolutionError as reason:
+                reasons.append(str(reason))
     raise OrchestrationError(
         f"initial values: no solution was found for the loop {loop.names} ({'; '.join(reasons)}); "
         "break it, or let its FMUs start from other values"
@@ -101,13 +95,13 @@ class _Loop:
 
 def _nominal(connection: Connection) -> float:
     """The input's nominal, or the output's, or 1."""
-    declared = [port.variable.nominal for port in reversed(connection) if port.variable.nominal is not None]
-    return abs(float(declared[0])) or 1.0 if declared else 1.0
+    declared = (port.variable.nominal for port in reversed(connection))
+    return abs(float(next((nominal for nominal in declared if nominal is not None), 1.0))) or 1.0
 
 
-def _iterate(loop: _Loop) -> None:
+def _iterate(loop: _Loop, start: np.ndarray) -> None:
     """Fixed-point iteration: exchange until the values no longer change."""
-    before, least, change = np.full(len(loop.connections), math.inf), math.inf, math.inf
+    before, least, change = np.full(start.shape, math.inf), math.inf, math.inf
     for _ in range(_MOST_ITERATIONS):
         try:
             values = np.array(exchange_once(loop.connections, loop.instances), float)

@@ -21,10 +21,10 @@ from orchestration.errors import OrchestrationError, SystemDefinitionError
 from orchestration.master.loop_data import Report
 from orchestration.master.snapshot import changing_arrays
 from orchestration.master.stepping import MOST_STEPS, RunInProgress
-from orchestration.system.prepared_run import PreparedRun
 from orchestration.system.system import CheckedSystem
 
 _VERSION = 2
+_HEAD = ("position", "time", "step_size", "past")  # members of a checkpoint that are plain data
 
 
 @dataclass(frozen=True)
@@ -46,14 +46,8 @@ class Checkpoint:
 
     def write(self, path: str | Path) -> None:
         """Write the file; an older one is replaced when the new one is complete."""
-        head = {
-            "version": _VERSION,
-            "position": self.position,
-            "time": self.time,
-            "step_size": self.step_size,
-            "past": dict(self.past),
-            "components": list(self.states),
-        }
+        head = {name: getattr(self, name) for name in _HEAD}
+        head |= {"version": _VERSION, "components": list(self.states)}
         content: dict[str, Any] = {
             f"state {i}": np.frombuffer(state, np.uint8) for i, state in enumerate(self.states.values())
         }
@@ -73,10 +67,7 @@ def read_checkpoint(path: str | Path) -> Checkpoint:
                     f"{path}: checkpoint of version {head['version']}: expected {_VERSION}"
                 )
             return Checkpoint(
-                position=head["position"],
-                time=head["time"],
-                step_size=head["step_size"],
-                past=head["past"],
+                **{name: head[name] for name in _HEAD},
                 states={n: content[f"state {i}"].tobytes() for i, n in enumerate(head["components"])},
                 arrays={n[6:]: content[n] for n in content.files if n.startswith("array ")},
             )
@@ -159,26 +150,7 @@ def _past(run: RunInProgress, position: int) -> dict[str, str]:
     """Digests of everything that determines a run up to a communication point."""
     prepared, wiring, until = run.prepared, run.wiring, position + 1
     faults = wiring.faults
-    parts: dict[str, list[object]] = {
-        "the FMUs": [(name, d.guid) for name, d in prepared.system.descriptions.items()],
-        "the algorithm": [
-            wiring.gauss_seidel,
-            wiring.periods.tobytes(),
-            wiring.connections.input_mode.tobytes(),
-            prepared.experiment.tolerance,
-        ],
-        "the communication points": [wiring.points[:until].tobytes()],
-        "the connections": list(run.named.bus.connections),
-        "the record": list(prepared.recorded),
-        "the signals": [wiring.signal_values[:, :until].tobytes()],
-        "the faults": [faults.source[:, :until].tobytes(), faults.addition[:, :until].tobytes()],
-        "parameters, inputs and events": _values_set(prepared, position),
-    }
-    return {name: hashlib.sha256(repr(part).encode()).hexdigest() for name, part in parts.items()}
-
-
-def _values_set(prepared: PreparedRun, position: int) -> list[object]:
-    """Parameters, constant inputs, and the scheduled changes before a communication point."""
+    periods, modes = (array.tobytes() for array in (wiring.periods, wiring.connections.input_mode))
     settings = [(port.name, value) for port, value in prepared.settings]
     changes = [
         (index, port.name, value)
@@ -186,7 +158,17 @@ def _values_set(prepared: PreparedRun, position: int) -> list[object]:
         for port, value in values
         if index < position
     ]
-    return [settings, changes]
+    parts: dict[str, list[object]] = {
+        "the FMUs": [(name, d.guid) for name, d in prepared.system.descriptions.items()],
+        "the algorithm": [wiring.gauss_seidel, periods, modes, prepared.experiment.tolerance],
+        "the communication points": [wiring.points[:until].tobytes()],
+        "the connections": list(run.named.bus.connections),
+        "the record": list(prepared.recorded),
+        "the signals": [wiring.signal_values[:, :until].tobytes()],
+        "the faults": [faults.source[:, :until].tobytes(), faults.addition[:, :until].tobytes()],
+        "parameters, inputs and events": [settings, changes],
+    }
+    return {name: hashlib.sha256(repr(part).encode()).hexdigest() for name, part in parts.items()}
 
 
 @dataclass(frozen=True)

@@ -43,24 +43,15 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
 
 def _members(wiring: Wiring) -> list[int]:
     """`Wiring` of loop.c: counts, then every member in its order, an array as its address."""
-    counted = (
-        wiring.points,
-        wiring.instances,
-        wiring.connections.source,
-        wiring.signal_index,
-        wiring.record_index,
-    )
+    sources = wiring.connections.source
+    counted = wiring.points, wiring.instances, sources, wiring.signal_index, wiring.record_index
     return [*map(len, counted), *_flat(wiring)]
 
 
 def _flat(value: Any) -> list[int]:
     if isinstance(value, tuple):
         return [leaf for member in value for leaf in _flat(member)]
-    if isinstance(value, np.ndarray):
-        if not value.flags.c_contiguous:
-            raise ValueError("an array of the wiring is not contiguous")
-        return [value.ctypes.data]
-    return [value]
+    return [value.ctypes.data if isinstance(value, np.ndarray) else value]
 
 
 @cache

@@ -51,3 +51,10 @@ def emit_warnings(named: NamedWiring, instances: Mapping[str, FmuInstance], fail
             function = named.functions[kind][0] if kind else "fmi2DoStep"
             instance.check_status(function, WARNING if kind else OK)
             wiring.warning[c] = Call.NO_FAILURE
+
+
+def reason_of(error: BaseException) -> str:
+    """Why a run ended, in one line."""
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted"
+    return str(error) if isinstance(error, OrchestrationError) else repr(error)

@@ -6,6 +6,7 @@ components of this graph are solved one after another in topological order: a co
 is exchanged once, a loop is solved by `algebraic_loop.py`.
 """
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
@@ -35,28 +36,21 @@ def initialise(
 ) -> None:
     """Bring new instances to step mode with consistent initial values; groups: of `connection_groups`."""
     experiment = prepared.experiment
-    parameters = {name: _settings_of(prepared, name, "parameter") for name in instances}
-    inputs = {name: _settings_of(prepared, name, "input") for name in instances}
+    settings: dict[tuple[str, str | None], list[tuple[ScalarVariable, Any]]] = defaultdict(list)
+    for port, value in prepared.settings:
+        settings[port.component, port.variable.causality].append((port.variable, value))
     for name, instance in instances.items():
-        instance.set_all(parameters[name])
+        instance.set_all(settings[name, "parameter"])
     for instance in instances.values():
         instance.initialise(experiment.start_time, experiment.stop_time)
     for name, instance in instances.items():
-        instance.set_all(inputs[name])
+        instance.set_all(settings[name, "input"])
     for name, values in zip(experiment.signals, prepared.signal_values, strict=True):
         port = prepared.system.ports[name]
         instances[port.component].set(port.variable, float(values[0]))
     solve_initial_values(groups, instances, Initialisation(experiment.initialisation))
     for instance in instances.values():
         instance.exit_initialization_mode()
-
-
-def _settings_of(prepared: PreparedRun, component: str, causality: str) -> list[tuple[ScalarVariable, Any]]:
-    return [
-        (port.variable, value)
-        for port, value in prepared.settings
-        if port.component == component and port.variable.causality == causality
-    ]
 
 
 def solve_initial_values(
@@ -85,16 +79,10 @@ def connection_groups(system: CheckedSystem) -> tuple[ConnectionGroup, ...]:
         for i, (source, _) in enumerate(connections)
     }
     try:
-        order = list(TopologicalSorter(dependencies).static_order())
+        TopologicalSorter(dependencies).prepare()
+        labels = list(dependencies)
     except CycleError:
-        return _groups_with_loops(connections, dependencies)
-    return tuple(ConnectionGroup((connections[i],), is_loop=False) for i in order)
-
-
-def _groups_with_loops(
-    connections: Sequence[Connection], dependencies: Mapping[int, set[int]]
-) -> tuple[ConnectionGroup, ...]:
-    labels = _component_labels(dependencies)
+        labels = _component_labels(dependencies)
     members: dict[int, list[int]] = {}
     for i, label in enumerate(labels):
         members.setdefault(label, []).append(i)

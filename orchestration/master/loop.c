@@ -33,9 +33,8 @@ typedef struct {
 
 typedef struct {
     const int64_t *first, *source, *target, *source_component, *fault, *input_mode;
-    const double *minimum, *maximum;
+    const double *minimum, *maximum, *slope_validity;
     double *value, *slope, *sample_time, *sample, *sample_interval;
-    const double *slope_validity;
 } Connections;
 
 typedef struct {

@@ -42,12 +42,12 @@ class Connections(NamedTuple):
 
     source, target: indices on the bus; source_component: -1 for a signal; fault: row of `Faults` or -1
     input_mode: HOLD, FMU_DERIVATIVE or MIDPOINT; minimum, maximum: of the target, for MIDPOINT
+    slope_validity: length of the step, in sample intervals, from which on the slope is reduced
 
     Between communication points a connection carries value + slope (t - sample_time):
     value, slope: the slope is 0 or, with extrapolation, the difference quotient of the last two samples
     sample, sample_time [s]: the last value that its source provided, without extrapolation
     sample_interval: time between the last two samples [s]
-    slope_validity: length of the step, in sample intervals, from which on the slope is reduced
     """
 
     first: Array
@@ -58,12 +58,12 @@ class Connections(NamedTuple):
     input_mode: Array
     minimum: Array
     maximum: Array
+    slope_validity: Array
     value: Array
     slope: Array
     sample_time: Array
     sample: Array
     sample_interval: Array
-    slope_validity: Array
 
 
 class Faults(NamedTuple):

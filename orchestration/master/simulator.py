@@ -2,9 +2,8 @@
 
 import threading
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from orchestration.fmi.description import describe
 from orchestration.fmi.instance import FmuInstance
 from orchestration.master.checkpoint import Checkpoint, Checkpoints, check_can_save, restore
 from orchestration.master.compiled_loop import compiled_loop
+from orchestration.master.failure import reason_of
 from orchestration.master.initialisation import ConnectionGroup, connection_groups, initialise
 from orchestration.master.interrupt import deferred_interrupt
 from orchestration.master.loop import python_loop
@@ -26,7 +26,7 @@ from orchestration.system.prepared_run import prepare_checked
 from orchestration.system.system import CheckedSystem, System, check
 
 
-class Simulator:
+class Simulator(AbstractContextManager["Simulator"]):
     """A system whose FMUs stay loaded over many runs; a context manager.
 
     The FMUs are loaded for the first run and reset for the next; after a failure they are loaded anew.
@@ -92,23 +92,17 @@ class Simulator:
 
     def _load_or_reset(self, report: np.ndarray) -> None:
         """Load the FMUs that are not loaded, and reset the used ones."""
-        if self._must_reload or not all(
-            instance.is_fresh or instance.reset() for instance in self._instances.values()
-        ):
+        if self._must_reload or not all(x.is_fresh or x.reset() for x in self._instances.values()):
             self.close()
         self._must_reload = True  # should anything fail before a run is done
         if not self._instances:
             with ExitStack() as loading:
-                self._instances = {
-                    name: loading.enter_context(self._load(name, report)) for name in self.system.components
-                }
-                self._loaded = loading.pop_all()
-
-    def _load(self, name: str, report: np.ndarray) -> FmuInstance:
-        report[Report.BUSY] = -1 - list(self.system.components).index(name)
-        try:
-            return FmuInstance(name, Path(self.system.components[name]), self._descriptions[name])
-        finally:
+                instances = {}
+                for c, (name, path) in enumerate(self.system.components.items()):
+                    report[Report.BUSY] = -1 - c
+                    instance = FmuInstance(name, Path(path), self._descriptions[name])
+                    instances[name] = loading.enter_context(instance)
+                self._instances, self._loaded = instances, loading.pop_all()
             report[Report.BUSY] = 0
 
     def close(self) -> None:
@@ -116,10 +110,7 @@ class Simulator:
         self._instances, self._must_reload = {}, False
         self._loaded.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *reason: object) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
 
@@ -144,10 +135,9 @@ def _run_to_end(
     except KeyboardInterrupt as error:
         run.record_now()
         saved = _save_interrupted(checkpoints, run) if checkpoints else ""
-        raise SimulationError(f"interrupted{saved}", run.recording(pacing)) from error
+        raise SimulationError(reason_of(error) + saved, run.recording(pacing)) from error
     except Exception as error:  # also of a signal: the recorded values must not be lost
-        reason = str(error) if isinstance(error, OrchestrationError) else repr(error)
-        raise SimulationError(reason, run.recording(pacing)) from error
+        raise SimulationError(reason_of(error), run.recording(pacing)) from error
     finally:
         run.free()
 

@@ -7,39 +7,30 @@ the sum over all steps stays below the tolerance.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from orchestration.errors import OrchestrationError
+from orchestration.fmi.description import of_causality
 from orchestration.fmi.instance import FmuInstance
 from orchestration.master.failure import failure_error, is_discarded_step
 from orchestration.master.loop_data import LoopFunctions, Report
 from orchestration.master.snapshot import Snapshot
 from orchestration.master.wiring import NamedWiring
 from orchestration.system.prepared_run import PreparedRun
+from orchestration.system.system import CheckedSystem, Port
 
 _SHORTEST = 1e-9  # of a communication step
 _SAFETY, _LARGEST_REDUCTION, _LARGEST_GROWTH = 0.9, 0.2, 5.0  # the usual factors of step-size control
 _GROWTH_AFTER_DISCARD = 2.0
 
 
-@dataclass
-class StepStatistics:
-    """Steps between communication points.
-
-    accepted; discarded: by an FMU; inexact: their estimated error was too large
-    """
-
-    accepted: int = 0
-    discarded: int = 0
-    inexact: int = 0
-
-
 class StepControl:
     """Divides communication steps into shorter ones; every FMU must be able to restore its state.
 
     step_size: the next to try [s]
+    statistics: numbers of steps between communication points, discarded ones (by an FMU) and inexact ones (of
+    too large an estimated error), under their names in the provenance
     """
 
     def __init__(
@@ -53,9 +44,9 @@ class StepControl:
         self._signals = list(prepared.experiment.signals.values())
         self._before = Snapshot(instances, named.wiring)
         self._shortest = 0.0
-        self.tolerance = tolerance_of(prepared, named)
+        self.tolerance = Tolerance(prepared, named) if prepared.experiment.tolerance else None
         self.step_size = prepared.experiment.step_size
-        self.statistics = StepStatistics()
+        self.statistics = dict.fromkeys(("steps_between_points", "discarded_steps", "inexact_steps"), 0)
 
     def advance_to(self, point: int, check_interrupt: Callable[[], None]) -> None:
         """Advance from the communication point before `point`, where the exchange is done, to `point`."""
@@ -75,7 +66,7 @@ class StepControl:
                 if not self.tolerance:
                     self.step_size = _GROWTH_AFTER_DISCARD * (end - time)
                 time = end
-                self.statistics.accepted += 1
+                self.statistics["steps_between_points"] += 1
             else:
                 self._before.restore()
 
@@ -99,7 +90,7 @@ class StepControl:
         # the error of a step is of order p + 1 in its size, the permitted error of order 1
         factor = _SAFETY * ratio ** (-1.0 / self.tolerance.order) if ratio > 0.0 else _LARGEST_GROWTH
         if not ratio <= 1.0:
-            self.statistics.inexact += 1
+            self.statistics["inexact_steps"] += 1
             self._check_can_be_shorter(start, size)
         self.step_size = size * max(_LARGEST_REDUCTION, min(factor, _LARGEST_GROWTH))
         return ratio <= 1.0
@@ -123,7 +114,7 @@ class StepControl:
             return True
         if not is_discarded_step(wiring):
             raise failure_error(self._named, self._instances, start)
-        self.statistics.discarded += 1
+        self.statistics["discarded_steps"] += 1
         self.step_size = self._possible_step_size(start, end)
         if self.step_size < self._shortest:
             raise failure_error(self._named, self._instances, start)
@@ -148,30 +139,34 @@ class StepControl:
         self._before.free()
 
 
-@dataclass(frozen=True)
 class Tolerance:
-    """The permitted error, relative to max(|value|, nominal).
+    """The permitted error, relative to max(|value|, nominal), of all Real outputs exchanged or recorded.
 
-    order: of the exchange in the step size; duration: of the run [s]
-    bus_index, nominal: of the outputs from which the error is estimated, shape (m,)
-    has_feedthrough: whether the output may depend directly on an input, shape (m,). The error of such an
-    output does not add up from step to step: it is compared with the whole tolerance.
+    order: of the exchange in the step size
+    bus_index: of the outputs, shape (m,)
     """
 
-    relative: float
-    order: int
-    duration: float
-    bus_index: np.ndarray
-    nominal: np.ndarray
-    has_feedthrough: np.ndarray
+    def __init__(self, prepared: PreparedRun, named: NamedWiring) -> None:
+        experiment, ports = prepared.experiment, prepared.system.ports
+        names = [name for group in named.bus.outputs if group.type == "Real" for name in group.names]
+        driven = {ports[target] for _, target in named.bus.connections}
+        self.order = 1 + experiment.extrapolation
+        self.bus_index = np.array([named.bus.index[name] for name in names], np.int64)
+        self._relative = experiment.tolerance
+        self._duration = experiment.stop_time - experiment.start_time
+        self._nominal = np.array([abs(float(ports[name].variable.nominal or 1.0)) for name in names])
+        # The error of an output that may depend directly on an input in step mode does not add up from step
+        # to step: it is compared with the whole tolerance.
+        feedthrough = outputs_with_feedthrough(prepared.system, driven)
+        self._has_feedthrough = np.array([name in feedthrough for name in names], bool)
 
     def error_ratio(self, coarse: np.ndarray, fine: np.ndarray, size: float) -> float:
         """Estimated error of the fine values over the permitted error of a step of `size` [s].
 
         A step is accepted up to a ratio of 1. A value that is not finite in both is left out.
         """
-        share = np.where(self.has_feedthrough, 1.0, size / self.duration)
-        scale = self.relative * np.maximum(np.abs(fine), self.nominal) * share
+        share = np.where(self._has_feedthrough, 1.0, size / self._duration)
+        scale = self._relative * np.maximum(np.abs(fine), self._nominal) * share
         with np.errstate(invalid="ignore"):
             ratio = np.abs(fine - coarse) / (2.0**self.order - 1.0) / scale
         ratio[~(np.isfinite(coarse) | np.isfinite(fine))] = 0.0
@@ -179,29 +174,14 @@ class Tolerance:
         return float(np.max(ratio, initial=0.0))
 
 
-def tolerance_of(prepared: PreparedRun, named: NamedWiring) -> Tolerance | None:
-    """The tolerance of a run, if it has one, for all Real outputs that are exchanged or recorded."""
-    experiment, ports = prepared.experiment, prepared.system.ports
-    if not experiment.tolerance:
-        return None
-    exchanged = {name for group in named.bus.outputs if group.type == "Real" for name in group.names}
-    names = [name for name in ports if name in exchanged]
-    nominal = [abs(float(ports[name].variable.nominal or 1.0)) for name in names]
-    driven = {target for _, target in named.bus.connections}
-    return Tolerance(
-        relative=experiment.tolerance,
-        order=1 + experiment.extrapolation,
-        duration=experiment.stop_time - experiment.start_time,
-        bus_index=np.array([named.bus.index[name] for name in names], np.int64),
-        nominal=np.array(nominal),
-        has_feedthrough=np.array([_has_feedthrough(prepared, name, driven) for name in names], bool),
-    )
-
-
-def _has_feedthrough(prepared: PreparedRun, output: str, driven: set[str]) -> bool:
-    """Whether an output may depend directly on a driven input in step mode; true if not declared."""
-    port = prepared.system.ports[output]
-    for unknown in prepared.system.descriptions[port.component].outputs:
-        if unknown.variable is port.variable and unknown.dependencies is not None:
-            return any(f"{port.component}.{variable.name}" in driven for variable in unknown.dependencies)
-    return any(name.startswith(f"{port.component}.") for name in driven)
+def outputs_with_feedthrough(system: CheckedSystem, driven: set[Port]) -> set[str]:
+    """Names of the outputs that may depend directly on a driven input in step mode; all if not declared."""
+    names = set()
+    for component, description in system.descriptions.items():
+        own = {id(port.variable) for port in driven if port.component == component}
+        declared = {id(unknown.variable): unknown.dependencies for unknown in description.outputs}
+        for variable in of_causality(description, "output"):
+            dependencies = declared.get(id(variable))
+            if own if dependencies is None else any(id(v) in own for v in dependencies):
+                names.add(f"{component}.{variable.name}")
+    return names

@@ -156,19 +156,10 @@ class RunInProgress:
     def recording(self, pacing: Pacing | None) -> Recording:
         """The values recorded until now."""
         count = int(self.wiring.report[Report.RECORDED])
-        more = self._statistics() | ({"real_time": pacing.report()} if pacing else {})
-        return make_recording(self.prepared, self.wiring.rows, count, more)
-
-    def _statistics(self) -> dict[str, Any]:
-        """The numbers of shorter steps, if there were any."""
-        statistics = self.step_control.statistics if self.step_control else None
-        if not statistics or not (statistics.accepted or statistics.discarded):
-            return {}
-        return {
-            "steps_between_points": statistics.accepted,
-            "discarded_steps": statistics.discarded,
-            "inexact_steps": statistics.inexact,
-        }
+        statistics = self.step_control.statistics if self.step_control else {}
+        more = statistics if any(statistics.values()) else {}
+        pace = {"real_time": pacing.report()} if pacing else {}
+        return make_recording(self.prepared, self.wiring.rows, count, more | pace)
 
     def free(self) -> None:
         """Free the states that were saved in the FMUs."""
@@ -178,7 +169,7 @@ class RunInProgress:
 
 
 def make_recording(
-    prepared: PreparedRun, rows: np.ndarray, count: int, more: Mapping[str, Any] | None = None
+    prepared: PreparedRun, rows: np.ndarray, count: int, more: Mapping[str, Any] = {}
 ) -> Recording:
     """The recorded values at the first `count` communication points.
 
@@ -190,7 +181,7 @@ def make_recording(
         units=tuple(ports[name].variable.unit or "" for name in prepared.recorded),
         time=prepared.points[:count].copy(),
         values=np.array(rows[:count]),
-        provenance=_provenance(prepared) | dict(more or {}),
+        provenance=_provenance(prepared) | dict(more),
     )
 
 

@@ -1,6 +1,7 @@
 """A run in another process: an FMU that hangs or crashes there takes nothing else with it."""
 
 import contextlib
+import math
 import time
 import warnings
 from collections.abc import Mapping
@@ -50,38 +51,34 @@ def simulate_in_subprocess(
         record.storage.report[Report.RECORDED] = _NOT_BEGUN
         process.send(task)
         watch = _Watch(process, record, timeout, progress)
-        problem, stopped = watch.until_the_end()
+        problem = watch.until_the_end()
         process.kill()
         outcome = watch.outcome or _failure(problem, prepared, record)
-    outcome = _with_warnings(watch.warnings, outcome)
-    return _unwrapped(outcome, stopped or _last_word(progress, outcome))
+    outcome, stopped = _with_warnings(watch.warnings, outcome), watch.stopped
+    if stopped is None and isinstance(outcome, Recording):
+        stopped = _call_progress(progress, len(outcome.time) - 1, len(outcome.time) - 1)
+    return _unwrapped(outcome, stopped)
 
 
 def _packed(task: Task) -> bytes:
     """OrchestrationError for what cannot be given to another process."""
-    try:
-        return cloudpickle.dumps(task)
-    except Exception as error:
-        signals = {f"the signal of {name}": each for name, each in task.experiment.signals.items()}
-        what = next((name for name, each in signals.items() if not _travels(each)), "the experiment")
-        raise OrchestrationError(
-            f"{what} cannot be given to a process of its own: {error}; expected a function of its own "
-            "arguments and of plain data, or no timeout"
-        ) from error
-
-
-def _travels(value: object) -> bool:
-    try:
-        cloudpickle.dumps(value)
-    except Exception:
-        return False
-    return True
+    content = b""
+    signals = {f"the signal of {name}": signal for name, signal in task.experiment.signals.items()}
+    for what, value in {**signals, "the experiment": task}.items():
+        try:
+            content = cloudpickle.dumps(value)
+        except Exception as error:
+            raise OrchestrationError(
+                f"{what} cannot be given to a process of its own: {error}; expected a function of its own "
+                "arguments and of plain data, or no timeout"
+            ) from error
+    return content
 
 
 class _Watch:
     """Receives the messages of a process until its outcome, its end, or the end of its time.
 
-    outcome: None without one; warnings: those of the FMUs
+    outcome: None without one; warnings: those of the FMUs; stopped: what stopped the run from here
     """
 
     def __init__(
@@ -89,49 +86,46 @@ class _Watch:
     ) -> None:
         self.outcome: Outcome | None = None
         self.warnings: list[Warned] = []
+        self.stopped: BaseException | None = None
         self._process, self._record = process, record
         self._timeout, self._progress = timeout, progress
         self._calls_seen, self._since = (0, 0, 0), time.monotonic()
-        self._stopped: BaseException | None = None
-        self._asked = 0.0
+        self._asked = math.inf
 
-    def until_the_end(self) -> tuple[str, BaseException | None]:
-        """Why there is no outcome, if so, in words; and what stopped the run from here, if something did."""
+    def until_the_end(self) -> str:
+        """Why there is no outcome, if so, in words."""
         with kept_interrupts() as interrupts:
             while True:
                 try:
                     self._receive()
                 except ProcessEndedError as ended:
-                    return f"ended its process with {ended}", self._stopped
+                    return f"ended its process with {ended}"
                 if self.outcome is not None:
-                    return "", self._stopped
-                if self._stopped is None:
-                    self._stopped = KeyboardInterrupt() if interrupts else self._told()
-                    if self._stopped is not None:
+                    return ""
+                if self.stopped is None:
+                    self.stopped = KeyboardInterrupt() if interrupts else self._report_progress()
+                    if self.stopped is not None:
                         self._asked = time.monotonic()
                         self._process.send(STOP)
                 elif interrupts and interrupts[-1] > self._asked + _AGAIN_S:
-                    return "did not return after an interrupt, and its process was ended", self._stopped
+                    return "did not return after an interrupt, and its process was ended"
                 limit = self._exceeded()
                 if limit:
-                    return f"did not return within {limit:g} s, and its process was ended", self._stopped
+                    return f"did not return within {limit:g} s, and its process was ended"
 
     def _receive(self) -> None:
         """Receive all messages there are, and wait a little for the first."""
         with contextlib.suppress(TimeoutError):
             message = self._process.receive(_LOOK_S)
-            while True:
-                if isinstance(message, Warned):
-                    self.warnings.append(message)
-                else:
-                    self.outcome = message
-                    return
+            while isinstance(message, Warned):
+                self.warnings.append(message)
                 message = self._process.receive(0.0)
+            self.outcome = message
 
-    def _told(self) -> BaseException | None:
-        """Tell the progress; what it raises."""
+    def _report_progress(self) -> BaseException | None:
+        """Call the progress; returns what it raises."""
         done, last = int(self._report[Report.RECORDED]) - 1, len(self._record.storage.rows) - 1
-        return _said(self._progress, done, last) if 0 <= done < last else None
+        return _call_progress(self._progress, done, last) if 0 <= done < last else None
 
     @property
     def _report(self) -> np.ndarray:
@@ -150,8 +144,8 @@ class _Watch:
         return limit if time.monotonic() - self._since > limit else 0.0
 
 
-def _said(progress: Progress | None, done: int, last: int) -> BaseException | None:
-    """Tell the progress; what it raises stops the run."""
+def _call_progress(progress: Progress | None, done: int, last: int) -> BaseException | None:
+    """Call the progress; what it raises stops the run."""
     try:
         if progress:
             progress(done, last)
@@ -184,25 +178,21 @@ def _with_warnings(warned: list[Warned], outcome: Outcome) -> Outcome:
     return outcome
 
 
-def _last_word(progress: Progress | None, outcome: Outcome) -> BaseException | None:
-    """Tell the progress that all is done, if it is; what it raises."""
-    last = len(outcome.time) - 1 if isinstance(outcome, Recording) else 0
-    return _said(progress, last, last) if last else None
-
-
 def _unwrapped(outcome: Outcome, stopped: BaseException | None) -> Recording:
     """The recording, or raise why there is none of the whole run."""
-    there = outcome if isinstance(outcome, Recording) else getattr(outcome, "recording", None)
-    if there and (isinstance(stopped, Exception) or (stopped and there is outcome)):
-        outcome = SimulationError(_reason(stopped), there)
+    recording = outcome if isinstance(outcome, Recording) else getattr(outcome, "recording", None)
+    if recording and (isinstance(stopped, Exception) or (stopped and recording is outcome)):
+        known = isinstance(stopped, OrchestrationError)
+        reason = (
+            "interrupted"
+            if isinstance(stopped, KeyboardInterrupt)
+            else str(stopped)
+            if known
+            else repr(stopped)
+        )
+        outcome = SimulationError(reason, recording)
     if isinstance(outcome, Recording):
         return outcome
     if stopped:
         outcome.__cause__ = stopped
     raise outcome
-
-
-def _reason(stopped: BaseException) -> str:
-    if isinstance(stopped, KeyboardInterrupt):
-        return "interrupted"
-    return str(stopped) if isinstance(stopped, OrchestrationError) else repr(stopped)

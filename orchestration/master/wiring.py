@@ -137,28 +137,20 @@ def _connections(prepared: PreparedRun, bus: BusLayout) -> Connections:
     validity = _SLOPE_VALIDITY_WITH_TOLERANCE if prepared.experiment.tolerance else _SLOPE_VALIDITY
     count, targets = len(bus.connections), [component_of(target) for _, target in bus.connections]
     indices, limits = [], []
-    for (source, target), own in zip(bus.connections, targets, strict=True):
-        owner = component_of(source)
-        indices.append((bus.index[source], bus.index[target], numbers.get(owner, -1), faults.get(target, -1)))
+    for (source, target), own, mode in zip(bus.connections, targets, bus.input_modes, strict=True):
+        owner, ends = component_of(source), (bus.index[source], bus.index[target])
+        indices.append((*ends, numbers.get(owner, -1), faults.get(target, -1), mode))
         periods = prepared.periods[own] / prepared.periods.get(owner, 1)
         limits.append((*prepared.input_ranges[target], validity * periods))
-    source, target, source_component, fault = _columns(indices, 4, np.int64)
-    minimum, maximum, slope_validity = _columns(limits, 3, np.float64)
     return Connections(
-        first=_first_of_each(targets, prepared.system.components),
-        source=source,
-        target=target,
-        source_component=source_component,
-        fault=fault,
-        input_mode=np.array(bus.input_modes, np.int64),
-        minimum=minimum,
-        maximum=maximum,
+        _first_of_each(targets, prepared.system.components),
+        *_columns(indices, 5, np.int64),
+        *_columns(limits, 3, np.float64),
         value=np.zeros(count),
         slope=np.zeros(count),
         sample_time=np.full(count, -np.inf),
         sample=np.zeros(count),
         sample_interval=np.zeros(count),
-        slope_validity=slope_validity,
     )
 
 

@@ -1,7 +1,8 @@
 """Components and connections, checked against the model descriptions before anything is loaded."""
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -89,12 +90,13 @@ class CheckedSystem:
     def initial_dependencies(self, output: Port) -> list[str]:
         """Names of the inputs that an output depends on in initialisation mode; all if not declared."""
         description = self.descriptions[output.component]
-        inputs = [v for v in description.modelVariables if v.causality == "input"]
         for unknown in description.initialUnknowns:
             if unknown.variable is output.variable and unknown.dependencies is not None:
-                declared = {id(variable) for variable in unknown.dependencies}
-                inputs = [v for v in inputs if id(v) in declared]
-        return [f"{output.component}.{v.name}" for v in inputs]
+                declared = unknown.dependencies
+                break
+        else:
+            declared = description.modelVariables
+        return [f"{output.component}.{v.name}" for v in declared if v.causality == "input"]
 
 
 def check(
@@ -116,32 +118,42 @@ def check(
     }
     checked = CheckedSystem(system.components, descriptions, ports, ())
     connections = tuple(_connection(checked, source, target) for source, target in system.connections)
-    drivers = [target.name for _, target in connections]
+    drivers = Counter(target.name for _, target in connections)
     for name in driven:
         port = checked.port(name, "driven input")
         if port.variable.causality != "input":
             raise SystemDefinitionError(f"{name} is driven: expected an input, got {port.variable.causality}")
-        drivers.append(name)
-    _check_each_input_is_driven_once(ports, drivers)
-    return CheckedSystem(system.components, descriptions, ports, connections)
+        drivers[name] += 1
+    for name, count in drivers.items():
+        if count > 1:
+            raise SystemDefinitionError(f"{name} is driven {count} times: expected once")
+    undriven = [n for n, port in ports.items() if port.variable.causality == "input" and n not in drivers]
+    if undriven:
+        raise SystemDefinitionError(
+            f"{', '.join(undriven)}: driven by nothing; connect each input, drive it by a signal "
+            "or give it a constant value"
+        )
+    return replace(checked, connections=connections)
 
 
 def _connection(checked: CheckedSystem, source: str, target: str) -> tuple[Port, Port]:
     purpose = f"connection {source} -> {target}"
     start, end = checked.port(source, purpose), checked.port(target, purpose)
     output, input_ = start.variable, end.variable
-    if output.causality != "output":
-        raise SystemDefinitionError(f"{purpose}: expected an output first, got {output.causality}")
-    if input_.causality != "input":
-        raise SystemDefinitionError(f"{purpose}: expected an input second, got {input_.causality}")
-    if output.type != input_.type:
-        raise SystemDefinitionError(f"{purpose}: expected equal types, got {output.type} and {input_.type}")
-    if output.type == "String":
-        raise SystemDefinitionError(f"{purpose}: expected numbers, Strings are not exchanged")
     units_are_declared = output.unit and input_.unit  # a variable need not declare its unit
-    if units_are_declared and _unit(checked, start) != _unit(checked, end):
-        raise SystemDefinitionError(f"{purpose}: expected equal units, got {output.unit} and {input_.unit}")
-    return start, end
+    if output.causality != "output":
+        problem = f"expected an output first, got {output.causality}"
+    elif input_.causality != "input":
+        problem = f"expected an input second, got {input_.causality}"
+    elif output.type != input_.type:
+        problem = f"expected equal types, got {output.type} and {input_.type}"
+    elif output.type == "String":
+        problem = "expected numbers, Strings are not exchanged"
+    elif units_are_declared and _unit(checked, start) != _unit(checked, end):
+        problem = f"expected equal units, got {output.unit} and {input_.unit}"
+    else:
+        return start, end
+    raise SystemDefinitionError(f"{purpose}: {problem}")
 
 
 def _unit(checked: CheckedSystem, port: Port) -> object:
@@ -153,15 +165,3 @@ def _unit(checked: CheckedSystem, port: Port) -> object:
             exponents = (base.kg, base.m, base.s, base.A, base.K, base.mol, base.cd, base.rad)
             return (*exponents, base.factor, base.offset)
     return name
-
-
-def _check_each_input_is_driven_once(ports: Mapping[str, Port], drivers: list[str]) -> None:
-    for name in drivers:
-        if drivers.count(name) > 1:
-            raise SystemDefinitionError(f"{name} is driven {drivers.count(name)} times: expected once")
-    undriven = [n for n, p in ports.items() if p.variable.causality == "input" and n not in drivers]
-    if undriven:
-        raise SystemDefinitionError(
-            f"{', '.join(undriven)}: driven by nothing; connect each input, drive it by a signal "
-            "or give it a constant value"
-        )
