@@ -52,9 +52,9 @@ def sweep(
     """Run the samples of a scenario that has a table [sweep]; an interrupted sweep continues."""
     from orchestration.cli import chosen_scenario
     from orchestration.sweep import cluster, table
-    from orchestration.sweep.job import recorded_signals
     from orchestration.sweep.plan import plan
     from orchestration.sweep.run import sweep as run_samples
+    from orchestration.sweep.samples import recorded_signals
     from orchestration.sweep.summary import summary_table
 
     planned = plan(chosen_scenario.load(name, flavour))

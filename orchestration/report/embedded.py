@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from orchestration.report.result import RunResult, SweepResult
-from orchestration.report.statistics import correlations, strongest
+from orchestration.report.sweeps import correlations, groups_of, strongest
+from orchestration.sweep.summary import categorical
 
 
 def packed(values: np.ndarray) -> str:
@@ -17,11 +18,6 @@ def packed(values: np.ndarray) -> str:
     """
     bytes_of_values = np.ascontiguousarray(values, dtype="<f8").view(np.uint8).reshape(-1, 8)
     return base64.b64encode(zlib.compress(bytes_of_values.T.tobytes())).decode("ascii")
-
-
-def _column(values: np.ndarray) -> str | list[str]:
-    """Numbers packed, texts as they are."""
-    return packed(values) if np.issubdtype(values.dtype, np.number) else values.tolist()
 
 
 def run_data(run: RunResult) -> dict[str, Any]:
@@ -47,14 +43,25 @@ def run_data(run: RunResult) -> dict[str, Any]:
 
 def sweep_data(sweep: SweepResult) -> dict[str, Any]:
     """The data that the page's script draws of a sweep."""
+    categories = categorical(sweep.varied)
     return {
         "name": sweep.name,
         "samples": packed(sweep.samples),
         "errors": {int(n): error for n, error in zip(sweep.samples, sweep.errors, strict=True) if error},
         "columns": [
-            {"name": name, "unit": sweep.units.get(name, ""), "kind": kind, "values": _column(values)}
+            {
+                "name": name,
+                "unit": sweep.units.get(name, ""),
+                "kind": kind,
+                "values": list(map(str, values)) if name in categories else packed(np.asarray(values)),
+                "absent": sweep.absent.get(name, ""),
+            }
             for kind, columns in (("varied", sweep.varied), ("metric", sweep.metrics))
             for name, values in columns.items()
+        ],
+        "groups": [
+            {"name": ", ".join(group), "members": indices.tolist()}
+            for group, indices in groups_of(sweep).items()
         ],
         "first": strongest(correlations(sweep)),
         "command": sweep.command,

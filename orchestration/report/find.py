@@ -1,13 +1,15 @@
 """From the paths that a user names to results with names that tell them apart."""
 
 import json
+import math
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from fmus.errors import nearest
 from orchestration.errors import OrchestrationError
@@ -17,10 +19,27 @@ from orchestration.report.toml import toml
 from orchestration.results.files import is_recording
 from orchestration.results.formats import RecordingFormat
 from orchestration.results.recording import Recording
+from orchestration.scenarios.file_tables import Table, checked
 from orchestration.sweep import table
 
-_RUN_KEYS = {"recording", "scenario", "run", "metrics"}
-_RECORDINGS = {f".{ending}" for ending in RecordingFormat}
+_ENDINGS = (".json", *(f".{ending}" for ending in reversed(RecordingFormat)))  # the one that holds most first
+
+
+class _Metric(Table):
+    value: float | None  # None for what did not happen
+    unit: str
+
+
+class _Document(Table, extra="allow"):
+    """The .json of a run."""
+
+    recording: str
+    scenario: dict[str, Any]
+    run: dict[str, Any]
+    metrics: dict[str, _Metric]
+
+
+_DOCUMENT = TypeAdapter(_Document)
 
 
 def found_results(paths: Iterable[Path]) -> list[RunResult | SweepResult]:
@@ -28,11 +47,8 @@ def found_results(paths: Iterable[Path]) -> list[RunResult | SweepResult]:
 
     Raises OrchestrationError for a path that does not exist or holds no result.
     """
-    results: dict[Path, RunResult | SweepResult] = {}
-    for path in paths:
-        for file in _files(path):
-            if file not in results:
-                results[file] = _read(file)
+    files = dict.fromkeys(file for path in paths for file in _files(path))
+    results = _without_copies({file: _read(file) for file in files})
     names = _names(list(results))
     return [replace(result, name=names[file]) for file, result in results.items()]
 
@@ -43,9 +59,9 @@ def _files(path: Path) -> list[Path]:
         return _of_folder(path.resolve())
     if not path.is_file():
         neighbours = path.parent.iterdir() if path.parent.is_dir() else []
-        known = [file.name for file in neighbours if file.is_dir() or file.suffix in {".json", *_RECORDINGS}]
+        known = [file.name for file in neighbours if file.is_dir() or file.suffix in _ENDINGS]
         raise OrchestrationError(f"no file or folder {path}; beside it, {nearest(path.name, known)}")
-    if path.suffix not in {".json", *_RECORDINGS}:
+    if path.suffix not in _ENDINGS:
         raise OrchestrationError(
             f"{path}: expected a result: a .json, .csv or .parquet file as l1-depth writes them, or a folder"
         )
@@ -55,33 +71,35 @@ def _files(path: Path) -> list[Path]:
 
 
 def _of_folder(folder: Path) -> list[Path]:
-    documents = {file: _recording_of(file) for file in sorted(folder.glob("*.json"))}
-    runs = {file: recording for file, recording in documents.items() if recording}
-    recordings_and_sweeps = [
+    files = sorted(file for file in folder.iterdir() if file.suffix in _ENDINGS)
+    runs = {file: recording for file in files if (recording := _recording_of(file))}
+    found = [
         file
-        for file in sorted(folder.iterdir())
-        if file.suffix in _RECORDINGS and file not in runs.values() and _is_result(file)
+        for file in files
+        if file in runs
+        or (
+            file.suffix != ".json"
+            and file not in runs.values()
+            and (is_recording(file) or table.is_sweep(file))
+        )
     ]
-    if not runs and not recordings_and_sweeps:
+    if not found:
         raise OrchestrationError(
             f"{folder}: no result in this folder: expected what l1-depth run, reproduce or sweep writes"
         )
-    return sorted([*runs, *recordings_and_sweeps])
-
-
-def _is_result(file: Path) -> bool:
-    return is_recording(file) or table.is_sweep(file)
+    return found
 
 
 def _recording_of(document: Path) -> Path | None:
     """The file with the recording of a run's .json; None for anything else."""
-    try:
-        content = json.loads(document.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    if not isinstance(content, dict) or not content.keys() >= _RUN_KEYS:
-        return None
-    return document.with_name(str(content["recording"]))
+    if document.suffix == ".json":
+        try:
+            content = json.loads(document.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None
+        if isinstance(content, dict) and content.keys() >= _Document.model_fields.keys():
+            return document.with_name(str(content["recording"]))
+    return None
 
 
 def _read(file: Path) -> RunResult | SweepResult:
@@ -96,31 +114,19 @@ def _read(file: Path) -> RunResult | SweepResult:
 def _run(document: Path) -> RunResult:
     recording = _recording_of(document)
     if recording is None:
-        raise OrchestrationError(
-            f"{document}: expected the .json that l1-depth run writes, with {', '.join(sorted(_RUN_KEYS))}"
-        )
-    content = json.loads(document.read_text(encoding="utf-8"))
-    for key in ("scenario", "run", "metrics"):
-        if not isinstance(content[key], dict):
-            raise OrchestrationError(f"{document}: {key}: expected a table, got {content[key]!r}")
+        raise OrchestrationError(f"{document}: expected the .json that l1-depth run writes, with its keys")
+    content = checked(_DOCUMENT, json.loads(document.read_text(encoding="utf-8")), str(document))
     try:
-        toml(content["scenario"])
+        toml(content.scenario)
     except TypeError as error:
         raise OrchestrationError(f"{document}: scenario: expected what TOML can say: {error}") from error
-    values, units = _metrics(content["metrics"], document)
-    return RunResult(document.stem, _recording(recording), content["scenario"], content["run"], values, units)
-
-
-def _metrics(content: Mapping[str, Any], document: Path) -> tuple[dict[str, float], dict[str, str]]:
-    """The values of the metrics and their units."""
-    for name, metric in content.items():
-        if not isinstance(metric, dict) or metric.keys() != {"value", "unit"}:
-            raise OrchestrationError(
-                f"{document}: metric {name}: expected a value and a unit, got {metric!r}"
-            )
-    return (
-        {name: metric["value"] for name, metric in content.items()},
-        {name: metric["unit"] for name, metric in content.items()},
+    return RunResult(
+        document.stem,
+        _recording(recording),
+        content.scenario,
+        content.run,
+        {name: math.nan if m.value is None else m.value for name, m in content.metrics.items()},
+        {name: metric.unit for name, metric in content.metrics.items()},
     )
 
 
@@ -133,6 +139,25 @@ def _recording(file: Path) -> Recording:
     if not (np.diff(recording.time) > 0.0).all():
         raise OrchestrationError(f"{file}: expected times that increase from row to row")
     return recording
+
+
+def _without_copies(results: dict[Path, RunResult | SweepResult]) -> dict[Path, RunResult | SweepResult]:
+    """Without the files that hold the recording of another one of their name in another format."""
+    chosen: set[Path] = set()
+    for file in sorted(results, key=lambda file: _ENDINGS.index(file.suffix)):
+        beside = [results[other] for other in chosen if other.with_suffix("") == file.with_suffix("")]
+        if not any(_same_recording(results[file], other) for other in beside):
+            chosen.add(file)
+    return {file: result for file, result in results.items() if file in chosen}
+
+
+def _same_recording(one: RunResult | SweepResult, other: RunResult | SweepResult) -> bool:
+    if isinstance(one, SweepResult) or isinstance(other, SweepResult):
+        return False
+    a, b = one.recording, other.recording
+    return (a.names, a.units) == (b.names, b.units) and all(
+        np.array_equal(x, y, equal_nan=True) for x, y in ((a.time, b.time), (a.values, b.values))
+    )
 
 
 def _names(files: list[Path]) -> dict[Path, str]:

@@ -34,18 +34,19 @@ class SweepResult:
     """Samples of a scenario; arrays have an entry a sample.
 
     samples: their numbers; varied: "component.variable" -> values; metrics: name -> values, NaN where a
-    sample failed; errors: "" where it did not; units: of varied ones and metrics, where known;
-    command: runs a sample again, with {sample} for its number
+    sample failed or it did not happen; errors: "" where none; units: of varied ones and metrics, where known;
+    absent: metric -> the word for what did not happen; command: runs a sample again, {sample} is its number
     """
 
     name: str
     samples: np.ndarray
-    varied: Mapping[str, np.ndarray]
+    varied: Mapping[str, list[Any]]
     metrics: Mapping[str, np.ndarray]
     errors: tuple[str, ...]
     units: Mapping[str, str]
     scenario: Mapping[str, Any]
     provenance: Mapping[str, Any]
+    absent: Mapping[str, str]
     command: str
 
     @property

@@ -1,19 +1,29 @@
-"""A sweep's table as a page shows it."""
+"""A sweep's table as a page shows it, in numbers: distributions, and what metrics depend on.
 
+Failed samples are left out. Where texts or truth values are varied, each combination of them is a group of
+its own.
+"""
+
+import math
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scipy.stats import rankdata
 
 from fmus.extras import imports_of
 from orchestration.errors import OrchestrationError
 from orchestration.report.result import SweepResult
+from orchestration.results.metric_units import shown
 from orchestration.scenarios import scenario
 
 with imports_of("report", "a report"):
-    import pyarrow as pa
+    import pyarrow  # noqa: F401  (of the table, which would name its own extra)
 
     from orchestration.sweep import table  # which needs no more of the extra sweep
+    from orchestration.sweep.summary import categorical, groups, statistics
 
 _SHOWN_ELSEWHERE = {"name", "title", "scenario", "varied"}
 
@@ -24,26 +34,76 @@ def read(file: Path) -> SweepResult:
     if not rows.num_rows:
         raise OrchestrationError(f"{file}: expected at least one sample, got none")
     varied, metrics = table.names(rows.schema, "varied"), table.names(rows.schema, "metric")
+    name = provenance["name"]
+    argument = shlex.quote(name if name in scenario.shipped() else f"{name}.toml")
     return SweepResult(
         name=file.stem,
         samples=rows[table.SAMPLE].to_numpy(),
-        varied={name: _values(rows[name]) for name in varied},
+        varied={name: rows[name].to_pylist() for name in varied},
         metrics={name: rows[name].to_numpy().astype(float) for name in metrics},
         errors=tuple(error or "" for error in rows[table.ERROR].to_pylist()),
-        units={name: rows.schema.field(name).metadata[b"unit"].decode() for name in [*varied, *metrics]},
+        units={name: table.unit(rows.schema, name) for name in [*varied, *metrics]},
         scenario=provenance["scenario"],
         provenance={key: value for key, value in provenance.items() if key not in _SHOWN_ELSEWHERE},
-        command=f"l1-depth sweep {_scenario_argument(provenance['name'])} --sample {{sample}}",
+        absent={name: shown(math.nan, provenance["scenario"]["metrics"][name]) for name in metrics},
+        command=f"l1-depth sweep {argument} --sample {{sample}}",
     )
 
 
-def _scenario_argument(name: str) -> str:
-    """What the command line calls a scenario: a shipped one by name, another by its file."""
-    return shlex.quote(name if name in scenario.shipped() else f"{name}.toml")
+def groups_of(sweep: SweepResult) -> dict[tuple[str, ...], np.ndarray]:
+    """Values of what is varied and no number -> indices of the samples with them that did not fail."""
+    return groups(sweep.varied, [i for i, error in enumerate(sweep.errors) if not error])
 
 
-def _values(column: pa.ChunkedArray) -> np.ndarray:
-    """Numbers as they are, truth values and names as text."""
-    if pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
-        return column.to_numpy()
-    return np.array([str(value) for value in column.to_pylist()])
+def distributions(sweep: SweepResult) -> list[dict[str, Any]]:
+    """For each group and metric: its statistics."""
+    return [
+        {"group": group, "name": name, "values": statistics(values[indices])}
+        for group, indices in groups_of(sweep).items()
+        for name, values in sweep.metrics.items()
+    ]
+
+
+def correlations(sweep: SweepResult) -> list[dict[str, Any]]:
+    """Rows of what is varied: metric -> correlation of ranks; None where one of them does not vary.
+
+    Of a number, within each group, Spearman's, -1..1; of a text or truth value, over all groups, 0..1: the
+    share of the metric's ranks that the value determines, as a standard deviation. For two values it is the
+    size of Spearman's.
+    """
+    categories, by_group = categorical(sweep.varied), groups_of(sweep)
+    pooled = {("all",) * len(categories): np.flatnonzero([not error for error in sweep.errors])}
+    return [
+        {
+            "group": group,
+            "name": name,
+            "values": {
+                metric: _rank_correlation([values[i] for i in indices], measured[indices])
+                for metric, measured in sweep.metrics.items()
+            },
+        }
+        for name, values in sweep.varied.items()
+        for group, indices in (pooled if name in categories else by_group).items()
+    ]
+
+
+def _rank_correlation(values: Sequence[Any], metric: np.ndarray) -> float | None:
+    good = np.isfinite(metric)
+    chosen, ranks = np.array(values)[good], rankdata(metric[good])
+    if len(np.unique(chosen)) < 2 or len(np.unique(ranks)) < 2:
+        return None
+    if np.issubdtype(chosen.dtype, np.number):
+        return float(np.corrcoef(rankdata(chosen), ranks)[0, 1])
+    means = [ranks[chosen == value].mean() for value in chosen]  # of each rank, that of its value
+    return float(np.std(means) / np.std(ranks))
+
+
+def strongest(rows: list[dict[str, Any]]) -> tuple[str, str] | None:
+    """What is varied and the metric with the largest correlation."""
+    strength = {
+        (row["name"], metric): abs(value)
+        for row in rows
+        for metric, value in row["values"].items()
+        if value is not None
+    }
+    return max(strength, key=lambda pair: strength[pair]) if strength else None

@@ -24,26 +24,6 @@ _LINES = ("-", "--", "-.", ":")
 _WIDTH_IN = 7.16  # both columns of an IEEE or IFAC page
 _DPI = 300
 _BINS = 1200  # of a dense curve: about two pixels each
-_STYLE = {
-    "font.family": "STIXGeneral",  # a Times that Matplotlib brings along
-    "mathtext.fontset": "stix",
-    "font.size": 9.0,
-    "patch.linewidth": 0.6,
-    "axes.labelsize": 9.0,
-    "axes.linewidth": 0.6,
-    "axes.grid": True,
-    "grid.linewidth": 0.4,
-    "grid.alpha": 0.4,
-    "legend.fontsize": 8.0,
-    "legend.framealpha": 1.0,
-    "legend.edgecolor": "0.8",
-    "legend.fancybox": False,
-    "lines.linewidth": 1.0,
-    "xtick.labelsize": 8.0,
-    "ytick.labelsize": 8.0,
-    "pdf.fonttype": 42,  # fonts, not curves: publishers ask for it
-    "svg.hashsalt": "l1-depth",
-}
 _METADATA: dict[FigureFormat, dict[str, Any]] = {
     FigureFormat.PNG: {"Software": None},
     FigureFormat.PDF: {"CreationDate": None, "Producer": None, "Creator": None},
@@ -53,7 +33,7 @@ _METADATA: dict[FigureFormat, dict[str, Any]] = {
 
 def figure_style() -> Any:
     """A context: figures that are made and written inside it have the style of this module."""
-    return style.context(["default", _STYLE])
+    return style.context(["default", str(Path(__file__).with_name("figures.mplstyle"))])
 
 
 def stacked_panels(heights_in: Sequence[float], x_label: str) -> tuple[Figure, list[Axes]]:
@@ -98,17 +78,10 @@ def draw_noisy(panel: Axes, time: np.ndarray, values: np.ndarray, window: float,
     """
     half = round(0.5 * window / (time[1] - time[0]))
     step = max(1, len(values) // _BINS)
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(values, half, mode="edge"), 2 * half + 1)[
-        ::step
-    ]
-    panel.fill_between(
-        time[::step],
-        windows.min(axis=1),
-        windows.max(axis=1),
-        color=line.get("color"),
-        alpha=0.25,
-        linewidth=0.0,
-    )
+    padded = np.pad(values, half, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1)[::step]
+    shade = {"color": line.get("color"), "alpha": 0.25, "linewidth": 0.0}
+    panel.fill_between(time[::step], windows.min(axis=1), windows.max(axis=1), **shade)
     panel.plot(time[::step], windows.mean(axis=1), **line)
 
 

@@ -1,5 +1,6 @@
 """Units of metrics: as a scenario gives them, or derived from the function and the units of its signals."""
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -7,8 +8,10 @@ FIXED_UNITS = {"settling_time": "s", "shift_lag": "s", "phase_lag": "s", "oversh
 """Function -> its unit, whatever the signal is measured in."""
 _UNIT_OF_THE_SIGNAL = ("rmse", "mean", "total_variation")
 
-MetricDocument = dict[str, dict[str, float | str]]
-"""Metric -> {"value": number, "unit": text}, as the JSON files of runs hold it."""
+_ABSENT = {"settling_time": "not settled", "shift_lag": "no lag found", "phase_lag": "no oscillation"}
+
+MetricDocument = dict[str, dict[str, float | str | None]]
+"""Metric -> {"value": number, "unit": text}, as the JSON files of runs hold it; null: it did not happen."""
 
 
 def metric_units(
@@ -44,6 +47,16 @@ def _times_seconds(unit: str) -> str:
     return f"({unit}).s" if "/" in unit else f"{unit}.s"
 
 
-def with_units(values: Mapping[str, float], units: Mapping[str, str]) -> MetricDocument:
-    """Each metric as a value with its unit, for a file."""
-    return {name: {"value": value, "unit": units.get(name, "")} for name, value in values.items()}
+def with_units(
+    values: Mapping[str, float], units: Mapping[str, str], absent: float | None = None
+) -> MetricDocument:
+    """Each metric as a value with its unit, for a file; absent: the value of what did not happen."""
+    return {
+        name: {"value": absent if math.isnan(value) else value, "unit": units.get(name, "")}
+        for name, value in values.items()
+    }
+
+
+def shown(value: float, call: Mapping[str, Any]) -> str:
+    """A metric in a table: five digits, or what did not happen. call: as the scenario declares it."""
+    return _ABSENT.get(call.get("function", ""), "not a number") if math.isnan(value) else f"{value:.5g}"

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import dataclass, field
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -52,8 +53,7 @@ class Recording:
         return summary.as_text(self.names, self.units, self.time, self.values)
 
     def _repr_html_(self) -> str:
-        """The table that a notebook shows."""
-        return summary.as_html(self.names, self.units, self.time, self.values)
+        return f"<pre>{escape(repr(self))}</pre>"
 
     def to_pandas(self) -> "pd.DataFrame":
         """A column a signal over the time [s]; `attrs` holds "units" (name -> unit) and "provenance"."""

@@ -46,11 +46,6 @@ def _truncated(law: Any, low: float, high: float) -> Distribution:
     return Distribution(quantile, (least, largest))
 
 
-def _within(law: Any, low: float, high: float) -> Distribution:
-    """One of SciPy's continuous distributions that ends at low and high; rounding does not leave them."""
-    return Distribution(lambda u: min(max(float(law.ppf(u)), low), high), (low, high))
-
-
 def normal(mean: float, std: float, low: float = -math.inf, high: float = math.inf) -> Distribution:
     _positive("std", std)
     return _truncated(stats.norm(mean, std), low, high)
@@ -65,21 +60,21 @@ def lognormal(median: float, sigma: float, low: float = 0.0, high: float = math.
 
 def uniform(low: float, high: float) -> Distribution:
     _ascending(low, high)
-    return _within(stats.uniform(low, high - low), low, high)
+    return _truncated(stats.uniform(low, high - low), low, high)
 
 
 def loguniform(low: float, high: float) -> Distribution:
     """Uniform in the logarithm."""
     _positive("low", low)
     _ascending(low, high)
-    return _within(stats.loguniform(low, high), low, high)
+    return _truncated(stats.loguniform(low, high), low, high)
 
 
 def triangular(low: float, mode: float, high: float) -> Distribution:
     _ascending(low, high)
     if not low <= mode <= high:
         raise ScenarioError(f"mode = {mode!r}: expected {low:g}..{high:g}")
-    return _within(stats.triang((mode - low) / (high - low), low, high - low), low, high)
+    return _truncated(stats.triang((mode - low) / (high - low), low, high - low), low, high)
 
 
 def integers(low: int, high: int) -> Distribution:

@@ -3,15 +3,12 @@
 import threading
 from pathlib import Path
 
-from fmus.extras import imports_of
+import cloudpickle
+
 from fmus.process import ProcessEndedError, WorkerProcess
 from orchestration.errors import SweepError
-from orchestration.sweep.job import Job, Outcome
-from orchestration.sweep.sample_worker import run_samples
+from orchestration.sweep.samples import Job, Outcome, run_samples
 from orchestration.sweep.target import Settings
-
-with imports_of("sweep", "a sweep"):
-    import cloudpickle
 
 _ATTEMPTS = 2  # a process that ends once may have been killed by somebody, one that ends again by its sample
 _START_S = 300.0  # to import, load and compile, on a machine that is busy

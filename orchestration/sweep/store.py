@@ -1,6 +1,7 @@
-"""Where a sweep keeps its results: parts while it runs, so that nothing done is lost; one table at the end.
+"""The files of a sweep: a log while it runs, so that nothing done is lost; one table at the end.
 
-NAME.sweep/          what is run (sweep.json) and the rows that are done, a file a batch; gone at the end
+NAME.sweep.jsonl     while it runs: what is run, then a line for each finished sample
+NAME.sweep.lock      while a process runs it
 NAME.recordings/     recordings of the samples, if they were asked for
 NAME.sweep.parquet   the table
 """
@@ -8,82 +9,121 @@ NAME.sweep.parquet   the table
 import json
 import shutil
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from fmus.extras import imports_of
-from fmus.files import write_bytes_atomically, write_json_atomically
+from fmus.files import write_bytes_atomically
 from orchestration.errors import SweepError
 from orchestration.sweep import table
 
 with imports_of("sweep", "a sweep"):
     import pyarrow as pa
-    import pyarrow.parquet as pq
+    from filelock import FileLock, Timeout
+
+_DISCARD = "--restart discards it"
 
 
 class Store:
-    """The files of one sweep.
+    """The files of one sweep, for one process at a time: the context holds their lock until it ends.
 
-    provenance: of the sweep; SweepError if the files are those of another one
+    columns: as of `table.schema`; SweepError if the files are those of another sweep
     """
 
-    def __init__(self, folder: Path, columns: pa.Schema, provenance: Mapping[str, Any]) -> None:
-        name = provenance["name"]
+    def __init__(self, folder: Path, columns: pa.Schema) -> None:
+        self._columns, self._provenance = columns, table.provenance_of(columns)
+        name = self._provenance["name"]
         self.path = folder / f"{name}.sweep.parquet"
         self.recordings = folder / f"{name}.recordings"
-        self._parts, self._manifest = folder / f"{name}.sweep", folder / f"{name}.sweep" / "sweep.json"
-        self._columns, self._provenance = columns, provenance
+        self._log = folder / f"{name}.sweep.jsonl"
+        self._lock_file = folder / f"{name}.sweep.lock"
+        self._lock = FileLock(self._lock_file, timeout=0)
 
-    @property
-    def complete(self) -> bool:
-        return self.path.is_file()
+    def __enter__(self) -> "Store":
+        self._lock_file.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            self._lock.acquire()
+        except Timeout:
+            raise SweepError(
+                f"{self._lock_file}: another process runs this sweep; expected its end, or another folder"
+            ) from None
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with suppress(OSError):  # Windows does not remove an open file, but at its release
+            self._lock_file.unlink()
+        self._lock.release()
 
     def discard(self) -> None:
         """Remove what an earlier sweep of that name has left."""
-        self.path.unlink(missing_ok=True)
-        for folder in (self._parts, self.recordings):
-            shutil.rmtree(folder, ignore_errors=True)
+        for file in (self.path, self._log):
+            file.unlink(missing_ok=True)
+        shutil.rmtree(self.recordings, ignore_errors=True)
 
     def begin(self) -> set[int]:
         """The samples that are done already."""
-        if self.complete:
-            _, stored = table.read(self.path)
+        if self.path.is_file():
+            finished, stored = table.read(self.path)
             self._check_same(stored, self.path)
-            return set(range(self._provenance["samples"]))
-        if self._manifest.is_file():
-            self._check_same(json.loads(self._manifest.read_text(encoding="utf-8")), self._parts)
-            return {row[table.SAMPLE] for row in self._rows([table.SAMPLE])}
-        write_json_atomically(self._manifest, self._provenance)
+            return self._checked(finished[table.SAMPLE].to_pylist(), self.path)
+        if self._log.is_file():
+            self._check_same(self._lines()[0], self._log)
+            return set(self._rows())
+        write_bytes_atomically(self._log, json.dumps(self._provenance).encode())
         return set()
 
     def _check_same(self, stored: Mapping[str, Any], path: Path) -> None:
         """Rows of two sweeps must not be mixed."""
-        ours = json.loads(json.dumps(self._provenance))
+        if not stored:
+            raise SweepError(f"{path}: expected what is run in the first line, it is damaged; {_DISCARD}")
+        ours = self._provenance
         differing = [key for key in ours if _identity(key, ours[key]) != _identity(key, stored.get(key))]
         if differing:
             raise SweepError(
-                f"{path} is of another sweep ({', '.join(differing)} differ): expected the same to go on; "
-                "--restart discards it"
+                f"{path} is of another sweep ({', '.join(differing)} differ): expected the same; {_DISCARD}"
             )
 
-    def add(self, rows: list[dict[str, Any]], recordings: Mapping[int, bytes]) -> None:
-        """Store rows that are done, with the recordings of their samples."""
-        for sample, content in recordings.items():
-            number = f"{sample:0{len(str(self._provenance['samples'] - 1))}}"
-            write_bytes_atomically(self.recordings / f"sample-{number}.parquet", content)
-        numbers = [row[table.SAMPLE] for row in rows]
-        table.write(rows, self._columns, self._parts / f"{min(numbers)}-{max(numbers)}.parquet")
+    def add(self, row: Mapping[str, Any], recording: bytes | None = None) -> None:
+        """Store the row of a sample that is done, with its recording as a Parquet file."""
+        if recording:
+            number = f"{row[table.SAMPLE]:0{len(str(self._provenance['samples'] - 1))}}"
+            write_bytes_atomically(self.recordings / f"sample-{number}.parquet", recording)
+        with self._log.open("a", encoding="utf-8") as log:
+            log.write(f"\n{json.dumps(row)}")  # which ends a line that was cut off
 
     def finish(self) -> None:
-        """Make the parts one table."""
-        if self.complete:
-            return
-        table.write(self._rows(), table.with_provenance(self._columns, self._provenance), self.path)
-        shutil.rmtree(self._parts)
+        """Write the table; SweepError if samples are missing."""
+        if not self.path.is_file():
+            rows = self._rows()
+            self._checked(rows, self._log)
+            table.write(rows.values(), self._columns, self.path)
+        self._log.unlink(missing_ok=True)
 
-    def _rows(self, columns: list[str] | None = None) -> Iterable[dict[str, Any]]:
-        for part in sorted(self._parts.glob("[0-9]*.parquet")):
-            yield from pq.read_table(part, columns=columns).to_pylist()
+    def _checked(self, samples: Iterable[int], path: Path) -> set[int]:
+        """The samples; SweepError unless they are all, each once."""
+        numbers, count = sorted(samples), self._provenance["samples"]
+        if numbers != list(range(count)):
+            raise SweepError(
+                f"{path}: {len(numbers)} rows of {len(set(numbers))} samples, expected {count}; {_DISCARD}"
+            )
+        return set(numbers)
+
+    def _rows(self) -> dict[int, dict[str, Any]]:
+        """Sample -> row; a damaged line is as if its sample had not been run."""
+        rows = [row for row in self._lines()[1:] if row.keys() >= {table.SAMPLE, table.ERROR}]
+        return {row[table.SAMPLE]: row for row in rows}
+
+    def _lines(self) -> list[dict[str, Any]]:
+        """The tables in the lines of the log, empty where a line is damaged."""
+        return [_read_line(line) for line in self._log.read_text("utf-8", "replace").split("\n")]
+
+
+def _read_line(line: str) -> dict[str, Any]:
+    with suppress(ValueError):
+        content = json.loads(line)
+        return content if isinstance(content, dict) else {}
+    return {}
 
 
 def _identity(key: str, value: Any) -> Any:

@@ -1,5 +1,7 @@
-"""A sweep in a few numbers."""
+"""A sweep in a few numbers, apart for each combination of the texts and truth values that are varied."""
 
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -7,28 +9,43 @@ from rich.markup import escape
 from rich.table import Table
 
 from fmus.extras import imports_of
+from orchestration.results.metric_units import shown
 from orchestration.sweep import table
 
 with imports_of("sweep", "a sweep"):
     import pyarrow as pa
 
-_PERCENT = (5, 50, 95)
+_PERCENT = {"least": 0, "5 %": 5, "50 %": 50, "95 %": 95, "largest": 100}
+HEADINGS = ("samples", "mean", "std", *_PERCENT)
 
 
-def summary(results: pa.Table) -> dict[str, dict[str, float]]:
-    """Metric -> mean, std (of the samples, n - 1), 5, 50 and 95 percent, over the samples that did not fail.
+def statistics(values: np.ndarray) -> dict[str, float]:
+    """HEADINGS -> of the values that are numbers: how many, mean, std (n - 1), percentiles; {} of none."""
+    numbers = values[np.isfinite(values)]
+    if not len(numbers):
+        return {}
+    spread = numbers.std(ddof=1) if len(numbers) > 1 else 0.0
+    percentiles = np.percentile(numbers, list(_PERCENT.values()))
+    return dict(zip(HEADINGS, (len(numbers), numbers.mean(), spread, *percentiles), strict=True))
 
-    A metric without two values is left out.
+
+def groups(varied: Mapping[str, Sequence[Any]], samples: Iterable[int]) -> dict[tuple[str, ...], np.ndarray]:
+    """The values of what is varied and no number -> those of the samples that have them.
+
+    varied: name -> a value a sample. All samples are under () if only numbers are varied.
     """
-    statistics = {}
-    for name in table.names(results.schema, "metric"):
-        values = results[name].drop_null().to_numpy()
-        if len(values) > 1:
-            percentiles = dict(
-                zip((f"{p} %" for p in _PERCENT), np.percentile(values, _PERCENT), strict=True)
-            )
-            statistics[name] = {"mean": values.mean(), "std": values.std(ddof=1), **percentiles}
-    return statistics
+    categories = categorical(varied)
+    members: dict[tuple[str, ...], list[int]] = {}
+    for i in samples:
+        members.setdefault(tuple(str(varied[name][i]) for name in categories), []).append(i)
+    return {values: np.array(indices) for values, indices in members.items()}
+
+
+def categorical(varied: Mapping[str, Sequence[Any]]) -> list[str]:
+    """The names of what is varied and no number."""
+    return [
+        name for name, values in varied.items() if any(isinstance(v, (str, bool, np.bool_)) for v in values)
+    ]
 
 
 def failed(results: pa.Table) -> int:
@@ -39,10 +56,16 @@ def failed(results: pa.Table) -> int:
 def summary_table(results: pa.Table, provenance: dict[str, Any]) -> Table:
     """The summary as a table for a terminal."""
     printed = Table(title=escape(f"{provenance['title']}: {len(results)} samples, {failed(results)} failed"))
-    printed.add_column("Metric", no_wrap=True)
-    for heading in ("Unit", "Mean", "Std", *(f"{p} %" for p in _PERCENT)):
-        printed.add_column(heading, justify="left" if heading == "Unit" else "right")
-    for name, numbers in summary(results).items():
-        unit = (results.schema.field(name).metadata or {}).get(b"unit", b"").decode()
-        printed.add_row(name, unit, *(f"{number:.4g}" for number in numbers.values()))
+    varied = {name: results[name].to_pylist() for name in table.names(results.schema, "varied")}
+    for heading in (*categorical(varied), "Metric", "Unit"):
+        printed.add_column(escape(heading), no_wrap=heading == "Metric")
+    for heading in HEADINGS:
+        printed.add_column(heading.capitalize(), justify="right")
+    good = np.flatnonzero(results[table.ERROR].is_null())
+    for values, indices in groups(varied, good).items():
+        printed.add_section()
+        for name, call in provenance["scenario"]["metrics"].items():
+            numbers = statistics(results[name].to_numpy()[indices]).values()
+            cells = [f"{number:.4g}" for number in numbers] or ["0", shown(math.nan, call)]
+            printed.add_row(*map(escape, (*values, name, table.unit(results.schema, name))), *cells)
     return printed

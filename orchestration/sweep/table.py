@@ -1,7 +1,7 @@
 """The result of a sweep as one tidy table: a row a sample.
 
 columns: `sample` (its number), what was varied (named "component.variable"), the metrics, `error` (null, or
-         why the sample failed: its metrics are then null)
+         why the sample failed: its metrics are then null). A metric that is not a number did not happen
 column metadata: `role` is sample, varied, metric or error; `unit` is "" where there is none
 table metadata: `l1_depth.kind` is sweep; `l1_depth.provenance` is JSON with the resolved scenario, the FMUs
          with their GUIDs, the seed, the number of samples, what was varied and what was recorded
@@ -28,11 +28,31 @@ _KIND, _PROVENANCE, _SWEEP = b"l1_depth.kind", b"l1_depth.provenance", b"sweep"
 _TYPES = {"Real": pa.float64(), "Integer": pa.int64(), "Boolean": pa.bool_(), "String": pa.string()}
 
 
-def provenance(plan: Plan, recorded: tuple[str, ...] | None) -> dict[str, Any]:
-    """What is run, as plain data: sweeps with the same one have the same rows.
+def schema(plan: Plan, recorded: tuple[str, ...] | None) -> pa.Schema:
+    """The columns, each with its role and unit, and what is run: sweeps with the same have the same rows.
 
     recorded: names of the signals of each sample; empty for all, None for no recordings
     """
+    signal_units = {name: port.variable.unit or "" for name, port in plan.checked.ports.items()}
+    columns = [
+        (SAMPLE, pa.int64(), SAMPLE, ""),
+        *(
+            (entry.target.name, _TYPES[entry.target.type], "varied", entry.target.unit)
+            for entry in plan.varied
+        ),
+        *(
+            (name, pa.float64(), "metric", unit)
+            for name, unit in metric_units(plan.scenario.metrics, signal_units).items()
+        ),
+        (ERROR, pa.string(), ERROR, ""),
+    ]
+    return pa.schema(
+        [pa.field(name, kind, metadata={"role": role, "unit": unit}) for name, kind, role, unit in columns],
+        {_KIND: _SWEEP, _PROVENANCE: json.dumps(_provenance(plan, recorded))},
+    )
+
+
+def _provenance(plan: Plan, recorded: tuple[str, ...] | None) -> dict[str, Any]:
     fmus = {
         name: {
             "guid": description.guid,
@@ -50,27 +70,13 @@ def provenance(plan: Plan, recorded: tuple[str, ...] | None) -> dict[str, Any]:
         "seed": plan.seed,
         "samples": plan.count,
         "varied": [entry.target.name for entry in plan.varied],
-        "recorded": None if recorded is None else list(recorded),
+        "recorded": recorded,
     }
 
 
-def schema(plan: Plan) -> pa.Schema:
-    """The columns, each with its role and unit."""
-    signal_units = {name: port.variable.unit or "" for name, port in plan.checked.ports.items()}
-    units = metric_units(plan.scenario.metrics, signal_units)
-    targets = [entry.target for entry in plan.varied]
-    return pa.schema(
-        [
-            _field(SAMPLE, pa.int64(), SAMPLE),
-            *(_field(t.name, _TYPES[t.type], "varied", t.unit) for t in targets),
-            *(_field(name, pa.float64(), "metric", unit) for name, unit in units.items()),
-            _field(ERROR, pa.string(), ERROR),
-        ]
-    )
-
-
-def _field(name: str, kind: pa.DataType, role: str, unit: str = "") -> pa.Field:
-    return pa.field(name, kind, metadata={"role": role, "unit": unit})
+def provenance_of(columns: pa.Schema) -> dict[str, Any]:
+    """What is run, as plain data."""
+    return json.loads(columns.metadata[_PROVENANCE])
 
 
 def write(rows: Iterable[Mapping[str, Any]], columns: pa.Schema, path: Path) -> None:
@@ -78,10 +84,6 @@ def write(rows: Iterable[Mapping[str, Any]], columns: pa.Schema, path: Path) -> 
     table = pa.Table.from_pylist(sorted(rows, key=lambda row: row[SAMPLE]), schema=columns)
     with open_atomically(path) as stream:
         pq.write_table(table, stream)
-
-
-def with_provenance(columns: pa.Schema, content: Mapping[str, Any]) -> pa.Schema:
-    return columns.with_metadata({_KIND: _SWEEP, _PROVENANCE: json.dumps(content)})
 
 
 def is_sweep(path: Path) -> bool:
@@ -97,9 +99,14 @@ def read(path: Path) -> tuple[pa.Table, dict[str, Any]]:
     if not is_sweep(path):
         raise SweepError(f"{path}: expected the table of a sweep, as l1-depth sweep writes it")
     table = pq.read_table(path)
-    return table, json.loads(table.schema.metadata[_PROVENANCE])
+    return table, provenance_of(table.schema)
 
 
 def names(columns: pa.Schema, role: str) -> list[str]:
     """Of the columns with that role."""
     return [field.name for field in columns if (field.metadata or {}).get(b"role") == role.encode()]
+
+
+def unit(columns: pa.Schema, name: str) -> str:
+    """Of a column, "" where there is none."""
+    return columns.field(name).metadata[b"unit"].decode()

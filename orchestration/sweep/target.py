@@ -11,7 +11,7 @@ from orchestration.errors import ScenarioError
 from orchestration.fmi.description import start_value
 from orchestration.system.experiment import Algorithm, Experiment
 from orchestration.system.system import CheckedSystem, Port
-from orchestration.system.values import fmi_value
+from orchestration.system.values import fmi_value, value_range
 
 _EXPERIMENT_UNITS = {"experiment.step_size": "s", "experiment.stop_time": "s", "experiment.algorithm": ""}
 _PURPOSE = "sweep"
@@ -93,7 +93,7 @@ def target(name: str, checked: CheckedSystem, experiment: Experiment) -> Target:
         key=name,
         unit=port.variable.unit or "",
         type="String" if port.variable.type == "Enumeration" else port.variable.type,
-        permitted=(_limit(port.variable.min, -math.inf), _limit(port.variable.max, math.inf)),
+        permitted=value_range(port),
         base_value=getattr(experiment, table).get(name, start_value(port.variable)),
         port=port,
     )
@@ -115,7 +115,3 @@ def with_settings(experiment: Experiment, settings: Settings) -> Experiment:
 def _items(port: Port) -> dict[int, str]:
     declared = port.variable.declaredType
     return {int(str(i.value)): str(i.name) for i in (declared.items or [])} if declared else {}
-
-
-def _limit(text: str | None, default: float) -> float:
-    return default if text is None else float(text)

@@ -1,17 +1,16 @@
-"""What a Dask worker needs to run samples, and how it runs a batch of them.
+"""What a Dask worker needs to run samples.
 
 The job, FMUs included, is a plugin of the workers: the scheduler keeps it and gives it to every worker,
 also to those that join later or replace one that has ended. Each unpacks it once, in its own local folder.
 """
 
 import signal
-import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from fmus.extras import imports_of
 from orchestration.sweep.isolated import ClosedError, IsolatedSamples
-from orchestration.sweep.job import Job, Outcome
+from orchestration.sweep.samples import Job, Outcome
 from orchestration.sweep.target import Settings
 
 with imports_of("sweep", "a sweep"):
@@ -38,24 +37,18 @@ class SamplePlugin(WorkerPlugin):
             runner.close()
         self._folder.cleanup()
 
-    def run(self, samples: list[tuple[int, Settings]], budget: float) -> list[tuple[int, Outcome]]:
-        """As many of the samples, in their order, as end within `budget` seconds, but one at least."""
-        runner = self._idle.pop() if self._idle else self._new()
-        begin, outcomes = time.monotonic(), []
-        for number, settings in samples:
-            try:
-                outcomes.append((number, runner.run(settings)))
-            except ClosedError:  # this worker leaves the cluster
-                raise Reschedule from None
-            if time.monotonic() - begin > budget:
-                break
-        self._idle.append(runner)
-        return outcomes
-
-    def _new(self) -> IsolatedSamples:
-        runner = IsolatedSamples(self._unpacked_job, Path(self._folder.name))
-        self._all.append(runner)
-        return runner
+    def run(self, settings: Settings) -> Outcome:
+        """One sample, in a process that no other thread uses."""
+        if not self._idle:
+            self._all.append(IsolatedSamples(self._unpacked_job, Path(self._folder.name)))
+            self._idle.append(self._all[-1])
+        runner = self._idle.pop()
+        try:
+            return runner.run(settings)
+        except ClosedError:  # this worker leaves the cluster
+            raise Reschedule from None
+        finally:
+            self._idle.append(runner)
 
 
 class IgnoreSigint(WorkerPlugin):
@@ -67,8 +60,8 @@ class IgnoreSigint(WorkerPlugin):
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def run_batch(plugin: str, samples: list[tuple[int, Settings]], budget: float) -> list[tuple[int, Outcome]]:
+def run_sample(plugin: str, settings: Settings) -> Outcome:
     """`SamplePlugin.run` of the worker that this is called on."""
     installed = get_worker().plugins[plugin]
     assert isinstance(installed, SamplePlugin)
-    return installed.run(samples, budget)
+    return installed.run(settings)

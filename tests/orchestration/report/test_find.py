@@ -39,11 +39,22 @@ def test_a_run_is_found_by_either_of_its_files_and_once(ending: str, tmp_path: P
 def test_a_recording_that_the_document_does_not_name_stands_alone(tmp_path: Path) -> None:
     """What an earlier run in the other format has left must not be shown with this run's scenario."""
     write_run(tmp_path, "dive", ending="parquet")
-    recording().write(tmp_path / "dive.csv")
+    recording(phase=0.1).write(tmp_path / "dive.csv")
     (run,) = found_results([tmp_path / "dive.csv"])
     assert isinstance(run, RunResult)
     assert (run.scenario, run.metrics) == ({}, {})
     assert names(tmp_path) == ["dive.csv", "dive.json"]
+
+
+def test_the_same_run_in_both_formats_is_one(tmp_path: Path) -> None:
+    write_run(tmp_path, "dive", ending="csv")
+    write_run(tmp_path, "dive", ending="parquet")
+    for ending in ("csv", "parquet"):
+        recording(points=3).write(tmp_path / f"alone.{ending}")
+    assert names(tmp_path) == ["alone", "dive"]
+    alone, dive = found_results([tmp_path])
+    assert alone.provenance == dive.provenance == PROVENANCE  # of the files that hold it
+    assert names(tmp_path / "alone.csv", tmp_path / "alone.parquet") == ["alone"]
 
 
 def test_a_folder_gives_its_runs_sweeps_and_recordings_and_nothing_else(tmp_path: Path) -> None:
@@ -104,7 +115,7 @@ def test_a_document_with_something_else_in_a_table_is_refused(key: str, tmp_path
     document = write_run(tmp_path, "dive")
     content = json.loads(document.read_text()) | {key: ["no table"]}
     document.write_text(json.dumps(content))
-    with pytest.raises(OrchestrationError, match=f"{key}: expected a table"):
+    with pytest.raises(OrchestrationError, match=f"{key} = .*: expected a table"):
         found_results([document])
 
 
@@ -112,7 +123,7 @@ def test_a_metric_without_a_unit_is_refused(tmp_path: Path) -> None:
     document = write_run(tmp_path, "dive")
     content = json.loads(document.read_text()) | {"metrics": {"rmse": 4.35}}
     document.write_text(json.dumps(content))
-    with pytest.raises(OrchestrationError, match=r"metric rmse: expected a value and a unit, got 4\.35"):
+    with pytest.raises(OrchestrationError, match=r"metrics\.rmse = 4\.35: expected a table"):
         found_results([document])
 
 

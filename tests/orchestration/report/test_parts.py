@@ -18,7 +18,7 @@ from orchestration.errors import OrchestrationError
 from orchestration.report import RunResult, SweepResult, found_results
 from orchestration.report.differences import differences
 from orchestration.report.embedded import packed
-from orchestration.report.statistics import correlations, distributions, strongest
+from orchestration.report.sweeps import correlations, distributions, strongest
 from orchestration.report.toml import toml
 from orchestration.scenarios import scenario
 
@@ -77,37 +77,58 @@ def test_differences_are_by_setting_and_the_many_are_counted() -> None:
     assert differences([run, without])["parameters: plant.mass"] == {"5.5": "run", "absent": "without"}
 
 
-def sweep(varied: list[float], metric: list[float]) -> SweepResult:
+def sweep(varied: list[float], metric: list[float], kinds: list[str] | None = None) -> SweepResult:
     count = len(metric)
     return SweepResult(
         "sweep",
         np.arange(count),
-        {"plant.mass": np.array(varied), "plant.kind": np.array(["a"] * count)},
+        {"plant.mass": varied, "plant.kind": kinds or ["a"] * count},
         {"rmse": np.array(metric)},
         ("",) * count,
         {"rmse": "m"},
-        {},
-        {},
-        "",
+        scenario={},
+        provenance={},
+        absent={},
+        command="",
     )
 
 
-def test_distributions_leave_failed_samples_out() -> None:
+def test_distributions_are_over_the_samples_that_have_a_number() -> None:
     (row,) = distributions(sweep([1.0, 2.0, 3.0, 4.0], [3.0, 1.0, math.nan, 2.0]))
-    assert (row["name"], row["unit"]) == ("rmse", "m")
-    assert row["values"] == pytest.approx([2.0, 1.0, 1.0, 1.1, 2.0, 2.9, 3.0])
+    assert (row["group"], row["name"]) == (("a",), "rmse")
+    assert list(row["values"].values()) == pytest.approx([3, 2.0, 1.0, 1.0, 1.1, 2.0, 2.9, 3.0])
     (one,) = distributions(sweep([1.0], [5.0]))
-    assert one["values"] == [5.0, 0.0, 5.0, 5.0, 5.0, 5.0, 5.0]
-    assert distributions(sweep([1.0], [math.nan])) == []
+    assert list(one["values"].values()) == [1, 5.0, 0.0, 5.0, 5.0, 5.0, 5.0, 5.0]
+    assert distributions(sweep([1.0], [math.nan]))[0]["values"] == {}
+
+
+def test_every_text_that_is_varied_has_a_distribution_of_its_own() -> None:
+    rows = distributions(sweep([1.0, 2.0, 3.0, 4.0], [1.0, 11.0, 3.0, 13.0], ["none", "pi", "none", "pi"]))
+    assert [(row["group"], row["values"]["mean"]) for row in rows] == [(("none",), 2.0), (("pi",), 12.0)]
+
+
+def coefficients(made: SweepResult) -> dict[tuple[str, str], float | None]:
+    """(what is varied, group) -> its correlation with the metric."""
+    return {(row["name"], *row["group"]): row["values"]["rmse"] for row in correlations(made)}
+
+
+def test_what_a_metric_depends_on_names_texts_and_keeps_their_groups_apart() -> None:
+    """The metric rises with the mass in one group and falls in the other; the text shifts its ranks."""
+    kinds = ["none", "none", "pi", "pi"]
+    assert coefficients(sweep([1.0, 2.0, 1.0, 2.0], [1.0, 2.0, 12.0, 11.0], kinds)) == {
+        ("plant.mass", "none"): pytest.approx(1.0),
+        ("plant.mass", "pi"): pytest.approx(-1.0),
+        ("plant.kind", "all"): pytest.approx(2.0 / math.sqrt(5.0)),  # ranks 1, 2, 3, 4 of means 1.5 and 3.5
+    }
 
 
 def test_rank_correlations_are_of_ranks_and_of_what_varies() -> None:
     """Monotonic but not linear is 1; ties share a rank."""
-    rising = correlations(sweep([1.0, 2.0, 3.0, 9.0], [0.0, 1.0, 100.0, math.nan]))
-    assert rising["plant.mass"]["rmse"] == pytest.approx(1.0)
-    assert strongest(rising) == ("plant.mass", "rmse")
-    tied = correlations(sweep([1.0, 1.0, 2.0], [1.0, 2.0, 3.0]))
-    assert tied["plant.mass"]["rmse"] == pytest.approx(math.sqrt(3.0) / 2.0)
-    constant = correlations(sweep([1.0, 1.0], [1.0, 2.0]))
-    assert constant == {"plant.mass": {"rmse": None}}
-    assert strongest(constant) is None
+    rising = sweep([1.0, 2.0, 3.0, 9.0], [0.0, 1.0, 100.0, math.nan])
+    assert coefficients(rising)["plant.mass", "a"] == pytest.approx(1.0)
+    assert strongest(correlations(rising)) == ("plant.mass", "rmse")
+    tied = sweep([1.0, 1.0, 2.0], [1.0, 2.0, 3.0])
+    assert coefficients(tied)["plant.mass", "a"] == pytest.approx(math.sqrt(3.0) / 2.0)
+    constant = sweep([1.0, 1.0], [1.0, 2.0])
+    assert set(coefficients(constant).values()) == {None}
+    assert strongest(correlations(constant)) is None

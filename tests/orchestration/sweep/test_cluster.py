@@ -52,10 +52,10 @@ DEADLY = """
 import os, signal
 from orchestration.sweep import worker
 
-def run_batch(plugin, samples, budget):
-    if any(number == 3 for number, _ in samples):
+def run_sample(plugin, settings):
+    if settings["inputs"]["r.u"] == 3:
         os.kill(os.getpid(), signal.SIGKILL)
-    return worker.run_batch(plugin, samples, budget)
+    return worker.run_sample(plugin, settings)
 """
 
 
@@ -97,11 +97,8 @@ def test_one_two_and_four_workers_give_the_same_bytes(by_two: tuple[Plan, bytes]
     assert {row["error"] is None for row in rows} == {True, False}
 
 
-def test_a_killed_worker_loses_nothing(
-    by_two: tuple[Plan, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_killed_worker_loses_nothing(by_two: tuple[Plan, bytes], tmp_path: Path) -> None:
     made, expected = by_two
-    monkeypatch.setattr(running, "_LARGEST_BATCH", 5)
     killed: list[int] = []
 
     with cluster.local(2) as client:
@@ -144,7 +141,7 @@ def test_a_sample_whose_workers_die_again_and_again_is_found_among_the_others(
     made = planned('[sweep.vary."r.u"]\nvalues = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]\n')
     (tmp_path / "deadly.py").write_text(DEADLY)
     monkeypatch.syspath_prepend(tmp_path)  # of the workers as well
-    monkeypatch.setattr(running, "run_batch", importlib.import_module("deadly").run_batch)
+    monkeypatch.setattr(running, "run_sample", importlib.import_module("deadly").run_sample)
     one_death = config.set({"distributed.scheduler.allowed-failures": 0})  # the default of 3 takes a minute
     with one_death, cluster.local(2) as client:
         found, _ = table.read(swept(made, client, tmp_path))

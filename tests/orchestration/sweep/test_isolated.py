@@ -17,8 +17,8 @@ from orchestration.results import metrics
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 from orchestration.sweep.isolated import IsolatedSamples
-from orchestration.sweep.job import job
 from orchestration.sweep.plan import plan
+from orchestration.sweep.samples import Job
 
 TIMEOUT_S = 3.0
 SWEEP = f"[sweep]\ntimeout = {TIMEOUT_S}\n" + '[sweep.vary."r.u"]\nvalues = [1]\n'
@@ -32,7 +32,7 @@ def does(misdeed: str, **parameters: float) -> dict[str, dict[str, Any]]:
 @pytest.fixture
 def samples(sweep_file: Callable[..., Path], tmp_path: Path) -> Iterator[IsolatedSamples]:
     """Where samples run; nothing is left of it afterwards but the FMU."""
-    made = job(plan(scenario.load(sweep_file(SWEEP))), recorded=("r.y",))
+    made = Job.of(plan(scenario.load(sweep_file(SWEEP))), recorded=("r.y",))
     folder, others = tmp_path / "worker", processes()
     opened = IsolatedSamples(made.with_unpacked_fmus(folder), folder)
     yield opened
@@ -116,7 +116,7 @@ def test_closing_ends_a_sample_that_runs(samples: IsolatedSamples) -> None:
 def test_an_fmu_that_cannot_be_loaded_is_told_without_the_place_where_it_was_unpacked(
     sweep_file: Callable[..., Path], tmp_path: Path
 ) -> None:
-    made = job(plan(scenario.load(sweep_file(SWEEP))), recorded=None)
+    made = Job.of(plan(scenario.load(sweep_file(SWEEP))), recorded=None)
     unpacked = made.with_unpacked_fmus(tmp_path / "worker")
     (path,) = unpacked.system.components.values()
     path.write_bytes(b"no zip any more")
@@ -131,7 +131,7 @@ def test_a_python_that_cannot_run_samples_is_told_at_once(
 ) -> None:
     (tmp_path / "numpy.py").write_text("raise ImportError('not this one')")
     monkeypatch.syspath_prepend(tmp_path)
-    made = job(plan(scenario.load(sweep_file(SWEEP))), recorded=None)
+    made = Job.of(plan(scenario.load(sweep_file(SWEEP))), recorded=None)
     opened = IsolatedSamples(made.with_unpacked_fmus(tmp_path / "worker"), tmp_path / "worker")
     with pytest.raises(SweepError, match="cannot start: ImportError: not this one"):
         opened.run(SAMPLE)

@@ -7,14 +7,17 @@ from pathlib import Path
 import pytest
 
 from orchestration.scenarios.scenario import SHIPPED
-from orchestration.sweep.schema import schemas
+
+from .schemas import schemas
 
 FILES = sorted(SHIPPED.rglob("*.toml"))
 
 
 @pytest.mark.parametrize(("name", "text"), schemas().items())
 def test_the_shipped_schema_is_the_generated_one(name: str, text: str) -> None:
-    assert (SHIPPED / name).read_text(encoding="utf-8") == text, "run python -m orchestration.sweep.schema"
+    assert (SHIPPED / name).read_text(encoding="utf-8") == text, (
+        "run python -m tests.orchestration.sweep.schemas"
+    )
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)

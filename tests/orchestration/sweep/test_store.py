@@ -1,6 +1,8 @@
 """What a sweep leaves behind: parts while it runs, one table at the end, and no rows of two sweeps in it."""
 
-from collections.abc import Callable
+import subprocess
+import sys
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -10,14 +12,14 @@ from orchestration.errors import SweepError
 from orchestration.sweep import table
 from orchestration.sweep.plan import Plan
 from orchestration.sweep.store import Store
-from orchestration.sweep.summary import failed, summary
+from orchestration.sweep.summary import failed, statistics
 
 Make = Callable[..., Plan]
 GRID = '[sweep.vary]\n"r.u" = { values = [0, 1, 2, 3, 4] }\n"r.misdeed" = { values = ["none"] }\n'
 
 
 def store(made: Plan, folder: Path, recorded: tuple[str, ...] | None = None) -> Store:
-    return Store(folder, table.schema(made), table.provenance(made, recorded))
+    return Store(folder, table.schema(made, recorded))
 
 
 def row(made: Plan, sample: int, error: str | None = None) -> dict:
@@ -25,12 +27,17 @@ def row(made: Plan, sample: int, error: str | None = None) -> dict:
     return {"sample": sample, **made.values(sample), **measured, "error": error}
 
 
+def add(opened: Store, made: Plan, samples: Iterable[int]) -> None:
+    for sample in samples:
+        opened.add(row(made, sample))
+
+
 def test_the_table_is_sorted_and_says_what_its_columns_are(planned: Make, tmp_path: Path) -> None:
     made, out = planned(GRID), tmp_path / "out"
     opened = store(made, out)
     assert opened.begin() == set()
-    opened.add([row(made, 3), row(made, 4, "the rudder is stuck")], {})
-    opened.add([row(made, 0), row(made, 2), row(made, 1)], {})
+    opened.add(row(made, 4, "the rudder is stuck"))
+    add(opened, made, [3, 0, 2, 1])
     opened.finish()
     found, about = table.read(out / "mine.sweep.parquet")
     assert found.to_pylist() == [
@@ -55,7 +62,7 @@ def test_units_stand_in_the_columns(tmp_path: Path) -> None:
     from orchestration.scenarios import scenario
     from orchestration.sweep.plan import plan
 
-    columns = table.schema(plan(scenario.load(scenario.find("monte-carlo"))))
+    columns = table.schema(plan(scenario.load(scenario.find("monte-carlo"))), None)
     units = {field.name: field.metadata[b"unit"].decode() for field in columns}
     assert units["plant.inertia"] == "kg"
     assert units["settling_time"] == "s"
@@ -69,7 +76,7 @@ def test_parts_in_any_order_give_the_same_bytes(planned: Make, tmp_path: Path) -
         opened = store(made, tmp_path / name)
         opened.begin()
         for batch in batches:
-            opened.add([row(made, sample) for sample in batch], {})
+            add(opened, made, batch)
         opened.finish()
         written.append(opened.path.read_bytes())
     assert written[0] == written[1]
@@ -79,10 +86,10 @@ def test_what_is_done_is_found_again(planned: Make, tmp_path: Path) -> None:
     made = planned(GRID)
     first = store(made, tmp_path)
     first.begin()
-    first.add([row(made, 1), row(made, 3)], {})
+    add(first, made, [1, 3])
     again = store(made, tmp_path)
     assert again.begin() == {1, 3}
-    again.add([row(made, sample) for sample in (0, 2, 4)], {})
+    add(again, made, [0, 2, 4])
     again.finish()
     assert store(made, tmp_path).begin() == {0, 1, 2, 3, 4}
 
@@ -94,7 +101,8 @@ def test_another_sweep_of_the_name_is_refused_until_it_is_discarded(
     made = planned(GRID)
     first = store(made, tmp_path)
     first.begin()
-    first.add([row(made, sample) for sample in range(5)], {0: b"recording"})
+    first.add(row(made, 0), b"recording")
+    add(first, made, range(1, 5))
     if finished:
         first.finish()
     other = store(planned(GRID.replace("4]", "5]")), tmp_path)
@@ -134,19 +142,96 @@ def test_the_summary_leaves_failed_samples_out(planned: Make, tmp_path: Path) ->
     made = planned(GRID)
     opened = store(made, tmp_path)
     opened.begin()
-    opened.add([row(made, sample) for sample in range(4)] + [row(made, 4, "the rudder is stuck")], {})
+    add(opened, made, range(4))
+    opened.add(row(made, 4, "the rudder is stuck"))
     opened.finish()
     found, _ = table.read(opened.path)
     assert failed(found) == 1
-    mean = summary(found)["mean"]  # of 0, 10, 20, 30
-    assert (mean["mean"], mean["50 %"]) == (15.0, 15.0)
+    mean = statistics(found["mean"].to_numpy())  # of 0, 10, 20, 30
+    assert (mean["samples"], mean["mean"], mean["50 %"]) == (4, 15.0, 15.0)
     assert mean["std"] == pytest.approx((500.0 / 3.0) ** 0.5, rel=1e-15)  # rounding of the root
 
 
 def test_another_file_is_no_table_of_a_sweep(tmp_path: Path, planned: Make) -> None:
     path = tmp_path / "other.parquet"
-    pq.write_table(table.schema(planned(GRID)).empty_table(), path)
+    pq.write_table(table.schema(planned(GRID), None).remove_metadata().empty_table(), path)
     for each in (path, tmp_path / "none.parquet", tmp_path / "mine.toml"):
         assert not table.is_sweep(each)
         with pytest.raises(SweepError, match="expected the table of a sweep"):
             table.read(each)
+
+
+def test_two_sweeps_in_one_folder_are_refused_until_the_first_ends(planned: Make, tmp_path: Path) -> None:
+    made = planned(GRID)
+    with store(made, tmp_path) as first:
+        first.begin()
+        with pytest.raises(SweepError, match=r"mine\.sweep\.lock: another process runs this sweep"):
+            store(made, tmp_path).__enter__()
+    with store(made, tmp_path) as second:
+        assert second.begin() == set()
+    assert not (tmp_path / "mine.sweep.lock").exists()
+
+
+def test_the_lock_of_a_process_that_was_killed_is_free(planned: Make, tmp_path: Path) -> None:
+    code = "import os, sys, filelock; filelock.FileLock(sys.argv[1]).acquire(); os._exit(9)"
+    subprocess.run([sys.executable, "-c", code, tmp_path / "mine.sweep.lock"], check=False)
+    with store(planned(GRID), tmp_path) as opened:
+        assert opened.begin() == set()
+
+
+def test_rows_that_were_run_twice_are_one_and_a_table_has_all_samples(planned: Make, tmp_path: Path) -> None:
+    made = planned(GRID)
+    opened = store(made, tmp_path)
+    opened.begin()
+    add(opened, made, [0, 1, 1, 2, 0])
+    with pytest.raises(SweepError, match=r"mine\.sweep\.jsonl: 3 rows of 3 samples, expected 5"):
+        opened.finish()
+    assert not opened.path.exists()
+    add(opened, made, [4, 3])
+    opened.finish()
+    assert table.read(opened.path)[0]["sample"].to_pylist() == [0, 1, 2, 3, 4]
+
+
+def test_a_table_with_rows_of_two_sweeps_is_refused(planned: Make, tmp_path: Path) -> None:
+    made = planned(GRID)
+    opened = store(made, tmp_path)
+    table.write([row(made, i) for i in (0, 1, 2, 3, 4, 4)], table.schema(made, None), opened.path)
+    with pytest.raises(SweepError, match=r"6 rows of 5 samples, expected 5; --restart discards it"):
+        opened.begin()
+
+
+@pytest.mark.parametrize("damage", [b'\n{"sample": 3, "r.u": 3.0, "mean', b"\n\xff\x00", b"\n[1]", b"\n{}"])
+def test_a_damaged_line_is_run_again(planned: Make, tmp_path: Path, damage: bytes) -> None:
+    made = planned(GRID)
+    opened = store(made, tmp_path)
+    opened.begin()
+    add(opened, made, [1, 2])
+    (log,) = tmp_path.glob("*.jsonl")
+    log.write_bytes(log.read_bytes() + damage)
+    assert store(made, tmp_path).begin() == {1, 2}
+    add(opened, made, [0, 3, 4])
+    assert opened.begin() == {0, 1, 2, 3, 4}
+
+
+@pytest.mark.parametrize("damage", [b"", b'{"name": "mi', b"\xff", b"3\n"])
+def test_a_damaged_first_line_is_named(planned: Make, tmp_path: Path, damage: bytes) -> None:
+    made = planned(GRID)
+    opened = store(made, tmp_path)
+    opened.begin()
+    (log,) = tmp_path.glob("*.jsonl")
+    log.write_bytes(damage)
+    with pytest.raises(SweepError, match=r"mine\.sweep\.jsonl: .* damaged; --restart discards it"):
+        store(made, tmp_path).begin()
+    opened.discard()
+    assert opened.begin() == set()
+
+
+def test_a_damaged_table_is_named(planned: Make, tmp_path: Path) -> None:
+    made = planned(GRID)
+    opened = store(made, tmp_path)
+    opened.begin()
+    add(opened, made, range(5))
+    opened.finish()
+    opened.path.write_bytes(opened.path.read_bytes()[:-20])
+    with pytest.raises(SweepError, match=r"mine\.sweep\.parquet: expected the table of a sweep"):
+        store(made, tmp_path).begin()

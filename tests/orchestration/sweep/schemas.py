@@ -1,6 +1,6 @@
 """The JSON schemas of scenario and parameter files, which editors use to check and complete them.
 
-`python -m orchestration.sweep.schema` writes them beside the shipped scenarios.
+`python -m tests.orchestration.sweep.schemas` writes them beside the shipped scenarios.
 """
 
 import json
