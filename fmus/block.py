@@ -113,7 +113,7 @@ class NoValues:
     """Stands for a class of variables that a block does not have."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Block:
     """A model as data: four or five frozen dataclasses and the pure functions between them.
 

@@ -14,6 +14,8 @@ from fmus.documentation.reference_results import reference_run
 from fmus.errors import ExportError, nearest
 from fmus.export import native as native_flavour
 from fmus.export import python as python_flavour
+from fmus.export.faithful import check_faithful
+from fmus.export.symbolic import traced
 from fmus.files import write_archive
 from fmus.instance import Instance
 from fmus.platforms import host_platform, library_name
@@ -38,6 +40,7 @@ def _verified(name: str, block: Block) -> Block:
         raise ExportError(f"block {name!r}: expected ASCII letters, digits and single underscores")
     if "internal_step" not in {v.name for v in block.of_causality("parameter")}:
         raise ExportError(f"block {name!r}: expected a parameter internal_step, its longest step in s")
+    traced(block)  # before a call with numbers, which a function could remember
     trial = Instance(block)
     try:
         trial.exit_initialization_mode()
@@ -67,6 +70,7 @@ def build_block(
     """As `build`, of a block that no entry point names."""
     export = _EXPORTS[flavour]
     _, members = export.content(block)
+    check_faithful(block)
     libraries = export.libraries(block.name, members, platforms)
     shown = {"model.png": icon(block)} | reference_files.members(reference_run(block), block.name)
     return write_archive(folder / f"{block.name}.fmu", members | libraries | shown)

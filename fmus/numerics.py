@@ -90,6 +90,13 @@ def modulo(value: Any, divisor: Any) -> Any:
     return _casadi().fmod(value, divisor)
 
 
+def atan2(y: Any, x: Any) -> Any:
+    """The angle of the point (x, y) in rad, -pi..pi."""
+    if isinstance(y, _NUMBERS) and isinstance(x, _NUMBERS):
+        return math.atan2(y, x)
+    return _casadi().atan2(y, x)
+
+
 def _elementary(name: str) -> Callable[[Any], Any]:
     on_float = getattr(math, name)
 
@@ -108,7 +115,15 @@ exp = _elementary("exp")
 log = _elementary("log")
 sin = _elementary("sin")
 cos = _elementary("cos")
+tan = _elementary("tan")
+asin = _elementary("asin")
+acos = _elementary("acos")
+atan = _elementary("atan")
+sinh = _elementary("sinh")
+cosh = _elementary("cosh")
+tanh = _elementary("tanh")
 floor = _elementary("floor")
+ceil = _elementary("ceil")
 
 
 def ramps(t: Any, times: Sequence[Any], values: Sequence[Any], smooth: Any) -> Any:

@@ -12,7 +12,7 @@ import fmpy
 
 from fmus.block import Block, ScalarVariable
 from fmus.errors import ExportError
-from fmus.export.symbolic import Traced
+from fmus.export.symbolic import Traced, traced
 from fmus.fmi_types import TRANSFER_TYPE
 
 COMPILED = ("fmi2.c",)
@@ -30,21 +30,14 @@ def c_sources(block: Block, guid: str) -> dict[str, str]:
     files = [file for file in layer.iterdir() if file.name.endswith((".c", ".h"))]
     texts = {file.name: file.read_text("utf-8") for file in (*files, *map(headers.joinpath, _FMI_HEADERS))}
     template = Template((layer / "model.h.in").read_text("utf-8"))
-    try:
-        traced = Traced(block)
-        return texts | {
-            "model.h": template.substitute(_tables(traced), guid=guid),
-            "model_code.h": traced.c_code(),
-        }
-    except (TypeError, AttributeError, RuntimeError, NotImplementedError) as error:
-        raise ExportError(
-            f"block {block.name!r} cannot be traced: {error}; expected numerics.where for a branch on a value"
-        ) from error
+    functions = traced(block)
+    model = template.substitute(_tables(functions), guid=guid)
+    return texts | {"model.h": model, "model_code.h": functions.c_code()}
 
 
-def _tables(traced: Traced) -> dict[str, object]:
+def _tables(functions: Traced) -> dict[str, object]:
     """What `model.h.in` leaves open."""
-    block = traced.block
+    block = functions.block
     whole = [index for index, v in enumerate(block.of_causality("output")) if v.type != "Real"]
     return {
         "name": block.name,
@@ -53,14 +46,14 @@ def _tables(traced: Traced) -> dict[str, object]:
         "calculated": len(block.of_causality("calculatedParameter")),
         "inputs": len(block.of_causality("input")),
         "outputs": len(block.of_causality("output")),
-        "states": traced.step.numel_out(0),
+        "states": functions.step.numel_out(0),
         "n_whole": len(whole),
         "whole": ", ".join(map(str, (*whole, 0))),  # never empty, which C99 has not
-        "requirements": len(traced.required),
+        "requirements": len(functions.required),
         "internal_step": next(v.value_reference for v in block.variables if v.name == "internal_step"),
-        "work": max(function.sz_w() for function in traced.functions()),
+        "work": max(function.sz_w() for function in functions.functions()),
         "variables": ",\n".join(map(_row, block.variables)),
-        "required": ",\n".join(f"    {_string(text)}" for text in (*traced.required, "")),
+        "required": ",\n".join(f"    {_string(text)}" for text in (*functions.required, "")),
     }
 
 

@@ -4,11 +4,15 @@ Every function takes and gives column vectors in the order of `flatten`; paramet
 parameters `c`, inputs `u`, state `x`, outputs `y`, times `t` and `h` in s.
 """
 
+import math
+from functools import cache, partial
 from typing import Any
 
 import casadi
 
 from fmus.block import Block, flatten, unflatten
+from fmus.errors import ExportError
+from fmus.export import guard
 
 
 class Traced:
@@ -30,27 +34,47 @@ class Traced:
         self.block = block
         t, h = casadi.SX.sym("t"), casadi.SX.sym("h")
         (ps, p), (cs, c), (us, u) = map(_symbols, (block.parameters, block.calculated, block.inputs))
-        calculated, conditions = block.calculate(p), block.requirements(p, c)
-        initial = block.initial_state(t, u, p, c)
+        call = partial(guard.call, block.name)
+        calculated, conditions = call(block.calculate, p), call(block.requirements, p, c)
+        initial = call(block.initial_state, t, u, p, c)
         xs, x = _symbols(initial)
-        stepped = block.step(t, h, x, u, p, c)
+        stepped = call(block.step, t, h, x, u, p, c)
         self.required = tuple(text for _, text in conditions)
         self.calculate = self._function("calculate", [ps], calculated)
         self.requirements = self._function("requirements", [ps, cs], tuple(holds for holds, _ in conditions))
         self.initial_state = self._function("initial_state", [t, us, ps, cs], initial)
         self.step = self._function("step", [t, h, xs, us, ps, cs], stepped)
-        self.output = self._function("output", [t, xs, ps, cs], block.output(t, x, p, c))
+        self.output = self._function("output", [t, xs, ps, cs], call(block.output, t, x, p, c))
+        outputs = len(block.of_causality("output"))
+        self._check((self.calculate, cs.numel()), (self.step, xs.numel()), (self.output, outputs))
 
-        reached = casadi.jacobian(_column(block.output(t + h, stepped, p, c)), h)
+        reached = casadi.jacobian(_column(call(block.output, t + h, stepped, p, c)), h)
         rate = casadi.substitute(reached, h, 0.0)
         self.output_rate = self._function("output_rate", [t, xs, us, ps, cs], rate)
 
-        first = block.output(t, block.initial_state(t, u, p, calculated), p, calculated)
+        first = call(block.output, t, call(block.initial_state, t, u, p, calculated), p, calculated)
         unknowns, knowns = _column((calculated, first)), casadi.vertcat(ps, us)
         self.initial_sparsity = casadi.jacobian_sparsity(unknowns, knowns)
         self.initial_derivative = self._along("initial_derivative", [t, ps, us], unknowns, knowns)
-        held = _column((calculated, block.output(t, x, p, calculated)))
+        held = _column((calculated, call(block.output, t, x, p, calculated)))
         self.output_derivative = self._along("output_derivative", [t, xs, ps], held, ps)
+
+    def _check(self, *functions: tuple[casadi.Function, int]) -> None:
+        """ExportError for a function of a wrong number of results, or with a constant that is NaN."""
+        for function, count in functions:
+            name = function.name().removeprefix(f"{self.block.name}_")
+            given = function.numel_out(0)
+            if given != count:
+                raise ExportError(
+                    f"block {self.block.name!r}: {name} gives {given} numbers: expected {count}"
+                )
+            constants = (
+                function.instruction_constant(i)
+                for i in range(function.n_instructions())
+                if function.instruction_id(i) == casadi.OP_CONST
+            )
+            if any(map(math.isnan, constants)):
+                raise ExportError(f"block {self.block.name!r}: {name} holds a constant that is not a number")
 
     def functions(self) -> list[casadi.Function]:
         """Everything that an FMU needs."""
@@ -72,6 +96,17 @@ class Traced:
         return casadi.Function(f"{self.block.name}_{name}", arguments, [column])
 
 
+@cache
+def traced(block: Block) -> Traced:
+    """The functions of a block, traced once in a process. ExportError for a block that cannot be traced."""
+    try:
+        return Traced(block)
+    except ExportError:
+        raise
+    except (TypeError, AttributeError, RuntimeError, NotImplementedError) as error:
+        raise ExportError(f"block {block.name!r} cannot be traced: {error}") from error
+
+
 def _symbols(template: Any) -> tuple[casadi.SX, Any]:
     """A column of symbols, and the same in the shape of the template."""
     count = len(flatten(template() if isinstance(template, type) else template))
@@ -89,6 +124,6 @@ def initial_dependencies(block: Block) -> dict[int, tuple[int, ...]]:
     unknowns = (*block.of_causality("calculatedParameter"), *block.of_causality("output"))
     knowns = (*block.of_causality("parameter"), *block.of_causality("input"))
     found: dict[int, list[int]] = {v.value_reference: [] for v in unknowns}
-    for row, column in zip(*Traced(block).initial_sparsity.get_triplet(), strict=True):
+    for row, column in zip(*traced(block).initial_sparsity.get_triplet(), strict=True):
         found[unknowns[row].value_reference].append(knowns[column].value_reference)
     return {unknown: tuple(sorted(known)) for unknown, known in found.items()}

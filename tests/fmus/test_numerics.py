@@ -29,7 +29,16 @@ FUNCTIONS: list[tuple[Callable[..., Any], tuple]] = [
     (n.log, (POSITIVE,)),
     (n.sin, (FINITE,)),
     (n.cos, (FINITE,)),
+    (n.tan, (FINITE,)),
+    (n.asin, (st.floats(-1.0, 1.0),)),
+    (n.acos, (st.floats(-1.0, 1.0),)),
+    (n.atan, (FINITE,)),
+    (n.sinh, (st.floats(-20.0, 20.0),)),
+    (n.cosh, (st.floats(-20.0, 20.0),)),
+    (n.tanh, (FINITE,)),
+    (n.atan2, (FINITE, FINITE)),
     (n.floor, (FINITE,)),
+    (n.ceil, (FINITE,)),
 ]
 
 

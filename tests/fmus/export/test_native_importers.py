@@ -112,5 +112,5 @@ def test_a_block_with_an_if_on_a_value_is_refused_with_the_way_out() -> None:
     def branching(t: float, x: Any, p: Any, c: Any) -> Any:
         return block.output(t, x if x.x[0] > 0.0 else block.state(), p, c)
 
-    with pytest.raises(ExportError, match=r"'ExamplePlant' cannot be traced: .*expected numerics.where"):
+    with pytest.raises(ExportError, match=r"'ExamplePlant' cannot be traced: .*use fmus.numerics.where"):
         native_flavour.content(replace(block, output=branching))

@@ -1,0 +1,147 @@
+"""What stops a function of a block while it is traced: what would turn a symbol, or a draw, into a constant.
+
+Python asks a symbol for a number (`math.tanh(x)`), a truth value (`if x > 0`) or a key (`table[x]`); CasADi
+gives NaN or an identity for some of these without an error, and computes `%`, `//` and `round` otherwise than
+Python does. A clock, a random number or a global that is assigned would be what it is during the tracing.
+"""
+
+import dis
+import linecache
+import re
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from types import CodeType, FrameType
+from typing import Any
+
+import casadi
+
+from fmus import numerics
+from fmus.errors import ExportError
+
+_LIBRARIES = {*sys.stdlib_module_names, "casadi", "numpy"} - {"__main__"}
+_DRAWS = {"time", "random", "_random"}  # modules whose compiled functions give another value at each call
+_CLOCKS = {"now", "utcnow", "today", "urandom", "getrandom"}  # of classes and modules that hold others too
+_LOCK = threading.Lock()  # two tracings at a time would restore each other's methods
+
+# method of a symbol -> why it is refused, and the function of fmus.numerics to use
+_REFUSED = {
+    "__float__": ("a number is needed", ""),
+    "__int__": ("an integer is needed", "floor"),
+    "__bool__": ("a truth value is needed", "where"),
+    "__hash__": ("a key is needed", "where"),
+    "__round__": ("Python rounds halves to even, compiled code does not", "floor"),
+    "__mod__": ("Python computes it otherwise than compiled code", "modulo"),
+    "__floordiv__": ("Python computes it otherwise than compiled code", "floor"),
+    "__divmod__": ("Python computes it otherwise than compiled code", "modulo"),
+}
+_REFUSED |= {f"__r{name[2:]}": _REFUSED[name] for name in ("__mod__", "__floordiv__", "__divmod__")}
+_COUNTERPARTS = {"max": "maximum", "min": "minimum", "fabs": "absolute", "pow": "power", "fmod": "modulo"}
+
+
+class _RefusedError(TypeError):
+    """A use of a symbol that has no meaning in compiled code; `function` is what to use instead."""
+
+    def __init__(self, reason: str, function: str = "") -> None:
+        super().__init__(reason)
+        self.function = function
+
+
+def call(block: str, function: Callable[..., Any], *arguments: Any) -> Any:
+    """What a function of a block returns for symbols; ExportError names the line that cannot be traced."""
+    try:
+        with _guarded():
+            return function(*arguments)
+    except Exception as error:
+        raise ExportError(f"block {block!r} cannot be traced: {_reason(error)}") from error
+
+
+def location(function: Callable[..., Any]) -> str:
+    """File and line of a function, as the beginning of a message."""
+    code = getattr(function, "__code__", None)
+    return f"{code.co_filename}:{code.co_firstlineno}: " if code else ""
+
+
+@contextmanager
+def _guarded() -> Iterator[None]:
+    with _LOCK:
+        originals = {name: getattr(casadi.SX, name) for name in _REFUSED}
+        profile = sys.getprofile()
+        try:
+            for name, original in originals.items():
+                setattr(casadi.SX, name, _refusal(original, *_REFUSED[name]))
+            sys.setprofile(_refuse_impure)
+            yield
+        finally:
+            sys.setprofile(profile)
+            for name, original in originals.items():
+                setattr(casadi.SX, name, original)
+
+
+def _refusal(original: Callable[..., Any], reason: str, function: str) -> Callable[..., Any]:
+    def method(symbol: casadi.SX, *others: Any) -> Any:
+        if all(casadi.SX(number).is_constant() for number in (symbol, *others)):
+            return original(symbol, *others)
+        raise _RefusedError(f"{reason}, but the value is not known before the FMU runs", function)
+
+    return method
+
+
+def _refuse_impure(frame: FrameType, event: str, called: Any) -> None:
+    """The profile function of a tracing."""
+    if event == "call" and (name := _assigned_global(frame.f_code)) and not _is_library(frame):
+        raise _RefusedError(f"the global {name} is assigned, but an FMU has no memory beside its state")
+    if event == "c_call" and _is_draw(called) and not _is_import(frame):
+        raise _RefusedError(f"{called.__name__} gives another value at each call; use the time and the state")
+
+
+def _is_draw(called: Any) -> bool:
+    module = called.__module__ or type(getattr(called, "__self__", None)).__module__
+    return module in _DRAWS or called.__name__ in _CLOCKS
+
+
+def _is_import(frame: FrameType | None) -> bool:
+    while frame and _is_library(frame):
+        if frame.f_globals.get("__name__", "").startswith("importlib"):
+            return True
+        frame = frame.f_back
+    return False
+
+
+@cache
+def _assigned_global(code: CodeType) -> str:
+    return next((step.argval for step in dis.get_instructions(code) if step.opname == "STORE_GLOBAL"), "")
+
+
+def _is_library(frame: FrameType) -> bool:
+    name = frame.f_globals.get("__name__", "")
+    return name.partition(".")[0] in _LIBRARIES or name in (__name__, numerics.__name__)
+
+
+def _reason(error: Exception) -> str:
+    """File, line and expression of the user's that led to an error, and what to write instead."""
+    cause = error.__cause__ if isinstance(error.__cause__, _RefusedError) else error  # NumPy raises its own
+    frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
+    summaries = traceback.extract_tb(error.__traceback__)
+    own = [s for frame, s in zip(frames, summaries, strict=True) if not _is_library(frame)]
+    if not own:
+        return f"{cause}"
+    source = linecache.getline(own[-1].filename, own[-1].lineno or 0)
+    one_line = own[-1].lineno == own[-1].end_lineno
+    expression = (
+        source.encode()[own[-1].colno or 0 : own[-1].end_colno if one_line else None].decode().strip()
+    )
+    return f"{own[-1].filename}:{own[-1].lineno}: {expression}: {cause}{_advice(cause, expression)}"
+
+
+def _advice(error: BaseException, expression: str) -> str:
+    if not isinstance(error, _RefusedError):
+        return "; expected functions of fmus.numerics, where for a branch on a value"
+    called = re.match(r"(?:\w+\.)*(\w+)\(", expression)
+    name = called[1] if called else ""
+    name = _COUNTERPARTS.get(name, name)
+    known = name if callable(getattr(numerics, name, None)) else error.function
+    return f"; use fmus.numerics.{known}" if known else ""
