@@ -255,7 +255,7 @@ def test_what_is_declared_is_imported() -> None:
     ("package", "allowed"),
     [
         ("pythonfmu", {"fmus.export.slave"}),
-        ("casadi", {"fmus.numerics", "fmus.export.symbolic"}),
+        ("casadi", {"fmus.numerics", "fmus.export.guard", "fmus.export.symbolic"}),
         ("matplotlib", {"orchestration.results.figures"}),
         ("plotly", {"orchestration.report.render"}),
         ("PIL", {"fmus.documentation.icon"}),

@@ -50,9 +50,13 @@ def test_a_block_needs_an_internal_step(offer: object) -> None:
 
 
 def test_a_block_that_cannot_take_a_step_is_refused(offer: object) -> None:
-    def broken(*arguments: object) -> object:
-        raise AttributeError("no such thing")
+    plant = catalogue.load_block("ExamplePlant")
 
-    offer("Mine", replace(catalogue.load_block("ExamplePlant"), name="Mine", step=broken))  # type: ignore[operator]
+    def broken(t: object, *arguments: object) -> object:
+        if isinstance(t, float):
+            raise AttributeError("no such thing")
+        return plant.step(t, *arguments)
+
+    offer("Mine", replace(plant, name="Mine", step=broken))  # type: ignore[operator]
     with pytest.raises(ExportError, match=r"cannot take a step at its start values: .*no such thing"):
         catalogue.load_block("Mine")
