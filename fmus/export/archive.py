@@ -6,6 +6,8 @@ import uuid
 from importlib import resources
 from importlib.metadata import distribution
 
+from fmus.export.toolchain import COMPILER
+
 # They stand for the GUID, and for a part of it in Python names, until it is known.
 GUID, GUID_IN_NAMES = "GUID-of-this-FMU", "GUID_of_this_FMU"
 
@@ -17,8 +19,8 @@ _LICENSES = {
         "the FMU: its model, its documentation and what makes an FMU of the model",
     ),
     "fmi-headers": ("fmpy", "", "sources/fmi2*.h, of the Modelica Association"),
-    "zig": ("ziglang", "ziglang/LICENSE", "what its compiler adds to the libraries"),
-    "mingw-w64": ("ziglang", "ziglang/lib/libc/mingw/COPYING", "what it adds to the library for Windows"),
+    "zig": (COMPILER[0], "ziglang/LICENSE", "what its compiler adds to the libraries"),
+    "mingw-w64": (COMPILER[0], "ziglang/lib/libc/mingw/COPYING", "what it adds to the library for Windows"),
     "pythonfmu": ("pythonfmu", "LICENSE", "the libraries, and the package of that name in resources"),
 }
 
