@@ -2,8 +2,6 @@
 
 import sys
 
-from orchestration.cli.interrupts import interruptible
-
 
 def main() -> None:
     """Entry point: a failure is one line on standard error.
@@ -11,8 +9,14 @@ def main() -> None:
     Exit status: 0, 1 for a failure, 2 for bad usage, 130 for an interrupt. With L1_DEPTH_DEBUG set, an error
     that is not foreseen comes with its traceback.
     """
-    with interruptible():
-        from orchestration.cli.app import run_command
+    try:
+        from orchestration.cli.interrupts import interruptible
 
-        status = run_command(sys.argv[1:])
+        with interruptible():
+            from orchestration.cli.app import run_command
+
+            status = run_command(sys.argv[1:])
+    except KeyboardInterrupt:  # before there is a handler
+        print("l1-depth: interrupted", file=sys.stderr)
+        sys.exit(130)
     sys.exit(status)

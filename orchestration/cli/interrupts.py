@@ -13,20 +13,50 @@ from collections.abc import Iterator
 from types import FrameType
 
 INTERRUPTED = 130  # exit status that shells expect after Ctrl-C
-_AGAIN_S = 1.0  # a signal that soon after the first is the same one, passed on by a shell for instance
-_GRACE_S = 3.0  # for what the second signal interrupts to end by itself
+SAME_S = 1.0  # a signal that soon after the first is the same one, passed on by a shell for instance
+GRACE_S = 3.0  # for what the second signal interrupts to end by itself
+
+
+@contextlib.contextmanager
+def interruptible() -> Iterator[None]:
+    """SIGINT, SIGTERM and SIGHUP end what is inside with status 130.
+
+    Temporary files of this process and of those that it starts are in one folder, which is removed at the
+    end. Worker processes end with this one, see `fmus.process`.
+    """
+    interrupt, folder = _Interrupt(), ""
+    try:
+        folder = tempfile.mkdtemp(prefix="l1-depth-")
+        tempfile.tempdir = folder
+        os.environ |= dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder)
+        threading.Thread(target=_watch, args=(interrupt.signals, folder), daemon=True).start()
+        yield
+    except KeyboardInterrupt:
+        _say_interrupted()
+        raise SystemExit(INTERRUPTED) from None
+    except SystemExit as end:
+        if interrupt.received and end.code:
+            end.code = INTERRUPTED  # what failed did so because of the interrupt
+        raise
+    finally:
+        interrupt.ended = True
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 class _Interrupt:
-    """The handler of SIGINT, SIGTERM and SIGHUP: raises KeyboardInterrupt, until the command has ended."""
+    """The handler of SIGINT, SIGTERM and SIGHUP: raises KeyboardInterrupt, until the command has ended.
+
+    signals: receives a byte for each, also while the main thread is in an FMU
+    """
 
     def __init__(self) -> None:
         self.received = self.ended = False
+        self.signals, self._wakeup = socket.socketpair()
+        self._wakeup.setblocking(False)
+        signal.set_wakeup_fd(self._wakeup.fileno(), warn_on_full_buffer=False)
         for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK"):  # where the platform has them
             number = getattr(signal, name, None)
-            if (
-                number is not None and signal.getsignal(number) is not signal.SIG_IGN
-            ):  # by nohup, for instance
+            if number is not None and signal.getsignal(number) is not signal.SIG_IGN:  # as by nohup
                 signal.signal(number, self)
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
@@ -39,64 +69,16 @@ class _Interrupt:
             raise KeyboardInterrupt
 
 
-@contextlib.contextmanager
-def interruptible() -> Iterator[None]:
-    """SIGINT, SIGTERM and SIGHUP end what is inside with status 130.
-
-    Temporary files of this process and of those that it starts are in one folder, which is removed at the
-    end. Worker processes end with this one, see `fmus.process`.
-    """
-    interrupt = _Interrupt()
-    try:
-        with _temporary_folder() as folder, _ended_by_a_second_signal(folder):
-            try:
-                yield
-            finally:
-                interrupt.ended = True
-    except KeyboardInterrupt:
-        _say_interrupted()
-        raise SystemExit(INTERRUPTED) from None
-    except SystemExit as end:
-        if interrupt.received and end.code:
-            end.code = INTERRUPTED  # what failed did so because of the interrupt
-        raise
-
-
-@contextlib.contextmanager
-def _temporary_folder() -> Iterator[str]:
-    folder = tempfile.mkdtemp(prefix="l1-depth-")
-    os.environ |= dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder)
-    tempfile.tempdir = folder
-    try:
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-@contextlib.contextmanager
-def _ended_by_a_second_signal(folder: str) -> Iterator[None]:
-    """The process ends seconds after a second signal, also while the main thread hangs in an FMU."""
-    signals, wakeup = socket.socketpair()
-    wakeup.setblocking(False)
-    signal.set_wakeup_fd(wakeup.fileno(), warn_on_full_buffer=False)
-    threading.Thread(target=_watch, args=(signals, folder), daemon=True).start()
-    try:
-        yield
-    finally:
-        signal.set_wakeup_fd(-1)
-        wakeup.close()
-
-
 def _watch(signals: socket.socket, folder: str) -> None:
-    """End the process if a second signal comes and the command does not end soon after it."""
+    """End the process if a second signal comes, and the command does not end soon after it."""
     first = None
-    while signals.recv(1):
+    for _ in iter(lambda: signals.recv(1), b""):
         first = first or time.monotonic()
-        if time.monotonic() > first + _AGAIN_S:
+        if time.monotonic() > first + SAME_S:
             break
     else:
         return
-    signals.settimeout(_GRACE_S)
+    signals.settimeout(GRACE_S)
     with contextlib.suppress(TimeoutError):
         if not signals.recv(1):
             return

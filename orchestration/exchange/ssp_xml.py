@@ -1,5 +1,6 @@
 """The XML of SSP 1.0: its namespaces, and elements with values of the types that FMI 2.0 has."""
 
+from contextlib import suppress
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
@@ -42,26 +43,18 @@ def document(element: Element) -> bytes:
 
 def add_value(parent: Element, value: FmiValue, unit: str | None = None) -> None:
     """The value of an ssv:Parameter. An enumeration item is an Integer: few importers read another."""
-    if isinstance(value, bool):
-        add(parent, "ssv:Boolean", value=str(value).lower())
-    elif isinstance(value, int):
-        add(parent, "ssv:Integer", value=str(value))
-    elif isinstance(value, float):
-        add(parent, "ssv:Real", value=repr(value), **({"unit": unit} if unit else {}))
-    else:
-        add(parent, "ssv:String", value=str(value))
+    kind = {bool: "Boolean", int: "Integer", float: "Real"}.get(type(value), "String")
+    text = str(value).lower() if kind == "Boolean" else str(value)
+    add(parent, f"ssv:{kind}", value=text, **({"unit": unit} if unit and kind == "Real" else {}))
 
 
 def read_value(parameter: Element) -> FmiValue:
     """The value of an ssv:Parameter; ValueError for a type that FMI 2.0 does not have, or another's value."""
+    read = {"Real": float, "Integer": int, "String": str, "Enumeration": str}
+    read["Boolean"] = {"true": True, "1": True, "false": False, "0": False}.__getitem__
     for element in parameter:
-        kind, text = element.tag.rpartition("}")[2], element.get("value", "")
-        if kind == "Boolean" and text in ("true", "1", "false", "0"):
-            return text in ("true", "1")
-        if kind in ("Real", "Integer", "String", "Enumeration"):
-            try:
-                return {"Real": float, "Integer": int}.get(kind, str)(text)
-            except ValueError:
-                break
+        kind = element.tag.rpartition("}")[2]
+        with suppress(KeyError, ValueError):
+            return read[kind](element.get("value", ""))
     expected = "a value of type Real, Integer, Boolean or String"
     raise ValueError(f"parameter {parameter.get('name')!r}: expected {expected}")

@@ -1,0 +1,175 @@
+"""An interrupt of a command: status 130, one line, no process and no temporary file left."""
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from importlib import import_module
+from pathlib import Path
+
+import psutil
+import pytest
+
+from orchestration.cli import main
+from tests.foreign_fmus import Misdeed
+
+SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+# a command, and a function that it calls when it is at work
+AT_WORK = {
+    "build ExamplePlant --out out": "fmus.catalogue.build",
+    "check {fmu}": "fmus.compliance.check.check",
+    "inspect {fmu}": "orchestration.fmi.description.describe",
+    "scenarios": "orchestration.scenarios.scenario.load",
+    "run nominal-l1": "orchestration.master.simulator.prepare_checked",
+    "sweep monte-carlo": "orchestration.sweep.run.sweep",
+    "report .": "orchestration.report.found_results",
+    "speed": "orchestration.master.simulator.prepare_checked",
+    "reproduce": "orchestration.scenarios.reproduce.as_completed",
+    "identify": "orchestration.scenarios.identify.metric_units",
+    "package nominal-l1": "orchestration.exchange.ssp_write.ramp_sources",
+    "export modelica": "orchestration.exchange.modelica.texts",
+}
+
+
+@pytest.fixture
+def _restored(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A command changes the handlers and the environment of its process, here that of the tests."""
+    for name in ("TMPDIR", "TEMP", "TMP"):
+        monkeypatch.setenv(name, "")
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    handlers = {number: signal.getsignal(number) for number in SIGNALS}
+    yield
+    signal.set_wakeup_fd(-1)
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.usefixtures("_restored")
+@pytest.mark.parametrize(
+    ("words", "number"),
+    [(words, signal.SIGINT) for words in AT_WORK] + [("scenarios", number) for number in SIGNALS[1:]],
+)
+def test_an_interrupt_of_a_command_at_work_is_status_130_and_one_line(
+    words: str,
+    number: signal.Signals,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def interrupted(*arguments: object, **options: object) -> None:
+        os.kill(os.getpid(), number)
+        time.sleep(60.0)
+
+    module, _, function = AT_WORK[words].rpartition(".")
+    monkeypatch.setattr(import_module(module), function, interrupted)
+    arguments = words.format(fmu=Path(__file__)).split()
+    monkeypatch.setattr(sys, "argv", ["l1-depth", *arguments])
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    before = set(psutil.Process().children(recursive=True))
+    with pytest.raises(SystemExit) as end:
+        main()
+    captured = capsys.readouterr()
+    assert (end.value.code, captured.err.splitlines()[-1:]) == (130, [captured.err.strip()])
+    assert "interrupted" in captured.err
+    assert not list(tmp_path.iterdir())
+    assert not set(psutil.Process().children(recursive=True)) - before
+
+
+@pytest.fixture
+def started(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Starts `l1-depth` after some code, in a session of its own, as at another terminal."""
+    (tmp_path / "tmp").mkdir()
+    processes = []
+
+    def start(code: str, *arguments: object) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [
+                sys.executable,
+                "-c",
+                f"{code}\nfrom orchestration.cli import main; main()",
+                *map(str, arguments),
+            ],
+            cwd=tmp_path,
+            text=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env={**os.environ, "TMPDIR": str(tmp_path / "tmp")},
+            start_new_session=True,
+        )
+        processes.append(process)
+        return process
+
+    yield start
+    for process in processes:
+        process.kill()
+        process.communicate()
+
+
+def _check_end(process: subprocess.Popen[str], folder: Path) -> None:
+    _, error = process.communicate(timeout=60)
+    assert (process.returncode, error) == (130, "l1-depth: interrupted\n")
+    assert not list((folder / "tmp").iterdir())
+
+
+def _wait_for(condition: Callable[[], object]) -> None:
+    until = time.monotonic() + 60.0
+    while not condition():
+        assert time.monotonic() < until
+        time.sleep(0.02)
+
+
+def _is_idle(process: subprocess.Popen[str]) -> bool:
+    used = psutil.Process(process.pid).cpu_times()
+    time.sleep(0.5)
+    return psutil.Process(process.pid).cpu_times() == used
+
+
+INTERRUPT_AT_IMPORT = """
+import os, signal, sys
+class Interrupt:
+    def find_spec(self, name, path, target=None):
+        if name == "{module}":
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Interrupt())
+"""
+
+
+@pytest.mark.parametrize("module", ["tempfile", "typer", "orchestration.cli.shared", "numpy"])
+def test_an_interrupt_during_the_imports_is_one_line(
+    module: str, started: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    _check_end(started(INTERRUPT_AT_IMPORT.format(module=module), "run", "nominal-l1"), tmp_path)
+
+
+@pytest.mark.parametrize(("words", "number"), [("reproduce", signal.SIGINT), ("identify", signal.SIGHUP)])
+def test_the_worker_processes_end_with_the_command_and_write_nothing(
+    words: str, number: signal.Signals, started: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    process = started("", words)
+    _wait_for(lambda: len(psutil.Process(process.pid).children()) >= 2)
+    workers = psutil.Process(process.pid).children()
+    os.killpg(process.pid, number)
+    _check_end(process, tmp_path)
+    psutil.wait_procs(workers, timeout=60)
+    assert not any(worker.is_running() for worker in workers)
+
+
+def test_a_second_interrupt_ends_a_run_whose_fmu_hangs(
+    rogue: Callable[..., Path], started: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    (tmp_path / "hangs.toml").write_text(
+        f'[components]\nr = "{rogue()}"\n[experiment]\nstop_time = 1.0\nstep_size = 0.1\n'
+        f'[inputs]\n"r.u" = 0.0\n[parameters]\n"r.misdeed" = {int(Misdeed.HANG)}\n'
+    )
+    quick = "from orchestration.cli import interrupts; interrupts.SAME_S = interrupts.GRACE_S = 0.1"
+    process = started(quick, "run", "hangs.toml")
+    _wait_for(lambda: list((tmp_path / "tmp").rglob("*.so")))
+    _wait_for(lambda: _is_idle(process))  # it hangs; before that one interrupt would be enough
+    process.send_signal(signal.SIGINT)
+    time.sleep(0.3)
+    process.send_signal(signal.SIGINT)
+    _check_end(process, tmp_path)
