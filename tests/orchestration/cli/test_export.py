@@ -1,35 +1,47 @@
-"""The command that writes a scenario for other tools."""
+"""The commands that write a scenario for other tools."""
 
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from orchestration.cli.exchange import Tool
+from orchestration.results.recording import Recording
 
-
-def _export(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    code = "from orchestration.cli import main; main()"
-    return subprocess.run(
-        [sys.executable, "-c", code, "export", *arguments],
-        cwd=folder, capture_output=True, text=True, check=False, timeout=120,
-    )  # fmt: skip
+Command = Callable[..., Any]
 
 
 @pytest.mark.parametrize(
     ("tool", "written"),
     [(Tool.MODELICA, "L1Depth/package.mo"), (Tool.SIMULINK, "import_l1_depth.m")],
 )
-def test_the_command_names_the_file_to_open(tool: Tool, written: str, tmp_path: Path) -> None:
-    done = _export(tool, "--out", "here", folder=tmp_path)
-    assert (done.returncode, done.stdout.split()) == (0, [f"here/{written}"])
+def test_the_command_names_the_file_to_open(
+    command: Command, tool: Tool, written: str, tmp_path: Path
+) -> None:
+    assert command("export", tool, "--out", "here").stdout == f"here/{written}\n"
     assert (tmp_path / "here" / written).is_file()
 
 
 @pytest.mark.parametrize("tool", Tool)
-def test_a_scenario_that_cannot_be_expressed_ends_with_one_line(tool: Tool, tmp_path: Path) -> None:
-    done = _export(tool, "example-extended", folder=tmp_path)
-    assert done.returncode == 1
-    assert done.stderr.strip().endswith("expected straight ramps, the only ones a table gives")
-    assert not list(tmp_path.iterdir())
+def test_a_scenario_that_cannot_be_expressed_ends_with_one_line(
+    refused: Command, tool: Tool, tmp_path: Path
+) -> None:
+    message = refused("export", tool, "example-extended", "--out", "here")
+    assert message.strip().endswith("expected straight ramps, the only ones a table gives")
+    assert not (tmp_path / "here").exists()
+
+
+def test_a_package_runs_with_another_of_its_parameter_sets(
+    command: Command, short_scenario: Command, tmp_path: Path
+) -> None:
+    more = '[parameters]\n"controller.augmentation" = "none"\n'
+    assert command("package", short_scenario(more=more), "--out", "loop.ssp").stdout == "loop.ssp\n"
+    printed = command("run", "loop.ssp", "--parameters", "short", "--out", "from package").stdout
+    assert "from package/short.csv" in printed
+    command("run", "short.toml", "--out", "from scenario")
+    packaged, own = (
+        Recording.read(tmp_path / folder / "short.csv") for folder in ("from package", "from scenario")
+    )
+    np.testing.assert_array_equal(packaged["plant.depth"], own["plant.depth"])

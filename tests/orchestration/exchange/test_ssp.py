@@ -1,8 +1,6 @@
 """SSP packages: what is in them, and that a package is its scenario."""
 
 import io
-import subprocess
-import sys
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -19,7 +17,6 @@ from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.exchange import ssp_read, ssp_write
 from orchestration.exchange.ssp_xml import STRUCTURE, tag
 from orchestration.master import simulate
-from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 
 VEHICLE = [name for name in scenario.shipped() if not name.startswith("example")]
@@ -230,19 +227,3 @@ def test_an_input_that_nothing_drives_keeps_the_start_value_of_its_fmu(
     path = edited(STRUCTURE, '"thruster_efficiency[1]"', '"thruster_efficiency[2]"')
     with ssp_read.opened(path) as loop:
         assert loop.experiment.inputs["plant.thruster_efficiency[1]"] == 1.0
-
-
-def test_the_command_writes_a_package_and_runs_another_of_its_parameter_sets(tmp_path: Path) -> None:
-    def l1_depth(*arguments: str) -> str:
-        command = [sys.executable, "-c", "from orchestration.cli import main; main()", *arguments]
-        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
-
-    assert l1_depth("package", "nominal-extended", "--out", "loop.ssp") == "loop.ssp\n"
-    assert "buoyancy-l1.csv" in l1_depth(
-        "run", "loop.ssp", "--parameters", "buoyancy-l1", "--out", "from package"
-    )
-    l1_depth("run", "buoyancy-l1", "--out", "from scenario")
-    packaged, own = (
-        Recording.read(tmp_path / place / "buoyancy-l1.csv") for place in ("from package", "from scenario")
-    )
-    np.testing.assert_array_equal(packaged["plant.depth"], own["plant.depth"])
