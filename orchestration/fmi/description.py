@@ -1,6 +1,7 @@
 """The model description of an FMU."""
 
 import zipfile
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -54,9 +55,6 @@ def start_value(variable: ScalarVariable) -> FmiValue:
 
 def _take_over_declared_types(description: ModelDescription) -> None:
     """Give each variable what only its SimpleType states: unit, range, nominal (FMI 2.0.5, 2.2.3)."""
-    for variable in description.modelVariables:
-        declared = variable.declaredType
-        if declared is not None:
-            for attribute in ("unit", "min", "max", "nominal"):
-                if getattr(variable, attribute) is None:
-                    setattr(variable, attribute, getattr(declared, attribute))
+    for variable, attribute in product(description.modelVariables, ("unit", "min", "max", "nominal")):
+        if getattr(variable, attribute) is None:
+            setattr(variable, attribute, getattr(variable.declaredType, attribute, None))

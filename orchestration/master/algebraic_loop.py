@@ -65,16 +65,13 @@ def solve_loop(
 
 
 class _Loop:
-    """x = F(x); nominal: of the inputs x, shape (n,)."""
+    """x = F(x); names, nominal: of the inputs x, shape (n,)."""
 
     def __init__(self, connections: Sequence[Connection], instances: Mapping[str, FmuInstance]) -> None:
         self.connections, self.instances = connections, instances
         self.nominal = np.array([_nominal(connection) for connection in connections])
         self.is_real = all(target.variable.type == "Real" for _, target in connections)
-
-    @property
-    def names(self) -> str:
-        return ", ".join(target.name for _, target in self.connections)
+        self.names = ", ".join(target.name for _, target in connections)
 
     def values(self) -> np.ndarray:
         """The present inputs x, shape (n,)."""

@@ -72,17 +72,13 @@ def lay_out_bus(prepared: PreparedRun) -> BusLayout:
     names = [name for group in groups for name in group.names]
     names += [f"{SIGNAL}{name}" for name in prepared.experiment.signals]
     inputs = tuple(groups[len(outputs) :])
-    counts = [sum(name in smooth for name in group.names) for group in inputs]
+    counts = ((group, sum(name in smooth for name in group.names)) for group in inputs)
     return BusLayout(
         connections=connections,
         input_modes=tuple(modes.values()),
         outputs=tuple(groups[: len(outputs)]),
         inputs=inputs,
-        derivatives=tuple(
-            replace(group, variables=group.variables[:count])
-            for group, count in zip(inputs, counts, strict=True)
-            if count
-        ),
+        derivatives=tuple(replace(group, variables=group.variables[:n]) for group, n in counts if n),
         integer_count=integer_count,
         index={name: i for i, name in enumerate(names)},
     )

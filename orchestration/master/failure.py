@@ -1,12 +1,9 @@
 """Failures and warnings of the loop as errors and warnings of Python."""
 
-from collections.abc import Mapping
-
 from fmus.binding import DISCARD, OK, WARNING
 from orchestration.errors import FmuError, OrchestrationError
-from orchestration.fmi.instance import FmuInstance
 from orchestration.master.loop_data import Call, Report, Wiring
-from orchestration.master.wiring import NamedWiring
+from orchestration.master.wiring import WiredRun
 
 
 def is_discarded_step(wiring: Wiring) -> bool:
@@ -14,21 +11,19 @@ def is_discarded_step(wiring: Wiring) -> bool:
     return wiring.report[Report.FAILURE] == Call.DO_STEP and wiring.report[Report.STATUS] == DISCARD
 
 
-def failure_error(
-    named: NamedWiring, instances: Mapping[str, FmuInstance], time: float
-) -> OrchestrationError:
+def failure_error(run: WiredRun, time: float) -> OrchestrationError:
     """The error for the reported failure; time: start of the present step [s]."""
-    report = named.wiring.report
+    report = run.wiring.report
     index = int(report[Report.INDEX])
     if report[Report.FAILURE] == Call.NOT_FINITE:
-        source, target = named.bus.connections[index]
-        value = named.wiring.connections.value[index]
+        source, target = run.bus.connections[index]
+        value = run.wiring.connections.value[index]
         return OrchestrationError(
             f"{source} is {value:g} at t = {time:.9g} s: expected a finite number, as it goes to {target}"
         )
-    instance = list(instances.values())[report[Report.COMPONENT]]
+    instance = list(run.instances.values())[report[Report.COMPONENT]]
     instance.time = time
-    function = named.functions[int(report[Report.FAILURE])][index]
+    function = run.functions[int(report[Report.FAILURE])][index]
     try:
         instance.check_status(function, int(report[Report.STATUS]))
     except FmuError as error:
@@ -36,19 +31,19 @@ def failure_error(
     return FmuError(instance.name, time, function, "an error, and its log was cleared", [])
 
 
-def emit_warnings(named: NamedWiring, instances: Mapping[str, FmuInstance], failed: bool) -> None:
+def emit_warnings(run: WiredRun, failed: bool) -> None:
     """Warn of the calls in the loop that returned warnings or logged messages.
 
     failed: whether the loop ended with a failure; the log of that component is left for `failure_error`
     """
-    wiring = named.wiring
-    for c, instance in enumerate(instances.values()):
+    wiring = run.wiring
+    for c, instance in enumerate(run.instances.values()):
         if failed and c == wiring.report[Report.COMPONENT]:
             continue
         kind = int(wiring.warning[c])
         if kind != Call.NO_FAILURE or instance.log:
             instance.time = float(wiring.warning_time[c] if kind else wiring.step_start[c])
-            function = named.functions[kind][0] if kind else "fmi2DoStep"
+            function = run.functions[kind][0] if kind else "fmi2DoStep"
             instance.check_status(function, WARNING if kind else OK)
             wiring.warning[c] = Call.NO_FAILURE
 

@@ -20,14 +20,11 @@ def deferred_interrupt() -> Iterator[Callable[[], None]]:
     check_interrupt()  # one that came after the last look
 
 
-class _Recorder:
+class _InterruptTimes(list[float]):
     """A handler of SIGINT that only records the times [s of time.monotonic] of interrupts."""
 
-    def __init__(self) -> None:
-        self.times: list[float] = []
-
     def __call__(self, number: int, frame: object) -> None:
-        self.times.append(time.monotonic())
+        self.append(time.monotonic())
 
 
 @contextmanager
@@ -41,9 +38,9 @@ def kept_interrupts() -> Iterator[list[float]]:
         yield []
         return
     before = signal.getsignal(signal.SIGINT)
-    recorder = before if isinstance(before, _Recorder) else _Recorder()
-    signal.signal(signal.SIGINT, recorder)
+    times = before if isinstance(before, _InterruptTimes) else _InterruptTimes()
+    signal.signal(signal.SIGINT, times)
     try:
-        yield recorder.times
+        yield times
     finally:
         signal.signal(signal.SIGINT, before)

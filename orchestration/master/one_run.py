@@ -13,11 +13,9 @@ from orchestration.master.stepping import Progress
 from orchestration.master.subprocess_run import simulate_in_subprocess
 from orchestration.results.recording import Recording
 from orchestration.system.experiment import (
-    Algorithm,
     AlgorithmName,
     Event,
     Experiment,
-    Initialisation,
     InitialisationName,
     suggested_times,
 )
@@ -35,7 +33,7 @@ def simulate(
     stop_time: float | None = None,
     step_size: float | None = None,
     start_time: float | None = None,
-    algorithm: Algorithm | AlgorithmName = "jacobi",
+    algorithm: AlgorithmName = "jacobi",
     parameters: Mapping[str, Value] = {},
     inputs: Mapping[str, Value] = {},
     signals: Mapping[str, Signal] = {},
@@ -44,7 +42,7 @@ def simulate(
     extrapolation: int = 0,
     step_sizes: Mapping[str, float] = {},
     tolerance: float | None = None,
-    initialisation: Initialisation | InitialisationName = "automatic",
+    initialisation: InitialisationName = "automatic",
     faults: Sequence[Fault] = (),
     timeout: float | None = None,
     real_time: float | None = None,

@@ -19,7 +19,7 @@ from orchestration.master.loop import python_loop
 from orchestration.master.loop_data import Report, Storage
 from orchestration.master.pacing import Pacing
 from orchestration.master.stepping import Progress, RunInProgress
-from orchestration.master.wiring import build_wiring, report_calls
+from orchestration.master.wiring import build_wiring
 from orchestration.results.recording import Recording
 from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_run import prepare_checked
@@ -74,9 +74,8 @@ class Simulator(AbstractContextManager["Simulator"]):
                 check_can_save(system)
             storage = storage or Storage(np.empty(prepared.shape), np.zeros(len(Report), np.int64))
             self._load_or_reset(storage.report)
-            error_logged = report_calls(self._instances, storage.report)
-            named = build_wiring(prepared, self._instances, storage, error_logged)
-            run = RunInProgress(prepared, self._instances, named, self._loop(named.wiring))
+            wired = build_wiring(prepared, self._instances, storage)
+            run = RunInProgress(wired, self._loop(wired.wiring))
             recording = _run_to_end(run, groups, progress, pacing, checkpoints, resume)
             self._must_reload = False
             return recording

@@ -1,12 +1,12 @@
 """The whole system at one communication point, kept in memory to go back to."""
 
-from collections.abc import Mapping
+from contextlib import suppress
 
 import numpy as np
 
 from orchestration.errors import FmuError
-from orchestration.fmi.instance import FmuInstance
 from orchestration.master.loop_data import Wiring
+from orchestration.master.wiring import WiredRun
 
 
 def changing_arrays(wiring: Wiring) -> dict[str, np.ndarray]:
@@ -20,10 +20,10 @@ def changing_arrays(wiring: Wiring) -> dict[str, np.ndarray]:
 class Snapshot:
     """The states of all FMUs and the arrays of the loop at one time; call `free` at the end."""
 
-    def __init__(self, instances: Mapping[str, FmuInstance], wiring: Wiring) -> None:
-        self._instances, self._wiring = instances, wiring
+    def __init__(self, run: WiredRun) -> None:
+        self._instances, self._wiring = run.instances, run.wiring
         self._states: dict[str, int] = {}
-        self._arrays = {name: array.copy() for name, array in changing_arrays(wiring).items()}
+        self._arrays = {name: array.copy() for name, array in changing_arrays(run.wiring).items()}
 
     def take(self) -> None:
         """Replace the snapshot by the present states and arrays."""
@@ -43,8 +43,6 @@ class Snapshot:
     def free(self) -> None:
         """Free the states."""
         for name, state in self._states.items():
-            try:
+            with suppress(FmuError):  # the instance is freed next, and its states with it
                 self._instances[name].free_fmu_state(state)
-            except FmuError:  # the instance is freed next, and its states with it
-                continue
         self._states.clear()

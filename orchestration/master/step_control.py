@@ -6,18 +6,16 @@ extrapolation. A step may contribute the share h / T of the tolerance, where T i
 the sum over all steps stays below the tolerance.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import numpy as np
 
 from orchestration.errors import OrchestrationError
 from orchestration.fmi.description import of_causality
-from orchestration.fmi.instance import FmuInstance
 from orchestration.master.failure import failure_error, is_discarded_step
 from orchestration.master.loop_data import LoopFunctions, Report
 from orchestration.master.snapshot import Snapshot
-from orchestration.master.wiring import NamedWiring
-from orchestration.system.prepared_run import PreparedRun
+from orchestration.master.wiring import WiredRun
 from orchestration.system.system import CheckedSystem, Port
 
 _SHORTEST = 1e-9  # of a communication step
@@ -33,19 +31,14 @@ class StepControl:
     too large an estimated error), under their names in the provenance
     """
 
-    def __init__(
-        self,
-        prepared: PreparedRun,
-        instances: Mapping[str, FmuInstance],
-        named: NamedWiring,
-        loop: LoopFunctions,
-    ) -> None:
-        self._instances, self._named, self._wiring, self._loop = instances, named, named.wiring, loop
-        self._signals = list(prepared.experiment.signals.values())
-        self._before = Snapshot(instances, named.wiring)
+    def __init__(self, run: WiredRun, loop: LoopFunctions) -> None:
+        self._run, self._wiring, self._loop = run, run.wiring, loop
+        experiment = run.prepared.experiment
+        self._signals = list(experiment.signals.values())
+        self._before = Snapshot(run)
         self._shortest = 0.0
-        self.tolerance = Tolerance(prepared, named) if prepared.experiment.tolerance else None
-        self.step_size = prepared.experiment.step_size
+        self.tolerance = Tolerance(run) if experiment.tolerance else None
+        self.step_size = experiment.step_size
         self.statistics = dict.fromkeys(("steps_between_points", "discarded_steps", "inexact_steps"), 0)
 
     def advance_to(self, point: int, check_interrupt: Callable[[], None]) -> None:
@@ -109,20 +102,20 @@ class StepControl:
             for index, signal in zip(wiring.signal_index, self._signals, strict=True):
                 wiring.bus[index] = signal(start)
             if not self._loop.exchange(point, start, False):
-                raise failure_error(self._named, self._instances, start)
+                raise failure_error(self._run, start)
         if self._loop.step(point, start, end):
             return True
         if not is_discarded_step(wiring):
-            raise failure_error(self._named, self._instances, start)
+            raise failure_error(self._run, start)
         self.statistics["discarded_steps"] += 1
         self.step_size = self._possible_step_size(start, end)
         if self.step_size < self._shortest:
-            raise failure_error(self._named, self._instances, start)
+            raise failure_error(self._run, start)
         return False
 
     def _possible_step_size(self, start: float, end: float) -> float:
         """The step size [s] that the component which discarded the step to `end` can take."""
-        instance = list(self._instances.values())[self._wiring.report[Report.COMPONENT]]
+        instance = list(self._run.instances.values())[self._wiring.report[Report.COMPONENT]]
         reached = instance.last_successful_time()
         if reached is None:
             return 0.5 * (end - start)
@@ -146,18 +139,18 @@ class Tolerance:
     bus_index: of the outputs, shape (m,)
     """
 
-    def __init__(self, prepared: PreparedRun, named: NamedWiring) -> None:
-        experiment, ports = prepared.experiment, prepared.system.ports
-        names = [name for group in named.bus.outputs if group.type == "Real" for name in group.names]
-        driven = {ports[target] for _, target in named.bus.connections}
+    def __init__(self, run: WiredRun) -> None:
+        experiment, ports = run.prepared.experiment, run.prepared.system.ports
+        names = [name for group in run.bus.outputs if group.type == "Real" for name in group.names]
+        driven = {ports[target] for _, target in run.bus.connections}
         self.order = 1 + experiment.extrapolation
-        self.bus_index = np.array([named.bus.index[name] for name in names], np.int64)
+        self.bus_index = np.array([run.bus.index[name] for name in names], np.int64)
         self._relative = experiment.tolerance
         self._duration = experiment.stop_time - experiment.start_time
         self._nominal = np.array([abs(float(ports[name].variable.nominal or 1.0)) for name in names])
         # The error of an output that may depend directly on an input in step mode does not add up from step
         # to step: it is compared with the whole tolerance.
-        feedthrough = outputs_with_feedthrough(prepared.system, driven)
+        feedthrough = outputs_with_feedthrough(run.prepared.system, driven)
         self._has_feedthrough = np.array([name in feedthrough for name in names], bool)
 
     def error_ratio(self, coarse: np.ndarray, fine: np.ndarray, size: float) -> float:

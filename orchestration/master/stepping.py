@@ -12,13 +12,12 @@ from typing import Any, Protocol
 import numpy as np
 
 from orchestration.errors import OrchestrationError
-from orchestration.fmi.instance import FmuInstance
 from orchestration.master.failure import emit_warnings, failure_error, is_discarded_step
 from orchestration.master.loop_data import LoopFunctions, Report
 from orchestration.master.pacing import Pacing
 from orchestration.master.snapshot import Snapshot
 from orchestration.master.step_control import StepControl
-from orchestration.master.wiring import NamedWiring
+from orchestration.master.wiring import WiredRun
 from orchestration.results.recording import Recording
 from orchestration.system.prepared_run import PreparedRun
 
@@ -40,20 +39,14 @@ class RunInProgress:
     step_control: None where steps cannot be repeated
     """
 
-    def __init__(
-        self,
-        prepared: PreparedRun,
-        instances: Mapping[str, FmuInstance],
-        named: NamedWiring,
-        loop: LoopFunctions,
-    ) -> None:
-        self.prepared, self.instances = prepared, instances
-        self.named, self.wiring, self._loop = named, named.wiring, loop
+    def __init__(self, wired: WiredRun, loop: LoopFunctions) -> None:
+        self.wired, self._loop = wired, loop
+        self.prepared, self.instances, self.wiring = wired.prepared, wired.instances, wired.wiring
         self.position = 0
         self._check_interrupt: Callable[[], None] = lambda: None
-        can_repeat = not prepared.retry_obstacle
-        self._snapshot = Snapshot(instances, self.wiring) if can_repeat else None
-        self.step_control = StepControl(prepared, instances, named, loop) if can_repeat else None
+        can_repeat = not wired.prepared.retry_obstacle
+        self._snapshot = Snapshot(wired) if can_repeat else None
+        self.step_control = StepControl(wired, loop) if can_repeat else None
 
     def read_outputs(self) -> None:
         """Read the outputs at the first communication point."""
@@ -111,7 +104,7 @@ class RunInProgress:
         if self._snapshot:
             self._snapshot.take()
         start, self.position = self.position, self._loop.run(self.position, end)
-        emit_warnings(self.named, self.instances, failed=self.position < end)
+        emit_warnings(self.wired, failed=self.position < end)
         if self.position == end:
             return False
         if not is_discarded_step(self.wiring):
@@ -137,11 +130,11 @@ class RunInProgress:
         except KeyboardInterrupt:  # between two communication points nothing can be saved
             self._snapshot.restore()
             raise
-        emit_warnings(self.named, self.instances, failed=False)
+        emit_warnings(self.wired, failed=False)
         self.position += 1
 
     def _failure(self) -> OrchestrationError:
-        return failure_error(self.named, self.instances, float(self.wiring.points[self.position]))
+        return failure_error(self.wired, float(self.wiring.points[self.position]))
 
     def _change_and_wait(self, pacing: Pacing | None) -> None:
         """Make the scheduled changes of the present communication point; in real time, wait for it."""

@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -27,28 +26,26 @@ _SLOPE_VALIDITY, _SLOPE_VALIDITY_WITH_TOLERANCE = 2.0, 10.0
 
 
 @dataclass(frozen=True)
-class NamedWiring:
-    """The wiring of a run, and the names of its elements.
+class WiredRun:
+    """A prepared run, its FMU instances and their wiring, and the names of the wiring's elements.
 
     functions: kind of call -> the FMI function of each of its rows
     references: value references and orders, whose addresses are in the wiring
     """
 
+    prepared: PreparedRun
+    instances: Mapping[str, FmuInstance]
     wiring: Wiring
     bus: BusLayout
     functions: Mapping[int, Sequence[str]]
     references: Sequence[np.ndarray]
 
 
-def build_wiring(
-    prepared: PreparedRun,
-    instances: Mapping[str, FmuInstance],
-    storage: Storage,
-    error_logged: np.ndarray,
-) -> NamedWiring:
-    """The arrays of a run at its start time; error_logged: of `report_calls`."""
+def build_wiring(prepared: PreparedRun, instances: Mapping[str, FmuInstance], storage: Storage) -> WiredRun:
+    """The arrays of a run at its start time."""
     bus, experiment = lay_out_bus(prepared), prepared.experiment
-    count = len(instances)
+    count, periods = len(instances), np.array([prepared.periods[name] for name in instances], np.int64)
+    fixed = prepared.system.components_without("canHandleVariableCommunicationStepSize")
     values, slopes = np.zeros(len(bus.index)), np.zeros(len(bus.index))
     integers, ones = np.zeros(bus.integer_count, np.int32), np.ones(len(bus.index), np.int32)
     groups = {
@@ -72,10 +69,10 @@ def build_wiring(
         orders=ones.ctypes.data,
         instances=np.array([instance.address for instance in instances.values()], np.int64),
         do_step=np.array([instance.function("fmi2DoStep") for instance in instances.values()], np.int64),
-        periods=np.array([prepared.periods[name] for name in instances], np.int64),
-        fixed_step_size=np.array([_fixed_step_size(prepared, name) for name in instances]),
+        periods=periods,
+        fixed_step_size=np.isin(list(instances), fixed) * periods * experiment.step_size,
         step_start=np.full(count, experiment.start_time),
-        error_logged=error_logged,
+        error_logged=_report_calls(instances, storage.report),
         warning=np.zeros(count, np.int64),
         warning_time=np.zeros(count),
         input_calls=calls(Call.SET_INPUTS, values),
@@ -89,10 +86,11 @@ def build_wiring(
         rows=storage.rows,
         report=storage.report,
     )
-    return NamedWiring(wiring, bus, {**functions, Call.DO_STEP: ["fmi2DoStep"]}, references)
+    functions[Call.DO_STEP] = ["fmi2DoStep"]
+    return WiredRun(prepared, instances, wiring, bus, functions, references)
 
 
-def report_calls(instances: Mapping[str, FmuInstance], report: np.ndarray) -> np.ndarray:
+def _report_calls(instances: Mapping[str, FmuInstance], report: np.ndarray) -> np.ndarray:
     """Let the instances count their calls in the report; returns the array where they flag logged errors."""
     error_logged = np.zeros(len(instances), np.int64)
     busy, calls = (report[index : index + 1] for index in (Report.BUSY, Report.CALLS))
@@ -122,13 +120,6 @@ def _calls(
     return Calls(
         _first_of_each([group.component for group, _ in groups], instances), *_columns(rows, 6, np.int64)
     )
-
-
-def _fixed_step_size(prepared: PreparedRun, component: str) -> float:
-    interface: Any = prepared.system.descriptions[component].coSimulation
-    if interface.canHandleVariableCommunicationStepSize:
-        return 0.0
-    return prepared.periods[component] * prepared.experiment.step_size
 
 
 def _connections(prepared: PreparedRun, bus: BusLayout) -> Connections:

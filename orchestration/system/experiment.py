@@ -44,8 +44,8 @@ class Initialisation(StrEnum):
     NEWTON = "newton"
 
 
-AlgorithmName = Literal["jacobi", "gauss-seidel"]
-InitialisationName = Literal["automatic", "fixed-point", "newton"]
+AlgorithmName = Algorithm | Literal["jacobi", "gauss-seidel"]
+InitialisationName = Initialisation | Literal["automatic", "fixed-point", "newton"]
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Experiment:
     stop_time: float
     step_size: float
     start_time: float = 0.0
-    algorithm: Algorithm | AlgorithmName = Algorithm.JACOBI
+    algorithm: AlgorithmName = Algorithm.JACOBI
     parameters: Mapping[str, Value] = field(default_factory=dict)
     inputs: Mapping[str, Value] = field(default_factory=dict)
     signals: Mapping[str, Signal] = field(default_factory=dict)
@@ -84,14 +84,13 @@ class Experiment:
     extrapolation: int = 0
     step_sizes: Mapping[str, float] = field(default_factory=dict)
     tolerance: float | None = None
-    initialisation: Initialisation | InitialisationName = Initialisation.AUTOMATIC
+    initialisation: InitialisationName = Initialisation.AUTOMATIC
     faults: Sequence[Fault] = ()
 
     def __post_init__(self) -> None:
         self._convert_types()
         _check_times(self)
         _check_options(self)
-        _check_step_sizes(self)
 
     def _convert_types(self) -> None:
         """Names to members of their enumerations, lists to tuples."""
@@ -128,49 +127,40 @@ def _member(kind: type[StrEnum], value: Any, name: str) -> StrEnum:
 
 
 def _tuple_of(kind: type, values: Any, name: str) -> tuple[Any, ...]:
-    if not isinstance(values, (list, tuple)) or not all(isinstance(value, kind) for value in values):
-        raise SystemDefinitionError(f"{name} = {values!r}: expected a list of {_ELEMENTS[name]}")
+    fits = isinstance(values, (list, tuple)) and all(isinstance(value, kind) for value in values)
+    _expect(fits, f"{name} = {values!r}: expected a list of {_ELEMENTS[name]}")
     return tuple(values)
+
+
+def _expect(condition: bool, message: str) -> None:
+    if not condition:
+        raise SystemDefinitionError(message)
 
 
 def _check_times(experiment: Experiment) -> None:
     start, stop, step = experiment.start_time, experiment.stop_time, experiment.step_size
     for name, value in (("stop_time", stop), ("step_size", step), ("start_time", start)):
-        if not isinstance(value, (int, float, np.integer, np.floating)) or isinstance(value, bool):
-            raise SystemDefinitionError(f"{name} = {value!r}: expected a number of seconds")
-    if not (math.isfinite(step) and step > 0.0):
-        raise SystemDefinitionError(f"communication step size {step!r} s: expected more than 0")
-    if not math.isfinite(start):
-        raise SystemDefinitionError(f"start time {start!r} s: expected a finite number")
-    if not (math.isfinite(stop) and stop > start):
-        raise SystemDefinitionError(f"stop time {stop!r} s: expected more than the start time {start!r} s")
+        is_number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+        _expect(is_number, f"{name} = {value!r}: expected a number of seconds")
+    _expect(0.0 < step < math.inf, f"communication step size {step!r} s: expected more than 0")
+    _expect(math.isfinite(start), f"start time {start!r} s: expected a finite number")
+    _expect(start < stop < math.inf, f"stop time {stop!r} s: expected more than the start time {start!r} s")
     count = (stop - start) / step
-    if count > _MOST_STEPS:
-        raise SystemDefinitionError(f"{count:.3g} communication steps: expected at most {_MOST_STEPS:.0e}")
+    _expect(count <= _MOST_STEPS, f"{count:.3g} communication steps: expected at most {_MOST_STEPS:.0e}")
     for event in experiment.events:
-        if not start <= event.time <= stop:
-            raise SystemDefinitionError(
-                f"event at {event.time!r} s: expected a time within the run, {start:g}..{stop:g} s"
-            )
+        expected = f"expected a time within the run, {start:g}..{stop:g} s"
+        _expect(start <= event.time <= stop, f"event at {event.time!r} s: {expected}")
 
 
 def _check_options(experiment: Experiment) -> None:
-    tolerance = experiment.tolerance
-    if experiment.extrapolation not in (0, 1):
-        raise SystemDefinitionError(f"extrapolation = {experiment.extrapolation!r}: expected order 0 or 1")
-    if tolerance is not None and not 0.0 < tolerance < 1.0:
-        raise SystemDefinitionError(f"tolerance = {tolerance!r}: expected more than 0, less than 1")
-    if tolerance is not None and experiment.step_sizes:
-        raise SystemDefinitionError("tolerance and step_sizes: expected one of them")
-
-
-def _check_step_sizes(experiment: Experiment) -> None:
+    order, tolerance = experiment.extrapolation, experiment.tolerance
+    _expect(order in (0, 1), f"extrapolation = {order!r}: expected order 0 or 1")
+    if tolerance is not None:
+        _expect(0.0 < tolerance < 1.0, f"tolerance = {tolerance!r}: expected more than 0, less than 1")
+        _expect(not experiment.step_sizes, "tolerance and step_sizes: expected one of them")
     for name, size in experiment.step_sizes.items():
-        if not is_multiple(size, experiment.step_size):
-            raise SystemDefinitionError(
-                f"step size of {name}, {size!r} s: expected a multiple of the communication step size, "
-                f"{experiment.step_size!r} s"
-            )
+        expected = f"expected a multiple of the communication step size, {experiment.step_size!r} s"
+        _expect(is_multiple(size, experiment.step_size), f"step size of {name}, {size!r} s: {expected}")
 
 
 def suggested_times(
@@ -196,15 +186,11 @@ def suggested_times(
 def _suggested(system: System, name: str, default: float | None = None) -> float:
     times: dict[str, float] = {}
     for component, path in system.components.items():
-        experiment: Any = describe(path).defaultExperiment
-        suggested = getattr(experiment, _SUGGESTIONS[name], None)
+        suggested = getattr(describe(path).defaultExperiment, _SUGGESTIONS[name], None)
         if suggested is not None:
             times[component] = float(suggested)
-    if len(set(times.values())) > 1:
-        listed = ", ".join(f"{component} {time:g} s" for component, time in times.items())
-        raise SystemDefinitionError(
-            f"expected {name}: it is not given, and the FMUs suggest several: {listed}"
-        )
-    if not times and default is None:
-        raise SystemDefinitionError(f"expected {name}: it is not given, and no FMU suggests one")
+    listed = ", ".join(f"{component} {time:g} s" for component, time in times.items())
+    problem = f"the FMUs suggest several: {listed}" if times else "no FMU suggests one"
+    can_choose = len(set(times.values())) == 1 or not (times or default is None)
+    _expect(can_choose, f"expected {name}: it is not given, and {problem}")
     return next(iter(times.values()), default or 0.0)

@@ -33,15 +33,16 @@ def _number(port: Port, value: FmiValue) -> float | int | bool:
     variable, name = port.variable, port.name
     expected = _PYTHON_TYPES.get(variable.type, (int,))
     has_type = isinstance(value, expected) and (variable.type == "Boolean" or not isinstance(value, bool))
-    if isinstance(value, str) or not has_type:
-        raise SystemDefinitionError(f"{name} = {value!r}: expected a value of type {variable.type}")
-    if not abs(value) <= sys.float_info.max:
-        raise SystemDefinitionError(f"{name} = {value!r}: expected a finite number")
     low, high = value_range(port)
-    if not low <= value <= high:
-        unit = f" {variable.unit}" if variable.unit not in (None, "1") else ""
-        raise SystemDefinitionError(f"{name} = {value!r}: expected {low:g}..{high:g}{unit}")
-    return value
+    if isinstance(value, str) or not has_type:
+        expected = f"a value of type {variable.type}"
+    elif not abs(value) <= sys.float_info.max:
+        expected = "a finite number"
+    elif not low <= value <= high:
+        expected = f"{low:g}..{high:g}" + (f" {variable.unit}" if variable.unit not in (None, "1") else "")
+    else:
+        return value
+    raise SystemDefinitionError(f"{name} = {value!r}: expected {expected}")
 
 
 def _item_number(port: Port, name: str) -> int:
@@ -56,8 +57,8 @@ def value_range(port: Port) -> tuple[float, float]:
     """The smallest and the largest value, as declared and as the type can hold."""
     variable = port.variable
     of_type = (-math.inf, math.inf) if variable.type == "Real" else _INTEGER_RANGE
-    declared = (variable.min, variable.max)
     low, high = (
-        limit if text is None else float(text) for text, limit in zip(declared, of_type, strict=True)
+        limit if text is None else float(text)
+        for text, limit in zip((variable.min, variable.max), of_type, strict=True)
     )
     return low, high
