@@ -49,16 +49,17 @@ def identify(
 ) -> None:
     """Fit the gains that the paper does not publish to the nominal row of its Table 1."""
     from orchestration.cli import chosen_scenario
-    from orchestration.results.tables import metrics_table
+    from orchestration.results.tables import metrics_table, values_table
     from orchestration.scenarios import identify as identification
 
-    for name in identification.SCENARIOS:
-        chosen_scenario.load(name)
+    scenarios = {name: chosen_scenario.load(name) for name in identification.SCENARIOS}
     with progress("identify", evaluations) as bar:
         fit = identification.identify(
             seed, evaluations, starts, lambda cost: bar.advance(note=f"cost {cost:.3g}")
         )
     identification.write(fit, out)
     for name, metrics in fit.metrics.items():
-        print_table(metrics_table(name, metrics, fit.metric_units))
-    print(*(f"{name} = {value}" for name, value in fit.gains.items()), out, sep="\n")
+        print_table(metrics_table(name, metrics, fit.metric_units, scenarios[name].metrics))
+    units = {gain.name: gain.unit for gain in identification.GAINS}
+    print_table(values_table("Fitted gains", "Gain", fit.gains, units))
+    print(out)

@@ -91,7 +91,7 @@ def run(
         )
     figures = run_figure(chosen.title, result.recording, out / chosen.name, written_formats)
     if result.metrics:
-        print_table(metrics_table(chosen.title, result.metrics, result.metric_units))
+        print_table(metrics_table(chosen.title, result.metrics, result.metric_units, chosen.metrics))
     _print_pace(result.recording)
     print(out / f"{chosen.name}.{file_format}", out / f"{chosen.name}.json", *figures, sep="\n")
 

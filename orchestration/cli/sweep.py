@@ -79,14 +79,14 @@ def sweep(
 
 
 def _run_one(planned: "Plan", sample: int, out: Path) -> None:
-    from orchestration.results.tables import metrics_table
+    from orchestration.results.tables import metrics_table, values_table
     from orchestration.scenarios import reproduce
 
     drawn = planned.of_sample(sample)
     result = reproduce.run(drawn, out)
     if result.metrics:
-        print_table(metrics_table(drawn.title, result.metrics, result.metric_units))
-    for name, value in planned.values(sample).items():
-        print(f"{name} = {value}")
+        print_table(metrics_table(drawn.title, result.metrics, result.metric_units, drawn.metrics))
+    units = {entry.target.name: entry.target.unit for entry in planned.varied}
+    print_table(values_table(drawn.title, "Varied", planned.values(sample), units))
     print(out / f"{drawn.name}.csv")
     print(out / f"{drawn.name}.json")

@@ -57,6 +57,6 @@ def with_units(
     }
 
 
-def shown(value: float, call: Mapping[str, Any]) -> str:
-    """A metric in a table: five digits, or what did not happen. call: as the scenario declares it."""
-    return _ABSENT.get(call.get("function", ""), "not a number") if math.isnan(value) else f"{value:.5g}"
+def shown(value: float, call: Mapping[str, Any], digits: str = ".5g") -> str:
+    """A metric in a table: its digits, or what did not happen. call: as the scenario declares it."""
+    return format(value, digits) if not math.isnan(value) else _ABSENT.get(call["function"], "not a number")

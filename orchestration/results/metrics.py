@@ -4,6 +4,7 @@ Every function takes the recording, the names of signals, and what else it needs
 the function and its arguments. Windows are [start, end] in seconds and default to the whole run.
 """
 
+import math
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
@@ -12,6 +13,9 @@ import numpy as np
 from fmus.errors import nearest
 from orchestration.errors import OrchestrationError, ScenarioError
 from orchestration.results.recording import Recording
+
+_LAG_ERROR_S = 1e-4  # of the search for a delay
+_ROUNDING = 1e-9  # of an amplitude, relative to the mean: what is below it is rounding
 
 
 def _window(recording: Recording, window: list[float] | None) -> np.ndarray:
@@ -31,11 +35,13 @@ def settling_time(
 ) -> float:
     """Last time [s] in the window at which |signal - target| > band; its beginning if never.
 
-    A signal that never settles gives (nearly) the end of the window: look at the figure.
+    Not a number if the signal is outside the band at the end of the window.
     """
     inside = _window(recording, window)
     time = recording.time[inside]
-    outside = np.abs(recording[signal][inside] - target) > band
+    outside = ~(np.abs(recording[signal][inside] - target) <= band)  # as is what is not a number
+    if outside[-1]:
+        return math.nan
     return float(time[outside][-1]) if outside.any() else float(time[0])
 
 
@@ -53,11 +59,11 @@ def rmse(
 
 
 def overshoot(recording: Recording, signal: str, target: float, window: list[float] | None = None) -> float:
-    """(max(signal) - target) in percent of the target, never below 0; the target must not be 0."""
+    """How far the signal goes beyond the target, in percent of it, 0 if it does not; the target is not 0."""
     if target == 0.0:
         raise ScenarioError("overshoot: target = 0: expected another, the overshoot is relative to it")
-    highest = recording[signal][_window(recording, window)].max()
-    return float(max(0.0, 100.0 * (highest - target) / abs(target)))
+    farthest = (math.copysign(1.0, target) * recording[signal][_window(recording, window)]).max()
+    return float(max(0.0, 100.0 * (farthest - abs(target)) / abs(target)))
 
 
 def mean(recording: Recording, signal: str, window: list[float] | None = None) -> float:
@@ -87,33 +93,48 @@ def total_variation(
 def shift_lag(recording: Recording, signal: str, reference: str, largest: float) -> float:
     """Delay [s], 0..largest, of the reference at which it is nearest to the signal (least RMSE).
 
-    Judged from `largest` seconds after the start, so that every delay sees the same points.
+    Judged from `largest` seconds after the start, so that every delay sees the same points. Not a number if
+    the nearest is at an edge of the search, but for a signal that neither lags nor leads: 0.
     """
     from scipy.optimize import minimize_scalar  # which takes longer to import than to run
 
     time = recording.time
     late = time >= time[0] + largest
-    reference_values, values = recording[reference], recording[signal][late]
+    if not late.any():
+        raise ScenarioError(
+            f"largest = {largest:g}: expected less than the {time[-1] - time[0]:g} s of the run"
+        )
 
-    def distance(delay: float) -> float:
-        delayed = np.interp(time[late] - delay, time, reference_values)
-        return float(np.mean((values - delayed) ** 2))
+    def distance(delay: float, judged: np.ndarray = late) -> float:
+        delayed = np.interp(time[judged] - delay, time, recording[reference])
+        return float(np.mean((recording[signal][judged] - delayed) ** 2))
 
     coarse = np.linspace(0.0, largest, 61)
-    best = int(np.argmin([distance(delay) for delay in coarse]))
+    distances = [distance(delay) for delay in coarse]
+    best = int(np.argmin(distances))
     bounds = (coarse[max(best - 1, 0)], coarse[min(best + 1, 60)])
-    minimum: Any = minimize_scalar(distance, bounds=bounds, method="bounded", options={"xatol": 1e-4})
+    minimum: Any = minimize_scalar(distance, bounds=bounds, method="bounded", options={"xatol": _LAG_ERROR_S})
+    lead = coarse[1]
+    early = late & (time <= time[-1] - lead)
+    leads = best == 0 and distance(-lead, early) < distance(0.0, early)
+    if leads or minimum.x > largest - 2.0 * _LAG_ERROR_S or min(distances) == max(distances):
+        return math.nan
     return float(minimum.x)
 
 
 def phase_lag(
     recording: Recording, signal: str, angular_frequency: float, window: list[float] | None = None
 ) -> float:
-    """Delay [s] of the signal's fundamental behind cos(angular_frequency t), by least squares."""
+    """Delay [s] of the signal's fundamental behind cos(angular_frequency t), by least squares.
+
+    It is within half a period; a longer delay appears as one less a period. Not a number without oscillation.
+    """
     inside = _window(recording, window)
     angle = angular_frequency * recording.time[inside]
     basis = np.column_stack([np.cos(angle), np.sin(angle), np.ones_like(angle)])
-    (cosine, sine, _), *_ = np.linalg.lstsq(basis, recording[signal][inside], rcond=None)
+    (cosine, sine, offset), *_ = np.linalg.lstsq(basis, recording[signal][inside], rcond=None)
+    if not math.hypot(cosine, sine) > _ROUNDING * abs(offset):
+        return math.nan
     return float(np.arctan2(sine, cosine) / angular_frequency)
 
 

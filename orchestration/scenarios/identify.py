@@ -35,6 +35,7 @@ TARGETS = tuple(figure for figure in PUBLISHED if figure.where == "Table 1")
 AT_A_LIMIT = 1.05  # a gain this near to a limit of its search was stopped by it
 LARGEST_OVERSHOOT_PCT = 1.0  # "no significant overshoot", section 5.2
 OVERSHOOT_TOLERANCE_PCT = 0.25
+_NOT_SETTLED = 40.0  # tolerances: more than a run that settles can be away
 
 
 @dataclass(frozen=True)
@@ -75,13 +76,16 @@ def tolerance(target: Published) -> float:
 
 
 def residuals(measured: Mapping[str, Mapping[str, float]]) -> np.ndarray:
-    """Deviation of each target over its tolerance, then the excess overshoot of each scenario."""
+    """Deviation of each target over its tolerance, then the excess overshoot of each scenario.
+
+    A run that does not settle counts as far from its target.
+    """
     fit = [(measured[t.scenario][t.metric] - t.value) / tolerance(t) for t in TARGETS]
     excess = [
         max(0.0, measured[name]["overshoot"] - LARGEST_OVERSHOOT_PCT) / OVERSHOOT_TOLERANCE_PCT
         for name in SCENARIOS
     ]
-    return np.array(fit + excess)
+    return np.nan_to_num(np.array(fit + excess), nan=_NOT_SETTLED)
 
 
 def run_with(name: str, gains: Mapping[str, float]) -> dict[str, float]:
@@ -181,7 +185,9 @@ def write(fit: Fit, path: Path) -> None:
             "seed": fit.seed,
             "evaluations": fit.evaluations,
             "cost": fit.cost,
-            "metrics": {name: with_units(values, fit.metric_units) for name, values in fit.metrics.items()},
+            "metrics": {
+                name: with_units(values, fit.metric_units, math.nan) for name, values in fit.metrics.items()
+            },
         },
         "parameters": parameters,
     }

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from rich.markup import escape
 from rich.table import Table
 
-from orchestration.results.metric_units import MetricDocument
+from orchestration.results.metric_units import MetricDocument, shown
 from orchestration.scenarios.published import CONTROLLERS, PUBLISHED
 
 Measured = Mapping[str, Mapping[str, float]]
@@ -41,7 +41,7 @@ def comparison_table(measured: Measured) -> Table:
             figure.label,
             escape(figure.unit),
             f"{figure.value:.4g}",
-            f"{ours:.4g}",
+            shown(ours, {"function": figure.metric}, ".4g"),
             f"{deviation:+.2g}",
             f"{100.0 * deviation / figure.value:+.1f}",
             figure.status,

@@ -1,6 +1,8 @@
 """From paths to results: what is found, what is refused, what they are called."""
 
 import json
+import math
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +15,7 @@ import pytest
 from orchestration.errors import OrchestrationError
 from orchestration.report import RunResult, SweepResult, found_results, render
 from orchestration.results.recording import Recording
+from orchestration.sweep import table
 
 from .made_up import PROVENANCE, SCENARIO, recording, write_run, write_sweep
 
@@ -117,6 +120,28 @@ def test_a_document_with_something_else_in_a_table_is_refused(key: str, tmp_path
     document.write_text(json.dumps(content))
     with pytest.raises(OrchestrationError, match=f"{key} = .*: expected a table"):
         found_results([document])
+
+
+def test_a_run_that_did_not_settle_says_so_on_the_page(tmp_path: Path) -> None:
+    document = write_run(tmp_path, "dive", measured={"rmse": 4.35, "settling_time": math.nan})
+    assert json.loads(document.read_text())["metrics"]["settling_time"] == {"value": None, "unit": "s"}
+    page = render(found_results([document]))
+    assert 'data-label="settling_time [s]" title="nan">not settled</td>' in page
+
+
+def test_a_sweep_counts_the_samples_that_settled_and_says_where_none_did(tmp_path: Path) -> None:
+    path = write_sweep(tmp_path, 4)
+    rows, columns = table.read(path)[0].to_pylist(), table.read(path)[0].schema
+    for row in rows:
+        row["settling_time"] = math.nan
+    rows[1]["rmse"] = math.nan
+    table.write(rows, columns, path)
+    text = render(found_results([path])).replace("<wbr>", "")
+    cells = re.sub(r"<[^>]*>", " ", text).split()
+    start = cells.index("settling_time", cells.index("largest"))
+    assert cells[start : start + 5] == ["settling_time", "s", "0", "not", "settled"]
+    start = cells.index("rmse", start)
+    assert cells[start : start + 3] == ["rmse", "cm", "3"]
 
 
 def test_a_metric_without_a_unit_is_refused(tmp_path: Path) -> None:

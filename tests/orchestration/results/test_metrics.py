@@ -7,7 +7,9 @@ import pytest
 
 from orchestration.errors import OrchestrationError, ScenarioError
 from orchestration.results import metrics
+from orchestration.results.metric_units import with_units
 from orchestration.results.recording import Recording
+from orchestration.results.tables import metrics_table
 
 TIME = np.linspace(0.0, 100.0, 10001)
 
@@ -68,3 +70,48 @@ def test_unknown_names_offer_the_nearest() -> None:
         metrics.evaluate(run, {"a": {"function": "overshoot", "signal": "z", "target": 0.0}})
     with pytest.raises(ScenarioError, match=r"expected to overlap the run"):
         metrics.mean(run, "z", [200.0, 300.0])
+
+
+def never_moves() -> Recording:
+    """A vehicle that stays at 0 while it is commanded down and up again."""
+    return recording(z=np.zeros_like(TIME), r=0.8 * (TIME < 60.0))
+
+
+def test_what_does_not_settle_has_no_settling_time() -> None:
+    run = never_moves()
+    assert math.isnan(metrics.settling_time(run, "z", 0.8, 0.04))
+    assert math.isnan(metrics.settling_time(run, "z", 0.8, 0.04, [0.0, 50.0]))
+    lost = np.where(TIME > 99.0, np.nan, 0.8)
+    assert math.isnan(metrics.settling_time(recording(z=lost), "z", 0.8, 0.04))
+
+
+def test_a_delay_at_an_edge_of_the_search_is_none() -> None:
+    wave = {delay: 3.0 * np.cos(0.5 * (TIME - delay)) for delay in (-1.0, 0.0, 4.9, 5.1)}
+    run = recording(r=wave[0.0], leads=wave[-1.0], late=wave[4.9], later=wave[5.1])
+    assert metrics.shift_lag(run, "late", "r", largest=5.0) == pytest.approx(4.9, abs=1e-3)  # as above
+    assert metrics.shift_lag(run, "r", "r", largest=5.0) == pytest.approx(0.0, abs=1e-3)
+    for signal in ("leads", "later"):
+        assert math.isnan(metrics.shift_lag(run, signal, "r", largest=5.0))
+    assert math.isnan(metrics.shift_lag(never_moves(), "z", "r", largest=30.0))
+    assert math.isnan(metrics.shift_lag(never_moves(), "r", "z", largest=30.0))  # equally far at every delay
+    with pytest.raises(ScenarioError, match=r"largest = 200: expected less than the 100 s of the run"):
+        metrics.shift_lag(run, "r", "r", largest=200.0)
+
+
+def test_a_signal_that_does_not_oscillate_has_no_phase() -> None:
+    assert math.isnan(metrics.phase_lag(recording(z=np.full_like(TIME, 0.8)), "z", 0.5))
+    assert math.isnan(metrics.phase_lag(never_moves(), "z", 0.5))
+
+
+def test_the_overshoot_of_a_negative_target_is_beyond_it() -> None:
+    up = recording(z=-0.8 * (1.0 - np.exp(-TIME / 10.0)))
+    assert metrics.overshoot(up, "z", -0.8) == 0.0
+    assert metrics.overshoot(up, "z", -0.5) == pytest.approx(60.0, rel=1e-3)  # 0.8 of 0.5, reached to 5e-5
+
+
+def test_what_did_not_happen_is_null_in_a_file_and_a_word_in_a_table() -> None:
+    declared = {"settling_time": {"function": "settling_time", "signal": "z", "target": 0.8, "band": 0.04}}
+    values = metrics.evaluate(never_moves(), declared)
+    assert with_units(values, {"settling_time": "s"}) == {"settling_time": {"value": None, "unit": "s"}}
+    table = metrics_table("A run", values, {"settling_time": "s"}, declared)
+    assert [list(column.cells) for column in table.columns] == [["settling_time"], ["not settled"], ["s"]]
