@@ -13,7 +13,7 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, partial
 from types import CodeType, FrameType
 from typing import Any
 
@@ -53,7 +53,7 @@ class _RefusedError(TypeError):
 def call(block: str, function: Callable[..., Any], *arguments: Any) -> Any:
     """What a function of a block returns for symbols; ExportError names the line that cannot be traced."""
     try:
-        with _guarded():
+        with _guarded(_package(getattr(function, "__module__", ""))):
             return function(*arguments)
     except Exception as error:
         raise ExportError(f"block {block!r} cannot be traced: {_reason(error)}") from error
@@ -66,14 +66,14 @@ def location(function: Callable[..., Any]) -> str:
 
 
 @contextmanager
-def _guarded() -> Iterator[None]:
+def _guarded(package: str) -> Iterator[None]:
     with _LOCK:
         originals = {name: getattr(casadi.SX, name) for name in _REFUSED}
         profile = sys.getprofile()
         try:
             for name, original in originals.items():
                 setattr(casadi.SX, name, _refusal(original, *_REFUSED[name]))
-            sys.setprofile(_refuse_impure)
+            sys.setprofile(partial(_refuse_impure, package))
             yield
         finally:
             sys.setprofile(profile)
@@ -90,11 +90,14 @@ def _refusal(original: Callable[..., Any], reason: str, function: str) -> Callab
     return method
 
 
-def _refuse_impure(frame: FrameType, event: str, called: Any) -> None:
-    """The profile function of a tracing."""
-    if event == "call" and (name := _assigned_global(frame.f_code)) and not _is_library(frame):
+def _refuse_impure(package: str, frame: FrameType, event: str, called: Any) -> None:
+    """The profile function of a tracing: refuses what the package of the block calls.
+
+    Python may call others in between: handlers of signals and of the garbage collector.
+    """
+    if event == "call" and (name := _assigned_global(frame.f_code)) and _caller(frame) == package:
         raise _RefusedError(f"the global {name} is assigned, but an FMU has no memory beside its state")
-    if event == "c_call" and _is_draw(called) and not _is_import(frame):
+    if event == "c_call" and _is_draw(called) and _caller(frame) == package:
         raise _RefusedError(f"{called.__name__} gives another value at each call; use the time and the state")
 
 
@@ -103,12 +106,13 @@ def _is_draw(called: Any) -> bool:
     return module in _DRAWS or called.__name__ in _CLOCKS
 
 
-def _is_import(frame: FrameType | None) -> bool:
+def _caller(frame: FrameType | None) -> str:
+    """The package that calls, perhaps through libraries; none for an import, which happens once."""
     while frame and _is_library(frame):
-        if frame.f_globals.get("__name__", "").startswith("importlib"):
-            return True
+        if _module(frame).startswith("importlib"):
+            return ""
         frame = frame.f_back
-    return False
+    return _package(_module(frame)) if frame else ""
 
 
 @cache
@@ -117,8 +121,15 @@ def _assigned_global(code: CodeType) -> str:
 
 
 def _is_library(frame: FrameType) -> bool:
-    name = frame.f_globals.get("__name__", "")
-    return name.partition(".")[0] in _LIBRARIES or name in (__name__, numerics.__name__)
+    return _package(_module(frame)) in _LIBRARIES or _module(frame) in (__name__, numerics.__name__)
+
+
+def _module(frame: FrameType) -> str:
+    return frame.f_globals.get("__name__", "")
+
+
+def _package(module: str) -> str:
+    return module.partition(".")[0]
 
 
 def _reason(error: Exception) -> str:

@@ -1,6 +1,7 @@
-"""A native FMU under sanitizers in a process of its own, called through tests/c/session.c."""
+"""A native FMU, also under sanitizers, in a process of its own, called through tests/c/session.c."""
 
 import shutil
+import struct
 import subprocess
 import tempfile
 from pathlib import Path
@@ -8,7 +9,9 @@ from typing import NamedTuple
 
 import pytest
 
-from .native_model import Null
+from fmus.export import toolchain
+
+from .native_model import OK, Null
 
 _PROGRAM = Path(__file__).parents[2] / "c" / "session.c"
 _SANITIZERS = ("address", "undefined", "float-cast-overflow")
@@ -36,13 +39,18 @@ class Answer(NamedTuple):
     messages: list[Message]
 
 
-def compiled(sources: dict[str, str], folder: Path) -> Path:
-    """The program with these sources of an FMU; without gcc the test fails."""
-    if not shutil.which("gcc"):
+def compiled(sources: dict[str, str], folder: Path, sanitized: bool = True) -> Path:
+    """The program with these sources of an FMU, under gcc's sanitizers; without gcc such a test fails."""
+    if sanitized and not shutil.which("gcc"):
         pytest.fail("gcc is not installed: .ci/run installs it")
     for name, text in sources.items():
         (folder / name).write_text(text, encoding="utf-8")
     program = folder / "session"
+    if not sanitized:
+        toolchain.zig(
+            ["cc", *toolchain.FLAGS, "-I.", "-o", "session", "fmi2.c", str(_PROGRAM), "-lm"], folder
+        )
+        return program
     command = [
         "gcc",
         *_FLAGS,
@@ -125,3 +133,37 @@ def _encoded(argument: object) -> str:
     if isinstance(argument, str):
         return "=" + argument
     return "-" if argument is None else format(argument, "d")
+
+
+def begin(session: Session) -> Session:
+    assert session("instantiate", 0, "it", 1, GUID, "all", True).status == OK
+    assert session("setup", 0, 0.0, False, 0.0).status == OK
+    assert session("enter", 0).status == OK
+    return session
+
+
+def stepping(session: Session) -> Session:
+    assert begin(session)("leave", 0).status == OK
+    return session
+
+
+def told(answer: Answer) -> str:
+    (message,) = answer.messages
+    return message.text
+
+
+def saved(session: Session) -> list[int]:
+    """The instance's state as bytes."""
+    session("get_state", 0, 5)
+    size = int(session("state_size", 0, 5, "+").values[0])
+    content = [int(v) for v in session("serialize", 0, 5, size, "+").values]
+    session("free_state", 0, 5)
+    return content
+
+
+def with_checksum(content: bytes) -> bytes:
+    """With the checksum that belongs to the content (FNV-1a)."""
+    digest = 14695981039346656037
+    for byte in content:
+        digest = (digest ^ byte) * 1099511628211 % 2**64
+    return content + struct.pack("<Q", digest)

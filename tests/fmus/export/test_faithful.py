@@ -1,6 +1,7 @@
 """A block whose trace would not be what its Python functions compute is refused; every other one is built."""
 
 import functools
+import gc
 import inspect
 import math
 import random
@@ -177,6 +178,20 @@ def test_a_difference_names_file_and_line_of_the_function_and_both_values() -> N
         check_faithful(block)
     place = f"{__file__}:{inspect.getsourcelines(block.step)[1]}"
     assert f"{place}: step gives x = 1.0 in Python and 2.0 when it is traced" in str(refusal.value)
+
+
+def collector_starts(phase: str, info: dict[str, int]) -> None:
+    """As a library may register it."""
+    exec("global STARTED; import time; STARTED = time.time()", {"__name__": "a_library"})
+
+
+@pytest.mark.filterwarnings("error")
+def test_what_the_garbage_collector_calls_meanwhile_is_not_the_blocks() -> None:
+    gc.callbacks.append(collector_starts)
+    try:
+        check_faithful(block_of(lambda u, x, p: x + len(str(gc.collect())[:0])))
+    finally:
+        gc.callbacks.remove(collector_starts)
 
 
 GAIN = 3.0

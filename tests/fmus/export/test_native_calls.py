@@ -1,6 +1,6 @@
-"""Any calls, legal or not, of the native FMU under sanitizers: answered as the model says, nothing lost.
+"""Any calls, legal or not, of the native FMU: answered as the model says, nothing lost.
 
-Its memory is watched too: what it writes beyond its blocks, and what it never frees.
+Under sanitizers its memory is watched too: what it writes beyond its blocks, and what it never frees.
 """
 
 from pathlib import Path
@@ -14,10 +14,9 @@ from fmus.block import Block
 from fmus.export.c_source import c_sources
 
 from .native_beside import Pool
+from .native_block import EVERYTHING
 from .native_rules import Calls
 from .native_session import GUID, compiled
-
-pytestmark = pytest.mark.cross
 
 
 def run(block: Block, program: Path, examples: int, *, shrink: bool = True) -> None:
@@ -40,6 +39,11 @@ def run(block: Block, program: Path, examples: int, *, shrink: bool = True) -> N
     pool.session().close()
 
 
+def test_any_sequence_of_calls_of_a_small_block_is_answered_as_fmi_wants_it(tmp_path: Path) -> None:
+    run(EVERYTHING, compiled(c_sources(EVERYTHING, GUID), tmp_path, sanitized=False), 30)
+
+
+@pytest.mark.cross
 @pytest.mark.parametrize("name", ["RovDepthPlant", "L1Controller", "L1DepthController"])
 def test_any_sequence_of_calls_is_answered_as_fmi_wants_it(tmp_path: Path, name: str) -> None:
     block = catalogue.load_block(name)
@@ -85,6 +89,7 @@ MUTANTS = {
 }
 
 
+@pytest.mark.cross
 @pytest.mark.parametrize("fault", MUTANTS)
 def test_a_fault_of_the_c_layer_is_noticed(tmp_path: Path, fault: str) -> None:
     """Otherwise the test above would prove nothing."""

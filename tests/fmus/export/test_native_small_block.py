@@ -1,0 +1,246 @@
+"""What the C layer computes and refuses, against closed forms and by marks in the bytes of a state."""
+
+import math
+import struct
+from collections.abc import Callable
+
+import pytest
+
+from .native_block import EVERYTHING
+from .native_model import DISCARD, ERROR, OK
+from .native_session import GUID, Session, begin, saved, stepping, told, with_checksum
+
+REFERENCES = {v.name: v.value_reference for v in EVERYTHING.variables}
+FIRST_WORD = 16 + len(GUID)  # of a serialised state: magic, format and GUID come before
+
+
+@pytest.fixture
+def session(open_session: Callable[[str], Session]) -> Session:
+    return open_session(EVERYTHING.name)
+
+
+def write(session: Session, **values: float) -> int:
+    """Set Reals; the status."""
+    references = [REFERENCES[name] for name in values]
+    return session("set", 0, "R", references, [float(value) for value in values.values()]).status
+
+
+def read(session: Session, *names: str) -> list[float]:
+    answer = session("get", 0, "R", [REFERENCES[name] for name in names], "+")
+    assert answer.status == OK
+    return [float.fromhex(value) for value in answer.values]
+
+
+def step(session: Session, t: float, h: float) -> int:
+    return session("step", 0, t, h).status
+
+
+def internal_steps(session: Session) -> int:
+    return int(float.fromhex(session("get", 0, "I", [REFERENCES["steps"]], "+").values[0]))
+
+
+@pytest.mark.parametrize(
+    ("length", "expected"),
+    [
+        (0.5, 1),
+        (1.0, 1),
+        (1.0 + 1e-10, 1),
+        (1.0 + 1e-8, 2),
+        (3.0 - 1e-8, 3),
+        (3.0 * (1.0 + 1e-10), 3),
+        (3.0 * (1.0 + 1e-8), 4),
+        (4.4, 5),
+    ],
+)
+def test_a_step_is_divided_into_the_fewest_internal_steps_up_to_rounding(
+    session: Session, length: float, expected: int
+) -> None:
+    """The length is that of the communication step in internal steps of 0.1 s; 1e-9 of it is rounding."""
+    assert step(stepping(session), 0.0, 0.1 * length) == OK
+    assert internal_steps(session) == expected
+
+
+def test_internal_steps_are_equal_and_inputs_move_through_their_middles(session: Session) -> None:
+    """x' = t + force valve + 1 - ratio x, three explicit steps by hand."""
+    stepping(session)
+    assert write(session, force=2.0, valve=0.9) == OK
+    references = [REFERENCES["force"], REFERENCES["valve"]]
+    assert session("set_input_derivatives", 0, references, [1, 1], [1.0, 2.0]).status == OK
+    assert step(session, 0.0, 0.24) == OK
+    x, h = 1.0, 0.24 / 3
+    for i in range(3):
+        t = (i + 0.5) * h
+        x += h * ((2.0 + t) * min(0.9 + 2.0 * t, 1.0) + 1.0 - 0.5 * x + i * h)
+    assert read(session, "y")[0] == pytest.approx(8.0 * x, rel=1e-15)  # roundings of a sum
+    assert step(session, 0.24, 0.1) == OK  # the rates held for one step
+    x += 0.1 * (2.0 * 0.9 + 1.0 - 0.5 * x + 0.24)
+    assert read(session, "y")[0] == pytest.approx(8.0 * x, rel=1e-15)
+
+
+def test_output_derivatives_follow_parameters_and_inputs_that_have_just_been_set(session: Session) -> None:
+    """y = gain limit x, so y' = gain limit (force valve + 1 - gain / limit x + t), of the present values."""
+    stepping(session)
+    assert step(session, 0.0, 0.1) == OK
+    x = read(session, "y")[0] / 8.0
+    assert write(session, gain=3.0, limit=5.0, force=2.0, valve=0.25) == OK
+    rate = 2.0 * 0.25 + 1.0 - 0.6 * x + 0.1
+    references = [REFERENCES["y"], REFERENCES["square"], REFERENCES["y"]]
+    answer = session("get_output_derivatives", 0, references, [1, 1, 1], "+")
+    expected = [15.0 * rate, 2.0 * x * rate + 1.0, 15.0 * rate]
+    assert [float.fromhex(v) for v in answer.values] == pytest.approx(expected, rel=1e-14)
+    assert read(session, "y", "product") == [8.0 * x, 8.0]  # of the last step, until the next one
+
+
+def test_contradictory_parameters_discard_output_derivatives_and_steps_and_name_the_requirement(
+    session: Session,
+) -> None:
+    stepping(session)
+    for values, expected in (
+        ({"gain": 9.0, "limit": 9.0}, "gain below limit"),
+        ({"gain": -9.0}, "gain limit above -50"),
+    ):
+        assert write(session, **values) == OK
+        for call in (("get_output_derivatives", 0, [REFERENCES["y"]], [1], "+"), ("step", 0, 0.0, 0.1)):
+            answer = session(*call)
+            assert answer.status == DISCARD
+            assert told(answer).endswith(f"parameters of Everything: expected {expected}")
+    assert write(session, gain=2.0) == OK
+    assert step(session, 0.0, 0.1) == OK
+
+
+def test_a_known_that_is_named_twice_counts_twice(session: Session) -> None:
+    """In both modes; d(product) = limit d(gain) + gain d(limit)."""
+    begin(session)
+    gain, limit, product = (REFERENCES[name] for name in ("gain", "limit", "product"))
+    for mode in ("initialization", "step"):
+        answer = session("directional_derivative", 0, [product], [gain, limit, gain], [1.0, 10.0, 2.0], "+")
+        assert [float.fromhex(v) for v in answer.values] == [4.0 * 3.0 + 2.0 * 10.0], mode
+        session("leave", 0)
+
+
+def test_derivatives_by_inputs_are_those_of_the_mode(session: Session) -> None:
+    """x = start + force in initialisation mode; later no output depends directly on an input."""
+    begin(session)
+    arguments = [REFERENCES["y"], REFERENCES["square"]], [REFERENCES["force"], REFERENCES["start"]]
+    answer = session("directional_derivative", 0, *arguments, [1.0, 0.0], "+")
+    assert [float.fromhex(v) for v in answer.values] == [8.0, 2.0]
+    assert session("leave", 0).status == OK
+    answer = session("directional_derivative", 0, *arguments, [1.0, 1.0], "+")
+    assert [float.fromhex(v) for v in answer.values] == [0.0, 0.0]
+
+
+def test_an_output_that_no_integer_holds_discards_the_step(session: Session) -> None:
+    begin(session)
+    assert session("set", 0, "I", [REFERENCES["count"]], [2**31 - 2]).status == OK
+    assert session("leave", 0).status == OK
+    assert step(session, 0.0, 0.1) == OK
+    assert internal_steps(session) == 2**31 - 1
+    assert "not finite any more" in told(session("step", 0, 0.1, 0.1))
+    assert internal_steps(session) == 2**31 - 1
+
+
+def test_a_refused_step_leaves_rates_and_the_next_one_uses_them(session: Session) -> None:
+    stepping(session)
+    assert session("set_input_derivatives", 0, [REFERENCES["force"]], [1], [10.0]).status == OK
+    assert write(session, gain=9.0) == OK
+    assert step(session, 0.0, 0.1) == DISCARD
+    assert write(session, gain=2.0) == OK
+    assert step(session, 0.0, 0.1) == OK
+    x = 1.0 + 0.1 * (10.0 * 0.05 * 0.5 + 1.0 - 0.5)
+    assert read(session, "y")[0] == pytest.approx(8.0 * x, rel=1e-15)
+
+
+MARK = 1.2345678901234567e77
+TAKEN = [0.5, -1e300, 0.0]
+NEVER_FINITE = [math.nan, math.inf, -math.inf]
+
+
+def _marked_rate(session: Session) -> None:
+    stepping(session)
+    assert session("set_input_derivatives", 0, [REFERENCES["force"]], [1], [MARK]).status == OK
+
+
+def _marked_input(session: Session) -> None:
+    assert write(stepping(session), force=MARK) == OK
+
+
+def _marked_time(session: Session) -> None:
+    assert session("instantiate", 0, "it", 1, GUID, "all", True).status == OK
+    assert session("setup", 0, MARK, False, 0.0).status == OK
+
+
+def _marked_state(session: Session) -> None:
+    begin(session)
+    assert write(session, start=0.0, force=MARK) == OK
+    assert session("leave", 0).status == OK
+    assert write(session, force=0.0) == OK
+
+
+def _marked_output(session: Session) -> None:
+    begin(session)
+    assert write(session, gain=0.5, limit=2.0, start=MARK) == OK
+    assert session("leave", 0).status == OK
+    assert step(session, 0.0, 1e-3) == OK
+
+
+@pytest.mark.parametrize(
+    ("marked", "words", "refused"),
+    [
+        (_marked_rate, TAKEN, NEVER_FINITE),
+        (_marked_input, TAKEN, NEVER_FINITE),
+        (_marked_time, TAKEN, NEVER_FINITE),
+        (_marked_state, TAKEN, NEVER_FINITE),
+    ],
+)
+def test_a_forged_number_that_is_not_finite_is_refused(
+    session: Session, marked: Callable[[Session], None], words: list[float], refused: list[float]
+) -> None:
+    """With a good checksum, at each place that holds the mark."""
+    marked(session)
+    content = bytes(saved(session))
+    mark = struct.pack("<d", MARK)
+    places = [i for i in range(FIRST_WORD, len(content) - 8, 8) if content[i : i + 8] == mark]
+    assert places
+    for place in places:
+        for word in (*words, *refused):
+            assert _forged(session, content, place, struct.pack("<d", word)) is (word in words)
+
+
+def test_forged_flags_values_and_outputs_that_no_instance_has_are_refused(session: Session) -> None:
+    """The first words are mode and three flags; then time and the values by value reference."""
+    content = bytes(saved(stepping(session)))
+    first_value = FIRST_WORD + 8 * 5
+    for word in range(4):
+        for number in (0, 1, 2, 3, 4, 5, 8, 16, 24, 32, -1):
+            is_mode = number in (1, 2, 4, 8, 16)
+            good = is_mode if word == 0 else number in (0, 1)
+            assert _forged(session, content, FIRST_WORD + 8 * word, struct.pack("<q", number)) is good
+    for name, good, bad in (
+        ("gain", (-100.0, 100.0), (-100.1, 100.1, math.nan)),
+        ("mode", (0.0, 3.0), (1.0, 2.0, 4.0, -1.0, math.nan)),
+        ("enabled", (0.0, 1.0), (2.0, -1.0)),
+        ("count", (-(2.0**31 - 1), 2.0**31 - 2), (2.0**31 - 1, -(2.0**31))),
+        ("level", (-5.0, 5.0), (-6.0, 6.0)),
+        ("steps", (-(2.0**31 - 1), 2.0**31 - 1), (2.0**31, -(2.0**31), math.nan)),
+        ("high", (0.0, 1.0), (3e9, math.inf)),
+        ("y", (1e308,), (math.nan, math.inf)),
+        ("square", (1e308,), (math.nan, -math.inf)),
+    ):
+        for number in (*good, *bad):
+            place = first_value + 8 * REFERENCES[name]
+            is_taken = _forged(session, content, place, struct.pack("<d", number))
+            assert is_taken is (number in good), (name, number)
+
+
+def _forged(session: Session, content: bytes, place: int, word: bytes) -> bool:
+    """Whether the bytes are taken with another word at a place; the instance is as before then."""
+    session("get_state", 0, 1)
+    forged = with_checksum(content[:place] + word + content[place + 8 : -8])
+    answer = session("deserialize", 0, list(forged), 0)
+    assert answer.status in (OK, ERROR)
+    if answer.status == ERROR:
+        assert told(answer) == "fmi2DeSerializeFMUstate: the state is none that this FMU can have"
+    assert session("set_state", 0, 1).status == OK
+    session("free_state", 0, 0)
+    session("free_state", 0, 1)
+    return answer.status == OK
