@@ -25,7 +25,7 @@ from rich.table import Table
 
 from tests.mutation.mutants import Mutant, chosen, mutants_of
 
-_OF_THE_C_LAYER = ("refusals", "lifecycle", "states", "calls", "rare_calls", "importers")
+_OF_THE_C_LAYER = ("refusals", "lifecycle", "states", "calls", "rare_calls", "small_block", "importers")
 # the folders that are mutated, and the tests that should notice: the first that fails ends the run
 TESTS = {
     "controller_fmu": ["tests/controller_fmu", "tests/closed_loop", "tests/fmus/test_both_flavours.py"],
