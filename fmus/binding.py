@@ -54,15 +54,57 @@ def reference_array(references: Sequence[int]) -> Any:
     return (fmi2.fmi2ValueReference * len(references))(*references)
 
 
+# Functions of FMI 2.0 by the types of their arguments: p(ointer), s(ize), d(ouble), i(nt). They return a
+# status unless `_RESULTS` has another type.
+_SIGNATURES = {
+    "": "GetTypesPlatform GetVersion",
+    "p": "FreeInstance EnterInitializationMode ExitInitializationMode Terminate Reset CancelStep",
+    "pp": "GetFMUstate SetFMUstate FreeFMUstate",
+    "ppp": "SerializedFMUstateSize",
+    "pip": "GetStatus GetRealStatus GetIntegerStatus GetBooleanStatus GetStringStatus",
+    "pddi": "DoStep",
+    "pisp": "SetDebugLogging",
+    "ppps": "SerializeFMUstate",
+    "ppsp": "GetReal GetInteger GetBoolean GetString SetReal SetInteger SetBoolean SetString "
+    "DeSerializeFMUstate",
+    "ppspp": "SetRealInputDerivatives GetRealOutputDerivatives",
+    "ppspspp": "GetDirectionalDerivative",
+    "piddid": "SetupExperiment",
+    "pipppii": "Instantiate",
+}
+_RESULTS = {
+    "Instantiate": ctypes.c_void_p,
+    "FreeInstance": None,
+    "GetTypesPlatform": ctypes.c_char_p,
+    "GetVersion": ctypes.c_char_p,
+}
+_TYPES = {"p": ctypes.c_void_p, "s": ctypes.c_size_t, "d": ctypes.c_double, "i": ctypes.c_int}
+
+
 class Library:
-    """A loaded library; its FMI functions are attributes. Raises Exception if a function is missing."""
+    """A loaded library; its FMI functions are attributes.
+
+    It is loaded by its whole path, from which the system also resolves what it needs; the working directory,
+    which all threads share, stays as it is. Raises OSError if the system refuses, AttributeError if a
+    function is missing.
+    """
 
     def __init__(self, path: Path) -> None:
-        with contextlib.chdir(Path.cwd()):  # FMPy changes the folder, and does not change back if it fails
-            loaded = fmi2.FMU2Slave(
-                guid="", modelIdentifier="", unzipDirectory="", libraryPath=str(path), instanceName=""
+        self._functions = ctypes.CDLL(str(path.resolve()))
+        missing = []
+        for types, names in _SIGNATURES.items():
+            for name in names.split():
+                function = getattr(self._functions, f"fmi2{name}", None)
+                if function is None:
+                    missing.append(f"fmi2{name}")
+                    continue
+                function.argtypes = [_TYPES[letter] for letter in types]
+                function.restype = _RESULTS.get(name, ctypes.c_int)
+        if missing:
+            self.unload()
+            raise AttributeError(
+                f"{path.name} lacks {', '.join(missing)}: expected every function of FMI 2.0"
             )
-        self._functions = loaded.dll
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._functions, name)

@@ -10,6 +10,10 @@ from pathlib import Path
 from typing import BinaryIO
 from xml.etree import ElementTree
 
+_MOST_MEMBERS = 100_000
+_MOST_BYTES = 8_000_000_000  # unpacked
+_MOST_BYTES_A_BYTE = 200  # unpacked for one of the archive, from `_FEW_BYTES` on
+_FEW_BYTES = 100_000_000
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest date that a zip can hold
 
 
@@ -62,3 +66,19 @@ def xml_document(root: ElementTree.Element) -> bytes:
     """A whole XML file, indented."""
     ElementTree.indent(root)
     return ElementTree.tostring(root, xml_declaration=True, encoding="UTF-8")
+
+
+def extract_archive(path: Path, folder: Path) -> None:
+    """Unpack a zip; ValueError, with nothing written, if it is larger than any FMU that a tool writes."""
+    with zipfile.ZipFile(path) as archive:
+        members = archive.infolist()
+        size, packed = sum(member.file_size for member in members), path.stat().st_size
+        if len(members) > _MOST_MEMBERS:
+            raise ValueError(f"{len(members)} files: expected at most {_MOST_MEMBERS}")
+        if size > _MOST_BYTES:
+            raise ValueError(f"{size} bytes unpacked: expected at most {_MOST_BYTES}")
+        if size > max(_FEW_BYTES, _MOST_BYTES_A_BYTE * packed):
+            raise ValueError(
+                f"{size} bytes unpacked from {packed}: expected at most {_MOST_BYTES_A_BYTE} times as many"
+            )
+        archive.extractall(folder)

@@ -34,6 +34,9 @@ def describe(path: Path) -> ModelDescription:
         raise FmuLoadError(f"{path}: the model description cannot be read: {reason}") from error
     if description.fmiVersion != "2.0" or description.coSimulation is None:
         raise FmuLoadError(f"{path}: expected FMI 2.0 for co-simulation, got FMI {description.fmiVersion}")
+    identifier = str(description.coSimulation.modelIdentifier)
+    if not (identifier.isascii() and identifier.isidentifier()):  # a path would lead out of the archive
+        raise FmuLoadError(f"{path}: modelIdentifier {identifier!r}: expected a C identifier")
     _take_over_declared_types(description)
     return description
 

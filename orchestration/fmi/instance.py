@@ -18,6 +18,7 @@ from fmpy.fmi2 import fmi2LastSuccessfulTime
 from fmpy.model_description import ModelDescription, ScalarVariable
 
 from fmus.binding import DISCARD, ERROR, FATAL, BoundInstance, Callbacks, Library, library_member, status_name
+from fmus.files import extract_archive
 from fmus.fmi_types import TRANSFER_TYPE
 from orchestration.errors import FmuError, FmuLoadError, FmuWarning
 
@@ -191,5 +192,5 @@ def _unpacked_library(path: Path, description: ModelDescription, folder: Path) -
         raise FmuLoadError(
             f"{path} has no binary for {fmpy.platform}: it has {', '.join(available) or 'none'}"
         )
-    fmpy.extract(str(path), str(folder))
+    extract_archive(path, folder)
     return Library(folder / member)
