@@ -189,8 +189,8 @@ def _logger() -> Any:
     name = f"logging{fmpy.sharedLibraryExtension}"
     original = Path(fmpy.__file__).parent / "logging" / fmpy.platform / name
     with (
-        tempfile.TemporaryDirectory(prefix="l1-depth-", ignore_cleanup_errors=True) as folder,
         contextlib.suppress(OSError),
+        tempfile.TemporaryDirectory(prefix="l1-depth-", ignore_cleanup_errors=True) as folder,
     ):
         formatter = ctypes.CDLL(shutil.copy(original, folder))
         formatter.addLoggerProxy.argtypes, formatter.addLoggerProxy.restype = [ctypes.c_void_p], None

@@ -12,6 +12,10 @@ class MissingExtraError(ImportError):
     """A library that the core does not install; the message names the command that installs it."""
 
 
+class HostError(Exception):
+    """What this machine refuses, such as a full disk, so that nothing can be said of an FMU."""
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """The end of an error message about an unknown name: the known name most like it."""
     choices = list(known)

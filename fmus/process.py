@@ -4,9 +4,11 @@ For FMUs, which may hang or crash: what they do to their process, they do to not
 """
 
 import contextlib
+import json
 import os
 import pickle
 import signal
+import struct
 import subprocess
 import sys
 import tempfile
@@ -17,6 +19,10 @@ from queue import Empty, Queue
 from typing import IO, Any, BinaryIO, cast
 
 _TO_END_S = 10.0  # for a process whose messages have ended
+_LENGTH = struct.Struct("<Q")  # of a message, before it
+_MOST_OF_ERRORS = 1 << 16  # bytes kept of what a process writes to standard error
+_MOST_OF_MESSAGE = 1 << 26  # bytes, and messages that nobody has received, of an untrusted process
+_MOST_MESSAGES = 2
 
 
 class ProcessEndedError(Exception):
@@ -41,7 +47,7 @@ class Parent:
     def _read(self, incoming: BinaryIO) -> None:
         with contextlib.suppress(EOFError):
             while True:
-                self._messages.put(pickle.load(incoming))
+                self._messages.put(_read_message(incoming))
         os._exit(1)
 
     def receive(self) -> Any:
@@ -50,8 +56,11 @@ class Parent:
 
     def send(self, message: object, pickled: Callable[[object], bytes] = pickle.dumps) -> None:
         """Send a message, which `pickled` turns into bytes."""
-        pickle.dump(pickled(message), self._outgoing)
-        self._outgoing.flush()
+        _write_message(self._outgoing, pickled(message))
+
+    def send_json(self, message: object) -> None:
+        """Send a message to a parent that does not trust this process."""
+        self.send(message, lambda content: json.dumps(content).encode())
 
 
 Worker = Callable[[Parent], None]
@@ -62,20 +71,24 @@ class WorkerProcess:
 
     It imports from where this process does, and what it prints is dropped. Its temporary files go to
     `folder`, a new one inside the folder that is given; `close` removes it. An interrupt at the terminal does
-    not reach it: the process that is interrupted decides.
+    not reach it: the process that is interrupted decides. The processes that it starts end with it.
+
+    trusted: otherwise its messages are JSON, short, and read only when asked for
     """
 
-    def __init__(self, worker: Worker, folder: Path | None = None) -> None:
+    def __init__(self, worker: Worker, folder: Path | None = None, trusted: bool = True) -> None:
         self._temporary = tempfile.TemporaryDirectory(
             dir=folder, prefix="l1-depth-process-", ignore_cleanup_errors=True
         )
         self.folder = Path(self._temporary.name)
         self._messages: Queue[bytes | None] = Queue()  # SimpleQueue.get may wait for ever after a signal
-        with self._errors.open("wb") as errors:
-            self._process = _started(worker, self.folder, errors)
-        incoming = cast(IO[bytes], self._process.stdout)
+        self._trusted, self._errors, self._group_ended = trusted, b"", False
+        self._process = _started(worker, self.folder)
+        incoming, errors = cast(IO[bytes], self._process.stdout), cast(IO[bytes], self._process.stderr)
         self._outgoing = cast(IO[bytes], self._process.stdin)
         threading.Thread(target=self._read, args=(incoming,), daemon=True).start()
+        self._error_reader = threading.Thread(target=self._read_errors, args=(errors,), daemon=True)
+        self._error_reader.start()
 
     @property
     def pid(self) -> int:
@@ -85,11 +98,13 @@ class WorkerProcess:
         """Send a message; to a process that has ended nothing is sent, `receive` raises."""
         content = pickle.dumps(message)
         with contextlib.suppress(OSError, ValueError):  # ValueError: it was closed meanwhile
-            pickle.dump(content, self._outgoing)
-            self._outgoing.flush()
+            _write_message(self._outgoing, content)
 
     def receive(self, timeout: float | None = None) -> Any:
-        """The next message. Raises TimeoutError after `timeout` seconds, ProcessEndedError at the end."""
+        """The next message. Raises TimeoutError after `timeout` seconds, ProcessEndedError at the end.
+
+        ValueError for a message of an untrusted process that is no JSON.
+        """
         try:
             message = self._messages.get(timeout=timeout)
         except Empty:
@@ -97,11 +112,15 @@ class WorkerProcess:
         if message is None:
             self._messages.put(None)  # for whoever asks again
             raise ProcessEndedError(self._exit_status(), self._last_error_line())
-        return pickle.loads(message)
+        return pickle.loads(message) if self._trusted else json.loads(message)
 
     def kill(self) -> None:
-        """End the process at once, also from another thread."""
+        """End the process and those that it started at once, also from another thread."""
         self._process.kill()
+        if not self._group_ended and hasattr(os, "killpg"):
+            self._group_ended = True  # its number may become another's once the process is waited for
+            with contextlib.suppress(ProcessLookupError, PermissionError):  # of macOS, for a dead one
+                os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
 
     def close(self) -> None:
@@ -111,43 +130,66 @@ class WorkerProcess:
             self._outgoing.close()
         self._temporary.cleanup()
 
-    @property
-    def _errors(self) -> Path:
-        return self.folder / "stderr"
-
     def _read(self, incoming: IO[bytes]) -> None:
-        """Queue the messages; None is the end."""
+        """Queue the messages; None is the end. An untrusted process that sends too much has ended."""
+        most = None if self._trusted else _MOST_OF_MESSAGE
         with incoming, contextlib.suppress(Exception):  # of a message that was cut off
-            while True:
-                self._messages.put(pickle.load(incoming))
+            while self._trusted or self._messages.qsize() < _MOST_MESSAGES:
+                self._messages.put(_read_message(incoming, most))
+        if not self._trusted:
+            self._process.kill()
         self._messages.put(None)
 
+    def _read_errors(self, errors: IO[bytes]) -> None:
+        with errors, contextlib.suppress(OSError, ValueError):
+            while content := os.read(errors.fileno(), _MOST_OF_ERRORS):
+                self._errors = (self._errors + content)[-_MOST_OF_ERRORS:]
+
     def _exit_status(self) -> int:
-        try:
-            return self._process.wait(_TO_END_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            return self._process.wait()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(_TO_END_S)
+        self.kill()
+        return self._process.wait()
 
     def _last_error_line(self) -> str:
-        with contextlib.suppress(OSError):
-            lines = self._errors.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-            return lines[-1] if lines else ""
-        return ""
+        self._error_reader.join(_TO_END_S)
+        lines = self._errors.decode("utf-8", "replace").strip().splitlines()
+        return lines[-1] if lines else ""
 
 
-def _started(worker: Worker, folder: Path, errors: IO[bytes]) -> subprocess.Popen[bytes]:
-    paths = [str(path) for path in sys.path]
+def _write_message(stream: BinaryIO | IO[bytes], content: bytes) -> None:
+    stream.write(_LENGTH.pack(len(content)) + content)
+    stream.flush()
+
+
+def _read_message(stream: BinaryIO | IO[bytes], most: int | None = None) -> bytes:
+    """The next message; EOFError where there is none, ValueError for one of more than `most` bytes."""
+    (length,) = _LENGTH.unpack(_read_bytes(stream, _LENGTH.size))
+    if most is not None and length > most:
+        raise ValueError(f"a message of {length} bytes: expected at most {most}")
+    return _read_bytes(stream, length)
+
+
+def _read_bytes(stream: BinaryIO | IO[bytes], count: int) -> bytes:
+    content = stream.read(count)
+    if len(content) < count:
+        raise EOFError
+    return content
+
+
+def _started(worker: Worker, folder: Path) -> subprocess.Popen[bytes]:
+    """The process. It imports from no folder that it enters: all paths are absolute, and -P adds none."""
+    paths = [str(Path(path).absolute()) if Path(path).is_dir() else path for path in sys.path]
     call = f"from {__name__} import serve; from {worker.__module__} import {worker.__name__} as worker"
     temporary = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder))
     return subprocess.Popen(
-        [sys.executable, "-c", f"import sys; sys.path[:] = {paths!r}; {call}; serve(worker)"],
+        [sys.executable, "-P", "-c", f"import sys; sys.path[:] = {paths!r}; {call}; serve(worker)"],
         env={**os.environ, **temporary},
         start_new_session=True,
         creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),  # a session, on Windows
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        stderr=errors,
+        stderr=subprocess.PIPE,
     )
 
 

@@ -106,7 +106,7 @@ def library_names(fmu: FmuFile) -> Iterator[str]:
         extension = _EXTENSIONS[known.group(1) or known.group(2)]
         for identifier in sorted({kind.get("modelIdentifier", "") for kind in fmu.interfaces.values()}):
             library = f"binaries/{folder}/{identifier}{extension}"
-            if library not in fmu.names:
+            if library not in fmu.paths:
                 yield f"no {library}: expected one, as the folder exists"
 
 
@@ -121,5 +121,5 @@ def has_an_implementation(fmu: FmuFile) -> Iterable[str]:
 def source_files_exist(fmu: FmuFile) -> Iterator[str]:
     """Every file that SourceFiles lists is below sources."""
     for file in fmu.root.iterfind("*/SourceFiles/File"):
-        if f"sources/{file.get('name')}" not in fmu.names:
+        if f"sources/{file.get('name')}" not in fmu.paths:
             yield f"SourceFiles lists {file.get('name')}: expected sources/{file.get('name')} in the archive"

@@ -4,9 +4,9 @@ import math
 from collections.abc import Iterator
 
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.instance import CallError, CheckedInstance
+from fmus.compliance.instance import CallError
 from fmus.compliance.lifecycle_rules import unless_claimed
-from fmus.compliance.probe import Probe
+from fmus.compliance.probe import Instance, Probe
 from fmus.compliance.rule import Stage, rule
 from fmus.compliance.variable import Variable, integer
 
@@ -69,7 +69,7 @@ def _pairs(fmu: FmuFile) -> dict[int, list[Variable]]:
     return found
 
 
-def _compared(instance: CheckedInstance, known: Variable, unknowns: list[Variable]) -> Iterator[str]:
+def _compared(instance: Instance, known: Variable, unknowns: list[Variable]) -> Iterator[str]:
     told = instance.directional_derivatives(unknowns, known)
     before = instance.get([known])[known.name]
     width = _DIFFERENCE * max(1.0, abs(before))
@@ -86,7 +86,7 @@ def _compared(instance: CheckedInstance, known: Variable, unknowns: list[Variabl
 
 
 def _quotients(
-    instance: CheckedInstance, known: Variable, unknowns: list[Variable], before: float, h: float
+    instance: Instance, known: Variable, unknowns: list[Variable], before: float, h: float
 ) -> dict[str, float]:
     """Difference quotients of all unknowns on one side; none where the FMU refuses the value."""
     low, high = known.number("min"), known.number("max")

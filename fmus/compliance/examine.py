@@ -14,7 +14,7 @@ from fmus.compliance import (
 )
 from fmus.compliance.behaviour import DEFAULT_TIMEOUT_S, behaviour
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.rule import Result, Rule, Stage, registered
+from fmus.compliance.rule import Result, Rule, Stage, messages_of, registered
 
 MODULES = (
     archive_rules, description_rules, variable_rules, alias_rules, unit_rules, structure_rules,
@@ -50,12 +50,6 @@ def _judged(fmu: FmuFile, timeout: float) -> Iterator[Result]:
 def _result(rule: Rule, fmu: FmuFile, closed: str) -> Result:
     try:
         reason = closed or rule.condition(fmu)
-        return (
-            Result(rule, (), reason) if reason else Result(rule, tuple(_one_line(m) for m in rule.check(fmu)))
-        )
+        return Result(rule, (), reason) if reason else Result(rule, messages_of(rule.check(fmu)))
     except Exception as error:  # a validator that fails on what it reads has found something
-        return Result(rule, (_one_line(f"could not be judged, {type(error).__name__}: {error}"),))
-
-
-def _one_line(message: str) -> str:
-    return " ".join(message.split())
+        return Result(rule, messages_of([f"could not be judged, {type(error).__name__}: {error}"]))

@@ -15,10 +15,25 @@ from fmus.fmi_types import TYPES
 
 etree: Any = require("lxml.etree", "check", "a check of FMUs")  # without types
 DESCRIPTION = "modelDescription.xml"
-_LARGEST_DESCRIPTION = 500_000_000  # bytes; far beyond any that tools write
+_LARGEST_DESCRIPTION = 100_000_000  # bytes; far beyond any that tools write, and a few GB of memory
 _LARGEST_ARCHIVE = 8_000_000_000  # bytes unpacked
+_MOST_MEMBERS = 100_000
 _NOTHING: Mapping[str, str] = MappingProxyType({})
 _NO_DTD = "it has a document type declaration: expected none, it is not read (entities can be bombs)"
+
+
+def parsed_xml(content: bytes) -> Any:
+    """The root element. Raises ValueError for what is not well-formed, or has a document type declaration."""
+    parser = etree.XMLParser(
+        resolve_entities=False, no_network=True, load_dtd=False, remove_comments=True, remove_pis=True
+    )
+    try:
+        root = etree.fromstring(content, parser)
+    except (etree.XMLSyntaxError, ValueError) as error:
+        raise ValueError(f"it is not well-formed: {error}") from None
+    if root.getroottree().docinfo.doctype:
+        raise ValueError(_NO_DTD)
+    return root
 
 
 class FmuFile:
@@ -54,18 +69,10 @@ class FmuFile:
         self._parse()
 
     def _parse(self) -> None:
-        parser = etree.XMLParser(
-            resolve_entities=False, no_network=True, load_dtd=False, remove_comments=True, remove_pis=True
-        )
         try:
-            root = etree.fromstring(self.xml, parser)
-        except (etree.XMLSyntaxError, ValueError) as error:
-            self.description_problem = f"it is not well-formed: {error}"
-            return
-        if root.getroottree().docinfo.doctype:
-            self.description_problem = _NO_DTD
-            return
-        self._root = root
+            self._root = parsed_xml(self.xml)
+        except ValueError as error:
+            self.description_problem = str(error)
 
     @property
     def root(self) -> Any:
@@ -76,13 +83,20 @@ class FmuFile:
     def names(self) -> tuple[str, ...]:
         return tuple(each.filename for each in self.members)
 
+    @cached_property
+    def paths(self) -> frozenset[str]:
+        """The names of the members, to look one up."""
+        return frozenset(self.names)
+
     @property
     def too_large(self) -> str:
         """Why the archive is not unpacked, if so."""
-        size = sum(each.file_size for each in self.members)
-        return (
-            f"{size} bytes unpacked: expected at most {_LARGEST_ARCHIVE}" if size > _LARGEST_ARCHIVE else ""
-        )
+        size, count = sum(each.file_size for each in self.members), len(self.members)
+        if count > _MOST_MEMBERS:
+            return f"{count} members: expected at most {_MOST_MEMBERS}"
+        if size > _LARGEST_ARCHIVE:
+            return f"{size} bytes unpacked: expected at most {_LARGEST_ARCHIVE}"
+        return ""
 
     @property
     def guid(self) -> str:
@@ -130,6 +144,11 @@ class FmuFile:
         inherited = dict(declared.attrib) if declared is not None and declared.tag == typed.tag else _NOTHING
         return Variable(index, dict(element.attrib), typed.tag, dict(typed.attrib), inherited)
 
+    @cached_property
+    def states(self) -> frozenset[int | None]:
+        """Indices of the variables that have a derivative."""
+        return frozenset(integer(v.typed.get("derivative")) for v in self.variables)
+
     def unknowns(self, section: str) -> Iterator[tuple[int | None, Any]]:
         """(index or nothing if it is none of a variable, element) of a section of ModelStructure."""
         for element in self.root.iterfind(f"ModelStructure/{section}/Unknown"):
@@ -155,9 +174,12 @@ class FmuFile:
         """Path inside the archive of the library that this machine loads; empty if there is none."""
         return library_member(self.names, (self.co_simulation or {}).get("modelIdentifier", "")) or ""
 
-    def read(self, member: str) -> bytes:
-        """Content of a member. Raises what zipfile raises."""
+    def read(self, member: str, most: int = _LARGEST_ARCHIVE) -> bytes:
+        """Content of a member. Raises what zipfile raises, and ValueError for more than `most` bytes."""
         with zipfile.ZipFile(self.path) as archive:
+            size = archive.getinfo(member).file_size
+            if size > most:
+                raise ValueError(f"{member} has {size} bytes: expected at most {most}")
             return archive.read(member)
 
     def extract(self, folder: Path) -> None:

@@ -1,12 +1,10 @@
 """Behaviour that every FMU for co-simulation owes: it lives, steps, is reset and dies as FMI says."""
 
 import math
-import os
 from collections.abc import Iterator
 from typing import Any
 
-from fmus.compliance.instance import CheckedInstance
-from fmus.compliance.probe import Probe
+from fmus.compliance.probe import Instance, Probe
 from fmus.compliance.rule import Condition, Stage, rule
 
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
@@ -32,8 +30,8 @@ def _if_claimed(flag: str) -> Condition:
 @rule("2.1.4 Inquire Platform and Version Number of Header Files", Stage.BEHAVIOUR)
 def library_says_version(probe: Probe) -> Iterator[str]:
     """The library loads; fmi2GetVersion is 2.0 and fmi2GetTypesPlatform default."""
-    for function, expected in (("GetVersion", b"2.0"), ("GetTypesPlatform", b"default")):
-        got = getattr(probe.library, f"fmi2{function}")()
+    for function, expected in (("GetVersion", "2.0"), ("GetTypesPlatform", "default")):
+        got = probe.ask("text", f"fmi2{function}")
         if got != expected:
             yield f"fmi2{function} is {got!r}: expected {expected!r}"
 
@@ -62,7 +60,7 @@ def start_values_are_as_declared(probe: Probe) -> Iterator[str]:
         yield from _differences(probe, instance)
 
 
-def _differences(probe: Probe, instance: CheckedInstance) -> Iterator[str]:
+def _differences(probe: Probe, instance: Instance) -> Iterator[str]:
     chosen = [v for v in probe.fmu.variables if v.initial == "exact" or v.causality == "input"]
     starts: dict[str, str] = {v.name: v.start for v in chosen if v.start is not None}
     for name, got in instance.get(v for v in chosen if v.name in starts).items():
@@ -97,14 +95,13 @@ def steps_and_terminates(probe: Probe) -> Iterator[str]:
 @rule(_FLAGS + ": needsExecutionTool", Stage.BEHAVIOUR, condition=_if_claimed("needsExecutionTool"))
 def needs_no_tool(probe: Probe) -> Iterator[str]:
     """Without needsExecutionTool, the FMU runs here although no program can be found by the search path."""
-    before = os.environ.get("PATH", "")
-    os.environ["PATH"] = ""
+    before = probe.ask("set_search_path", "")
     try:
         with probe.instance() as instance:
             instance.enter_step_mode(probe.start_time)
             probe.run(instance, 1)
     finally:
-        os.environ["PATH"] = before
+        probe.ask("set_search_path", before)
     yield from ()
 
 
@@ -161,13 +158,13 @@ def variable_step_size(probe: Probe) -> Iterator[str]:
 @rule(f"{_FLAGS}: {_OWN_MEMORY}", Stage.BEHAVIOUR, condition=_if_claimed(_OWN_MEMORY))
 def memory_is_given_back(probe: Probe) -> Iterator[str]:
     """What an instance takes by allocateMemory it gives back by freeMemory, and nothing else."""
-    before, foreign_frees = len(probe.memory.held), probe.memory.foreign_frees
+    held_before, frees_before = probe.ask("memory")
     with probe.instance() as instance:
         instance.enter_step_mode(probe.start_time)
         probe.run(instance, 1)
         instance.call("fmi2Terminate")
-    if len(probe.memory.held) > before:
-        yield f"{len(probe.memory.held) - before} blocks are still held after fmi2FreeInstance: expected none"
-    if probe.memory.foreign_frees > foreign_frees:
-        unknown = probe.memory.foreign_frees - foreign_frees
-        yield f"{unknown} addresses were freed that were never given: expected none"
+    held, foreign_frees = probe.ask("memory")
+    if held > held_before:
+        yield f"{held - held_before} blocks are still held after fmi2FreeInstance: expected none"
+    if foreign_frees > frees_before:
+        yield f"{foreign_frees - frees_before} addresses were freed that were never given: expected none"

@@ -56,6 +56,7 @@ class Result:
         return "not applicable" if self.not_applicable else "passed"
 
 
+_MOST_MESSAGES, _LONGEST_MESSAGE = 100, 2000
 _RULES: dict[str, Rule] = {}
 
 
@@ -80,6 +81,13 @@ def rule(
         return check
 
     return register
+
+
+def messages_of(check: Iterable[str]) -> tuple[str, ...]:
+    """The messages of a check, each on one line: as many and as much of each as somebody may read."""
+    messages = [" ".join(message[:_LONGEST_MESSAGE].split()) for message in check]
+    more = [f"{len(messages) - _MOST_MESSAGES} more of this kind"] if len(messages) > _MOST_MESSAGES else []
+    return tuple(messages[:_MOST_MESSAGES] + more)
 
 
 def repeated(names: Iterable[Any]) -> dict[Any, int]:

@@ -1,12 +1,10 @@
 """Behaviour of saved states: FMI 2.0.5, 2.1.8, as far as the FMU claims it."""
 
-import ctypes
 from collections.abc import Iterator
 from typing import Any
 
-from fmus.compliance.instance import CheckedInstance
 from fmus.compliance.lifecycle_rules import differing, unless_claimed
-from fmus.compliance.probe import Probe
+from fmus.compliance.probe import Instance, Probe
 from fmus.compliance.rule import Stage, rule
 
 _CLAUSE = "2.1.8 Getting and Setting the Complete FMU State"
@@ -24,9 +22,7 @@ def state_restores(probe: Probe) -> Iterator[str]:
         instance.set_fmu_state(state)
         yield from differing([outputs], [instance.get(probe.outputs)], "in the state that was set back")
         yield from differing(expected, probe.run(instance, _STEPS, 2), "from the state that was set back")
-        pointer = ctypes.c_void_p(state)
-        instance.call("fmi2FreeFMUstate", ctypes.byref(pointer))
-        if pointer.value is not None:
+        if instance.free_fmu_state(state) is not None:
             yield "fmi2FreeFMUstate left the state's address: expected NULL"
 
 
@@ -67,7 +63,7 @@ def serialised_state_restores(probe: Probe) -> Iterator[str]:
 
 
 def _continued(
-    probe: Probe, instance: CheckedInstance, content: bytes, expected: list[dict[str, Any]]
+    probe: Probe, instance: Instance, content: bytes, expected: list[dict[str, Any]]
 ) -> Iterator[str]:
     state = instance.deserialize_fmu_state(content)
     instance.set_fmu_state(state)

@@ -99,10 +99,9 @@ def _illegal(fmu: FmuFile, unknown: int | None, text: str, section: str) -> Iter
         yield f"dependency {text}: expected 1..{len(fmu.variables)}"
         return
     known = fmu.variables[index - 1]
-    states = {integer(v.typed.get("derivative")) for v in fmu.variables}
     if index == unknown:
         yield f"dependency {text} is the unknown itself: expected another variable"
-    elif index in states or known.causality in ("input", "independent", "parameter"):
+    elif index in fmu.states or known.causality in ("input", "independent", "parameter"):
         return
     elif section != "InitialUnknowns" or known.initial != "exact":
         yield f"dependency {text} is {known.name} ({known.causality}): expected an input or what is given"

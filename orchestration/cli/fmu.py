@@ -85,13 +85,18 @@ def check(
     every: Annotated[bool, typer.Option("--all", help="Show every rule, not only broken ones.")] = False,
 ) -> None:
     """Check FMUs against the rules of FMI 2.0.5; the command fails if one has an error."""
+    from fmus.compliance.check import NO_VERDICT
     from fmus.compliance.check import check as count_errors
+    from fmus.errors import HostError
     from orchestration.fmi.description import describe
 
     for path in fmus:
         if not path.is_file():
             describe(path)  # the error names the nearest FMU
-    count = count_errors(fmus, json or None, every=every)
+    try:
+        count = count_errors(fmus, json or None, every=every)
+    except HostError as error:
+        fail(str(error), NO_VERDICT)
     if count:
         fail(f"{count} error{'s' * (count > 1)} found: expected none")
 

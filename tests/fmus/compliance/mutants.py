@@ -101,6 +101,14 @@ def _changed(**changes: bytes | None) -> Callable[[Members], Members]:
     return change
 
 
+def _first_results_off_by_a_percent(content: Members) -> Members:
+    path = next(path for path in content if path.endswith("_ref.csv"))
+    header, *rows = content[path].decode().splitlines()
+    table = [[float(cell) for cell in row.split(",")] for row in rows]
+    changed = [[row[0], 1.01 * row[1], *row[2:]] for row in table]
+    return content | {path: "\n".join([header, *(",".join(map(repr, row)) for row in changed)]).encode()}
+
+
 ARCHIVE_MUTANTS = [
     ("archive-has-description", _changed(**{XML: None})),
     ("archive-paths-are-portable", _changed(**{"../escape": b""})),
@@ -111,6 +119,7 @@ ARCHIVE_MUTANTS = [
     ("source-files-exist", _changed(**{"sources/fmi2.c": None})),
     ("library-names", _changed(**{LIBRARY: None, f"{LIBRARY}.so": b""})),
     ("runs-on-this-platform", _changed(**{LIBRARY: None})),
+    ("reference-results-are-reproduced", _first_results_off_by_a_percent),
 ]
 
 
@@ -187,6 +196,11 @@ C_MUTANTS: dict[str, tuple[str, Patch]] = {
     "an infinite derivative": (
         "output-derivatives",
         {"value[i] = rate[vr[i] - FIRST_OUTPUT]": "value[i] = INFINITY"},
+    ),
+    "a step that moves one per cent less": (
+        "reference-results-are-reproduced",
+        {"model_output(t + h, next,": "for (int i = 0; i < N_STATES; i++) next[i] -= 0.01 * (next[i] - d->state[i]);"
+         "\n    model_output(t + h, next,"},
     ),
     "a wrong derivative": ("directional-derivatives", {"dvUnknown[i] = along[": "dvUnknown[i] = 1 + along["}),
     "a state that is not restored": (
