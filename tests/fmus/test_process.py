@@ -1,5 +1,6 @@
 """A worker process: it answers, it ends with its parent, and its ending has words."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -11,7 +12,17 @@ import psutil
 import pytest
 
 from fmus.process import ProcessEndedError, WorkerProcess, ending
-from tests.fmus.process_workers import answer, die, fail, sleep
+from tests.fmus.process_workers import (
+    answer,
+    die,
+    fail,
+    flood_errors,
+    flood_messages,
+    import_where_it_is,
+    leave_a_child,
+    send_a_trap,
+    sleep,
+)
 
 TO_START_S = 60.0  # for an interpreter on a machine that is busy
 
@@ -105,3 +116,51 @@ def test_it_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
 )
 def test_an_ending_has_words(status: int, words: str) -> None:
     assert ending(status) == words
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no process groups of this kind")
+def test_what_it_started_ends_with_it(tmp_path: Path) -> None:
+    process = WorkerProcess(leave_a_child, tmp_path)
+    child = psutil.Process(process.receive(TO_START_S))
+    process.close()
+    with contextlib.suppress(psutil.NoSuchProcess):
+        psutil.wait_procs([child], TO_START_S)
+        assert child.status() == psutil.STATUS_ZOMBIE  # where nobody waits for orphans
+
+
+def test_much_on_standard_error_takes_no_room_and_its_last_line_is_kept(tmp_path: Path) -> None:
+    process = WorkerProcess(flood_errors, tmp_path)
+    assert process.receive(TO_START_S) == 0
+    with pytest.raises(ProcessEndedError) as caught:
+        process.receive(TO_START_S)
+    assert caught.value.last_error_line == "the last line"
+    process.close()
+
+
+def test_it_imports_nothing_from_a_folder_that_it_enters(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend("")  # as `python -c` has it
+    (tmp_path / "wave.py").write_text("raise RuntimeError('of the folder')")
+    process = WorkerProcess(import_where_it_is)
+    process.send(str(tmp_path))
+    assert Path(process.receive(TO_START_S)).parent != tmp_path
+    process.close()
+
+
+def test_nothing_is_run_that_an_untrusted_process_sends(tmp_path: Path) -> None:
+    process = WorkerProcess(send_a_trap, trusted=False)
+    process.send(str(tmp_path / "sprung"))
+    with pytest.raises(ValueError):  # noqa: PT011 - of the JSON decoder, or of the Unicode one
+        process.receive(TO_START_S)
+    assert not list(tmp_path.iterdir())
+    process.close()
+
+
+def test_an_untrusted_process_that_sends_more_than_it_is_asked_for_is_ended(tmp_path: Path) -> None:
+    process = WorkerProcess(flood_messages, tmp_path, trusted=False)
+    psutil.wait_procs([psutil.Process(process.pid)], TO_START_S)
+    assert [process.receive(TO_START_S) for _ in range(2)] == ["x" * 1000] * 2
+    with pytest.raises(ProcessEndedError, match=r"^SIGKILL$"):
+        process.receive(TO_START_S)
+    process.close()

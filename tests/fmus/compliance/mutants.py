@@ -199,8 +199,12 @@ C_MUTANTS: dict[str, tuple[str, Patch]] = {
     ),
     "a step that moves one per cent less": (
         "reference-results-are-reproduced",
-        {"model_output(t + h, next,": "for (int i = 0; i < N_STATES; i++) next[i] -= 0.01 * (next[i] - d->state[i]);"
-         "\n    model_output(t + h, next,"},
+        {
+            "model_output(t + h, next,": (
+                "for (int i = 0; i < N_STATES; i++) next[i] -= 0.01 * (next[i] - d->state[i]);\n"
+                "    model_output(t + h, next,"
+            )
+        },
     ),
     "a wrong derivative": ("directional-derivatives", {"dvUnknown[i] = along[": "dvUnknown[i] = 1 + along["}),
     "a state that is not restored": (

@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 
 from fmus import catalogue, files
+from fmus.documentation import reference_files
+from fmus.documentation.reference_results import reference_run
 from fmus.export import native as native_flavour
 
 from .archives import Members, broken_rules, members, write
@@ -15,8 +17,9 @@ NAME = "RovDepthPlant"  # its outputs move at the start values
 
 
 def patched(patch: Patch, folder: Path) -> Path:
-    """The native FMU of these sources, compiled."""
-    _, content = native_flavour.content(catalogue.load_block(NAME))
+    """The native FMU of these sources, compiled, with the reference results of the block."""
+    block = catalogue.load_block(NAME)
+    _, content = native_flavour.content(block)
     for old, new in patch.items():
         (path,) = [
             path for path, text in content.items() if path.endswith((".c", ".h")) and old.encode() in text
@@ -24,7 +27,8 @@ def patched(patch: Patch, folder: Path) -> Path:
         assert content[path].count(old.encode()) == 1
         content[path] = content[path].replace(old.encode(), new.encode())
     libraries = native_flavour.libraries(NAME, content, ())
-    return files.write_archive(folder / "mutant.fmu", content | libraries)
+    references = reference_files.members(reference_run(block), NAME)
+    return files.write_archive(folder / "mutant.fmu", content | libraries | references)
 
 
 @pytest.mark.slow
