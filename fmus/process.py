@@ -137,7 +137,7 @@ class WorkerProcess:
             while self._trusted or self._messages.qsize() < _MOST_MESSAGES:
                 self._messages.put(_read_message(incoming, most))
         if not self._trusted:
-            self._process.kill()
+            self.kill()
         self._messages.put(None)
 
     def _read_errors(self, errors: IO[bytes]) -> None:
