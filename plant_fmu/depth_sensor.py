@@ -17,6 +17,8 @@ HISTORY = 8  # samples kept: the delay may be HISTORY - 1 sampling periods
 _FINEST = 1e-9  # m; a finer resolution counts as none
 _M_1, _A_1 = 2147483563.0, 40014.0
 _M_2, _A_2 = 2147483399.0, 40692.0
+_HALF = 65536.0  # a seed has 32 bits, in two halves
+_ROUNDS = 4  # of a Feistel network: a strong permutation, Luby and Rackoff (1988)
 
 # |n| of Box and Muller is at most sqrt(2 ln M_1), as the smallest uniform number is 1 / M_1
 LARGEST_NOISE = math.sqrt(2.0 * math.log(_M_1))
@@ -76,12 +78,31 @@ def sample(sensor: Sensor, state: SensorState, t: float, depth: float) -> Sensor
     return SensorState((newest, *state.samples[:-1]), state.start, t, seed_1, seed_2)
 
 
+def scrambled(seed: int) -> tuple[float, float]:
+    """The generator's first state, from a seed of at least 1 and below 2^32.
+
+    Both components of the generator are linear: without scrambling, consecutive seeds would give
+    sequences at a constant distance. A Feistel network over the two halves of the seed, its round
+    function the middle bits of a square, is not linear and gives every seed another state.
+    """
+    high, low = _mixed(floor(seed / _HALF), modulo(1.0 * seed, _HALF))
+    further_high, further_low = _mixed(high, low)
+    return (
+        modulo(high * _HALF + low, _M_1 - 1.0) + 1.0,
+        modulo(further_high * _HALF + further_low, _M_2 - 1.0) + 1.0,
+    )
+
+
+def _mixed(high: float, low: float) -> tuple[float, float]:
+    for i in range(_ROUNDS):
+        square = (low + 40503.0 + i) * (low + 40503.0 + i)
+        high, low = low, modulo(high + floor(square / 256.0), _HALF)
+    return high, low
+
+
 def first_sample(sensor: Sensor, t: float, depth: float, seed: int) -> SensorState:
     """At the start the sensor has been reading this depth for ever; `seed` is 1 or more."""
-    seed_1, seed_2 = modulo(1.0 * seed, _M_1 - 1.0) + 1.0, modulo(1.0 * seed, _M_2 - 1.0) + 1.0
-    for _ in range(HISTORY):  # neighbouring seeds need some steps to part
-        _, seed_1, seed_2 = uniform(seed_1, seed_2)
-    state = sample(sensor, SensorState((), t, t, seed_1, seed_2), t, depth)
+    state = sample(sensor, SensorState((), t, t, *scrambled(seed)), t, depth)
     return SensorState((state.samples[0],) * HISTORY, t, t, state.seed_1, state.seed_2)
 
 

@@ -47,7 +47,6 @@ def test_one_seed_one_sequence() -> None:
     noisy = replace(SENSOR, noise=0.01)
     assert readings(noisy, seed=7) == readings(noisy, seed=7)
     assert readings(noisy, seed=7) != readings(noisy, seed=8)
-    assert abs(np.corrcoef(readings(noisy, seed=7), readings(noisy, seed=8))[0, 1]) < 0.3
 
 
 @given(
