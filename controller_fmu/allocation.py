@@ -27,15 +27,17 @@ def saturate(voltages: tuple[float, float], limit: float) -> tuple[float, float]
     return clip(voltages[0], -limit, limit), clip(voltages[1], -limit, limit)
 
 
+def force(voltages: tuple[float, float], j: float, gains: tuple[float, float]) -> float:
+    """Force [N] in the earth frame that voltages give: tau = T K u / J, with |J| kept from 0."""
+    thrust = gains[0] * voltages[0] + gains[1] * voltages[1]
+    return thrust / where(j < 0.0, minimum(j, -_SMALLEST_J), maximum(j, _SMALLEST_J))
+
+
 def shortfall(
-    wanted: tuple[float, float],
-    possible: tuple[float, float],
+    demanded: tuple[float, float],
+    saturated: tuple[float, float],
     j: float,
     gains: tuple[float, float],
 ) -> float:
-    """Force delivered minus force demanded [N], earth frame; 0 without saturation.
-
-    The inverse of `allocate`: tau = T K u / J, with |J| kept from 0.
-    """
-    missing = gains[0] * (possible[0] - wanted[0]) + gains[1] * (possible[1] - wanted[1])
-    return missing / where(j < 0.0, minimum(j, -_SMALLEST_J), maximum(j, _SMALLEST_J))
+    """Force delivered minus force demanded [N], earth frame; exactly 0 without saturation."""
+    return force((saturated[0] - demanded[0], saturated[1] - demanded[1]), j, gains)

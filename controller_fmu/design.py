@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import expm, solve_continuous_lyapunov
 from scipy.optimize import brentq
 
-from controller_fmu.l1.law import Regressor
+from controller_fmu.l1.adaptation import Regressor
 from controller_fmu.l1.lowpass import FilterOrder
 
 _STEPS_PER_TIME_CONSTANT = 100  # of the fastest mode: trapezoidal error of |g| below 1e-4

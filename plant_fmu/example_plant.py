@@ -11,6 +11,7 @@ from fmus.numerics import rk4_step
 from plant_fmu.example_plant_guide import GUIDE
 
 Vector = tuple[float, float]
+_BOOK = "Hovakimyan and Cao (2010), page 29, and public MATLAB programs; not printed in the paper"
 
 
 @dataclass(frozen=True)
@@ -18,11 +19,11 @@ class Parameters:
     internal_step: float = variable(
         1e-3, "Longest internal step", unit="s", min=1e-7, max=10.0, variability="fixed"
     )
-    state_matrix: tuple[Vector, Vector] = variable(((0.0, 1.0), (-1.0, -1.4)), "A_m", source="published")
-    input_vector: Vector = variable((0.0, 1.0), "B_m", source="published")
-    output_vector: Vector = variable((1.0, 0.0), "C", source="published")
-    theta: Vector = variable((4.0, -4.5), "Unknown parameter theta", source="published")
-    omega: float = variable(1.0, "Unknown input gain omega", source="published")
+    state_matrix: tuple[Vector, Vector] = variable(((0.0, 1.0), (-1.0, -1.4)), "A_m", source=_BOOK)
+    input_vector: Vector = variable((0.0, 1.0), "B_m", source=_BOOK)
+    output_vector: Vector = variable((1.0, 0.0), "C", source=_BOOK)
+    theta: Vector = variable((4.0, -4.5), "Unknown parameter theta", source=_BOOK)
+    omega: float = variable(1.0, "Unknown input gain omega", source="published: omega = 1")
     initial_state: Vector = variable(
         (0.0, 0.0), "x at the start", variability="fixed", source="assumed: not published"
     )

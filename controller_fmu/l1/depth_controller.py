@@ -20,6 +20,10 @@ from fmus.numerics import where
 class Parameters(LawParameters):
     """Gains are tunable at communication points, structural choices fixed."""
 
+    internal_step: float = variable(
+        0.02, "Longest internal step; one for each communication step is best", unit="s", min=1e-6, max=10.0,
+        variability="fixed",
+    )  # fmt: skip
     velocity_source: VelocitySource = variable(
         VelocitySource.ALPHA_BETA_OBSERVER, "Where the depth rate comes from", variability="fixed"
     )
@@ -32,17 +36,17 @@ class Parameters(LawParameters):
         source="guess: the paper gives none",
     )  # fmt: skip
     depth_feedback_gain: float = variable(
-        1.764, "k_m of the depth", unit="N/m", min=1e-6, max=1e6, source="identified, docs/fidelity.md"
+        1.895, "k_m of the depth", unit="N/m", min=1e-6, max=1e6, source="identified, docs/fidelity.md"
     )
     rate_feedback_gain: float = variable(
-        18.47, "k_m of the depth rate", unit="N.s/m", min=0.0, max=1e6, source="identified, docs/fidelity.md"
+        20.23, "k_m of the depth rate", unit="N.s/m", min=0.0, max=1e6, source="identified, docs/fidelity.md"
     )
     adaptation_gain: float = variable(
         100.0, "Adaptation gain Gamma", min=0.0, max=1e9,
         source="guess: the paper calls it very high and gives 1e4 for the example; docs/fidelity.md",
     )  # fmt: skip
     filter_bandwidth: float = variable(
-        0.3073, "Bandwidth w of the low-pass filter C(s)", unit="rad/s", min=1e-6, max=1e6,
+        0.3017, "Bandwidth w of the low-pass filter C(s)", unit="rad/s", min=1e-6, max=1e6,
         source="identified, docs/fidelity.md",
     )  # fmt: skip
     lyapunov_weight: Vector = variable(
@@ -54,10 +58,10 @@ class Parameters(LawParameters):
     )  # fmt: skip
     sigma_bound: float = variable(10.0, "Bound of |sigma_hat|", unit="N", min=0.0, max=1e6, source="guess")
     proportional_gain: float = variable(
-        3.709, "K_P of the PI", unit="N/m", min=0.0, max=1e6, source="identified, docs/fidelity.md"
+        3.967, "K_P of the PI", unit="N/m", min=0.0, max=1e6, source="identified, docs/fidelity.md"
     )
     integral_gain: float = variable(
-        0.004373, "K_I of the PI", unit="N/(m.s)", min=0.0, max=1e6, source="identified, docs/fidelity.md"
+        0.00499, "K_I of the PI", unit="N/(m.s)", min=0.0, max=1e6, source="identified, docs/fidelity.md"
     )
     large_error_gain: float = variable(
         1.0, "a_1 of the nonlinear P, in N per m^alpha", min=0.0, max=1e6, source="guess"
@@ -118,7 +122,6 @@ class Inputs:
 class State:
     law: LawState = LawState()
     observer: ObserverState = ObserverState()
-    seen: Measurement = Measurement()
     j: float = 1.0
 
 
@@ -167,9 +170,8 @@ def requirements(p: Parameters, matrices: LawMatrices) -> tuple:
 def initial_state(t: float, inputs: Inputs, p: Parameters, matrices: LawMatrices) -> State:
     """At rest on the first measurement: no estimate, no adaptive control, prediction = state."""
     observer = ObserverState(inputs.measured_depth, 0.0, t + p.observer_period)
-    seen = _measurement(inputs, observer, p)
     j = allocation.body_to_earth(inputs.roll, inputs.pitch)
-    return State(l1.initial_law(seen.x, p.input_gain), observer, seen, j)
+    return State(l1.initial_law(_measurement(inputs, observer, p), p.input_gain), observer, j)
 
 
 def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, matrices: LawMatrices) -> State:
@@ -177,34 +179,35 @@ def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, matric
         t, state.observer, inputs.measured_depth,
         p.observer_alpha, p.observer_beta, p.observer_period,
     )  # fmt: skip
-    seen = _measurement(inputs, observer, p)
-    j = allocation.body_to_earth(inputs.roll, inputs.pitch)
-    wanted = _wanted_voltages(_control(state.law, seen, p), j, p)
-    possible = allocation.saturate(wanted, p.voltage_limit)
-    shortfall = allocation.shortfall(wanted, possible, j, p.thruster_gain)
-    law = l1.law_step(h, state.law, seen, shortfall, p, matrices)
-    return State(law, observer, seen, j)
+    u = _control(state.law, p)
+    demanded = _demanded_voltages(u, state.j, p)
+    saturated = allocation.saturate(demanded, p.voltage_limit)
+    delivered = allocation.force(saturated, state.j, p.thruster_gain)
+    shortfall = allocation.shortfall(demanded, saturated, state.j, p.thruster_gain)
+    now = _measurement(inputs, observer, p)
+    law = l1.law_step(h, state.law, now, u, delivered, shortfall, _state_feedback(p), p, matrices)
+    return State(law, observer, allocation.body_to_earth(inputs.roll, inputs.pitch))
 
 
 def output(t: float, state: State, p: Parameters, matrices: LawMatrices) -> Outputs:
-    law, seen = state.law, state.seen
-    u = _control(law, seen, p)
-    error = l1.prediction_error(law, seen.x)
+    law, estimates, last = state.law, state.law.estimates, state.law.measured
+    u = _control(law, p)
+    predicted = l1.predicted_state(law)
     return Outputs(
-        voltage=allocation.saturate(_wanted_voltages(u, state.j, p), p.voltage_limit),
+        voltage=allocation.saturate(_demanded_voltages(u, state.j, p), p.voltage_limit),
         demanded_force=u.total,
         u_m=u.u_m,
         u_a=u.u_a,
         u_p=u.u_p,
-        theta_hat=law.theta_hat,
-        sigma_hat=law.sigma_hat,
-        omega_hat=law.omega_hat,
-        predicted_depth=law.x_hat[0],
-        predicted_depth_rate=law.x_hat[1],
-        depth_prediction_error=error[0],
-        depth_rate_prediction_error=error[1],
-        tracking_error=seen.error,
-        estimated_depth_rate=seen.x[1],
+        theta_hat=estimates.theta_hat,
+        sigma_hat=estimates.sigma_hat,
+        omega_hat=estimates.omega_hat,
+        predicted_depth=predicted[0],
+        predicted_depth_rate=predicted[1],
+        depth_prediction_error=estimates.x_tilde[0],
+        depth_rate_prediction_error=estimates.x_tilde[1],
+        tracking_error=last.error,
+        estimated_depth_rate=last.x[1],
     )
 
 
@@ -215,11 +218,15 @@ def _measurement(inputs: Inputs, observer: ObserverState, p: Parameters) -> Meas
     return Measurement(x=(depth, rate), y=depth, r=inputs.depth_reference)
 
 
-def _control(law: LawState, seen: Measurement, p: Parameters) -> Control:
-    return l1.control(law, seen, (p.depth_feedback_gain, p.rate_feedback_gain), p)
+def _state_feedback(p: Parameters) -> Vector:
+    return p.depth_feedback_gain, p.rate_feedback_gain
 
 
-def _wanted_voltages(u: Control, j: float, p: Parameters) -> Vector:
+def _control(law: LawState, p: Parameters) -> Control:
+    return l1.control(law, _state_feedback(p), p)
+
+
+def _demanded_voltages(u: Control, j: float, p: Parameters) -> Vector:
     return allocation.allocate(u.total, j, p.thruster_gain)
 
 

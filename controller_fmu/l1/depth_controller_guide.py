@@ -1,5 +1,6 @@
 """What the documentation of L1DepthController says besides its variables."""
 
+from controller_fmu.l1.law import EQUATIONS
 from fmus.guide import Experiment, Guide, Source
 
 PAPER = Source(
@@ -8,38 +9,23 @@ PAPER = Source(
     "https://hal-lirmm.ccsd.cnrs.fr/lirmm-00841558",
 )
 
-LAW = """\
-u            = u_m + u_a + u_p,   u_m = -k_m x
-x_hat'       = A_m x_hat + B_m (omega_hat (u_a + u_p) + theta_hat^T phi + sigma_hat)      (5)
-theta_hat_i' = Gamma Proj(theta_hat_i, -(x_tilde^T P B_m) phi_i),   x_tilde = x_hat - x   (4)
-sigma_hat'   = Gamma Proj(sigma_hat, -(x_tilde^T P B_m))
-omega_hat'   = Gamma Proj(omega_hat, -(x_tilde^T P B_m) u_a)
-u_a(s)       = -k D(s) (omega_hat u_a + theta_hat^T phi + sigma_hat - k_g r)              (6)
-A_m^T P + P A_m = -Q,   k_g = -1 / (C A_m^-1 B_m)
-
-phi          = (|x|_inf, 0)   regressor infinity_norm
-               x              regressor state
-C(s)         = w / (s + w)                         filter_order first
-               (3 w^2 s + w^3) / (s + w)^3         filter_order third
-
-u_p          = 0                                   augmentation none
-               -K_P e - K_I int e dt,   e = y - r  augmentation pi            (7)
-               -a_1 |e|^alpha sgn(e)               augmentation nonlinear_p   (8), |e| > delta
-               -a_2 e / delta^(1 - alpha)                                     (8), elsewhere
-"""
-
 LAW_LIMITS = (
     "The L1-norm condition covers the law without the extension u_p and with perfect measurements; delays"
     " and the lag of an actuator are outside it. The paper proves nothing about the loop with the"
     " extension. This FMU checks neither.",
     "Where input_gain_uncertainty is not 0, omega_hat multiplies u_a + u_p but learns from u_a alone:"
-    " another reason why the proof does not cover the extension.",
-    "While the actuator saturates, the predictor is told what was delivered, and the states of the filter"
-    " and the integral of the PI are held where their change would demand still more.",
+    " another reason why the proof does not cover the extension. input_gain_regressor lets it learn from"
+    " both, which restores the Lyapunov argument and not the accuracy.",
+    "While the actuator saturates, the prediction is driven by what it delivers, and the states of the"
+    " filter and the integral of the PI are held where their change would demand still more. Noise that"
+    " touches the limit all the time therefore slows them: keep the limit some noise above the demand.",
+    "The prediction is driven by the control that this FMU put out, held from one communication point to"
+    " the next: internal_step should not be shorter than a communication step. Where the inputs of a step"
+    " are those of its end (Gauss-Seidel), set inputs_at_step_end.",
 )
 
 GUIDE = Guide(
-    equations=LAW
+    equations=EQUATIONS
     + """
 x            = (z, z'),   A_m = [[0, 1], [-k_m1 / M_z, -(D_z + k_m2) / M_z]],   B_m = [0, 1 / M_z]   (13)
 voltage_i    = J u / (2 K_i), saturated,   J = cos(roll) cos(pitch)                                  (11)
@@ -61,7 +47,8 @@ observer     z_p = z_hat + T v_hat,   z_hat = z_p + alpha (z - z_p),   v_hat = v
         "filter_bandwidth: more lets the adaptive control act faster, and lets more noise and less margin"
         " to delays into the loop.",
         "adaptation_gain: more makes the estimates faster and noisier. It needs no shorter step, but the"
-        " margin to sensor delay shrinks: watch sigma_hat and the voltages, not the depth alone.",
+        " margin to sensor delay is smaller at 1000 than at 100, and a little larger again at 1e4: watch"
+        " sigma_hat and the voltages, not the depth alone.",
         "theta_bound and sigma_bound enclose what must be compensated, in N; sigma_hat has to reach the"
         " net buoyancy. An estimate that stays on its bound says that the bound is too small or the loop"
         " too fast.",
@@ -75,8 +62,8 @@ observer     z_p = z_hat + T v_hat,   z_hat = z_p + alpha (z - z_p),   v_hat = v
         "The paper publishes no gain of its vehicle: those here were fitted to the nominal row of its"
         " Table 1, or are guesses, as the column Source says, and were tried on the vehicle of"
         " RovDepthPlant alone.",
-        "Tried on that plant, holding 0.8 m with augmentation pi: with adaptation_gain 100 a sensor delay"
-        " of 100 ms is harmless; with 1000, 60 ms make the depth oscillate.",
+        "Tried on that plant, holding 0.8 m: with adaptation_gain 100 a sensor delay of 200 ms is harmless;"
+        " with 1000, 60 ms make the depth oscillate.",
         "A vehicle that lies on its side (J near 0) cannot push vertically, and nothing here tries to.",
     ),
     sources=(

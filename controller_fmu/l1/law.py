@@ -1,15 +1,6 @@
-"""The L1 adaptive control law for a second-order plant with one input and one output.
+"""The L1 adaptive control law for a second-order plant with one input and one output: EQUATIONS.
 
-    u       = u_m + u_a + u_p,    u_m = -k_m x
-    x_hat'  = A_m x_hat + B_m (omega_hat (u_a + u_p) + theta_hat' phi + sigma_hat)          (5)
-    theta_hat_i' = Gamma Proj(theta_hat_i, -(x_tilde' P B_m) phi_i)                          (4)
-    sigma_hat'   = Gamma Proj(sigma_hat, -(x_tilde' P B_m))
-    omega_hat'   = Gamma Proj(omega_hat, -(x_tilde' P B_m) u_a)
-    u_a(s)  = -k D(s) (eta_hat(s) - k_g r(s)),   eta_hat = omega_hat u_a + theta_hat' phi + sigma_hat   (6)
-
-with x_tilde = x_hat - x and the regressor phi = x, or phi = (|x|_inf, 0).
-
-The wiring that decides everything: the predictor receives u_a + u_p, eta_hat holds omega_hat u_a
+The wiring that decides everything: the prediction receives u_a + u_p, eta_hat holds omega_hat u_a
 alone. With either wrong the filter cancels u_p and the response is plain L1 again.
 
 Source: Maalouf, Chemori and Creuze (2013); errata and additions in docs/fidelity.md. The step is
@@ -17,23 +8,37 @@ derived in docs/explanation/theory.md.
 """
 
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Any
 
 from controller_fmu.l1 import augmentation, lowpass
+from controller_fmu.l1.adaptation import Estimates, InputGainRegressor, Interval, Regressor, adapt
 from controller_fmu.l1.augmentation import Augmentation, Threshold
 from controller_fmu.l1.lowpass import FilterOrder, FilterState
-from controller_fmu.l1.matrices import LawMatrices, Matrix, Vector, dot
-from controller_fmu.l1.projection import keep_within, projection_factor
+from controller_fmu.l1.matrices import LawMatrices, Vector, dot
 from fmus.block import variable
-from fmus.numerics import absolute, maximum, where
+from fmus.numerics import where
 
+EQUATIONS = """\
+u            = u_m + u_a + u_p,   u_m = -k_m x
+x_hat'       = A_m x_hat + B_m (omega_hat (u_a + u_p) + theta_hat^T phi + sigma_hat)      (5)
+theta_hat_i' = Gamma Proj(theta_hat_i, -(x_tilde^T P B_m) phi_i),   x_tilde = x_hat - x   (4)
+sigma_hat'   = Gamma Proj(sigma_hat, -(x_tilde^T P B_m))
+omega_hat'   = Gamma Proj(omega_hat, -(x_tilde^T P B_m) u_omega)
+u_a(s)       = -k D(s) (omega_hat u_a + theta_hat^T phi + sigma_hat - k_g r)              (6)
+A_m^T P + P A_m = -Q,   k_g = -1 / (C A_m^-1 B_m)
 
-class Regressor(IntEnum):
-    """What theta_hat multiplies."""
+phi          = (|x|_inf, 0)   regressor infinity_norm
+               x              regressor state
+u_omega      = u_a            input_gain_regressor adaptive_control
+               u_a + u_p      input_gain_regressor adaptive_control_and_extension
+C(s)         = w / (s + w)                         filter_order first
+               (3 w^2 s + w^3) / (s + w)^3         filter_order third
 
-    INFINITY_NORM = 1
-    STATE = 2
+u_p          = 0                                   augmentation none
+               -K_P e - K_I int e dt,   e = y - r  augmentation pi            (7)
+               -a_1 |e|^alpha sgn(e)               augmentation nonlinear_p   (8), |e| > delta
+               -a_2 e / delta^(1 - alpha)                                     (8), elsewhere
+"""
 
 
 @dataclass(frozen=True)
@@ -41,8 +46,9 @@ class LawParameters:
     """What every block with this law has in common; units that depend on the plant are added there."""
 
     internal_step: float = variable(
-        0.01, "Longest internal step", unit="s", min=1e-6, max=10.0, variability="fixed"
-    )
+        10.0, "Longest internal step; one for each communication step is best", unit="s", min=1e-7, max=10.0,
+        variability="fixed",
+    )  # fmt: skip
     regressor: Regressor = variable(
         Regressor.INFINITY_NORM, "Regressor that theta_hat multiplies", variability="fixed"
     )
@@ -75,23 +81,19 @@ class LawParameters:
     nonlinear_exponent: float = variable(
         0.1, "Exponent alpha of the nonlinear P", min=1e-3, max=1.0, source="published, (9)"
     )
-
-
-@dataclass(frozen=True)
-class LawState:
-    """What evolves: prediction, estimates, filter, and the integral of the tracking error."""
-
-    x_hat: Vector = (0.0, 0.0)
-    theta_hat: Vector = (0.0, 0.0)
-    sigma_hat: float = 0.0
-    omega_hat: float = 1.0
-    filter: FilterState = FilterState()
-    error_integral: float = 0.0
+    input_gain_regressor: InputGainRegressor = variable(
+        InputGainRegressor.ADAPTIVE_CONTROL, "Control that omega_hat learns from", variability="fixed",
+        source="published: u_a, which precedes the extension",
+    )  # fmt: skip
+    inputs_at_step_end: bool = variable(
+        False, "Inputs are those of the end of a step (Gauss-Seidel), not of its beginning (Jacobi)",
+        variability="fixed",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """What the law sees during a step: state x, output y and reference r."""
+    """What the law is given at one time: state x, output y and reference r."""
 
     x: Vector = (0.0, 0.0)
     y: float = 0.0
@@ -101,6 +103,30 @@ class Measurement:
     def error(self) -> float:
         """Tracking error e = y - r."""
         return self.y - self.r
+
+
+@dataclass(frozen=True)
+class Held:
+    """The control u that the plant received, its adaptive part u_a, and for how long [s]."""
+
+    duration: float = 0.0
+    u: float = 0.0
+    u_a: float = 0.0
+
+
+@dataclass(frozen=True)
+class LawState:
+    """What evolves.
+
+    `estimates` are those of the time of `measured`, the last measurement, and `held` is the control that
+    the plant received from then on. Filter and integral belong to the end of the last step.
+    """
+
+    measured: Measurement = Measurement()
+    estimates: Estimates = Estimates()
+    held: Held = Held()
+    filter: FilterState = FilterState()
+    error_integral: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -116,20 +142,9 @@ class Control:
         return self.u_m + self.u_a + self.u_p
 
 
-def infinity_norm(x: Vector) -> float:
-    """|x|_inf, over the numbers in SI units."""
-    return maximum(absolute(x[0]), absolute(x[1]))
-
-
-def regressor(kind: Regressor, x: Vector) -> Vector:
-    """phi, the vector that theta_hat multiplies."""
-    by_norm = kind == Regressor.INFINITY_NORM
-    return where(by_norm, infinity_norm(x), x[0]), where(by_norm, 0.0, x[1])
-
-
-def initial_law(x: Vector, omega: float) -> LawState:
+def initial_law(measured: Measurement, omega: float) -> LawState:
     """The prediction begins at the measured state, theta_hat and sigma_hat at zero."""
-    return LawState(x_hat=x, omega_hat=omega)
+    return LawState(measured=measured, estimates=Estimates(omega_hat=omega))
 
 
 def extension(parameters: Any, e: float, integral: float, r: float) -> float:
@@ -144,123 +159,62 @@ def extension(parameters: Any, e: float, integral: float, r: float) -> float:
     return where(p.augmentation == Augmentation.PI, pi, other)
 
 
-def control(law: LawState, seen: Measurement, k_m: Vector, parameters: Any) -> Control:
-    """u = u_m + u_a + u_p."""
+def control(law: LawState, k_m: Vector, parameters: Any) -> Control:
+    """u = u_m + u_a + u_p, until the next step."""
+    last = law.measured
     return Control(
-        u_m=-dot(k_m, seen.x),
+        u_m=-dot(k_m, last.x),
         u_a=law.filter.u_a,
-        u_p=extension(parameters, seen.error, law.error_integral, seen.r),
+        u_p=extension(parameters, last.error, law.error_integral, last.r),
     )
 
 
-def prediction_error(law: LawState, x: Vector) -> Vector:
-    """x_tilde = x_hat - x."""
-    return law.x_hat[0] - x[0], law.x_hat[1] - x[1]
+def predicted_state(law: LawState) -> Vector:
+    """x_hat at the time of the last measurement."""
+    x, x_tilde = law.measured.x, law.estimates.x_tilde
+    return x[0] + x_tilde[0], x[1] + x_tilde[1]
 
 
 def law_step(
     h: float,
     law: LawState,
-    seen: Measurement,
+    now: Measurement,
+    u: Control,
+    delivered: float,
     shortfall: float,
+    k_m: Vector,
     parameters: Any,
     matrices: LawMatrices,
 ) -> LawState:
-    """One step of h seconds by the implicit midpoint rule, the measurement held.
+    """The law h seconds later: estimates of the time of `now`, filter and integral of the step's end.
 
-    `shortfall` is what the actuator delivers minus what was demanded, 0 unless it saturates: the
-    predictor is told, and integrators stop where they would demand still more.
+    u: the control of `law`, demanded during this step
+    delivered: what the actuator makes of it, by which the prediction is driven
+    shortfall: delivered minus demanded, exactly 0 unless the actuator saturates; integrators stop where
+        they would demand still more
 
-    With x held and the projection factors frozen, the only coupling between prediction,
-    estimates and filter is the scalar s = x_tilde' P B_m at the middle of the step, so the
-    implicit equations reduce to one linear equation for s. The rule is A-stable: a step longer
-    than the period of the fast adaptation loop neither diverges nor limit-cycles.
+    The prediction is driven by the control that the plant received between the last measurement and this
+    one. `now` is of the step's beginning, so that is the control of the step before; with
+    `inputs_at_step_end`, `now` is of the step's end and that control is `u`.
     """
-    p, half = parameters, 0.5 * h
-    pb = matrices.adaptation_vector
-    phi = regressor(p.regressor, seen.x)
-    eta = dot(law.theta_hat, phi) + law.sigma_hat
-    feedforward = matrices.feedforward_gain * seen.r
-    u_a, omega = law.filter.u_a, law.omega_hat
+    p, at_end = parameters, parameters.inputs_at_step_end
+    given = Held(h, delivered, u.u_a)
+    duration = where(at_end, given.duration, law.held.duration)
+    before = law.measured
+    # u_m that belongs to A_m: of the state during the interval, not of the measurement before it
+    midway_u_m = -0.5 * (dot(k_m, before.x) + dot(k_m, now.x))
+    u_ap = where(at_end, given.u, law.held.u) - midway_u_m
+    interval = Interval(duration, before.x, now.x, u_ap, where(at_end, given.u_a, law.held.u_a))
+    estimates, known = adapt(law.estimates, interval, p, matrices)
 
-    # e is held, so its integral grows linearly; the mean over the step is the value midway
-    wound_up = shortfall * -seen.error < 0.0
-    integral_growth = where(wound_up, 0.0, h * seen.error)
-    midway_integral = law.error_integral + 0.5 * integral_growth
-    u_p = extension(p, seen.error, midway_integral, seen.r)
-
-    # x_hat = free_x + forced_x (forcing) midway
-    free_x = _resolved(matrices.predictor_matrix, half, law.x_hat)
-    b_1, b_2 = _resolved(matrices.predictor_matrix, half, matrices.predictor_input)
-    forced_x = half * b_1, half * b_2
-
-    # u_a = u_free - gain v midway, v = omega u_a + eta - k_g r; frozen where it winds up
-    v_before = omega * u_a + eta - feedforward
-    frozen = shortfall * lowpass.rate(p.filter_order, p.filter_bandwidth, law.filter, v_before) < 0.0
-    u_free, gain = lowpass.midpoint_response(p.filter_order, p.filter_bandwidth, law.filter, half)
-    u_free, gain = where(frozen, u_a, u_free), where(frozen, 0.0, gain)
-    loop = 1.0 + gain * omega
-    u_without_s = (u_free - gain * (eta - feedforward)) / loop
-    forcing_without_s = omega * (u_without_s + u_p + shortfall) + eta
-
-    # s = s_free / (1 + stiffness): its sign is known before the projection factors are
-    s_free = dot(pb, free_x) - dot(pb, seen.x) + dot(pb, forced_x) * forcing_without_s
-    g = _projection_factors(law, phi, s_free, u_without_s, p)
-    rate = half * p.adaptation_gain
-    eta_per_s = rate * (g.theta[0] * phi[0] ** 2 + g.theta[1] * phi[1] ** 2 + g.sigma)
-    eta_hat_per_s = eta_per_s + rate * g.omega * u_without_s**2
-    filtered_share = omega * gain / loop  # of eta_hat_per_s, 0..1
-    # omega_hat acts on u_a + u_p but learns from u_a alone: implicit only as far as that is damping
-    learnt = maximum(u_without_s * (u_without_s + u_p + shortfall), filtered_share * u_without_s**2)
-    forcing_per_s = eta_per_s + rate * g.omega * learnt - filtered_share * eta_hat_per_s
-    s = s_free / (1.0 + dot(pb, forced_x) * forcing_per_s)
-
-    u_midway = u_without_s + gain * eta_hat_per_s / loop * s
-    v = omega * u_midway + eta - eta_hat_per_s * s - feedforward
-    forcing = forcing_without_s - forcing_per_s * s
-    change = -2.0 * rate * s
-    theta_1 = law.theta_hat[0] + change * g.theta[0] * phi[0]
-    theta_2 = law.theta_hat[1] + change * g.theta[1] * phi[1]
-    away = omega + change * g.omega * u_without_s - p.input_gain
+    # the filter's own midpoint: v = omega_hat u_a + known - k_g r
+    drive, omega = known - matrices.feedforward_gain * now.r, estimates.omega_hat
+    free, gain = lowpass.midpoint_response(p.filter_order, p.filter_bandwidth, law.filter, 0.5 * h)
+    v = omega * (free - gain * drive) / (1.0 + gain * omega) + drive
     return LawState(
-        x_hat=(
-            2.0 * (free_x[0] + forced_x[0] * forcing) - law.x_hat[0],
-            2.0 * (free_x[1] + forced_x[1] * forcing) - law.x_hat[1],
-        ),
-        theta_hat=(keep_within(theta_1, p.theta_bound[0]), keep_within(theta_2, p.theta_bound[1])),
-        sigma_hat=keep_within(law.sigma_hat + change * g.sigma, p.sigma_bound),
-        omega_hat=p.input_gain + keep_within(away, p.input_gain_uncertainty),
-        filter=lowpass.advance(p.filter_order, p.filter_bandwidth, law.filter, half, v, shortfall),
-        error_integral=law.error_integral + integral_growth,
+        measured=now,
+        estimates=estimates,
+        held=given,
+        filter=lowpass.advance(p.filter_order, p.filter_bandwidth, law.filter, 0.5 * h, v, shortfall),
+        error_integral=law.error_integral + where(shortfall * -now.error < 0.0, 0.0, h * now.error),
     )
-
-
-@dataclass(frozen=True)
-class _Factors:
-    """Proj(th, y) / y of each estimate."""
-
-    theta: Vector
-    sigma: float
-    omega: float
-
-
-def _projection_factors(law: LawState, phi: Vector, s: float, u_a: float, parameters: Any) -> _Factors:
-    """Factors of the rates -s phi, -s and -s u_a, of which only the direction matters."""
-    p, eps = parameters, parameters.projection_tolerance
-    away = law.omega_hat - p.input_gain
-    return _Factors(
-        theta=(
-            projection_factor(law.theta_hat[0], -s * phi[0], p.theta_bound[0], eps),
-            projection_factor(law.theta_hat[1], -s * phi[1], p.theta_bound[1], eps),
-        ),
-        sigma=projection_factor(law.sigma_hat, -s, p.sigma_bound, eps),
-        omega=projection_factor(away, -s * u_a, p.input_gain_uncertainty, eps),
-    )
-
-
-def _resolved(a_m: Matrix, half: float, vector: Vector) -> Vector:
-    """(I - half A_m)^-1 vector."""
-    (a_11, a_12), (a_21, a_22) = a_m
-    m_11, m_12, m_21, m_22 = 1 - half * a_11, -half * a_12, -half * a_21, 1 - half * a_22
-    m = m_11 * m_22 - m_12 * m_21
-    return (m_22 * vector[0] - m_12 * vector[1]) / m, (m_11 * vector[1] - m_21 * vector[0]) / m

@@ -33,11 +33,6 @@ class FilterState:
     p_2: float = 0.0
 
 
-def rate(order: FilterOrder, w: float, filter: FilterState, v: float) -> float:
-    """u_a' under the input v."""
-    return where(order == FilterOrder.THIRD, 3.0 * w**2 * filter.p_1 + w**3 * filter.p_2, -w * v)
-
-
 def midpoint_response(order: FilterOrder, w: float, filter: FilterState, half: float) -> tuple[float, float]:
     """(free, gain) of u_a = free - gain v at the middle of a step of 2 `half` s, v the mean input."""
     slope = half * (3.0 * w**2 + half * w**3) / (1.0 + 3.0 * w * half)

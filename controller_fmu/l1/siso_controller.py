@@ -1,4 +1,4 @@
-"""Block L1Controller: the law of `l1.py` for any plant of second order, A_m, B_m, C and k_m given.
+"""Block L1Controller: the law of `law.py` for any plant of second order, A_m, B_m, C and k_m given.
 
 Starts at the paper's illustrative example (Maalouf et al. (2013), section 3.3), which is the one of
 Hovakimyan and Cao (2010), page 29. Units are those of the plant at hand.
@@ -7,21 +7,21 @@ Hovakimyan and Cao (2010), page 29. Units are those of the plant at hand.
 from dataclasses import dataclass
 
 from controller_fmu.l1 import law as l1
+from controller_fmu.l1.adaptation import Regressor
 from controller_fmu.l1.augmentation import Threshold
-from controller_fmu.l1.law import LawParameters, LawState, Measurement, Regressor
+from controller_fmu.l1.law import LawParameters, LawState, Measurement
 from controller_fmu.l1.matrices import LawMatrices, Matrix, Vector, law_matrices, law_requirements
 from controller_fmu.l1.siso_controller_guide import GUIDE
 from fmus.block import Block, variable
 from fmus.numerics import clip
+
+_BOOK = "Hovakimyan and Cao (2010), page 29, and public MATLAB programs; not printed in the paper"
 
 
 @dataclass(frozen=True)
 class Parameters(LawParameters):
     """Gains are tunable at communication points, structural choices fixed."""
 
-    internal_step: float = variable(
-        1e-3, "Longest internal step", unit="s", min=1e-7, max=10.0, variability="fixed"
-    )
     regressor: Regressor = variable(
         Regressor.STATE, "Regressor that theta_hat multiplies", variability="fixed"
     )
@@ -34,15 +34,15 @@ class Parameters(LawParameters):
         source="published",
     )  # fmt: skip
     state_matrix: Matrix = variable(
-        ((0.0, 1.0), (-1.0, -1.4)), "A_m, desired dynamics, Hurwitz", source="published"
+        ((0.0, 1.0), (-1.0, -1.4)), "A_m, desired dynamics, Hurwitz", source=_BOOK
     )
-    input_vector: Vector = variable((0.0, 1.0), "B_m, input column", source="published")
-    output_vector: Vector = variable((1.0, 0.0), "C, output row", source="published")
-    feedback_gain: Vector = variable((0.0, 0.0), "k_m, state feedback", source="published")
+    input_vector: Vector = variable((0.0, 1.0), "B_m, input column", source=_BOOK)
+    output_vector: Vector = variable((1.0, 0.0), "C, output row", source=_BOOK)
+    feedback_gain: Vector = variable((0.0, 0.0), "k_m, state feedback", source="published: k_m = 0")
     lyapunov_weight: Vector = variable(
-        (1.0, 1.0), "Diagonal of Q in the Lyapunov equation", min=1e-9, max=1e9, source="published"
+        (1.0, 1.0), "Diagonal of Q in the Lyapunov equation", min=1e-9, max=1e9, source=_BOOK
     )
-    theta_bound: Vector = variable((10.0, 10.0), "Bound of |theta_hat|", min=0.0, max=1e6, source="published")
+    theta_bound: Vector = variable((10.0, 10.0), "Bound of |theta_hat|", min=0.0, max=1e6, source=_BOOK)
     sigma_bound: float = variable(
         0.0, "Bound of |sigma_hat|; 0 holds it at zero", min=0.0, max=1e6,
         source="published: sigma = 0",
@@ -74,7 +74,6 @@ class Inputs:
 @dataclass(frozen=True)
 class State:
     law: LawState = LawState()
-    seen: Measurement = Measurement()
 
 
 @dataclass(frozen=True)
@@ -100,32 +99,35 @@ def requirements(p: Parameters, matrices: LawMatrices) -> tuple:
 
 
 def initial_state(t: float, inputs: Inputs, p: Parameters, matrices: LawMatrices) -> State:
-    seen = _measurement(inputs, p)
-    return State(l1.initial_law(seen.x, p.input_gain), seen)
+    return State(l1.initial_law(_measurement(inputs, p), p.input_gain))
 
 
 def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, matrices: LawMatrices) -> State:
-    seen = _measurement(inputs, p)
-    wanted = l1.control(state.law, seen, p.feedback_gain, p).total
-    shortfall = clip(wanted, -p.control_limit, p.control_limit) - wanted
-    return State(l1.law_step(h, state.law, seen, shortfall, p, matrices), seen)
+    u = l1.control(state.law, p.feedback_gain, p)
+    delivered = _saturated(u.total, p)
+    shortfall, now = delivered - u.total, _measurement(inputs, p)
+    return State(l1.law_step(h, state.law, now, u, delivered, shortfall, p.feedback_gain, p, matrices))
 
 
 def output(t: float, state: State, p: Parameters, matrices: LawMatrices) -> Outputs:
-    law, seen = state.law, state.seen
-    u = l1.control(law, seen, p.feedback_gain, p)
+    law, estimates = state.law, state.law.estimates
+    u = l1.control(law, p.feedback_gain, p)
     return Outputs(
-        control=clip(u.total, -p.control_limit, p.control_limit),
+        control=_saturated(u.total, p),
         u_m=u.u_m,
         u_a=u.u_a,
         u_p=u.u_p,
-        theta_hat=law.theta_hat,
-        sigma_hat=law.sigma_hat,
-        omega_hat=law.omega_hat,
-        predicted_state=law.x_hat,
-        prediction_error=l1.prediction_error(law, seen.x),
-        tracking_error=seen.error,
+        theta_hat=estimates.theta_hat,
+        sigma_hat=estimates.sigma_hat,
+        omega_hat=estimates.omega_hat,
+        predicted_state=l1.predicted_state(law),
+        prediction_error=estimates.x_tilde,
+        tracking_error=law.measured.error,
     )
+
+
+def _saturated(u: float, p: Parameters) -> float:
+    return clip(u, -p.control_limit, p.control_limit)
 
 
 def _measurement(inputs: Inputs, p: Parameters) -> Measurement:

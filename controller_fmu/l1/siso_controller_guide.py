@@ -1,10 +1,11 @@
 """What the documentation of L1Controller says besides its variables."""
 
-from controller_fmu.l1.depth_controller_guide import LAW, LAW_LIMITS, PAPER
+from controller_fmu.l1.depth_controller_guide import LAW_LIMITS, PAPER
+from controller_fmu.l1.law import EQUATIONS
 from fmus.guide import Experiment, Guide, Source
 
 GUIDE = Guide(
-    equations=LAW
+    equations=EQUATIONS
     + """
 y            = C x,   u saturated at +-control_limit
 """,
@@ -12,7 +13,7 @@ y            = C x,   u saturated at +-control_limit
         "All quantities are in the units of the plant at hand, time in s; the description calls them"
         " dimensionless.",
         "tracking_error is e = y - r: positive when the output is above the reference.",
-        "prediction_error is x_hat - x.",
+        "prediction_error is x_hat - x, both of the time of the last measurement.",
     ),
     tuning=(
         "state_matrix (A_m, Hurwitz), input_vector (B_m) and output_vector (C) are the dynamics wanted,"
@@ -21,8 +22,8 @@ y            = C x,   u saturated at +-control_limit
         " the estimate where it is.",
         "filter_bandwidth: the L1-norm condition asks for a least one, 44.5 rad/s for the start values"
         " with the first-order filter and 36.4 rad/s with the third-order one.",
-        "adaptation_gain may be large: a step is implicit and stays stable, whatever the product of gain"
-        " and step.",
+        "adaptation_gain may be large: a step turns prediction error and estimates by the angle of their"
+        " oscillation, exactly and however large.",
         "The lag of the plain law is that of A_m, not of the filter; augmentation takes it away. With"
         " nonlinear_p, a_1 = a_2 avoids a jump at |e| = delta; threshold_floor keeps delta from vanishing"
         " where the reference crosses zero.",

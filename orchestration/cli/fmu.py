@@ -1,6 +1,5 @@
 """Commands on FMUs: build, check, inspect."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,7 +14,6 @@ if TYPE_CHECKING:
     from fmpy.model_description import ScalarVariable
 
 _FOLDERS = {Flavour.NATIVE: Path("fmus-built"), Flavour.PYTHON: Path("fmus-built", "python")}
-_ABOUT = ("modelName", "description", "fmiVersion", "guid", "version", "author", "generationTool")
 _PIPED_WIDTH = 260  # a line a variable, for grep
 
 
@@ -103,10 +101,7 @@ def check(
         fail(f"{count} error{'s' * (count > 1)} found: expected none")
 
 
-def inspect(
-    fmu: Annotated[Path, typer.Argument(metavar="FMU", help="An FMU of any origin.")],
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for other programs.")] = False,
-) -> None:
+def inspect(fmu: Annotated[Path, typer.Argument(metavar="FMU", help="An FMU of any origin.")]) -> None:
     """Show what an FMU is, and each variable with its unit, range and start value."""
     from rich.markup import escape
     from rich.table import Table
@@ -114,10 +109,6 @@ def inspect(
     from orchestration.fmi.description import describe
 
     description = describe(fmu)
-    if as_json:
-        about = {name: getattr(description, name) for name in _ABOUT}
-        print(json.dumps(about | {"variables": list(map(_as_json, description.modelVariables))}, indent=2))
-        return
     print(f"{description.modelName}: {description.description or ''}")
     tool = description.generationTool or "an unknown tool"
     print(f"FMI {description.fmiVersion}, GUID {description.guid}, made by {tool}")
@@ -130,15 +121,6 @@ def inspect(
         cells = (v.name, v.causality, kind, v.unit, v.start, _permitted(v), v.description)
         table.add_row(*(escape(str(cell)) if cell is not None else "" for cell in cells))
     print_table(table, _PIPED_WIDTH)
-
-
-def _as_json(variable: "ScalarVariable") -> dict[str, object]:
-    """What the model description says of a variable; values are its texts, None is not stated."""
-    names = ("name", "valueReference", "causality", "variability", "initial", "type", "unit", "start")
-    said = {name: getattr(variable, name) for name in (*names, "min", "max", "nominal", "description")}
-    declared = variable.declaredType
-    items = {item.name: item.value for item in declared.items or ()} if declared else {}
-    return said | ({"declaredType": declared.name, "items": items} if declared else {})
 
 
 def _permitted(variable: "ScalarVariable") -> str:

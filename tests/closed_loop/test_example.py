@@ -19,7 +19,7 @@ from orchestration.scenarios.reproduce import Result
 from plant_fmu import example_plant
 
 ORACLES = {"l1": (1.403, 19.80), "extended": (0.048, 0.798)}
-CONVERGED_VARIATION = {"l1": 2.14e4, "extended": 2.62e4}
+CONVERGED_VARIATION = {"l1": 2.14e4, "extended": 2.52e4}  # sampled every ms, threshold_floor 1
 PERIOD = 2.0 * math.pi / 0.2
 
 
@@ -36,9 +36,12 @@ def test_lag_and_rmse_are_the_oracles(summary: dict[str, Any], controller: str) 
 def test_there_is_no_limit_cycle(
     results: dict[str, Result], summary: dict[str, Any], controller: str
 ) -> None:
-    """A limit cycle between the bounds shows in u (20 times) and in the estimates, not in y."""
+    """A limit cycle between the bounds shows in u (20 times) and in the estimates, not in y.
+
+    The fast loop turns by up to 8.5 rad in a step here, so u agrees as a sum over its oscillation only.
+    """
     variation = summary["example"][controller]["total_variation"]
-    assert variation <= 2.0 * CONVERGED_VARIATION[controller]
+    assert variation == pytest.approx(CONVERGED_VARIATION[controller], rel=0.05)
     run = results[f"example-{controller}"].recording
     last = run.time >= run.time[-1] - PERIOD
     estimates = [run[f"controller.theta_hat[{i}]"][last].mean() for i in (1, 2)]
@@ -46,37 +49,50 @@ def test_there_is_no_limit_cycle(
 
 
 @pytest.mark.parametrize("controller", list(ORACLES))
-def test_halving_the_internal_step_changes_nothing(summary: dict[str, Any], controller: str) -> None:
-    overrides = {"parameters": {"controller.internal_step": 5e-4, "plant.internal_step": 5e-4}}
-    chosen = scenario.load(scenario.find(f"example-{controller}"), overrides)
-    halved = metrics.evaluate(simulate(chosen.system, chosen.experiment), chosen.metrics)
+def test_halving_the_step_changes_lag_and_rmse_by_the_delay_of_half_a_step(
+    summary: dict[str, Any], controller: str
+) -> None:
+    fine = example_at(5e-4, controller)
     for name in ("lag", "rmse"):
-        assert halved[name] == pytest.approx(summary["example"][controller][name], rel=0.005)
+        assert fine[name] == pytest.approx(summary["example"][controller][name], rel=0.005)
+    assert fine["total_variation"] == pytest.approx(CONVERGED_VARIATION[controller], rel=0.05)
 
 
 @pytest.mark.parametrize("controller", list(ORACLES))
-def test_five_times_the_step_is_stable_and_as_accurate(summary: dict[str, Any], controller: str) -> None:
-    """One internal step of 5 ms over an adaptation that oscillates at up to 8452 rad/s.
+@pytest.mark.parametrize(("h", "tolerance"), [(5e-3, 0.015), (2e-2, 0.06)])
+def test_twenty_times_the_step_is_stable(
+    summary: dict[str, Any], controller: str, h: float, tolerance: float
+) -> None:
+    """Up to 170 rad of the fast loop in a step.
 
-    Source of the frequency: docs/explanation/theory.md.
-
-    At 7 ms the delay of the coupling, 1.5 steps, makes a limit cycle even with internal steps of 0.1 ms.
+    Source of its frequency, up to 8452 rad/s: docs/explanation/theory.md. The tolerance is a first-order
+    error of 3 % for 10 ms.
     """
-    parameters = {"controller.internal_step": 5e-3, "plant.internal_step": 5e-3}
-    overrides = {"experiment": {"step_size": 5e-3}, "parameters": parameters}
-    chosen = scenario.load(scenario.find(f"example-{controller}"), overrides)
-    coarse = metrics.evaluate(simulate(chosen.system, chosen.experiment), chosen.metrics)
+    coarse = example_at(h, controller)
     for name in ("lag", "rmse"):
-        assert coarse[name] == pytest.approx(summary["example"][controller][name], rel=0.005)
+        assert coarse[name] == pytest.approx(summary["example"][controller][name], rel=tolerance)
+    assert coarse["total_variation"] < CONVERGED_VARIATION[controller]
+
+
+def example_at(h: float, controller: str) -> dict[str, float]:
+    """The metrics of a shipped scenario at another communication step size."""
+    variation = {
+        "function": "total_variation", "signal": "controller.control", "every": max(h, 1e-3),
+    }  # fmt: skip
+    overrides = {"experiment": {"step_size": h}, "metrics": {"total_variation": variation}}
+    chosen = scenario.load(scenario.find(f"example-{controller}"), overrides)
+    return metrics.evaluate(simulate(chosen.system, chosen.experiment), chosen.metrics)
 
 
 MISTAKES = {
     "the predictor does not receive u_p": [
-        ("omega * (u_without_s + u_p + shortfall) + eta", "omega * (u_without_s + shortfall) + eta"),
+        ("given = Held(h, delivered, u.u_a)", "given = Held(h, delivered - u.u_p, u.u_a)"),
     ],
     "eta_hat holds u_p as well": [
-        ("(u_free - gain * (eta - feedforward))", "(u_free - gain * (eta + omega * u_p - feedforward))"),
-        ("omega * u_midway + eta - eta_hat_per_s", "omega * (u_midway + u_p) + eta - eta_hat_per_s"),
+        (
+            "drive, omega = known - matrices",
+            "drive, omega = known + law.estimates.omega_hat * u.u_p - matrices",
+        ),
     ],
 }
 
@@ -106,23 +122,21 @@ def _law_with(changes: list[tuple[str, str]], folder: Path) -> ModuleType:
     return module
 
 
-def _extended_example(
-    law: ModuleType, h: float = 1e-3, duration: float = 3.0 * PERIOD
-) -> tuple[float, float]:
-    """Lag and RMSE over the last two periods, the blocks stepped directly as Jacobi would."""
+def _extended_example(law: ModuleType) -> tuple[float, float]:
+    """Lag and RMSE over the last two of three periods, the blocks stepped directly as Jacobi would."""
+    h, duration = 5e-3, 3.0 * PERIOD
     p = siso_controller.Parameters(augmentation=siso_controller.l1.Augmentation.NONLINEAR_P)
     matrices = siso_controller.calculate(p)
     plant = example_plant.Parameters()
-    x, state, count = (0.0, 0.0), law.initial_law((0.0, 0.0), 1.0), round(duration / h)
+    x, state, count = (0.0, 0.0), law.LawState(), round(duration / h)
     time, outputs = np.arange(count) * h, np.empty(count)
-    u = 0.0
     for i, r in enumerate((100.0 * np.cos(0.2 * time)).tolist()):
         outputs[i] = x[0]
-        seen = law.Measurement(x, x[0], r)
-        inputs = example_plant.Inputs(control=u)
+        u = law.control(state, p.feedback_gain, p)
+        now = law.Measurement(x, x[0], r)
+        inputs = example_plant.Inputs(control=u.total)
         x = example_plant.step(i * h, h, example_plant.State(x), inputs, plant, None).x  # type: ignore[arg-type]
-        state = law.law_step(h, state, seen, 0.0, p, matrices)
-        u = law.control(state, seen, p.feedback_gain, p).total
+        state = law.law_step(h, state, now, u, u.total, 0.0, p.feedback_gain, p, matrices)
     late = time >= duration - 2.0 * PERIOD
     angle = 0.2 * time[late]
     (cosine, sine), *_ = np.linalg.lstsq(

@@ -1,0 +1,168 @@
+"""Prediction and adaptation from one measurement to the next.
+
+The prediction error x_tilde = x_hat - x and the matched part eta of the prediction obey
+
+    x_tilde' = A_m x_tilde + B_m eta + (A_m x - x'),   eta = omega_hat u + theta_hat' phi + sigma_hat
+    eta'     = -kappa s,   s = x_tilde' P B_m,   kappa = Gamma (g_theta |phi|^2 + g_sigma + g_omega u_omega u)
+
+between two measurements, with x a straight line, u the control that the plant received, and phi and the
+projection factors g constant. Without A_m x_tilde this turns s and eta by the angle h sqrt(kappa B_m' P B_m),
+which is exact for any angle; A_m x_tilde acts for half the time before and half after (Strang). So neither
+frequency nor damping of the fast loop depends on the step. docs/explanation/theory.md derives it.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+from controller_fmu.l1.matrices import LawMatrices, Matrix, Vector, dot
+from controller_fmu.l1.projection import keep_within, projection_factor
+from fmus.numerics import absolute, maximum, sin, sqrt, where
+
+_SMALL_SQUARE = 1e-8  # of an angle: below it sin(a) / a is 1 - a^2 / 6 to the last bit
+_SHORTEST = 1e-300  # s; keeps a mean over no time finite
+
+
+class Regressor(IntEnum):
+    """What theta_hat multiplies."""
+
+    INFINITY_NORM = 1
+    STATE = 2
+
+
+class InputGainRegressor(IntEnum):
+    """The control that omega_hat learns from."""
+
+    ADAPTIVE_CONTROL = 1
+    ADAPTIVE_CONTROL_AND_EXTENSION = 2
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """Prediction error x_tilde = x_hat - x and the estimates, at the time of a measurement of x."""
+
+    x_tilde: Vector = (0.0, 0.0)
+    theta_hat: Vector = (0.0, 0.0)
+    sigma_hat: float = 0.0
+    omega_hat: float = 1.0
+
+
+@dataclass(frozen=True)
+class Interval:
+    """What is known of the time between two measurements.
+
+    duration [s]; x at both ends; u_ap: the control that the plant received less u_m, that is u_a + u_p and
+    what saturation took away; u_a: its adaptive part
+    """
+
+    duration: float
+    x_0: Vector
+    x_1: Vector
+    u_ap: float
+    u_a: float
+
+
+def regressor(kind: Regressor, x: Vector) -> Vector:
+    """phi, the vector that theta_hat multiplies: (|x|_inf, 0) over numbers in SI units, or x."""
+    by_norm = kind == Regressor.INFINITY_NORM
+    norm = maximum(absolute(x[0]), absolute(x[1]))
+    return where(by_norm, norm, x[0]), where(by_norm, 0.0, x[1])
+
+
+def adapt(
+    before: Estimates, over: Interval, parameters: Any, matrices: LawMatrices
+) -> tuple[Estimates, float]:
+    """The estimates at the end of the interval, and the mean of theta_hat' phi + sigma_hat over it.
+
+    The mean takes phi from the end of the interval, the newest that is known.
+    """
+    p, h, u = parameters, over.duration, over.u_ap
+    pb, b = matrices.adaptation_vector, matrices.predictor_input
+    pbb = dot(pb, b)
+    x = 0.5 * (over.x_0[0] + over.x_1[0]), 0.5 * (over.x_0[1] + over.x_1[1])
+    phi = regressor(p.regressor, x)
+    u_omega = where(p.input_gain_regressor == InputGainRegressor.ADAPTIVE_CONTROL, over.u_a, u)
+
+    # without adaptation: x_tilde grows by drift + h B_m eta, s by `growth`
+    x_tilde = _relaxed(matrices.predictor_matrix, 0.5 * h, before.x_tilde)
+    drift = (
+        h * dot(matrices.predictor_matrix[0], x) - (over.x_1[0] - over.x_0[0]),
+        h * dot(matrices.predictor_matrix[1], x) - (over.x_1[1] - over.x_0[1]),
+    )
+    eta = dot(before.theta_hat, phi) + before.sigma_hat + before.omega_hat * u
+    s, growth = dot(pb, x_tilde), dot(pb, drift) + h * pbb * eta
+
+    g = _projection_factors(before, phi, s + 0.5 * growth, u_omega, p)
+    # omega_hat acts on u and may learn from another control: that is damping only where both agree
+    learnt = maximum(u_omega * u, 0.0)
+    kappa = g.theta[0] * phi[0] ** 2 + g.theta[1] * phi[1] ** 2 + g.sigma + g.omega * learnt
+    square = h * h * p.adaptation_gain * kappa * pbb
+    half_turn, turn = _sinc(0.25 * square), _sinc(square)
+    integral_of_s = h * (s * turn + 0.5 * growth * half_turn**2)
+    integral_of_eta = (growth * turn - dot(pb, drift) - 0.5 * s * square * half_turn**2) / pbb
+
+    change = -p.adaptation_gain * integral_of_s
+    theta_1 = before.theta_hat[0] + change * g.theta[0] * phi[0]
+    theta_2 = before.theta_hat[1] + change * g.theta[1] * phi[1]
+    away = before.omega_hat + change * g.omega * u_omega - p.input_gain
+    unrelaxed = (
+        x_tilde[0] + drift[0] + b[0] * integral_of_eta,
+        x_tilde[1] + drift[1] + b[1] * integral_of_eta,
+    )
+    after = Estimates(
+        x_tilde=_relaxed(matrices.predictor_matrix, 0.5 * h, unrelaxed),
+        theta_hat=(keep_within(theta_1, p.theta_bound[0]), keep_within(theta_2, p.theta_bound[1])),
+        sigma_hat=keep_within(before.sigma_hat + change * g.sigma, p.sigma_bound),
+        omega_hat=p.input_gain + keep_within(away, p.input_gain_uncertainty),
+    )
+    mean_eta = where(h > 0.0, integral_of_eta / maximum(h, _SHORTEST), eta)
+    not_by_omega = 1.0 - g.omega * learnt / maximum(kappa, _SHORTEST)
+    known = eta - before.omega_hat * u + not_by_omega * (mean_eta - eta)
+    return after, _with_newest(known, before, after, phi, regressor(p.regressor, over.x_1), p)
+
+
+def _with_newest(
+    known: float, before: Estimates, after: Estimates, phi: Vector, newest: Vector, parameters: Any
+) -> float:
+    """theta_hat' phi + sigma_hat with the newest phi, within what the bounds of the estimates allow."""
+    p, change = parameters, (newest[0] - phi[0], newest[1] - phi[1])
+    known = known + 0.5 * (dot(before.theta_hat, change) + dot(after.theta_hat, change))
+    largest = p.theta_bound[0] * absolute(newest[0]) + p.theta_bound[1] * absolute(newest[1]) + p.sigma_bound
+    return keep_within(known, largest)
+
+
+def _projection_factors(estimates: Estimates, phi: Vector, s: float, u_omega: float, parameters: Any) -> Any:
+    """Proj(th, y) / y of each estimate, for rates -s phi, -s and -s u_omega: only their signs matter."""
+    p, eps = parameters, parameters.projection_tolerance
+    away = estimates.omega_hat - p.input_gain
+    return _Factors(
+        theta=(
+            projection_factor(estimates.theta_hat[0], -s * phi[0], p.theta_bound[0], eps),
+            projection_factor(estimates.theta_hat[1], -s * phi[1], p.theta_bound[1], eps),
+        ),
+        sigma=projection_factor(estimates.sigma_hat, -s, p.sigma_bound, eps),
+        omega=projection_factor(away, -s * u_omega, p.input_gain_uncertainty, eps),
+    )
+
+
+@dataclass(frozen=True)
+class _Factors:
+    theta: Vector
+    sigma: float
+    omega: float
+
+
+def _sinc(square: float) -> float:
+    """sin(a) / a for the square of a."""
+    angle = sqrt(maximum(square, _SMALL_SQUARE))
+    return where(square > _SMALL_SQUARE, sin(angle) / angle, 1.0 - square / 6.0)
+
+
+def _relaxed(a_m: Matrix, h: float, vector: Vector) -> Vector:
+    """The vector h seconds later under x' = A_m x, by the implicit midpoint rule."""
+    half = 0.5 * h
+    (a_11, a_12), (a_21, a_22) = a_m
+    m_11, m_12, m_21, m_22 = 1 - half * a_11, -half * a_12, -half * a_21, 1 - half * a_22
+    m = m_11 * m_22 - m_12 * m_21
+    middle = (m_22 * vector[0] - m_12 * vector[1]) / m, (m_11 * vector[1] - m_21 * vector[0]) / m
+    return 2.0 * middle[0] - vector[0], 2.0 * middle[1] - vector[1]
