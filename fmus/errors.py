@@ -3,6 +3,9 @@
 from collections.abc import Iterable
 from difflib import get_close_matches
 
+_LIKE = 0.6  # of letters in common
+_LISTED = 5
+
 
 class ExportError(ValueError):
     """A block that cannot become an FMU; the message says what was wrong and what was expected."""
@@ -17,10 +20,12 @@ class HostError(Exception):
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """The end of an error message about an unknown name: the known name most like it."""
+    """The end of an error message about an unknown name: the known name much like it, or what there is."""
     choices = list(known)
     if not choices:
         return "there are none"
     by_lower_case = {choice.lower(): choice for choice in reversed(choices)}
-    match = get_close_matches(name.lower(), by_lower_case, n=1, cutoff=0.0)[0]
-    return f"nearest is {by_lower_case[match]!r}"
+    for match in get_close_matches(name.lower(), by_lower_case, n=1, cutoff=_LIKE):
+        return f"nearest is {by_lower_case[match]!r}"
+    listed = ", ".join(repr(choice) for choice in sorted(choices)[:_LISTED])
+    return f"known: {listed}" + (f" and {len(choices) - _LISTED} more" if len(choices) > _LISTED else "")

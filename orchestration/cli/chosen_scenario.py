@@ -6,16 +6,21 @@ from pathlib import Path
 
 from fmus import catalogue
 from fmus.registry import Flavour
-from orchestration.errors import ScenarioError
+from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.exchange import ssp_read
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
+from orchestration.system.prepared_run import prepare
 
 
 def load(name: str, flavour: Flavour = Flavour.NATIVE) -> Scenario:
-    """The shipped scenario of that name, or the one in that .toml file."""
+    """The shipped scenario of that name, or the one in that .toml file, checked against its FMUs."""
     chosen = scenario.load(scenario.find(name), flavour=flavour)
     build_missing_fmus([chosen])
+    try:
+        prepare(chosen.system, chosen.experiment)
+    except SystemDefinitionError as error:
+        raise ScenarioError(scenario.located(str(error), chosen.files)) from error
     return chosen
 
 

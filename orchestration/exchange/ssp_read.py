@@ -53,6 +53,10 @@ def opened(path: Path, parameter_set: str = "") -> Iterator[Scenario]:
 
 
 def _scenario(package: OpenedPackage, parameter_set: str) -> Scenario:
+    if set(parameter_set) & set("/\\:") or not parameter_set.isprintable():
+        raise package.error(
+            f"parameter set {parameter_set!r}: expected a name of a file, without / and \\ and :"
+        )
     root = _checked_root(package)
     components = _components(root, package)
     connections = tuple(_connection(element) for element in root.iter(tag("ssd:Connection")))

@@ -166,20 +166,18 @@ def _one(recording: Recording, name: str, call: Mapping[str, Any]) -> float:
 
 
 def check_run(
-    declared: Mapping[str, Mapping[str, Any]], start: float, stop: float, record: Collection[str], what: str
+    declared: Mapping[str, Mapping[str, Any]], start: float, stop: float, record: Collection[str]
 ) -> None:
     """Refuse a window outside the run, or a signal that is not recorded (an empty record is all)."""
     for name, call in declared.items():
         window = call.get("window", [start, stop])
         if not window[0] <= window[1]:
-            raise ScenarioError(f"{what}: metric {name}: window {window!r}: expected [start, end] in s")
+            raise ScenarioError(f"metric {name}: window {window!r}: expected [start, end] in s")
         if window[0] >= stop or window[1] <= start:
             raise ScenarioError(
-                f"{what}: metric {name}: window {window}: expected to overlap {start:g}..{stop:g} s; "
+                f"metric {name}: window {window}: expected to overlap {start:g}..{stop:g} s; "
                 f"{name} = false drops it"
             )
         for signal in (call[key] for key in ("signal", "reference") if record and key in call):
             if signal not in record:
-                raise ScenarioError(
-                    f"{what}: metric {name}: {signal!r} is not recorded; {nearest(signal, record)}"
-                )
+                raise ScenarioError(f"metric {name}: {signal!r} is not recorded; {nearest(signal, record)}")

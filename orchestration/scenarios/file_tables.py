@@ -9,7 +9,7 @@ import math
 import re
 import reprlib
 from collections.abc import Callable, Collection, Iterable, Mapping
-from typing import Annotated, Any, Literal, TypeVar, Union
+from typing import Annotated, Any, Literal, TypeVar, Union, cast
 
 import numpy.typing as npt
 from pydantic import (
@@ -30,6 +30,7 @@ from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError
 
 from fmus.errors import nearest
 from orchestration.errors import ScenarioError
+from orchestration.scenarios.toml_file import KeyPath
 
 _EXPECTED = {
     "float_type": "a number",
@@ -69,7 +70,7 @@ class Table(BaseModel):
             if key not in cls.model_fields:
                 hint = nearest(key, cls.model_fields)
                 raise PydanticCustomError(
-                    _UNKNOWN_KEY, "unknown key {key}; {hint}", {"key": repr(key), "hint": hint}
+                    _UNKNOWN_KEY, "unknown key {key}; {hint}", {"key": repr(key), "name": key, "hint": hint}
                 )
         return data
 
@@ -157,28 +158,44 @@ class OneOf:
         return None if named is None else f":{named}"  # no key of a table begins like that
 
 
-def checked(model: TypeAdapter[T], data: object, where: str) -> T:
+At = Callable[[KeyPath], str]
+"""Keys of a file -> its path and the line."""
+
+
+def checked(model: TypeAdapter[T], data: object, where: At | str) -> T:
     """The data as that type; ScenarioError names the key, what it is and what was expected."""
     try:
         return model.validate_python(data)
     except ValidationError as error:
-        raise ScenarioError(f"{where}: {_line(error.errors()[0], data)}") from None
+        raise _mistake(error.errors()[0], data, where) from None
 
 
-def check_part(model: TypeAdapter[T], data: object, where: str, absent: Collection[tuple[str, ...]]) -> None:
+def check_part(model: TypeAdapter[T], data: object, where: At, absent: Collection[KeyPath]) -> None:
     """Check data that need not have the keys at the paths `absent`."""
     try:
         model.validate_python(data)
     except ValidationError as error:
         for details in error.errors():
             if details["type"] != "missing" or details["loc"] not in absent:
-                raise ScenarioError(f"{where}: {_line(details, data)}") from None
+                raise _mistake(details, data, where) from None
+
+
+def _mistake(error: ErrorDetails, data: object, where: At | str) -> ScenarioError:
+    keys = _keys(error, data)
+    if error["type"] == _UNKNOWN_KEY:
+        keys = (*keys, error.get("ctx", {})["name"])
+    return ScenarioError(f"{where if isinstance(where, str) else where(keys)}: {_line(error, data)}")
 
 
 def _line(error: ErrorDetails, data: object) -> str:
-    path = _key_path(error, data)
+    keys = _keys(error, data)
+    path = _written(keys)
     value, context, kind = error["input"], error.get("ctx", {}), error["type"]
     before, subject = (f"{path}: ", f"{path} = ") if path else ("", "")
+    table = keys[:-1] if kind == "missing" else keys
+    if kind in (_SCALAR, _KIND, "missing") and _has_unquoted_name(table, value, kind == _SCALAR):
+        name = f"{table[-1]}.{next(iter(value))}"
+        return f'{_written(table[:-1])}: {name} has a dot: quote it, "{name}"'
     if kind == "missing":
         return f"{path} is missing"
     if kind == _UNKNOWN_KEY:
@@ -192,6 +209,13 @@ def _line(error: ErrorDetails, data: object) -> str:
     return f"{subject}{reprlib.repr(value)}: expected {expected}"
 
 
+def _has_unquoted_name(table: KeyPath, value: Any, scalar_expected: bool) -> bool:
+    """Whether a table may come of a key component.variable, which TOML reads as a table in a table."""
+    if not (isinstance(value, dict) and value and table and isinstance(table[-1], str)):
+        return False
+    return scalar_expected or all(isinstance(item, dict) for item in value.values())
+
+
 def _unknown_kind(value: Mapping[str, object], keys: list[str], known: list[str]) -> str:
     key, *others = keys
     if key not in value and others:
@@ -201,17 +225,19 @@ def _unknown_kind(value: Mapping[str, object], keys: list[str], known: list[str]
     return f"unknown {key} {value[key]!r}; {nearest(str(value[key]), known)}"
 
 
-def _key_path(error: ErrorDetails, data: Any) -> str:
-    """Where in a file an error is, as TOML writes it; the kinds of unions are no part of it."""
-    path, missing = "", error["type"] == "missing"
+def _keys(error: ErrorDetails, data: Any) -> KeyPath:
+    """Where in a file an error is; the kinds of unions are no part of it."""
+    keys: KeyPath = ()
+    missing = error["type"] == "missing"
     for part in error["loc"][:-1] if missing else error["loc"]:
-        if isinstance(data, list) and isinstance(part, int):
-            path, data = f"{path}[{part}]", data[part]
-        elif isinstance(data, Mapping) and part in data:
-            path, data = _joined(path, str(part)), data[part]
-    return _joined(path, str(error["loc"][-1])) if missing else path
+        is_item = isinstance(data, list) and isinstance(part, int)
+        if is_item or (isinstance(data, Mapping) and part in data):
+            keys, data = (*keys, part), cast(Any, data)[part]
+    return (*keys, error["loc"][-1]) if missing else keys
 
 
-def _joined(path: str, key: str) -> str:
-    written = key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else f'"{key}"'
-    return f"{path}.{written}" if path else written
+def _written(keys: KeyPath) -> str:
+    """Keys as TOML writes them."""
+    names = (key if re.fullmatch(r"[\w-]+", str(key), re.ASCII) else f'"{key}"' for key in keys)
+    parts = (f"[{k}]" if isinstance(k, int) else f".{name}" for k, name in zip(keys, names, strict=True))
+    return "".join(parts).removeprefix(".")

@@ -85,16 +85,21 @@ def run(
     return result
 
 
+def reproduced(flavour: Flavour = Flavour.NATIVE) -> dict[str, Scenario]:
+    """The shipped scenarios by name, without those that are to be swept."""
+    scenarios = (scenario.load(path, flavour=flavour) for path in scenario.shipped().values())
+    return {shipped.name: shipped for shipped in scenarios if not shipped.sweep}
+
+
 def run_all(
     folder: Path,
     workers: int,
     progress: Callable[[str], None] = lambda name: None,
     flavour: Flavour = Flavour.NATIVE,
 ) -> dict[str, Result]:
-    """Run every shipped scenario in `workers` processes; `progress` gets the name of each that is done."""
-    paths = scenario.shipped()
-    names = sorted(paths, key=lambda name: name not in _LONGEST_FIRST)
-    scenarios = {name: scenario.load(paths[name], flavour=flavour) for name in names}
+    """Run every reproduced scenario in `workers` processes; `progress` gets the name of each that is done."""
+    scenarios = reproduced(flavour)
+    names = sorted(scenarios, key=lambda name: name not in _LONGEST_FIRST)
     results = {}
     with worker_pool(workers) as submit:
         futures = {submit(_run_named, name, folder, flavour): name for name in names}

@@ -56,7 +56,7 @@ def python_results(tmp_path_factory: pytest.TempPathFactory, python_fmus: None) 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", scenario.shipped())
+@pytest.mark.parametrize("name", reproduce.reproduced())
 def test_trajectories_agree(results: dict[str, Result], python_results: dict[str, Result], name: str) -> None:
     assert_same_trajectories(results[name].recording, python_results[name].recording)
 

@@ -14,7 +14,7 @@ from fmus import catalogue
 from orchestration.scenarios import scenario
 from orchestration.scenarios.identify import GAINS
 from orchestration.scenarios.published import PUBLISHED
-from orchestration.scenarios.reproduce import Result
+from orchestration.scenarios.reproduce import Result, reproduced
 
 VEHICLE_UNITS = {
     "settling_time": "s",
@@ -107,6 +107,11 @@ def test_the_fmus_defaults_are_the_identified_gains() -> None:
 def test_figures_and_recordings_are_written(summary: dict[str, Any], folder: Path) -> None:
     for number in (3, 5, 6):
         assert (folder / f"figure_{number}.png").read_bytes().startswith(b"\x89PNG")
-    for name in scenario.shipped():
+    for name in reproduced():
         header = (folder / f"{name}.csv").open().readline()
         assert header.startswith("time [s],")
+
+
+def test_a_scenario_that_is_to_be_swept_is_not_reproduced(results: dict[str, Result], folder: Path) -> None:
+    assert set(scenario.shipped()) - set(results) == {"monte-carlo"}
+    assert not list(folder.glob("monte-carlo*"))

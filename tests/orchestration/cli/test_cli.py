@@ -117,7 +117,7 @@ def test_a_run_that_fails_keeps_what_was_recorded(
     [
         (["run", "nominal-l2"], "no scenario 'nominal-l2'; nearest is 'nominal-l1'"),
         (["run", "none.toml"], "no file none.toml"),
-        (["build", "Benchmarkplan"], "no block named 'Benchmarkplan'; nearest is 'ExamplePlant'"),
+        (["build", "Exampleplan"], "no block named 'Exampleplan'; nearest is 'ExamplePlant'"),
         (["package", "nominal-l1.ssp"], "no scenario 'nominal-l1.ssp'; nearest is 'nominal-l1'"),
         (["run", "none.ssp", "--flavour", "python"], "a package: expected none, it holds its own FMUs"),
         (["build", "--platform", "linux46"], "no platform 'linux46'; nearest is 'linux64'"),
@@ -143,7 +143,7 @@ def test_a_failure_is_one_line_and_exit_status_1(
 
 def test_a_value_out_of_range_is_refused_before_the_run(refused: Command, short_scenario: Command) -> None:
     path = short_scenario(more='\n[parameters]\n"plant.inertia" = -1.0\n')
-    assert "plant.inertia = -1.0: expected 0.1..1e+06 kg" in refused("run", path)
+    assert "short.toml:26: plant.inertia = -1.0: expected 0.1..1e+06 kg" in refused("run", path)
 
 
 def test_a_mistyped_name_offers_the_nearest(command: Command, refused: Command) -> None:

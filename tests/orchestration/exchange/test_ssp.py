@@ -5,6 +5,7 @@ import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
+from xml.sax.saxutils import quoteattr
 
 import fmpy
 import numpy as np
@@ -186,6 +187,18 @@ def test_an_unknown_parameter_set_is_answered_with_the_nearest(package: Path) ->
     with (
         pytest.raises(ScenarioError, match="nearest is 'nominal-extended'"),
         ssp_read.opened(package, "nominal-extendet"),
+    ):
+        pass
+
+
+@pytest.mark.parametrize("name", ["../outside", "/etc/outside", "C:outside", "a\\\\b", "line\nbreak"])
+def test_a_parameter_set_whose_name_leads_out_of_the_folder_of_results_is_refused(
+    edited: Callable[[str, str, str], Path], name: str
+) -> None:
+    path = edited("parameters/nominal-l1.ssv", 'name="nominal-l1"', f"name={quoteattr(name)}")
+    with (
+        pytest.raises(ScenarioError, match=r"edited\.ssp: parameter set .*: expected a name of a file"),
+        ssp_read.opened(path, name),
     ):
         pass
 

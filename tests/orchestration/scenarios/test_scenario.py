@@ -1,5 +1,6 @@
 """Scenario files: what they may say, and what they are told when they say something else."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -191,7 +192,86 @@ def test_a_parameter_file_entry_needs_a_value(tmp_path: Path, entry: str, messag
         scenario.parameter_values(path)
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("title = " + 5000 * "[" + 5000 * "]", "brackets nested too deeply: expected a few levels"),
+        ("\ufefftitle = 'a'", "a byte order mark at its start: expected UTF-8 without one"),
+        ("title = 'a'\nstop = 1" + 5000 * "0", "an integer of 5001 digits: expected at most 19"),
+    ],
+)
+def test_a_file_that_no_reader_of_toml_takes_is_one_short_line(
+    tmp_path: Path, text: str, message: str
+) -> None:
+    (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(ScenarioError, match=rf"mine\.toml(:2)?: {message}") as caught:
+        scenario.load(tmp_path / "mine.toml")
+    assert len(str(caught.value)) < 100 + len(str(tmp_path))
+
+
 def test_a_mistake_in_a_base_names_the_base(tmp_path: Path) -> None:
     write(tmp_path, MINIMAL.replace("step_size", "stepsize"), "base.toml")
-    with pytest.raises(ScenarioError, match=r"base.toml: experiment: unknown key 'stepsize'"):
+    with pytest.raises(ScenarioError, match=r"base.toml:6: experiment: unknown key 'stepsize'"):
         scenario.load(write(tmp_path, 'base = "base.toml"'))
+
+
+CHILD = 'base = "nominal-l1"\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ('[parameters]\n# of "p.omega"\n"p.omega" = []\n', 12),
+        ('[[events]]\ntime = 0.5\nset = {}\n[[events]]\ntime = "x"\nset = {}\n', 14),
+        ("[[events]]\ntime = 0.5\nset = {}\n[[events]]\nset = {}\n", 13),
+        ('[metrics.a]\nfunction = "mean"\nsignal = "p.output"\nwindow = [\n  5.0,\n  6.0,\n]\n', 10),
+        ('[signals]\n"p.control" = { kind = "ramps", points = [[1.0, 0.0], [1.0, 2.0]] }\n', 11),
+        ('[[faults]]\ninput = "p.control"\nkind = "freeze"\nstart = 2\nend = 1\n', 10),
+        ("[step_sizes]\np = 0.15\n", 11),
+    ],
+)
+def test_a_mistake_is_told_with_its_line(tmp_path: Path, text: str, line: int) -> None:
+    with pytest.raises(ScenarioError, match=rf"mine\.toml:{line}: "):
+        scenario.load(write(tmp_path, MINIMAL + text))
+
+
+@pytest.mark.parametrize(
+    ("message", "told"),
+    [
+        ("plant.inertia = nan: expected a finite number", "mine.toml:4: plant.inertia"),
+        ("connection plant.depht -> controller.x: no variable 'plant.depht'", "mine.toml:2: connection"),
+        ("controller.filter_bandwidth = 9: expected less", r"mine.toml: .* \(.*identified.toml:\d+\)"),
+        ("a system without an end", "mine.toml: a system"),
+    ],
+)
+def test_a_mistake_that_the_fmus_show_is_told_with_the_line_of_its_name(
+    tmp_path: Path, message: str, told: str
+) -> None:
+    text = 'connections = [["plant.depht", "controller.x"]]\n[parameters]\n"plant.inertia" = nan\n'
+    loaded = scenario.load(write(tmp_path, CHILD + text))
+    assert re.search(told, scenario.located(message, loaded.files))
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (
+            "[parameters]\nplant.inertia = 3.0\n",
+            'mine.toml:2: parameters: plant.inertia has a dot: quote it, "plant',
+        ),
+        ('[signals]\nplant.roll = { kind = "constant", value = 0.1 }\n', "signals: plant.roll has a dot"),
+        (
+            "[[events]]\ntime = 1.0\n[events.set]\nplant.roll = 0.1\n",
+            r"events\[0\].set: plant.roll has a dot",
+        ),
+    ],
+)
+def test_a_name_with_a_dot_that_is_not_quoted_is_told_so(tmp_path: Path, text: str, told: str) -> None:
+    with pytest.raises(ScenarioError, match=told):
+        scenario.load(write(tmp_path, CHILD + text))
+
+
+def test_a_scenario_does_not_take_the_title_of_its_base(tmp_path: Path) -> None:
+    child = scenario.load(write(tmp_path, CHILD))
+    assert (child.title, child.resolved["title"]) == ("mine", "mine")
+    assert scenario.load(write(tmp_path, CHILD + 'title = "Mine"\n')).title == "Mine"
