@@ -200,7 +200,7 @@ UNIFORM = 'distribution = "uniform"\nlow = 1.0\nhigh = 3.0'
         ('[sweep.vary."experiment.algorithm"]\nvalues = ["jakobi"]', r"nearest is 'jacobi'"),
         ('[sweep.vary."r.u"]\nvalues = []', r"values = \[\]: expected 1 or more items"),
         ('[sweep.vary."r.u"]\nvalues = ["a"]', r"r.u = 'a': expected a value of type Real"),
-        ('[sweep.vary."r.u"]\nvalues = [1]\nlow = 3', r"vary.\"r.u\": unknown key 'low'; known: 'relative', 'values'"),
+        ('[sweep.vary."r.u"]\nvalues = [1]\nlow = 3', r"vary.\"r.u\": unknown key 'low'; known: 'rel"),
         ('[sweep.vary."r.u"]\nlinspace = [1, 2]', r"linspace = \[1, 2\]: expected 3 or more items"),
         ('[sweep.vary."r.misdeed"]\nvalues = ["non"]', r"r.misdeed = 'non': expected one of none, warning"),
         ('[sweep.vary."r.misdeed"]\nvalues = ["none"]\nrelative = true', r"relative: expected a Real"),
