@@ -8,7 +8,6 @@ import math
 import random
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, is_dataclass
-from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -85,6 +84,8 @@ class _Comparison:
                 return None, None
         except (ArithmeticError, ValueError):
             return None, None
+        except Exception as error:
+            raise ExportError(f"{self._where} raises {error!r}") from error
         return result, list(map(float, values))
 
     def check(self, rng: random.Random) -> None:
@@ -95,14 +96,15 @@ class _Comparison:
             )
         amplified = 0
         for (arguments, result, numbers), given in zip(self._calls, self._traced_numbers(), strict=True):
-            again = self._evaluate(arguments)[1]
-            if again != numbers:
-                self._refuse(result, numbers, again or [], "at one call and {} at another, same arguments")
-            if not all(map(_are_equal, numbers, given)):
+            again = self._evaluate(arguments)[1] or [math.nan] * len(numbers)
+            exactly = [0.0] * len(numbers)
+            self._compare(result, numbers, again, exactly, "at one call and {} at another, same arguments")
+            rounding = [_EQUAL * max(abs(x), abs(y)) for x, y in zip(numbers, given, strict=True)]
+            if not all(map(_are_near, numbers, given, rounding)):
                 amplified += 1
-                rounding = self._rounding(arguments, numbers, rng)
-                if not all(map(_are_equal, numbers, given, rounding)):
-                    self._refuse(result, numbers, given, "in Python and {} when it is traced", rounding)
+                moved = self._moved(arguments, numbers, rng)
+                allowed = [max(a, _AMPLIFIED * b) for a, b in zip(rounding, moved, strict=True)]
+                self._compare(result, numbers, given, allowed, "in Python and {} when it is traced")
         if amplified > _MOST_AMPLIFIED * len(self._calls):
             raise ExportError(
                 f"{self._where} differs when traced at {amplified} of {len(self._calls)} points"
@@ -116,32 +118,26 @@ class _Comparison:
         matrices = [np.array(scalars, float).reshape(len(self._calls), -1).T for scalars in columns]
         return self._traced.map(len(self._calls))(*matrices).full().T.tolist()
 
-    def _rounding(
-        self, arguments: Sequence[Any], numbers: Sequence[float], rng: random.Random
-    ) -> list[float]:
+    def _moved(self, arguments: Sequence[Any], numbers: Sequence[float], rng: random.Random) -> list[float]:
         """How far the numbers move when the arguments change by roundings."""
         moved = [0.0] * len(numbers)
         for _ in range(_PERTURBATIONS):
             other = self._evaluate([_rounded(argument, rng) for argument in arguments])[1] or numbers
             moved = [max(most, abs(x - y)) for most, x, y in zip(moved, other, numbers, strict=True)]
-        return [_AMPLIFIED * most for most in moved]
+        return moved
 
-    def _refuse(
-        self,
-        result: Any,
-        numbers: Sequence[float],
-        others: Sequence[float],
-        how: str,
-        rounding: Sequence[float] = (),
+    def _compare(
+        self, result: Any, numbers: list[float], others: list[float], allowed: list[float], how: str
     ) -> None:
-        names = list(_names(result)) if is_dataclass(result) else [f"({text})" for _, text in result]
-        rows = zip_longest(names, numbers, others, rounding, fillvalue=math.nan)
-        name, x, y, _ = next(row for row in rows if not _are_equal(row[1], row[2], row[3]))
-        raise ExportError(f"{self._where} gives {name} = {x!r} {how.format(repr(y))}")
+        """ExportError for the first number that is not near the other; `how` says where that is from."""
+        names = _names(result) if is_dataclass(result) else (f"({text})" for _, text in result)
+        for name, x, y, difference in zip(names, numbers, others, allowed, strict=True):
+            if not _are_near(x, y, difference):
+                raise ExportError(f"{self._where} gives {name} = {x!r} {how.format(repr(y))}")
 
 
-def _are_equal(x: float, y: float, allowed: float = 0.0) -> bool:
-    return abs(x - y) <= max(_EQUAL * max(abs(x), abs(y)), allowed)  # False for NaN
+def _are_near(x: float, y: float, allowed: float) -> bool:
+    return abs(x - y) <= allowed  # False for NaN
 
 
 def _drawn(block: Block, causality: str, template: type, changed: float, rng: random.Random) -> Any:

@@ -42,10 +42,11 @@ static unsigned log_category(const char *name) {
     return 0;
 }
 
-/* The logger takes a printf format in which #r1# names a variable: '%' and '#' must be doubled. */
-static void log_escape(const char *text, char *escaped, size_t size) {
+/* The logger takes a printf format in which #r1# names a variable: '%' and '#' are doubled, so the result can be
+ * twice as long. */
+static void log_escape(const char *text, char *escaped) {
     size_t length = 0;
-    for (; *text && length + 2 < size; text++) {
+    for (; *text; text++) {
         if (*text == '%' || *text == '#') escaped[length++] = *text;
         escaped[length++] = *text;
     }
@@ -58,7 +59,7 @@ static void log_send(const Log *log, fmi2Status status, const char *format, va_l
     int i = place[status];
     if (!log->logger || !(log->enabled & LOG_CATEGORIES[i].mask)) return;
     vsnprintf(text, sizeof text, format, arguments);
-    log_escape(text, escaped, sizeof escaped);
+    log_escape(text, escaped);
     log->logger(log->environment, log->instance, status, LOG_CATEGORIES[i].name, escaped);
 }
 
