@@ -7,7 +7,7 @@ from pathlib import Path
 import fmpy
 
 from fmus.compliance.archive_rules import unreadable
-from fmus.compliance.fmu_file import FmuFile, etree
+from fmus.compliance.fmu_file import C_IDENTIFIER, FmuFile, etree
 from fmus.compliance.rule import Stage, repeated, rule
 from fmus.compliance.variable import integer, number
 
@@ -103,7 +103,7 @@ def model_identifier(fmu: FmuFile) -> Iterator[str]:
     """modelIdentifier is a C identifier, as it names files and the prefix of functions."""
     for kind, attributes in fmu.interfaces.items():
         identifier = attributes.get("modelIdentifier", "")
-        if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", identifier):
+        if not C_IDENTIFIER.fullmatch(identifier):
             yield f"{kind} modelIdentifier {identifier!r}: expected letters, digits and _, no digit first"
 
 

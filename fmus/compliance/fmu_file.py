@@ -18,6 +18,7 @@ DESCRIPTION = "modelDescription.xml"
 _LARGEST_DESCRIPTION = 100_000_000  # bytes; far beyond any that tools write, and a few GB of memory
 _LARGEST_ARCHIVE = 8_000_000_000  # bytes unpacked
 _MOST_MEMBERS = 100_000
+C_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _NOTHING: Mapping[str, str] = MappingProxyType({})
 _NO_DTD = "it has a document type declaration: expected none, it is not read (entities can be bombs)"
 
@@ -172,7 +173,8 @@ class FmuFile:
     @property
     def host_library(self) -> str:
         """Path inside the archive of the library that this machine loads; empty if there is none."""
-        return library_member(self.names, (self.co_simulation or {}).get("modelIdentifier", "")) or ""
+        identifier = (self.co_simulation or {}).get("modelIdentifier", "")
+        return (library_member(self.names, identifier) or "") if C_IDENTIFIER.fullmatch(identifier) else ""
 
     def read(self, member: str, most: int = _LARGEST_ARCHIVE) -> bytes:
         """Content of a member. Raises what zipfile raises, and ValueError for more than `most` bytes."""

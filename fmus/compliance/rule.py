@@ -84,10 +84,17 @@ def rule(
 
 
 def messages_of(check: Iterable[str]) -> tuple[str, ...]:
-    """The messages of a check, each on one line: as many and as much of each as somebody may read."""
-    messages = [" ".join(message[:_LONGEST_MESSAGE].split()) for message in check]
+    """The messages of a check, each on one line: as many and as much of each as somebody may read.
+
+    What an FMU puts into one cannot move the cursor of a terminal, or begin a line of its own.
+    """
+    messages = [_plain(" ".join(message[:_LONGEST_MESSAGE].split())) for message in check]
     more = [f"{len(messages) - _MOST_MESSAGES} more of this kind"] if len(messages) > _MOST_MESSAGES else []
     return tuple(messages[:_MOST_MESSAGES] + more)
+
+
+def _plain(text: str) -> str:
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def repeated(names: Iterable[Any]) -> dict[Any, int]:

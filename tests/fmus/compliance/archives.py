@@ -3,9 +3,14 @@
 import zipfile
 from pathlib import Path
 
+from fmus import catalogue, files
 from fmus.compliance.examine import examine
+from fmus.documentation import reference_files
+from fmus.documentation.reference_results import reference_run
+from fmus.export import native as native_flavour
 
 Members = dict[str, bytes]
+PATCHED = "RovDepthPlant"  # its outputs move at the start values
 PYTHONFMU_ERRORS = {  # its binary looks at no GUID, and fmi2FreeFMUstate leaves the address
     "refuses-a-wrong-guid": ("fmi2Instantiate gave an instance for a wrong GUID: expected NULL",),
     "state-restores": ("fmi2FreeFMUstate left the state's address: expected NULL",),
@@ -28,3 +33,18 @@ def write(content: Members, path: Path) -> Path:
 def broken_rules(path: Path, timeout: float = 100) -> dict[str, tuple[str, ...]]:
     """Rule -> its messages, of the rules that the FMU breaks."""
     return {r.rule.name: r.messages for r in examine(path, timeout) if r.messages}
+
+
+def patched(patch: dict[str, str], folder: Path) -> Path:
+    """A native FMU with reference results; in its sources each key of the patch is replaced by its value."""
+    block = catalogue.load_block(PATCHED)
+    _, content = native_flavour.content(block)
+    for old, new in patch.items():
+        (path,) = [
+            path for path, text in content.items() if path.endswith((".c", ".h")) and old.encode() in text
+        ]
+        assert content[path].count(old.encode()) == 1
+        content[path] = content[path].replace(old.encode(), new.encode())
+    libraries = native_flavour.libraries(PATCHED, content, ())
+    references = reference_files.members(reference_run(block), PATCHED)
+    return files.write_archive(folder / "mutant.fmu", content | libraries | references)

@@ -5,30 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from fmus import catalogue, files
-from fmus.documentation import reference_files
-from fmus.documentation.reference_results import reference_run
-from fmus.export import native as native_flavour
-
-from .archives import Members, broken_rules, members, write
-from .mutants import C_MUTANTS, FALSE_CLAIMS, STEP, Patch
-
-NAME = "RovDepthPlant"  # its outputs move at the start values
-
-
-def patched(patch: Patch, folder: Path) -> Path:
-    """The native FMU of these sources, compiled, with the reference results of the block."""
-    block = catalogue.load_block(NAME)
-    _, content = native_flavour.content(block)
-    for old, new in patch.items():
-        (path,) = [
-            path for path, text in content.items() if path.endswith((".c", ".h")) and old.encode() in text
-        ]
-        assert content[path].count(old.encode()) == 1
-        content[path] = content[path].replace(old.encode(), new.encode())
-    libraries = native_flavour.libraries(NAME, content, ())
-    references = reference_files.members(reference_run(block), NAME)
-    return files.write_archive(folder / "mutant.fmu", content | libraries | references)
+from .archives import Members, broken_rules, members, patched, write
+from .mutants import C_MUTANTS, FALSE_CLAIMS, STEP
 
 
 @pytest.mark.slow

@@ -1,0 +1,198 @@
+"""An FMU that attacks the check does not change its verdict, and leaves nothing behind.
+
+What no process can prevent that runs foreign code as the same user: docs/reference/compliance.md.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import psutil
+import pytest
+
+from fmus.compliance.check import main
+from fmus.compliance.examine import examine
+from fmus.compliance.fmu_file import FmuFile
+from fmus.errors import HostError
+
+from .archives import broken_rules, members, patched, write
+from .mutants import GLOBALS, STEP, XML
+
+NAME = "DepthReference"
+HEADERS = "#include <fcntl.h>\n#include <stdio.h>\n#include <stdlib.h>\n#include <unistd.h>\n"
+REFUSE = 'return refuse(instance, fmi2Error, "limited");'
+
+
+def attacker(code: str, folder: Path) -> Path:
+    """An FMU that does this in every step."""
+    return patched({GLOBALS: HEADERS + GLOBALS, STEP: f"{STEP}\n    {code}"}, folder)
+
+
+def test_python_modules_inside_an_fmu_are_not_imported(built: Mapping[str, Path], tmp_path: Path) -> None:
+    """Of names that the check, or what it uses, imports while it runs."""
+    marker = tmp_path / "imported"
+    code = f"open({str(marker)!r}, 'w')\n".encode()
+    names = ("json", "csv", "pickle", "ctypes/__init__", "numpy/__init__", "sitecustomize", "usercustomize")
+    modules = {f"{folder}{name}.py": code for folder in ("", "resources/") for name in names}
+    path = write(members(built[NAME]) | modules, tmp_path / "modules.fmu")
+    done = subprocess.run(
+        [sys.executable, "-m", "fmus.compliance", str(path), "--json", "-"],
+        capture_output=True, check=False, timeout=120,
+    )  # fmt: skip
+    assert not marker.exists()
+    verdict = json.loads(done.stdout)
+    assert (verdict["errors"], done.returncode) == (0, 0)
+    assert verdict["warnings"] > 0  # of archive-layout
+
+
+def test_answers_that_an_fmu_writes_itself_are_findings_and_what_it_prints_is_dropped(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    answer = r"\x0c\0\0\0\0\0\0\0[5,[],null] "
+    code = (
+        f'static const char forged[] = "{answer}";\n'
+        '    puts("0 error"), fflush(stdout);\n'
+        "    for (int d = 3; d < 64; d++)\n"
+        "        if (write(d, forged, sizeof forged - 1) < 0) continue;"
+    )
+    verdict = tmp_path / "verdict.json"
+    assert main([str(attacker(code, tmp_path)), "--json", str(verdict)]) == 1
+    assert "0 error" not in capfd.readouterr().out
+    (fmu,) = json.loads(verdict.read_text(encoding="utf-8"))["fmus"]
+    ((message,),) = [rule["messages"] for rule in fmu["rules"] if rule["rule"] == "steps-and-terminates"]
+    assert "expected results of the calls" in message or message.startswith("the FMU ended the process")
+
+
+@pytest.mark.slow
+def test_an_end_of_the_process_without_an_error_is_a_finding(tmp_path: Path) -> None:
+    broken = broken_rules(attacker("exit(0);", tmp_path))
+    assert broken["steps-and-terminates"] == ("the FMU ended the process with exit status 0",)
+
+
+@pytest.mark.slow
+def test_a_process_that_an_fmu_leaves_ends_with_the_check(tmp_path: Path) -> None:
+    numbers = tmp_path / "numbers"
+    code = (
+        "const pid_t child = fork();\n"
+        "    if (!child) sleep(600), _exit(0);\n"
+        f'    FILE *file = fopen("{numbers}", "a");\n'
+        '    fprintf(file, "%d\\n", (int)child), fclose(file);'
+    )
+    assert broken_rules(attacker(code, tmp_path)) == {}
+    children = {int(line) for line in numbers.read_text().split()}
+    assert children
+    running = [psutil.Process(number) for number in children if psutil.pid_exists(number)]
+    assert {process.status() for process in running} <= {psutil.STATUS_ZOMBIE}
+
+
+@pytest.mark.slow
+def test_a_copy_of_the_process_that_answers_as_well_is_a_finding(tmp_path: Path) -> None:
+    once = "static int copied;\n    if (!copied++ && fork() < 0) return fmi2Error;"
+    assert "steps-and-terminates" in broken_rules(attacker(once, tmp_path), timeout=5)
+
+
+@pytest.mark.slow
+def test_memory_and_the_size_of_files_are_limited(tmp_path: Path) -> None:
+    memory = (
+        "static void *volatile block;\n"
+        f"    for (int i = 0; i < 64; i++) if (!(block = malloc(1 << 28))) {REFUSE}"
+    )
+    big_file = (
+        f'const int file = open("{tmp_path}/big", O_CREAT | O_WRONLY, 0600);\n'
+        f"    if (lseek(file, 2L << 30, SEEK_SET) > 0 && write(file, forged, 1) != 1) {REFUSE}"
+    )
+    for code in (memory, f'static const char forged[] = "x";\n    {big_file}'):
+        (message,) = broken_rules(attacker(code, tmp_path))["steps-and-terminates"]
+        assert message == "fmi2DoStep returned error: expected ok; limited"
+    assert (tmp_path / "big").stat().st_size == 0
+
+
+def test_a_message_moves_no_cursor_and_is_one_line(built: Mapping[str, Path], tmp_path: Path) -> None:
+    content = members(built[NAME])
+    xml = content[XML].decode()
+    forged = xml.replace('name="internal_step"', 'name="&#155;2K&#10;out.fmu: 72 passed"', 1)
+    broken = broken_rules(write(content | {XML: forged.encode()}, tmp_path / "forged.fmu"))
+    text = " ".join(message for messages in broken.values() for message in messages)
+    assert r"\x9b2K out.fmu: 72 passed" in text
+    assert text.isprintable()
+
+
+def test_findings_are_as_many_as_somebody_may_read(built: Mapping[str, Path], tmp_path: Path) -> None:
+    stray = {f"stray{i}": b"" for i in range(300)}
+    broken = broken_rules(write(members(built[NAME]) | stray, tmp_path / "stray.fmu"))
+    assert len(broken["archive-layout"]) == 101
+    assert broken["archive-layout"][-1] == "200 more of this kind"
+
+
+def test_a_library_outside_the_archive_is_not_loaded(built: Mapping[str, Path], tmp_path: Path) -> None:
+    content = members(built[NAME])
+    library = next(path for path in content if path.endswith((".so", ".dll", ".dylib")))
+    outside = f"../../{tmp_path.name}/outside"
+    path = library.replace(NAME, outside)
+    xml = content[XML].decode().replace(f'modelIdentifier="{NAME}"', f'modelIdentifier="{outside}"')
+    fmu = write(content | {path: b"", XML: xml.encode()}, tmp_path / "outside.fmu")
+    assert FmuFile(fmu).host_library == ""
+    assert "model-identifier" in broken_rules(fmu)
+
+
+@pytest.mark.parametrize(
+    ("xml", "words"),
+    [
+        (b"<a>" * 100_000, "not well-formed"),
+        pytest.param(
+            b"<a" + b" " * 100_000_000 + b"/>", "expected at most 100000000", marks=pytest.mark.slow
+        ),
+    ],
+)
+def test_an_enormous_description_is_a_finding(
+    built: Mapping[str, Path], tmp_path: Path, xml: bytes, words: str
+) -> None:
+    path = write(members(built[NAME]) | {XML: xml}, tmp_path / "enormous.fmu")
+    (message,) = broken_rules(path)["description-is-readable"]
+    assert words in message
+
+
+@pytest.mark.slow
+def test_more_members_than_any_tool_writes_are_not_unpacked(tmp_path: Path) -> None:
+    path = tmp_path / "many.fmu"
+    with zipfile.ZipFile(path, "w") as archive:
+        for i in range(100_001):
+            archive.writestr(zipfile.ZipInfo(f"resources/{i}"), b"")
+    assert broken_rules(path)["archive-is-zip"] == ("100001 members: expected at most 100000",)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no limits of this kind")
+@pytest.mark.parametrize("command", ["l1-depth check", "python -m fmus.compliance"])
+def test_a_full_disk_is_an_error_of_the_host_with_its_own_status_and_no_finding(
+    built: Mapping[str, Path], tmp_path: Path, command: str
+) -> None:
+    """A limit on the size of files stands for the disk."""
+    module, function, arguments = {
+        "l1-depth check": ("orchestration.cli.app", "run_command", ["check", str(built[NAME])]),
+        "python -m fmus.compliance": ("fmus.compliance.check", "main", [str(built[NAME])]),
+    }[command]
+    code = (
+        f"import resource, sys; from {module} import {function}\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
+        f"sys.exit({function}({arguments!r}))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=120,
+        env={**os.environ, "TMPDIR": str(tmp_path)},
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (3, "")
+    assert done.stderr.count("\n") == 1
+    assert "expected disk space" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_no_folder_for_temporary_files_is_an_error_of_the_host(
+    built: Mapping[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "nowhere"))
+    with pytest.raises(HostError, match="expected a folder for temporary files"):
+        examine(built[NAME])
