@@ -8,6 +8,7 @@ import numpy as np
 
 from orchestration.report.result import RunResult, SweepResult
 from orchestration.report.sweeps import correlations, groups_of, strongest
+from orchestration.results.recording import points_down
 from orchestration.sweep.summary import categorical
 
 
@@ -28,7 +29,8 @@ def run_data(run: RunResult) -> dict[str, Any]:
         "name": run.name,
         "time": packed(recording.time),
         "signals": [
-            {"name": name, "unit": unit or "1", "values": packed(column)} for name, unit, column in columns
+            {"name": name, "unit": unit or "1", "down": points_down(name, unit), "values": packed(column)}
+            for name, unit, column in columns
         ],
         "in_metrics": sorted(
             {

@@ -45,7 +45,7 @@ def read(file: Path) -> SweepResult:
         units={name: table.unit(rows.schema, name) for name in [*varied, *metrics]},
         scenario=provenance["scenario"],
         provenance={key: value for key, value in provenance.items() if key not in _SHOWN_ELSEWHERE},
-        absent={name: shown(math.nan, provenance["scenario"]["metrics"][name]) for name in metrics},
+        absent={name: shown(math.nan, provenance["scenario"]["metrics"].get(name, {})) for name in metrics},
         command=f"l1-depth sweep {argument} --sample {{sample}}",
     )
 

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from fmus.files import open_atomically
 from orchestration.results.formats import FigureFormat
-from orchestration.results.recording import Recording
+from orchestration.results.recording import Recording, points_down
 
 BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#666666"  # told apart by colour-blind readers
 _COLOURS = (BLUE, ORANGE, GREEN, "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -114,6 +114,8 @@ def run_figure(
                     color=_COLOURS[index % len(_COLOURS)],
                     linestyle=_LINES[index // len(_COLOURS) % len(_LINES)],
                 )
+            if any(points_down(name, unit) for name in names):
+                panel.invert_yaxis()
             panel.set_ylabel(f"[{unit or '1'}]")
             panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02))
         return write_figure(figure, path, formats)

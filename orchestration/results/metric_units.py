@@ -59,4 +59,8 @@ def with_units(
 
 def shown(value: float, call: Mapping[str, Any], digits: str = ".5g") -> str:
     """A metric in a table: its digits, or what did not happen. call: as the scenario declares it."""
-    return format(value, digits) if not math.isnan(value) else _ABSENT.get(call["function"], "not a number")
+    return (
+        format(value, digits)
+        if not math.isnan(value)
+        else _ABSENT.get(call.get("function", ""), "not a number")
+    )

@@ -20,6 +20,11 @@ if TYPE_CHECKING:
 TIME = files.TIME
 
 
+def points_down(name: str, unit: str) -> bool:
+    """Whether a signal is a depth: a plot of it has its vertical axis pointing down."""
+    return unit == "m" and "depth" in name.lower()
+
+
 @dataclass(frozen=True)
 class Recording:
     """Signals over time.

@@ -15,7 +15,9 @@ let printing = false;
 
 const dark = () => darkScheme.matches && !printing;
 const colour = (i) => PALETTE[dark() ? "dark" : "light"][i % 10];
-const dash = (i) => Object.keys(DASHES)[Math.floor(i / 10) % 4];
+const dash = (i) => Object.keys(DASHES)[i % 4];
+const SHARED = 8; // the grey of lines that several runs share; no run has it
+const colourOfRun = (i) => (i % 9 < SHARED ? i % 9 : 9);
 
 // plotly reads some markup in texts: names from files must not be taken for it
 const plain = (text) => text.replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");

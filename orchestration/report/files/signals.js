@@ -12,7 +12,7 @@ function signalsSection() {
   const status = document.getElementById("drawn");
   const view = document.getElementById("view");
   const inputs = [document.getElementById("from"), document.getElementById("to")];
-  const panels = new Map(); // unit -> {figure, legend, plot, colours, hidden, y}
+  const panels = new Map(); // unit -> {figure, legend, plot, slots, hidden, y}
   let zoom = null; // [from, to] in s, or null for all
 
   const units = [...new Set(page.runs.flatMap((run) => run.signals.map((signal) => signal.unit)))];
@@ -94,7 +94,7 @@ function signalsSection() {
     return kept;
   }
 
-  /** The lines of one unit that are ticked: {label, time, values}. */
+  /** The lines of one unit that are ticked: {label, name, run, down, time, values}; run is null where all share it. */
   async function lines(unit) {
     const base = view?.value ? page.runs[Number(view.value)] : null;
     const chosen = new Set(chosenSignals.get(unit)());
@@ -111,8 +111,10 @@ function signalsSection() {
           const other = interpolated(await times(base), await numbers(of(base)), time);
           values = values.map((value, i) => value - other[i]);
         }
-        const whose = equal.length && groups.size === 1 ? "all" : [run, ...equal].map((each) => each.name).join(" = ");
-        found.push({ label: page.runs.length > 1 ? `${name}, ${whose}` : name, time, values });
+        const shared = equal.length > 0 && groups.size === 1;
+        const whose = shared ? "all" : [run, ...equal].map((each) => each.name).join(" = ");
+        const label = page.runs.length > 1 ? `${name}, ${whose}` : name;
+        found.push({ label, name, run: shared ? null : page.runs.indexOf(run), down: of(run).down, time, values });
       }
     }
     return found;
@@ -126,7 +128,7 @@ function signalsSection() {
       const [caption, legend, plot] = ["figcaption", "div", "div"].map((tag) => element(tag));
       legend.className = "legend";
       plot.className = "plot";
-      const made = { caption, legend, plot, figure: element("figure", {}, caption, legend, plot), colours: new Map(), buttons: new Map(), hidden: new Set(), y: null };
+      const made = { caption, legend, plot, figure: element("figure", {}, caption, legend, plot), slots: new Map(), buttons: new Map(), hidden: new Set(), y: null };
       panels.set(unit, made);
       const after = units.slice(units.indexOf(unit) + 1).find((each) => panels.has(each));
       place.insertBefore(made.figure, after ? panels.get(after).figure : null);
@@ -134,19 +136,28 @@ function signalsSection() {
     return panels.get(unit);
   }
 
-  /** Each line keeps its colour while it is shown; a new one takes the first that is free. */
-  function coloured(colours, labels) {
-    for (const label of [...colours.keys()]) if (!labels.includes(label)) colours.delete(label);
-    for (const label of labels) {
-      const taken = new Set(colours.values());
+  /** Each signal keeps its number while it is shown; a new one takes the first that is free. */
+  function numbered(slots, names) {
+    for (const name of [...slots.keys()]) if (!names.includes(name)) slots.delete(name);
+    for (const name of names) {
+      const taken = new Set(slots.values());
       let free = 0;
       while (taken.has(free)) free++;
-      if (!colours.has(label)) colours.set(label, free);
+      if (!slots.has(name)) slots.set(name, free);
     }
   }
 
+  /** Of one run, a colour for each signal; of several, a colour for each run in every panel and dashes for signals. */
+  function style(made, { name, run }) {
+    const slot = made.slots.get(name);
+    if (page.runs.length === 1) return { color: colour(slot), dash: dash(Math.floor(slot / 10)) };
+    if (run === null) return { color: colour(SHARED), dash: dash(slot) };
+    return { color: colour(colourOfRun(run)), dash: dash(slot + Math.floor(run / 9)) };
+  }
+
   /** The button of a line, the same one as long as the line is shown: it keeps the focus. */
-  function legendButton(made, label) {
+  function legendButton(made, line) {
+    const label = line.label;
     if (!made.buttons.has(label)) {
       const button = element("button", { type: "button" });
       button.innerHTML = '<svg viewBox="0 0 28 12" aria-hidden="true"><path d="M0 6H28" stroke-width="2.5"/></svg>';
@@ -160,44 +171,45 @@ function signalsSection() {
     const button = made.buttons.get(label);
     button.setAttribute("aria-pressed", String(!made.hidden.has(label)));
     const path = button.querySelector("path");
-    path.setAttribute("stroke", colour(made.colours.get(label)));
-    path.setAttribute("stroke-dasharray", DASHES[dash(made.colours.get(label))]);
+    const drawn = style(made, line);
+    path.setAttribute("stroke", drawn.color);
+    path.setAttribute("stroke-dasharray", DASHES[drawn.dash]);
     return button;
   }
 
   /** The legend in the order of the lines; what is in its place already is not touched. */
-  function fillLegend(made, labels) {
-    labels.forEach((label, i) => {
-      const button = legendButton(made, label);
+  function fillLegend(made, lines) {
+    lines.forEach((line, i) => {
+      const button = legendButton(made, line);
       if (made.legend.children[i] !== button) made.legend.insertBefore(button, made.legend.children[i] ?? null);
     });
-    while (made.legend.children.length > labels.length) made.legend.lastChild.remove();
+    while (made.legend.children.length > lines.length) made.legend.lastChild.remove();
   }
 
   async function drawPanel(unit, found, range) {
     const made = panel(unit);
     made.figure.hidden = !found.length;
     if (!found.length) return 0;
-    coloured(made.colours, found.map((line) => line.label));
+    numbered(made.slots, found.map((line) => line.name));
     made.caption.textContent = (view?.value ? "Difference" : "Signals") + (unit === "1" ? " without unit" : ` in ${unit}`);
-    fillLegend(made, found.map((line) => line.label));
+    fillLegend(made, found);
+    const down = found.some((line) => line.down); // depth increases downwards
     let thinned = 0;
     const traces = found.map((line) => {
       const points = drawnPoints(line.time, line.values, ...range);
       const between = firstAt(line.time, range[1]) - firstAt(line.time, range[0]);
       if (points.length < between) thinned++;
-      const number = made.colours.get(line.label);
       return {
         type: "scatter", mode: points.length > 1 ? "lines" : "markers", name: plain(line.label),
         x: points.map((i) => line.time[i]), y: points.map((i) => line.values[i]),
-        visible: !made.hidden.has(line.label), line: { width: 1.4, color: colour(number), dash: dash(number) },
+        visible: !made.hidden.has(line.label), line: { width: 1.4, ...style(made, line) },
       };
     });
     traces.sort((a, b) => roughness(b) - roughness(a)); // smooth ones on top
     await figure(made.plot, traces, {
       hovermode: "closest",
       xaxis: { title: { text: "time [s]" }, range, exponentformat: "power" },
-      yaxis: { title: { text: plain(`[${unit}]`) }, exponentformat: "power", ...(made.y ? { range: made.y } : { autorange: true }) },
+      yaxis: { title: { text: plain(`[${unit}]`) }, exponentformat: "power", ...(made.y ? { range: made.y } : { autorange: down ? "reversed" : true }) },
     }, `signals ${units.indexOf(unit) + 1}`);
     if (!made.listening) {
       made.listening = true;

@@ -35,10 +35,23 @@ function sweepSection(section, sweep) {
     select.addEventListener("change", () => counted(drawScatter));
   }
 
+  const groupOf = new Map(sweep.groups.flatMap((group, i) => group.members.map((at) => [at, i])));
+
   async function drawHistograms() {
+    if (sweep.groups.length > 1) {
+      find(".groups").replaceChildren(...sweep.groups.map((group, i) => {
+        const swatch = element("span", { textContent: "\u25a0 " });
+        swatch.style.color = colour(i);
+        return element("span", {}, swatch, group.name);
+      }));
+    }
     for (const [metric, plot] of histograms) {
-      const trace = { type: "histogram", x: [...(await values(metric))].filter(Number.isFinite), marker: { color: colour(0) } };
-      await figure(plot, [trace], { bargap: 0.04, yaxis: { title: { text: "samples" } }, xaxis: { exponentformat: "power" } }, `distribution of ${metric.name}`, THIRD_OF_PRINT_WIDTH);
+      const all = await values(metric);
+      const traces = sweep.groups.map((group, i) => ({
+        type: "histogram", name: plain(group.name), bingroup: 1, opacity: sweep.groups.length > 1 ? 0.65 : 1,
+        x: group.members.map((at) => all[at]).filter(Number.isFinite), marker: { color: colour(i) },
+      }));
+      await figure(plot, traces, { barmode: "overlay", bargap: 0.04, yaxis: { title: { text: "samples" } }, xaxis: { exponentformat: "power" } }, `distribution of ${metric.name}`, THIRD_OF_PRINT_WIDTH);
     }
   }
 
@@ -48,7 +61,7 @@ function sweepSection(section, sweep) {
     const at = samples.indexOf(sample);
     const points = {
       type: "scatter", mode: "markers", x, y, customdata: samples,
-      marker: { size: 7, opacity: 0.65, color: colour(0) },
+      marker: { size: 7, opacity: 0.65, color: Array.from(samples, (_, at) => colour(groupOf.get(at) ?? 0)) },
       hovertemplate: "sample %{customdata}<br>%{x}, %{y}<extra></extra>",
     };
     const ring = {
@@ -77,14 +90,15 @@ function sweepSection(section, sweep) {
 
   async function show(at) {
     number.value = sample;
+    const error = sweep.errors[sample];
     const facts = [];
     for (const column of [...varied, ...metrics]) {
       const value = (await values(column))[at];
-      if (column.kind === "varied" || Number.isFinite(value)) {
-        facts.push(element("div", {}, element("dt", {}, heading(column)), element("dd", {}, String(value))));
+      if (column.kind === "varied" || !error) {
+        const text = Number.isNaN(value) ? column.absent : String(value);
+        facts.push(element("div", {}, element("dt", {}, heading(column)), element("dd", {}, text)));
       }
     }
-    const error = sweep.errors[sample];
     const command = sweep.command.replace("{sample}", sample);
     const copy = element("button", { type: "button", textContent: "Copy", hidden: !navigator.clipboard });
     copy.addEventListener("click", () => navigator.clipboard.writeText(command).then(() => (copy.textContent = "Copied")));

@@ -74,11 +74,39 @@ def test_the_legend_hides_a_line_by_mouse_and_by_keyboard(two: OpenedPage) -> No
     )  # the focus stays where it was
 
 
-def test_lines_of_a_panel_have_different_colours(two: OpenedPage) -> None:
-    colours = [path.get_attribute("stroke") for path in two.all(".legend path")]
-    assert len(colours) == len(set(colours)) == 3
-    two.tick("slow")  # a line keeps its colour when others go
-    assert two.one(".legend button:first-child path").get_attribute("stroke") == colours[1]
+def looks(page: OpenedPage) -> dict[str, tuple[str, str]]:
+    """Line -> its colour and its dashes, as the legends show them."""
+    return {
+        str(button.text): tuple(
+            str(button.find_element("tag name", "path").get_attribute(name))
+            for name in ("stroke", "stroke-dasharray")
+        )
+        for button in page.all("#panels figure:not([hidden]) .legend button")
+    }  # type: ignore[return-value]
+
+
+def test_a_run_has_one_colour_in_every_panel(two: OpenedPage) -> None:
+    before = looks(two.tick("plant.force").tick("plant.ratio"))
+    for run in ("slow", "fast"):
+        assert len({look[0] for line, look in before.items() if line.endswith(run)}) == 1
+    assert len({look[0] for look in before.values()}) == 3  # and one of what both share
+    assert before["plant.depth, slow"] != before["plant.reference, all"]
+    assert looks(two.tick("slow"))["plant.depth, fast"] == before["plant.depth, fast"]
+
+
+def test_signals_of_one_run_have_different_colours(opened: Open, tmp_path: Path) -> None:
+    write_run(tmp_path, "alone")
+    assert len({look[0] for look in looks(opened(tmp_path)).values()}) == 2
+
+
+def test_depth_points_down(two: OpenedPage) -> None:
+    two.tick("plant.force")
+    depth, force = two.run(
+        "return [...document.querySelectorAll('#panels figure:not([hidden]) .plot')]"
+        ".map((plot) => plot._fullLayout.yaxis.range)"
+    )
+    assert depth[0] > depth[1]
+    assert force[0] < force[1]
 
 
 def test_zooming_one_panel_zooms_all(two: OpenedPage) -> None:

@@ -55,13 +55,13 @@ def test_every_metric_has_its_histogram_of_the_samples_that_succeeded(
     assert "rmse [cm]" in captions
 
 
-def test_the_table_of_distributions_tells_mean_and_percentiles(
+def test_the_table_of_distributions_tells_count_mean_and_percentiles(
     swept: OpenedPage, rows: list[dict[str, Any]]
 ) -> None:
     values = [row["holding_thrust"] for row in rows if not row["error"]]
     (row,) = [each for each in swept.all(".distributions tbody tr") if each.text.startswith("holding")]
     shown = [float(cell) for cell in row.text.removeprefix("holding_thrust N").split()]
-    expected = [np.mean(values), np.std(values, ddof=1), *np.percentile(values, [0, 5, 50, 95, 100])]
+    expected = [len(values), np.mean(values), np.std(values, ddof=1), *np.percentile(values, [0, 5, 50, 95, 100])]
     assert shown == pytest.approx(expected, rel=1e-4)  # shown with five digits
 
 
@@ -143,3 +143,11 @@ def test_texts_are_varied_too(opened: Open, tmp_path: Path) -> None:
     pq.write_table(read.set_column(place, field, [kinds]), path)
     page = opened(path).choose(".across", "plant.sensor_seed")
     assert points(page)["x"] == kinds
+    bars = page.run(
+        "return [...document.querySelectorAll('.histograms .plot')]"
+        ".map((plot) => plot.data.map((trace) => trace.name))"
+    )
+    assert bars == [["pi", "none"]] * len(bars)  # apart, and in colours that the legend names
+    assert [each.text for each in page.all(".groups > span")] == ["\u25a0 pi", "\u25a0 none"]
+    assert len(page.all(".distributions tbody tr")) == 2 * len(bars)
+    assert any(row.text.startswith("plant.sensor_seed all ") for row in page.all(".correlations tbody tr"))

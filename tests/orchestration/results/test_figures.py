@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +46,13 @@ def test_the_band_of_a_noisy_signal_holds_all_of_its_values() -> None:
     (band,) = panel.collections
     edge = np.asarray(band.get_paths()[0].vertices)[:, 1]
     assert (edge.min(), edge.max()) == (values.min(), values.max())
+
+
+def test_depth_points_down(recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[figures.Figure] = []
+    monkeypatch.setattr(figures, "write_figure", lambda figure, *_: drawn.append(figure) or [])
+    figures.run_figure("A dive", replace(recording, names=("plant.depth", "a.z")), tmp_path / "dive")
+    assert [panel.yaxis_inverted() for panel in drawn[0].axes] == [True, False]
 
 
 @pytest.mark.parametrize("ending", FigureFormat)
