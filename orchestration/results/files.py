@@ -1,9 +1,15 @@
 """Files of recordings: CSV for everyone, Parquet with the provenance inside. Floats survive both exactly."""
 
 import csv
+import errno
 import io
+import itertools
 import json
+import os
 import re
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -21,6 +27,8 @@ _TIME_TITLE = f"{TIME} [s]"
 _TITLE = re.compile(r"(.*) \[([^\[\]]*)\]", re.DOTALL)  # of a signal with its unit
 _UNIT, _KIND, _PROVENANCE = b"unit", b"l1_depth.kind", b"l1_depth.provenance"
 _RECORDING = b"recording"
+_BLOCK = 1000  # rows that are text at a time
+_BYTES = {RecordingFormat.CSV: 20, RecordingFormat.PARQUET: 8}  # about, of a number in a file
 
 
 class Content(NamedTuple):
@@ -49,6 +57,37 @@ def read(path: Path) -> Content:
     return {RecordingFormat.CSV: _read_csv, RecordingFormat.PARQUET: _read_parquet}[_format(path)](path)
 
 
+@contextmanager
+def reserved(path: Path, shape: tuple[int, int]) -> Iterator[None]:
+    """Holds the room on the disk that a recording will need there, until it is written.
+
+    shape: points, signals. Raises OrchestrationError where there is not that much room.
+    """
+    needed = shape[0] * (shape[1] + 1) * _BYTES[_format(path)]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    placeholder = path.with_name(f".{path.name}.reserved")
+    try:
+        with placeholder.open("wb") as stream:
+            _allocate(stream.fileno(), needed, path)
+        yield
+    finally:
+        placeholder.unlink(missing_ok=True)
+
+
+def _allocate(descriptor: int, size: int, path: Path) -> None:
+    try:
+        if shutil.disk_usage(path.parent).free < size:
+            raise OSError(errno.ENOSPC, "")
+        if hasattr(os, "posix_fallocate") and size:
+            os.posix_fallocate(descriptor, 0, size)
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            raise OrchestrationError(
+                f"{path}: the recording needs about {size / 1e6:.3g} MB, expected as much room on the disk; "
+                "record fewer signals, write Parquet, or write elsewhere"
+            ) from None
+
+
 def is_recording(path: Path) -> bool:
     """Whether a file is marked as a recording; its data is not read."""
     if path.suffix[1:] == RecordingFormat.CSV:
@@ -71,7 +110,9 @@ def _write_csv(path: Path, content: Content) -> None:
     with open_atomically(path) as stream, io.TextIOWrapper(stream, encoding="utf-8", newline="") as text:
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow([_TIME_TITLE, *titles])
-        writer.writerows(np.column_stack([content.time, content.values]).tolist())
+        for start in range(0, len(content.time), _BLOCK):
+            rows = slice(start, start + _BLOCK)
+            writer.writerows(np.column_stack([content.time[rows], content.values[rows]]).tolist())
 
 
 def _title(name: str, unit: str) -> str:
@@ -87,8 +128,9 @@ def _read_csv(path: Path) -> Content:
                 raise OrchestrationError(
                     f"{path}: expected {_TIME_TITLE!r} as first column, got {header[:1]}"
                 )
-            lines = stream.readlines()
-            data = np.loadtxt(lines, delimiter=",", ndmin=2) if lines else np.empty((0, len(header)))
+            first = stream.readline()
+            lines = itertools.chain([first], stream)
+            data = np.loadtxt(lines, delimiter=",", ndmin=2) if first else np.empty((0, len(header)))
         except (ValueError, csv.Error) as error:
             raise OrchestrationError(f"{path}: expected a table of numbers: {error}") from error
     if data.shape[1] != len(header):

@@ -4,13 +4,15 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import as_completed
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import mkdtemp
 
 from fmus.files import write_json_atomically
 from fmus.registry import Flavour
-from orchestration.errors import SimulationError
+from orchestration.errors import OrchestrationError, SimulationError
 from orchestration.master import simulate
 from orchestration.master.checkpoint import Checkpoint, Checkpoints
 from orchestration.results import metrics
+from orchestration.results.files import reserved
 from orchestration.results.formats import FigureFormat, RecordingFormat
 from orchestration.results.metric_units import MetricDocument, metric_units, with_units
 from orchestration.results.recording import Recording
@@ -18,6 +20,7 @@ from orchestration.scenarios import scenario
 from orchestration.scenarios.paper_tables import summary
 from orchestration.scenarios.scenario import Scenario
 from orchestration.scenarios.worker_pool import worker_pool
+from orchestration.system.prepared_run import prepare
 
 _LONGEST_FIRST = ("example-extended", "example-l1")  # so that no core idles at the end
 
@@ -56,24 +59,26 @@ def run(
     """Run one scenario and write NAME.csv or .parquet and NAME.json (settings, FMUs, metrics) to `folder`.
 
     progress .. resume: of `simulate`. A run that ends early leaves its recording as NAME.partial.csv or
-    .parquet.
+    .parquet. The room for the recording is reserved before the run; where it cannot be written all the same,
+    it is in a temporary folder, which the error names.
     """
     file = folder / f"{loaded.name}.{file_format}"
     try:
-        recording = simulate(
-            loaded.system,
-            loaded.experiment,
-            progress,
-            timeout=timeout,
-            real_time=real_time,
-            checkpoints=checkpoints,
-            resume=resume,
-        )
+        with reserved(file, prepare(loaded.system, loaded.experiment).shape):
+            recording = simulate(
+                loaded.system,
+                loaded.experiment,
+                progress,
+                timeout=timeout,
+                real_time=real_time,
+                checkpoints=checkpoints,
+                resume=resume,
+            )
     except SimulationError as error:
         if len(error.recording.time):
-            error.recording.write(file.with_name(f"{loaded.name}.partial.{file_format}"))
+            _write(error.recording, file.with_name(f"{loaded.name}.partial.{file_format}"))
         raise
-    recording.write(file)
+    _write(recording, file)
     result = Result(loaded, recording, metrics.evaluate(recording, loaded.metrics))
     document = {
         "recording": file.name,
@@ -89,6 +94,15 @@ def reproduced(flavour: Flavour = Flavour.NATIVE) -> dict[str, Scenario]:
     """The shipped scenarios by name, without those that are to be swept."""
     scenarios = (scenario.load(path, flavour=flavour) for path in scenario.shipped().values())
     return {shipped.name: shipped for shipped in scenarios if not shipped.sweep}
+
+
+def _write(recording: Recording, file: Path) -> None:
+    try:
+        recording.write(file)
+    except OSError as error:
+        elsewhere = Path(mkdtemp(prefix="l1-depth-")) / file.name
+        recording.write(elsewhere)
+        raise OrchestrationError(f"{file}: {error.strerror}; the recording is in {elsewhere}") from error
 
 
 def run_all(

@@ -18,7 +18,7 @@ from orchestration.scenarios.file_tables import Table
 from orchestration.scenarios.scenario import Scenario
 from orchestration.sweep.file_format import SweepTable, sweep_table
 from orchestration.sweep.target import Settings, target, with_settings
-from orchestration.sweep.varied import Varied, varied
+from orchestration.sweep.varied import MOST_VALUES, Varied, varied
 from orchestration.system.prepared_run import prepare
 from orchestration.system.system import CheckedSystem
 
@@ -98,14 +98,12 @@ def plan(scenario: Scenario) -> Plan:
         for name, declared in table.vary.items()
         if isinstance(declared, Table)
     )
-    return Plan(
-        scenario=scenario,
-        checked=checked,
-        varied=entries,
-        seed=table.seed,
-        draws=_draws(table, entries, where),
-        timeout=table.timeout,
-    )
+    plan = Plan(scenario, checked, entries, table.seed, _draws(table, entries, where), table.timeout)
+    if plan.count > MOST_VALUES:
+        raise ScenarioError(
+            f"{where}: {plan.count} samples, the product of samples and grids: expected at most {MOST_VALUES}"
+        )
+    return plan
 
 
 def _draws(table: SweepTable, entries: tuple[Varied, ...], where: str) -> int:

@@ -13,6 +13,8 @@ from orchestration.sweep.distributions import distribution
 from orchestration.sweep.file_format import LinspaceTable, ValuesTable
 from orchestration.sweep.target import Target
 
+MOST_VALUES = 10_000_000  # of a sweep: more would neither fit into memory nor end
+
 
 @dataclass(frozen=True)
 class Varied:
@@ -62,8 +64,10 @@ def _grid(target: Target, values: Sequence[FmiValue], relative: bool) -> Varied:
 
 def _linspace(declared: list[float]) -> list[float]:
     first, last, count = declared
-    if count != int(count) or count < 2:
-        raise ScenarioError(f"linspace = {declared!r}: expected [first, last, how many], 2 or more")
+    if count != int(count) or not 2 <= count <= MOST_VALUES:
+        raise ScenarioError(
+            f"linspace = {declared!r}: expected [first, last, how many], 2 to {MOST_VALUES} of them"
+        )
     return np.linspace(first, last, int(count)).tolist()
 
 

@@ -1,5 +1,6 @@
 """A file is written completely or not at all; an archive follows from its content."""
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -24,12 +25,21 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> 
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_written_file_replaces_the_old_one_and_others_may_read_it(tmp_path: Path) -> None:
+def test_a_written_file_replaces_the_old_one(tmp_path: Path) -> None:
     path = tmp_path / "new folder" / "text"
     write_text_atomically(path, "old")
     write_text_atomically(path, "depth \u00b5\n")
     assert path.read_bytes() == b"depth \xc2\xb5\n"
-    assert path.stat().st_mode & 0o777 == 0o644
+
+
+@pytest.mark.parametrize(("mask", "mode"), [(0o022, 0o644), (0o027, 0o640), (0o002, 0o664)])
+def test_a_file_has_the_permissions_that_the_umask_gives(tmp_path: Path, mask: int, mode: int) -> None:
+    before = os.umask(mask)
+    try:
+        write_text_atomically(tmp_path / "text", "depth")
+    finally:
+        os.umask(before)
+    assert (tmp_path / "text").stat().st_mode & 0o777 == mode
 
 
 def test_equal_members_are_equal_archives_in_any_order(tmp_path: Path) -> None:

@@ -1,10 +1,14 @@
 """What the commands print and write, and what a mistake is answered with."""
 
 import json
+import re
+import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -110,6 +114,26 @@ def test_a_run_that_fails_keeps_what_was_recorded(
     partial = Recording.read(tmp_path / "out" / "short.partial.csv")
     assert partial.time[-1] == pytest.approx(0.12)
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["short.partial.csv"]
+
+
+def test_a_recording_that_cannot_be_written_is_kept_elsewhere(
+    refused: Command, short_scenario: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    (tmp_path / "out" / "short.csv").mkdir(parents=True)  # which no file replaces
+    message = refused("run", short_scenario(), "--out", "out")
+    kept = re.search(r"short\.csv: .*; the recording is in (\S+)", message)
+    assert kept
+    assert len(Recording.read(kept[1]).time) > 1
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["short.csv"]
+
+
+def test_a_run_without_room_for_its_recording_is_refused_before_it_begins(
+    refused: Command, short_scenario: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=100))
+    assert "out/short.csv: the recording needs about" in refused("run", short_scenario(), "--out", "out")
+    assert not list((tmp_path / "out").iterdir())
 
 
 @pytest.mark.parametrize(

@@ -61,7 +61,12 @@ def test_the_table_of_distributions_tells_count_mean_and_percentiles(
     values = [row["holding_thrust"] for row in rows if not row["error"]]
     (row,) = [each for each in swept.all(".distributions tbody tr") if each.text.startswith("holding")]
     shown = [float(cell) for cell in row.text.removeprefix("holding_thrust N").split()]
-    expected = [len(values), np.mean(values), np.std(values, ddof=1), *np.percentile(values, [0, 5, 50, 95, 100])]
+    expected = [
+        len(values),
+        np.mean(values),
+        np.std(values, ddof=1),
+        *np.percentile(values, [0, 5, 50, 95, 100]),
+    ]
     assert shown == pytest.approx(expected, rel=1e-4)  # shown with five digits
 
 

@@ -2,6 +2,10 @@
 
 import json
 import math
+import resource
+import tracemalloc
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +18,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from orchestration.errors import OrchestrationError
-from orchestration.results.files import is_recording
+from orchestration.results.files import is_recording, reserved
 from orchestration.results.recording import Recording
 
 PROVENANCE = {"fmus": {"plant": {"guid": "1-2"}}, "algorithm": "jacobi", "communication_step_size_s": 0.1}
@@ -139,6 +143,42 @@ def test_a_missing_file_offers_the_nearest(tmp_path: Path) -> None:
     (tmp_path / "nominal.png").touch()
     with pytest.raises(OrchestrationError, match=r"nearest is 'nominal\.csv'"):
         Recording.read(tmp_path / "nominl.csv")
+
+
+@contextmanager
+def largest_file(size: int) -> Iterator[None]:
+    """The kernel refuses larger files, as a full disk does."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@ENDINGS
+def test_a_run_whose_recording_has_no_room_is_refused_before_it_begins(ending: str, tmp_path: Path) -> None:
+    path = tmp_path / f"run.{ending}"
+    with largest_file(1_000_000):
+        with reserved(path, (1000, 4)):
+            (placeholder,) = tmp_path.iterdir()
+            assert placeholder.stat().st_size >= 1000 * 5 * 8
+        with pytest.raises(OrchestrationError, match=f"run.{ending}: the recording needs about"):
+            reserved(path, (100_000, 4)).__enter__()
+    with pytest.raises(OrchestrationError, match=r"needs about 4e\+13 MB|needs about 1e\+14 MB"):
+        reserved(path, (10**18, 4)).__enter__()
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_csv_is_written_in_blocks(tmp_path: Path) -> None:
+    """All rows at once would take some 40 bytes a value, 4 MB."""
+    run = Recording(tuple("abcd"), ("",) * 4, np.arange(20_000.0), np.full((20_000, 4), 1.0 / 3.0))
+    tracemalloc.start()
+    run.write(tmp_path / "run.csv")
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 1_000_000
+    np.testing.assert_array_equal(Recording.read(tmp_path / "run.csv").values, run.values)
 
 
 def test_an_unknown_signal_offers_the_nearest() -> None:
