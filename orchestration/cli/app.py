@@ -24,7 +24,7 @@ app = typer.Typer(
 )
 for _panel, _commands in {
     "FMUs": (fmu.build, fmu.check, fmu.inspect),
-    "Scenarios": (run.scenarios, run.run, sweep.sweep, run.report, run.speed),
+    "Scenarios": (run.scenarios, run.run, sweep.sweep, run.report),
     "The paper": (paper.reproduce, paper.identify),
     "Other tools": (exchange.package, exchange.export),
 }.items():

@@ -26,7 +26,6 @@ AT_WORK = {
     "run nominal-l1": "orchestration.master.simulator.prepare_checked",
     "sweep monte-carlo": "orchestration.sweep.run.sweep",
     "report .": "orchestration.report.found_results",
-    "speed": "orchestration.master.simulator.prepare_checked",
     "reproduce": "orchestration.scenarios.reproduce.as_completed",
     "identify": "orchestration.scenarios.identify.metric_units",
     "package nominal-l1": "orchestration.exchange.ssp_write.ramp_sources",
