@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller_fmu.allocation import allocate, body_to_earth, saturate, shortfall
+from controller_fmu.allocation import allocate, body_to_earth, force, saturate, shortfall
 from controller_fmu.observer import ObserverState, correct, sample_when_due
 
 PERIOD = 0.04
@@ -37,6 +37,23 @@ def test_samples_are_taken_once_a_period_whatever_the_step() -> None:
         assert taken == 100
 
 
+def test_samples_that_were_missed_are_not_made_up_for() -> None:
+    """After a gap of ten periods one sample is taken, and the next half a period later at the earliest."""
+    observer = ObserverState(next_sample=PERIOD)
+    taken = []
+    for t in (10 * PERIOD, 10.25 * PERIOD, 10.49 * PERIOD, 10.51 * PERIOD, 11.0 * PERIOD, 11.52 * PERIOD):
+        after = sample_when_due(t, observer, 1.0 + t, 0.4, 0.1, PERIOD)
+        taken.append(after != observer)
+        observer = after
+    assert taken == [True, False, False, True, False, True]
+
+
+def test_an_observer_has_the_measurement_and_clock_of_its_sample() -> None:
+    early = ObserverState(depth=1.0, rate=0.5, next_sample=PERIOD)
+    assert sample_when_due(PERIOD - 1e-4, early, 9.0, 0.4, 0.1, PERIOD) == early
+    assert sample_when_due(PERIOD, early, 9.0, 0.4, 0.1, PERIOD) == correct(early, 9.0, 0.4, 0.1, PERIOD)
+
+
 @given(st.floats(-3.0, 3.0), st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
 def test_the_thrusters_give_j_times_the_demand(force: float, roll: float, pitch: float) -> None:
     j = body_to_earth(roll, pitch)
@@ -56,12 +73,24 @@ def test_the_shortfall_is_what_saturation_takes_away() -> None:
 
 
 @given(st.floats(-20.0, 20.0), st.floats(-3.0, 3.0))
-def test_force_delivered_is_force_demanded_and_the_shortfall(force: float, roll: float) -> None:
+def test_force_delivered_is_force_demanded_and_the_shortfall(demand: float, roll: float) -> None:
     """Upright or upside down: T K u / J is what the earth frame sees."""
     j, gains = math.cos(roll), (0.25, 0.25)
     if abs(j) > 0.1:
-        wanted = allocate(force, j, gains)
-        possible = saturate(wanted, 12.0)
-        delivered = (gains[0] * possible[0] + gains[1] * possible[1]) / j
-        demanded = (gains[0] * wanted[0] + gains[1] * wanted[1]) / j
-        assert shortfall(wanted, possible, j, gains) == pytest.approx(delivered - demanded, abs=1e-9)
+        demanded = allocate(demand, j, gains)
+        saturated = saturate(demanded, 12.0)
+        delivered = (gains[0] * saturated[0] + gains[1] * saturated[1]) / j
+        assert force(saturated, j, gains) == pytest.approx(delivered, abs=1e-9)
+        missing = force(saturated, j, gains) - force(demanded, j, gains)
+        assert shortfall(demanded, saturated, j, gains) == pytest.approx(missing, abs=1e-9)
+
+
+@pytest.mark.parametrize("j", [0.0, 0.05, -0.05])
+def test_a_vehicle_on_its_side_has_a_finite_force(j: float) -> None:
+    assert force((4.0, 4.0), j, (0.25, 0.25)) == pytest.approx(20.0 if j >= 0.0 else -20.0)
+
+
+def test_each_thruster_has_its_own_gain_and_takes_half_of_the_force() -> None:
+    assert allocate(2.0, 1.0, (0.25, 0.5)) == (4.0, 2.0)
+    assert force((4.0, 2.0), 1.0, (0.25, 0.5)) == 2.0
+    assert saturate((-5.0, 5.0), 3.0) == (-3.0, 3.0)

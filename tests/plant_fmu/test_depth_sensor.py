@@ -90,6 +90,32 @@ def test_a_reading_is_as_old_as_the_delay(delay: float) -> None:
     assert delay <= (HISTORY - 1) * sensor.period
 
 
+def test_samples_that_were_missed_are_not_made_up_for() -> None:
+    """After a gap of ten periods one sample is taken, and the next half a period later at the earliest."""
+    state, period = first_sample(SENSOR, 0.0, 0.0, 1), SENSOR.period
+    taken = []
+    for t in (10.0, 10.25, 10.49, 10.51, 11.0, 11.52):
+        after = sample_when_due(SENSOR, state, t * period, t)
+        taken.append(after != state)
+        state = after
+    assert taken == [True, False, False, True, False, True]
+
+
+def test_drift_is_counted_from_the_start() -> None:
+    """Of the run: it may begin at any time."""
+    sensor = replace(SENSOR, drift=0.5)
+    state = first_sample(sensor, 100.0, 1.0, 1)
+    assert reading(sensor, state, 100.0, 1.0) == 1.0
+    state = sample_when_due(sensor, state, 100.04, 1.0)
+    assert reading(sensor, state, 100.04, 1.0) == pytest.approx(1.0 + 0.5 * 0.04)
+
+
+def test_a_bias_is_added_before_quantisation() -> None:
+    sensor = replace(SENSOR, bias=0.04, resolution=0.1)
+    assert readings(sensor, count=1, depth=1.0) == pytest.approx([1.0])
+    assert readings(sensor, count=1, depth=1.02) == pytest.approx([1.1])
+
+
 def test_drift_grows_with_time() -> None:
     values = readings(replace(SENSOR, drift=0.5))
     assert values[-1] - values[0] == pytest.approx(0.5 * 0.04 * 199)

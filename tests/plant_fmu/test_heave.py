@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fmus import catalogue
+from fmus.instance import BlockError
 from plant_fmu import heave
 
 PLANT = catalogue.load_block("RovDepthPlant")
@@ -46,6 +47,34 @@ def test_a_current_carries_a_neutral_vehicle_along(driver: Any) -> None:
     for _ in range(5000):
         plant.step(0.02)
     assert plant["depth_rate"] == pytest.approx(-0.2, rel=1e-6)
+
+
+def test_a_current_acts_along_the_tilted_axis(driver: Any) -> None:
+    """Carried along: w = J v_c, and z' = J w."""
+    neutral: dict[str, Any] = {"initial_depth": 5.0, "net_weight": 0.0, "current_velocity": 0.2} | IDEAL
+    plant = driver(PLANT, roll=0.4, pitch=-0.3, **neutral).begin()
+    for _ in range(5000):
+        plant.step(0.02)
+    j = math.cos(0.4) * math.cos(0.3)
+    assert plant["heave_velocity"] == pytest.approx(0.2 * j, rel=1e-6)
+    assert plant["depth_rate"] == pytest.approx(0.2 * j * j, rel=1e-6)
+
+
+def test_a_vehicle_without_buoyancy_is_refused(driver: Any) -> None:
+    with pytest.raises(BlockError, match="net_weight below weight"):
+        driver(PLANT, net_weight=29.43, weight=29.43).begin()
+    driver(PLANT, net_weight=29.42, weight=29.43).begin()
+
+
+def test_buoyancy_falls_by_the_weight_of_the_water_displaced(driver: Any) -> None:
+    """Half out of the water: the spring of a vertical-sided body."""
+    lost = 1000.0 * 9.81 * 0.022192 * 0.05
+    assert heave.buoyancy(-0.05, 30.0, 1000.0, 0.022192) == pytest.approx(30.0 - lost)
+    assert heave.buoyancy(0.05, 30.0, 1000.0, 0.022192) == 30.0
+    assert heave.buoyancy(-5.0, 30.0, 1000.0, 0.022192) == pytest.approx(0.0, abs=1e-12)
+    plant = driver(PLANT, initial_depth=-0.05, **IDEAL).begin().step(1e-4)
+    restoring = 29.43 - (30.63 - lost)
+    assert plant["heave_velocity"] == pytest.approx(restoring / 5.5 * 1e-4, rel=1e-3)
 
 
 def test_a_change_of_buoyancy_lifts(driver: Any) -> None:

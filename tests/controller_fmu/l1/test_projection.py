@@ -60,5 +60,11 @@ def test_the_layer_begins_and_ends_where_it_should(tolerance: float) -> None:
     )
 
 
+@given(st.floats(1e-9, 1e6), TOLERANCES, SHARES)
+def test_the_layer_scales_with_its_bound_however_small(bound: float, tolerance: float, share: float) -> None:
+    same = boundary_function(share, 1.0, tolerance)
+    assert boundary_function(share * bound, bound, tolerance) == pytest.approx(same, rel=1e-9, abs=1e-12)
+
+
 def test_a_bound_of_zero_holds_the_parameter() -> None:
     assert projection_factor(0.0, 5.0, 0.0, 0.1) == 0.0
