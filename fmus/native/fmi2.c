@@ -278,7 +278,7 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fm
                       "fmi2SetupExperiment: stop time %s s: expected more than the start time %s s",
                       DECIMAL(stopTime), DECIMAL(startTime));
     instance->data.time = startTime;
-    instance->stop_time = stopTimeDefined ? fmin(stopTime, DBL_MAX) : DBL_MAX; /* infinity: no end */
+    instance->stop_time = stopTimeDefined ? stopTime : DBL_MAX;
     instance->data.outputs_are_stale = 1;
     return fmi2OK;
 }

@@ -82,6 +82,42 @@ def test_internal_steps_are_equal_and_inputs_move_through_their_middles(session:
     assert read(session, "y")[0] == pytest.approx(8.0 * x, rel=1e-15)
 
 
+def test_a_step_may_pass_the_stop_time_by_rounding_and_by_no_more(session: Session) -> None:
+    assert session("instantiate", 0, "it", 1, GUID, "all", True).status == OK
+    assert session("setup", 0, 0.0, True, 0.3).status == OK
+    session("enter", 0)
+    session("leave", 0)
+    for t in (0.0, 0.1, 0.2):
+        assert step(session, t, 0.1) == OK
+    assert 0.2 + 0.1 > 0.3
+    assert told(session("step", 0, 0.3, 1e-6)).endswith("expected at most the stop time 0.3 s")
+
+
+@pytest.mark.parametrize(
+    ("time", "h", "late", "status"),
+    [
+        (0.0, 0.1, 0.9e-9, OK),
+        (0.0, 0.1, 1.1e-9, ERROR),
+        (0.0, 1e-7, 0.9e-10, OK),
+        (0.0, 1e-7, 1.1e-10, ERROR),
+        (1e6, 10.0, 0.9e-3, OK),
+        (1e6, 10.0, 1.1e-3, ERROR),
+        (1e6, 1e-8, 1.6e-9, OK),
+        (1e6, 1e-8, 2.0e-9, ERROR),
+    ],
+)
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_communication_point_may_differ_by_a_part_of_the_time_and_the_step_and_by_rounding(
+    session: Session, time: float, h: float, late: float, status: int, side: float
+) -> None:
+    """1e-9 of the time, or of 1 s if that is more, at most 1e-3 of the step; and 8 epsilon of the time."""
+    assert session("instantiate", 0, "it", 1, GUID, "all", True).status == OK
+    assert session("setup", 0, time, False, 0.0).status == OK
+    session("enter", 0)
+    session("leave", 0)
+    assert step(session, time + side * late, h) == status
+
+
 def test_output_derivatives_follow_parameters_and_inputs_that_have_just_been_set(session: Session) -> None:
     """y = gain limit x, so y' = gain limit (force valve + 1 - gain / limit x + t), of the present values."""
     stepping(session)
