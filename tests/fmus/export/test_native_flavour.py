@@ -10,7 +10,6 @@ import pytest
 from fmpy.fmi2 import fmi2LastSuccessfulTime, fmi2Terminated
 
 from fmus import catalogue
-from fmus.instance import Instance
 
 NAMES = catalogue.block_names()
 
@@ -162,21 +161,3 @@ def test_an_extrapolated_input_stays_within_its_range(built: Mapping[str, Path],
         fmu.slave.doStep(0.0, 1.0)
         forces.append(fmu["thruster_force[1]"])
     assert forces == [0.0, 0.0]
-
-
-@pytest.mark.parametrize("name", catalogue.block_names())
-def test_its_steps_are_those_of_the_block_bit_for_bit(
-    built: Mapping[str, Path], load: Any, name: str
-) -> None:
-    block, fmu = catalogue.load_block(name), load(built[name]).begin()
-    python = Instance(block)
-    python.exit_initialization_mode()
-    outputs = [v for v in block.of_causality("output") if v.type == "Real"]
-    inputs = [v for v in block.of_causality("input") if v.minimum is None and v.type == "Real"]
-    for i in range(50):
-        for k, v in enumerate(inputs):
-            fmu[v.name] = math.cos(0.1 * i * (k + 1))
-            python.set(v.value_reference, math.cos(0.1 * i * (k + 1)))
-        python.do_step(i * 0.01, 0.01)
-        fmu.slave.doStep(i * 0.01, 0.01)
-        assert [fmu[v.name] for v in outputs] == [python.get(v.value_reference) for v in outputs]
