@@ -72,12 +72,17 @@ def solve_initial_values(
 
 def connection_groups(system: CheckedSystem) -> tuple[ConnectionGroup, ...]:
     """The strongly connected components of the connected inputs, in the order in which values flow."""
-    connections = system.connections
+    connections, declared = system.connections, system.declared_dependencies
     index = {target.name: i for i, (_, target) in enumerate(connections)}
-    dependencies = {
-        i: {index[name] for name in system.initial_dependencies(source) if name in index}
-        for i, (source, _) in enumerate(connections)
-    }
+    # One more node for each component: all its connected inputs, for the outputs that declare nothing.
+    nodes = {name: len(connections) + c for c, name in enumerate(system.components)}
+    dependencies: dict[int, set[int]] = {}
+    for i, (source, _) in enumerate(connections):
+        names = declared.get(source.name)
+        inputs = {nodes[source.component]} if names is None else {index[n] for n in names if n in index}
+        dependencies[i] = inputs
+    for name, node in nodes.items():
+        dependencies[node] = {index[n] for n in system.inputs[name] if n in index}
     try:
         TopologicalSorter(dependencies).prepare()
         labels = list(dependencies)
@@ -90,12 +95,14 @@ def connection_groups(system: CheckedSystem) -> tuple[ConnectionGroup, ...]:
         label: {labels[earlier] for i in inside for earlier in dependencies[i]} - {label}
         for label, inside in members.items()
     }
+    groups = (members[label] for label in TopologicalSorter(graph).static_order())
     return tuple(
         ConnectionGroup(
-            connections=tuple(connections[i] for i in members[label]),
-            is_loop=len(members[label]) > 1 or members[label][0] in dependencies[members[label][0]],
+            connections=tuple(connections[i] for i in group if i < len(connections)),
+            is_loop=len(group) > 1 or group[0] in dependencies[group[0]],
         )
-        for label in TopologicalSorter(graph).static_order()
+        for group in groups
+        if group[0] < len(connections)
     )
 
 

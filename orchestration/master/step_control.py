@@ -169,12 +169,13 @@ class Tolerance:
 
 def outputs_with_feedthrough(system: CheckedSystem, driven: set[Port]) -> set[str]:
     """Names of the outputs that may depend directly on a driven input in step mode; all if not declared."""
+    own = {id(port.variable) for port in driven}
+    components = {port.component for port in driven}
     names = set()
     for component, description in system.descriptions.items():
-        own = {id(port.variable) for port in driven if port.component == component}
         declared = {id(unknown.variable): unknown.dependencies for unknown in description.outputs}
         for variable in of_causality(description, "output"):
             dependencies = declared.get(id(variable))
-            if own if dependencies is None else any(id(v) in own for v in dependencies):
+            if component in components if dependencies is None else any(id(v) in own for v in dependencies):
                 names.add(f"{component}.{variable.name}")
     return names

@@ -6,6 +6,7 @@ batch, steps again to the discarded step, and takes that one in shorter steps.
 """
 
 import time
+from bisect import bisect_right
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
@@ -43,6 +44,7 @@ class RunInProgress:
         self.wired, self._loop = wired, loop
         self.prepared, self.instances, self.wiring = wired.prepared, wired.instances, wired.wiring
         self.position = 0
+        self._changes = sorted(wired.prepared.changes)
         self._check_interrupt: Callable[[], None] = lambda: None
         can_repeat = not wired.prepared.retry_obstacle
         self._snapshot = Snapshot(wired) if can_repeat else None
@@ -93,8 +95,8 @@ class RunInProgress:
 
     def _batch_end(self, end: int) -> int:
         """`end`, or the next scheduled change or the last communication point if that comes earlier."""
-        changes = (index for index in self.prepared.changes if index > self.position)
-        return min(end, len(self.wiring.points) - 1, *changes)
+        next_change = bisect_right(self._changes, self.position)
+        return min(end, len(self.wiring.points) - 1, *self._changes[next_change : next_change + 1])
 
     def _run_batch(self, end: int) -> bool:
         """Run to communication point `end`, or to behind a step that was divided (then True)."""

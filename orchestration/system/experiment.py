@@ -145,6 +145,8 @@ def _check_times(experiment: Experiment) -> None:
     _expect(0.0 < step < math.inf, f"communication step size {step!r} s: expected more than 0")
     _expect(math.isfinite(start), f"start time {start!r} s: expected a finite number")
     _expect(start < stop < math.inf, f"stop time {stop!r} s: expected more than the start time {start!r} s")
+    is_within = step <= (stop - start) * (1.0 + GRID_TOLERANCE)
+    _expect(is_within, f"communication step size {step!r} s: expected at most the run, {stop - start:g} s")
     count = (stop - start) / step
     _expect(count <= _MOST_STEPS, f"{count:.3g} communication steps: expected at most {_MOST_STEPS:.0e}")
     for event in experiment.events:

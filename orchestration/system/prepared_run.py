@@ -1,7 +1,8 @@
 """One run of a system: what follows from the system and the experiment, computed and checked once."""
 
 import math
-from collections.abc import Mapping
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -38,7 +39,7 @@ class PreparedRun:
     points: np.ndarray
     recorded: tuple[str, ...]
     settings: tuple[Setting, ...]
-    changes: Mapping[int, tuple[Setting, ...]]
+    changes: Mapping[int, Sequence[Setting]]
     periods: Mapping[str, int]
     input_ranges: Mapping[str, tuple[float, float]]
     retry_obstacle: str
@@ -87,6 +88,7 @@ def prepare(system: System, experiment: Experiment) -> PreparedRun:
 
 def prepare_checked(system: CheckedSystem, experiment: Experiment) -> PreparedRun:
     """Check an experiment against a system that was checked with the inputs that it drives."""
+    _check_memory(system, experiment)
     driven = {*experiment.signals, *(target.name for _, target in system.connections)}
     recorded = _recorded(system, experiment, driven)
     for event in experiment.events:
@@ -106,6 +108,21 @@ def prepare_checked(system: CheckedSystem, experiment: Experiment) -> PreparedRu
         input_ranges={name: value_range(system.ports[name]) for name in driven},
         retry_obstacle=_retry_obstacle(system, experiment),
     )
+
+
+def _check_memory(system: CheckedSystem, experiment: Experiment) -> None:
+    """SystemDefinitionError for a recording that does not fit into the memory of this machine."""
+    if not hasattr(os, "sysconf"):  # Windows
+        return
+    points = math.ceil((experiment.stop_time - experiment.start_time) / experiment.step_size) + 1
+    outputs = (port for port in system.ports.values() if port.variable.causality == "output")
+    columns = len(experiment.record) or sum(1 for _ in outputs)
+    size, memory = 8 * points * (1 + columns), os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if size > memory:
+        raise SystemDefinitionError(
+            f"{points:.3g} communication points of {columns} variables take {size / 1e9:.3g} GB: expected at "
+            f"most the {memory / 1e9:.3g} GB of this machine; record fewer variables, or take longer steps"
+        )
 
 
 def _recorded(system: CheckedSystem, experiment: Experiment, driven: set[str]) -> tuple[str, ...]:
@@ -147,7 +164,9 @@ def _communication_points(system: CheckedSystem, experiment: Experiment) -> np.n
     if experiment.step_sizes or system.components_without("canHandleVariableCommunicationStepSize"):
         return grid
     resolution = experiment.time_resolution()
-    times = sorted(event.time for event in experiment.events if np.abs(grid - event.time).min() > resolution)
+    times = np.array(sorted(event.time for event in experiment.events))
+    after = np.searchsorted(grid, times).clip(1, len(grid) - 1)
+    times = times[np.minimum(np.abs(grid[after - 1] - times), np.abs(grid[after] - times)) > resolution]
     different = [t for before, t in pairwise([-math.inf, *times]) if t - before > resolution]
     return np.unique([*grid, *different]) if different else grid
 
@@ -165,18 +184,16 @@ def _settings(system: CheckedSystem, experiment: Experiment) -> tuple[Setting, .
     return tuple(settings)
 
 
-def _changes(
-    system: CheckedSystem, experiment: Experiment, points: np.ndarray
-) -> dict[int, tuple[Setting, ...]]:
+def _changes(system: CheckedSystem, experiment: Experiment, points: np.ndarray) -> dict[int, list[Setting]]:
     """A component takes the change at its first own communication point at or after the event."""
-    changes: dict[int, tuple[Setting, ...]] = {}
+    changes: dict[int, list[Setting]] = {}
     for event in sorted(experiment.events, key=lambda event: event.time):
         first = int(np.searchsorted(points, event.time - experiment.time_resolution()))
         for name, value in event.values.items():
             port = system.ports[name]
             period = experiment.period(port.component)
             index = min(-(-first // period) * period, len(points) - 1)
-            changes[index] = (*changes.get(index, ()), (port, fmi_value(port, value)))
+            changes.setdefault(index, []).append((port, fmi_value(port, value)))
     return changes
 
 

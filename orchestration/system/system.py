@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from fmpy.model_description import ModelDescription, ScalarVariable
 
 from fmus.errors import nearest
 from orchestration.errors import SystemDefinitionError
-from orchestration.fmi.description import describe
+from orchestration.fmi.description import describe, of_causality
 
 
 @dataclass(frozen=True)
@@ -87,16 +88,29 @@ class CheckedSystem:
             if not getattr(description.coSimulation, capability)
         ]
 
+    @cached_property
+    def inputs(self) -> dict[str, list[str]]:
+        """Component -> names of its inputs."""
+        return {
+            component: [f"{component}.{v.name}" for v in of_causality(description, "input")]
+            for component, description in self.descriptions.items()
+        }
+
+    @cached_property
+    def declared_dependencies(self) -> dict[str, list[str]]:
+        """Output -> names of the inputs that it depends on in initialisation mode, where that is declared."""
+        return {
+            f"{component}.{unknown.variable.name}": [
+                f"{component}.{v.name}" for v in unknown.dependencies if v.causality == "input"
+            ]
+            for component, description in self.descriptions.items()
+            for unknown in description.initialUnknowns
+            if unknown.variable is not None and unknown.dependencies is not None
+        }
+
     def initial_dependencies(self, output: Port) -> list[str]:
         """Names of the inputs that an output depends on in initialisation mode; all if not declared."""
-        description = self.descriptions[output.component]
-        for unknown in description.initialUnknowns:
-            if unknown.variable is output.variable and unknown.dependencies is not None:
-                declared = unknown.dependencies
-                break
-        else:
-            declared = description.modelVariables
-        return [f"{output.component}.{v.name}" for v in declared if v.causality == "input"]
+        return self.declared_dependencies.get(output.name, self.inputs[output.component])
 
 
 def check(

@@ -1,7 +1,10 @@
 """Algorithms of the master against solutions in closed form."""
 
 import math
+import re
+import zipfile
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +15,7 @@ from orchestration.master import simulate
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 from orchestration.system.experiment import Algorithm, Event, Experiment
-from orchestration.system.signals import Cosine, Ramps, Samples
+from orchestration.system.signals import Constant, Cosine, Ramps, Samples
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import coupled, solution
@@ -272,3 +275,26 @@ def test_an_event_waits_for_the_next_point_of_a_slow_component(linear: Build) ->
     experiment = Experiment(0.8, 0.1, inputs={"one.u[1]": 0.0}, events=(event,), step_sizes={"one": 0.4})
     run = simulate(System({"one": linear()}), experiment)
     assert run["one.y[1]"][-1] == pytest.approx(math.exp(-0.4), rel=1e-14)
+
+
+@pytest.mark.parametrize("held", ["u[1]", "u[2]"])
+def test_an_input_that_is_held_leaves_the_others_their_derivatives(
+    linear: Build, tmp_path: Path, held: str
+) -> None:
+    """Of two inputs one is discrete; the other is extrapolated by the FMU as if it were alone."""
+    fmu = linear(b=(1.0, 1.0), interpolates_inputs=True)
+    with zipfile.ZipFile(fmu) as source, zipfile.ZipFile(tmp_path / "held.fmu", "w") as target:
+        for member in source.namelist():
+            content = source.read(member)
+            if member == "modelDescription.xml":
+                pattern = rf'(<ScalarVariable[^>]*name="{re.escape(held)}"[^>]*variability=")continuous'
+                content, count = re.subn(pattern, r"\1discrete", content.decode())
+                assert count == 1
+                content = content.encode()
+            target.writestr(member, content)
+    smooth = "one.u[1]" if held == "u[2]" else "one.u[2]"
+    experiment = Experiment(1.0, 0.1, extrapolation=1, signals={smooth: Cosine(1.0, 3.0)})
+    alone = simulate(System({"one": fmu}), replace(experiment, inputs={f"one.{held}": 0.0}))
+    signals = {**experiment.signals, f"one.{held}": Constant(0.0)}
+    beside = simulate(System({"one": tmp_path / "held.fmu"}), replace(experiment, signals=signals))
+    assert np.array_equal(beside["one.y[1]"], alone["one.y[1]"])

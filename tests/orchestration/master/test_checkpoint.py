@@ -16,6 +16,7 @@ from orchestration.master.checkpoint import Checkpoint, Checkpoints, read_checkp
 from orchestration.scenarios import scenario
 from orchestration.scenarios.declarations import fault
 from orchestration.system.experiment import Algorithm, Event, Experiment
+from orchestration.system.faults import Delay, Fault, Offset
 from orchestration.system.signals import Cosine
 from orchestration.system.system import System
 from tests.orchestration.linear_systems import coupled
@@ -103,15 +104,18 @@ def test_the_future_may_be_longer(linear: Build, tmp_path: Path) -> None:
     [
         ({"parameters": {"one.initial_state": 2.0}}, "parameters, inputs and events"),
         ({"algorithm": Algorithm.GAUSS_SEIDEL}, "the algorithm"),
-        ({"step_size": 0.02}, "the communication points, the signals"),
+        ({"step_size": 0.02}, "the communication points, the signals, the faults"),
         ({"record": ("one.y[1]",)}, "the record"),
         ({"signals": {"one.u[1]": Cosine(2.0, 1.0)}}, "the signals"),
         ({"events": (Event(0.1, {"one.a": -0.5}),)}, "parameters, inputs and events"),
+        ({"faults": (Fault("one.u[1]", Offset(2.0)),)}, "the faults"),
+        ({"faults": (Fault("one.u[1]", Delay(0.1)),)}, "the faults"),
     ],
 )
 def test_another_past_is_refused(linear: Build, tmp_path: Path, change: dict[str, Any], what: str) -> None:
     system = System({"one": linear(saves_state=True, serialises_state=True)})
-    experiment = Experiment(1.0, 0.01, signals={"one.u[1]": Cosine(1.0, 1.0)})
+    signals, faults = {"one.u[1]": Cosine(1.0, 1.0)}, (Fault("one.u[1]", Offset(1.0)),)
+    experiment = Experiment(1.0, 0.01, signals=signals, faults=faults)
     checkpoint, _ = interrupted(system, experiment, tmp_path / "checkpoint", 50)
     with pytest.raises(SimulationError, match=f"belongs to another run, of which {what} differ"):
         simulate(system, replace(experiment, **change), resume=checkpoint)

@@ -93,6 +93,17 @@ def test_a_chain_is_one_pass_in_the_order_of_the_dependencies(linear: Build) -> 
         assert value(checked, live, "c.u[1]") == 1.0 + 2.0 * (1.0 + 2.0 * 5.0)
 
 
+def test_an_output_that_declares_nothing_follows_every_input(linear: Build) -> None:
+    """A chain in reverse order, and a loop of one component, as if it were declared."""
+    undeclared = gain(linear, 2.0, declares_dependencies=False)
+    chain = (("b.y[1]", "c.u[1]"), ("a.y[1]", "b.u[1]"))
+    with initialising(dict.fromkeys("abc", undeclared), chain, a=5.0) as (checked, live):
+        solve_initial_values(connection_groups(checked), live, AUTOMATIC)
+        assert value(checked, live, "c.u[1]") == 1.0 + 2.0 * (1.0 + 2.0 * 5.0)
+    with initialising({"a": undeclared}, (("a.y[1]", "a.u[1]"),)) as (checked, live):
+        assert [group.is_loop for group in connection_groups(checked)] == [True]
+
+
 def test_an_output_that_follows_no_input_closes_no_loop(linear: Build) -> None:
     components = {"plant": linear(), "controller": gain(linear, 3.0)}
     both = (("controller.y[1]", "plant.u[1]"), ("plant.y[1]", "controller.u[1]"))
