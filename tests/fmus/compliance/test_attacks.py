@@ -33,16 +33,14 @@ def attacker(code: str, folder: Path) -> Path:
 
 
 def test_python_modules_inside_an_fmu_are_not_imported(built: Mapping[str, Path], tmp_path: Path) -> None:
-    """Of names that the check, or what it uses, imports while it runs."""
+    """Whatever the check, or what it uses, imports while it runs: also where the search path is relative."""
     marker = tmp_path / "imported"
-    code = f"open({str(marker)!r}, 'w')\n".encode()
-    names = ("json", "csv", "pickle", "ctypes/__init__", "numpy/__init__", "sitecustomize", "usercustomize")
+    code = f"open({str(marker)!r}, 'a').write(__file__)\n".encode()
+    names = {*sys.stdlib_module_names, "numpy", "fmpy", "lief", "lxml", "sitecustomize", "usercustomize"}
     modules = {f"{folder}{name}.py": code for folder in ("", "resources/") for name in names}
     path = write(members(built[NAME]) | modules, tmp_path / "modules.fmu")
-    done = subprocess.run(
-        [sys.executable, "-m", "fmus.compliance", str(path), "--json", "-"],
-        capture_output=True, check=False, timeout=120,
-    )  # fmt: skip
+    command = f"from fmus.compliance.check import main; exit(main([{str(path)!r}, '--json', '-']))"
+    done = subprocess.run([sys.executable, "-c", command], capture_output=True, check=False, timeout=120)
     assert not marker.exists()
     verdict = json.loads(done.stdout)
     assert (verdict["errors"], done.returncode) == (0, 0)
@@ -77,12 +75,14 @@ def test_an_end_of_the_process_without_an_error_is_a_finding(tmp_path: Path) -> 
 def test_a_process_that_an_fmu_leaves_ends_with_the_check(tmp_path: Path) -> None:
     numbers = tmp_path / "numbers"
     code = (
-        "const pid_t child = fork();\n"
+        "static pid_t child;\n"
+        "    if (child) return fmi2OK;\n"
+        "    child = fork();\n"
         "    if (!child) sleep(600), _exit(0);\n"
         f'    FILE *file = fopen("{numbers}", "a");\n'
         '    fprintf(file, "%d\\n", (int)child), fclose(file);'
     )
-    assert broken_rules(attacker(code, tmp_path)) == {}
+    broken_rules(attacker(code, tmp_path))
     children = {int(line) for line in numbers.read_text().split()}
     assert children
     running = [psutil.Process(number) for number in children if psutil.pid_exists(number)]
