@@ -1,7 +1,9 @@
 """Writing files that appear complete or not at all, and archives that follow from their content alone."""
 
 import json
+import os
 import secrets
+import tempfile
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -13,7 +15,13 @@ _MOST_MEMBERS = 100_000
 _MOST_BYTES = 8_000_000_000  # unpacked
 _MOST_BYTES_A_BYTE = 200  # unpacked for one of the archive, from `_FEW_BYTES` on
 _FEW_BYTES = 100_000_000
+TEMPORARY_VARIABLE = "L1_DEPTH_TMPDIR"  # names the user's folder while a command has one of its own
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest date that a zip can hold
+
+
+def lasting_folder() -> Path:
+    """A new folder among the temporary files of the user, which outlives the command that makes it."""
+    return Path(tempfile.mkdtemp(prefix="l1-depth-", dir=os.environ.get(TEMPORARY_VARIABLE)))
 
 
 @contextmanager

@@ -1,14 +1,14 @@
 """Commands on FMUs: build, check, inspect."""
 
+import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from fmus.platforms import PLATFORMS, check_platforms
 from fmus.registry import FOLDER_VARIABLE, Flavour, block_names, fmu_folder
-from orchestration.cli.shared import FlavourOption, fail, print_table, progress
-from orchestration.errors import OrchestrationError
+from orchestration.cli.shared import FlavourOption, fail, print_table, progress, refuse_without_effect
 
 if TYPE_CHECKING:
     from fmpy.model_description import ScalarVariable
@@ -57,10 +57,10 @@ def build(
     ] = False,
 ) -> None:
     """Build the FMU of each block, NAME.fmu."""
-    if all_platforms and platform:
-        raise OrchestrationError(f"--platform {platform} and --all-platforms: expected one of them")
-    if cache and out:
-        raise OrchestrationError(f"--out {out} and --cache: expected one of them")
+    if all_platforms:
+        refuse_without_effect("--all-platforms", {"--platform": platform})
+    if cache:
+        refuse_without_effect("--cache", {"--out": out})
     folder = fmu_folder(flavour) if cache else out or _FOLDERS[flavour]
     named = check_platforms([name.strip() for name in platform.split(",")]) if platform else ()
     platforms = PLATFORMS if all_platforms else named
@@ -81,7 +81,9 @@ def build(
 
 def check(
     fmus: Annotated[list[Path], typer.Argument(metavar="FMU...", help="FMUs of any origin.")],
-    json: Annotated[str, typer.Option(metavar="FILE", help="Write the results as JSON; - prints them.")] = "",
+    json_file: Annotated[
+        str, typer.Option("--json", metavar="FILE", help="Write the results as JSON; - prints them.")
+    ] = "",
     every: Annotated[bool, typer.Option("--all", help="Show every rule, not only broken ones.")] = False,
 ) -> None:
     """Check FMUs against the rules of FMI 2.0.5; the command fails if one has an error."""
@@ -94,40 +96,70 @@ def check(
         if not path.is_file():
             describe(path)  # the error names the nearest FMU
     try:
-        count = count_errors(fmus, json or None, every=every)
+        count = count_errors(fmus, json_file or None, every=every)
     except HostError as error:
         fail(str(error), NO_VERDICT)
     if count:
         fail(f"{count} error{'s' * (count > 1)} found: expected none")
 
 
-def inspect(fmu: Annotated[Path, typer.Argument(metavar="FMU", help="An FMU of any origin.")]) -> None:
+def inspect(
+    fmu: Annotated[Path, typer.Argument(metavar="FMU", help="An FMU of any origin.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
+) -> None:
     """Show what an FMU is, and each variable with its unit, range and start value."""
-    from rich.markup import escape
-    from rich.table import Table
-
     from orchestration.fmi.description import describe
 
     description = describe(fmu)
-    print(f"{description.modelName}: {description.description or ''}")
-    tool = description.generationTool or "an unknown tool"
-    print(f"FMI {description.fmiVersion}, GUID {description.guid}, made by {tool}")
+    document = {
+        "name": description.modelName,
+        "description": description.description or "",
+        "fmi_version": description.fmiVersion,
+        "guid": description.guid,
+        "generation_tool": description.generationTool or "",
+        "variables": [_described(variable) for variable in description.modelVariables],
+    }
+    if as_json:
+        print(json.dumps(document, indent=2))
+    else:
+        _print_description(document)
+
+
+def _described(variable: "ScalarVariable") -> dict[str, Any]:
+    """What `inspect` tells of a variable; permitted: its range, or number and name of enumeration items."""
+    declared = variable.declaredType
+    items = {item.value: item.name for item in declared.items or ()} if declared is not None else {}
+    limits = {"min": variable.min, "max": variable.max}
+    return {
+        "name": variable.name,
+        "causality": variable.causality or "",
+        "type": declared.name if declared is not None else variable.type,
+        "unit": variable.unit or "",
+        "start": variable.start or "",
+        "permitted": items or {name: limit for name, limit in limits.items() if limit is not None},
+        "description": variable.description or "",
+    }
+
+
+def _print_description(document: dict[str, Any]) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    print(f"{document['name']}: {document['description']}")
+    tool = document["generation_tool"] or "an unknown tool"
+    print(f"FMI {document['fmi_version']}, GUID {document['guid']}, made by {tool}")
     table = Table()
     table.add_column("Variable", no_wrap=True)
     for heading in ("Causality", "Type", "Unit", "Start", "Permitted", "Description"):
         table.add_column(heading, overflow="fold")
-    for v in description.modelVariables:
-        kind = v.declaredType.name if v.declaredType else v.type
-        cells = (v.name, v.causality, kind, v.unit, v.start, _permitted(v), v.description)
-        table.add_row(*(escape(str(cell)) if cell is not None else "" for cell in cells))
+    for variable in document["variables"]:
+        cells = {**variable, "permitted": _permitted(variable["permitted"])}
+        table.add_row(*(escape(str(cell)) for cell in cells.values()))
     print_table(table, _PIPED_WIDTH)
 
 
-def _permitted(variable: "ScalarVariable") -> str:
+def _permitted(values: dict[str, str]) -> str:
     """Enumeration items, or the range."""
-    declared = variable.declaredType
-    if declared is not None and declared.items:
-        return ", ".join(f"{item.value} ({item.name})" for item in declared.items)
-    if variable.min is None and variable.max is None:
-        return ""
-    return f"{variable.min or ''}..{variable.max or ''}"
+    if values.keys() <= {"min", "max"}:
+        return f"{values.get('min', '')}..{values.get('max', '')}" if values else ""
+    return ", ".join(f"{number} ({name})" for number, name in values.items())

@@ -26,6 +26,9 @@ def interruptible() -> Iterator[None]:
     """
     interrupt, folder = _Interrupt(), ""
     try:
+        from fmus.files import TEMPORARY_VARIABLE
+
+        os.environ[TEMPORARY_VARIABLE] = tempfile.gettempdir()
         folder = tempfile.mkdtemp(prefix="l1-depth-")
         tempfile.tempdir = folder
         os.environ |= dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder)

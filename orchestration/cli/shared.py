@@ -1,7 +1,7 @@
 """What the commands share: options, completion, tables, progress, failure."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
@@ -55,6 +55,13 @@ def figure_formats(names: str) -> list[FigureFormat]:
         if name not in known:
             raise OrchestrationError(f"--formats: no format {name!r}; {nearest(name, known)}")
     return [FigureFormat(name) for name in chosen]
+
+
+def refuse_without_effect(option: str, others: Mapping[str, object]) -> None:
+    """Raise OrchestrationError if one of the other options is given: it has no effect beside this one."""
+    for name, value in others.items():
+        if value:
+            raise OrchestrationError(f"{name}: no effect with {option}: expected one of them")
 
 
 def fail(message: str, status: int = 1) -> NoReturn:

@@ -15,6 +15,7 @@ from orchestration.cli.shared import (
     fail,
     print_table,
     progress,
+    refuse_without_effect,
 )
 
 if TYPE_CHECKING:
@@ -25,8 +26,9 @@ def sweep(
     name: ScenarioArgument,
     out: OutFolder = Path("results"),
     workers: Annotated[
-        int, typer.Option(help="Run so many processes on this machine.", min=1)
-    ] = os.cpu_count() or 1,
+        int | None,
+        typer.Option(help="Run so many processes on this machine; by default one for each core.", min=1),
+    ] = None,
     scheduler: Annotated[
         str,
         typer.Option(
@@ -57,12 +59,17 @@ def sweep(
     from orchestration.sweep.samples import recorded_signals
     from orchestration.sweep.summary import summary_table
 
+    alone = {"--workers": workers, "--scheduler": scheduler, "--recordings": recordings, "--restart": restart}
+    if sample is not None:
+        refuse_without_effect("--sample", alone)
+    if scheduler:
+        refuse_without_effect("--scheduler", {"--workers": workers})
     planned = plan(chosen_scenario.load(name, flavour))
     if sample is not None:
         _run_one(planned, sample, out)
         return
     recorded = recorded_signals(recordings, planned)
-    client = cluster.remote(scheduler) if scheduler else cluster.local(workers)
+    client = cluster.remote(scheduler) if scheduler else cluster.local(workers or os.cpu_count() or 1)
     with progress("sweep", planned.count) as bar:
         try:
             path = run_samples(planned, out, client, recorded, restart, bar.advance)

@@ -5,7 +5,6 @@ the communication point before, so the system has no algebraic equation, as in t
 The package needs the Modelica Standard Library 4, and the unpacked FMUs in its folder Resources.
 """
 
-import zipfile
 from graphlib import CycleError, TopologicalSorter
 from importlib import resources
 from pathlib import Path
@@ -13,6 +12,7 @@ from pathlib import Path
 import fmpy
 from fmpy.model_description import ModelDescription
 
+from fmus.files import extract_archive
 from fmus.fmi_types import NUMBERS
 from orchestration.errors import ScenarioError
 from orchestration.exchange.limits import check_plain_exchange, check_types, straight_points
@@ -75,8 +75,7 @@ def write(scenario: Scenario, folder: Path) -> Path:
     for source in sources + [resources.files(fmpy) / "c-code" / name for name in _HEADERS]:
         (include / source.name).write_bytes(source.read_bytes())
     for fmu in scenario.system.components.values():
-        with zipfile.ZipFile(fmu) as archive:
-            archive.extractall(root / "Resources" / "FMUs" / identifier(describe(fmu)))
+        extract_archive(fmu, root / "Resources" / "FMUs" / identifier(describe(fmu)))
     return root / "package.mo"
 
 

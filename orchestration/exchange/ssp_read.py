@@ -16,6 +16,7 @@ from xml.etree.ElementTree import Element
 from fmpy.model_description import ModelDescription
 
 from fmus.errors import nearest
+from fmus.files import extract_archive
 from orchestration.errors import ScenarioError
 from orchestration.exchange.ssp_package import OpenedPackage
 from orchestration.exchange.ssp_parameters import Values, bound_values, chosen_values
@@ -45,9 +46,8 @@ def opened(path: Path, parameter_set: str = "") -> Iterator[Scenario]:
         raise ScenarioError(f"no package {path}; beside it, {nearest(path.name, beside)}")
     with tempfile.TemporaryDirectory(prefix="l1-depth-ssp-") as folder:
         try:
-            with zipfile.ZipFile(path) as archive:
-                archive.extractall(folder)
-        except (zipfile.BadZipFile, EOFError, zlib.error, RuntimeError, NotImplementedError) as error:
+            extract_archive(path, Path(folder))
+        except (zipfile.BadZipFile, EOFError, zlib.error, RuntimeError, ValueError) as error:
             raise ScenarioError(f"{path}: expected an SSP package, a zip: {error}") from error
         yield _scenario(OpenedPackage(path, Path(folder)), parameter_set)
 

@@ -4,9 +4,8 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import as_completed
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import mkdtemp
 
-from fmus.files import write_json_atomically
+from fmus.files import lasting_folder, write_json_atomically
 from fmus.registry import Flavour
 from orchestration.errors import OrchestrationError, SimulationError
 from orchestration.master import simulate
@@ -100,7 +99,7 @@ def _write(recording: Recording, file: Path) -> None:
     try:
         recording.write(file)
     except OSError as error:
-        elsewhere = Path(mkdtemp(prefix="l1-depth-")) / file.name
+        elsewhere = lasting_folder() / file.name
         recording.write(elsewhere)
         raise OrchestrationError(f"{file}: {error.strerror}; the recording is in {elsewhere}") from error
 

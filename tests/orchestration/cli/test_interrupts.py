@@ -13,7 +13,9 @@ from pathlib import Path
 import psutil
 import pytest
 
+from fmus.files import TEMPORARY_VARIABLE
 from orchestration.cli import main
+from orchestration.results.recording import Recording
 from tests.foreign_fmus import Misdeed
 
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
@@ -23,7 +25,7 @@ AT_WORK = {
     "check {fmu}": "fmus.compliance.check.check",
     "inspect {fmu}": "orchestration.fmi.description.describe",
     "scenarios": "orchestration.scenarios.scenario.load",
-    "run nominal-l1": "orchestration.master.simulator.prepare_checked",
+    "run nominal-l1 --out .": "orchestration.master.simulator.prepare_checked",
     "sweep monte-carlo": "orchestration.sweep.run.sweep",
     "report .": "orchestration.report.found_results",
     "reproduce": "orchestration.scenarios.reproduce.as_completed",
@@ -36,7 +38,7 @@ AT_WORK = {
 @pytest.fixture
 def _restored(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """A command changes the handlers and the environment of its process, here that of the tests."""
-    for name in ("TMPDIR", "TEMP", "TMP"):
+    for name in ("TMPDIR", "TEMP", "TMP", TEMPORARY_VARIABLE):
         monkeypatch.setenv(name, "")
     monkeypatch.setattr(tempfile, "tempdir", None)
     handlers = {number: signal.getsignal(number) for number in SIGNALS}
@@ -76,6 +78,28 @@ def test_an_interrupt_of_a_command_at_work_is_status_130_and_one_line(
     assert "interrupted" in captured.err
     assert not list(tmp_path.iterdir())
     assert not set(psutil.Process().children(recursive=True)) - before
+
+
+@pytest.mark.usefixtures("_restored")
+def test_a_recording_that_cannot_be_written_outlives_the_command(
+    short_scenario: Callable[..., Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    write = Recording.write
+
+    def refuse_once(recording: Recording, file: Path) -> None:
+        monkeypatch.setattr(Recording, "write", write)
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Recording, "write", refuse_once)
+    monkeypatch.setattr(sys, "argv", ["l1-depth", "run", str(short_scenario()), "--out", str(tmp_path)])
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    with pytest.raises(SystemExit, match="1"):
+        main()
+    kept = Path(capsys.readouterr().err.rpartition("the recording is in ")[2].strip())
+    assert Recording.read(kept).time[-1] == 0.2
 
 
 @pytest.fixture

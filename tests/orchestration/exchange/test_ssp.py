@@ -203,6 +203,16 @@ def test_a_parameter_set_whose_name_leads_out_of_the_folder_of_results_is_refuse
         pass
 
 
+def test_a_package_larger_than_any_tool_writes_is_refused(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "bomb.ssp", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("zeros", bytes(110_000_000))
+    with (
+        pytest.raises(ScenarioError, match=r"bomb\.ssp: .* bytes unpacked from"),
+        ssp_read.opened(tmp_path / "bomb.ssp"),
+    ):
+        pass
+
+
 def test_what_is_no_package_is_said(package: Path, tmp_path: Path) -> None:
     (tmp_path / "text.ssp").write_text("no zip")
     with (
