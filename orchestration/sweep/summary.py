@@ -17,6 +17,7 @@ with imports_of("sweep", "a sweep"):
 
 _PERCENT = {"least": 0, "5 %": 5, "50 %": 50, "95 %": 95, "largest": 100}
 HEADINGS = ("samples", "mean", "std", *_PERCENT)
+_PRINTED = ("samples", "mean", "std", "5 %", "50 %", "95 %")
 
 
 def statistics(values: np.ndarray) -> dict[str, float]:
@@ -59,13 +60,16 @@ def summary_table(results: pa.Table, provenance: dict[str, Any]) -> Table:
     varied = {name: results[name].to_pylist() for name in table.names(results.schema, "varied")}
     for heading in (*categorical(varied), "Metric", "Unit"):
         printed.add_column(escape(heading), no_wrap=heading == "Metric")
-    for heading in HEADINGS:
+    for heading in _PRINTED:
         printed.add_column(heading.capitalize(), justify="right")
     good = np.flatnonzero(results[table.ERROR].is_null())
     for values, indices in groups(varied, good).items():
         printed.add_section()
         for name, call in provenance["scenario"]["metrics"].items():
-            numbers = statistics(results[name].to_numpy()[indices]).values()
-            cells = [f"{number:.4g}" for number in numbers] or ["0", shown(math.nan, call)]
+            numbers = statistics(results[name].to_numpy()[indices])
+            cells = [f"{numbers[heading]:.4g}" for heading in _PRINTED if numbers] or [
+                "0",
+                shown(math.nan, call),
+            ]
             printed.add_row(*map(escape, (*values, name, table.unit(results.schema, name))), *cells)
     return printed

@@ -1,5 +1,6 @@
 """What a sweep leaves behind: parts while it runs, one table at the end, and no rows of two sweeps in it."""
 
+import math
 import subprocess
 import sys
 from collections.abc import Callable, Iterable
@@ -12,7 +13,7 @@ from orchestration.errors import SweepError
 from orchestration.sweep import table
 from orchestration.sweep.plan import Plan
 from orchestration.sweep.store import Store
-from orchestration.sweep.summary import failed, statistics
+from orchestration.sweep.summary import failed, statistics, summary_table
 
 Make = Callable[..., Plan]
 GRID = '[sweep.vary]\n"r.u" = { values = [0, 1, 2, 3, 4] }\n"r.misdeed" = { values = ["none"] }\n'
@@ -150,6 +151,25 @@ def test_the_summary_leaves_failed_samples_out(planned: Make, tmp_path: Path) ->
     mean = statistics(found["mean"].to_numpy())  # of 0, 10, 20, 30
     assert (mean["samples"], mean["mean"], mean["50 %"]) == (4, 15.0, 15.0)
     assert mean["std"] == pytest.approx((500.0 / 3.0) ** 0.5, rel=1e-15)  # rounding of the root
+
+
+def test_every_text_that_is_varied_has_rows_of_its_own_in_the_summary(planned: Make, tmp_path: Path) -> None:
+    made = planned(
+        '[sweep.vary]\n"r.u" = { values = [0, 1] }\n"r.misdeed" = { values = ["none", "warning"] }\n'
+    )
+    opened = store(made, tmp_path)
+    opened.begin()
+    add(opened, made, [0, 2])
+    for sample in (1, 3):
+        opened.add({**row(made, sample), "mean": 5.0, "effort": math.nan})
+    opened.finish()
+    columns = {
+        column.header: list(column.cells) for column in summary_table(*table.read(opened.path)).columns
+    }
+    assert columns["r.misdeed"] == ["none", "none", "warning", "warning"]
+    assert columns["Metric"] == ["mean", "effort"] * 2
+    assert columns["Samples"] == ["2", "2", "2", "0"]
+    assert columns["Mean"] == ["10", "1", "5", "not a number"]
 
 
 def test_another_file_is_no_table_of_a_sweep(tmp_path: Path, planned: Make) -> None:
