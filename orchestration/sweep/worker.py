@@ -39,10 +39,11 @@ class SamplePlugin(WorkerPlugin):
 
     def run(self, settings: Settings) -> Outcome:
         """One sample, in a process that no other thread uses."""
-        if not self._idle:
-            self._all.append(IsolatedSamples(self._unpacked_job, Path(self._folder.name)))
-            self._idle.append(self._all[-1])
-        runner = self._idle.pop()
+        try:
+            runner = self._idle.pop()
+        except IndexError:  # not asked for before: another thread may take the last one meanwhile
+            runner = IsolatedSamples(self._unpacked_job, Path(self._folder.name))
+            self._all.append(runner)
         try:
             return runner.run(settings)
         except ClosedError:  # this worker leaves the cluster
