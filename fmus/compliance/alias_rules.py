@@ -11,11 +11,11 @@ _CLAUSE = "2.2.7 Definition of Model Variables (ModelVariables), alias variables
 
 def _sets(fmu: FmuFile) -> Iterator[list[Variable]]:
     """Variables of one base type with one value reference, where there are several."""
-    found: dict[tuple[str, int | None], list[Variable]] = {}
+    sets: dict[tuple[str, int | None], list[Variable]] = {}
     for v in fmu.variables:
         if v.reference is not None:
-            found.setdefault((v.base_kind, v.reference), []).append(v)
-    yield from (each for each in found.values() if len(each) > 1)
+            sets.setdefault((v.base_kind, v.reference), []).append(v)
+    yield from (members for members in sets.values() if len(members) > 1)
 
 
 def _names(members: list[Variable]) -> str:

@@ -26,10 +26,10 @@ def behaviour(fmu: FmuFile, timeout: float) -> Iterator[Result]:
     """One result for each behaviour rule. timeout: seconds for one rule."""
     rules = registered(Stage.BEHAVIOUR)
     obstacle = _obstacle(fmu)
-    reasons = {each.name: obstacle or each.condition(fmu) for each in rules}
+    reasons = {rule.name: obstacle or rule.condition(fmu) for rule in rules}
     messages = _messages(fmu, [name for name, reason in reasons.items() if not reason], timeout)
-    for each in rules:
-        yield Result(each, messages.get(each.name, ()), reasons[each.name])
+    for rule in rules:
+        yield Result(rule, messages.get(rule.name, ()), reasons[rule.name])
 
 
 def _obstacle(fmu: FmuFile) -> str:

@@ -57,27 +57,27 @@ def directional_derivatives(probe: Probe) -> Iterator[str]:
 
 def _pairs(fmu: FmuFile) -> dict[int, list[Variable]]:
     """Index of a continuous Real known that can be set -> the Real outputs that depend on it at first."""
-    found: dict[int, list[Variable]] = {}
+    dependents: dict[int, list[Variable]] = {}
     settable = [v.index for v in fmu.variables if v.kind == "Real" and v.is_settable]
     for index, element in fmu.unknowns("InitialUnknowns"):
         unknown = fmu.variables[(index or 1) - 1]
         stated = element.get("dependencies")
-        listed = settable if stated is None else [integer(each) for each in stated.split()]
+        listed = settable if stated is None else [integer(index) for index in stated.split()]
         for known in sorted(set(settable) & set(listed)):
             if unknown.kind == "Real" and unknown.causality == "output":
-                found.setdefault(known, []).append(unknown)
-    return found
+                dependents.setdefault(known, []).append(unknown)
+    return dependents
 
 
 def _compared(instance: Instance, known: Variable, unknowns: list[Variable]) -> Iterator[str]:
-    told = instance.directional_derivatives(unknowns, known)
+    derivatives = instance.directional_derivatives(unknowns, known)
     before = instance.get([known])[known.name]
     width = _DIFFERENCE * max(1.0, abs(before))
     middle = instance.get(unknowns)
     sides = [_quotients(instance, known, unknowns, before, h) for h in (-width, width)]
-    sides = [each for each in sides if each]
-    for v, derivative in zip(unknowns, told, strict=True):
-        quotients = [each[v.name] for each in sides]
+    sides = [side for side in sides if side]
+    for v, derivative in zip(unknowns, derivatives, strict=True):
+        quotients = [side[v.name] for side in sides]
         rounding = 1e-13 * abs(middle[v.name]) / width  # some hundred roundings of the output
         tolerance = _AGREEMENT * max([abs(derivative), *map(abs, quotients)]) + rounding
         low, high = min(quotients, default=-math.inf), max(quotients, default=math.inf)

@@ -74,7 +74,7 @@ def generation_date(fmu: FmuFile) -> Iterator[str]:
 def log_categories_are_unique(fmu: FmuFile) -> Iterator[str]:
     """No two log categories have the same name."""
     yield from _repeated(
-        "log category", [each.get("name") for each in fmu.root.iterfind("LogCategories/Category")]
+        "log category", [element.get("name") for element in fmu.root.iterfind("LogCategories/Category")]
     )
 
 
@@ -86,14 +86,14 @@ def _repeated(what: str, names: Iterable[str | None]) -> Iterator[str]:
 @rule("2.2.5 Definition of a Default Experiment (DefaultExperiment)", Stage.DESCRIPTION)
 def default_experiment(fmu: FmuFile) -> Iterator[str]:
     """The default experiment stops after it starts; step size and tolerance are positive."""
-    found = fmu.root.find("DefaultExperiment")
-    if found is None:
+    experiment = fmu.root.find("DefaultExperiment")
+    if experiment is None:
         return
-    begin, end = number(found.get("startTime", "0")), number(found.get("stopTime"))
+    begin, end = number(experiment.get("startTime", "0")), number(experiment.get("stopTime"))
     if begin is not None and end is not None and end <= begin:
         yield f"stopTime {end:g}: expected more than startTime {begin:g}"
     for attribute in ("stepSize", "tolerance"):
-        value = number(found.get(attribute))
+        value = number(experiment.get(attribute))
         if value is not None and value <= 0:
             yield f"{attribute} {value:g}: expected more than 0"
 
@@ -112,7 +112,7 @@ def capabilities_agree(fmu: FmuFile) -> Iterator[str]:
     """canSerializeFMUstate only with canGetAndSetFMUstate; maxOutputDerivativeOrder is not negative."""
     for kind, attributes in fmu.interfaces.items():
         serializes, gets = (
-            attributes.get(f"can{each}FMUstate") in ("true", "1") for each in ("Serialize", "GetAndSet")
+            attributes.get(f"can{verb}FMUstate") in ("true", "1") for verb in ("Serialize", "GetAndSet")
         )
         if serializes and not gets:
             yield f"{kind} has canSerializeFMUstate: expected canGetAndSetFMUstate too"
@@ -123,9 +123,9 @@ def capabilities_agree(fmu: FmuFile) -> Iterator[str]:
 @rule(_TYPES, Stage.DESCRIPTION)
 def type_names(fmu: FmuFile) -> Iterator[str]:
     """Names of types are unique, and differ from those of variables."""
-    names = [each.get("name") for each in fmu.root.iterfind("TypeDefinitions/SimpleType")]
+    names = [element.get("name") for element in fmu.root.iterfind("TypeDefinitions/SimpleType")]
     yield from _repeated("type", names)
-    for name in sorted({v.name for v in fmu.variables} & {each for each in names if each}):
+    for name in sorted({v.name for v in fmu.variables} & {text for text in names if text}):
         yield f"type {name!r} is called like a variable: expected another name"
 
 
@@ -138,6 +138,6 @@ def enumeration_items(fmu: FmuFile) -> Iterator[str]:
         items = kind.findall("Item")
         if not items:
             yield f"enumeration {name!r} has no item: expected one or more"
-        yield from _repeated(f"enumeration {name!r}: item", [each.get("name") for each in items])
-        values = [str(integer(each.get("value"))) for each in items]
+        yield from _repeated(f"enumeration {name!r}: item", [element.get("name") for element in items])
+        values = [str(integer(element.get("value"))) for element in items]
         yield from _repeated(f"enumeration {name!r}: value", values)

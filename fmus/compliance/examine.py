@@ -43,7 +43,7 @@ def _judged(fmu: FmuFile, timeout: float) -> Iterator[Result]:
         Stage.LIBRARY: fmu.description_problem and "the model description cannot be read",
     }
     for stage, reason in closed.items():
-        yield from (_result(each, fmu, reason) for each in registered(stage))
+        yield from (_result(rule, fmu, reason) for rule in registered(stage))
     yield from behaviour(fmu, timeout)
 
 

@@ -82,7 +82,7 @@ class FmuFile:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        return tuple(each.filename for each in self.members)
+        return tuple(member.filename for member in self.members)
 
     @cached_property
     def paths(self) -> frozenset[str]:
@@ -92,7 +92,7 @@ class FmuFile:
     @property
     def too_large(self) -> str:
         """Why the archive is not unpacked, if so."""
-        size, count = sum(each.file_size for each in self.members), len(self.members)
+        size, count = sum(member.file_size for member in self.members), len(self.members)
         if count > _MOST_MEMBERS:
             return f"{count} members: expected at most {_MOST_MEMBERS}"
         if size > _LARGEST_ARCHIVE:
@@ -127,18 +127,18 @@ class FmuFile:
     @cached_property
     def types(self) -> dict[str, Any]:
         """Name -> element inside SimpleType, such as Enumeration."""
-        found = {}
+        types = {}
         for simple in self.root.iterfind("TypeDefinitions/SimpleType"):
-            found.update({simple.get("name", ""): each for each in simple if each.tag in TYPES})
-        return found
+            types.update({simple.get("name", ""): element for element in simple if element.tag in TYPES})
+        return types
 
     @cached_property
     def variables(self) -> tuple[Variable, ...]:
         elements = self.root.iterfind("ModelVariables/ScalarVariable")
-        return tuple(self._variable(index, each) for index, each in enumerate(elements, 1))
+        return tuple(self._variable(index, element) for index, element in enumerate(elements, 1))
 
     def _variable(self, index: int, element: Any) -> Variable:
-        typed = next((each for each in element if each.tag in TYPES), None)
+        typed = next((child for child in element if child.tag in TYPES), None)
         if typed is None:
             return Variable(index, dict(element.attrib), "", _NOTHING, _NOTHING)
         declared = self.types.get(typed.get("declaredType", ""))

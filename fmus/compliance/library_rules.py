@@ -75,12 +75,12 @@ def library_format(fmu: FmuFile) -> Iterator[str]:
     """Each library has the format and the processor that its folder names."""
     for path, folder in fmu.libraries().items():
         expected = _MACHINES.get(folder)
-        got = [_machine(each) for each in _slices(fmu.read(path))]
+        got = [_machine(parsed) for parsed in _slices(fmu.read(path))]
         if not got:
             yield f"{path} is not a shared library: expected one for {folder}"
         elif expected and expected not in got:
-            found = ", ".join(" ".join(each) for each in got)
-            yield f"{path} is {found}: expected {' '.join(expected)}"
+            machines = ", ".join(" ".join(machine) for machine in got)
+            yield f"{path} is {machines}: expected {' '.join(expected)}"
 
 
 @rule("2.1.1 Header Files and Naming of Functions", Stage.LIBRARY, condition=no_library)
@@ -89,8 +89,10 @@ def library_exports(fmu: FmuFile) -> Iterator[str]:
     expected = _functions(fmu)
     for path in fmu.libraries():
         for parsed in _slices(fmu.read(path)):
-            exported = {str(each.name).removeprefix("_") for each in parsed.exported_functions}
-            exported |= {str(each.name).removeprefix("_") for each in getattr(parsed, "exported_symbols", ())}
+            exported = {str(function.name).removeprefix("_") for function in parsed.exported_functions}
+            exported |= {
+                str(function.name).removeprefix("_") for function in getattr(parsed, "exported_symbols", ())
+            }
             missing = sorted(expected - exported)
             if missing:
                 yield f"{path} does not export {', '.join(missing)}"

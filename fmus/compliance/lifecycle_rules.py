@@ -120,12 +120,12 @@ def reset_gives_the_start_values(probe: Probe) -> Iterator[str]:
 
 def differing(expected: list[dict[str, Any]], got: list[dict[str, Any]], when: str) -> Iterator[str]:
     """The first value of each output that is not exactly the same."""
-    told = set()
+    named = set()
     for i, (row, other) in enumerate(zip(expected, got, strict=True), 1):
         for name, value in row.items():
             same = other[name] == value or (math.isnan(value) and math.isnan(other[name]))
-            if not same and name not in told:
-                told.add(name)
+            if not same and name not in named:
+                named.add(name)
                 yield f"{name} is {other[name]!r} {when}, step {i}: expected {value!r} again"
 
 

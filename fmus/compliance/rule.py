@@ -104,4 +104,4 @@ def repeated(names: Iterable[Any]) -> dict[Any, int]:
 
 def registered(stage: Stage) -> tuple[Rule, ...]:
     """The rules of a stage, in the order in which they were defined."""
-    return tuple(each for each in _RULES.values() if each.stage is stage)
+    return tuple(rule for rule in _RULES.values() if rule.stage is stage)

@@ -88,7 +88,7 @@ def dependencies_are_legal(fmu: FmuFile) -> Iterator[str]:
             listed = element.get("dependencies", "").split()
             where = f"{section}, unknown {element.get('index')}"
             for text in listed:
-                yield from (f"{where}: {each}" for each in _illegal(fmu, unknown, text, section))
+                yield from (f"{where}: {message}" for message in _illegal(fmu, unknown, text, section))
             for text, count in repeated(listed).items():
                 yield f"{where}: dependency {text} is listed {count} times: expected once"
 

@@ -23,9 +23,12 @@ _KNOWN = BASE_UNITS | {
 def unit_names_are_unique(fmu: FmuFile) -> Iterator[str]:
     """No two units have the same name, nor two display units of one unit."""
     units = fmu.root.findall("UnitDefinitions/Unit")
-    groups = [("unit", [each.get("name") for each in units])]
+    groups = [("unit", [element.get("name") for element in units])]
     groups += [
-        (f"display unit of {unit.get('name')!r}", [each.get("name") for each in unit.iterfind("DisplayUnit")])
+        (
+            f"display unit of {unit.get('name')!r}",
+            [element.get("name") for element in unit.iterfind("DisplayUnit")],
+        )
         for unit in units
     ]
     for what, names in groups:
@@ -36,7 +39,7 @@ def unit_names_are_unique(fmu: FmuFile) -> Iterator[str]:
 @rule(_CLAUSE, Stage.DESCRIPTION)
 def units_are_defined(fmu: FmuFile) -> Iterator[str]:
     """Each unit of a variable is defined, and its display unit belongs to it."""
-    units = {each.get("name", ""): each for each in fmu.root.iterfind("UnitDefinitions/Unit")}
+    units = {element.get("name", ""): element for element in fmu.root.iterfind("UnitDefinitions/Unit")}
     for v in fmu.variables:
         unit, display = v.get("unit"), v.get("displayUnit")
         if unit is not None and unit not in units:
@@ -44,7 +47,7 @@ def units_are_defined(fmu: FmuFile) -> Iterator[str]:
         elif display is not None and unit is None:
             yield f"{v.name}: displayUnit {display!r} without unit: expected both or none"
         elif display is not None and unit is not None:
-            known = [each.get("name", "") for each in units[unit].iterfind("DisplayUnit")]
+            known = [element.get("name", "") for element in units[unit].iterfind("DisplayUnit")]
             if display not in known:
                 yield f"{v.name}: displayUnit {display!r} of {unit!r} is unknown; {nearest(display, known)}"
 
@@ -70,6 +73,6 @@ def _text(exponents: dict) -> str:
 def unit_factors(fmu: FmuFile) -> Iterator[str]:
     """Factors of base units and display units are not zero, or nothing could be converted back."""
     for unit in fmu.root.iterfind("UnitDefinitions/Unit"):
-        for each in unit.iterchildren("BaseUnit", "DisplayUnit"):
-            if number(each.get("factor", "1")) == 0:
-                yield f"unit {unit.get('name')!r}: {each.tag} with factor 0: expected another"
+        for element in unit.iterchildren("BaseUnit", "DisplayUnit"):
+            if number(element.get("factor", "1")) == 0:
+                yield f"unit {unit.get('name')!r}: {element.tag} with factor 0: expected another"

@@ -143,21 +143,23 @@ def enumeration_start_is_an_item(fmu: FmuFile) -> Iterator[str]:
         declared = fmu.types.get(v.typed.get("declaredType", "")) if v.kind == "Enumeration" else None
         if declared is None or declared.tag != "Enumeration":
             continue
-        values = {integer(each.get("value")) for each in declared.iterfind("Item")}
+        values = {integer(item.get("value")) for item in declared.iterfind("Item")}
         for attribute in ("start", "min", "max"):
             value = integer(v.typed.get(attribute))
             if value is not None and value not in values:
-                known = ", ".join(str(each) for each in sorted(each for each in values if each is not None))
+                known = ", ".join(
+                    str(value) for value in sorted(value for value in values if value is not None)
+                )
                 yield f"{v.name}: {attribute} {value}: expected one of {known}"
 
 
 @rule(_CLAUSE, Stage.DESCRIPTION)
 def one_independent_variable(fmu: FmuFile) -> Iterator[str]:
     """At most one variable is independent; it is a Real."""
-    found: list[Variable] = [v for v in fmu.variables if v.causality == "independent"]
-    if len(found) > 1:
-        yield f"{', '.join(v.name for v in found)} are independent: expected one at most"
-    for v in found:
+    independent: list[Variable] = [v for v in fmu.variables if v.causality == "independent"]
+    if len(independent) > 1:
+        yield f"{', '.join(v.name for v in independent)} are independent: expected one at most"
+    for v in independent:
         if v.kind != "Real":
             yield f"{v.name} is independent and {v.kind}: expected Real"
 
