@@ -35,8 +35,11 @@ def broken_rules(path: Path, timeout: float = 100) -> dict[str, tuple[str, ...]]
     return {r.rule.name: r.messages for r in examine(path, timeout) if r.messages}
 
 
-def patched(patch: dict[str, str], folder: Path) -> Path:
-    """A native FMU with reference results; in its sources each key of the patch is replaced by its value."""
+def patched(patch: dict[str, str], folder: Path, with_references: bool = False) -> Path:
+    """A native FMU; in its sources each key of the patch is replaced by its value.
+
+    with_references: with the reference results of the block, which take the check a while
+    """
     block = catalogue.load_block(PATCHED)
     _, content = native_flavour.content(block)
     for old, new in patch.items():
@@ -46,5 +49,5 @@ def patched(patch: dict[str, str], folder: Path) -> Path:
         assert content[path].count(old.encode()) == 1
         content[path] = content[path].replace(old.encode(), new.encode())
     libraries = native_flavour.libraries(PATCHED, content, ())
-    references = reference_files.members(reference_run(block), PATCHED)
+    references = reference_files.members(reference_run(block), PATCHED) if with_references else {}
     return files.write_archive(folder / "mutant.fmu", content | libraries | references)

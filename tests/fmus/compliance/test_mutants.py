@@ -7,15 +7,19 @@ from pathlib import Path
 
 import pytest
 
+from fmus.documentation.reference_files import LS_REF
+
 from .archives import Members, broken_rules, members, write
 from .mutants import ARCHIVE_MUTANTS, XML, XML_MUTANTS
+
+EXPERIMENT = f"extra/{LS_REF}/L1Controller.exp"  # it would be run again for each
 
 
 @pytest.mark.parametrize(("rule", "old", "new"), XML_MUTANTS)
 def test_a_broken_description_is_caught(
     built: Mapping[str, Path], tmp_path: Path, rule: str, old: str, new: str
 ) -> None:
-    content = members(built["L1Controller"])
+    content = {path: data for path, data in members(built["L1Controller"]).items() if path != EXPERIMENT}
     xml = content[XML].decode()
     assert old in xml
     content[XML] = xml.replace(old, new, 1).encode()
