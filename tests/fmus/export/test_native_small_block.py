@@ -159,6 +159,15 @@ def test_a_known_that_is_named_twice_counts_twice(session: Session) -> None:
         session("leave", 0)
 
 
+def test_contradictory_parameters_discard_derivatives_of_the_initialisation(session: Session) -> None:
+    begin(session)
+    assert write(session, gain=4.0) == OK
+    references = [REFERENCES["product"]], [REFERENCES["gain"]]
+    answer = session("directional_derivative", 0, *references, [1.0], "+")
+    assert (answer.status, answer.values) == (DISCARD, ["untouched"])
+    assert told(answer).endswith("expected gain below limit")
+
+
 def test_derivatives_by_inputs_are_those_of_the_mode(session: Session) -> None:
     """x = start + force in initialisation mode; later no output depends directly on an input."""
     begin(session)
