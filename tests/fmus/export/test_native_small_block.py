@@ -175,8 +175,33 @@ def test_derivatives_by_inputs_are_those_of_the_mode(session: Session) -> None:
     answer = session("directional_derivative", 0, *arguments, [1.0, 0.0], "+")
     assert [float.fromhex(v) for v in answer.values] == [8.0, 2.0]
     assert session("leave", 0).status == OK
-    answer = session("directional_derivative", 0, *arguments, [1.0, 1.0], "+")
-    assert [float.fromhex(v) for v in answer.values] == [0.0, 0.0]
+    for _ in range(2):  # while stepping, then terminated
+        answer = session("directional_derivative", 0, *arguments, [1.0, 1.0], "+")
+        assert [float.fromhex(v) for v in answer.values] == [0.0, 0.0]
+        rates = session("get_output_derivatives", 0, [REFERENCES["square"]], [1], "+").values
+        assert [float.fromhex(v) for v in rates] == [2.0]  # 2 x x' + 1, x' = 1 - ratio x
+        assert (session("get_status", 0, "R", LAST_TIME, "+").values) == ["0x0p+0"]
+        session("terminate", 0)
+
+
+@pytest.mark.parametrize("order", [0, 2, -1])
+def test_only_first_derivatives_are_known(session: Session, order: int) -> None:
+    for call in (
+        ("set_input_derivatives", 0, [REFERENCES["force"]], [order], [1.0]),
+        ("get_output_derivatives", 0, [REFERENCES["y"]], [order], "+"),
+    ):
+        stepping(session)
+        answer = session(*call)
+        assert answer.status == ERROR
+        assert told(answer).endswith(f"order {order}: expected 1")
+        session("free", 0)
+
+
+def test_setting_no_derivatives_changes_nothing(session: Session) -> None:
+    stepping(session)
+    before = saved(session)
+    assert session("set_input_derivatives", 0, [], [], []).status == OK
+    assert saved(session) == before
 
 
 def test_an_output_that_no_integer_holds_discards_the_step(session: Session) -> None:
