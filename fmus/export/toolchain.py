@@ -4,6 +4,8 @@ No fast-math and no contraction of a product and a sum into one rounding: a traj
 platform as far as the elementary functions of its C library are.
 """
 
+import os
+import signal
 import struct
 import subprocess
 import sys
@@ -43,13 +45,20 @@ def zig(arguments: Sequence[str], folder: Path) -> None:
     """Run zig in a folder; ExportError with what it said if it fails."""
     command = [sys.executable, "-m", "ziglang", *arguments]
     hint = "if its cache cannot be written, set ZIG_GLOBAL_CACHE_DIR to a folder that can"
-    try:
-        done = subprocess.run(command, cwd=folder, capture_output=True, timeout=_PATIENCE_S, check=False)
-    except subprocess.TimeoutExpired:
-        raise ExportError(f"zig {arguments[0]} did not end within {_PATIENCE_S} s; {hint}") from None
-    if done.returncode:
-        said = (done.stderr or done.stdout).decode("utf-8", "replace").strip()[-2000:]
-        raise ExportError(f"zig {arguments[0]} failed: {said}; {hint}")
+    with subprocess.Popen(
+        command, cwd=folder, start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    ) as process:
+        try:
+            output, _ = process.communicate(timeout=_PATIENCE_S)
+        except BaseException as error:  # an interrupt too: zig starts processes of its own
+            process.kill() if os.name == "nt" else os.killpg(process.pid, signal.SIGKILL)
+            if isinstance(error, subprocess.TimeoutExpired):
+                message = f"zig {arguments[0]} did not end within {_PATIENCE_S} s; {hint}"
+                raise ExportError(message) from None
+            raise
+    if process.returncode:
+        text = output.decode("utf-8", "replace").strip()[-2000:]
+        raise ExportError(f"zig {arguments[0]} failed: {text}; {hint}")
 
 
 def _universal(slices: Sequence[bytes]) -> bytes:

@@ -18,12 +18,12 @@ class Mode(IntEnum):
 @dataclass(frozen=True)
 class Parameters:
     internal_step: float = variable(0.1, "Longest internal step", unit="s", min=1e-3, max=10.0)
-    gain: float = variable(2.0, "Gain", min=-100.0, max=100.0)
-    limit: float = variable(4.0, "Above the gain", min=0.0)
     mode: Mode = variable(Mode.RUN, "Mode")
     enabled: bool = variable(True, "Whether the input acts")
     start: float = variable(1.0, "Initial state", variability="fixed")
     count: int = variable(0, "Initial number of steps", max=2**31 - 2, variability="fixed")
+    gain: float = variable(2.0, "Gain", min=-100.0, max=100.0)
+    limit: float = variable(4.0, "Above the gain", min=0.0)
 
 
 @dataclass(frozen=True)

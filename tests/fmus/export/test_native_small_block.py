@@ -284,6 +284,7 @@ def test_a_forged_number_that_is_not_finite_is_refused(
 def test_forged_flags_values_and_outputs_that_no_instance_has_are_refused(session: Session) -> None:
     """The first words are mode and three flags; then time and the values by value reference."""
     content = bytes(saved(stepping(session)))
+    assert struct.unpack_from("<4q", content, FIRST_WORD) == (4, 0, 0, 0)  # nothing is stale while stepping
     first_value = FIRST_WORD + 8 * 5
     for word in range(4):
         for number in (0, 1, 2, 3, 4, 5, 8, 16, 24, 32, -1):

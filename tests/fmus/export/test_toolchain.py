@@ -1,7 +1,12 @@
 """The compiler's own refusals, and which platform this is."""
 
+import contextlib
+import os
 import platform
+import signal
+import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -51,3 +56,25 @@ def test_a_compiler_that_does_not_end_is_stopped(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(toolchain, "_PATIENCE_S", 0.001)
     with pytest.raises(ExportError, match=r"did not end within 0.001 s; .*ZIG_GLOBAL_CACHE_DIR"):
         zig(["version"], tmp_path)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a FIFO keeps the compiler waiting")
+def test_an_interrupted_build_leaves_no_process_and_no_file(tmp_path: Path) -> None:
+    temporary, endless = tmp_path / "temporary", tmp_path / "endless.h"
+    temporary.mkdir()
+    os.mkfifo(endless)
+    source = f'#include "{endless}"'
+    call = f"compile_library('m', {{'m.c': {source!r}}}, ['m.c'], {host_platform()!r})"
+    process = subprocess.Popen(
+        [sys.executable, "-c", f"from fmus.export.toolchain import compile_library; {call}"],
+        env={**os.environ, "TMPDIR": str(temporary)},
+        stderr=subprocess.DEVNULL,
+    )
+    with endless.open("wb", buffering=0) as stream:  # opens when the compiler reads
+        process.send_signal(signal.SIGINT)
+        assert process.wait() != 0
+        assert not list(temporary.iterdir())
+        with contextlib.suppress(BrokenPipeError):  # the compiler has ended
+            while True:
+                stream.write(b" ")
+                time.sleep(0.01)
