@@ -12,7 +12,7 @@ from fmus.export import toolchain
 from fmus.export.c_source import c_sources
 
 from .native_block import EVERYTHING
-from .native_model import DISCARD, ERROR, OK
+from .native_model import DISCARD, ERROR, LAST_TIME, OK
 from .native_session import GUID, Session, begin, saved, stepping, told, with_checksum
 
 REFERENCES = {v.name: v.value_reference for v in EVERYTHING.variables}
@@ -116,6 +116,18 @@ def test_a_communication_point_may_differ_by_a_part_of_the_time_and_the_step_and
     session("enter", 0)
     session("leave", 0)
     assert step(session, time + side * late, h) == status
+
+
+def test_time_goes_on_from_the_importers_communication_point(session: Session) -> None:
+    """Which may differ from the time of the FMU by rounding."""
+    stepping(session)
+    assert step(session, 0.0, 0.1) == OK
+    point = 0.1 + 1e-12
+    assert step(session, point, 0.1) == OK
+    answer = session("get_status", 0, "R", LAST_TIME, "+")
+    assert float.fromhex(answer.values[0]) == point + 0.1 != 0.2
+    square, y = read(session, "square", "y")
+    assert square == (y / 8.0) ** 2 + point + 0.1
 
 
 def test_output_derivatives_follow_parameters_and_inputs_that_have_just_been_set(session: Session) -> None:
