@@ -1,6 +1,7 @@
 """Values of FMI variables: types, ranges and items of enumerations."""
 
 import math
+import reprlib
 import sys
 
 import numpy as np
@@ -42,7 +43,7 @@ def _number(port: Port, value: FmiValue) -> float | int | bool:
         expected = f"{low:g}..{high:g}" + (f" {variable.unit}" if variable.unit not in (None, "1") else "")
     else:
         return value
-    raise SystemDefinitionError(f"{name} = {value!r}: expected {expected}")
+    raise SystemDefinitionError(f"{name} = {reprlib.repr(value)}: expected {expected}")
 
 
 def _item_number(port: Port, name: str) -> int:

@@ -168,6 +168,11 @@ def test_a_value_out_of_range_is_refused_before_the_run(refused: Command, short_
     assert "short.toml:26: plant.inertia = -1.0: expected 0.1..1e+06 kg" in refused("run", path)
 
 
+def test_a_very_long_number_is_told_in_short(refused: Command, short_scenario: Command) -> None:
+    path = short_scenario(more=f'\n[parameters]\n"plant.inertia" = 1{"0" * 4000}\n')
+    assert re.search(r"plant\.inertia = 1000[0.]{30,40}: expected", refused("run", path))
+
+
 def test_a_mistyped_name_offers_the_nearest(command: Command, refused: Command) -> None:
     assert "'build'" in command("buidl", expect=2).stderr
     assert "--out" in command("run", "nominal-l1", "--oot", "x", expect=2).stderr
