@@ -161,7 +161,8 @@ def _finish_thrust(panel: Axes, curves: Sequence[Curve]) -> None:
 def _compare(panel: Axes, name: str, metric: str, text: str, curves: Sequence[Curve]) -> None:
     """A note of the metric in each run and as published."""
     rows = [f"{c.label} {text.format(c.measured[metric], c.published(metric))}" for c in curves]
-    _note(panel, f"{name}, run (paper): {'; '.join(rows)}")
+    row = "; ".join(rows).replace("nan s", "not settled")
+    _note(panel, f"{name}, run (paper): {row}")
 
 
 def _note(panel: Axes, text: str) -> None:

@@ -1,6 +1,7 @@
 """The tables of the paper, reproduced: every published figure beside ours."""
 
 from collections.abc import Mapping
+from math import isnan
 
 from rich.markup import escape
 from rich.table import Table
@@ -42,8 +43,8 @@ def comparison_table(measured: Measured) -> Table:
             escape(figure.unit),
             f"{figure.value:.4g}",
             shown(ours, {"function": figure.metric}, ".4g"),
-            f"{deviation:+.2g}",
-            f"{100.0 * deviation / figure.value:+.1f}",
+            "" if isnan(ours) else f"{deviation:+.2g}",
+            "" if isnan(ours) else f"{100.0 * deviation / figure.value:+.1f}",
             figure.status,
         )
     return table
