@@ -135,11 +135,11 @@ def test_output_derivatives_follow_parameters_and_inputs_that_have_just_been_set
     stepping(session)
     assert step(session, 0.0, 0.1) == OK
     x = read(session, "y")[0] / 8.0
-    assert write(session, gain=3.0, limit=5.0, force=2.0, valve=0.25) == OK
-    rate = 2.0 * 0.25 + 1.0 - 0.6 * x + 0.1
+    assert write(session, limit=5.0, force=2.0, valve=0.25) == OK
+    rate = 2.0 * 0.25 + 1.0 - 0.4 * x + 0.1
     references = [REFERENCES["y"], REFERENCES["square"], REFERENCES["y"]]
     answer = session("get_output_derivatives", 0, references, [1, 1, 1], "+")
-    expected = [15.0 * rate, 2.0 * x * rate + 1.0, 15.0 * rate]
+    expected = [10.0 * rate, 2.0 * x * rate + 1.0, 10.0 * rate]
     assert [float.fromhex(v) for v in answer.values] == pytest.approx(expected, rel=1e-14)
     assert read(session, "y", "product") == [8.0 * x, 8.0]  # of the last step, until the next one
 
