@@ -19,7 +19,7 @@ from controller_fmu.l1.matrices import LawMatrices, Matrix, Vector, dot
 from controller_fmu.l1.projection import keep_within, projection_factor
 from fmus.numerics import absolute, maximum, sin, sqrt, where
 
-_SMALL_SQUARE = 1e-8  # of an angle: below it sin(a) / a is 1 - a^2 / 6 to the last bit
+_SMALL_SQUARE = 1e-16  # of an angle: below it sin(a) / a is 1 to the last bit
 _SHORTEST = 1e-300  # s; keeps a mean over no time finite
 
 
@@ -155,7 +155,7 @@ class _Factors:
 def _sinc(square: float) -> float:
     """sin(a) / a for the square of a."""
     angle = sqrt(maximum(square, _SMALL_SQUARE))
-    return where(square > _SMALL_SQUARE, sin(angle) / angle, 1.0 - square / 6.0)
+    return sin(angle) / angle
 
 
 def _relaxed(a_m: Matrix, h: float, vector: Vector) -> Vector:

@@ -165,6 +165,12 @@ def test_no_step_gain_or_measurement_makes_an_estimate_leave_its_bound(
         assert all(math.isfinite(value) for value in (*estimates.x_tilde, known))
 
 
+def test_the_regressor_is_the_state_or_the_larger_of_its_components() -> None:
+    assert regressor(Regressor.STATE, (-2.0, 1.0)) == (-2.0, 1.0)
+    assert regressor(Regressor.INFINITY_NORM, (-2.0, 1.0)) == (2.0, 0.0)
+    assert regressor(Regressor.INFINITY_NORM, (2.0, -3.0)) == (3.0, 0.0)
+
+
 def test_no_time_changes_nothing_but_the_measurement() -> None:
     """The first step of a run has no interval behind it."""
     p = parameters()

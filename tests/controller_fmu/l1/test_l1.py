@@ -12,8 +12,9 @@ from scipy.linalg import expm
 
 from controller_fmu.l1 import law as l1
 from controller_fmu.l1 import siso_controller
+from controller_fmu.l1.adaptation import Interval, adapt
 from controller_fmu.l1.augmentation import Augmentation
-from controller_fmu.l1.law import LawState, Measurement
+from controller_fmu.l1.law import Held, LawState, Measurement
 from controller_fmu.l1.lowpass import FilterOrder, FilterState
 from fmus import catalogue
 
@@ -38,11 +39,11 @@ def stepped(p: siso_controller.Parameters, law: LawState, h: float, count: int, 
 @pytest.mark.parametrize("at_end", [False, True])
 @pytest.mark.parametrize("order", list(FilterOrder))
 def test_either_filter_settles_where_eta_hat_is_k_g_r(order: FilterOrder, at_end: bool) -> None:
-    p = parameters(filter_order=order, inputs_at_step_end=at_end)
+    p = parameters(filter_order=order, inputs_at_step_end=at_end, state_matrix=((0.0, 1.0), (-2.0, -1.4)))
     law = stepped(p, l1.initial_law(SEEN, 1.0), 2e-3, 20000, SEEN)
     e = law.estimates
     eta = e.omega_hat * law.filter.u_a + e.theta_hat[0] * 2.0 - e.theta_hat[1] + e.sigma_hat
-    assert eta == pytest.approx(SEEN.r, rel=1e-6)
+    assert eta == pytest.approx(2.0 * SEEN.r, rel=1e-6)  # k_g = -1 / (C A_m^-1 B_m) = 2
 
 
 @pytest.mark.parametrize("at_end", [False, True])
@@ -63,10 +64,11 @@ def test_the_prediction_is_driven_by_the_control_that_the_plant_received(
 
 
 def largest_prediction_error(driver: Any, at_end: bool, setting: bool, limit: float) -> float:
-    """Gamma is 0: nothing is learnt. The plant is integrated exactly, A = A_m + B_m k_m."""
-    h, k_m = 0.01, np.array([0.5, 0.4])
+    """Gamma is 0: nothing is learnt. The plant, A = A_m + B_m k_m, is exact; step sizes alternate."""
+    lengths, k_m = (0.01, 0.006), np.array([0.5, 0.4])
     a = np.array([[0.0, 1.0], [-1.0, -1.4]]) + np.outer([0.0, 1.0], k_m)
-    step = expm(np.block([[a, np.array([[0.0], [1.0]])], [np.zeros((1, 3))]]) * h)
+    system = np.block([[a, np.array([[0.0], [1.0]])], [np.zeros((1, 3))]])
+    steps = [(h, expm(system * h)) for h in lengths]
     controller = driver(
         CONTROLLER, adaptation_gain=0.0, filter_bandwidth=5.0, augmentation=Augmentation.PI,
         proportional_gain=2.0, integral_gain=1.0, control_limit=limit, inputs_at_step_end=setting,
@@ -74,9 +76,10 @@ def largest_prediction_error(driver: Any, at_end: bool, setting: bool, limit: fl
     ).begin()  # fmt: skip
     x, largest = np.zeros(2), 0.0
     for i in range(300):
+        h, step = steps[i % 2]
         after = (step @ [*x, controller["control"]])[:2]
         measured = after if at_end else x
-        controller["reference"] = 1.0 + math.sin(i * h)
+        controller["reference"] = 1.0 + math.sin(0.01 * i)
         controller["measured_state[1]"], controller["measured_state[2]"] = measured
         controller.step(h)
         largest = max(largest, abs(controller["prediction_error[1]"]), abs(controller["prediction_error[2]"]))
@@ -104,6 +107,25 @@ def test_the_vehicles_prediction_is_driven_by_the_force_of_its_voltages(driver: 
         x = (step @ [*x, force])[:2]
     assert saturated == (limit < 12.0)
     assert largest < 1e-4  # m/s, of 0.1 m/s
+
+
+@pytest.mark.parametrize("at_end", [False, True])
+def test_omega_hat_learns_from_the_adaptive_control_that_was_delivered(at_end: bool) -> None:
+    """Jacobi: that of the step before; Gauss-Seidel: that of this step."""
+    p = parameters(input_gain_uncertainty=0.5, inputs_at_step_end=at_end)
+    before, delivered, given = LawState(), Held(0.01, 3.0, 2.0), Held(0.01, 5.0, 4.0)
+    law = replace(before, held=delivered, filter=FilterState(u_a=given.u_a))
+    u, matrices = l1.control(law, p.feedback_gain, p), siso_controller.calculate(p)
+    after = l1.law_step(0.01, law, SEEN, u, given.u, 0.0, p.feedback_gain, p, matrices)
+    held = given if at_end else delivered
+    expected, _ = adapt(law.estimates, Interval(0.01, (0.0, 0.0), SEEN.x, held.u, held.u_a), p, matrices)
+    assert after.estimates == expected
+    assert after.held == given
+    assert after.estimates.omega_hat != 1.0
+
+
+def test_omega_hat_begins_at_the_centre_of_its_box() -> None:
+    assert l1.initial_law(SEEN, 3.0).estimates.omega_hat == 3.0
 
 
 def test_a_prediction_error_is_that_of_one_time(driver: Any) -> None:
@@ -225,6 +247,14 @@ def test_a_tilted_vehicle_is_driven_by_less(driver: Any) -> None:
     controller = driver(catalogue.load_block("L1DepthController"), measured_depth=1.0, roll=0.3, pitch=0.2)
     controller.begin()
     expected = math.cos(0.3) * math.cos(0.2) * controller["demanded_force"] / (2.0 * 0.25)
+    assert controller["voltage[1]"] == pytest.approx(expected)
+
+
+def test_a_tilt_acts_from_the_step_on_in_which_it_is_measured(driver: Any) -> None:
+    controller = driver(catalogue.load_block("L1DepthController"), measured_depth=1.0).begin().step(0.02)
+    controller["roll"] = 1.0
+    controller.step(0.02)
+    expected = math.cos(1.0) * controller["demanded_force"] / (2.0 * 0.25)
     assert controller["voltage[1]"] == pytest.approx(expected)
 
 
