@@ -124,6 +124,19 @@ def test_omega_hat_learns_from_the_adaptive_control_that_was_delivered(at_end: b
     assert after.estimates.omega_hat != 1.0
 
 
+def test_the_output_has_a_share_of_both_states(driver: Any) -> None:
+    """y = C x, and e = y - r."""
+    own = {"output_vector[2]": 0.5, "measured_state[1]": 1.0, "measured_state[2]": 2.0, "reference": 0.25}
+    assert driver(CONTROLLER, **own).begin()["tracking_error"] == 1.0 + 0.5 * 2.0 - 0.25
+
+
+def test_an_internal_step_is_at_most_the_observers_period(driver: Any) -> None:
+    block = catalogue.load_block("L1DepthController")
+    driver(block, internal_step=0.04, observer_period=0.04).begin()
+    with pytest.raises(ValueError, match="internal_step at most observer_period"):
+        driver(block, internal_step=0.05, observer_period=0.04).begin()
+
+
 def test_omega_hat_begins_at_the_centre_of_its_box() -> None:
     assert l1.initial_law(SEEN, 3.0).estimates.omega_hat == 3.0
 
@@ -202,7 +215,8 @@ def test_each_state_of_the_third_order_filter_is_held_by_its_own_rate() -> None:
         start = FilterState(u_a=0.0, p_1=5.0 * side, p_2=5.0 * side)
         after = one_step(p, start, shortfall=-1.0)
         assert (after.filter.u_a == 0.0) == (side > 0.0)
-        assert (after.filter.p_2 == 5.0) == (side > 0.0)
+        assert (after.filter.p_1 == start.p_1) == (side < 0.0)  # it decays: from below, that is upwards
+        assert (after.filter.p_2 == start.p_2) == (side > 0.0)
 
 
 @pytest.mark.parametrize(("shortfall", "drive"), [(-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (1.0, 1.0)])
