@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Iterator
 from types import FrameType
+from typing import NoReturn
 
 INTERRUPTED = 130  # exit status that shells expect after Ctrl-C
 SAME_S = 1.0  # a signal that soon after the first is the same one, passed on by a shell for instance
@@ -24,12 +25,12 @@ def interruptible() -> Iterator[None]:
     Temporary files of this process and of those that it starts are in one folder, which is removed at the
     end. Worker processes end with this one, see `fmus.process`.
     """
-    interrupt, folder = _Interrupt(), ""
+    interrupt = _Interrupt()
     try:
         from fmus.files import TEMPORARY_VARIABLE
 
         os.environ[TEMPORARY_VARIABLE] = tempfile.gettempdir()
-        folder = tempfile.mkdtemp(prefix="l1-depth-")
+        folder = interrupt.folder = tempfile.mkdtemp(prefix="l1-depth-")
         tempfile.tempdir = folder
         os.environ |= dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder)
         threading.Thread(target=_watch, args=(interrupt.signals, folder), daemon=True).start()
@@ -43,17 +44,19 @@ def interruptible() -> Iterator[None]:
         raise
     finally:
         interrupt.ended = True
-        shutil.rmtree(folder, ignore_errors=True)
+        shutil.rmtree(interrupt.folder, ignore_errors=True)
 
 
 class _Interrupt:
     """The handler of SIGINT, SIGTERM and SIGHUP: raises KeyboardInterrupt, until the command has ended.
 
     signals: receives a byte for each, also while the main thread is in an FMU
+    folder: of temporary files, removed where the process ends at once
     """
 
     def __init__(self) -> None:
         self.received = self.ended = False
+        self.folder = ""
         self.signals, self._wakeup = socket.socketpair()
         self._wakeup.setblocking(False)
         signal.set_wakeup_fd(self._wakeup.fileno(), warn_on_full_buffer=False)
@@ -68,8 +71,11 @@ class _Interrupt:
             of_a_run(signal.SIGINT, frame)
             return
         self.received = True
-        if not self.ended:
-            raise KeyboardInterrupt
+        if self.ended:
+            return
+        if _is_in_an_import(frame):  # of a library in C++, perhaps, which an exception would abort
+            _end_at_once(self.folder)
+        raise KeyboardInterrupt
 
 
 def _watch(signals: socket.socket, folder: str) -> None:
@@ -85,6 +91,16 @@ def _watch(signals: socket.socket, folder: str) -> None:
     with contextlib.suppress(TimeoutError):
         if not signals.recv(1):
             return
+    _end_at_once(folder)
+
+
+def _is_in_an_import(frame: FrameType | None) -> bool:
+    while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
+        frame = frame.f_back
+    return frame is not None
+
+
+def _end_at_once(folder: str) -> NoReturn:
     shutil.rmtree(folder, ignore_errors=True)
     _say_interrupted()
     os._exit(INTERRUPTED)

@@ -168,6 +168,24 @@ def test_an_interrupt_during_the_imports_is_one_line(
     _check_end(started(INTERRUPT_AT_IMPORT.format(module=module), "run", "nominal-l1"), tmp_path)
 
 
+def test_an_interrupt_inside_a_library_in_cpp_does_not_abort_it(
+    started: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    """The library calls Python while it is imported; an exception there would end the process by SIGABRT."""
+    code = INTERRUPT_AT_IMPORT.format(module="lief._lief").replace(
+        "os.kill(os.getpid(), signal.SIGINT)", "enum.EnumType.__setattr__ = interrupted"
+    )
+    interrupted = """
+import enum
+set_attribute = enum.EnumType.__setattr__
+def interrupted(*arguments):
+    os.kill(os.getpid(), signal.SIGINT)
+    set_attribute(*arguments)
+"""
+    (tmp_path / "any.fmu").touch()
+    _check_end(started(interrupted + code, "check", "any.fmu"), tmp_path)
+
+
 @pytest.mark.parametrize(("words", "number"), [("reproduce", signal.SIGINT), ("identify", signal.SIGHUP)])
 def test_the_worker_processes_end_with_the_command_and_write_nothing(
     words: str, number: signal.Signals, started: Callable[..., subprocess.Popen[str]], tmp_path: Path
