@@ -66,6 +66,18 @@ def test_a_vehicle_without_buoyancy_is_refused(driver: Any) -> None:
     driver(PLANT, net_weight=29.42, weight=29.43).begin()
 
 
+def test_an_internal_step_is_at_most_the_sensors_period(driver: Any) -> None:
+    driver(PLANT, internal_step=0.04, sensor_period=0.04).begin()
+    with pytest.raises(BlockError, match="internal_step at most sensor_period"):
+        driver(PLANT, internal_step=0.05, sensor_period=0.04).begin()
+
+
+def test_a_delay_is_at_most_seven_periods(driver: Any) -> None:
+    driver(PLANT, sensor_delay=0.28, sensor_period=0.04).begin()
+    with pytest.raises(BlockError, match="sensor_delay at most 7 times sensor_period"):
+        driver(PLANT, sensor_delay=0.3, sensor_period=0.04).begin()
+
+
 def test_buoyancy_falls_by_the_weight_of_the_water_displaced(driver: Any) -> None:
     """Half out of the water: the spring of a vertical-sided body."""
     lost = 1000.0 * 9.81 * 0.022192 * 0.05

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from plant_fmu.depth_sensor import Sensor, first_sample, normal, reading, sample_when_due, scrambled
+from plant_fmu.depth_sensor import Sensor, first_sample, normal, reading, sample_when_due, scrambled, uniform
 
 SEEDS, SAMPLES, DISTANCES = 1000, 40, 50
 # The largest of 50 standard normal numbers is above 4.8 once in 12,000 generators,
@@ -60,3 +60,9 @@ def test_a_scrambled_seed_is_one_of_the_generators(seed: int) -> None:
 
 def test_no_two_seeds_share_a_state() -> None:
     assert len({scrambled(seed) for seed in range(1, 20001)}) == 20000
+
+
+def test_two_equal_components_give_the_largest_uniform_number() -> None:
+    """L'Ecuyer's rule for a difference of 0, which the logarithm could not take."""
+    seed_1, seed_2 = (5.0 * pow(a, -1, m) % m for a, m in ((40014, 2147483563), (40692, 2147483399)))
+    assert uniform(seed_1, seed_2) == (2147483562.0 / 2147483563.0, 5.0, 5.0)

@@ -272,8 +272,14 @@ def test_a_tilt_acts_from_the_step_on_in_which_it_is_measured(driver: Any) -> No
     assert controller["voltage[1]"] == pytest.approx(expected)
 
 
-def test_an_unstable_design_is_refused(driver: Any) -> None:
-    controller = driver(catalogue.load_block("L1Controller"))
-    controller["state_matrix[2,2]"] = 1.4
-    with pytest.raises(ValueError, match="expected a Hurwitz A_m"):
-        controller.begin()
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ({"state_matrix[2,2]": 1.4}, "expected a Hurwitz A_m"),
+        ({"state_matrix[2,1]": 1.0}, "expected a Hurwitz A_m"),  # a saddle: its trace is negative
+        ({"input_gain_uncertainty": 1.0}, "input_gain_uncertainty below input_gain"),
+    ],
+)
+def test_an_unstable_design_is_refused(driver: Any, values: dict[str, float], expected: str) -> None:
+    with pytest.raises(ValueError, match=expected):
+        driver(CONTROLLER, **values).begin()
