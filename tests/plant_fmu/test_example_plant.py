@@ -21,3 +21,11 @@ def test_free_and_forced_response(driver: Any) -> None:
     # RK4 at |lambda| h = 0.006 over 1000 steps
     assert [plant["state[1]"], plant["state[2]"]] == pytest.approx(exact[:2], rel=1e-10)
     assert plant["output"] == plant["state[1]"]
+
+
+def test_the_input_gain_and_the_output_row_act(driver: Any) -> None:
+    """From rest one step of h: x' = (0, omega u), y = C x."""
+    values = {"omega": 2.0, "control": 3.0, "output_vector[1]": 0.0, "output_vector[2]": 0.5}
+    plant = driver(catalogue.load_block("ExamplePlant"), **values).begin().step(1e-4)
+    assert plant["state[2]"] == pytest.approx(2.0 * 3.0 * 1e-4, rel=1e-3)  # damping: 5.9 per second
+    assert plant["output"] == 0.5 * plant["state[2]"]
