@@ -42,6 +42,9 @@ class Misdeed(IntEnum):
     SEGFAULT = 14
     REFUSE_STATE = 15
     REFUSE_INPUT = 16
+    EXIT = 17
+    CHANGE_FOLDER = 18
+    ROUND_UPWARD = 19
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import contextlib
 import ctypes
 import warnings
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -40,6 +40,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         self.name, self.description, self.time = name, description, 0.0
         self.is_fresh, self._stepping, self._failed, self._dead = True, False, False, False
         self.number, self.busy, self.calls = 1, np.zeros(1, np.int64), np.zeros(1, np.int64)
+        self.after_call: Callable[[], object] = lambda: None
         callbacks = Callbacks()
         try:
             with contextlib.ExitStack() as resources:
@@ -128,6 +129,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         try:
             return super().status(function, *arguments)
         finally:
+            self.after_call()
             self.busy[0] = 0
             self.calls[0] += 1
 

@@ -17,6 +17,7 @@ Inputs are held over a step, first order in h, or extrapolated with their last s
     step_control.py    shorter steps: after a discard, and to meet a tolerance
     snapshot.py, checkpoint.py  the system at one point, in memory and as a file
     subprocess_run.py  a run whose FMUs are in a process of their own
+    process_guard.py   what an FMU changes in the process is put back
     pacing.py, interrupt.py, failure.py
 """
 

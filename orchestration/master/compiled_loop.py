@@ -15,6 +15,8 @@ from orchestration.master.loop import python_loop
 from orchestration.master.loop_data import LoopFunctions, Wiring
 
 _SOURCE = "loop.c"
+# addresses of the report and of the texts of each run in progress, as `report_exit` of loop.c reads them
+GUARDED_RUNS = np.zeros((256, 2), np.int64)
 
 
 def compiled_loop(wiring: Wiring) -> LoopFunctions:
@@ -62,4 +64,5 @@ def library() -> ctypes.CDLL:
     for function, (result, arguments) in _SIGNATURES.items():
         entry = getattr(loaded, function)
         entry.restype, entry.argtypes = result, (ctypes.c_void_p, *arguments)
+    loaded.loop_guard(ctypes.c_void_p(GUARDED_RUNS.ctypes.data), _INDEX(len(GUARDED_RUNS)))
     return loaded

@@ -18,6 +18,7 @@ from orchestration.master.interrupt import deferred_interrupt
 from orchestration.master.loop import python_loop
 from orchestration.master.loop_data import Report, Storage
 from orchestration.master.pacing import Pacing
+from orchestration.master.process_guard import ProcessGuard
 from orchestration.master.stepping import Progress, RunInProgress
 from orchestration.master.wiring import build_wiring
 from orchestration.results.recording import Recording
@@ -41,6 +42,7 @@ class Simulator(AbstractContextManager["Simulator"]):
         self._loaded = ExitStack()
         self._instances: dict[str, FmuInstance] = {}
         self._must_reload = False
+        self._guard: ProcessGuard | None = None
         self._running = threading.Lock()
         self._checked: dict[tuple[str, ...], tuple[CheckedSystem, tuple[ConnectionGroup, ...]]] = {}
 
@@ -73,9 +75,12 @@ class Simulator(AbstractContextManager["Simulator"]):
             if checkpoints or resume:
                 check_can_save(system)
             storage = storage or Storage(np.empty(prepared.shape), np.zeros(len(Report), np.int64))
-            self._load_or_reset(storage.report)
+            if self._guard:
+                self._guard.close()
+            guard = self._guard = ProcessGuard(self.system.components, storage.report)
+            self._load_or_reset(storage.report, guard)
             wired = build_wiring(prepared, self._instances, storage)
-            run = RunInProgress(wired, self._loop(wired.wiring))
+            run = RunInProgress(wired, self._loop(wired.wiring), guard)
             recording = _run_to_end(run, groups, progress, pacing, checkpoints, resume)
             self._must_reload = False
             return recording
@@ -89,7 +94,7 @@ class Simulator(AbstractContextManager["Simulator"]):
             self._checked[driven] = system, connection_groups(system)
         return self._checked[driven]
 
-    def _load_or_reset(self, report: np.ndarray) -> None:
+    def _load_or_reset(self, report: np.ndarray, guard: ProcessGuard) -> None:
         """Load the FMUs that are not loaded, and reset the used ones."""
         if self._must_reload or not all(x.is_fresh or x.reset() for x in self._instances.values()):
             self.close()
@@ -101,13 +106,18 @@ class Simulator(AbstractContextManager["Simulator"]):
                     report[Report.BUSY] = -1 - c
                     instance = FmuInstance(name, Path(path), self._descriptions[name])
                     instances[name] = loading.enter_context(instance)
+                    guard.restore(name)
                 self._instances, self._loaded = instances, loading.pop_all()
             report[Report.BUSY] = 0
+        for instance in self._instances.values():
+            instance.after_call = guard.restore_float_mode
 
     def close(self) -> None:
         """Free every instance; the next run loads them again."""
         self._instances, self._must_reload = {}, False
         self._loaded.close()
+        if self._guard:
+            self._guard.close()
 
     def __exit__(self, *error: object) -> None:
         self.close()
@@ -126,6 +136,7 @@ def _run_to_end(
         with deferred_interrupt() as check_interrupt:
             initialise(run.prepared, groups, run.instances)
             run.read_outputs()
+            run.restore_process()
             if resume:
                 restore(resume, run)
             callback = checkpoints.checkpoint_callback(run) if checkpoints else None

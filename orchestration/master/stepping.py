@@ -16,6 +16,7 @@ from orchestration.errors import OrchestrationError
 from orchestration.master.failure import emit_warnings, failure_error, is_discarded_step
 from orchestration.master.loop_data import LoopFunctions, Report
 from orchestration.master.pacing import Pacing
+from orchestration.master.process_guard import ProcessGuard
 from orchestration.master.snapshot import Snapshot
 from orchestration.master.step_control import StepControl
 from orchestration.master.wiring import WiredRun
@@ -40,8 +41,8 @@ class RunInProgress:
     step_control: None where steps cannot be repeated
     """
 
-    def __init__(self, wired: WiredRun, loop: LoopFunctions) -> None:
-        self.wired, self._loop = wired, loop
+    def __init__(self, wired: WiredRun, loop: LoopFunctions, guard: ProcessGuard) -> None:
+        self.wired, self._loop, self._guard = wired, loop, guard
         self.prepared, self.instances, self.wiring = wired.prepared, wired.instances, wired.wiring
         self.position = 0
         self._changes = sorted(wired.prepared.changes)
@@ -106,6 +107,7 @@ class RunInProgress:
         if self._snapshot:
             self._snapshot.take()
         start, self.position = self.position, self._loop.run(self.position, end)
+        self.restore_process()
         emit_warnings(self.wired, failed=self.position < end)
         if self.position == end:
             return False
@@ -132,8 +134,14 @@ class RunInProgress:
         except KeyboardInterrupt:  # between two communication points nothing can be saved
             self._snapshot.restore()
             raise
+        self.restore_process()
         emit_warnings(self.wired, failed=False)
         self.position += 1
+
+    def restore_process(self) -> None:
+        """Put back what FMUs changed in this process beside their own state."""
+        names = ", ".join(self.instances)
+        self._guard.restore(f"one of {names}" if len(self.instances) > 1 else names)
 
     def _failure(self) -> OrchestrationError:
         return failure_error(self.wired, float(self.wiring.points[self.position]))

@@ -46,7 +46,7 @@ def simulate_in_subprocess(
     task = _packed(Task(system, experiment, dict(options or {}), prepared.shape))
     with (
         contextlib.closing(WorkerProcess(run_task)) as process,
-        contextlib.closing(SharedRecord(process.folder, prepared.shape, "w+")) as record,
+        contextlib.closing(SharedRecord(process.folder, prepared.shape, is_new=True)) as record,
     ):
         record.storage.report[Report.RECORDED] = _NOT_BEGUN
         process.send(task)

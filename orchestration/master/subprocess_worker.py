@@ -5,6 +5,8 @@ are there after it.
 """
 
 import _thread
+import math
+import os
 import pickle
 import tempfile
 import threading
@@ -13,7 +15,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import cloudpickle
 import numpy as np
@@ -57,13 +59,30 @@ class SharedRecord:
     So nobody else may keep its arrays.
     """
 
-    def __init__(self, folder: Path, shape: tuple[int, int], mode: Literal["w+", "r+"]) -> None:
-        rows = np.memmap(folder / "rows", float, mode, shape=shape)
-        report = np.memmap(folder / "report", np.int64, mode, shape=(len(Report),))
-        self.storage = Storage(np.asarray(rows), np.asarray(report))
+    def __init__(self, folder: Path, shape: tuple[int, int], is_new: bool) -> None:
+        rows = _mapped(folder / "rows", np.float64, shape, is_new)
+        self.storage = Storage(rows, _mapped(folder / "report", np.int64, (len(Report),), is_new))
 
     def close(self) -> None:
         del self.storage
+
+
+def _mapped(path: Path, kind: type[np.generic], shape: tuple[int, ...], is_new: bool) -> np.ndarray:
+    """A file as an array; OrchestrationError if there is no room for it, which to map it would not tell."""
+    if is_new:
+        size = max(math.prod(shape) * np.dtype(kind).itemsize, 1)
+        try:
+            with path.open("wb") as stream:
+                if hasattr(os, "posix_fallocate"):
+                    os.posix_fallocate(stream.fileno(), 0, size)
+                else:
+                    stream.truncate(size)
+        except OSError as error:
+            raise OrchestrationError(
+                f"{path.parent}: no room for a record of {size / 1e6:.3g} MB, as a run with a timeout needs: "
+                f"{error.strerror}; expected another folder in TMPDIR, fewer recorded variables or no timeout"
+            ) from error
+    return np.asarray(np.memmap(path, kind, "r+", shape=shape))
 
 
 def run_task(parent: Parent) -> None:
@@ -91,7 +110,7 @@ def _run(parent: Parent, folder: Path) -> Recording:
             "expected signals that can be imported, or no timeout"
         ) from error
     threading.Thread(target=_stop_when_asked, args=(parent,), daemon=True).start()
-    storage = SharedRecord(folder, task.shape, "r+").storage
+    storage = SharedRecord(folder, task.shape, is_new=False).storage
     storage.report[Report.RECORDED] = 0
     with warnings.catch_warnings():
         warnings.simplefilter("always")

@@ -5,6 +5,7 @@
  */
 
 #define _POSIX_C_SOURCE 199309L
+#include <fenv.h>
 #include <signal.h>
 #include <unistd.h>
 
@@ -28,7 +29,10 @@ enum { /* the items of the enumeration Misdeed */
     ABORT,
     SEGFAULT,
     REFUSE_STATE,
-    REFUSE_INPUT
+    REFUSE_INPUT,
+    EXIT,
+    CHANGE_FOLDER,
+    ROUND_UPWARD
 };
 
 #define MODEL_REFUSES
@@ -66,6 +70,9 @@ static fmi2Status model_step(Slave *s, double h) {
     while (is_due(s, HANG)) pause();
     if (is_due(s, ABORT)) abort();
     if (is_due(s, SEGFAULT)) raise(SIGSEGV);
+    if (is_due(s, EXIT)) exit(0);
+    if (is_due(s, CHANGE_FOLDER) && chdir("/")) abort();
+    if (is_due(s, ROUND_UPWARD)) fesetround(FE_UPWARD);
     if (is_due(s, ERROR)) return refuse(s, fmi2Error, "the rudder is stuck");
     if (is_due(s, FATAL_ERROR)) return refuse(s, fmi2Fatal, "the hull is breached");
     if (discards(s) && h > d->value[LONGEST_STEP] * (1 + 1e-9)) return discard(s, h);

@@ -1,5 +1,6 @@
 """FMUs that hang or crash in a process of their own take nothing else with them."""
 
+import errno
 import importlib
 import os
 import signal
@@ -448,3 +449,19 @@ def test_what_does_not_fit_is_said_before_a_process_starts(linear: Build) -> Non
         simulate(System({"one": linear()}), Experiment(1.0, 0.1), timeout=TIMEOUT)
     with pytest.raises(SystemDefinitionError, match="timeout 0 s: expected more than 0"):
         simulate(coupled(linear), Experiment(1.0, 0.1), timeout=0)
+
+
+@pytest.mark.skipif(not hasattr(os, "posix_fallocate"), reason="macOS and Windows cannot reserve room")
+def test_a_record_without_room_is_refused_before_the_run(
+    linear: Build, temporary: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on a temporary folder that is too small, where a mapped file would end the process with SIGBUS."""
+
+    def full(descriptor: int, offset: int, length: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    experiment = Experiment(1.0, 0.1, inputs={"one.u[1]": 0.0})
+    with pytest.raises(OrchestrationError, match=r"no room for a record of .* MB, .*No space left"):
+        simulate(System({"one": linear()}), experiment, timeout=TIMEOUT)
+    assert not list(temporary.iterdir())
