@@ -31,7 +31,7 @@ def run(command: Sequence[str | Path], cwd: Path, **variables: str) -> str:
             command, cwd=cwd, env={**environment, **variables}, capture_output=True, text=True, check=True
         )
     except subprocess.CalledProcessError as error:
-        pytest.fail(f"{command}: {error.stdout}{error.stderr}")
+        pytest.fail(f"{command}: status {error.returncode}: {error.stdout}{error.stderr}")
     assert "runs in Python" not in done.stderr
     return done.stdout
 

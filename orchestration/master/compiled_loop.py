@@ -15,8 +15,7 @@ from orchestration.master.loop import python_loop
 from orchestration.master.loop_data import LoopFunctions, Wiring
 
 _SOURCE = "loop.c"
-# addresses of the report and of the texts of each run in progress, as `report_exit` of loop.c reads them
-GUARDED_RUNS = np.zeros((256, 2), np.int64)
+_MOST_RUNS = 256  # as in loop.c
 
 
 def compiled_loop(wiring: Wiring) -> LoopFunctions:
@@ -64,5 +63,12 @@ def library() -> ctypes.CDLL:
     for function, (result, arguments) in _SIGNATURES.items():
         entry = getattr(loaded, function)
         entry.restype, entry.argtypes = result, (ctypes.c_void_p, *arguments)
-    loaded.loop_guard(ctypes.c_void_p(GUARDED_RUNS.ctypes.data), _INDEX(len(GUARDED_RUNS)))
     return loaded
+
+
+@cache
+def guarded_runs() -> np.ndarray:
+    """Addresses of the report and of the texts of each run in progress, a row each: the table in loop.c."""
+    guard = library().loop_guard
+    guard.restype = ctypes.POINTER(ctypes.c_int64)
+    return np.ctypeslib.as_array(guard(), (_MOST_RUNS, 2))

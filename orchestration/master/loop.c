@@ -74,17 +74,16 @@ typedef struct {
 /* What an FMU must not do to its process. Runs stand in a table: the address of the report, 0 if there is none,
    and that of a text for each component. An FMU that calls exit ends the process with status 70 and its text. */
 
-enum { TEXT_SIZE = 256, EXIT_STATUS = 70, STATUS_FLAGS = 0x3f };
+enum { TEXT_SIZE = 256, EXIT_STATUS = 70, STATUS_FLAGS = 0x3f, MOST_RUNS = 256 };
 
-static const volatile intptr_t *runs;
-static int64_t n_runs;
+static volatile intptr_t runs[MOST_RUNS][2]; /* here, since it is read when Python's memory is gone */
 static uint32_t float_mode; /* rounding and denormals, as before the first FMU was loaded */
 
 static void report_exit(void) {
-    for (int64_t i = 0; i < n_runs; i++) {
-        const int64_t *report = (const int64_t *)runs[2 * i];
+    for (int64_t i = 0; i < MOST_RUNS; i++) {
+        const int64_t *report = (const int64_t *)runs[i][0];
         if (!report || !report[BUSY]) continue;
-        fputs((const char *)runs[2 * i + 1] + TEXT_SIZE * (llabs(report[BUSY]) - 1), stderr);
+        fputs((const char *)runs[i][1] + TEXT_SIZE * (llabs(report[BUSY]) - 1), stderr);
         fflush(stderr);
         _Exit(EXIT_STATUS);
     }
@@ -113,11 +112,11 @@ EXPORT int loop_restore_float_mode(void) {
     return 1;
 }
 
-EXPORT int loop_guard(const intptr_t *table, int64_t size) {
-    runs = table;
-    n_runs = size;
+/* The table, of MOST_RUNS rows; called once. */
+EXPORT volatile intptr_t *loop_guard(void) {
     float_mode = get_float_mode();
-    return atexit(report_exit);
+    atexit(report_exit);
+    return runs[0];
 }
 
 /* A division takes longer than many a component of period 1. */

@@ -11,18 +11,18 @@ import os
 import threading
 import warnings
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from fmus.errors import ExportError
 from orchestration.errors import FmuWarning
-from orchestration.master.compiled_loop import GUARDED_RUNS, library
+from orchestration.master.compiled_loop import guarded_runs, library
 
 _TEXT_SIZE = 256  # bytes, as in loop.c
 _lock = threading.Lock()
 _texts: dict[int, tuple[np.ndarray, bytes]] = {}  # what the rows of the table refer to
-atexit.register(GUARDED_RUNS.fill, 0)  # from here on the process ends by itself
 
 
 class ProcessGuard:
@@ -35,17 +35,19 @@ class ProcessGuard:
         ends = " ended the process (it called exit): the run is lost; with a timeout FMUs have their own\n"
         lines = [f"l1-depth: {name}".encode()[:100] + ends.encode() for name in components]
         texts = b"".join(line.ljust(_TEXT_SIZE, b"\0") for line in lines)
+        try:
+            self._runs = _runs()
+            self.restore_float_mode = library().loop_restore_float_mode
+        except (ExportError, OSError):  # nothing is compiled
+            self._runs = np.zeros((0, 2), np.int64)
+            self.restore_float_mode = lambda: 0
         with _lock:
-            free = np.flatnonzero(GUARDED_RUNS[:, 0] == 0)
+            free = np.flatnonzero(self._runs[:, 0] == 0)
             self._row = int(free[0]) if len(free) else -1
             if self._row >= 0:
                 _texts[self._row] = report, texts
-                GUARDED_RUNS[self._row] = report.ctypes.data, np.frombuffer(texts, np.uint8).ctypes.data
+                self._runs[self._row] = report.ctypes.data, np.frombuffer(texts, np.uint8).ctypes.data
         self._folder, self._locale = _working_directory(), locale.setlocale(locale.LC_ALL)
-        try:
-            self.restore_float_mode = library().loop_restore_float_mode
-        except (ExportError, OSError):  # nothing is compiled
-            self.restore_float_mode = lambda: 0
 
     def restore(self, name: str) -> None:
         """Put back what the FMUs changed, and warn of it; name: of the FMU or FMUs that may have done so."""
@@ -63,9 +65,16 @@ class ProcessGuard:
     def close(self) -> None:
         if self._row >= 0:
             with _lock:
-                GUARDED_RUNS[self._row] = 0
+                self._runs[self._row] = 0
                 del _texts[self._row]
                 self._row = -1
+
+
+@cache
+def _runs() -> np.ndarray:
+    runs = guarded_runs()
+    atexit.register(runs.fill, 0)  # from then on the process ends by itself
+    return runs
 
 
 def _working_directory() -> Path | None:
