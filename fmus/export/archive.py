@@ -4,7 +4,7 @@ import hashlib
 import re
 import uuid
 from importlib import resources
-from importlib.metadata import distribution
+from importlib.metadata import distributions
 
 from fmus.export.toolchain import COMPILER
 
@@ -47,7 +47,8 @@ def licenses(*names: str) -> dict[str, bytes]:
 
 
 def _license(project: str, file: str) -> str:
-    if file:
-        return distribution(project).read_text(f"licenses/{file}") or ""
+    if file:  # a clone's own .egg-info, found first where it is the working directory, has no licence
+        texts = (found.read_text(f"licenses/{file}") for found in distributions(name=project))
+        return next(filter(None, texts))
     header = (resources.files(project) / "c-code" / "fmi2Functions.h").read_text("utf-8")
     return "".join(re.findall(r"Copyright.*?(?=\*/)", header, re.DOTALL)[:1])
