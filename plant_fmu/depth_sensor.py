@@ -85,7 +85,7 @@ def scrambled(seed: int) -> tuple[float, float]:
     sequences at a constant distance. A Feistel network over the two halves of the seed, its round
     function the middle bits of a square, is not linear and gives every seed another state.
     """
-    high, low = _mixed(floor(seed / _HALF), modulo(1.0 * seed, _HALF))
+    high, low = _mixed(floor(seed / _HALF), _low_half(1.0 * seed))
     further_high, further_low = _mixed(high, low)
     return (
         modulo(high * _HALF + low, _M_1 - 1.0) + 1.0,
@@ -96,8 +96,13 @@ def scrambled(seed: int) -> tuple[float, float]:
 def _mixed(high: float, low: float) -> tuple[float, float]:
     for i in range(_ROUNDS):
         square = (low + 40503.0 + i) * (low + 40503.0 + i)
-        high, low = low, modulo(high + floor(square / 256.0), _HALF)
+        high, low = low, _low_half(high + floor(square / 256.0))
     return high, low
+
+
+def _low_half(value: float) -> float:
+    """Exact; compilers would make a fused product and sum of a remainder by a power of two."""
+    return value - _HALF * floor(value / _HALF)
 
 
 def first_sample(sensor: Sensor, t: float, depth: float, seed: int) -> SensorState:

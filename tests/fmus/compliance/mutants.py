@@ -159,7 +159,7 @@ C_MUTANTS: dict[str, tuple[str, Patch]] = {
         "reset-gives-the-start-values",
         {
             RESET: "if (!instance) return fmi2Error;\n    instance->data.mode = INSTANTIATED;",
-            "DBL_MAX; /* infinity: no end */\n    instance->data.outputs_are_stale = 1;": "DBL_MAX;",
+            ": DBL_MAX;\n    instance->data.outputs_are_stale = 1;": ": DBL_MAX;",
         },
     ),
     "a reset that forgets a parameter": (
