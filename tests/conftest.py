@@ -26,6 +26,11 @@ settings.load_profile("quick")
 _HOME = pytest.StashKey[str]()
 
 
+def pytest_xdist_auto_num_workers() -> int:
+    """One more than there are processors: many a test waits for another process."""
+    return (os.cpu_count() or 1) + 1
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Set the folders of the user's own files to an empty one; pytest-xdist's processes inherit it.
 
