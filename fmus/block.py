@@ -146,11 +146,11 @@ class Block:
     @cached_property
     def variables(self) -> tuple[ScalarVariable, ...]:
         """Every interface scalar; its place is its value reference."""
-        found: list[ScalarVariable] = []
+        scalars: list[ScalarVariable] = []
         for role in _ROLES:
-            for each in fields(getattr(self, role)):
-                found.extend(_scalars(each, role, len(found)))
-        return tuple(found)
+            for declared in fields(getattr(self, role)):
+                scalars.extend(_scalars(declared, role, len(scalars)))
+        return tuple(scalars)
 
     def of_causality(self, causality: str) -> tuple[ScalarVariable, ...]:
         return tuple(v for v in self.variables if v.causality == causality)
@@ -196,7 +196,7 @@ def flatten(value: Any) -> list[Any]:
     if isinstance(value, tuple):
         return [scalar for element in value for scalar in flatten(element)]
     if is_dataclass(value):
-        return [s for each in fields(value) for s in flatten(getattr(value, each.name))]
+        return [s for member in fields(value) for s in flatten(getattr(value, member.name))]
     return [value]
 
 
@@ -220,7 +220,7 @@ def _fill(template: Any, scalars: Iterator[Any]) -> Any:
         return tuple([_fill(element, scalars) for element in template])
     if is_dataclass(template):
         cls = template if isinstance(template, type) else type(template)
-        return cls(*[_fill(_default(template, each), scalars) for each in fields(template)])
+        return cls(*[_fill(_default(template, member), scalars) for member in fields(template)])
     return next(scalars)
 
 

@@ -122,12 +122,12 @@ class Instance:
 
     def _advance(self, t: float, h: float) -> Any:
         """The state after h seconds."""
-        wanted = h / self._parameters.internal_step * (1.0 - 1e-9)
-        if wanted > _MOST_INTERNAL_STEPS:
+        quotient = h / self._parameters.internal_step * (1.0 - 1e-9)
+        if quotient > _MOST_INTERNAL_STEPS:
             raise BlockError(
                 f"communication step size {h!r} s: expected at most {_MOST_INTERNAL_STEPS:.0e} internal steps"
             )
-        count = max(1, math.ceil(wanted))
+        count = max(1, math.ceil(quotient))
         internal, state, step = h / count, self._state, self.block.step
         held = self._inputs, self._parameters, self._calculated
         try:

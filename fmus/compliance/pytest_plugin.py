@@ -51,13 +51,13 @@ class FmuTests(pytest.File):
             from fmus.compliance.examine import all_rules
         except ImportError as error:  # of the extra `check`
             raise pytest.UsageError(f"--fmu: {error}") from None
-        return [RuleTest.from_parent(self, name=each.name) for each in all_rules()]
+        return [RuleTest.from_parent(self, name=rule.name) for rule in all_rules()]
 
     def result(self, name: str) -> "Result":
         if self._results is None:
             from fmus.compliance.examine import examine
 
-            self._results = {each.rule.name: each for each in examine(self.path)}
+            self._results = {result.rule.name: result for result in examine(self.path)}
         return self._results[name]
 
 

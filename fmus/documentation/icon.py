@@ -39,8 +39,8 @@ def _px(length: float) -> int:
 
 def _ports(draw: ImageDraw.ImageDraw, block: Block) -> None:
     """A triangle on the edge and a label beside it for each declared input and output."""
-    inputs = [each.name for each in fields(block.inputs)]
-    outputs = [each.name for each in fields(block.outputs)]
+    inputs = [variable.name for variable in fields(block.inputs)]
+    outputs = [variable.name for variable in fields(block.outputs)]
     top, bottom = _EDGE + _HEADER + 6, SIZE - _EDGE - 6
     lowest_row = (bottom - top) / max(len(inputs), len(outputs), 1)
     widest_row = "   ".join(max(names, key=len) for names in (inputs, outputs) if names)

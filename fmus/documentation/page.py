@@ -91,7 +91,7 @@ def _stimuli(block: Block) -> str:
 
 
 def _table(caption: str, headings: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
-    head = "".join(f"<th>{escape(each)}</th>" for each in headings)
+    head = "".join(f"<th>{escape(heading)}</th>" for heading in headings)
     body = "\n".join("<tr>" + "".join(f"<td>{escape(x)}</td>" for x in row) + "</tr>" for row in rows)
     return (
         f'<div class="scroll"><table>\n<caption>{escape(caption)}</caption>\n'

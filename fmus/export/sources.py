@@ -55,7 +55,7 @@ def _read(name: str) -> str:
 
 
 def _imported(name: str, source: str) -> list[str]:
-    wanted = []
+    imported = []
     for statement in ast.parse(source).body:
         if isinstance(statement, ast.Import):
             for alias in statement.names:
@@ -66,9 +66,9 @@ def _imported(name: str, source: str) -> list[str]:
                 continue
             _refuse_foreign(name, base, allowed=(name.partition(".")[0], "fmus", "pythonfmu"))
             submodules = [f"{base}.{alias.name}" for alias in statement.names]
-            modules = [each for each in submodules if _is_module(each)]
-            wanted.extend(modules if len(modules) == len(submodules) else [base, *modules])
-    return wanted
+            modules = [submodule for submodule in submodules if _is_module(submodule)]
+            imported.extend(modules if len(modules) == len(submodules) else [base, *modules])
+    return imported
 
 
 def _absolute(name: str, statement: ast.ImportFrom) -> str:

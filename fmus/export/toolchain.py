@@ -66,9 +66,9 @@ def _universal(slices: Sequence[bytes]) -> bytes:
     page = 14  # 2^14 bytes, the page size of Apple silicon
     table, body = b"", b""
     start = 1 << page
-    for each in slices:
-        _, cpu, subtype = struct.unpack_from("<III", each)
-        table += struct.pack(">IIIII", cpu, subtype, start + len(body), len(each), page)
-        body += each + b"\0" * (-len(each) % (1 << page))
+    for thin in slices:
+        _, cpu, subtype = struct.unpack_from("<III", thin)
+        table += struct.pack(">IIIII", cpu, subtype, start + len(body), len(thin), page)
+        body += thin + b"\0" * (-len(thin) % (1 << page))
     header = struct.pack(">II", 0xCAFEBABE, len(slices)) + table
     return header.ljust(start, b"\0") + body

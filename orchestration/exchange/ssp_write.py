@@ -156,15 +156,15 @@ def _parameter_set(variant: _Variant) -> Element:
 def _units(parent: Element, name: str, checked: CheckedSystem, ports: Iterable[Port]) -> None:
     """The units of these variables as their FMUs define them."""
     used = {(port.component, port.variable.unit) for port in ports}
-    found = {}
+    base_units = {}
     for component, description in checked.descriptions.items():
         for unit in description.unitDefinitions:
             if (component, unit.name) in used and unit.baseUnit is not None:
-                found[unit.name] = unit.baseUnit
-    if not found:
+                base_units[unit.name] = unit.baseUnit
+    if not base_units:
         return
     units = add(parent, name)
-    for unit, base in sorted(found.items()):
+    for unit, base in sorted(base_units.items()):
         exponents = {b: str(getattr(base, b)) for b in ("kg", "m", "s", "A", "K", "mol", "cd", "rad")}
         stated = {b: exponent for b, exponent in exponents.items() if exponent != "0"}
         scale = {

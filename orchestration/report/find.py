@@ -73,7 +73,7 @@ def _files(path: Path) -> list[Path]:
 def _of_folder(folder: Path) -> list[Path]:
     files = sorted(file for file in folder.iterdir() if file.suffix in _ENDINGS)
     runs = {file: recording for file in files if (recording := _recording_of(file))}
-    found = [
+    results = [
         file
         for file in files
         if file in runs
@@ -83,11 +83,11 @@ def _of_folder(folder: Path) -> list[Path]:
             and (is_recording(file) or table.is_sweep(file))
         )
     ]
-    if not found:
+    if not results:
         raise OrchestrationError(
             f"{folder}: no result in this folder: expected what l1-depth run, reproduce or sweep writes"
         )
-    return found
+    return results
 
 
 def _recording_of(document: Path) -> Path | None:
