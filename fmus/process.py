@@ -133,11 +133,12 @@ class WorkerProcess:
     def _read(self, incoming: IO[bytes]) -> None:
         """Queue the messages; None is the end. An untrusted process that sends too much has ended."""
         most = None if self._trusted else _MOST_OF_MESSAGE
-        with incoming, contextlib.suppress(Exception):  # of a message that was cut off
-            while self._trusted or self._messages.qsize() < _MOST_MESSAGES:
-                self._messages.put(_read_message(incoming, most))
-        if not self._trusted:
-            self.kill()
+        with incoming:
+            with contextlib.suppress(Exception):  # of a message that was cut off
+                while self._trusted or self._messages.qsize() < _MOST_MESSAGES:
+                    self._messages.put(_read_message(incoming, most))
+            if not self._trusted:
+                self.kill()  # before its pipe is closed, which would end it in another way
         self._messages.put(None)
 
     def _read_errors(self, errors: IO[bytes]) -> None:

@@ -164,7 +164,6 @@ def test_an_untrusted_process_that_sends_more_than_it_is_asked_for_is_ended(tmp_
         assert time.monotonic() < deadline
         time.sleep(0.01)
     assert [process.receive(TO_START_S) for _ in range(2)] == ["x" * 1000] * 2
-    # it is killed, or its pipe is closed before that
-    with pytest.raises(ProcessEndedError, match=r"^(SIGKILL|exit status 1)$"):
+    with pytest.raises(ProcessEndedError, match=r"^SIGKILL$"):
         process.receive(TO_START_S)
     process.close()
