@@ -106,7 +106,8 @@ def _baseline(room: str, copies: Queue[Path]) -> float:
 
 def _verdict(copy: Path, room: str, limit: float | None) -> str:
     """What becomes of a mutant: killed, timeout or survived."""
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-n", "0", "-p", "no:cacheprovider", *TESTS[room]]
+    # the tests that noticed the mutants before it come first
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "--failed-first", "-n", "0", *TESTS[room]]
     process = subprocess.Popen(
         command,
         cwd=copy,
