@@ -66,3 +66,20 @@ def test_two_equal_components_give_the_largest_uniform_number() -> None:
     """L'Ecuyer's rule for a difference of 0, which the logarithm could not take."""
     seed_1, seed_2 = (5.0 * pow(a, -1, m) % m for a, m in ((40014, 2147483563), (40692, 2147483399)))
     assert uniform(seed_1, seed_2) == (2147483562.0 / 2147483563.0, 5.0, 5.0)
+
+
+@pytest.mark.parametrize("seed", [1, 7, 65535, 65536, 2147483397])
+def test_the_noise_of_a_seed_is_that_of_integer_arithmetic(seed: int) -> None:
+    """A Feistel network over halves of 16 bits, L'Ecuyer's two generators, Box and Muller: on any machine."""
+    high, low, components = seed >> 16, seed & 0xFFFF, []
+    for modulus in (2147483563, 2147483399):
+        for i in range(4):
+            high, low = low, high + ((low + 40503 + i) ** 2 >> 8) & 0xFFFF
+        components.append(((high << 16) + low) % (modulus - 1) + 1)
+    assert scrambled(seed) == tuple(components)
+    uniforms, (one, two) = [], components
+    for _ in range(2):
+        one, two = 40014 * one % 2147483563, 40692 * two % 2147483399
+        uniforms.append(((one - two) % 2147483562 or 2147483562) / 2147483563)
+    expected = math.sqrt(-2.0 * math.log(uniforms[0])) * math.cos(2.0 * math.pi * uniforms[1])
+    assert normal(*map(float, components)) == (expected, one, two)

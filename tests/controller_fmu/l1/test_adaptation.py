@@ -50,7 +50,7 @@ def continuous(p: siso_controller.Parameters, duration: float) -> np.ndarray:
         phi, s = regressor(p.regressor, x), float(x_tilde @ pb)
         u_omega = u if p.input_gain_regressor == BOTH else u_a
         known = theta @ phi + sigma
-        x_tilde_rate = A_M @ (x_tilde + x) + B * (omega * u + known) - x_rate_of(t)
+        x_tilde_rate = A_M @ (x_tilde + x) + np.array(p.input_vector) * (omega * u + known) - x_rate_of(t)
         gamma, away = p.adaptation_gain, float(omega - p.input_gain)
         return np.array([
             *x_tilde_rate,
@@ -95,6 +95,7 @@ def order(p: siso_controller.Parameters, steps: int) -> float:
         {"input_gain_uncertainty": 0.99},
         {"input_gain": 3.0, "input_gain_uncertainty": 2.9, "input_gain_regressor": BOTH},
         {"adaptation_gain": 1e4},
+        {"input_vector": (-0.4, 1.0)},
     ],
 )
 def test_a_step_is_of_second_order_where_the_projection_is_not_active(chosen: dict[str, Any]) -> None:
@@ -104,7 +105,7 @@ def test_a_step_is_of_second_order_where_the_projection_is_not_active(chosen: di
 
 def test_with_an_active_projection_a_step_is_of_first_order() -> None:
     """Its factors are those of the beginning of the step."""
-    assert order(parameters(theta_bound=(0.6, 0.6), sigma_bound=0.3), 800) == pytest.approx(1.0, abs=0.2)
+    assert order(parameters(theta_bound=(0.9, 0.6), sigma_bound=0.3), 800) == pytest.approx(1.0, abs=0.2)
 
 
 def test_learning_from_another_control_than_acts_is_explicit_where_the_two_oppose(
@@ -154,12 +155,13 @@ def test_frequency_and_damping_of_the_fast_loop_do_not_depend_on_the_step(angle:
 def test_no_step_gain_or_measurement_makes_an_estimate_leave_its_bound(
     gain: float, h: float, states: list[tuple[float, float]], controls: tuple[float, float], kinds: tuple
 ) -> None:
-    p = parameters(adaptation_gain=gain, input_gain_uncertainty=0.5, regressor=kinds[0])
-    p = replace(p, input_gain_regressor=kinds[1])
+    p = parameters(adaptation_gain=gain, input_gain_uncertainty=0.5, theta_bound=(10.0, 3.0))
+    p = replace(p, regressor=kinds[0], input_gain_regressor=kinds[1])
     estimates, matrices = Estimates(), siso_controller.calculate(p)
     for before, after in pairwise(states):
         estimates, known = adapt(estimates, Interval(h, before, after, *controls), p, matrices)
-        assert all(abs(theta) <= 10.0 for theta in estimates.theta_hat)
+        assert abs(estimates.theta_hat[0]) <= 10.0
+        assert abs(estimates.theta_hat[1]) <= 3.0
         assert abs(estimates.sigma_hat) <= 5.0
         assert 0.5 <= estimates.omega_hat <= 1.5
         assert all(math.isfinite(value) for value in (*estimates.x_tilde, known))
@@ -181,12 +183,13 @@ def test_no_time_changes_nothing_but_the_measurement() -> None:
     assert known == pytest.approx(0.5 * 1.0 - 0.3 * 2.0 + 0.2)
 
 
-def test_each_parameter_stays_where_its_bound_is_zero() -> None:
-    p = parameters(theta_bound=(0.0, 10.0), sigma_bound=0.0)
+@pytest.mark.parametrize("free", [0, 1])
+def test_each_parameter_stays_where_its_bound_is_zero(free: int) -> None:
+    p = parameters(theta_bound=(0.0, 10.0) if free else (10.0, 0.0), sigma_bound=0.0)
     start = replace(START, theta_hat=(0.0, 0.0), sigma_hat=0.0)
     after, _ = adapt(start, Interval(0.1, (1.0, 2.0), (1.0, 2.0), 3.0, 4.0), p, siso_controller.calculate(p))
-    assert (after.theta_hat[0], after.sigma_hat, after.omega_hat) == (0.0, 0.0, 1.0)
-    assert after.theta_hat[1] != 0.0
+    assert (after.theta_hat[1 - free], after.sigma_hat, after.omega_hat) == (0.0, 0.0, 1.0)
+    assert after.theta_hat[free] != 0.0
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -203,3 +206,16 @@ def test_the_projection_slows_what_moves_outwards_over_the_step(side: float) -> 
     slowed = project(start.sigma_hat, side, p.sigma_bound, p.projection_tolerance) / side
     assert outwards == pytest.approx(-slowed * inwards, rel=1e-6)
     assert 0.0 < slowed < 0.5
+
+
+@pytest.mark.parametrize("x", [(1.0, 2.0), (1.0, -2.0), (-1.0, 2.0)])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_projection_slows_nothing_that_moves_inwards(x: tuple[float, float], side: float) -> None:
+    """Estimates on their bounds, which x_tilde moves back: as if there were no bounds."""
+    at_bound = tuple(math.copysign(0.6, side * component) for component in x)
+    start = Estimates(x_tilde=(side, side), theta_hat=(at_bound[0], at_bound[1]), sigma_hat=0.3 * side)
+    bounded, free = parameters(theta_bound=(0.6, 0.6), sigma_bound=0.3), parameters(**WIDE)
+    over, matrices = Interval(1e-4, x, x, 0.0, 0.0), siso_controller.calculate(free)
+    after, _ = adapt(start, over, bounded, matrices)
+    assert after == adapt(start, over, free, matrices)[0]
+    assert after.sigma_hat * side < 0.3

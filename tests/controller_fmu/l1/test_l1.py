@@ -83,6 +83,7 @@ def largest_prediction_error(driver: Any, at_end: bool, setting: bool, limit: fl
         controller["measured_state[1]"], controller["measured_state[2]"] = measured
         controller.step(h)
         largest = max(largest, abs(controller["prediction_error[1]"]), abs(controller["prediction_error[2]"]))
+        assert controller["predicted_state[1]"] == measured[0] + controller["prediction_error[1]"]
         assert controller["predicted_state[2]"] == measured[1] + controller["prediction_error[2]"]
         x = after
     return largest
@@ -104,6 +105,8 @@ def test_the_vehicles_prediction_is_driven_by_the_force_of_its_voltages(driver: 
         controller["measured_depth"], controller["measured_depth_rate"] = x
         controller.step(h)
         largest = max(largest, abs(controller["depth_rate_prediction_error"]))
+        assert controller["predicted_depth"] == x[0] + controller["depth_prediction_error"]
+        assert controller["predicted_depth_rate"] == x[1] + controller["depth_rate_prediction_error"]
         x = (step @ [*x, force])[:2]
     assert saturated == (limit < 12.0)
     assert largest < 1e-4  # m/s, of 0.1 m/s
@@ -277,6 +280,10 @@ def test_a_tilt_acts_from_the_step_on_in_which_it_is_measured(driver: Any) -> No
     [
         ({"state_matrix[2,2]": 1.4}, "expected a Hurwitz A_m"),
         ({"state_matrix[2,1]": 1.0}, "expected a Hurwitz A_m"),  # a saddle: its trace is negative
+        (
+            {"state_matrix[1,1]": -1.0, "state_matrix[2,1]": 2.0},
+            "expected a Hurwitz A_m",
+        ),  # -1 * -1.4 < 1 * 2
         ({"input_gain_uncertainty": 1.0}, "input_gain_uncertainty below input_gain"),
     ],
 )
