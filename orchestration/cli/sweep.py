@@ -53,11 +53,8 @@ def sweep(
 ) -> None:
     """Run the samples of a scenario that has a table [sweep]; an interrupted sweep continues."""
     from orchestration.cli import chosen_scenario
-    from orchestration.sweep import cluster, table
     from orchestration.sweep.plan import plan
-    from orchestration.sweep.run import sweep as run_samples
     from orchestration.sweep.samples import recorded_signals
-    from orchestration.sweep.summary import summary_table
 
     alone = {"--workers": workers, "--scheduler": scheduler, "--recordings": recordings, "--restart": restart}
     if sample is not None:
@@ -69,6 +66,11 @@ def sweep(
         _run_one(planned, sample, out)
         return
     recorded = recorded_signals(recordings, planned)
+
+    from orchestration.sweep import cluster, table  # Dask is slow to import: after what can be refused
+    from orchestration.sweep.run import sweep as run_samples
+    from orchestration.sweep.summary import summary_table
+
     client = cluster.remote(scheduler) if scheduler else cluster.local(workers or os.cpu_count() or 1)
     with progress("sweep", planned.count) as bar:
         try:

@@ -12,8 +12,6 @@ from dataclasses import dataclass
 from itertools import accumulate
 from typing import Any
 
-from scipy import stats
-
 from orchestration.errors import ScenarioError
 
 
@@ -30,11 +28,14 @@ class Distribution:
     probes: tuple[float, ...] = (0.5,)
 
 
-def _truncated(law: Any, low: float, high: float) -> Distribution:
+def _truncated(name: str, low: float, high: float, *shape: float, **location: float) -> Distribution:
     """One of SciPy's continuous distributions, truncated to low..high.
 
     Not by `scipy.stats.truncate`, which rounds otherwise: the samples of sweeps already run would change.
     """
+    from scipy import stats  # takes longer to import than all else: for those alone who draw from it
+
+    law = getattr(stats, name)(*shape, **location)
     begin, end = float(law.cdf(low)), float(law.cdf(high))
     if not begin < end:
         raise ScenarioError(f"expected some probability within {low:g}..{high:g}, got none")
@@ -48,33 +49,33 @@ def _truncated(law: Any, low: float, high: float) -> Distribution:
 
 def normal(mean: float, std: float, low: float = -math.inf, high: float = math.inf) -> Distribution:
     _positive("std", std)
-    return _truncated(stats.norm(mean, std), low, high)
+    return _truncated("norm", low, high, loc=mean, scale=std)
 
 
 def lognormal(median: float, sigma: float, low: float = 0.0, high: float = math.inf) -> Distribution:
     """sigma: standard deviation of the natural logarithm."""
     _positive("median", median)
     _positive("sigma", sigma)
-    return _truncated(stats.lognorm(sigma, scale=median), low, high)
+    return _truncated("lognorm", low, high, sigma, scale=median)
 
 
 def uniform(low: float, high: float) -> Distribution:
     _ascending(low, high)
-    return _truncated(stats.uniform(low, high - low), low, high)
+    return _truncated("uniform", low, high, loc=low, scale=high - low)
 
 
 def loguniform(low: float, high: float) -> Distribution:
     """Uniform in the logarithm."""
     _positive("low", low)
     _ascending(low, high)
-    return _truncated(stats.loguniform(low, high), low, high)
+    return _truncated("loguniform", low, high, low, high)
 
 
 def triangular(low: float, mode: float, high: float) -> Distribution:
     _ascending(low, high)
     if not low <= mode <= high:
         raise ScenarioError(f"mode = {mode!r}: expected {low:g}..{high:g}")
-    return _truncated(stats.triang((mode - low) / (high - low), low, high - low), low, high)
+    return _truncated("triang", low, high, (mode - low) / (high - low), loc=low, scale=high - low)
 
 
 def integers(low: int, high: int) -> Distribution:

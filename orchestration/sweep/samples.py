@@ -11,17 +11,19 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory, gettempdir
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fmus.process import Parent
 from orchestration.errors import OrchestrationError, SweepError
 from orchestration.master import Simulator
 from orchestration.results import metrics
 from orchestration.results.recording import Recording
-from orchestration.sweep.plan import Plan
 from orchestration.sweep.target import Settings, with_settings
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
+
+if TYPE_CHECKING:  # what runs samples draws none
+    from orchestration.sweep.plan import Plan
 
 READY = "ready"
 
@@ -43,7 +45,7 @@ class Job:
     timeout: float | None
 
     @staticmethod
-    def of(plan: Plan, recorded: tuple[str, ...] | None) -> "Job":
+    def of(plan: "Plan", recorded: tuple[str, ...] | None) -> "Job":
         """What the samples of a plan share, FMUs included."""
         system, experiment = plan.scenario.system, plan.scenario.experiment
         if recorded and experiment.record:
@@ -72,7 +74,7 @@ class Outcome:
     recording: bytes | None = None
 
 
-def recorded_signals(text: str, plan: Plan) -> tuple[str, ...] | None:
+def recorded_signals(text: str, plan: "Plan") -> tuple[str, ...] | None:
     """`Job.recorded` for a user's list of signals, separated by commas; "" is no recordings, "all" is all."""
     if text in ("", "all"):
         return None if not text else ()

@@ -4,7 +4,9 @@ import zipfile
 from pathlib import Path
 
 from fmus import catalogue, files
-from fmus.compliance.examine import examine
+from fmus.compliance.examine import all_rules, examine
+from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.rule import Stage
 from fmus.documentation import reference_files
 from fmus.documentation.reference_results import reference_run
 from fmus.export import native as native_flavour
@@ -33,6 +35,15 @@ def write(content: Members, path: Path) -> Path:
 def broken_rules(path: Path, timeout: float = 100) -> dict[str, tuple[str, ...]]:
     """Rule -> its messages, of the rules that the FMU breaks."""
     return {r.rule.name: r.messages for r in examine(path, timeout) if r.messages}
+
+
+def breaks(path: Path, name: str) -> bool:
+    """Whether an FMU breaks a rule; a rule that calls no FMU is judged alone, which is quicker."""
+    (rule,) = [rule for rule in all_rules() if rule.name == name]
+    if rule.stage is Stage.BEHAVIOUR:
+        return name in broken_rules(path)
+    fmu = FmuFile(path)
+    return not rule.condition(fmu) and any(rule.check(fmu))
 
 
 def patched(patch: dict[str, str], folder: Path, with_references: bool = False) -> Path:

@@ -17,7 +17,13 @@ def test_our_native_fmus_break_no_rule(built: Mapping[str, Path], name: str) -> 
     assert broken_rules(built[name]) == {}
 
 
-@pytest.mark.parametrize("name", catalogue.block_names())
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name == "L1Controller" else pytest.param(name, marks=pytest.mark.slow)
+        for name in catalogue.block_names()
+    ],
+)
 def test_our_python_fmus_break_what_the_binary_of_pythonfmu_breaks(
     python_built: Mapping[str, Path], name: str
 ) -> None:

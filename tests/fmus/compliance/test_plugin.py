@@ -1,6 +1,7 @@
 """The pytest plugin: one test a rule with `--fmu`, and nothing at all without."""
 
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -26,46 +27,54 @@ def run_pytest(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str
     )
 
 
-def test_each_rule_is_a_test_and_a_good_fmu_fails_none(built: Mapping[str, Path], tmp_path: Path) -> None:
-    done = run_pytest(tmp_path, "--fmu", str(built[NAME]), "-v")
-    told = [line.split("::")[-1] for line in done.stdout.splitlines() if "::" in line]
-    assert [line.split()[0] for line in told if " " in line] == [each.name for each in all_rules()]
-    assert f"{len(all_rules())} passed" in done.stdout
-    assert done.returncode == 0
+@pytest.fixture(scope="module")
+def judged(
+    built: Mapping[str, Path], python_built: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory
+) -> subprocess.CompletedProcess[str]:
+    """pytest with a test of the project's own, and a good, a broken, a warned and a missing FMU."""
+    folder = tmp_path_factory.mktemp("judged")
+    (folder / "test_own.py").write_text("def test_own():\n    assert True\n")
+    write(members(python_built[NAME]), folder / "broken.fmu")
+    write(members(built[NAME]) | {"readme.txt": b""}, folder / "warned.fmu")
+    names = (str(built[NAME]), "broken.fmu", "warned.fmu", "none.fmu")
+    return run_pytest(folder, "-v", "-rf", *(argument for name in names for argument in ("--fmu", name)))
+
+
+def outcomes(done: subprocess.CompletedProcess[str], fmu: str) -> dict[str, str]:
+    """Rule -> outcome of its test, in the order in which they ran."""
+    tests = re.findall(rf"{re.escape(fmu)}::(\S+) (PASSED|FAILED|SKIPPED)", done.stdout)
+    return dict(tests)
+
+
+def test_each_rule_is_a_test_and_a_good_fmu_fails_none(judged: subprocess.CompletedProcess[str]) -> None:
+    good = outcomes(judged, f"{NAME}.fmu")
+    assert list(good) == [rule.name for rule in all_rules()]
+    assert set(good.values()) == {"PASSED"}
 
 
 def test_a_broken_fmu_fails_the_tests_of_the_rules_that_it_breaks(
-    python_built: Mapping[str, Path], tmp_path: Path
+    judged: subprocess.CompletedProcess[str],
 ) -> None:
-    done = run_pytest(tmp_path, "--fmu", str(python_built[NAME]), "-q", "-rf")
-    failed = {
-        line.split("::")[-1].split()[0] for line in done.stdout.splitlines() if line.startswith("FAILED")
-    }
-    assert failed == set(PYTHONFMU_ERRORS)
-    assert all(message in done.stdout for (message,) in PYTHONFMU_ERRORS.values())
-    assert done.returncode == 1
+    broken = outcomes(judged, "broken.fmu")
+    assert {rule for rule, outcome in broken.items() if outcome == "FAILED"} == set(PYTHONFMU_ERRORS)
+    assert all(message in judged.stdout for (message,) in PYTHONFMU_ERRORS.values())
+    assert judged.returncode == 1
 
 
-def test_a_warning_of_the_check_is_a_warning_of_pytest(built: Mapping[str, Path], tmp_path: Path) -> None:
-    path = write(members(built[NAME]) | {"readme.txt": b""}, tmp_path / "warned.fmu")
-    done = run_pytest(tmp_path, "--fmu", str(path), "-q")
-    assert "BrokenRuleWarning: warned.fmu: archive-layout" in done.stdout
-    assert done.returncode == 0
+def test_a_warning_of_the_check_is_a_warning_of_pytest_and_fails_nothing(
+    judged: subprocess.CompletedProcess[str],
+) -> None:
+    assert "BrokenRuleWarning: warned.fmu: archive-layout" in judged.stdout
+    assert "FAILED" not in outcomes(judged, "warned.fmu").values()
 
 
-def test_fmus_come_after_the_tests_of_the_project(built: Mapping[str, Path], tmp_path: Path) -> None:
-    (tmp_path / "test_own.py").write_text("def test_own():\n    assert True\n")
-    fmus = ("--fmu", str(built[NAME]), "--fmu", str(built["ExamplePlant"]))
-    done = run_pytest(tmp_path, *fmus, "--collect-only", "-q")
-    collected = [line for line in done.stdout.splitlines() if "::" in line]
-    assert collected[0].endswith("test_own.py::test_own")
-    assert len(collected) == 1 + 2 * len(all_rules())
+def test_fmus_come_after_the_tests_of_the_project(judged: subprocess.CompletedProcess[str]) -> None:
+    lines = [line for line in judged.stdout.splitlines() if "::" in line]
+    assert lines[0].startswith("test_own.py::test_own PASSED")
 
 
-def test_an_fmu_that_is_not_there_fails(tmp_path: Path) -> None:
-    done = run_pytest(tmp_path, "--fmu", "none.fmu", "-q", "-x")
-    assert "none.fmu" in done.stdout
-    assert done.returncode == 1
+def test_an_fmu_that_is_not_there_fails(judged: subprocess.CompletedProcess[str]) -> None:
+    assert set(outcomes(judged, "none.fmu").values()) == {"FAILED"}
 
 
 def test_without_an_fmu_nothing_is_collected_and_nothing_heavy_imported(tmp_path: Path) -> None:

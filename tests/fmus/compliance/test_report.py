@@ -63,7 +63,6 @@ def test_json_on_standard_output_is_all_that_is_there(wrong: Path) -> None:
 
 def test_a_warning_alone_gives_exit_status_0_and_an_error_1(warned: Path, wrong: Path) -> None:
     assert main([str(warned)]) == 0
-    assert main([str(wrong)]) == 1
     assert main([str(warned), str(wrong)]) == 1
 
 
@@ -87,9 +86,7 @@ def test_all_shows_the_rules_that_hold_and_those_that_do_not_apply(
     assert [each.name for each in all_rules() if each.name not in shown] == []
 
 
-@pytest.mark.parametrize(
-    "name", ["a b", "a#b", "a+b", "a%20b", "[a](b){c}", 'it\'s "quoted"', "größe_深さ", "-a", "%s %d"]
-)
+@pytest.mark.parametrize("name", ["a b#c+d%20e", '[a](b){c} it\'s "quoted"', "-größe_深さ %s %d"])
 def test_an_fmu_in_a_folder_of_any_name_breaks_no_rule(
     built: Mapping[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
