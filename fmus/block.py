@@ -7,7 +7,7 @@ checks, the documentation table and the FMU are all derived from a `Block`.
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import Field, dataclass, field, fields, is_dataclass
+from dataclasses import KW_ONLY, Field, dataclass, field, fields, is_dataclass, make_dataclass
 from enum import IntEnum
 from functools import cached_property
 from typing import Any
@@ -113,28 +113,34 @@ class NoValues:
     """Stands for a class of variables that a block does not have."""
 
 
+_STATE_AS_DECLARED: Any = None
+
+
 @dataclass(frozen=True, eq=False)
 class Block:
-    """A model as data: four or five frozen dataclasses and the pure functions between them.
+    """A model as data: frozen dataclasses and the pure functions between them.
 
-    initial_state(t, inputs, parameters, calculated) -> State
+    initial_state(t, inputs, parameters, calculated) -> State; by default the state as it is declared
     step(t, h, state, inputs, parameters, calculated) -> State, over h seconds, inputs held
     output(t, state, parameters, calculated) -> Outputs
     calculate(parameters) -> Calculated, what follows from parameters alone
     requirements(parameters, calculated) -> ((condition, what is expected), ...)
 
-    `Parameters` has an `internal_step` [s], the longest step that `step` may be asked for.
+    `Parameters` has an `internal_step` [s], the longest step that `step` may be asked for; a block that
+    declares none is given one that starts at `step_size`.
+    stop_time, step_size: of the experiment that the FMU suggests, in s.
     guide: what the documentation says besides the variables.
     """
 
     name: str
     description: str
-    parameters: type
-    inputs: type
-    state: type
+    _: KW_ONLY
+    parameters: type = NoValues
+    inputs: type = NoValues
+    state: type = NoValues
     outputs: type
-    initial_state: Callable[..., Any]
-    step: Callable[..., Any]
+    initial_state: Callable[..., Any] = _STATE_AS_DECLARED
+    step: Callable[..., Any] = lambda t, h, state, inputs, parameters, calculated: state
     output: Callable[..., Any]
     calculated: type = NoValues
     calculate: Callable[[Any], Any] = lambda parameters: NoValues()
@@ -142,6 +148,15 @@ class Block:
     stop_time: float = 1.0
     step_size: float = 0.01
     guide: Guide = NO_GUIDE
+
+    def __post_init__(self) -> None:
+        for role in ("parameters", "calculated", "inputs", "state", "outputs"):
+            if not is_frozen(getattr(self, role)):
+                raise TypeError(f"block {self.name!r}: {role}: expected a class with @dataclass(frozen=True)")
+        if "internal_step" not in {declared.name for declared in fields(self.parameters)}:
+            object.__setattr__(self, "parameters", _with_internal_step(self.parameters, self.step_size))
+        if self.initial_state is _STATE_AS_DECLARED:
+            object.__setattr__(self, "initial_state", lambda *_: self.state())
 
     @cached_property
     def variables(self) -> tuple[ScalarVariable, ...]:
@@ -154,6 +169,19 @@ class Block:
 
     def of_causality(self, causality: str) -> tuple[ScalarVariable, ...]:
         return tuple(v for v in self.variables if v.causality == causality)
+
+
+def is_frozen(cls: Any) -> bool:
+    """Whether it is a class with @dataclass(frozen=True)."""
+    return isinstance(cls, type) and is_dataclass(cls) and cls.__dataclass_params__.frozen  # type: ignore[attr-defined]
+
+
+def _with_internal_step(parameters: type, start: float) -> type:
+    """The class with one more parameter, which its functions need not know."""
+    internal_step = variable(start, "Longest internal step", unit="s", min=1e-7, max=1e6, variability="fixed")
+    return make_dataclass(
+        parameters.__name__, [("internal_step", float, internal_step)], bases=(parameters,), frozen=True
+    )
 
 
 def _scalars(declared: Field, role: str, first_reference: int) -> Iterator[ScalarVariable]:

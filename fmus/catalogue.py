@@ -1,13 +1,15 @@
-"""Building the FMUs of the installed blocks, which `fmus.registry` names."""
+"""Building the FMUs of the installed blocks, which `fmus.registry` names, and of the blocks of a file."""
 
 import re
 import zipfile
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from xml.etree import ElementTree
 
 from fmus.block import Block
+from fmus.block_file import blocks_in
 from fmus.documentation import reference_files
 from fmus.documentation.icon import icon
 from fmus.documentation.reference_results import reference_run
@@ -28,18 +30,40 @@ def load_block(name: str) -> Block:
     """The block of that name; ExportError offers the nearest one."""
     point = block_entry_points().get(name)
     if point is None:
-        raise ExportError(f"no block named {name!r}; {nearest(name, block_names())}")
-    return _verified(name, point.load())
-
-
-def _verified(name: str, block: Block) -> Block:
-    """The block, if it bears the name it goes by and takes a step at its start values."""
+        file = f"; the file is {name}.py" if Path(f"{name}.py").is_file() else ""
+        raise ExportError(f"no block named {name!r}; {nearest(name, block_names())}{file}")
+    try:
+        block = point.load()
+    except (Exception, SystemExit) as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise ExportError(
+            f"block {name!r}: its entry point {point.value} cannot be loaded: {reason}"
+        ) from error
+    if not isinstance(block, Block):
+        raise ExportError(f"block {name!r}: its entry point {point.value} is {block!r}: expected a Block")
     if block.name != name:
         raise ExportError(f"entry point {name!r} loads a block named {block.name!r}: expected one name")
+    return verified(block)
+
+
+@contextmanager
+def loaded(name_or_path: str) -> Iterator[tuple[Block, ...]]:
+    """The installed block of a name, or the blocks of a Python file, until the context ends.
+
+    Raises ExportError for a block that cannot become an FMU.
+    """
+    if name_or_path.endswith(".py"):
+        with blocks_in(Path(name_or_path)) as blocks:
+            yield tuple(map(verified, blocks))
+    else:
+        yield (load_block(name_or_path),)
+
+
+def verified(block: Block) -> Block:
+    """The block, if it takes a step at its start values."""
+    name = block.name
     if not re.fullmatch(r"[A-Za-z](_?[A-Za-z0-9])*", name):
         raise ExportError(f"block {name!r}: expected ASCII letters, digits and single underscores")
-    if "internal_step" not in {v.name for v in block.of_causality("parameter")}:
-        raise ExportError(f"block {name!r}: expected a parameter internal_step, its longest step in s")
     traced(block)  # before a call with numbers, which a function could remember
     trial = Instance(block)
     try:
@@ -76,9 +100,20 @@ def build_block(
     return write_archive(folder / f"{block.name}.fmu", members | libraries | shown)
 
 
-def write_cross_check(name: str, folder: Path) -> list[Path]:
+def build_file(
+    path: Path, folder: Path, flavour: Flavour = Flavour.NATIVE, platforms: Sequence[str] = ()
+) -> list[Path]:
+    """Write `folder/NAME.fmu` of each block that a Python file defines.
+
+    Nothing is written if one of them cannot be traced; ExportError names the file and the line.
+    """
+    with loaded(str(path)) as blocks:
+        return [build_block(block, folder, flavour, platforms) for block in blocks]
+
+
+def write_cross_check(block: Block, folder: Path) -> list[Path]:
     """Write what the FMI cross-check wants beside `folder/NAME.fmu`: inputs, results and options."""
-    files = reference_files.cross_check_files(reference_run(load_block(name)), name)
+    files = reference_files.cross_check_files(reference_run(block), block.name)
     for file, data in files.items():
         (folder / file).write_bytes(data)
     return [folder / file for file in sorted(files)]

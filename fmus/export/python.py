@@ -13,7 +13,7 @@ from fmus.documentation.terminals import terminals
 from fmus.errors import ExportError
 from fmus.export.archive import GUID, GUID_IN_NAMES, licenses, with_guid
 from fmus.export.model_description import model_description
-from fmus.export.sources import in_package, source_closure
+from fmus.export.sources import defined_as, in_package, source_closure
 
 _CAPABILITIES = {
     "canInterpolateInputs": "false",
@@ -26,7 +26,7 @@ _ENTRY = '''"""Entry point of the FMU {name}: the class that PythonFMU's binary 
 
 import ctypes
 
-from {package}.{module} import BLOCK
+from {package}.{module} import {attribute}
 from {package}.fmus.export.slave import BlockSlave
 
 # PythonFMU 0.7 drops one reference to this dictionary too many whenever it has run this file
@@ -34,7 +34,7 @@ ctypes.pythonapi.Py_IncRef(ctypes.py_object(globals()))
 
 
 class {name}(BlockSlave):
-    block = BLOCK
+    block = {attribute}
     fingerprint = "{guid}"
 '''
 
@@ -42,11 +42,13 @@ class {name}(BlockSlave):
 def content(block: Block) -> tuple[str, dict[str, bytes]]:
     """(GUID, path -> content) of the FMU; the GUID is derived from everything inside."""
     dependencies = resources.files("fmus.documentation") / "externalDependencies.txt"
-    module = block.step.__module__
+    module, attribute = defined_as(block)
     entry = f"{block.name.lower()}_{GUID_IN_NAMES}"
     package = f"{entry}_sources"
     text = in_package(source_closure(module), package) | {
-        f"{entry}.py": _ENTRY.format(name=block.name, package=package, module=module, guid=GUID),
+        f"{entry}.py": _ENTRY.format(
+            name=block.name, package=package, module=module, attribute=attribute, guid=GUID
+        ),
         "slavemodule.txt": entry,
     }
     members = {

@@ -23,7 +23,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 for _panel, _commands in {
-    "FMUs": (fmu.build, fmu.check, fmu.inspect),
+    "FMUs": (fmu.new, fmu.build, fmu.check, fmu.inspect),
     "Scenarios": (run.scenarios, run.run, sweep.sweep, run.report),
     "The paper": (paper.reproduce, paper.identify),
     "Other tools": (exchange.package, exchange.export),

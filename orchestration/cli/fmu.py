@@ -17,11 +17,23 @@ _FOLDERS = {Flavour.NATIVE: Path("fmus-built"), Flavour.PYTHON: Path("fmus-built
 _PIPED_WIDTH = 260  # a line a variable, for grep
 
 
+def new(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Of the file, such as pid or depth_pid.")],
+) -> None:
+    """Write a block to start from, NAME.py, and its test: a PID controller of depth."""
+    from fmus.new_block import write_new_block
+
+    for path in write_new_block(name, Path()):
+        print(path)
+
+
 def build(
     names: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[NAME]...", help="Names of blocks; all by default.", autocompletion=block_names
+            metavar="[NAME|FILE.py]...",
+            help="Installed blocks, or Python files with blocks; all installed ones by default.",
+            autocompletion=block_names,
         ),
     ] = None,
     flavour: FlavourOption = Flavour.NATIVE,
@@ -67,16 +79,35 @@ def build(
 
     from fmus import catalogue
 
-    chosen = names or block_names()
-    for name in chosen:
-        catalogue.load_block(name)
+    chosen, failures = _loadable(names)
     with progress("build", len(chosen)) as bar:
         for name in chosen:
-            path = catalogue.build(name, folder, flavour, platforms)
-            print(path)
-            for file in catalogue.write_cross_check(name, path.parent) if with_reference else ():
-                print(file)
+            with catalogue.loaded(name) as blocks:
+                for block in blocks:
+                    path = catalogue.build_block(block, folder, flavour, platforms)
+                    print(path)
+                    for file in catalogue.write_cross_check(block, path.parent) if with_reference else ():
+                        print(file)
             bar.advance()
+    if failures:
+        fail("; ".join(failures))
+
+
+def _loadable(names: list[str] | None) -> tuple[list[str], list[str]]:
+    """What to build, and why the rest cannot be loaded; a name that was given raises ExportError."""
+    from fmus import catalogue
+    from fmus.errors import ExportError
+
+    chosen, failures = [], []
+    for name in names or block_names():
+        try:
+            with catalogue.loaded(name):
+                chosen.append(name)
+        except ExportError as error:
+            if names:
+                raise
+            failures.append(str(error))
+    return chosen, failures
 
 
 def check(

@@ -42,10 +42,10 @@ class Outputs:
 BLOCK = Block(
     "Tiny",
     "",
-    Parameters,
-    Inputs,
-    State,
-    Outputs,
+    parameters=Parameters,
+    inputs=Inputs,
+    state=State,
+    outputs=Outputs,
     initial_state=lambda *_: State(),
     step=lambda *_: State(),
     output=lambda *_: Outputs(),
@@ -96,3 +96,28 @@ def test_flatten_and_unflatten_are_inverse() -> None:
 def test_a_wrong_number_of_scalars_is_refused(count: int) -> None:
     with pytest.raises(ValueError, match=f"{count} scalars are too"):
         unflatten(State, [0.0] * count)
+
+
+def test_a_block_without_an_internal_step_is_given_one_that_starts_at_its_step_size() -> None:
+    @dataclass(frozen=True)
+    class Gain:
+        gain: float = variable(2.0, "Gain")
+
+    block = replace(BLOCK, parameters=Gain, step_size=0.5)
+    gain, step = block.of_causality("parameter")
+    assert (gain.name, step.name, step.start, step.unit) == ("gain", "internal_step", 0.5, "s")
+
+
+def test_the_state_begins_as_it_is_declared() -> None:
+    block = Block("Tiny", "", state=State, outputs=Outputs, output=lambda *_: Outputs())
+    assert block.initial_state(0.0, None, None, None) == State()
+    assert block.step(0.0, 0.1, State(5.0), None, None, None) == State(5.0)
+
+
+def test_a_class_that_is_no_frozen_dataclass_is_refused() -> None:
+    @dataclass
+    class Changeable:
+        x: float = 0.0
+
+    with pytest.raises(TypeError, match=r"'Tiny': state: expected a class with @dataclass\(frozen=True\)"):
+        replace(BLOCK, state=Changeable)

@@ -1,12 +1,12 @@
 """Which blocks there are, and that each is what it says before it becomes an FMU."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.metadata import EntryPoint
 
 import pytest
 
 from fmus import catalogue, registry
-from fmus.block import Block, variable
+from fmus.block import Block
 from fmus.errors import ExportError
 
 
@@ -39,13 +39,16 @@ def test_a_block_must_bear_the_name_of_its_entry_point(offer: object) -> None:
         catalogue.load_block("Mine")
 
 
-def test_a_block_needs_an_internal_step(offer: object) -> None:
-    @dataclass(frozen=True)
-    class Parameters:
-        gain: float = variable(1.0, "Gain")
+def test_an_entry_point_that_cannot_be_loaded_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    point = EntryPoint("Broken", "no_such_package:BLOCK", registry.GROUP)
+    monkeypatch.setattr(registry, "entry_points", lambda group: [point])
+    with pytest.raises(ExportError, match=r"'Broken': .* no_such_package:BLOCK .*No module named"):
+        catalogue.load_block("Broken")
 
-    offer("Mine", replace(catalogue.load_block("ExamplePlant"), name="Mine", parameters=Parameters))  # type: ignore[operator]
-    with pytest.raises(ExportError, match=r"block 'Mine': expected a parameter internal_step"):
+
+def test_an_entry_point_must_lead_to_a_block(offer: object) -> None:
+    offer("Mine", 3)  # type: ignore[operator]
+    with pytest.raises(ExportError, match=r"entry point somewhere:BLOCK is 3: expected a Block"):
         catalogue.load_block("Mine")
 
 

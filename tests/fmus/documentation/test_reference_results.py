@@ -32,7 +32,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The files of the cross-check for every block."""
     folder = tmp_path_factory.mktemp("cross check")
     for name in NAMES:
-        catalogue.write_cross_check(name, folder)
+        catalogue.write_cross_check(catalogue.load_block(name), folder)
     return folder
 
 

@@ -101,4 +101,4 @@ def write_fmu(block: Block, folder: Path) -> Path:
 def test_a_name_that_is_no_identifier_is_refused(name: str) -> None:
     block = replace(catalogue.load_block("ExamplePlant"), name=name)
     with pytest.raises(ExportError, match="expected ASCII letters, digits and single underscores"):
-        catalogue._verified(name, block)
+        catalogue.verified(block)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Mapping
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 import typer
 
+from fmus import registry
 from orchestration.cli.app import app
 from orchestration.master import simulate
 from orchestration.results.recording import Recording
@@ -47,6 +49,24 @@ def test_build_with_reference_writes_the_files_of_the_cross_check(command: Comma
     files = sorted(f"ExamplePlant{end}" for end in (".fmu", "_in.csv", "_ref.csv", "_ref.opt"))
     assert sorted(printed) == [str(Path("out") / file) for file in files]
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == files
+
+
+def test_new_and_build_make_the_fmu_of_a_file_beside_that_of_an_installed_block(command: Command) -> None:
+    assert command("new", "pid").stdout == "pid.py\ntest_pid.py\n"
+    done = command("build", "pid.py", "DepthReference", "--flavour", "python", "--out", "out")
+    assert done.stdout == "out/Pid.fmu\nout/DepthReference.fmu\n"
+
+
+def test_a_broken_block_of_another_package_is_named_and_stops_no_other(
+    command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    points = registry.block_entry_points()
+    broken = EntryPoint("Broken", "no_such_package:BLOCK", registry.GROUP)
+    offered = [broken, points["DepthReference"]]
+    monkeypatch.setattr(registry, "entry_points", lambda group: offered)
+    done = command("build", "--flavour", "python", "--out", "out", expect=1)
+    assert done.stdout == "out/DepthReference.fmu\n"
+    assert "'Broken': its entry point no_such_package:BLOCK cannot be loaded" in done.stderr
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ from tests.foreign_fmus import Misdeed
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 # a command, and a function that it calls when it is at work
 AT_WORK = {
-    "build ExamplePlant --out out": "fmus.catalogue.build",
+    "build ExamplePlant --out out": "fmus.catalogue.build_block",
     "check {fmu}": "fmus.compliance.check.check",
     "inspect {fmu}": "orchestration.fmi.description.describe",
     "scenarios": "orchestration.scenarios.scenario.load",

@@ -1,0 +1,93 @@
+"""The blocks of a Python file that belongs to no package."""
+
+import ast
+import importlib.util
+import linecache
+import sys
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+
+from fmus.block import Block
+from fmus.errors import ExportError, nearest
+
+_OWN = {"fmus", "controller_fmu", "plant_fmu", "orchestration"}
+
+
+@contextmanager
+def blocks_in(path: Path) -> Iterator[tuple[Block, ...]]:
+    """The blocks that a file defines at its top level, in their order; building them ends with the context.
+
+    The file imports modules beside it as a script does. Whatever it has loaded is forgotten at the end, so
+    that a changed file is read again.
+
+    Raises ExportError for a file that cannot be imported, or that defines no block.
+    """
+    path = path.absolute()
+    _check_name(path)
+    before, paths = dict(sys.modules), list(sys.path)
+    sys.path.insert(0, str(path.parent))
+    loaded = {path.stem}
+    try:
+        module = _imported(path)
+        loaded |= {name for name in sys.modules.keys() - before.keys() if _lies_in(path.parent, name)}
+        yield _defined(module, path)
+    finally:
+        sys.path[:] = paths
+        for name in loaded:
+            sys.modules.pop(name, None)
+        sys.modules.update({name: before[name] for name in loaded & before.keys()})
+
+
+def _check_name(path: Path) -> None:
+    if not path.is_file():
+        files = [file.name for file in path.parent.glob("*.py")]
+        raise ExportError(f"{path}: no such file; {nearest(path.name, files)}")
+    if not path.stem.isidentifier() or path.stem in sys.stdlib_module_names | _OWN:
+        raise ExportError(f"{path}: {path.stem!r} is no name for a module of yours: rename the file")
+
+
+def _imported(path: Path) -> ModuleType:
+    linecache.checkcache(str(path))
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise ExportError(f"{path}: expected a Python file, NAME.py")
+    module = sys.modules[path.stem] = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:
+        raise ExportError(f"{origin(error, path.parent)}: {type(error).__name__}: {error}") from error
+    return module
+
+
+def origin(error: BaseException, folder: Path) -> str:
+    """FILE:LINE of the deepest line of an error that lies in a folder of the user's."""
+    if isinstance(error, SyntaxError) and error.filename:
+        return f"{error.filename}:{error.lineno}"
+    lines = traceback.extract_tb(error.__traceback__)
+    own = [line for line in lines if Path(line.filename).is_relative_to(folder)]
+    return f"{own[-1].filename}:{own[-1].lineno}" if own else str(folder)
+
+
+def _lies_in(folder: Path, name: str) -> bool:
+    """Whether a loaded module is a file of the user's beside the one that is built."""
+    file = getattr(sys.modules.get(name), "__file__", None)
+    is_own = name.partition(".")[0] in _OWN
+    return file is not None and not is_own and Path(file).is_relative_to(folder)
+
+
+def _defined(module: ModuleType, path: Path) -> tuple[Block, ...]:
+    """The blocks of a module, without those that it imports."""
+    statements = ast.parse(path.read_text(encoding="utf-8")).body
+    imports = [statement for statement in statements if isinstance(statement, ast.ImportFrom)]
+    imported = {alias.asname or alias.name for statement in imports for alias in statement.names}
+    named = {name: value for name, value in vars(module).items() if isinstance(value, Block)}
+    blocks = tuple(dict.fromkeys(block for name, block in named.items() if name not in imported))
+    if not blocks:
+        raise ExportError(f"{path}: no block at the top level of the file; expected BLOCK = Block(...)")
+    names = [block.name for block in blocks]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise ExportError(f"{path}: two blocks named {twice!r}: expected names that differ")
+    return blocks

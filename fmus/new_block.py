@@ -1,0 +1,36 @@
+"""The files of a new block, to start from: a PID controller of depth, and its test."""
+
+import keyword
+import re
+import sys
+from importlib import resources
+from pathlib import Path
+from string import Template
+
+from fmus.errors import ExportError
+from fmus.files import write_text_atomically
+
+_TEMPLATES = {"{}.py": "block.py.in", "test_{}.py": "test.py.in"}
+
+
+def write_new_block(name: str, folder: Path) -> list[Path]:
+    """Write `folder/NAME.py` and `folder/test_NAME.py`; ExportError if one of them is there already.
+
+    name: of the module, such as depth_pid; its block is called DepthPid
+    """
+    is_taken = name in sys.stdlib_module_names or keyword.iskeyword(name)
+    if is_taken or not re.fullmatch(r"[a-z](_?[a-z0-9])*", name):
+        raise ExportError(
+            f"{name!r}: expected lower-case letters, digits and single underscores, and no name of Python's"
+        )
+    values = {"module": name, "name": "".join(map(str.capitalize, name.split("_")))}
+    templates = resources.files("fmus") / "templates"
+    texts = {
+        folder / file.format(name): Template((templates / template).read_text("utf-8")).substitute(values)
+        for file, template in _TEMPLATES.items()
+    }
+    if present := next((path for path in texts if path.exists()), None):
+        raise ExportError(f"{present}: is there already; expected another name than {name!r}")
+    for path, text in texts.items():
+        write_text_atomically(path, text)
+    return list(texts)

@@ -1,0 +1,176 @@
+"""The blocks of a Python file: found, built in both flavours, and each mistake named with its line."""
+
+import runpy
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from fmus import catalogue
+from fmus.block_file import blocks_in
+from fmus.errors import ExportError
+from fmus.new_block import write_new_block
+from fmus.registry import Flavour
+
+LOWPASS = """\
+from dataclasses import dataclass
+{imports}
+from fmus.block import Block, variable
+
+
+@dataclass(frozen=True)
+class Inputs:
+    u: float = variable(0.0, "Input")
+
+
+@dataclass(frozen=True)
+class State:
+    x: float = 0.0
+
+
+@dataclass(frozen=True)
+class Outputs:
+    y: float = variable(0.0, "Output")
+
+
+def step(t, h, s, u, p, c):
+    return State(s.x + h * ({expression} - s.x))
+
+
+{definitions}
+"""
+BLOCK = """\
+{name} = Block(
+    "{name}", "A low-pass filter", inputs=Inputs, state=State, outputs=Outputs,
+    step=step, output=lambda t, s, p, c: Outputs(s.x),
+)
+"""
+
+
+def write(folder: Path, imports: str = "", expression: str = "u.u", names: str = "Lowpass") -> Path:
+    definitions = "".join(BLOCK.format(name=name) for name in names.split())
+    path = folder / "lowpass.py"
+    path.write_text(LOWPASS.format(imports=imports, expression=expression, definitions=definitions))
+    return path
+
+
+def test_every_block_that_a_file_defines_is_found(tmp_path: Path) -> None:
+    path = write(tmp_path, "from plant_fmu.example_plant import BLOCK", names="First Second")
+    with blocks_in(path) as blocks:
+        assert [block.name for block in blocks] == ["First", "Second"]
+
+
+def test_the_python_flavour_carries_what_lies_beside_the_file(tmp_path: Path) -> None:
+    """However it is imported; the module of the FMU is imported where nothing else of it can be found."""
+    (tmp_path / "folder").mkdir()
+    for name in ("gains.py", "folder/more.py"):
+        (tmp_path / name).write_text("GAIN = 2.0\n")
+    imports = (
+        "from gains import GAIN\nimport gains\nimport gains as g  # beside\n"
+        "from folder.more import GAIN as H\nfrom folder import more\nimport folder.more as m"
+    )
+    path = write(tmp_path, imports, "(GAIN + gains.GAIN + g.GAIN + H + more.GAIN + m.GAIN) * u.u")
+    (fmu,) = catalogue.build_file(path, tmp_path / "out", Flavour.PYTHON)
+    with zipfile.ZipFile(fmu) as archive:
+        archive.extractall(tmp_path / "unpacked")
+    (entry,) = (tmp_path / "unpacked" / "resources").glob("lowpass_*.py")
+    code = (
+        f"from {entry.stem} import Lowpass; block = Lowpass.block\n"
+        "print(block.step(0.0, 0.5, block.state(), block.inputs(3.0), None, None).x)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=entry.parent, env={}, capture_output=True, text=True, check=False
+    )
+    assert done.stdout == "18.0\n", done.stderr
+
+
+def test_a_changed_file_is_read_again_and_leaves_nothing_behind(tmp_path: Path) -> None:
+    (tmp_path / "gains.py").write_text("GAIN = 2.0\n")
+    path = write(tmp_path, "from gains import GAIN", "GAIN * u.u")
+    before, paths = set(sys.modules), list(sys.path)
+    for gain in ("2.0", "-3.25"):
+        (tmp_path / "gains.py").write_text(f"GAIN = {gain}\n")
+        with blocks_in(path) as (block,):
+            assert block.step(0.0, 1.0, block.state(), block.inputs(1.0), None, None).x == float(gain)
+    assert not {"lowpass", "gains"} & (set(sys.modules) - before)
+    assert sys.path == paths
+
+
+@pytest.mark.parametrize(
+    ("imports", "message"),
+    [
+        ("import no_such_module", r"lowpass\.py:2: ModuleNotFoundError: No module named 'no_such_module'"),
+        ("from broken import x", r"broken\.py:2: ZeroDivisionError"),
+        ("def f(:", r"lowpass\.py:2: SyntaxError"),
+        ("raise SystemExit(3)", r"lowpass\.py:2: SystemExit: 3"),
+    ],
+)
+def test_a_file_that_cannot_be_imported_is_named_with_the_line(
+    imports: str, message: str, tmp_path: Path
+) -> None:
+    (tmp_path / "broken.py").write_text("\nx = 1 / 0\n")
+    with pytest.raises(ExportError, match=message), blocks_in(write(tmp_path, imports)):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        ("", r"lowpass\.py: no block at the top level of the file; expected BLOCK = Block\("),
+        ("Same Other", r"lowpass\.py: two blocks named 'Same': expected names that differ"),
+    ],
+)
+def test_a_file_has_blocks_of_different_names(names: str, message: str, tmp_path: Path) -> None:
+    path = write(tmp_path, names=names)
+    path.write_text(path.read_text().replace('"Other"', '"Same"'))
+    with pytest.raises(ExportError, match=message), blocks_in(path):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("file", "message"),
+    [
+        ("lowpas.py", r"lowpas\.py: no such file; nearest is 'lowpass\.py'"),
+        ("signal.py", r"signal\.py: 'signal' is no name for a module of yours: rename the file"),
+        ("low-pass.py", r"'low-pass' is no name for a module of yours"),
+    ],
+)
+def test_a_file_that_cannot_be_a_module_is_refused(file: str, message: str, tmp_path: Path) -> None:
+    text = write(tmp_path).read_text()
+    if "nearest" not in message:
+        (tmp_path / file).write_text(text)
+    with pytest.raises(ExportError, match=message), blocks_in(tmp_path / file):
+        pass
+
+
+def test_a_new_block_passes_its_test(tmp_path: Path) -> None:
+    path, test = write_new_block("depth_pid", tmp_path)
+    with blocks_in(path) as (block,):
+        claims = {name: f for name, f in runpy.run_path(str(test)).items() if name.startswith("test_")}
+        assert len(claims) == 4
+        for claim in claims.values():
+            claim()
+        assert block.name == "DepthPid"
+
+
+def test_a_new_block_replaces_no_file(tmp_path: Path) -> None:
+    (tmp_path / "test_pid.py").write_text("mine")
+    with pytest.raises(ExportError, match=r"test_pid\.py: is there already; expected another name"):
+        write_new_block("pid", tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["test_pid.py"]
+    assert (tmp_path / "test_pid.py").read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["Pid", "signal", "lambda", "a-b", "../pid", "", "pid.py"])
+def test_a_name_that_no_module_can_have_is_refused(name: str, tmp_path: Path) -> None:
+    with pytest.raises(ExportError, match=r": expected lower-case letters"):
+        write_new_block(name, tmp_path)
+
+
+def test_the_block_of_a_new_file_has_at_most_forty_lines(tmp_path: Path) -> None:
+    """Of code: without blank lines, docstrings and comments."""
+    block, _ = write_new_block("pid", tmp_path)
+    lines = [line for line in block.read_text().split('"""\n', 2)[2].splitlines() if line.strip()]
+    assert len([line for line in lines if not line.strip().startswith(('"""', "#"))]) <= 40
