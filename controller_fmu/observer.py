@@ -7,10 +7,10 @@ Source: R. Penoyer, "The alpha-beta filter", C User's Journal 11(7), 1993, named
 gains and sampling period are not published.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
-from fmus.numerics import maximum, where
+from fmus.numerics import Clock, sampled
 
 
 class VelocitySource(IntEnum):
@@ -22,11 +22,11 @@ class VelocitySource(IntEnum):
 
 @dataclass(frozen=True)
 class ObserverState:
-    """Estimated depth [m], estimated depth rate [m/s] and time of the next sample [s]."""
+    """Estimated depth [m], estimated depth rate [m/s] and when the next sample is due."""
 
     depth: float = 0.0
     rate: float = 0.0
-    next_sample: float = 0.0
+    clock: Clock = Clock()
 
 
 def correct(
@@ -35,10 +35,10 @@ def correct(
     """The estimates after one sample taken `period` s after the last."""
     predicted = observer.depth + period * observer.rate
     innovation = measured - predicted
-    return ObserverState(
+    return replace(
+        observer,
         depth=predicted + alpha * innovation,
         rate=observer.rate + beta / period * innovation,
-        next_sample=observer.next_sample + period,
     )
 
 
@@ -46,10 +46,4 @@ def sample_when_due(
     t: float, observer: ObserverState, measured: float, alpha: float, beta: float, period: float
 ) -> ObserverState:
     """`correct` if a sample is due at time t, else the observer as it was."""
-    due = t >= observer.next_sample - 1e-6 * period  # t and the clock round differently
-    sampled = correct(observer, measured, alpha, beta, period)
-    return ObserverState(
-        depth=where(due, sampled.depth, observer.depth),
-        rate=where(due, sampled.rate, observer.rate),
-        next_sample=where(due, maximum(sampled.next_sample, t + 0.5 * period), observer.next_sample),
-    )
+    return sampled(t, period, observer, correct(observer, measured, alpha, beta, period))

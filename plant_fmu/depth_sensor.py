@@ -9,9 +9,9 @@ A resolution of 0 does not quantise; an ideal sensor reports z itself.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from fmus.numerics import both, cos, floor, log, maximum, modulo, sqrt, where
+from fmus.numerics import Clock, cos, floor, fmod, log, logical_and, sampled, sqrt, where
 
 HISTORY = 8  # samples kept: the delay may be HISTORY - 1 sampling periods
 _FINEST = 1e-9  # m; a finer resolution counts as none
@@ -39,11 +39,11 @@ class Sensor:
 
 @dataclass(frozen=True)
 class SensorState:
-    """The last samples, newest first; the clock; the two seeds of the generator."""
+    """The last samples, newest first; the start of the run [s]; the clock; the two seeds of the generator."""
 
     samples: tuple[float, ...] = (0.0,) * HISTORY
     start: float = 0.0
-    last_sample: float = 0.0
+    clock: Clock = Clock()
     seed_1: float = 1.0
     seed_2: float = 1.0
 
@@ -56,8 +56,8 @@ def quantise(value: float, resolution: float) -> float:
 
 def uniform(seed_1: float, seed_2: float) -> tuple[float, float, float]:
     """(u, seed_1, seed_2): a number in (0, 1) and the generator's next state."""
-    seed_1 = modulo(_A_1 * seed_1, _M_1)
-    seed_2 = modulo(_A_2 * seed_2, _M_2)
+    seed_1 = fmod(_A_1 * seed_1, _M_1)
+    seed_2 = fmod(_A_2 * seed_2, _M_2)
     difference = seed_1 - seed_2
     z = where(difference < 1.0, difference + _M_1 - 1.0, difference)
     return z / _M_1, seed_1, seed_2
@@ -75,7 +75,7 @@ def sample(sensor: Sensor, state: SensorState, t: float, depth: float) -> Sensor
     n, seed_1, seed_2 = normal(state.seed_1, state.seed_2)
     true = depth + sensor.bias + sensor.drift * (t - state.start)
     newest = quantise(true + sensor.noise * n, sensor.resolution)
-    return SensorState((newest, *state.samples[:-1]), state.start, t, seed_1, seed_2)
+    return SensorState((newest, *state.samples[:-1]), state.start, state.clock, seed_1, seed_2)
 
 
 def scrambled(seed: int) -> tuple[float, float]:
@@ -88,8 +88,8 @@ def scrambled(seed: int) -> tuple[float, float]:
     high, low = _mixed(floor(seed / _HALF), _low_half(1.0 * seed))
     further_high, further_low = _mixed(high, low)
     return (
-        modulo(high * _HALF + low, _M_1 - 1.0) + 1.0,
-        modulo(further_high * _HALF + further_low, _M_2 - 1.0) + 1.0,
+        fmod(high * _HALF + low, _M_1 - 1.0) + 1.0,
+        fmod(further_high * _HALF + further_low, _M_2 - 1.0) + 1.0,
     )
 
 
@@ -107,38 +107,25 @@ def _low_half(value: float) -> float:
 
 def first_sample(sensor: Sensor, t: float, depth: float, seed: int) -> SensorState:
     """At the start the sensor has been reading this depth for ever; `seed` is 1 or more."""
-    state = sample(sensor, SensorState((), t, t, *scrambled(seed)), t, depth)
-    return SensorState((state.samples[0],) * HISTORY, t, t, state.seed_1, state.seed_2)
+    state = sample(sensor, SensorState((), t, Clock(t, 1), *scrambled(seed)), t, depth)
+    return replace(state, samples=(state.samples[0],) * HISTORY)
 
 
 def sample_when_due(sensor: Sensor, state: SensorState, t: float, depth: float) -> SensorState:
     """`sample` if a sampling period has passed, else the state as it was."""
-    due = t >= state.last_sample + sensor.period * (1.0 - 1e-6)  # t and the clock round differently
-    taken = sample(sensor, state, t, depth)
-    return SensorState(
-        samples=tuple(
-            where(due, new, old) for new, old in zip(taken.samples, state.samples, strict=True)
-        ),
-        start=state.start,
-        last_sample=where(
-            due, maximum(state.last_sample + sensor.period, t - 0.5 * sensor.period),
-            state.last_sample,
-        ),
-        seed_1=where(due, taken.seed_1, state.seed_1),
-        seed_2=where(due, taken.seed_2, state.seed_2),
-    )  # fmt: skip
+    return sampled(t, sensor.period, state, sample(sensor, state, t, depth))
 
 
 def reading(sensor: Sensor, state: SensorState, t: float, depth: float) -> float:
     """What the sensor reports at time t: the newest sample that has had time to arrive."""
-    arrived = state.samples[-1]
+    arrived, last_sample = state.samples[-1], state.clock.last_sample(sensor.period)
     for age, value in reversed(list(enumerate(state.samples))):
-        waited = t - state.last_sample + age * sensor.period
+        waited = t - last_sample + age * sensor.period
         arrived = where(waited >= sensor.delay - 1e-6 * sensor.period, value, arrived)
     return where(sensor.ideal, depth, arrived)
 
 
 def delay_fits(sensor: Sensor) -> tuple:
     """The requirement that the samples kept reach back as far as the delay."""
-    fits = both(sensor.delay >= 0.0, sensor.delay <= (HISTORY - 1) * sensor.period)
+    fits = logical_and(sensor.delay >= 0.0, sensor.delay <= (HISTORY - 1) * sensor.period)
     return fits, f"sensor_delay at most {HISTORY - 1} times sensor_period"

@@ -126,8 +126,8 @@ def test_no_files_import_in_a_circle() -> None:
     TopologicalSorter(graph).prepare()  # CycleError names the circle
 
 
-def test_there_are_at_most_eighteen_rooms() -> None:
-    assert len(ROOMS | {"fmus.native"}) <= 18
+def test_there_are_at_most_twenty_rooms() -> None:
+    assert len(ROOMS | {"fmus.native"}) <= 20
 
 
 def test_the_top_of_orchestration_has_at_most_three_files() -> None:
@@ -255,7 +255,7 @@ def test_what_is_declared_is_imported() -> None:
     ("package", "allowed"),
     [
         ("pythonfmu", {"fmus.export.slave"}),
-        ("casadi", {"fmus.numerics", "fmus.export.guard", "fmus.export.symbolic"}),
+        ("casadi", {"fmus.numerics.symbols", "fmus.export.guard", "fmus.export.symbolic"}),
         ("matplotlib", {"orchestration.results.figures"}),
         ("plotly", {"orchestration.report.render"}),
         ("PIL", {"fmus.documentation.icon"}),

@@ -13,7 +13,7 @@ from controller_fmu.l1.law import Control, LawParameters, LawState, Measurement
 from controller_fmu.l1.matrices import LawMatrices, Matrix, Vector, law_matrices, law_requirements
 from controller_fmu.observer import ObserverState, VelocitySource, sample_when_due
 from fmus.block import Block, variable
-from fmus.numerics import where
+from fmus.numerics import Clock, where
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ def requirements(p: Parameters, matrices: LawMatrices) -> tuple:
 
 def initial_state(t: float, inputs: Inputs, p: Parameters, matrices: LawMatrices) -> State:
     """At rest on the first measurement: no estimate, no adaptive control, prediction = state."""
-    observer = ObserverState(inputs.measured_depth, 0.0, t + p.observer_period)
+    observer = ObserverState(inputs.measured_depth, 0.0, Clock(t + p.observer_period))
     j = allocation.body_to_earth(inputs.roll, inputs.pitch)
     return State(l1.initial_law(_measurement(inputs, observer, p), p.input_gain), observer, j)
 

@@ -8,7 +8,7 @@ width of the boundary layer: it begins (f = 0) at th_max / sqrt(1 + eps).
 Source: Maalouf et al. (2013), (4), with the estimate as first argument (docs/fidelity.md).
 """
 
-from fmus.numerics import both, clip, maximum, where
+from fmus.numerics import clip, logical_and, maximum, where
 
 _SMALLEST_BOUND = 1e-12  # keeps f finite for a parameter that may not move at all
 
@@ -25,7 +25,7 @@ def projection_factor(estimate: float, rate: float, bound: float, tolerance: flo
     0 for a bound of zero: such a parameter is held.
     """
     f = boundary_function(estimate, bound, tolerance)
-    outwards = both(f > 0.0, estimate * rate > 0.0)
+    outwards = logical_and(f > 0.0, estimate * rate > 0.0)
     factor = where(outwards, maximum(1.0 - f, 0.0), 1.0)
     return where(bound > 0.0, factor, 0.0)
 

@@ -23,6 +23,7 @@ from fmus import numerics
 from fmus.errors import ExportError
 
 _LIBRARIES = {*sys.stdlib_module_names, "casadi", "numpy"} - {"__main__"}
+_OURS = (f"{__name__}.", f"{numerics.__name__}.")
 _DRAWS = {"time", "random", "_random"}  # modules whose compiled functions give another value at each call
 _CLOCKS = {"now", "utcnow", "today", "urandom", "getrandom"}  # of classes and modules that hold others too
 _LOCK = threading.Lock()  # two tracings at a time would restore each other's methods
@@ -33,13 +34,13 @@ _REFUSED = {
     "__int__": ("an integer is needed", "floor"),
     "__bool__": ("a truth value is needed", "where"),
     "__hash__": ("a key is needed", "where"),
-    "__round__": ("Python rounds halves to even, compiled code does not", "floor"),
-    "__mod__": ("Python computes it otherwise than compiled code", "modulo"),
+    "__round__": ("Python rounds halves to even, compiled code does not", "round"),
+    "__mod__": ("Python computes it otherwise than compiled code", "fmod"),
     "__floordiv__": ("Python computes it otherwise than compiled code", "floor"),
-    "__divmod__": ("Python computes it otherwise than compiled code", "modulo"),
+    "__divmod__": ("Python computes it otherwise than compiled code", "fmod"),
 }
 _REFUSED |= {f"__r{name[2:]}": _REFUSED[name] for name in ("__mod__", "__floordiv__", "__divmod__")}
-_COUNTERPARTS = {"max": "maximum", "min": "minimum", "fabs": "absolute", "pow": "power", "fmod": "modulo"}
+_COUNTERPARTS = {"max": "maximum", "min": "minimum", "fabs": "absolute", "pow": "power"}
 
 
 class _RefusedError(TypeError):
@@ -121,7 +122,7 @@ def _assigned_global(code: CodeType) -> str:
 
 
 def _is_library(frame: FrameType) -> bool:
-    return _package(_module(frame)) in _LIBRARIES or _module(frame) in (__name__, numerics.__name__)
+    return _package(_module(frame)) in _LIBRARIES or f"{_module(frame)}.".startswith(_OURS)
 
 
 def _module(frame: FrameType) -> str:

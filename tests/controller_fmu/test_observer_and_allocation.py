@@ -1,6 +1,7 @@
 """The alpha-beta observer and the way from force to voltages."""
 
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -8,6 +9,7 @@ from hypothesis import strategies as st
 
 from controller_fmu.allocation import allocate, body_to_earth, force, saturate, shortfall
 from controller_fmu.observer import ObserverState, correct, sample_when_due
+from fmus.numerics import Clock
 
 PERIOD = 0.04
 
@@ -29,7 +31,7 @@ def test_one_correction_is_penoyers() -> None:
 
 def test_samples_are_taken_once_a_period_whatever_the_step() -> None:
     for h in (0.01, 0.02, 0.04):
-        observer, taken = ObserverState(next_sample=PERIOD), 0
+        observer, taken = ObserverState(clock=Clock(PERIOD)), 0
         for i in range(round(4.0 / h) + 1):
             after = sample_when_due(i * h, observer, 1.0 * i, 0.4, 0.1, PERIOD)
             taken += after != observer
@@ -39,7 +41,7 @@ def test_samples_are_taken_once_a_period_whatever_the_step() -> None:
 
 def test_samples_that_were_missed_are_not_made_up_for() -> None:
     """After a gap of ten periods one sample is taken, and the next half a period later at the earliest."""
-    observer = ObserverState(next_sample=PERIOD)
+    observer = ObserverState(clock=Clock(PERIOD))
     taken = []
     for t in (10 * PERIOD, 10.25 * PERIOD, 10.49 * PERIOD, 10.51 * PERIOD, 11.0 * PERIOD, 11.52 * PERIOD):
         after = sample_when_due(t, observer, 1.0 + t, 0.4, 0.1, PERIOD)
@@ -49,9 +51,11 @@ def test_samples_that_were_missed_are_not_made_up_for() -> None:
 
 
 def test_an_observer_has_the_measurement_and_clock_of_its_sample() -> None:
-    early = ObserverState(depth=1.0, rate=0.5, next_sample=PERIOD)
+    early = ObserverState(depth=1.0, rate=0.5, clock=Clock(PERIOD))
     assert sample_when_due(PERIOD - 1e-4, early, 9.0, 0.4, 0.1, PERIOD) == early
-    assert sample_when_due(PERIOD, early, 9.0, 0.4, 0.1, PERIOD) == correct(early, 9.0, 0.4, 0.1, PERIOD)
+    corrected = correct(early, 9.0, 0.4, 0.1, PERIOD)
+    expected = replace(corrected, clock=Clock(PERIOD, 1))
+    assert sample_when_due(PERIOD, early, 9.0, 0.4, 0.1, PERIOD) == expected
 
 
 @given(st.floats(-3.0, 3.0), st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))

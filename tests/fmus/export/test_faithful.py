@@ -134,11 +134,11 @@ REFUSED: list[tuple[Rule, str]] = [
     (lambda u, x, p: GAINS[p.mode] * x, r"GAINS\[p.mode\]: a key is needed.*use fmus.numerics.where$"),
     (lambda u, x, p: GAINS.get(p.mode, 5.0) * x, r"GAINS.get\(p.mode, 5.0\): a key is needed"),
     (lambda u, x, p: cached(u), r"cached\(u\): a key is needed"),
-    (lambda u, x, p: float(round(u)), r"round\(u\): Python rounds halves to even.*numerics.floor$"),
-    (lambda u, x, p: u % 0.1, r"u % 0.1: Python computes it otherwise.*use fmus.numerics.modulo$"),
-    (lambda u, x, p: 0.1 % u, r"use fmus.numerics.modulo$"),
+    (lambda u, x, p: float(round(u)), r"round\(u\): Python rounds halves to even.*numerics.round$"),
+    (lambda u, x, p: u % 0.1, r"u % 0.1: Python computes it otherwise.*use fmus.numerics.fmod$"),
+    (lambda u, x, p: 0.1 % u, r"use fmus.numerics.fmod$"),
     (lambda u, x, p: u // 0.1, r"u // 0.1: .*use fmus.numerics.floor$"),
-    (lambda u, x, p: divmod(u, 0.1)[1], r"use fmus.numerics.modulo$"),
+    (lambda u, x, p: divmod(u, 0.1)[1], r"use fmus.numerics.fmod$"),
     (lambda u, x, p: sum(x for _ in range(p.number)), r"range\(p.number\): .*expected functions of fmus"),
     (lambda u, x, p: x + random.random(), r"random.random\(\): random gives another value at each call"),
     (lambda u, x, p: x + random.gauss(0.0, 1.0), r"random.gauss\(0.0, 1.0\): random gives another value"),
@@ -214,7 +214,9 @@ ACCEPTED: list[Rule] = [
     lambda u, x, p: x**2 + abs(u) ** 0.5 - x / 3.0,
     lambda u, x, p: x + p.number + p.flag + p.mode,
     lambda u, x, p: numerics.where(p.mode == Mode.FAST, numerics.tanh(u), numerics.atan2(u, x)),
-    lambda u, x, p: numerics.where(numerics.both(p.flag, u < x), numerics.modulo(u, 0.1), numerics.ceil(x)),
+    lambda u, x, p: numerics.where(
+        numerics.logical_and(p.flag, u < x), numerics.fmod(u, 0.1), numerics.ceil(x)
+    ),
     lambda u, x, p: numerics.log(u),  # refused for u <= 0 by Python, not finite when it is traced
     lambda u, x, p: numerics.sin(1e6 * u) - numerics.sin(1e6 * u + 1e-9),
 ]

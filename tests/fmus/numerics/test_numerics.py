@@ -16,14 +16,14 @@ POSITIVE = st.floats(1e-3, 1e3)
 
 FUNCTIONS: list[tuple[Callable[..., Any], tuple]] = [
     (lambda a, b: n.where(a < b, a, 2.0 * b), (FINITE, FINITE)),
-    (lambda a, b: n.where(n.both(a > 0.0, n.negate(b > 0.0)), 1.0, -1.0), (FINITE, FINITE)),
+    (lambda a, b: n.where(n.logical_and(a > 0.0, n.logical_not(b > 0.0)), 1.0, -1.0), (FINITE, FINITE)),
     (n.minimum, (FINITE, FINITE)),
     (n.maximum, (FINITE, FINITE)),
     (n.clip, (FINITE, st.just(-1.0), st.just(2.0))),
     (n.sign, (FINITE,)),
     (n.absolute, (FINITE,)),
     (n.power, (POSITIVE, st.floats(0.1, 2.0))),
-    (n.modulo, (FINITE, POSITIVE)),
+    (n.fmod, (FINITE, POSITIVE)),
     (n.sqrt, (POSITIVE,)),
     (n.exp, (st.floats(-20.0, 20.0),)),
     (n.log, (POSITIVE,)),

@@ -1,0 +1,130 @@
+"""The functions of Python's `math` that have a meaning on a symbol, under their names there."""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from fmus.numerics.symbols import are_numbers, casadi
+
+
+def _of_one(name: str, meaning: str) -> Callable[[Any], Any]:
+    on_float = getattr(math, name)
+
+    def function(value: Any) -> Any:
+        if isinstance(value, (float, int)):
+            return float(on_float(value))
+        return getattr(casadi(), name)(value)
+
+    function.__name__ = function.__qualname__ = name
+    function.__doc__ = meaning
+    return function
+
+
+def _of_two(name: str, meaning: str) -> Callable[[Any, Any], Any]:
+    on_float = getattr(math, name)
+
+    def function(first: Any, second: Any) -> Any:
+        if are_numbers(first, second):
+            return on_float(first, second)
+        return getattr(casadi(), name)(first, second)
+
+    function.__name__ = function.__qualname__ = name
+    function.__doc__ = meaning
+    return function
+
+
+sqrt = _of_one("sqrt", "Square root of a value of at least 0.")
+exp = _of_one("exp", "e to the power of the value.")
+expm1 = _of_one("expm1", "exp(value) - 1, accurate near 0.")
+log = _of_one("log", "Natural logarithm of a value above 0.")
+log1p = _of_one("log1p", "log(1 + value), accurate near 0, of a value above -1.")
+sin = _of_one("sin", "Sine of an angle in rad.")
+cos = _of_one("cos", "Cosine of an angle in rad.")
+tan = _of_one("tan", "Tangent of an angle in rad.")
+asin = _of_one("asin", "Angle in rad, -pi/2..pi/2, whose sine is the value, -1..1.")
+acos = _of_one("acos", "Angle in rad, 0..pi, whose cosine is the value, -1..1.")
+atan = _of_one("atan", "Angle in rad, -pi/2..pi/2, whose tangent is the value.")
+atan2 = _of_two("atan2", "Angle in rad, -pi..pi, of the point (second, first): atan2(y, x).")
+sinh = _of_one("sinh", "Hyperbolic sine.")
+cosh = _of_one("cosh", "Hyperbolic cosine.")
+tanh = _of_one("tanh", "Hyperbolic tangent.")
+asinh = _of_one("asinh", "Inverse hyperbolic sine.")
+acosh = _of_one("acosh", "Inverse hyperbolic cosine of a value of at least 1.")
+atanh = _of_one("atanh", "Inverse hyperbolic tangent of a value between -1 and 1.")
+erf = _of_one("erf", "Error function.")
+floor = _of_one("floor", "Largest whole number that is not above the value, as a float.")
+ceil = _of_one("ceil", "Smallest whole number that is not below the value, as a float.")
+fmod = _of_two("fmod", "Remainder of first / second with the sign of the first, exact (C's fmod).")
+remainder = _of_two(
+    "remainder", "first - n * second, exact, for the whole number n nearest to first / second (IEEE 754)."
+)
+copysign = _of_two("copysign", "The absolute value of the first with the sign of the second.")
+
+
+def trunc(value: Any) -> Any:
+    """The value without its fraction, as a float: towards 0."""
+    return value - fmod(value, 1.0)
+
+
+def round(value: Any) -> Any:
+    """The whole number nearest to the value, as a float; of two, the even one, as Python's `round`."""
+    return value - remainder(value, 1.0)
+
+
+def absolute(value: Any) -> Any:
+    """|value|; Python's `abs` does the same."""
+    return abs(value)
+
+
+def sign(value: Any) -> Any:
+    """-1.0, 0.0 or 1.0."""
+    if isinstance(value, (float, int)):
+        return math.copysign(1.0, value) if value != 0.0 else 0.0
+    return casadi().sign(value)
+
+
+def power(base: Any, exponent: Any) -> Any:
+    """`base ** exponent` for a base of zero or more."""
+    if are_numbers(base, exponent):
+        return math.pow(base, exponent)
+    return casadi().constpow(base, exponent)
+
+
+def exp2(value: Any) -> Any:
+    """2 to the power of the value."""
+    return power(2.0, value)
+
+
+def log2(value: Any) -> Any:
+    """Logarithm to base 2, within 2 units in the last place: log2(8.0) need not be 3.0 exactly."""
+    return log(value) * (1.0 / math.log(2.0))
+
+
+def log10(value: Any) -> Any:
+    """Logarithm to base 10, within 2 units in the last place: log10(1000.0) need not be 3.0 exactly."""
+    return log(value) * (1.0 / math.log(10.0))
+
+
+def cbrt(value: Any) -> Any:
+    """Cube root of any value, within 2 units in the last place."""
+    return copysign(power(abs(value), 1.0 / 3.0), value)
+
+
+def radians(degrees: Any) -> Any:
+    """An angle in degrees, in rad."""
+    return degrees * (math.pi / 180.0)
+
+
+def degrees(radians: Any) -> Any:
+    """An angle in rad, in degrees."""
+    return radians * (180.0 / math.pi)
+
+
+def hypot(*coordinates: Any) -> Any:
+    """Length of a vector: the square root of the sum of the squares, which may overflow above 1e154."""
+    return sqrt(sum(x * x for x in coordinates))
+
+
+def dist(first: Sequence[Any], second: Sequence[Any]) -> Any:
+    """Distance between two points with as many coordinates."""
+    return hypot(*(a - b for a, b in zip(first, second, strict=True)))
