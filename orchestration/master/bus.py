@@ -11,7 +11,7 @@ from orchestration.master.loop_data import InputMode
 from orchestration.system.prepared_run import PreparedRun
 from orchestration.system.system import Port
 
-SIGNAL = "."  # prefix of the name of a signal on the bus, with which no name of a variable begins
+SIGNAL = "."  # prefix of a signal or an external value on the bus, with which no name of a variable begins
 
 
 @dataclass(frozen=True)
@@ -52,9 +52,10 @@ class BusLayout:
 
 
 def lay_out_bus(prepared: PreparedRun) -> BusLayout:
-    """Outputs come first, then inputs, then signals."""
+    """Outputs come first, then inputs, then signals and external values."""
     pairs = [(source.name, target.name) for source, target in prepared.system.connections]
-    pairs += [(f"{SIGNAL}{name}", name) for name in prepared.experiment.signals]
+    signals = [*prepared.experiment.signals, *prepared.external]
+    pairs += [(f"{SIGNAL}{name}", name) for name in signals]
     order = {name: c for c, name in enumerate(prepared.system.components)}
     connections = tuple(sorted(pairs, key=lambda pair: order[component_of(pair[1])]))
     modes = {target: _input_mode(prepared, source, target) for source, target in connections}
@@ -70,7 +71,7 @@ def lay_out_bus(prepared: PreparedRun) -> BusLayout:
         size += len(members)
         integer_count += 0 if is_real else len(members)
     names = [name for group in groups for name in group.names]
-    names += [f"{SIGNAL}{name}" for name in prepared.experiment.signals]
+    names += [f"{SIGNAL}{name}" for name in signals]
     inputs = tuple(groups[len(outputs) :])
     counts = ((group, sum(name in smooth for name in group.names)) for group in inputs)
     return BusLayout(
@@ -93,7 +94,7 @@ def _input_mode(prepared: PreparedRun, source: str, target: str) -> InputMode:
     ports = prepared.system.ports
     ends = [ports[name].variable for name in (source, target) if not name.startswith(SIGNAL)]
     is_continuous = all(v.type == "Real" and v.variability in (None, "continuous") for v in ends)
-    if not (prepared.experiment.extrapolation and is_continuous):
+    if not (prepared.experiment.extrapolation and is_continuous) or target in prepared.external:
         return InputMode.HOLD
     interface: Any = prepared.system.descriptions[ports[target].component].coSimulation
     return InputMode.FMU_DERIVATIVE if interface.canInterpolateInputs else InputMode.MIDPOINT

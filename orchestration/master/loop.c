@@ -20,7 +20,7 @@
 
 enum { HOLD, FMU_DERIVATIVE, MIDPOINT };
 enum { NO_FAILURE, SET_INPUTS, SET_DERIVATIVES, DO_STEP, GET_OUTPUTS, NOT_FINITE };
-enum { RECORDED, FAILURE, COMPONENT, INDEX, STATUS, BUSY, CALLS };
+enum { RECORDED, FAILURE, COMPONENT, INDEX, STATUS, BUSY, CALLS, POSITION };
 enum { OK, WARNING };
 
 typedef char sixty_four_bits[sizeof(void *) == 8 ? 1 : -1];
@@ -308,9 +308,11 @@ EXPORT int loop_step(Wiring *wiring, int64_t point, double start, double end) {
 }
 
 EXPORT int64_t loop_run(Wiring *wiring, int64_t first, int64_t last) {
-    for (int64_t point = first; point < last; point++)
+    for (int64_t point = first; point < last; point++) {
         if (!(loop_exchange_and_record(wiring, point) &&
               loop_step(wiring, point, wiring->points[point], wiring->points[point + 1])))
             return point;
+        wiring->report[POSITION] = point + 1;
+    }
     return last;
 }

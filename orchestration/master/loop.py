@@ -38,6 +38,7 @@ def run(wiring: Wiring, first: int, last: int) -> int:
         start, end = wiring.points[point], wiring.points[point + 1]
         if not (exchange_and_record(wiring, point) and step(wiring, point, start, end)):
             return point
+        wiring.report[Report.POSITION] = point + 1
     return last
 
 

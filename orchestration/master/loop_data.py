@@ -17,7 +17,7 @@ InputMode = IntEnum("InputMode", "HOLD FMU_DERIVATIVE MIDPOINT", start=0)
 # the kinds of failure and, but for the first and the last, of calls
 Call = IntEnum("Call", "NO_FAILURE SET_INPUTS SET_DERIVATIVES DO_STEP GET_OUTPUTS NOT_FINITE", start=0)
 # indices of Wiring.report
-Report = IntEnum("Report", "RECORDED FAILURE COMPONENT INDEX STATUS BUSY CALLS", start=0)
+Report = IntEnum("Report", "RECORDED FAILURE COMPONENT INDEX STATUS BUSY CALLS POSITION", start=0)
 
 
 class Calls(NamedTuple):
@@ -94,7 +94,7 @@ class Wiring(NamedTuple):
     record_index: of the recorded values on the bus; rows: the recorded values, one row for each point
     report: RECORDED rows; the kind of FAILURE with its COMPONENT, the INDEX of its call or connection and its
     STATUS; BUSY: 1 + the component whose call is in progress, its negative while it is loaded, else 0;
-    CALLS that have returned
+    CALLS that have returned; POSITION: the present communication point
     """
 
     gauss_seidel: int

@@ -1,8 +1,8 @@
 """A system whose FMUs stay loaded, and the runs that it makes."""
 
 import threading
-from collections.abc import Sequence
-from contextlib import AbstractContextManager, ExitStack
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -19,16 +19,18 @@ from orchestration.master.loop import python_loop
 from orchestration.master.loop_data import Report, Storage
 from orchestration.master.pacing import Pacing
 from orchestration.master.process_guard import ProcessGuard
+from orchestration.master.step_by_step import StepByStep
+from orchestration.master.stepped_run import SteppedRun
 from orchestration.master.stepping import Progress, RunInProgress
-from orchestration.master.wiring import build_wiring
+from orchestration.master.wiring import WiredRun, build_wiring
 from orchestration.results.recording import Recording
 from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_run import prepare_checked
 from orchestration.system.system import CheckedSystem, System, check
 
 
-class Simulator(AbstractContextManager["Simulator"]):
-    """A system whose FMUs stay loaded over many runs; a context manager.
+class Simulator(StepByStep, AbstractContextManager["Simulator"]):
+    """A system whose FMUs stay loaded over many runs, made at once or step by step; a context manager.
 
     The FMUs are loaded for the first run and reset for the next; after a failure they are loaded anew.
     compiled: whether the communication loop runs compiled, or in Python: slower, with the same results to the
@@ -66,26 +68,59 @@ class Simulator(AbstractContextManager["Simulator"]):
         Raises SystemDefinitionError or FmuLoadError before the run starts, SimulationError afterwards: its
         `recording` holds the values recorded until then.
         """
-        if not self._running.acquire(blocking=False):
-            raise OrchestrationError("this simulator is running: expected another one for a run meanwhile")
-        try:
+        with self._begin_run():
             pacing = None if real_time is None else Pacing(real_time)
-            system, groups = self._check(experiment.driven_inputs)
-            prepared = prepare_checked(system, experiment)
             if checkpoints or resume:
-                check_can_save(system)
-            storage = storage or Storage(np.empty(prepared.shape), np.zeros(len(Report), np.int64))
-            if self._guard:
-                self._guard.close()
-            guard = self._guard = ProcessGuard(self.system.components, storage.report)
-            self._load_or_reset(storage.report, guard)
-            wired = build_wiring(prepared, self._instances, storage)
+                check_can_save(self._check(experiment.driven_inputs)[0])
+            wired, groups, guard = self._prepare_run(experiment, (), storage)
             run = RunInProgress(wired, self._loop(wired.wiring), guard)
             recording = _run_to_end(run, groups, progress, pacing, checkpoints, resume)
             self._must_reload = False
             return recording
+
+    def _start_stepped(self, experiment: Experiment, external: tuple[str, ...]) -> SteppedRun:
+        with self._begin_run():
+            wired, groups, guard = self._prepare_run(experiment, external)
+            run = SteppedRun(wired, self._loop(wired.wiring), guard)
+            try:
+                with deferred_interrupt():
+                    _initialise(run, groups)
+            except (KeyboardInterrupt, Exception) as error:
+                run.free()
+                raise SimulationError(reason_of(error), run.recording()) from error
+            self._must_reload = False
+            return run
+
+    @contextmanager
+    def _begin_run(self) -> Iterator[None]:
+        """End the run that was led step by step; refuse another one meanwhile."""
+        if not self._running.acquire(blocking=False):
+            raise OrchestrationError("this simulator is running: expected another one for a run meanwhile")
+        try:
+            self._end_stepped()
+            yield
         finally:
             self._running.release()
+
+    def _end_stepped(self) -> None:
+        if self._stepped:
+            self._must_reload = self._must_reload or bool(self._stepped.failure)
+            self._stepped.free()
+            self._stepped = None
+
+    def _prepare_run(
+        self, experiment: Experiment, external: tuple[str, ...], storage: Storage | None = None
+    ) -> tuple[WiredRun, tuple[ConnectionGroup, ...], ProcessGuard]:
+        """Check an experiment, load or reset the FMUs and wire them."""
+        driven = (*experiment.driven_inputs, *(name for name in external if name not in experiment.inputs))
+        system, groups = self._check(driven)
+        prepared = prepare_checked(system, experiment, external)
+        storage = storage or Storage(np.empty(prepared.shape), np.zeros(len(Report), np.int64))
+        if self._guard:
+            self._guard.close()
+        guard = self._guard = ProcessGuard(self.system.components, storage.report)
+        self._load_or_reset(storage.report, guard)
+        return build_wiring(prepared, self._instances, storage), groups, guard
 
     def _check(self, driven: tuple[str, ...]) -> tuple[CheckedSystem, tuple[ConnectionGroup, ...]]:
         """The checked system and its groups of initial values, computed once for the same driven inputs."""
@@ -114,6 +149,7 @@ class Simulator(AbstractContextManager["Simulator"]):
 
     def close(self) -> None:
         """Free every instance; the next run loads them again."""
+        self._end_stepped()
         self._instances, self._must_reload = {}, False
         self._loaded.close()
         if self._guard:
@@ -134,9 +170,7 @@ def _run_to_end(
     """Initialise or restore a run, and run it to its end. SimulationError holds what was recorded."""
     try:
         with deferred_interrupt() as check_interrupt:
-            initialise(run.prepared, groups, run.instances)
-            run.read_outputs()
-            run.restore_process()
+            _initialise(run, groups)
             if resume:
                 restore(resume, run)
             callback = checkpoints.checkpoint_callback(run) if checkpoints else None
@@ -150,6 +184,12 @@ def _run_to_end(
         raise SimulationError(reason_of(error), run.recording(pacing)) from error
     finally:
         run.free()
+
+
+def _initialise(run: RunInProgress, groups: Sequence[ConnectionGroup]) -> None:
+    initialise(run.prepared, groups, run.instances)
+    run.read_outputs()
+    run.restore_process()
 
 
 def _save_interrupted(checkpoints: Checkpoints, run: RunInProgress) -> str:

@@ -37,19 +37,26 @@ class Progress(Protocol):
 class RunInProgress:
     """Initialised instances on their way through a run.
 
-    position: index of the present communication point
     step_control: None where steps cannot be repeated
     """
 
     def __init__(self, wired: WiredRun, loop: LoopFunctions, guard: ProcessGuard) -> None:
         self.wired, self._loop, self._guard = wired, loop, guard
         self.prepared, self.instances, self.wiring = wired.prepared, wired.instances, wired.wiring
-        self.position = 0
         self._changes = sorted(wired.prepared.changes)
         self._check_interrupt: Callable[[], None] = lambda: None
         can_repeat = not wired.prepared.retry_obstacle
         self._snapshot = Snapshot(wired) if can_repeat else None
         self.step_control = StepControl(wired, loop) if can_repeat else None
+
+    @property
+    def position(self) -> int:
+        """Index of the present communication point; the loop moves it on, whatever interrupts Python."""
+        return int(self.wiring.report[Report.POSITION])
+
+    @position.setter
+    def position(self, point: int) -> None:
+        self.wiring.report[Report.POSITION] = point
 
     def read_outputs(self) -> None:
         """Read the outputs at the first communication point."""
@@ -106,11 +113,22 @@ class RunInProgress:
             return True
         if self._snapshot:
             self._snapshot.take()
-        start, self.position = self.position, self._loop.run(self.position, end)
+        start, reached = self.position, self._loop.run(self.position, end)
+        self.look_around(failed=reached < end)
+        if reached < end:
+            self._repeat_discarded_step(start)
+        return reached < end
+
+    def look_around(self, failed: bool = False) -> None:
+        """Put back what FMUs changed in this process, and warn of what they warned of."""
         self.restore_process()
-        emit_warnings(self.wired, failed=self.position < end)
-        if self.position == end:
-            return False
+        emit_warnings(self.wired, failed)
+
+    def _repeat_discarded_step(self, start: int) -> None:
+        """Take the step that failed in shorter ones if it was discarded; else raise the failure.
+
+        start: the communication point of the snapshot
+        """
         if not is_discarded_step(self.wiring):
             raise self._failure()
         if not self._snapshot:
@@ -120,7 +138,6 @@ class RunInProgress:
         if self._loop.run(start, self.position) != self.position:
             raise self._failure()
         self._divide_step()
-        return True
 
     def _divide_step(self) -> None:
         """Go on to the next communication point under step control."""
@@ -134,8 +151,7 @@ class RunInProgress:
         except KeyboardInterrupt:  # between two communication points nothing can be saved
             self._snapshot.restore()
             raise
-        self.restore_process()
-        emit_warnings(self.wired, failed=False)
+        self.look_around()
         self.position += 1
 
     def restore_process(self) -> None:
@@ -156,7 +172,7 @@ class RunInProgress:
         if pacing:
             pacing.wait(now, self._check_interrupt)
 
-    def recording(self, pacing: Pacing | None) -> Recording:
+    def recording(self, pacing: Pacing | None = None) -> Recording:
         """The values recorded until now."""
         count = int(self.wiring.report[Report.RECORDED])
         statistics = self.step_control.statistics if self.step_control else {}

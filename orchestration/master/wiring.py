@@ -47,6 +47,8 @@ def build_wiring(prepared: PreparedRun, instances: Mapping[str, FmuInstance], st
     count, periods = len(instances), np.array([prepared.periods[name] for name in instances], np.int64)
     fixed = prepared.system.components_without("canHandleVariableCommunicationStepSize")
     values, slopes = np.zeros(len(bus.index)), np.zeros(len(bus.index))
+    for name, value in prepared.external.items():
+        values[bus.index[f"{SIGNAL}{name}"]] = value
     integers, ones = np.zeros(bus.integer_count, np.int32), np.ones(len(bus.index), np.int32)
     groups = {
         Call.SET_INPUTS: [(group, f"fmi2Set{group.type}") for group in bus.inputs],

@@ -2,8 +2,8 @@
 
 import math
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from fmus.fmi_types import NUMBERS, FmiValue
 from orchestration.errors import SystemDefinitionError
+from orchestration.fmi.description import start_value
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.experiment_checks import check_capabilities, check_faults, check_signals
 from orchestration.system.faults import Fault, Pattern, compose
@@ -32,6 +33,7 @@ class PreparedRun:
     periods: component -> communication steps in one step of its own
     input_ranges: driven input -> its smallest and largest value
     retry_obstacle: why a discarded step cannot be repeated in shorter steps; empty if it can
+    external: input that the caller sets between the steps -> its first value
     """
 
     system: CheckedSystem
@@ -43,6 +45,7 @@ class PreparedRun:
     periods: Mapping[str, int]
     input_ranges: Mapping[str, tuple[float, float]]
     retry_obstacle: str
+    external: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -86,11 +89,17 @@ def prepare(system: System, experiment: Experiment) -> PreparedRun:
     return prepare_checked(check(system, experiment.driven_inputs), experiment)
 
 
-def prepare_checked(system: CheckedSystem, experiment: Experiment) -> PreparedRun:
-    """Check an experiment against a system that was checked with the inputs that it drives."""
+def prepare_checked(
+    system: CheckedSystem, experiment: Experiment, external: Sequence[str] = ()
+) -> PreparedRun:
+    """Check an experiment against a system that was checked with the inputs that it drives.
+
+    external: inputs that the caller sets between the steps
+    """
     _check_memory(system, experiment)
-    driven = {*experiment.signals, *(target.name for _, target in system.connections)}
-    recorded = _recorded(system, experiment, driven)
+    first_values = _external(system, experiment, external)
+    driven = {*experiment.signals, *first_values, *(target.name for _, target in system.connections)}
+    recorded = _recorded(system, experiment, driven, first_values)
     for event in experiment.events:
         _check_event(system, event, driven)
     check_faults(system, experiment, driven)
@@ -107,6 +116,7 @@ def prepare_checked(system: CheckedSystem, experiment: Experiment) -> PreparedRu
         periods={name: experiment.period(name) for name in system.components},
         input_ranges={name: value_range(system.ports[name]) for name in driven},
         retry_obstacle=_retry_obstacle(system, experiment),
+        external=first_values,
     )
 
 
@@ -125,14 +135,28 @@ def _check_memory(system: CheckedSystem, experiment: Experiment) -> None:
         )
 
 
-def _recorded(system: CheckedSystem, experiment: Experiment, driven: set[str]) -> tuple[str, ...]:
-    """The names asked for, or signals and outputs; Strings are not recorded."""
+def _external(system: CheckedSystem, experiment: Experiment, names: Sequence[str]) -> dict[str, float]:
+    """External inputs and their first values: those of `experiment.inputs`, else the FMU's start values."""
+    values = {}
+    for name in names:
+        port = system.port(name, "external input")
+        if port.variable.type not in NUMBERS:
+            raise SystemDefinitionError(f"external input {name}: expected a number, got {port.variable.type}")
+        value = experiment.inputs.get(name, start_value(port.variable))
+        values[name] = float(fmi_value(port, value))
+    return values
+
+
+def _recorded(
+    system: CheckedSystem, experiment: Experiment, driven: set[str], external: Iterable[str]
+) -> tuple[str, ...]:
+    """The names asked for, or signals, external inputs and outputs; Strings are not recorded."""
     outputs = {
         name: port
         for name, port in system.ports.items()
         if port.variable.causality == "output" and port.variable.type in NUMBERS
     }
-    names = experiment.record or (*experiment.signals, *outputs)
+    names = experiment.record or (*experiment.signals, *external, *outputs)
     for name in names:
         if name not in outputs and name not in driven:
             system.port(name, "record")
@@ -145,17 +169,25 @@ def _recorded(system: CheckedSystem, experiment: Experiment, driven: set[str]) -
 def _check_event(system: CheckedSystem, event: Event, driven: set[str]) -> None:
     purpose = f"event at {event.time} s"
     for name, value in event.values.items():
-        port = system.port(name, purpose)
-        fmi_value(port, value)
-        if port.variable.causality not in ("parameter", "input"):
-            problem = f"does not fit: expected a parameter or an input, got {port.variable.causality}"
-        elif port.variable.variability == "fixed":
-            problem = "is fixed: only tunable parameters may change"
-        elif name in driven:
-            problem = "is driven already, by a connection or signal"
-        else:
-            continue
-        raise SystemDefinitionError(f"{purpose}: {name} {problem}")
+        fmi_value(system.port(name, purpose), value)
+        check_changeable(system, name, purpose, driven)
+
+
+def check_changeable(system: CheckedSystem, name: str, purpose: str, driven: Collection[str]) -> None:
+    """SystemDefinitionError for a variable that cannot be set during a run.
+
+    driven: inputs that a connection or a signal drives
+    """
+    variable = system.port(name, purpose).variable
+    if variable.causality not in ("parameter", "input"):
+        problem = f"does not fit: expected a parameter or an input, got {variable.causality}"
+    elif variable.variability == "fixed":
+        problem = "is fixed: only tunable parameters may change"
+    elif name in driven:
+        problem = "is driven already, by a connection or signal"
+    else:
+        return
+    raise SystemDefinitionError(f"{purpose}: {name} {problem}")
 
 
 def _communication_points(system: CheckedSystem, experiment: Experiment) -> np.ndarray:

@@ -1,0 +1,84 @@
+"""Runs that are led step by step: the methods of `Simulator` for loops of the caller's own."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from orchestration.errors import OrchestrationError
+from orchestration.master.stepped_run import Reader, SteppedRun, Writer
+from orchestration.results.recording import Recording
+from orchestration.system.experiment import Experiment
+from orchestration.system.values import Value
+
+
+class StepByStep:
+    """One run at a time, from `start` to the next `start` or `run`, or to `close`.
+
+        simulator.start(Experiment(10.0, 0.01), external=["plant.force"])
+        while simulator.time < 10.0:
+            simulator.set("plant.force", -2.0 * simulator.get("plant.position"))
+            simulator.step()
+        recording = simulator.recording()
+
+    Without anything set, the recording is that of `run`, to the last bit.
+    """
+
+    _stepped: SteppedRun | None = None
+
+    def start(self, experiment: Experiment, external: Sequence[str] = ()) -> None:
+        """Initialise the system for an experiment, at its start time.
+
+        external: inputs that the caller sets between the steps, beginning with their value in
+        `experiment.inputs`, or the FMU's start value. They are held over a step, and recorded.
+
+        Raises what `run` raises.
+        """
+        self._stepped = self._start_stepped(experiment, tuple(external))
+
+    def _start_stepped(self, experiment: Experiment, external: tuple[str, ...]) -> SteppedRun:
+        raise NotImplementedError
+
+    def _started(self) -> SteppedRun:
+        if self._stepped is None:
+            raise OrchestrationError("no run is started: expected start(experiment) first")
+        return self._stepped
+
+    @property
+    def time(self) -> float:
+        """The present communication point [s]."""
+        return self._started().time
+
+    def step(self) -> None:
+        """Step to the next communication point.
+
+        Raises SimulationError if the step fails: its `recording` holds the values recorded until then;
+        OrchestrationError at the stop time.
+        """
+        self._started().step()
+
+    def get(self, name: str) -> Any:
+        """The value of "component.variable" at the present communication point."""
+        return self._started().get(name)
+
+    def set(self, name: str, value: Value) -> None:
+        """Set "component.variable", from the present communication point on.
+
+        It is an external input, an input that the experiment gives a constant value, or a tunable parameter;
+        only external inputs are recorded. Raises SystemDefinitionError for another variable, and for a value
+        of another type or outside the declared range.
+        """
+        self._started().set(name, value)
+
+    def reader(self, *names: str) -> Reader:
+        """A function that returns the present number of one variable, or a tuple of several: a quick `get`.
+
+        It serves this run alone. Booleans are 0.0 and 1.0, as in a recording.
+        """
+        return self._started().reader(*names)
+
+    def writer(self, *names: str) -> Writer:
+        """A function that sets one variable, or several in this order: a quick `set`, for this run alone."""
+        return self._started().writer(*names)
+
+    def recording(self) -> Recording:
+        """The values recorded until now, those of the present communication point included."""
+        return self._started().recording_now()

@@ -1,0 +1,188 @@
+"""A run that a loop of the caller's own leads: step by step, with values read and set in between.
+
+Each step is one of `RunInProgress`: the same loop over the same arrays. A reader and a writer know the
+places of their values on the bus, so that nothing is looked up in a step.
+"""
+
+import sys
+import time
+from collections.abc import Callable
+from operator import itemgetter
+from typing import Any
+
+from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
+from orchestration.master.bus import SIGNAL
+from orchestration.master.failure import reason_of
+from orchestration.master.loop_data import LoopFunctions, Report
+from orchestration.master.process_guard import ProcessGuard
+from orchestration.master.stepping import RunInProgress
+from orchestration.master.wiring import WiredRun
+from orchestration.results.recording import Recording
+from orchestration.system.prepared_run import check_changeable
+from orchestration.system.system import Port
+from orchestration.system.values import Value, fmi_value, value_range
+
+Reader = Callable[[], Any]
+Writer = Callable[..., None]
+
+_LOOK_EVERY_S = 1e-3  # at what FMUs changed in this process, and at their warnings
+_LARGEST = sys.float_info.max
+_POSITION = int(Report.POSITION)
+_PLAIN: dict[str, Callable[[float], Any]] = {"Real": float, "Boolean": bool}  # others: int
+
+
+class SteppedRun(RunInProgress):
+    """An initialised run at its first communication point; `free` ends it.
+
+    failure: why no further step can be taken; empty if one can
+    """
+
+    def __init__(self, wired: WiredRun, loop: LoopFunctions, guard: ProcessGuard) -> None:
+        super().__init__(wired, loop, guard)
+        self.failure = ""
+        self._last = len(self.wiring.points) - 1
+        self._bus, self._report = self.wiring.bus.data, self.wiring.report.data
+        self._driven = {target for _, target in wired.bus.connections}
+        self._next_look = 0.0
+
+    @property
+    def time(self) -> float:
+        """The present communication point [s]."""
+        return float(self.wiring.points[self.position])
+
+    def step(self) -> None:
+        """Step to the next communication point. SimulationError if that fails, or the run is at its end."""
+        point = self._report[_POSITION]
+        if self.failure or point == self._last:
+            raise OrchestrationError(self.failure or self._end())
+        try:
+            if point in self.prepared.changes:
+                self._change_and_wait(None)
+            if self._is_plain():
+                self._plain_step(point)
+            else:
+                self._run_batch(point + 1)
+            if point + 1 == self._last:
+                self._finish()
+        except Exception as error:
+            self.failure = reason_of(error)
+            raise SimulationError(self.failure, self.recording()) from error
+
+    def _end(self) -> str:
+        return f"the run is at its stop time, {self.time:.9g} s: expected no further step"
+
+    def _is_plain(self) -> bool:
+        """Whether nothing but the step itself is due."""
+        now = time.perf_counter()
+        if now < self._next_look and not (self.step_control and self.step_control.tolerance):
+            return True
+        self._next_look = now + _LOOK_EVERY_S
+        return False
+
+    def _plain_step(self, point: int) -> None:
+        if self._snapshot:
+            self._snapshot.take()
+        if self._loop.run(point, point + 1) == point:
+            self.look_around(failed=True)
+            self._repeat_discarded_step(point)
+
+    def _finish(self) -> None:
+        """At the stop time make its changes, exchange and record, as `run_to_end` does."""
+        self._change_and_wait(None)
+        if not self._loop.exchange_and_record(self._last):
+            raise self._failure()
+        self.look_around()
+
+    def recording_now(self) -> Recording:
+        """The values recorded until now, those of the present communication point included."""
+        if not self.failure:
+            self.record_now()
+            self.look_around()
+        return self.recording()
+
+    def get(self, name: str) -> Any:
+        """The present value of a variable, in the type of Python that it has."""
+        port = self.prepared.system.port(name, "get")
+        if name not in self.wired.bus.index:
+            return self.instances[port.component].get(port.variable)
+        return _PLAIN.get(port.variable.type, int)(self.reader(name)())
+
+    def set(self, name: str, value: Value) -> None:
+        """Set a variable from the present communication point on."""
+        self.writer(name)(value)
+
+    def reader(self, *names: str) -> Reader:
+        """A function that returns the present number of one variable, or those of several as a tuple."""
+        ports = [self.prepared.system.port(name, "reader") for name in names]
+        index = self.wired.bus.index
+        if not names:
+            raise SystemDefinitionError("reader: expected the name of a variable, or several")
+        if not all(name in index for name in names):
+            getters = [(self.instances[port.component].get, port.variable) for port in ports]
+            values = lambda: tuple(get(variable) for get, variable in getters)  # noqa: E731
+            return values if len(names) > 1 else lambda: values()[0]
+        return self._bus_reader([index[name] for name in names], not self._driven.isdisjoint(names))
+
+    def _bus_reader(self, indices: list[int], must_exchange: bool) -> Reader:
+        """must_exchange: whether inputs are read, which take their value at the exchange."""
+        bus, pick = self._bus, itemgetter(*indices)
+
+        def read() -> Any:
+            if must_exchange:
+                self.record_now()
+            try:
+                return pick(bus)
+            except ValueError:
+                raise OrchestrationError(_stale("reader")) from None
+
+        return read
+
+    def writer(self, *names: str) -> Writer:
+        """A function that sets one variable, or several in this order, from the present point on."""
+        if not names:
+            raise SystemDefinitionError("writer: expected the name of a variable, or several")
+        writers = [self._writer(name) for name in names]
+        if len(writers) == 1:
+            return writers[0]
+
+        def write(*values: Value) -> None:
+            for write_one, value in zip(writers, values, strict=True):
+                write_one(value)
+
+        return write
+
+    def _writer(self, name: str) -> Callable[[Value], None]:
+        external = self.prepared.external
+        check_changeable(self.prepared.system, name, "set", self._driven - external.keys())
+        port = self.prepared.system.ports[name]
+        if name not in external:
+            return lambda value: self._set_in_fmu(port, value)
+        bus: Any = self._bus  # of float64, which typing does not know
+        index = self.wired.bus.index[f"{SIGNAL}{name}"]
+        low, high = (max(-_LARGEST, min(limit, _LARGEST)) for limit in value_range(port))
+        is_real = port.variable.type == "Real"
+
+        def write(value: Any) -> None:
+            if not (is_real and isinstance(value, float) and low <= value <= high):
+                value = fmi_value(port, value)  # which converts, or refuses
+            try:
+                bus[index] = value
+            except ValueError:
+                raise OrchestrationError(_stale("writer")) from None
+
+        return write
+
+    def _set_in_fmu(self, port: Port, value: Value) -> None:
+        instance = self.instances[port.component]
+        instance.time = self.time
+        instance.set(port.variable, fmi_value(port, value))
+
+    def free(self) -> None:
+        """End the run: free the states saved in the FMUs, and make readers and writers refuse."""
+        self.failure = "the run has ended: expected start(experiment) for another"
+        self._bus.release()
+        super().free()
+
+
+def _stale(what: str) -> str:
+    return f"the {what} belongs to a run that has ended: expected a {what} of the present run"
