@@ -39,6 +39,10 @@ class FmuWarning(UserWarning):
     """An FMU returned fmi2Warning: the simulation goes on."""
 
 
+class ScenarioWarning(UserWarning):
+    """What a scenario inherits and cannot use is dropped."""
+
+
 class SimulationError(OrchestrationError):
     """A run that ended early; `recording` holds what was recorded until then."""
 

@@ -1,11 +1,15 @@
 """The scenario that a command is given: loaded, and the FMUs of our blocks that it needs built."""
 
+import sys
+import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 from fmus import catalogue
 from fmus.registry import Flavour
+from orchestration.cli.changes import NO_CHANGES, Changes
 from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.exchange import ssp_read
 from orchestration.scenarios import scenario
@@ -13,9 +17,24 @@ from orchestration.scenarios.scenario import Scenario
 from orchestration.system.prepared_run import prepare
 
 
-def load(name: str, flavour: Flavour = Flavour.NATIVE) -> Scenario:
-    """The shipped scenario of that name, or the one in that .toml file, checked against its FMUs."""
-    chosen = scenario.load(scenario.find(name), flavour=flavour)
+def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHANGES) -> Scenario:
+    """The shipped scenario of that name, or the one in that .toml file, checked against its FMUs.
+
+    Its name and title tell which components are replaced by the changes.
+    """
+    path = scenario.find(name)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        chosen = scenario.load(
+            path,
+            {"title": changes.title(path.stem)} if changes.components else None,
+            flavour,
+            settings={**changes.components, **changes.settings},
+            build=lambda fmu: catalogue.build_missing([fmu]),
+        )
+    for warning in caught:
+        print(f"l1-depth: warning: {warning.message}", file=sys.stderr)
+    chosen = replace(chosen, name=changes.name(chosen.name))
     build_missing_fmus([chosen])
     try:
         prepare(chosen.system, chosen.experiment)
@@ -30,12 +49,16 @@ def build_missing_fmus(scenarios: Iterable[Scenario]) -> None:
 
 
 @contextmanager
-def opened(name: str, parameter_set: str, flavour: Flavour) -> Iterator[Scenario]:
+def opened(
+    name: str, parameter_set: str, flavour: Flavour, changes: Changes = NO_CHANGES
+) -> Iterator[Scenario]:
     """As `load`, also of an SSP package, whose FMUs exist only inside the context.
 
     parameter_set: of the package, "" for its own.
     """
     if name.endswith(".ssp"):
+        if changes != NO_CHANGES:
+            raise ScenarioError(f"--set and --controller of a package: expected a scenario, got {name}")
         if flavour is not Flavour.NATIVE:
             raise ScenarioError(f"--flavour {flavour} of a package: expected none, it holds its own FMUs")
         with ssp_read.opened(Path(name), parameter_set) as chosen:
@@ -45,4 +68,4 @@ def opened(name: str, parameter_set: str, flavour: Flavour) -> Iterator[Scenario
         raise ScenarioError(
             f"--parameters {parameter_set}: expected an .ssp package to take it from, got {name}"
         )
-    yield load(name, flavour)
+    yield load(name, flavour, changes)

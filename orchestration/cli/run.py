@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fmus.registry import Flavour
+from orchestration.cli.changes import Changes, ControllerOption, SetOption
 from orchestration.cli.shared import (
     FigureFormatsOption,
     FlavourOption,
@@ -37,6 +38,8 @@ def run(
     parameters: Annotated[
         str, typer.Option(metavar="NAME", help="Use this parameter set of the package.")
     ] = "",
+    controller: ControllerOption = "",
+    settings: SetOption = [],  # noqa: B006  (Typer copies it)
     file_format: Annotated[
         RecordingFormat, typer.Option("--format", help="Write the recording in this format.")
     ] = RecordingFormat.CSV,
@@ -72,7 +75,7 @@ def run(
     if every < math.inf and checkpoint is None:
         raise OrchestrationError(f"--every {every:g}: expected --checkpoint FILE beside it")
     with (
-        chosen_scenario.opened(name, parameters, flavour) as chosen,
+        chosen_scenario.opened(name, parameters, flavour, Changes.of_options(controller, settings)) as chosen,
         progress(chosen.name, 1) as bar,
     ):
         result = reproduce.run(

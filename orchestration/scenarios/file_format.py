@@ -3,7 +3,7 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, Strict
+from pydantic import Discriminator, Field, Strict, Tag
 
 from orchestration.results import metrics
 from orchestration.results.metric_units import FIXED_UNITS
@@ -13,9 +13,12 @@ from orchestration.system.experiment import Algorithm, Initialisation
 
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Connection = Annotated[list[str], Field(min_length=2, max_length=2)]
+LIST_OR_TABLE = Discriminator(lambda value: "table" if isinstance(value, dict) else "list")
 _OPTIONAL: Any = Field(default=None)  # Experiment has the default
 
-SIGNAL = OneOf("kind", {kind: table_of("kind", kind, made) for kind, made in signals.KINDS.items()})
+SIGNAL = OneOf(
+    "kind", {kind: table_of("kind", kind, made) for kind, made in signals.KINDS.items()}, droppable=True
+)
 FAULT = OneOf(
     "kind",
     {
@@ -77,24 +80,31 @@ class ScenarioFile(Table, use_attribute_docstrings=True):
     """A shipped scenario, or a file relative to this one: what this file does not give is taken from it."""
     parameter_files: list[str] = []
     """Files of parameters with their provenance, relative to this one."""
-    components: dict[str, str]
-    """Component -> name of an installed block, or path of an .fmu relative to this file."""
-    connections: list[Connection] = []
-    """["component.output", "component.input"] each."""
+    components: dict[str, str | Literal[False]]
+    """Component -> name of an installed block, or path of an .fmu relative to this file; false removes it."""
+    connections: Annotated[
+        Annotated[list[Connection], Tag("list")] | Annotated[dict[str, str | Literal[False]], Tag("table")],
+        LIST_OR_TABLE,
+    ] = []
+    """["component.output", "component.input"] each, in place of those of the base; or a table that changes
+    those: "component.input" -> "component.output", or false."""
     experiment: ExperimentTable
     step_sizes: dict[str, float] = {}
     """Component -> its own step size [s], a multiple of the communication step size."""
     parameters: dict[str, Value] = {}
-    """ "component.variable" -> value."""
+    """ "component.variable" -> value; false removes that of the base, unless the parameter is Boolean."""
     inputs: dict[str, Value] = {}
-    """ "component.variable" -> constant value."""
+    """ "component.variable" -> constant value; false removes that of the base, as for parameters."""
     signals: dict[str, Annotated[Table, SIGNAL]] = {}
-    """ "component.variable" -> a function of time."""
+    """ "component.variable" -> a function of time; false removes that of the base."""
     events: list[EventTable] = []
     faults: list[Annotated[Table, FAULT]] = []
     """Faults on connected inputs; several on one input act in their order."""
-    record: list[str] = []
-    """ "component.variable" of what is recorded; by default all outputs and signals."""
+    record: Annotated[
+        Annotated[list[str], Tag("list")] | Annotated[dict[str, bool], Tag("table")], LIST_OR_TABLE
+    ] = []
+    """ "component.variable" of what is recorded, in place of those of the base; by default all outputs and
+    signals; or a table that changes the list: "component.variable" -> true or false."""
     metrics: dict[str, Annotated[Table | Literal[False], METRIC]] = {}
     """Name -> function and its arguments; false drops a metric of the base."""
     sweep: dict[str, Any] = {}

@@ -1,0 +1,132 @@
+"""The layers of a scenario, the lowest first: its bases, the file itself, and what a command lays over them.
+
+Tables are merged key by key, lists are replaced. In a table, `false` removes an inherited entry. An input
+that a layer drives in one way, by a connection, a signal or a constant, is not driven as in the layers below.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from fmus.errors import nearest
+from orchestration.errors import ScenarioError
+from orchestration.scenarios.toml_file import KeyPath, TomlFile
+
+Data = dict[str, Any]
+TABLES = ("components", "experiment", "parameters", "inputs", "signals", "metrics", "step_sizes", "sweep")
+_MERGED = {*TABLES, "vary"}  # of [sweep]
+_LISTS_AS_TABLES = ("connections", "record")
+_DRIVING = ("connections", "inputs", "signals")
+
+
+@dataclass(frozen=True)
+class Layer:
+    """What one file gives, with its parameter files; or what a command gives, without a file."""
+
+    data: Data
+    files: tuple[TomlFile, ...] = ()
+
+    def at(self, keys: KeyPath) -> str:
+        """Where these keys stand."""
+        return self.files[0].at(keys) if self.files else "command line"
+
+
+def merged(layers: Iterable[Layer]) -> Data:
+    """All layers in one; ScenarioError for an entry that is removed where there is none."""
+    data: Data = {}
+    for layer in layers:
+        below = _without_other_drivers(data, layer.data)
+        above = {name: value for name, value in layer.data.items() if name not in _LISTS_AS_TABLES}
+        data = merge(below, above)
+        for name, value in layer.data.items():
+            if name == "connections":
+                data[name] = _connections(below.get(name, []), value, layer)
+            elif name == "record":
+                data[name] = _record(below.get(name, []), value, layer)
+        _remove(data, below, layer)
+    return data
+
+
+def merge(below: Data, above: Data) -> Data:
+    """`above` laid over `below`: tables key by key, anything else as a whole."""
+    result = dict(below)
+    for key, value in above.items():
+        both_tables = isinstance(value, dict) and isinstance(result.get(key), dict)
+        result[key] = merge(result[key], value) if both_tables and key in _MERGED else value
+    return result
+
+
+def given_connections(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """(source, target) of the connections of a layer, whichever way they are written."""
+    given = data.get("connections", [])
+    if isinstance(given, dict):
+        yield from ((source, target) for target, source in given.items() if source is not False)
+    else:
+        yield from ((source, target) for source, target in given)
+
+
+def _connections(below: list[Any], above: Any, layer: Layer) -> list[Any]:
+    if not isinstance(above, dict):
+        return above
+    _check_removed("connections", above, [target for _, target, *_ in below], layer)
+    kept = [connection for connection in below if connection[1] not in above]
+    return [*kept, *([source, target] for target, source in above.items() if source is not False)]
+
+
+def _record(below: list[str], above: Any, layer: Layer) -> list[str]:
+    if not isinstance(above, dict):
+        return above
+    if not below:
+        raise ScenarioError(
+            f"{layer.at(('record',))}: record: expected a list; a table changes that of a base, there is none"
+        )
+    _check_removed("record", above, below, layer)
+    added = (name for name, is_recorded in above.items() if is_recorded and name not in below)
+    return [*(name for name in below if above.get(name, True)), *added]
+
+
+def _remove(data: Data, below: Data, layer: Layer) -> None:
+    """Remove the signals and components that a layer gives as `false`."""
+    for table in ("components", "signals"):
+        given = layer.data.get(table, {})
+        _check_removed(table, given, below.get(table, {}), layer)
+        if any(value is False for value in given.values()):
+            data[table] = {name: value for name, value in data[table].items() if value is not False}
+
+
+def _check_removed(table: str, given: Mapping[str, Any], below: Iterable[str], layer: Layer) -> None:
+    names = list(below)
+    for name, value in given.items():
+        if value is False and name not in names:
+            entry = f'{table}."{name}" = false'
+            raise ScenarioError(
+                f"{layer.at((table, name))}: {entry}: nothing to remove; {nearest(name, names)}"
+            )
+
+
+def _without_other_drivers(below: Data, above: Data) -> Data:
+    """`below` without what drives or changes an input that `above` drives in another way."""
+    driven = {table: {k for k, v in above.get(table, {}).items() if v is not False} for table in _DRIVING[1:]}
+    driven["connections"] = {target for _, target in given_connections(above)}
+    result = dict(below)
+    for table in _DRIVING:
+        others: set[str] = set().union(*(names for other, names in driven.items() if other != table))
+        entries = below.get(table)
+        if isinstance(entries, dict):
+            result[table] = {name: value for name, value in entries.items() if name not in others}
+        elif entries:
+            result[table] = [connection for connection in entries if connection[1] not in others]
+    changed = {*below.get("signals", {}), *(target for _, target in given_connections(below))}
+    constant = driven["inputs"] & changed
+    if "faults" in below:
+        result["faults"] = [fault for fault in below["faults"] if fault["input"] not in constant]
+    if "events" in below:
+        moved = driven["signals"] | driven["connections"]
+        result["events"] = with_events(below["events"], lambda name, value: name not in moved)
+    return result
+
+
+def with_events(events: list[Any], is_kept: Callable[[str, Any], bool]) -> list[Any]:
+    """The events with those variables and values that `is_kept` approves."""
+    changed = [{**e, "set": {k: v for k, v in e["set"].items() if is_kept(k, v)}} for e in events]
+    return [event for event, old in zip(changed, events, strict=True) if event["set"] or not old["set"]]

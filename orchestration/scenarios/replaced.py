@@ -1,0 +1,169 @@
+"""Components that a layer of a scenario replaces by another FMU: what they inherit, and what is dropped.
+
+Entries of the layers below that name a variable of the replaced component stay if the new FMU has a variable
+of that name which can take their part; the others are dropped, and named. Entries of the layer that replaces
+the component, and of those above it, are its own: they stay as they are, and a wrong one is an error.
+"""
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from fmpy.model_description import ModelDescription
+
+from orchestration.errors import ScenarioWarning, SystemDefinitionError
+from orchestration.scenarios.layers import Data, Layer, with_events
+from orchestration.system.system import Port
+from orchestration.system.values import fmi_value
+
+_SETTABLE = ("parameter", "input")
+_RECORDED = ("output", "input")
+_SIGNALS_OF_METRICS = ("signal", "reference")
+
+Describe = Callable[[str], ModelDescription]
+"""Component -> model description of its FMU."""
+
+
+@dataclass(frozen=True)
+class Replacement:
+    """A component whose FMU a layer replaces.
+
+    fmu: "" if it is removed; layer: its index; ports: variable -> port of the new FMU
+    dropped: kind of entry -> names
+    """
+
+    component: str
+    fmu: str
+    layer: int
+    ports: Mapping[str, Port]
+    dropped: dict[str, list[str]] = field(default_factory=dict)
+
+    def warn(self) -> None:
+        """Name in one warning what was dropped."""
+        if self.dropped:
+            listed = "; ".join(f"{kind} {', '.join(names)}" for kind, names in self.dropped.items())
+            reason = (
+                f"is {Path(self.fmu).name}; dropped, as it lacks them" if self.fmu else "is removed, with"
+            )
+            warnings.warn(f"{self.component} {reason}: {listed}", ScenarioWarning, stacklevel=4)
+
+
+def replacements(layers: Sequence[Layer], describe: Describe) -> list[Replacement]:
+    """The components whose FMU is not that of the layer which gave them first."""
+    fmus: dict[str, Any] = {}
+    changed: dict[str, int] = {}
+    for index, layer in enumerate(layers):
+        for component, fmu in layer.data.get("components", {}).items():
+            if fmus.get(component, fmu) != fmu:
+                changed[component] = index
+            fmus[component] = fmu
+    return [
+        Replacement(component, fmus[component] or "", index, _ports(component, fmus[component], describe))
+        for component, index in changed.items()
+    ]
+
+
+def _ports(component: str, fmu: Any, describe: Describe) -> dict[str, Port]:
+    if fmu is False:
+        return {}
+    return {v.name: Port(component, v) for v in describe(component).modelVariables}
+
+
+def without_misfits(layers: Sequence[Layer], replaced: Sequence[Replacement]) -> list[Layer]:
+    """The layers without inherited entries that do not fit; a warning for each component names them."""
+    fitted = []
+    for index, layer in enumerate(layers):
+        above = {r.component: r for r in replaced if r.layer > index}
+        fitted.append(replace(layer, data=_Fitting(above).layer(layer.data)) if above else layer)
+    for replacement in replaced:
+        replacement.warn()
+    return fitted
+
+
+def without_removed(
+    values: Mapping[str, Any], table: str, layers: Sequence[Layer], describe: Describe
+) -> dict[str, Any]:
+    """The values of a table without those that are `false`, inherited, and of no Boolean variable."""
+    given = {name: sum(name in layer.data.get(table, {}) for layer in layers) for name in values}
+    removed = {n for n, v in values.items() if v is False and given[n] > 1 and not _is_boolean(n, describe)}
+    return {name: value for name, value in values.items() if name not in removed}
+
+
+def _is_boolean(name: str, describe: Describe) -> bool:
+    component, _, variable = name.partition(".")
+    return any(v.name == variable and v.type == "Boolean" for v in describe(component).modelVariables)
+
+
+class _Fitting:
+    """Leaves of a layer what fits the FMUs that replace its components."""
+
+    def __init__(self, replaced: Mapping[str, Replacement]) -> None:
+        self._replaced = replaced
+
+    def layer(self, data: Data) -> Data:
+        result = dict(data)
+        for table, causalities in (("parameters", ("parameter",)), ("inputs", ("input",))):
+            result |= self._table(data, table, causalities, is_value=True)
+        result |= self._table(data, "signals", ("input",))
+        if "vary" in data.get("sweep", {}):
+            result["sweep"] = data["sweep"] | self._table(data["sweep"], "vary", _SETTABLE)
+        result |= self._list(data, "connections", self._connection)
+        result |= self._list(data, "record", lambda name: self._fits("records", name, name, _RECORDED))
+        result |= self._list(
+            data, "faults", lambda fault: self._fits("faults", fault["input"], fault["input"], ("input",))
+        )
+        if "events" in data:
+            result["events"] = with_events(
+                data["events"], lambda name, value: self._fits("events", name, name, _SETTABLE, value)
+            )
+        if "metrics" in data:
+            result["metrics"] = {n: m for n, m in data["metrics"].items() if self._metric(n, m)}
+        return result
+
+    def _table(self, data: Data, table: str, causalities: Sequence[str], is_value: bool = False) -> Data:
+        kept = {
+            name: value
+            for name, value in data.get(table, {}).items()
+            if self._fits(table, name, name, causalities, value if is_value else None)
+        }
+        return {table: kept} if table in data else {}
+
+    def _list(self, data: Data, key: str, fits: Callable[[Any], bool]) -> Data:
+        entries = data.get(key)
+        if isinstance(entries, dict):
+            as_item = (lambda k, v: [v, k]) if key == "connections" else lambda k, v: k
+            return {key: {k: v for k, v in entries.items() if v is False or fits(as_item(k, v))}}
+        return {} if entries is None else {key: [entry for entry in entries if fits(entry)]}
+
+    def _connection(self, connection: Sequence[Any]) -> bool:
+        source, target, *_ = connection
+        shown = f"{source} -> {target}"
+        return self._fits("connections", shown, source, ("output",)) and self._fits(
+            "connections", shown, target, ("input",)
+        )
+
+    def _metric(self, name: str, metric: Any) -> bool:
+        signals = [metric.get(key, "") for key in _SIGNALS_OF_METRICS] if metric else []
+        return all(self._fits("metrics", name, signal, _RECORDED) for signal in signals)
+
+    def _fits(self, kind: str, shown: str, name: str, causalities: Sequence[str], value: Any = None) -> bool:
+        component, _, variable = name.partition(".")
+        replacement = self._replaced.get(component)
+        if replacement is None or _takes(replacement.ports.get(variable), causalities, value):
+            return True
+        names = replacement.dropped.setdefault(kind, [])
+        if shown not in names:
+            names.append(shown)
+        return False
+
+
+def _takes(port: Port | None, causalities: Sequence[str], value: Any) -> bool:
+    """Whether a variable has one of the causalities, and takes the value if there is one."""
+    if port is None or port.variable.causality not in causalities:
+        return False
+    try:
+        return value is None or value is False or fmi_value(port, value) is not None
+    except SystemDefinitionError:
+        return False

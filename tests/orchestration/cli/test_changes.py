@@ -1,0 +1,89 @@
+"""Options that change a scenario: --controller and --set."""
+
+import json
+import shutil
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from orchestration.cli.changes import Changes
+from orchestration.errors import ScenarioError
+
+Command = Callable[..., Any]
+
+
+def test_another_controller_runs_beside_ours(
+    command: Command, built: Mapping[str, Path], short_scenario: Callable[..., Path], tmp_path: Path
+) -> None:
+    shutil.copy(built["L1DepthController"], tmp_path / "my.fmu")
+    short_scenario()
+    command("run", "short.toml")
+    done = command("run", "short.toml", "--controller", "my.fmu")
+    assert done.stderr == ""  # nothing is dropped, since the FMU is the same
+    assert "results/short-my.csv" in done.stdout
+    ours, other = ((tmp_path / "results" / f"{name}.csv").read_text() for name in ("short", "short-my"))
+    assert ours.splitlines()[1:] == other.splitlines()[1:]
+    document = json.loads((tmp_path / "results" / "short-my.json").read_text())
+    assert document["scenario"]["title"] == "short, controller my"
+    assert document["scenario"]["components"]["controller"] == str(tmp_path / "my.fmu")
+
+
+def test_what_is_dropped_is_one_line_on_standard_error(
+    command: Command, short_scenario: Callable[..., Path]
+) -> None:
+    short_scenario()
+    done = command("run", "short.toml", "--controller", "L1Controller", expect=1)
+    warning, error = done.stderr.splitlines()
+    assert warning.startswith("l1-depth: warning: controller is L1Controller; dropped, as it lacks them: ")
+    assert "driven by nothing" in error
+
+
+def test_set_changes_parameters_and_inputs(
+    command: Command, short_scenario: Callable[..., Path], tmp_path: Path
+) -> None:
+    short_scenario()
+    settings = ("--set", "controller.augmentation=none", "--set", "plant.buoyancy_change = 0.2")
+    command("run", "short.toml", *settings)
+    scenario = json.loads((tmp_path / "results" / "short.json").read_text())["scenario"]
+    assert scenario["parameters"]["controller.augmentation"] == "none"
+    assert scenario["inputs"]["plant.buoyancy_change"] == 0.2
+
+
+def test_a_scenario_without_a_controller_has_none_to_replace(
+    refused: Callable[..., str], short_scenario: Callable[..., Path], tmp_path: Path
+) -> None:
+    (tmp_path / "plant.toml").write_text(
+        '[components]\nplant = "ExamplePlant"\n[experiment]\nstop_time = 1\nstep_size = 0.1\n'
+    )
+    message = refused("run", "plant.toml", "--controller", "L1Controller")
+    assert "no component 'controller' to replace; known: 'plant'" in message
+
+
+@pytest.mark.parametrize(
+    ("assignment", "value"),
+    [
+        ("a.p=3", 3),
+        ("a.p = -1e3", -1e3),
+        ("a.p=true", True),
+        ("a.p=pi", "pi"),
+        ('a.p="3"', "3"),
+        ("a.p=x=y", "x=y"),
+        ("a.p=[1]", "[1]"),
+    ],
+)
+def test_a_value_is_written_as_in_toml_and_a_text_needs_no_quotes(assignment: str, value: object) -> None:
+    assert Changes.of_options("", [assignment]).settings == {"a.p": value}
+
+
+@pytest.mark.parametrize("assignment", ["a.p", "=3", "a.p=", ""])
+def test_an_assignment_without_name_or_value_is_refused(assignment: str) -> None:
+    with pytest.raises(ScenarioError, match=r"expected component\.variable=value or component=FMU"):
+        Changes.of_options("", [assignment])
+
+
+def test_every_replaced_component_is_in_the_name_of_the_results() -> None:
+    changes = Changes.of_options("lib/pid.fmu", ["plant=Other", "plant.inertia=3"])
+    assert changes.name("nominal") == "nominal-pid-Other"
+    assert changes.title("nominal") == "nominal, controller pid, plant Other"

@@ -1,0 +1,137 @@
+"""A component of a scenario is replaced by another FMU: what it inherits, and what is dropped."""
+
+from pathlib import Path
+
+import pytest
+
+from orchestration.errors import ScenarioError, ScenarioWarning
+from orchestration.scenarios import scenario
+from orchestration.scenarios.scenario import Scenario
+from tests.described_fmus import described
+
+INPUTS = ("depth_reference", "measured_depth")
+VOLTAGES = ("voltage[1]", "voltage[2]")
+
+
+def child(folder: Path, text: str = "", base: str = "nominal-extended") -> Path:
+    path = folder / "child.toml"
+    path.write_text(f'base = "{base}"\n' + text)
+    return path
+
+
+def with_controller(folder: Path, text: str = "", parameters: tuple[str, ...] = ()) -> Scenario:
+    described(folder / "pid.fmu", INPUTS, VOLTAGES, ("internal_step", *parameters))
+    path = child(folder, '[components]\ncontroller = "pid.fmu"\n' + text)
+    with pytest.warns(ScenarioWarning):
+        return scenario.load(path)
+
+
+def test_what_fits_stays_and_the_rest_is_dropped(tmp_path: Path) -> None:
+    loaded = with_controller(tmp_path)
+    ours = scenario.load(scenario.find("nominal-extended"))
+    of_controller = [name for name in loaded.experiment.parameters if name.startswith("controller.")]
+    assert of_controller == ["controller.internal_step"]
+    assert "controller.roll" not in loaded.experiment.inputs
+    assert list(loaded.experiment.signals) == ["controller.depth_reference"]
+    dropped = ("plant.depth_rate", "controller.measured_depth_rate")
+    assert loaded.system.connections == tuple(c for c in ours.system.connections if c != dropped)
+    assert [n for n in loaded.experiment.record if n.startswith("c")] == ["controller.depth_reference"]
+    assert set(ours.metrics) - set(loaded.metrics) == {"total_variation"}
+    assert loaded.resolved["record"] == list(loaded.experiment.record)
+
+
+def test_one_warning_names_all_that_is_dropped(tmp_path: Path) -> None:
+    described(tmp_path / "pid.fmu", INPUTS, VOLTAGES)
+    with pytest.warns(ScenarioWarning) as caught:
+        scenario.load(child(tmp_path, '[components]\ncontroller = "pid.fmu"\n'))
+    assert len(caught) == 1
+    message = str(caught[0].message)
+    assert "\n" not in message
+    for part in (
+        "controller is pid.fmu",
+        "controller.augmentation",
+        "inputs controller.roll, controller.pitch",
+        "plant.depth_rate -> controller.measured_depth_rate",
+        "controller.u_m",
+        "metrics total_variation",
+    ):
+        assert part in message
+
+
+def test_a_variable_of_another_causality_or_range_does_not_fit(tmp_path: Path) -> None:
+    described(tmp_path / "pid.fmu", INPUTS, ("augmentation",), ("roll", "internal_step:Integer"))
+    loaded_path = child(tmp_path, '[components]\ncontroller = "pid.fmu"\n')
+    with pytest.warns(ScenarioWarning, match=r"controller\.internal_step"):
+        loaded = scenario.load(loaded_path)
+    assert not [n for n in (*loaded.experiment.parameters, *loaded.experiment.inputs) if n[0] == "c"]
+
+
+def test_what_the_replacing_scenario_gives_is_never_dropped(tmp_path: Path) -> None:
+    loaded = with_controller(
+        tmp_path, '[parameters]\n"controller.kp" = 3.0\n"controller.kd" = 1.0\n', ("kp",)
+    )
+    assert loaded.experiment.parameters["controller.kp"] == 3.0
+    assert loaded.experiment.parameters["controller.kd"] == 1.0  # an error when the run is prepared
+
+
+def test_what_fits_the_last_fmu_counts_whatever_stood_between(tmp_path: Path) -> None:
+    with_controller(tmp_path, '[parameters]\n"controller.kp" = 3.0\n', ("kp",))
+    with pytest.warns(ScenarioWarning, match=r"dropped, as it lacks them: parameters controller\.kp$"):
+        loaded = scenario.load(tmp_path / "child.toml", settings={"controller": "L1DepthController"})
+    ours = scenario.load(scenario.find("nominal-extended"))
+    assert (loaded.system, loaded.experiment) == (ours.system, ours.experiment)
+
+
+def test_settings_name_components_parameters_and_inputs(tmp_path: Path) -> None:
+    settings = {"controller.adaptation_gain": 50.0, "plant.buoyancy_change": 0.1}
+    loaded = scenario.load(scenario.find("nominal-l1"), settings=settings)
+    assert loaded.experiment.parameters["controller.adaptation_gain"] == 50.0
+    assert loaded.experiment.inputs["plant.buoyancy_change"] == 0.1
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("contrller", r"no component 'contrller' to replace; nearest is 'controller'"),
+        ("contrller.kp", r"no component 'contrller'; nearest is 'controller'"),
+        ("controller.adaption_gain", r"parameter or an input; nearest is 'controller.adaptation_gain'"),
+        ("controller.demanded_force", r"= 'x.fmu': expected a parameter or an input"),
+        ("controller", r"no FMU at .*x.fmu"),
+    ],
+)
+def test_a_misspelt_setting_offers_the_nearest(name: str, message: str) -> None:
+    with pytest.raises(Exception, match=message) as caught:
+        scenario.load(scenario.find("nominal-l1"), settings={name: "x.fmu"})
+    assert type(caught.value).__module__ == "orchestration.errors"
+
+
+def test_events_faults_and_a_sweep_of_a_replaced_component_are_dropped_too(tmp_path: Path) -> None:
+    described(tmp_path / "pid.fmu", INPUTS, VOLTAGES)
+    base = """
+[[events]]
+time = 1.0
+set = { "controller.adaptation_gain" = 1.0, "plant.roll" = 0.1 }
+[[events]]
+time = 2.0
+set = { "controller.adaptation_gain" = 1.0 }
+[[faults]]
+input = "controller.measured_depth_rate"
+kind = "freeze"
+[[faults]]
+input = "controller.measured_depth"
+kind = "freeze"
+[sweep]
+vary = { "controller.adaptation_gain" = { values = [1.0] }, "plant.inertia" = { values = [5.0] } }
+"""
+    with pytest.warns(ScenarioWarning, match=r"faults controller.measured_depth_rate; events"):
+        loaded = scenario.load(child(tmp_path, base), settings={"controller": str(tmp_path / "pid.fmu")})
+    assert [dict(event.values) for event in loaded.experiment.events] == [{"plant.roll": 0.1}]
+    assert [fault.input for fault in loaded.experiment.faults] == ["controller.measured_depth"]
+    assert list(loaded.sweep["vary"]) == ["plant.inertia"]
+
+
+def test_a_shipped_base_has_a_name(tmp_path: Path) -> None:
+    loaded = scenario.load(child(tmp_path, base="vehicle"))
+    assert loaded.resolved["components"] == {"plant": "RovDepthPlant", "controller": "L1DepthController"}
+    with pytest.raises(ScenarioError, match=r"no scenario 'vehicl'; nearest is 'vehicle'"):
+        scenario.load(child(tmp_path, base="vehicl"))
