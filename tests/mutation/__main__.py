@@ -47,6 +47,7 @@ def main(
     results: Annotated[Path, typer.Option(help="File of results.")] = Path("mutation.json"),
 ) -> None:
     """Count the mutants that the tests notice, and list the others."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background; tests send it
     verdicts: dict[str, str] = json.loads(results.read_text()) if results.exists() else {}
     copies: Queue[Path] = Queue()
     with tempfile.TemporaryDirectory() as folder, Progress(console=Console(stderr=True)) as progress:
