@@ -62,10 +62,15 @@ def test_no_two_seeds_share_a_state() -> None:
     assert len({scrambled(seed) for seed in range(1, 20001)}) == 20000
 
 
-def test_two_equal_components_give_the_largest_uniform_number() -> None:
+@pytest.mark.parametrize(("difference", "number"), [(0, 2147483562), (1, 1), (2, 2)])
+def test_two_equal_components_give_the_largest_uniform_number(difference: int, number: int) -> None:
     """L'Ecuyer's rule for a difference of 0, which the logarithm could not take."""
-    seed_1, seed_2 = (5.0 * pow(a, -1, m) % m for a, m in ((40014, 2147483563), (40692, 2147483399)))
-    assert uniform(seed_1, seed_2) == (2147483562.0 / 2147483563.0, 5.0, 5.0)
+    following = 5 + difference, 5
+    seed_1, seed_2 = (
+        float(component * pow(a, -1, m) % m)
+        for component, a, m in zip(following, (40014, 40692), (2147483563, 2147483399), strict=True)
+    )
+    assert uniform(seed_1, seed_2) == (number / 2147483563.0, *following)
 
 
 @pytest.mark.parametrize("seed", [1, 7, 65535, 65536, 2147483397])
