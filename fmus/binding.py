@@ -19,6 +19,7 @@ from fmus.errors import ExportError
 from fmus.platforms import host_platform, library_name
 
 OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)  # fmi2Status
+LAST_SUCCESSFUL_TIME, TERMINATED = 2, 3  # fmi2StatusKind
 _STATUS_NAMES = ("ok", "warning", "discard", "error", "fatal", "pending")
 
 # type of the functions that transfer numbers -> ctypes element

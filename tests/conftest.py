@@ -185,6 +185,12 @@ def function(tmp_path_factory: pytest.TempPathFactory) -> Build:
 
 
 @pytest.fixture(scope="session")
+def stair(tmp_path_factory: pytest.TempPathFactory) -> Build:
+    """Builds stairs, which terminate the simulation at 9 s: the options are those of `foreign_fmus.stair`."""
+    return once_for_each_option(foreign_fmus.stair, session_folder(tmp_path_factory, "stair"))
+
+
+@pytest.fixture(scope="session")
 def rogue(tmp_path_factory: pytest.TempPathFactory) -> Build:
     """Builds FMUs that misbehave on demand: the options are those of `foreign_fmus.rogue`."""
     return once_for_each_option(foreign_fmus.rogue, session_folder(tmp_path_factory, "rogue"))

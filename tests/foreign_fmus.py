@@ -45,6 +45,8 @@ class Misdeed(IntEnum):
     EXIT = 17
     CHANGE_FOLDER = 18
     ROUND_UPWARD = 19
+    TERMINATE = 20
+    TERMINATE_UNTIMED = 21
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,7 @@ class Variable:
     follows: tuple[str, ...] = ()
     initially_follows: tuple[str, ...] = ()
     nominal: float | None = None
+    initial: str | None = None
 
 
 def linear(
@@ -167,6 +170,12 @@ def rogue(path: Path, **capabilities: Any) -> Path:
     return _write(path, "rogue", variables, {}, Capabilities(**capabilities))
 
 
+def stair(path: Path, **capabilities: Any) -> Path:
+    """Counts the seconds in the Integer output `counter`, from 1, and terminates the simulation at 10."""
+    counter = Variable("counter", "output", "discrete", start=1, kind="Integer", initial="exact")
+    return _write(path, "stair", [counter], {}, Capabilities(**capabilities))
+
+
 def _write(
     path: Path,
     model: str,
@@ -220,12 +229,14 @@ def _description(
 
 def _scalar_variable(parent: Any, reference: int, v: Variable) -> None:
     common = {"causality": v.causality, "variability": v.variability}
-    initial = {"parameter": {"initial": "exact"}, "output": {"initial": "calculated"}}.get(v.causality, {})
-    scalar = _add(parent, "ScalarVariable", name=v.name, valueReference=str(reference), **common, **initial)
+    initial = v.initial or {"parameter": "exact", "output": "calculated"}.get(v.causality)
+    if initial:
+        common["initial"] = initial
+    scalar = _add(parent, "ScalarVariable", name=v.name, valueReference=str(reference), **common)
     typed = _add(scalar, v.kind)
     if v.kind == "Enumeration":
         typed.set("declaredType", "Misdeed")
-    if v.causality != "output":
+    if v.causality != "output" or v.initial == "exact":
         whole = {"Boolean": bool, "Integer": int, "Enumeration": int}.get(v.kind, float)
         typed.set("start", _text(whole(v.start)))
     if v.nominal is not None:
@@ -239,12 +250,13 @@ def _structure(structure: Any, variables: Sequence[Variable], declares_dependenc
         "InitialUnknowns": lambda v: v.initially_follows,
     }
     for section, of in dependencies.items():
-        listed = _add(structure, section)
-        for v in variables:
-            if v.causality == "output":
-                unknown = _add(listed, "Unknown", index=index[v.name])
-                if declares_dependencies:
-                    unknown.set("dependencies", " ".join(index[name] for name in of(v)))
+        outputs = [v for v in variables if v.causality == "output"]
+        unknowns = [v for v in outputs if section == "Outputs" or v.initial != "exact"]
+        listed = _add(structure, section) if unknowns else None
+        for v in unknowns:
+            unknown = _add(listed, "Unknown", index=index[v.name])
+            if declares_dependencies:
+                unknown.set("dependencies", " ".join(index[name] for name in of(v)))
 
 
 def _add(parent: Any, tag: str, **attributes: str) -> Any:

@@ -91,8 +91,16 @@ def run(
     figures = run_figure(chosen.title, result.recording, out / chosen.name, written_formats)
     if result.metrics:
         print_table(metrics_table(chosen.title, result.metrics, result.metric_units, chosen.metrics))
+    _print_end(result.recording)
     _print_pace(result.recording)
     print(out / f"{chosen.name}.{file_format}", out / f"{chosen.name}.json", *figures, sep="\n")
+
+
+def _print_end(recording: "Recording") -> None:
+    """Which FMU terminated the run before its stop time, if one did."""
+    terminated = recording.provenance.get("terminated")
+    if terminated:
+        print(f"{terminated['component']} terminated the simulation at t = {terminated['time_s']:.9g} s")
 
 
 def _print_pace(recording: "Recording") -> None:

@@ -14,10 +14,20 @@ from typing import Any
 
 import fmpy
 import numpy as np
-from fmpy.fmi2 import fmi2LastSuccessfulTime
 from fmpy.model_description import ModelDescription, ScalarVariable
 
-from fmus.binding import DISCARD, ERROR, FATAL, BoundInstance, Callbacks, Library, library_member, status_name
+from fmus.binding import (
+    DISCARD,
+    ERROR,
+    FATAL,
+    LAST_SUCCESSFUL_TIME,
+    TERMINATED,
+    BoundInstance,
+    Callbacks,
+    Library,
+    library_member,
+    status_name,
+)
 from fmus.files import extract_archive
 from fmus.fmi_types import TRANSFER_TYPE
 from orchestration.errors import FmuError, FmuLoadError, FmuWarning
@@ -120,9 +130,16 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
     def last_successful_time(self) -> float | None:
         """The time up to which a discarded step was computed [s]; None if the FMU does not provide it."""
         time = ctypes.c_double()
-        status = self.status("fmi2GetRealStatus", fmi2LastSuccessfulTime, ctypes.byref(time))
+        status = self.status("fmi2GetRealStatus", LAST_SUCCESSFUL_TIME, ctypes.byref(time))
         self._remember(status)
         return time.value if status == 0 else None
+
+    def terminates(self) -> bool:
+        """Whether the FMU discarded the step because it terminates the simulation (FMI 2.0.5, 4.2.3)."""
+        answer = ctypes.c_int()
+        status = self.status("fmi2GetBooleanStatus", TERMINATED, ctypes.byref(answer))
+        self._remember(status)
+        return status == 0 and bool(answer.value)
 
     def status(self, function: str, *arguments: Any) -> int:
         self.busy[0] = self.number

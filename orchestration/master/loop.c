@@ -20,8 +20,9 @@
 
 enum { HOLD, FMU_DERIVATIVE, MIDPOINT };
 enum { NO_FAILURE, SET_INPUTS, SET_DERIVATIVES, DO_STEP, GET_OUTPUTS, NOT_FINITE };
-enum { RECORDED, FAILURE, COMPONENT, INDEX, STATUS, BUSY, CALLS, POSITION };
-enum { OK, WARNING };
+enum { RECORDED, FAILURE, COMPONENT, INDEX, STATUS, BUSY, CALLS, POSITION, TERMINATED };
+enum { OK, WARNING, DISCARD };
+enum { LAST_SUCCESSFUL_TIME = 2, IS_TERMINATED = 3 };
 
 typedef char sixty_four_bits[sizeof(void *) == 8 ? 1 : -1];
 
@@ -29,6 +30,7 @@ typedef int ExchangeValues(void *instance, const void *references, size_t count,
 typedef int SetDerivatives(void *instance, const void *references, size_t count, const void *orders,
                            const void *values);
 typedef int DoStep(void *instance, double start, double size, int no_return_before_start);
+typedef int GetStatus(void *instance, int kind, void *value);
 
 typedef struct {
     const int64_t *first;
@@ -55,7 +57,7 @@ typedef struct {
     double *bus, *slopes;
     int32_t *integers;
     const void *orders;
-    const intptr_t *instances, *do_step;
+    const intptr_t *instances, *do_step, *real_status, *boolean_status;
     const int64_t *periods;
     const double *fixed_step_size;
     double *step_start;
@@ -243,12 +245,27 @@ static int write_inputs(Wiring *wiring, int64_t c, double start, double size) {
     return 1;
 }
 
+static int terminates_at(const Wiring *wiring, int64_t c, double end) {
+    void *instance = (void *)wiring->instances[c];
+    int32_t terminated = 0;
+    double reached;
+    if (((GetStatus *)wiring->boolean_status[c])(instance, IS_TERMINATED, &terminated) != OK || !terminated) return 0;
+    if (((GetStatus *)wiring->real_status[c])(instance, LAST_SUCCESSFUL_TIME, &reached) != OK) return 0;
+    return fabs(reached - end) <= 1e-9 * (end - wiring->step_start[c]);
+}
+
 static int do_step(Wiring *wiring, int64_t c, double end) {
     DoStep *function = (DoStep *)wiring->do_step[c];
     const double start = wiring->step_start[c];
     const double size = wiring->fixed_step_size[c] > 0.0 ? wiring->fixed_step_size[c] : end - start;
+    int status;
     wiring->report[BUSY] = c + 1;
-    return is_accepted(wiring, DO_STEP, c, 0, function((void *)wiring->instances[c], start, size, 1));
+    status = function((void *)wiring->instances[c], start, size, 1);
+    if (status == DISCARD && terminates_at(wiring, c, end)) {
+        wiring->report[TERMINATED] = c + 1;
+        status = OK;
+    }
+    return is_accepted(wiring, DO_STEP, c, 0, status);
 }
 
 EXPORT int loop_read_outputs(Wiring *wiring, int64_t c) {
@@ -313,6 +330,7 @@ EXPORT int64_t loop_run(Wiring *wiring, int64_t first, int64_t last) {
               loop_step(wiring, point, wiring->points[point], wiring->points[point + 1])))
             return point;
         wiring->report[POSITION] = point + 1;
+        if (wiring->report[TERMINATED]) return point + 1;
     }
     return last;
 }

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from fmus.binding import OK, WARNING
+from fmus.binding import DISCARD, LAST_SUCCESSFUL_TIME, OK, TERMINATED, WARNING
 from orchestration.master.loop_data import Call, Calls, InputMode, LoopFunctions, Report, Wiring
 
 
@@ -32,13 +32,16 @@ def python_loop(wiring: Wiring) -> LoopFunctions:
 def run(wiring: Wiring, first: int, last: int) -> int:
     """Step from communication point `first` to `last`; `last` itself is neither exchanged nor recorded.
 
-    Returns the point reached; if that is before `last`, `report` holds the failure.
+    Returns the point reached; if that is before `last`, `report` holds the failure, or the component that
+    terminated the simulation there.
     """
     for point in range(first, last):
         start, end = wiring.points[point], wiring.points[point + 1]
         if not (exchange_and_record(wiring, point) and step(wiring, point, start, end)):
             return point
         wiring.report[Report.POSITION] = point + 1
+        if wiring.report[Report.TERMINATED]:
+            return point + 1
     return last
 
 
@@ -198,6 +201,7 @@ _POINTER, _SIZE, _INT = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int
 _exchange_type = ctypes.CFUNCTYPE(_INT, _POINTER, _POINTER, _SIZE, _POINTER)
 _derivatives_type = ctypes.CFUNCTYPE(_INT, _POINTER, _POINTER, _SIZE, _POINTER, _POINTER)
 _step_type = ctypes.CFUNCTYPE(_INT, _POINTER, ctypes.c_double, ctypes.c_double, _INT)
+_status_type = ctypes.CFUNCTYPE(_INT, _POINTER, _INT, _POINTER)
 
 
 @cache
@@ -211,7 +215,22 @@ def _do_step(wiring: Wiring, c: int, end: float) -> bool:
     wiring.report[Report.BUSY] = c + 1
     do_step = _function(_step_type, int(wiring.do_step[c]))
     status = do_step(int(wiring.instances[c]), start, size, 1)
+    if status == DISCARD and _terminates_at(wiring, c, end):
+        wiring.report[Report.TERMINATED] = c + 1
+        status = OK
     return _is_accepted(wiring, Call.DO_STEP, c, 0, status)
+
+
+def _terminates_at(wiring: Wiring, c: int, end: float) -> bool:
+    """Whether component c, which discarded its step, terminates the simulation at the end of this step."""
+    instance, terminated, reached = int(wiring.instances[c]), ctypes.c_int(), ctypes.c_double()
+    get_boolean = _function(_status_type, int(wiring.boolean_status[c]))
+    if get_boolean(instance, TERMINATED, ctypes.addressof(terminated)) != OK or not terminated.value:
+        return False
+    get_real = _function(_status_type, int(wiring.real_status[c]))
+    if get_real(instance, LAST_SUCCESSFUL_TIME, ctypes.addressof(reached)) != OK:
+        return False
+    return abs(reached.value - end) <= 1e-9 * (end - wiring.step_start[c])
 
 
 def _exchange_values(wiring: Wiring, calls: Calls, kind: int, c: int, g: int) -> bool:

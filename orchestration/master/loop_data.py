@@ -17,7 +17,7 @@ InputMode = IntEnum("InputMode", "HOLD FMU_DERIVATIVE MIDPOINT", start=0)
 # the kinds of failure and, but for the first and the last, of calls
 Call = IntEnum("Call", "NO_FAILURE SET_INPUTS SET_DERIVATIVES DO_STEP GET_OUTPUTS NOT_FINITE", start=0)
 # indices of Wiring.report
-Report = IntEnum("Report", "RECORDED FAILURE COMPONENT INDEX STATUS BUSY CALLS POSITION", start=0)
+Report = IntEnum("Report", "RECORDED FAILURE COMPONENT INDEX STATUS BUSY CALLS POSITION TERMINATED", start=0)
 
 
 class Calls(NamedTuple):
@@ -84,7 +84,7 @@ class Wiring(NamedTuple):
     points: communication points [s]
     bus: every exchanged value, as float64; slopes: of inputs, at their indices on the bus
     integers: Integer and Boolean values; orders: address of an array of ones, for the input derivatives
-    instances, do_step: addresses, one for each component
+    instances, do_step, real_status, boolean_status: addresses, one for each component
     periods: communication steps in one step of the component
     fixed_step_size: step size [s] of a component that cannot vary it, else 0
     step_start: time [s] at which the present step of the component starts
@@ -94,7 +94,8 @@ class Wiring(NamedTuple):
     record_index: of the recorded values on the bus; rows: the recorded values, one row for each point
     report: RECORDED rows; the kind of FAILURE with its COMPONENT, the INDEX of its call or connection and its
     STATUS; BUSY: 1 + the component whose call is in progress, its negative while it is loaded, else 0;
-    CALLS that have returned; POSITION: the present communication point
+    CALLS that have returned; POSITION: the present communication point; TERMINATED: 1 + the component that
+    terminated the simulation, else 0
     """
 
     gauss_seidel: int
@@ -106,6 +107,8 @@ class Wiring(NamedTuple):
     orders: int
     instances: Array
     do_step: Array
+    real_status: Array
+    boolean_status: Array
     periods: Array
     fixed_step_size: Array
     step_start: Array

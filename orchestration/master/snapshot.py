@@ -5,7 +5,7 @@ from contextlib import suppress
 import numpy as np
 
 from orchestration.errors import FmuError
-from orchestration.master.loop_data import Wiring
+from orchestration.master.loop_data import Report, Wiring
 from orchestration.master.wiring import WiredRun
 
 
@@ -36,6 +36,7 @@ class Snapshot:
         """Set all states and arrays back to those of the snapshot."""
         for name, array in changing_arrays(self._wiring).items():
             array[:] = self._arrays[name]
+        self._wiring.report[Report.TERMINATED] = 0
         for name, instance in self._instances.items():
             instance.log.clear()
             instance.set_fmu_state(self._states[name])

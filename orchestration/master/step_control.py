@@ -12,6 +12,7 @@ import numpy as np
 
 from orchestration.errors import OrchestrationError
 from orchestration.fmi.description import of_causality
+from orchestration.fmi.instance import FmuInstance
 from orchestration.master.failure import failure_error, is_discarded_step
 from orchestration.master.loop_data import LoopFunctions, Report
 from orchestration.master.snapshot import Snapshot
@@ -37,12 +38,16 @@ class StepControl:
         self._signals = list(experiment.signals.values())
         self._before = Snapshot(run)
         self._shortest = 0.0
+        self._terminated = 0
         self.tolerance = Tolerance(run) if experiment.tolerance else None
         self.step_size = experiment.step_size
         self.statistics = dict.fromkeys(("steps_between_points", "discarded_steps", "inexact_steps"), 0)
 
-    def advance_to(self, point: int, check_interrupt: Callable[[], None]) -> None:
-        """Advance from the communication point before `point`, where the exchange is done, to `point`."""
+    def advance_to(self, point: int, check_interrupt: Callable[[], None]) -> float:
+        """Advance from the communication point before `point`, where the exchange is done, to `point`.
+
+        Returns the time reached [s]: earlier than that of `point` if a component terminated the simulation.
+        """
         time, stop = float(self._wiring.points[point - 1]), float(self._wiring.points[point])
         self._shortest = _SHORTEST * (stop - time)
         if not self.tolerance:
@@ -62,6 +67,10 @@ class StepControl:
                 self.statistics["steps_between_points"] += 1
             else:
                 self._before.restore()
+                self._wiring.report[Report.TERMINATED] = self._terminated
+            if self._wiring.report[Report.TERMINATED]:
+                break
+        return time
 
     def try_controlled_step(self, point: int, start: float, end: float) -> bool:
         """Step from `start` to `end`, with error control if there is a tolerance.
@@ -76,7 +85,12 @@ class StepControl:
         coarse = self._wiring.bus[self.tolerance.bus_index]
         self._before.restore()
         middle = start + 0.5 * (end - start)
-        if not (self.try_step(point, start, middle) and self.try_step(point, middle, end)):
+        if not self.try_step(point, start, middle):
+            return False
+        if self._wiring.report[Report.TERMINATED]:
+            self.step_size = middle - start
+            return False
+        if not self.try_step(point, middle, end):
             return False
         fine, size = self._wiring.bus[self.tolerance.bus_index], end - start
         ratio = self.tolerance.error_ratio(coarse, fine, size)
@@ -108,14 +122,18 @@ class StepControl:
         if not is_discarded_step(wiring):
             raise failure_error(self._run, start)
         self.statistics["discarded_steps"] += 1
-        self.step_size = self._possible_step_size(start, end)
+        component = int(wiring.report[Report.COMPONENT])
+        instance = list(self._run.instances.values())[component]
+        terminates = instance.terminates()
+        self.step_size = self._possible_step_size(instance, start, end, terminates)
         if self.step_size < self._shortest:
-            raise failure_error(self._run, start)
+            if not terminates:
+                raise failure_error(self._run, start)
+            self._terminated = component + 1
         return False
 
-    def _possible_step_size(self, start: float, end: float) -> float:
-        """The step size [s] that the component which discarded the step to `end` can take."""
-        instance = list(self._run.instances.values())[self._wiring.report[Report.COMPONENT]]
+    def _possible_step_size(self, instance: FmuInstance, start: float, end: float, terminates: bool) -> float:
+        """The step size [s] of an FMU that discarded the step to `end`; 0 if it ends at `start`."""
         reached = instance.last_successful_time()
         if reached is None:
             return 0.5 * (end - start)
@@ -125,6 +143,8 @@ class StepControl:
                 f"{instance.name} discarded the step from {start:.9g} to {end:.9g} s and returned "
                 f"LastSuccessfulTime = {reached:.9g} s: expected a time within the step"
             )
+        if terminates and reached <= start + slack:
+            return 0.0
         return reached - start if start + slack < reached < end - slack else 0.5 * (end - start)
 
     def free(self) -> None:

@@ -62,14 +62,20 @@ class SteppedRun(RunInProgress):
                 self._plain_step(point)
             else:
                 self._run_batch(point + 1)
-            if point + 1 == self._last:
+            if self._is_terminated():
                 self._finish()
+                self.failure = self._end()
+            elif point + 1 == self._last:
+                self._finish()
+                self.look_around()
         except Exception as error:
             self.failure = reason_of(error)
             raise SimulationError(self.failure, self.recording()) from error
 
     def _end(self) -> str:
-        return f"the run is at its stop time, {self.time:.9g} s: expected no further step"
+        by = self._termination.get("component")
+        where = f"{by} terminated the simulation at" if by else "the run is at its stop time,"
+        return f"{where} {self.time:.9g} s: expected no further step"
 
     def _is_plain(self) -> bool:
         """Whether nothing but the step itself is due."""
@@ -85,13 +91,6 @@ class SteppedRun(RunInProgress):
         if self._loop.run(point, point + 1) == point:
             self.look_around(failed=True)
             self._repeat_discarded_step(point)
-
-    def _finish(self) -> None:
-        """At the stop time make its changes, exchange and record, as `run_to_end` does."""
-        self._change_and_wait(None)
-        if not self._loop.exchange_and_record(self._last):
-            raise self._failure()
-        self.look_around()
 
     def recording_now(self) -> Recording:
         """The values recorded until now, those of the present communication point included."""

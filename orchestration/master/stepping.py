@@ -7,21 +7,20 @@ batch, steps again to the discarded step, and takes that one in shorter steps.
 
 import time
 from bisect import bisect_right
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, Protocol
-
-import numpy as np
 
 from orchestration.errors import OrchestrationError
 from orchestration.master.failure import emit_warnings, failure_error, is_discarded_step
 from orchestration.master.loop_data import LoopFunctions, Report
 from orchestration.master.pacing import Pacing
 from orchestration.master.process_guard import ProcessGuard
+from orchestration.master.run_recording import make_recording
 from orchestration.master.snapshot import Snapshot
 from orchestration.master.step_control import StepControl
 from orchestration.master.wiring import WiredRun
 from orchestration.results.recording import Recording
-from orchestration.system.prepared_run import PreparedRun
 
 _BATCH_S = 0.05
 _GROWTH = 8  # largest growth of a batch from one to the next: the first ones measure how long a step takes
@@ -43,6 +42,7 @@ class RunInProgress:
     def __init__(self, wired: WiredRun, loop: LoopFunctions, guard: ProcessGuard) -> None:
         self.wired, self._loop, self._guard = wired, loop, guard
         self.prepared, self.instances, self.wiring = wired.prepared, wired.instances, wired.wiring
+        self._termination: dict[str, Any] = {}
         self._changes = sorted(wired.prepared.changes)
         self._check_interrupt: Callable[[], None] = lambda: None
         can_repeat = not wired.prepared.retry_obstacle
@@ -71,14 +71,14 @@ class RunInProgress:
         pacing: Pacing | None = None,
         checkpoint_callback: Callable[[int], int] | None = None,
     ) -> None:
-        """Run to the last communication point.
+        """Run to the last communication point, or to that at which a component terminates the simulation.
 
         checkpoint_callback: called with the position between two batches; returns the most steps of the next
         """
         last = len(self.wiring.points) - 1
         batch = 1
         self._check_interrupt = check_interrupt
-        while self.position < last:
+        while self.position < last and not self._is_terminated():
             check_interrupt()
             if progress:
                 progress(self.position, last)
@@ -91,15 +91,22 @@ class RunInProgress:
             longer = min(_GROWTH * batch, int(_BATCH_S * steps_a_second), MOST_STEPS)
             batch = 1 if repeated else max(1, longer)
         check_interrupt()
-        self._change_and_wait(pacing)
-        if not self._loop.exchange_and_record(last):
-            raise self._failure()
+        self._finish(pacing)
         if progress:
-            progress(last, last)
+            progress(self.position, self.position)
 
-    def record_now(self) -> None:
-        """Record the present communication point too, for a run that ends here."""
-        self._loop.exchange_and_record(self.position)
+    def _finish(self, pacing: Pacing | None = None) -> None:
+        """Make the changes of the last communication point, which no FMU that ended accepts; record it."""
+        if not self._is_terminated():
+            self._change_and_wait(pacing)
+        if not self.record_now():
+            raise self._failure()
+
+    def record_now(self) -> bool:
+        """Record the present communication point too, for a run that ends here; False if it failed."""
+        if self._is_terminated() and self.wiring.report[Report.RECORDED] > self.position:
+            return True  # what components that cannot go back have computed since is of a later time
+        return bool(self._loop.exchange_and_record(self.position))
 
     def _batch_end(self, end: int) -> int:
         """`end`, or the next scheduled change or the last communication point if that comes earlier."""
@@ -115,14 +122,14 @@ class RunInProgress:
             self._snapshot.take()
         start, reached = self.position, self._loop.run(self.position, end)
         self.look_around(failed=reached < end)
-        if reached < end:
+        if reached < end and not self._is_terminated():
             self._repeat_discarded_step(start)
         return reached < end
 
     def look_around(self, failed: bool = False) -> None:
         """Put back what FMUs changed in this process, and warn of what they warned of."""
         self.restore_process()
-        emit_warnings(self.wired, failed)
+        emit_warnings(self.wired, failed and not self.wiring.report[Report.TERMINATED])
 
     def _repeat_discarded_step(self, start: int) -> None:
         """Take the step that failed in shorter ones if it was discarded; else raise the failure.
@@ -132,8 +139,8 @@ class RunInProgress:
         if not is_discarded_step(self.wiring):
             raise self._failure()
         if not self._snapshot:
-            obstacle = self.prepared.retry_obstacle
-            raise OrchestrationError(f"{self._failure()}; no shorter step was tried, as {obstacle}")
+            self._terminate_within_step()
+            return
         self._snapshot.restore()
         if self._loop.run(start, self.position) != self.position:
             raise self._failure()
@@ -147,12 +154,59 @@ class RunInProgress:
             raise self._failure()
         self._snapshot.take()
         try:
-            self.step_control.advance_to(self.position + 1, self._check_interrupt)
+            reached = self.step_control.advance_to(self.position + 1, self._check_interrupt)
         except KeyboardInterrupt:  # between two communication points nothing can be saved
             self._snapshot.restore()
             raise
         self.look_around()
-        self.position += 1
+        self._is_terminated(reached)
+        self._go_to(reached)
+
+    def _terminate_within_step(self) -> None:
+        """End the run if the component that discarded its step terminates the simulation; the others stay.
+
+        Raises OrchestrationError if it does not.
+        """
+        component = int(self.wiring.report[Report.COMPONENT])
+        instance = list(self.instances.values())[component]
+        if not instance.terminates():
+            obstacle = self.prepared.retry_obstacle
+            raise OrchestrationError(f"{self._failure()}; no shorter step was tried, as {obstacle}")
+        self.wiring.report[Report.TERMINATED] = component + 1
+        self.look_around()
+        before, after = self.wiring.points[self.position : self.position + 2].tolist()
+        reached = instance.last_successful_time()
+        if reached is None or not reached <= after:
+            reached = before
+        self._is_terminated(reached)
+        if len(self.instances) == 1 and reached > before:
+            self._go_to(reached)
+            self.read_outputs()
+
+    def _is_terminated(self, time: float | None = None) -> bool:
+        """Whether a component has terminated the simulation, at `time` [s] or else at the present point."""
+        component = int(self.wiring.report[Report.TERMINATED])
+        if component and not self._termination:
+            time = float(self.wiring.points[self.position]) if time is None else time
+            self._termination = {"component": list(self.instances)[component - 1], "time_s": time}
+        return component > 0
+
+    def _go_to(self, time: float) -> None:
+        """Make the next communication point the present one; at an earlier time [s] it is the last one.
+
+        At the time of the present point nothing changes.
+        """
+        wiring, index = self.wiring, self.position + 1
+        if time > wiring.points[self.position]:
+            self.position = index
+        if wiring.points[self.position] > time:
+            wiring.points[index] = time
+            shortened = replace(self.prepared, points=wiring.points[: index + 1])
+            wiring.signal_values[:, index] = shortened.signal_values[:, -1]
+            for row, pattern in enumerate(shortened.fault_patterns.values()):
+                wiring.faults.source[row, index], wiring.faults.addition[row, index] = (
+                    x[-1] for x in pattern
+                )
 
     def restore_process(self) -> None:
         """Put back what FMUs changed in this process beside their own state."""
@@ -176,7 +230,8 @@ class RunInProgress:
         """The values recorded until now."""
         count = int(self.wiring.report[Report.RECORDED])
         statistics = self.step_control.statistics if self.step_control else {}
-        more = statistics if any(statistics.values()) else {}
+        more = dict(statistics) if any(statistics.values()) else {}
+        more |= {"terminated": self._termination} if self._termination else {}
         pace = {"real_time": pacing.report()} if pacing else {}
         return make_recording(self.prepared, self.wiring.rows, count, more | pace)
 
@@ -185,37 +240,3 @@ class RunInProgress:
         if self._snapshot and self.step_control:
             self._snapshot.free()
             self.step_control.free()
-
-
-def make_recording(
-    prepared: PreparedRun, rows: np.ndarray, count: int, more: Mapping[str, Any] = {}
-) -> Recording:
-    """The recorded values at the first `count` communication points.
-
-    rows: shape `prepared.shape`; more: further entries of the provenance
-    """
-    ports = prepared.system.ports
-    return Recording(
-        names=prepared.recorded,
-        units=tuple(ports[name].variable.unit or "" for name in prepared.recorded),
-        time=prepared.points[:count].copy(),
-        values=np.array(rows[:count]),
-        provenance=_provenance(prepared) | dict(more),
-    )
-
-
-def _provenance(prepared: PreparedRun) -> dict[str, Any]:
-    """The FMUs and the settings of the run, as plain data."""
-    experiment = prepared.experiment
-    return {
-        "fmus": {
-            name: {"guid": d.guid, "model": d.modelName, "tool": d.generationTool}
-            for name, d in prepared.system.descriptions.items()
-        },
-        "algorithm": str(experiment.algorithm),
-        "communication_step_size_s": experiment.step_size,
-        "extrapolation": experiment.extrapolation,
-        **({"tolerance": experiment.tolerance} if experiment.tolerance else {}),
-        **({"step_sizes_s": dict(experiment.step_sizes)} if experiment.step_sizes else {}),
-        **({"faults": [repr(fault) for fault in experiment.faults]} if experiment.faults else {}),
-    }

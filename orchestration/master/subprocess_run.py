@@ -14,7 +14,8 @@ from fmus.process import ProcessEndedError, WorkerProcess
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.master.interrupt import kept_interrupts
 from orchestration.master.loop_data import Report
-from orchestration.master.stepping import Progress, make_recording
+from orchestration.master.run_recording import make_recording
+from orchestration.master.stepping import Progress
 from orchestration.master.subprocess_worker import STOP, Outcome, SharedRecord, Task, Warned, run_task
 from orchestration.results.recording import Recording
 from orchestration.system.experiment import Experiment

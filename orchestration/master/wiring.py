@@ -70,7 +70,9 @@ def build_wiring(prepared: PreparedRun, instances: Mapping[str, FmuInstance], st
         integers=integers,
         orders=ones.ctypes.data,
         instances=np.array([instance.address for instance in instances.values()], np.int64),
-        do_step=np.array([instance.function("fmi2DoStep") for instance in instances.values()], np.int64),
+        do_step=_addresses(instances, "fmi2DoStep"),
+        real_status=_addresses(instances, "fmi2GetRealStatus"),
+        boolean_status=_addresses(instances, "fmi2GetBooleanStatus"),
         periods=periods,
         fixed_step_size=np.isin(list(instances), fixed) * periods * experiment.step_size,
         step_start=np.full(count, experiment.start_time),
@@ -90,6 +92,10 @@ def build_wiring(prepared: PreparedRun, instances: Mapping[str, FmuInstance], st
     )
     functions[Call.DO_STEP] = ["fmi2DoStep"]
     return WiredRun(prepared, instances, wiring, bus, functions, references)
+
+
+def _addresses(instances: Mapping[str, FmuInstance], function: str) -> np.ndarray:
+    return np.array([instance.function(function) for instance in instances.values()], np.int64)
 
 
 def _report_calls(instances: Mapping[str, FmuInstance], report: np.ndarray) -> np.ndarray:

@@ -145,7 +145,10 @@ FUNCTIONS: dict[str, Callable[..., float]] = {
 
 
 def evaluate(recording: Recording, declared: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
-    """The metrics that a scenario declares: name -> {function = ..., its arguments, perhaps a unit}."""
+    """The metrics that a scenario declares: name -> {function = ..., its arguments, perhaps a unit}.
+
+    Where an FMU terminated the run, a metric that needs a later time is not a number.
+    """
     return {name: _one(recording, name, call) for name, call in declared.items()}
 
 
@@ -153,6 +156,8 @@ def _one(recording: Recording, name: str, call: Mapping[str, Any]) -> float:
     function = call["function"]
     if function not in FUNCTIONS:
         raise ScenarioError(f"metric {name}: unknown function {function!r}; {nearest(function, FUNCTIONS)}")
+    if _ended_too_early(recording, call):
+        return math.nan
     arguments = {key: value for key, value in call.items() if key not in ("function", "unit")}
     try:
         value = FUNCTIONS[function](recording, **arguments)
@@ -163,6 +168,14 @@ def _one(recording: Recording, name: str, call: Mapping[str, Any]) -> float:
     if np.isinf(value):
         raise ScenarioError(f"metric {name} is {value}: expected a finite number; check {dict(call)}")
     return value
+
+
+def _ended_too_early(recording: Recording, call: Mapping[str, Any]) -> bool:
+    if "terminated" not in recording.provenance:
+        return False
+    start, end = recording.time[[0, -1]]
+    needed = max(call.get("window", [end, end])[1], start + call.get("largest", 0.0))
+    return bool(end < needed - 1e-9 * max(1.0, abs(needed)))
 
 
 def check_run(

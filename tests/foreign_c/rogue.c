@@ -32,7 +32,9 @@ enum { /* the items of the enumeration Misdeed */
     REFUSE_INPUT,
     EXIT,
     CHANGE_FOLDER,
-    ROUND_UPWARD
+    ROUND_UPWARD,
+    TERMINATE,        /* a step that crosses or reaches the misdeed's time is discarded, with fmi2Terminated */
+    TERMINATE_UNTIMED /* the same, and it does not know the last successful time */
 };
 
 #define MODEL_REFUSES
@@ -65,8 +67,18 @@ static fmi2Status discard(Slave *s, double h) {
     return refuse(s, fmi2Discard, "a step of %g s is too long, %g s is the longest", h, done);
 }
 
+static fmi2Status terminate(Slave *s) {
+    Data *d = &s->data;
+    d->terminates = 1;
+    d->value[Y] += (d->value[MISDEED_TIME] - d->time) * d->value[U];
+    d->time = d->last_successful_time = d->value[MISDEED_TIME];
+    return refuse(s, fmi2Discard, "the dive is over");
+}
+
 static fmi2Status model_step(Slave *s, double h) {
     Data *d = &s->data;
+    const int terminates = d->value[MISDEED] == TERMINATE || d->value[MISDEED] == TERMINATE_UNTIMED;
+    if (terminates && d->time + h >= d->value[MISDEED_TIME] - 1e-9) return terminate(s);
     while (is_due(s, HANG)) pause();
     if (is_due(s, ABORT)) abort();
     if (is_due(s, SEGFAULT)) raise(SIGSEGV);
@@ -91,4 +103,6 @@ static fmi2Status model_saves(Slave *s) {
     return is_due(s, REFUSE_STATE) ? refuse(s, fmi2Error, "the state is not given away") : fmi2OK;
 }
 
-static fmi2Status model_tells_time(Slave *s) { return is_due(s, TELLS_NOTHING) ? fmi2Discard : fmi2OK; }
+static fmi2Status model_tells_time(Slave *s) {
+    return is_due(s, TELLS_NOTHING) || is_due(s, TERMINATE_UNTIMED) ? fmi2Discard : fmi2OK;
+}

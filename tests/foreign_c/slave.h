@@ -36,6 +36,7 @@ typedef struct {
     double time;
     double last_successful_time; /* as it is told */
     double step_size;            /* of the first step */
+    int terminates; /* the reason of a discard */
     int mode;
 } Data;
 
@@ -279,8 +280,8 @@ fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind kind, fmi2
 }
 
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value) {
-    (void)c, (void)kind;
-    *value = fmi2False; /* fmi2Terminated */
+    if (kind != fmi2Terminated) return fmi2Discard;
+    *value = ((Slave *)c)->data.terminates;
     return fmi2OK;
 }
 

@@ -304,3 +304,21 @@ def test_identify_writes_to_the_working_folder_and_not_into_the_package(
     assert command("identify").stdout.endswith("\nidentified.toml\n")
     assert scenario.parameter_values(tmp_path / "identified.toml") == gains
     assert shipped.read_bytes() == before
+
+
+def test_a_run_that_an_fmu_terminates_is_complete(
+    command: Command, stair: Callable[..., Path], tmp_path: Path
+) -> None:
+    scenario_of_a_stair = f"""
+        components = {{ stair = "{stair(saves_state=True)}" }}
+        experiment = {{ stop_time = 20.0, step_size = 0.5 }}
+        metrics.last = {{ function = "mean", signal = "stair.counter", window = [15.0, 20.0] }}
+    """
+    (tmp_path / "stair.toml").write_text(scenario_of_a_stair)
+    printed = command("run", "stair.toml", "--out", "out").stdout
+    assert "stair terminated the simulation at t = 9 s\n" in printed
+    assert re.search(r"last +│ +not a number", printed)
+    assert Recording.read(tmp_path / "out" / "stair.csv")["stair.counter"][-1] == 10.0
+    document = json.loads((tmp_path / "out" / "stair.json").read_text())
+    assert document["run"]["terminated"] == {"component": "stair", "time_s": 9.0}
+    assert document["metrics"]["last"]["value"] is None

@@ -41,6 +41,10 @@ def test_functions_and_rogues_that_do_nothing_wrong_break_no_rule(function: Buil
     assert findings(function("cos(u)")) == findings(rogue(saves_state=True)) == {}
 
 
+def test_a_stair_breaks_no_rule(stair: Build) -> None:
+    assert findings(stair(saves_state=True)) == {}
+
+
 def test_misdeeds_have_the_same_numbers_in_c() -> None:
     text = (Path(foreign_fmus.__file__).parent / "foreign_c" / "rogue.c").read_text()
     (items,) = re.findall(r"enum \{ /\* the items.*?\};", text, re.DOTALL)

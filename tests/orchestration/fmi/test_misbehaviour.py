@@ -18,6 +18,7 @@ from orchestration.system.faults import Delay, DropOut, Effect, Fault, Noise
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.fault_model import received
+from tests.orchestration.rogue_systems import doing, pair
 
 Build = Callable[..., Path]
 ROUNDING = 1e-12  # relative: communication points, and sums of steps, differ in the last digits
@@ -35,18 +36,6 @@ def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The only place where temporary folders can be."""
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     return tmp_path
-
-
-def pair(linear: Build, rogue: Build, saves_state: bool = True, **of_the_lag: Any) -> System:
-    """x' = y_lag, lag' = 1 - lag - x: the rogue gives x, the lag answers with -x of the start."""
-    lag = linear(b=(-1.0,), saves_state=saves_state, **of_the_lag)
-    components = {"rogue": rogue(saves_state=saves_state), "lag": lag}
-    return System(components, (("rogue.y", "lag.u[1]"), ("lag.y[1]", "rogue.u")))
-
-
-def doing(misdeed: Misdeed, time: float = 0.5, longest_step: float = 0.0, h: float = 0.1) -> Experiment:
-    parameters = {"rogue.misdeed": misdeed.name.lower(), "rogue.misdeed_time": time}
-    return Experiment(1.0, h, parameters=parameters | {"rogue.longest_step": longest_step})
 
 
 def run(system: System, experiment: Experiment, compiled: bool) -> Recording:

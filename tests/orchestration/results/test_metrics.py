@@ -1,6 +1,7 @@
 """Metrics on made-up recordings whose numbers are known."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -115,3 +116,20 @@ def test_what_did_not_happen_is_null_in_a_file_and_a_word_in_a_table() -> None:
     assert with_units(values, {"settling_time": "s"}) == {"settling_time": {"value": None, "unit": "s"}}
     table = metrics_table("A run", values, {"settling_time": "s"}, declared)
     assert [list(column.cells) for column in table.columns] == [["settling_time"], ["not settled"], ["s"]]
+
+
+def test_where_an_fmu_terminated_the_run_metrics_of_later_times_are_not_a_number() -> None:
+    signals = {"z": TIME, "r": TIME}
+    ended = replace(recording(**signals), provenance={"terminated": {"component": "a", "time_s": 100.0}})
+    calls = {
+        "within": {"function": "mean", "signal": "z", "window": [0.0, 100.0]},
+        "without": {"function": "mean", "signal": "z"},
+        "across": {"function": "mean", "signal": "z", "window": [90.0, 110.0]},
+        "behind": {"function": "mean", "signal": "z", "window": [110.0, 120.0]},
+        "lag": {"function": "shift_lag", "signal": "z", "reference": "r", "largest": 200.0},
+    }
+    values = metrics.evaluate(ended, calls)
+    assert {name for name, value in values.items() if math.isnan(value)} == {"across", "behind", "lag"}
+    assert values["within"] == values["without"] == pytest.approx(50.0)
+    with pytest.raises(ScenarioError, match="metric behind: window"):
+        metrics.evaluate(recording(**signals), calls)
