@@ -22,6 +22,7 @@ def variable(
     description: str,
     *,
     unit: Any = "1",
+    display_unit: Any = None,
     min: Any = None,
     max: Any = None,
     nominal: Any = None,
@@ -32,13 +33,16 @@ def variable(
 
     start: float, int, bool or IntEnum member; a tuple declares a vector `name[1], name[2]`, a
         tuple of tuples a matrix `name[1,1]`, row by row.
-    unit, min, max, nominal: one value, or a tuple of the shape of `start`.
+    unit: any that `fmus.units` knows, such as "m", "N.s/m", "deg", "rev/min" or "degC"; "1" for a number.
+    display_unit: in which tools may show the value, such as "deg" beside the unit "rad".
+    unit, display_unit, min, max, nominal: one value, or a tuple of the shape of `start`.
     variability: "fixed" or "tunable" for a parameter; otherwise the class decides.
     source: where a number comes from: published, estimate or guess.
     """
     ranges = {"minimum": min, "maximum": max, "nominal": nominal}
     texts = {"description": description, "source": source}
-    metadata = {"unit": unit, "variability": variability, "ranges": ranges, "texts": texts}
+    units = {"unit": unit, "display_unit": display_unit}
+    metadata = {"units": units, "variability": variability, "ranges": ranges, "texts": texts}
     return field(default=start, metadata=metadata)
 
 
@@ -54,6 +58,7 @@ class ScalarVariable:
     start: Value
     description: str
     unit: str | None
+    display_unit: str | None
     minimum: Value | None
     maximum: Value | None
     nominal: float | None
@@ -197,9 +202,9 @@ def _scalars(declared: Field, role: str, first_reference: int) -> Iterator[Scala
             variability=said["variability"] or discrete,
             initial=initial,
             start=start,
-            unit=_at(said["unit"], index) if is_real else None,
             enumeration=type(start) if isinstance(start, IntEnum) else None,
             **said["texts"],
+            **{name: _at(value, index) if is_real else None for name, value in said["units"].items()},
             **{name: _at(value, index) for name, value in said["ranges"].items()},
         )
 

@@ -1,34 +1,130 @@
-"""Unit names and their exponents over the SI base units, as FMI's `BaseUnit` wants them."""
+"""Units over the base units of FMI 2.0 (2.2.2): kg, m, s, A, K, mol, cd and rad.
+
+Names are written as in the standard: "N.s/m", "1/s2", "kg/(m.s)", "rev/min", "degC". Pint knows what they
+mean; it is loaded for a name that the table below does not have.
+"""
+
+import re
+from dataclasses import dataclass, field
+from decimal import Decimal
+from functools import cache
+from typing import Any
 
 from fmus.errors import ExportError, nearest
 
-# Every unit used here is coherent: factor 1, offset 0. "1" is dimensionless.
+# Coherent units, by their exponents over the base units. "1" is dimensionless.
 BASE_UNITS: dict[str, dict[str, int]] = {
     "1": {},
     "s": {"s": 1},
     "1/s": {"s": -1},
     "1/s2": {"s": -2},
+    "Hz": {"s": -1},
     "m": {"m": 1},
     "m2": {"m": 2},
+    "m3": {"m": 3},
     "m/s": {"m": 1, "s": -1},
+    "m/s2": {"m": 1, "s": -2},
     "rad": {"rad": 1},
     "rad/s": {"rad": 1, "s": -1},
+    "rad/s2": {"rad": 1, "s": -2},
     "kg": {"kg": 1},
     "s/kg": {"s": 1, "kg": -1},
     "1/kg": {"kg": -1},
     "kg/m3": {"kg": 1, "m": -3},
+    "kg.m2": {"kg": 1, "m": 2},
     "N": {"kg": 1, "m": 1, "s": -2},
+    "N.m": {"kg": 1, "m": 2, "s": -2},
     "N/m": {"kg": 1, "s": -2},
     "N/(m.s)": {"kg": 1, "s": -3},
     "N.s/m": {"kg": 1, "s": -1},
     "N.s2/m2": {"kg": 1, "m": -1},
+    "Pa": {"kg": 1, "m": -1, "s": -2},
+    "J": {"kg": 1, "m": 2, "s": -2},
+    "W": {"kg": 1, "m": 2, "s": -3},
+    "A": {"A": 1},
+    "C": {"A": 1, "s": 1},
     "V": {"kg": 1, "m": 2, "s": -3, "A": -1},
     "N/V": {"m": -1, "s": 1, "A": 1},
+    "Ohm": {"kg": 1, "m": 2, "s": -3, "A": -2},
+    "K": {"K": 1},
+    "mol": {"mol": 1},
+    "cd": {"cd": 1},
 }
+_PINT_NAMES = {
+    "kilogram": "kg", "meter": "m", "second": "s", "ampere": "A",
+    "kelvin": "K", "mole": "mol", "candela": "cd", "radian": "rad",
+}  # fmt: skip
+# where FMI and Modelica write a name otherwise than Pint, or mean another unit by it
+_DEFINITIONS = ("@alias turn = rev", "@alias ohm = Ohm", "torque_newton_meter = newton * meter = Nm")
+_BASES = tuple(_PINT_NAMES.values())
+_GRAMMAR = re.compile(r"1|(1/)?[^\W\d_(%][\w.%/()-]*|(1/)?[%°][\w./()-]*|1/\([\w.%/()-]*")
+_EXPONENT = re.compile(r"(?<=[^\W\d_])(-?\d+)")
 
 
-def base_units(unit: str) -> dict[str, int]:
-    """Exponents of a unit over kg, m, s, A, rad; ExportError names the nearest known unit."""
-    if unit not in BASE_UNITS:
-        raise ExportError(f"unknown unit {unit!r}; {nearest(unit, BASE_UNITS)}")
-    return BASE_UNITS[unit]
+@dataclass(frozen=True)
+class Unit:
+    """value in base units = factor * value in this unit + offset; the base unit has these exponents."""
+
+    exponents: dict[str, int] = field(default_factory=dict)
+    factor: float = 1.0
+    offset: float = 0.0
+
+
+@cache
+def unit(name: str) -> Unit:
+    """What a name means; ExportError for one that FMI cannot express, with the nearest one that it can."""
+    if name in BASE_UNITS:
+        return Unit(BASE_UNITS[name])
+    exponents, factor, offset = _converted(name)
+    return Unit(exponents, float(factor), float(offset))
+
+
+def display(unit_name: str, display_name: str) -> tuple[float, float]:
+    """(factor, offset): value in the display unit = factor * value in the unit + offset.
+
+    Raises ExportError for units of different dimensions.
+    """
+    (exponents, factor, offset), (others, divisor, shift) = _converted(unit_name), _converted(display_name)
+    if exponents != others:
+        raise ExportError(f"display unit {display_name!r}: expected one of the dimension of {unit_name!r}")
+    return float(factor / divisor), float((offset - shift) / divisor)
+
+
+@cache
+def _converted(name: str) -> tuple[dict[str, int], Decimal, Decimal]:
+    """(exponents, factor, offset), exact but for irrational factors."""
+    import pint
+
+    try:
+        if not _GRAMMAR.fullmatch(name):
+            raise ValueError(name)
+        parsed = _registry().parse_units(name)
+        origin, one = (_registry().Quantity(Decimal(i), parsed).to_base_units() for i in range(2))
+        powers = {_PINT_NAMES[base]: power for base, power in origin.unit_items()}
+    except pint.UndefinedUnitError as error:
+        unknown = error.unit_names if isinstance(error.unit_names, str) else error.unit_names[0]
+        known = nearest(unknown, [*BASE_UNITS, *dir(_registry())])
+        part = "" if unknown == name else f": no unit {unknown!r}"
+        raise ExportError(f"unknown unit {name!r}{part}; {known}") from None
+    except (KeyError, TypeError) as error:  # bits and the like; decibels and other logarithms
+        raise ExportError(f"unit {name!r}: expected one of powers of {', '.join(_BASES)}") from error
+    except Exception as error:
+        raise ExportError(f"unit {name!r}: expected a name as 'N.s/m', 'kg/(m.s)' or '1/s2'") from error
+    if any(power != int(power) for power in powers.values()):
+        raise ExportError(f"unit {name!r}: expected one of whole powers of {', '.join(_BASES)}")
+    exponents = {base: int(powers[base]) for base in _BASES if base in powers}
+    return exponents, one.magnitude - origin.magnitude, origin.magnitude
+
+
+@cache
+def _registry() -> Any:
+    import pint
+
+    exact: Any = Decimal
+    registry = pint.UnitRegistry(
+        non_int_type=exact,
+        preprocessors=[lambda name: _EXPONENT.sub(r"**(\1)", name).replace(".", "*")],
+    )
+    for definition in _DEFINITIONS:
+        registry.define(definition)
+    return registry

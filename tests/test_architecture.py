@@ -188,7 +188,18 @@ def test_one_file_runs_the_compiler() -> None:
 
 
 def test_the_master_loads_nothing_that_running_does_not_need() -> None:
-    heavy = ["casadi", "pythonfmu", "PIL", "matplotlib", "plotly", "pandas", "pyarrow", "rich", "typer"]
+    heavy = [
+        "casadi",
+        "pythonfmu",
+        "PIL",
+        "pint",
+        "matplotlib",
+        "plotly",
+        "pandas",
+        "pyarrow",
+        "rich",
+        "typer",
+    ]
     heavy += ["fmus.export", "fmus.block", "fmus.catalogue", "orchestration.scenarios"]
     code = f"import sys, orchestration.master; print([n for n in {heavy} if n in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -259,6 +270,7 @@ def test_what_is_declared_is_imported() -> None:
         ("matplotlib", {"orchestration.results.figures"}),
         ("plotly", {"orchestration.report.render"}),
         ("PIL", {"fmus.documentation.icon"}),
+        ("pint", {"fmus.units"}),
     ],
 )
 def test_libraries_stay_in_their_file(package: str, allowed: set[str]) -> None:

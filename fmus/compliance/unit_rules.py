@@ -10,13 +10,6 @@ from fmus.units import BASE_UNITS
 
 _CLAUSE = "2.2.2 Definition of Units (UnitDefinitions)"
 _EXPONENTS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
-_KNOWN = BASE_UNITS | {
-    "A": {"A": 1}, "K": {"K": 1}, "mol": {"mol": 1}, "cd": {"cd": 1}, "Hz": {"s": -1},
-    "m/s2": {"m": 1, "s": -2}, "m3": {"m": 3}, "Pa": {"kg": 1, "m": -1, "s": -2},
-    "J": {"kg": 1, "m": 2, "s": -2}, "W": {"kg": 1, "m": 2, "s": -3}, "C": {"A": 1, "s": 1},
-    "Ohm": {"kg": 1, "m": 2, "s": -3, "A": -2}, "N.m": {"kg": 1, "m": 2, "s": -2},
-    "rad/s2": {"rad": 1, "s": -2}, "kg.m2": {"kg": 1, "m": 2},
-}  # fmt: skip
 
 
 @rule(_CLAUSE, Stage.DESCRIPTION)
@@ -56,7 +49,7 @@ def units_are_defined(fmu: FmuFile) -> Iterator[str]:
 def unit_exponents(fmu: FmuFile) -> Iterator[str]:
     """A coherent SI unit that the name tells has the exponents of that unit."""
     for unit in fmu.root.iterfind("UnitDefinitions/Unit"):
-        base, expected = unit.find("BaseUnit"), _KNOWN.get(unit.get("name", ""))
+        base, expected = unit.find("BaseUnit"), BASE_UNITS.get(unit.get("name", ""))
         if base is None or expected is None:
             continue
         got = {name: integer(base.get(name)) for name in _EXPONENTS if integer(base.get(name))}

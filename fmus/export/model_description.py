@@ -15,7 +15,7 @@ from fmus.block import Block, ScalarVariable
 from fmus.errors import ExportError
 from fmus.export.symbolic import initial_dependencies
 from fmus.files import xml_document
-from fmus.units import base_units
+from fmus.units import display, unit
 
 LOG_CATEGORIES = {
     "logStatusWarning": "Something that the user should know.",
@@ -42,7 +42,7 @@ def model_description(
 
     source_files: what an importer must compile to rebuild the FMU, inside the folder `sources`.
 
-    Raises ExportError for a unit that `units.py` does not know.
+    Raises ExportError for a unit that `fmus.units` does not know.
     """
     release = version("l1-depth")
     attributes = {
@@ -97,8 +97,18 @@ def _generation_date() -> str | None:
 def _units(root: Any, block: Block) -> None:
     definitions = _add(root, "UnitDefinitions")
     for name in sorted({v.unit for v in block.variables if v.unit is not None}):
-        exponents = {base: str(exponent) for base, exponent in base_units(name).items()}
-        _add(_add(definitions, "Unit", name=name), "BaseUnit", **exponents)
+        definition, base = _add(definitions, "Unit", name=name), unit(name)
+        exponents = {symbol: str(exponent) for symbol, exponent in base.exponents.items()}
+        _add(definition, "BaseUnit", **exponents, **_linear(base.factor, base.offset))
+        shown = {v.display_unit for v in block.variables if v.unit == name and v.display_unit is not None}
+        for other in sorted(shown):
+            _add(definition, "DisplayUnit", name=other, **_linear(*display(name, other)))
+
+
+def _linear(factor: float, offset: float) -> dict[str, str]:
+    """The attributes of a conversion, where they are not the defaults of FMI."""
+    values = {"factor": (factor, 1.0), "offset": (offset, 0.0)}
+    return {name: repr(value) for name, (value, default) in values.items() if value != default}
 
 
 def _enumerations(root: Any, block: Block) -> None:
@@ -127,7 +137,8 @@ def _variable(parent: Any, v: ScalarVariable) -> None:
     limits = {"min": _text(v.minimum), "max": _text(v.maximum)} if v.type in ("Real", "Integer") else {}
     start, nominal = _text(v.start) if v.settable else None, _text(v.nominal)
     declared = v.enumeration.__name__ if v.enumeration else None
-    _add(scalar, v.type, declaredType=declared, **limits, nominal=nominal, unit=v.unit, start=start)
+    units = {"unit": v.unit, "displayUnit": v.display_unit}
+    _add(scalar, v.type, declaredType=declared, **limits, nominal=nominal, **units, start=start)
 
 
 def _text(value: Any) -> str | None:

@@ -1,10 +1,12 @@
 """The model description is complete, legal and derived."""
 
+import math
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import fmpy
 import pytest
@@ -18,7 +20,6 @@ from fmus.export import python as python_flavour
 from fmus.export.model_description import model_description
 from fmus.platforms import host_platform, library_name
 from fmus.registry import Flavour
-from fmus.units import BASE_UNITS, base_units
 
 NAMES = catalogue.block_names()
 
@@ -75,11 +76,13 @@ def test_both_flavours_have_the_same_variables(
 
 
 @pytest.mark.parametrize("content", [native_flavour.content, python_flavour.content])
-def test_the_guid_follows_the_content(content: Any) -> None:
+def test_the_guid_follows_the_content(content: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     block = catalogue.load_block("ExamplePlant")
     guid, _ = content(block)
     assert content(block)[0] == guid
-    assert content(replace(block, description="another"))[0] != guid
+    other = replace(block, description="another")
+    monkeypatch.setattr("plant_fmu.example_plant.BLOCK", other)
+    assert content(other)[0] != guid
 
 
 @pytest.mark.slow
@@ -128,24 +131,28 @@ def test_an_unknown_unit_is_refused_with_the_nearest() -> None:
 
     block = replace(catalogue.load_block("ExamplePlant"), outputs=Outputs)
     block = replace(block, output=lambda t, state, p, c: Outputs(state.x[0]))
-    with pytest.raises(ExportError, match="unknown unit 'N/Volt'; nearest is 'N/V'"):
+    with pytest.raises(ExportError, match="unknown unit 'N/Volt': no unit 'Volt'; nearest is 'volt'"):
         model_description(block, "", {})
 
 
-def test_derived_units_have_the_exponents_of_their_definitions() -> None:
-    def product(*terms: tuple[str, int]) -> dict[str, int]:
-        total: dict[str, int] = {}
-        for unit, power in terms:
-            for base, exponent in BASE_UNITS[unit].items():
-                total[base] = total.get(base, 0) + power * exponent
-        return {base: exponent for base, exponent in total.items() if exponent}
+def test_units_are_defined_with_factor_and_offset_and_display_units_with_their_inverse() -> None:
+    """FMI 2.0.5, 2.2.2: base = factor unit + offset, display unit = factor unit + offset."""
 
-    assert base_units("N") == product(("kg", 1), ("m", 1), ("s", -2))
-    assert base_units("N/m") == product(("N", 1), ("m", -1))
-    assert base_units("N/(m.s)") == product(("N", 1), ("m", -1), ("s", -1))
-    assert base_units("N.s/m") == product(("N", 1), ("s", 1), ("m", -1))
-    assert base_units("N.s2/m2") == product(("N", 1), ("s", 2), ("m", -2))
-    assert base_units("N/V") == product(("N", 1), ("V", -1))
+    @dataclass(frozen=True)
+    class Outputs:
+        angle: tuple = variable((0.0, 0.0), "Angle", unit="rad", display_unit=("deg", None))
+        bath: float = variable(0.0, "Temperature", unit="degC", display_unit="K")
+        length: float = variable(0.0, "Length", unit="mm")
+
+    block = replace(catalogue.load_block("ExamplePlant"), outputs=Outputs)
+    block = replace(block, output=lambda t, state, p, c: Outputs((state.x[0], 0.0)))
+    root = ElementTree.fromstring(model_description(block, "", {}))
+    units = {unit.get("name"): [dict(part.attrib) for part in unit] for unit in root.iter("Unit")}
+    assert units["rad"] == [{"rad": "1"}, {"name": "deg", "factor": repr(180.0 / math.pi)}]
+    assert units["degC"] == [{"K": "1", "offset": "273.15"}, {"name": "K", "offset": "273.15"}]
+    assert units["mm"] == [{"m": "1", "factor": "0.001"}]
+    shown = {v.get("name"): v[0].get("displayUnit") for v in root.iter("ScalarVariable")}
+    assert (shown["angle[1]"], shown["angle[2]"], shown["bath"]) == ("deg", None, "K")
 
 
 def test_a_text_that_xml_cannot_hold_is_refused() -> None:

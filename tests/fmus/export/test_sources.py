@@ -3,13 +3,14 @@
 import ast
 import sys
 import textwrap
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from fmus import catalogue
 from fmus.errors import ExportError
-from fmus.export.sources import in_package, source_closure
+from fmus.export.sources import defined_as, in_package, source_closure
 
 
 @pytest.mark.parametrize("name", catalogue.block_names())
@@ -38,3 +39,10 @@ def test_a_block_that_imports_numpy_is_refused(tmp_path: Path, monkeypatch: pyte
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(ExportError, match="needs_numpy imports numpy: expected the standard library"):
         source_closure("needs_numpy")
+
+
+def test_a_block_that_no_module_holds_is_refused_by_the_python_flavour() -> None:
+    """Its sources would define another block."""
+    block = replace(catalogue.load_block("ExamplePlant"), description="another")
+    with pytest.raises(ExportError, match="'ExamplePlant': expected a name at the top level of a module"):
+        defined_as(block)
