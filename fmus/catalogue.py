@@ -1,5 +1,6 @@
 """Building the FMUs of the installed blocks, which `fmus.registry` names, and of the blocks of a file."""
 
+import hashlib
 import re
 import zipfile
 import zlib
@@ -124,10 +125,24 @@ def build_if_stale(name: str, folder: Path | None = None, flavour: Flavour = Fla
 
     folder: by default the one where scenarios find it
     """
-    path = (folder or fmu_folder(flavour)) / f"{name}.fmu"
-    guid, _ = _EXPORTS[flavour].content(load_block(name))
-    needed = library_name(name, host_platform()) if flavour is Flavour.NATIVE else None
-    return path if _is_present(path, guid, needed) else build(name, path.parent, flavour)
+    return _built_if_stale(load_block(name), folder or fmu_folder(flavour), flavour)
+
+
+def fmu_of_file(path: Path, flavour: Flavour = Flavour.NATIVE) -> Path:
+    """The FMU of the only block that a Python file defines, in the user's cache, built if it is stale."""
+    with loaded(str(path)) as blocks:
+        if len(blocks) > 1:
+            names = ", ".join(block.name for block in blocks)
+            raise ExportError(f"{path} defines {names}: expected one block; build them, and choose an FMU")
+        digest = hashlib.sha256(str(path.absolute()).encode()).hexdigest()[:12]
+        return _built_if_stale(blocks[0], fmu_folder(flavour) / digest, flavour)
+
+
+def _built_if_stale(block: Block, folder: Path, flavour: Flavour) -> Path:
+    path = folder / f"{block.name}.fmu"
+    guid, _ = _EXPORTS[flavour].content(block)
+    needed = library_name(block.name, host_platform()) if flavour is Flavour.NATIVE else None
+    return path if _is_present(path, guid, needed) else build_block(block, folder, flavour)
 
 
 def build_missing(paths: Iterable[Path]) -> None:

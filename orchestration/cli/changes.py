@@ -16,7 +16,8 @@ CONTROLLER = "controller"  # the component that --controller replaces
 ControllerOption = Annotated[
     str,
     typer.Option(
-        metavar="FMU", help="Put this controller, an .fmu or a block, in the place of the scenario's."
+        metavar="FMU",
+        help="Put this controller, an .fmu, a block or its .py file, in the place of the scenario's.",
     ),
 ]
 SetOption = Annotated[

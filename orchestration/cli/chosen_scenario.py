@@ -22,6 +22,7 @@ def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHA
 
     Its name and title tell which components are replaced by the changes.
     """
+    changes = _with_built_files(changes, flavour)
     path = scenario.find(name)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -41,6 +42,15 @@ def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHA
     except SystemDefinitionError as error:
         raise ScenarioError(scenario.located(str(error), chosen.files)) from error
     return chosen
+
+
+def _with_built_files(changes: Changes, flavour: Flavour) -> Changes:
+    """The changes with the FMU of each block that is a Python file."""
+    fmus = {
+        component: str(catalogue.fmu_of_file(Path(fmu), flavour)) if fmu.endswith(".py") else fmu
+        for component, fmu in changes.components.items()
+    }
+    return replace(changes, components=fmus)
 
 
 def build_missing_fmus(scenarios: Iterable[Scenario]) -> None:

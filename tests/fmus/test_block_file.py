@@ -174,3 +174,15 @@ def test_the_block_of_a_new_file_has_at_most_forty_lines(tmp_path: Path) -> None
     block, _ = write_new_block("pid", tmp_path)
     lines = [line for line in block.read_text().split('"""\n', 2)[2].splitlines() if line.strip()]
     assert len([line for line in lines if not line.strip().startswith(('"""', "#"))]) <= 40
+
+
+def test_a_scenario_takes_the_only_block_of_a_file(tmp_path: Path) -> None:
+    """Its FMU is built once, and again when the file has changed."""
+    path = write(tmp_path)
+    fmu = catalogue.fmu_of_file(path, Flavour.PYTHON)
+    built = fmu.stat().st_mtime_ns
+    assert catalogue.fmu_of_file(path, Flavour.PYTHON).stat().st_mtime_ns == built
+    catalogue.fmu_of_file(write(tmp_path, expression="2.0 * u.u"), Flavour.PYTHON)
+    assert fmu.stat().st_mtime_ns != built
+    with pytest.raises(ExportError, match=r"lowpass\.py defines First, Second: expected one block"):
+        catalogue.fmu_of_file(write(tmp_path, names="First Second"), Flavour.PYTHON)
