@@ -1,4 +1,4 @@
-"""A C source as a loaded library: shipped beside the source, or compiled once and cached.
+"""A C source, with its headers, as a loaded library: shipped beside the source, or compiled once and cached.
 
 A library is named after what it is made from and after its own bytes, `loop-linux64-<recipe>-<digest>.so`.
 Bytes that do not agree with their name are never loaded, nor is a cached file that other users can write.
@@ -52,7 +52,8 @@ def compile_source(source: Path, platform: str) -> bytes:
         from fmus.export.toolchain import compile_library
     except ImportError as error:
         raise ExportError(f"no library of {source.name} for {platform}, and no compiler: {error}") from None
-    return compile_library(source.stem, {source.name: source.read_text("utf-8")}, [source.name], platform)
+    texts = {path.name: path.read_text("utf-8") for path in _files(source)}
+    return compile_library(source.stem, texts, [source.name], platform)
 
 
 def file_name(source: Path, platform: str, content: bytes) -> str:
@@ -63,7 +64,12 @@ def file_name(source: Path, platform: str, content: bytes) -> str:
 def _stem(source: Path, platform: str) -> str:
     """What names of all libraries start with that are made from this source in this way."""
     toolchain = Path(__file__).parent / "export" / "toolchain.py"  # it holds the flags of the compiler
-    return f"{source.stem}-{platform}-{_digest(source.read_bytes() + toolchain.read_bytes())}"
+    recipe = b"".join(path.read_bytes() for path in (*_files(source), toolchain))
+    return f"{source.stem}-{platform}-{_digest(recipe)}"
+
+
+def _files(source: Path) -> list[Path]:
+    return [source, *sorted(source.parent.glob("*.h"))]
 
 
 def _digest(content: bytes) -> str:

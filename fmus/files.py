@@ -5,7 +5,7 @@ import os
 import secrets
 import tempfile
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
@@ -74,17 +74,22 @@ def xml_document(root: ElementTree.Element) -> bytes:
     return ElementTree.tostring(root, xml_declaration=True, encoding="UTF-8")
 
 
+def too_large(members: Sequence[zipfile.ZipInfo], packed: int) -> str:
+    """Why members are not unpacked from an archive of `packed` bytes; empty for what tools write."""
+    size = sum(member.file_size for member in members)
+    if len(members) > _MOST_MEMBERS:
+        return f"{len(members)} files: expected at most {_MOST_MEMBERS}"
+    if size > _MOST_BYTES:
+        return f"{size} bytes unpacked: expected at most {_MOST_BYTES}"
+    if size > max(_FEW_BYTES, _MOST_BYTES_A_BYTE * packed):
+        return f"{size} bytes unpacked from {packed}: expected at most {_MOST_BYTES_A_BYTE} times as many"
+    return ""
+
+
 def extract_archive(path: Path, folder: Path) -> None:
     """Unpack a zip; ValueError, with nothing written, if it is larger than any FMU that a tool writes."""
     with zipfile.ZipFile(path) as archive:
-        members = archive.infolist()
-        size, packed = sum(member.file_size for member in members), path.stat().st_size
-        if len(members) > _MOST_MEMBERS:
-            raise ValueError(f"{len(members)} files: expected at most {_MOST_MEMBERS}")
-        if size > _MOST_BYTES:
-            raise ValueError(f"{size} bytes unpacked: expected at most {_MOST_BYTES}")
-        if size > max(_FEW_BYTES, _MOST_BYTES_A_BYTE * packed):
-            raise ValueError(
-                f"{size} bytes unpacked from {packed}: expected at most {_MOST_BYTES_A_BYTE} times as many"
-            )
+        reason = too_large(archive.infolist(), path.stat().st_size)
+        if reason:
+            raise ValueError(reason)
         archive.extractall(folder)

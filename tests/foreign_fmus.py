@@ -47,6 +47,11 @@ class Misdeed(IntEnum):
     ROUND_UPWARD = 19
     TERMINATE = 20
     TERMINATE_UNTIMED = 21
+    EXIT_AT_ONCE = 22
+    CLOSE_FILES = 23
+    CLOSE_OUTPUT = 24
+    IGNORE_INTERRUPTS = 25
+    CHANGE_LOCALE = 26
 
 
 @dataclass(frozen=True)

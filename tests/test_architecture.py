@@ -99,6 +99,7 @@ FOR_RUNNING = {
     "fmus.platforms",
     "fmus.process",
     "fmus.registry",
+    "fmus.watched",
 }
 
 

@@ -11,13 +11,13 @@ from typing import Any
 from fmus.binding import library_member
 from fmus.compliance.variable import Variable, integer
 from fmus.extras import require
+from fmus.files import extract_archive, too_large
 from fmus.fmi_types import TYPES
 
 etree: Any = require("lxml.etree", "check", "a check of FMUs")  # without types
 DESCRIPTION = "modelDescription.xml"
 _LARGEST_DESCRIPTION = 100_000_000  # bytes; far beyond any that tools write, and a few GB of memory
-_LARGEST_ARCHIVE = 8_000_000_000  # bytes unpacked
-_MOST_MEMBERS = 100_000
+_LARGEST_MEMBER = 8_000_000_000  # bytes unpacked
 C_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _NOTHING: Mapping[str, str] = MappingProxyType({})
 _NO_DTD = "it has a document type declaration: expected none, it is not read (entities can be bombs)"
@@ -92,12 +92,7 @@ class FmuFile:
     @property
     def too_large(self) -> str:
         """Why the archive is not unpacked, if so."""
-        size, count = sum(member.file_size for member in self.members), len(self.members)
-        if count > _MOST_MEMBERS:
-            return f"{count} members: expected at most {_MOST_MEMBERS}"
-        if size > _LARGEST_ARCHIVE:
-            return f"{size} bytes unpacked: expected at most {_LARGEST_ARCHIVE}"
-        return ""
+        return too_large(self.members, self.path.stat().st_size)
 
     @property
     def guid(self) -> str:
@@ -176,7 +171,7 @@ class FmuFile:
         identifier = (self.co_simulation or {}).get("modelIdentifier", "")
         return (library_member(self.names, identifier) or "") if C_IDENTIFIER.fullmatch(identifier) else ""
 
-    def read(self, member: str, most: int = _LARGEST_ARCHIVE) -> bytes:
+    def read(self, member: str, most: int = _LARGEST_MEMBER) -> bytes:
         """Content of a member. Raises what zipfile raises, and ValueError for more than `most` bytes."""
         with zipfile.ZipFile(self.path) as archive:
             size = archive.getinfo(member).file_size
@@ -186,5 +181,4 @@ class FmuFile:
 
     def extract(self, folder: Path) -> None:
         """Unpack everything; zipfile keeps odd paths inside the folder. Raises what zipfile raises."""
-        with zipfile.ZipFile(self.path) as archive:
-            archive.extractall(folder)
+        extract_archive(self.path, folder)

@@ -6,6 +6,7 @@ import uuid
 from importlib import resources
 from importlib.metadata import distributions
 
+from fmus.errors import ExportError
 from fmus.export.toolchain import COMPILER
 
 # They stand for the GUID, and for a part of it in Python names, until it is known.
@@ -49,6 +50,12 @@ def licenses(*names: str) -> dict[str, bytes]:
 def _license(project: str, file: str) -> str:
     if file:  # a clone's own .egg-info, found first where it is the working directory, has no licence
         texts = (found.read_text(f"licenses/{file}") for found in distributions(name=project))
-        return next(filter(None, texts))
+        text = next(filter(None, texts), "")
+        if not text:
+            raise ExportError(
+                f"the installed {project} has no {file} among its licences, which an FMU must carry: "
+                f"expected it as pip installs it (pip install --force-reinstall {project})"
+            )
+        return text
     header = (resources.files(project) / "c-code" / "fmi2Functions.h").read_text("utf-8")
     return "".join(re.findall(r"Copyright.*?(?=\*/)", header, re.DOTALL)[:1])

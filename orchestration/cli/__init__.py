@@ -6,17 +6,24 @@ import sys
 def main() -> None:
     """Entry point: a failure is one line on standard error.
 
-    Exit status: 0, 1 for a failure, 2 for bad usage, 130 for an interrupt. With L1_DEPTH_DEBUG set, an error
-    that is not foreseen comes with its traceback.
+    Exit status: 0, 1 for a failure, 2 for bad usage, 70 if an FMU ended the process, 130 for an interrupt.
+    With L1_DEPTH_DEBUG set, an error that is not foreseen comes with its traceback.
     """
     try:
-        from orchestration.cli.interrupts import interruptible
+        from fmus.watched import run_watched
 
-        with interruptible():
-            from orchestration.cli.app import run_command
-
-            status = run_command(sys.argv[1:])
+        status = run_watched(run_interruptible)
     except KeyboardInterrupt:  # before there is a handler
         print("l1-depth: interrupted", file=sys.stderr)
         sys.exit(130)
     sys.exit(status)
+
+
+def run_interruptible() -> int:
+    """The exit status of a command that runs in this process."""
+    from orchestration.cli.interrupts import interruptible
+
+    with interruptible():
+        from orchestration.cli.app import run_command
+
+        return run_command(sys.argv[1:])

@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from types import FrameType
 from typing import NoReturn
 
+from fmus.watched import end_is_meant, share_temporary_folder
+
 INTERRUPTED = 130  # exit status that shells expect after Ctrl-C
 SAME_S = 1.0  # a signal that soon after the first is the same one, passed on by a shell for instance
 GRACE_S = 3.0  # for what the second signal interrupts to end by itself
@@ -32,6 +34,7 @@ def interruptible() -> Iterator[None]:
         os.environ[TEMPORARY_VARIABLE] = tempfile.gettempdir()
         folder = interrupt.folder = tempfile.mkdtemp(prefix="l1-depth-")
         tempfile.tempdir = folder
+        share_temporary_folder(folder)
         os.environ |= dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder)
         threading.Thread(target=_watch, args=(interrupt.signals, folder), daemon=True).start()
         yield
@@ -103,6 +106,7 @@ def _is_in_an_import(frame: FrameType | None) -> bool:
 def _end_at_once(folder: str) -> NoReturn:
     shutil.rmtree(folder, ignore_errors=True)
     _say_interrupted()
+    end_is_meant()
     os._exit(INTERRUPTED)
 
 

@@ -15,7 +15,6 @@ from orchestration.master.loop import python_loop
 from orchestration.master.loop_data import LoopFunctions, Wiring
 
 _SOURCE = "loop.c"
-_MOST_RUNS = 256  # as in loop.c
 
 
 def compiled_loop(wiring: Wiring) -> LoopFunctions:
@@ -55,20 +54,23 @@ def _flat(value: Any) -> list[int]:
     return [value.ctypes.data if isinstance(value, np.ndarray) else value]
 
 
-@cache
 def library() -> ctypes.CDLL:
-    """The compiled loop: of the wheel, else compiled once for this user."""
-    source = Path(__file__).parent / _SOURCE
-    loaded = compiled_library.load(source, user_cache_path("l1-depth") / "libraries")
-    for function, (result, arguments) in _SIGNATURES.items():
-        entry = getattr(loaded, function)
-        entry.restype, entry.argtypes = result, (ctypes.c_void_p, *arguments)
+    """The compiled loop: of the wheel, else compiled once for this user. Else ExportError or OSError."""
+    loaded = _library_or_error()
+    if isinstance(loaded, Exception):
+        raise loaded
     return loaded
 
 
 @cache
-def guarded_runs() -> np.ndarray:
-    """Addresses of the report and of the texts of each run in progress, a row each: the table in loop.c."""
-    guard = library().loop_guard
-    guard.restype = ctypes.POINTER(ctypes.c_int64)
-    return np.ctypeslib.as_array(guard(), (_MOST_RUNS, 2))
+def _library_or_error() -> ctypes.CDLL | Exception:
+    """The error too is asked for once: a compiler that is not there takes its time to say so."""
+    source = Path(__file__).parent / _SOURCE
+    try:
+        loaded = compiled_library.load(source, user_cache_path("l1-depth") / "libraries")
+    except (ExportError, OSError) as error:
+        return error
+    for function, (result, arguments) in _SIGNATURES.items():
+        entry = getattr(loaded, function)
+        entry.restype, entry.argtypes = result, (ctypes.c_void_p, *arguments)
+    return loaded

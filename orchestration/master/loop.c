@@ -3,20 +3,11 @@
 
    Every member of Wiring is eight bytes wide: a count, an address, or a number that Python writes there. */
 
+#include "process_guard.h"
+
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#if defined(__x86_64__)
-#include <xmmintrin.h>
-#endif
-
-#ifdef _WIN32
-#define EXPORT __declspec(dllexport)
-#else
-#define EXPORT __attribute__((visibility("default")))
-#endif
 
 enum { HOLD, FMU_DERIVATIVE, MIDPOINT };
 enum { NO_FAILURE, SET_INPUTS, SET_DERIVATIVES, DO_STEP, GET_OUTPUTS, NOT_FINITE };
@@ -73,59 +64,11 @@ typedef struct {
     int64_t *report;
 } Wiring;
 
-/* What an FMU must not do to its process. Runs stand in a table: the address of the report, 0 if there is none,
-   and that of a text for each component. An FMU that calls exit ends the process with status 70 and its text. */
-
-enum { TEXT_SIZE = 256, EXIT_STATUS = 70, STATUS_FLAGS = 0x3f, MOST_RUNS = 256 };
-
-static volatile intptr_t runs[MOST_RUNS][2]; /* here, since it is read when Python's memory is gone */
-static uint32_t float_mode; /* rounding and denormals, as before the first FMU was loaded */
-
-static void report_exit(void) {
-    for (int64_t i = 0; i < MOST_RUNS; i++) {
-        const int64_t *report = (const int64_t *)runs[i][0];
-        if (!report || !report[BUSY]) continue;
-        fputs((const char *)runs[i][1] + TEXT_SIZE * (llabs(report[BUSY]) - 1), stderr);
-        fflush(stderr);
-        _Exit(EXIT_STATUS);
-    }
-}
-
-/* Those of x86-64 and arm64; other processors keep theirs. */
-static uint32_t get_float_mode(void) {
-#if defined(__x86_64__)
-    return _mm_getcsr() & ~(uint32_t)STATUS_FLAGS;
-#elif defined(__aarch64__)
-    uint64_t mode;
-    __asm__ volatile("mrs %0, fpcr" : "=r"(mode));
-    return (uint32_t)mode;
-#else
-    return 0;
-#endif
-}
-
-EXPORT int loop_restore_float_mode(void) {
-    if (get_float_mode() == float_mode) return 0;
-#if defined(__x86_64__)
-    _mm_setcsr(float_mode);
-#elif defined(__aarch64__)
-    __asm__ volatile("msr fpcr, %0" : : "r"((uint64_t)float_mode));
-#endif
-    return 1;
-}
-
-/* The table, of MOST_RUNS rows; called once. */
-EXPORT volatile intptr_t *loop_guard(void) {
-    float_mode = get_float_mode();
-    atexit(report_exit);
-    return runs[0];
-}
-
 /* A division takes longer than many a component of period 1. */
 static int is_multiple(int64_t point, int64_t period) { return period == 1 || point % period == 0; }
 
 static int is_accepted(Wiring *wiring, int kind, int64_t c, int64_t index, int status) {
-    loop_restore_float_mode();
+    guard_restore_float_mode();
     wiring->report[BUSY] = 0;
     wiring->report[CALLS]++;
     if (status <= WARNING && !wiring->error_logged[c]) {

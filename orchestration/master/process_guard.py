@@ -1,13 +1,17 @@
-"""What an FMU changes in this process beside its own state is put back, and an exit of the process is told.
+"""What an FMU changes in this process beside its own state is put back, or ends the run; an exit is told.
 
-After each call of an FMU the floating-point mode (rounding, denormals) is that of before. Working directory
-and locale are compared after each FMU is loaded and after each batch of steps.
-What an FMU does in no process but its own (`timeout`) needs none of this.
+After each call of an FMU the floating-point mode (rounding, denormals) is that of before. After each FMU is
+loaded and after each batch of steps, working directory, locale and handlers of signals are compared and put
+back; a run whose FMU has closed files of this process ends, since nobody knows which. `exit` has status 70 at
+once; for `_exit` see `fmus/watched.py`. FMUs in a process of their own (`timeout`) need none of this.
 """
 
 import atexit
+import contextlib
+import ctypes
 import locale
 import os
+import signal
 import threading
 import warnings
 from collections.abc import Iterable
@@ -16,11 +20,14 @@ from pathlib import Path
 
 import numpy as np
 
+from fmus import watched
 from fmus.errors import ExportError
-from orchestration.errors import FmuWarning
-from orchestration.master.compiled_loop import guarded_runs, library
+from orchestration.errors import FmuWarning, OrchestrationError
+from orchestration.master.compiled_loop import library
+from orchestration.master.loop_data import Report
 
-_TEXT_SIZE = 256  # bytes, as in loop.c
+_TEXT_SIZE, _MOST_RUNS = 256, 256  # as in process_guard.h
+_SIGNALS = [number for number in signal.valid_signals() if number < 32]
 _lock = threading.Lock()
 _texts: dict[int, tuple[np.ndarray, bytes]] = {}  # what the rows of the table refer to
 
@@ -32,25 +39,37 @@ class ProcessGuard:
     """
 
     def __init__(self, components: Iterable[str], report: np.ndarray) -> None:
+        names = list(components)
         ends = " ended the process (it called exit): the run is lost; with a timeout FMUs have their own\n"
-        lines = [f"l1-depth: {name}".encode()[:100] + ends.encode() for name in components]
+        lines = [f"l1-depth: {name}".encode()[:100] + ends.encode() for name in names]
         texts = b"".join(line.ljust(_TEXT_SIZE, b"\0") for line in lines)
-        try:
-            self._runs = _runs()
-            self.restore_float_mode = library().loop_restore_float_mode
-        except (ExportError, OSError):  # nothing is compiled
-            self._runs = np.zeros((0, 2), np.int64)
-            self.restore_float_mode = lambda: 0
+        self._library = _library()
+        runs = _runs() if self._library else np.zeros((0, 2), np.int64)
         with _lock:
-            free = np.flatnonzero(self._runs[:, 0] == 0)
+            free = np.flatnonzero(runs[:, 0] == 0)
             self._row = int(free[0]) if len(free) else -1
             if self._row >= 0:
                 _texts[self._row] = report, texts
-                self._runs[self._row] = report.ctypes.data, np.frombuffer(texts, np.uint8).ctypes.data
+                runs[self._row] = report.ctypes.data, np.frombuffer(texts, np.uint8).ctypes.data
+        watched.share_names(names)
+        self.restore_float_mode = self._library.guard_restore_float_mode if self._library else lambda: 0
         self._folder, self._locale = _working_directory(), locale.setlocale(locale.LC_ALL)
+        self._null = os.open(os.devnull, os.O_RDONLY)  # closed by an FMU that closes all files
+        self._files = {number: _identity(number) for number in (1, 2, self._null)}
+        self.note_handlers()
+
+    def note_handlers(self) -> None:
+        """Note the present handlers of signals as those to put back."""
+        self._handlers = {number: signal.getsignal(number) for number in _SIGNALS}
+        if self._library:
+            for number in _SIGNALS:
+                self._library.guard_handler(number, 0)
 
     def restore(self, name: str) -> None:
-        """Put back what the FMUs changed, and warn of it; name: of the FMU or FMUs that may have done so."""
+        """Put back what the FMUs changed, and warn of it; name: of the FMU or FMUs that may have done so.
+
+        OrchestrationError if they closed files.
+        """
         changed = ["the floating-point mode"] if self.restore_float_mode() else []
         if locale.setlocale(locale.LC_ALL) != self._locale:
             locale.setlocale(locale.LC_ALL, self._locale)
@@ -58,23 +77,73 @@ class ProcessGuard:
         if self._folder and _working_directory() != self._folder:
             os.chdir(self._folder)
             changed.append("the working directory")
+        changed += [f"the handler of {signal.Signals(n).name}" for n in self._restored_handlers()]
         if changed:
             text = f"{name} changed {' and '.join(changed)} of this process: it is restored"
             warnings.warn(text, FmuWarning, stacklevel=3)
+        if any(_identity(number) != file for number, file in self._files.items()):
+            raise OrchestrationError(
+                f"{name} closed files of this process: expected its own ones alone; "
+                "with a timeout FMUs have a process of their own"
+            )
+
+    def _restored_handlers(self) -> list[int]:
+        """The signals whose handlers the FMUs changed; one that Python changed meanwhile is left as it is."""
+        if not self._library:
+            return []
+        changed, by_fmus = self._library.guard_changed_handlers(), []
+        for number in [number for number in _SIGNALS if changed >> number & 1]:
+            by_python = signal.getsignal(number) is not self._handlers[number]
+            self._library.guard_handler(number, not by_python)
+            by_fmus += [] if by_python else [number]
+        return by_fmus
 
     def close(self) -> None:
         if self._row >= 0:
             with _lock:
-                self._runs[self._row] = 0
+                _runs()[self._row] = 0
                 del _texts[self._row]
                 self._row = -1
+        null = self._files.pop(self._null, None)
+        if null and _identity(self._null) == null:
+            os.close(self._null)
+
+
+def new_report() -> np.ndarray:
+    """The report of a run, where the process that waits for this one can read which FMU is busy."""
+    memory = watched.report_memory(8 * len(Report))
+    report = np.zeros(len(Report), np.int64) if memory is None else np.frombuffer(memory, np.int64)
+    report[:] = 0
+    return report
+
+
+@cache
+def _library() -> ctypes.CDLL | None:
+    try:
+        loaded = library()
+    except (ExportError, OSError):  # nothing is compiled
+        return None
+    loaded.guard_runs.restype = ctypes.POINTER(ctypes.c_int64)
+    loaded.guard_changed_handlers.restype = ctypes.c_int64
+    return loaded
 
 
 @cache
 def _runs() -> np.ndarray:
-    runs = guarded_runs()
+    """Addresses of the report and of the texts of each run in progress, a row each: the table in C."""
+    guard = _library()
+    assert guard
+    runs = np.ctypeslib.as_array(guard.guard_runs(), (_MOST_RUNS, 2))
     atexit.register(runs.fill, 0)  # from then on the process ends by itself
     return runs
+
+
+def _identity(descriptor: int) -> tuple[int, int] | None:
+    """What tells an open file from others; None if it is not open."""
+    with contextlib.suppress(OSError):
+        status = os.fstat(descriptor)
+        return status.st_dev, status.st_ino
+    return None
 
 
 def _working_directory() -> Path | None:

@@ -18,7 +18,7 @@ from orchestration.master.interrupt import deferred_interrupt
 from orchestration.master.loop import python_loop
 from orchestration.master.loop_data import Report, Storage
 from orchestration.master.pacing import Pacing
-from orchestration.master.process_guard import ProcessGuard
+from orchestration.master.process_guard import ProcessGuard, new_report
 from orchestration.master.step_by_step import StepByStep
 from orchestration.master.stepped_run import SteppedRun
 from orchestration.master.stepping import Progress, RunInProgress
@@ -115,7 +115,7 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
         driven = (*experiment.driven_inputs, *(name for name in external if name not in experiment.inputs))
         system, groups = self._check(driven)
         prepared = prepare_checked(system, experiment, external)
-        storage = storage or Storage(np.empty(prepared.shape), np.zeros(len(Report), np.int64))
+        storage = storage or Storage(np.empty(prepared.shape), new_report())
         if self._guard:
             self._guard.close()
         guard = self._guard = ProcessGuard(self.system.components, storage.report)
@@ -187,6 +187,7 @@ def _run_to_end(
 
 
 def _initialise(run: RunInProgress, groups: Sequence[ConnectionGroup]) -> None:
+    run.guard.note_handlers()  # with that of SIGINT
     initialise(run.prepared, groups, run.instances)
     run.read_outputs()
     run.restore_process()

@@ -40,7 +40,7 @@ class RunInProgress:
     """
 
     def __init__(self, wired: WiredRun, loop: LoopFunctions, guard: ProcessGuard) -> None:
-        self.wired, self._loop, self._guard = wired, loop, guard
+        self.wired, self._loop, self.guard = wired, loop, guard
         self.prepared, self.instances, self.wiring = wired.prepared, wired.instances, wired.wiring
         self._termination: dict[str, Any] = {}
         self._changes = sorted(wired.prepared.changes)
@@ -211,7 +211,7 @@ class RunInProgress:
     def restore_process(self) -> None:
         """Put back what FMUs changed in this process beside their own state."""
         names = ", ".join(self.instances)
-        self._guard.restore(f"one of {names}" if len(self.instances) > 1 else names)
+        self.guard.restore(f"one of {names}" if len(self.instances) > 1 else names)
 
     def _failure(self) -> OrchestrationError:
         return failure_error(self.wired, float(self.wiring.points[self.position]))

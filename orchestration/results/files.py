@@ -8,8 +8,9 @@ import json
 import os
 import re
 import shutil
+import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -65,13 +66,14 @@ def reserved(path: Path, shape: tuple[int, int]) -> Iterator[None]:
     """
     needed = shape[0] * (shape[1] + 1) * _BYTES[_format(path)]
     path.parent.mkdir(parents=True, exist_ok=True)
-    placeholder = path.with_name(f".{path.name}.reserved")
+    # without a name: it ends with the process
+    stream = tempfile.TemporaryFile(dir=path.parent, buffering=0)  # noqa: SIM115
     try:
-        with placeholder.open("wb") as stream:
-            _allocate(stream.fileno(), needed, path)
+        _allocate(stream.fileno(), needed, path)
         yield
     finally:
-        placeholder.unlink(missing_ok=True)
+        with suppress(OSError):  # an FMU has closed it
+            stream.close()
 
 
 def _allocate(descriptor: int, size: int, path: Path) -> None:

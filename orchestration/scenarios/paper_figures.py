@@ -3,6 +3,7 @@
 Every figure shows the published numbers beside those of the run. Captions: docs/explanation/results.md.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,7 @@ from orchestration.results.figures import (
     write_figure,
 )
 from orchestration.results.formats import FigureFormat
+from orchestration.results.metric_units import shown
 from orchestration.results.recording import Recording
 from orchestration.scenarios.published import PUBLISHED
 
@@ -117,7 +119,7 @@ def _vehicle_figure(curves: Sequence[Curve]) -> Figure:
     _finish_depth(depth, curves)
     _finish_thrust(thrust, curves)
     error.set_ylabel("Error $z - z_r$ [cm]")
-    _compare(error, "RMSE", _RMSE, "{:.3g} cm ({:.3g} cm)", curves)
+    _compare(error, "RMSE", _RMSE, ".3g", "cm", curves)
     theta.set_ylabel(r"$\hat\theta$ [N]")
     sigma.set_ylabel(r"$\hat\sigma$ [N]")
     return figure
@@ -140,7 +142,7 @@ def _finish_depth(panel: Axes, curves: Sequence[Curve]) -> None:
     panel.set_ylim(1.02, -0.05)  # depth points down
     panel.set_ylabel("Depth $z$ [m]")
     panel.legend(loc="upper right", ncols=2)
-    _compare(panel, "Settling time", _SETTLING, "{:.1f} s ({:g} s)", curves)
+    _compare(panel, "Settling time", _SETTLING, ".1f", "s", curves)
 
 
 def _finish_thrust(panel: Axes, curves: Sequence[Curve]) -> None:
@@ -155,14 +157,18 @@ def _finish_thrust(panel: Axes, curves: Sequence[Curve]) -> None:
     inset.tick_params(labelsize=7.0, pad=1.5)
     panel.set_ylim(bottom=-1.2)
     panel.set_ylabel("Thrust [N]")
-    _compare(panel, "Holding thrust", _HOLDING, "{:.2f} N ({:g} N)", curves)
+    _compare(panel, "Holding thrust", _HOLDING, ".2f", "N", curves)
 
 
-def _compare(panel: Axes, name: str, metric: str, text: str, curves: Sequence[Curve]) -> None:
+def _compare(panel: Axes, name: str, metric: str, digits: str, unit: str, curves: Sequence[Curve]) -> None:
     """A note of the metric in each run and as published."""
-    rows = [f"{c.label} {text.format(c.measured[metric], c.published(metric))}" for c in curves]
-    row = "; ".join(rows).replace("nan s", "not settled")
-    _note(panel, f"{name}, run (paper): {row}")
+    rows = []
+    for curve in curves:
+        value = curve.measured[metric]
+        text = shown(value, {"function": metric}, digits)  # their names are those of the functions
+        result = text if math.isnan(value) else f"{text} {unit}"
+        rows.append(f"{curve.label} {result} ({curve.published(metric):g} {unit})")
+    _note(panel, f"{name}, run (paper): {'; '.join(rows)}")
 
 
 def _note(panel: Axes, text: str) -> None:

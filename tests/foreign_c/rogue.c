@@ -6,6 +6,7 @@
 
 #define _POSIX_C_SOURCE 199309L
 #include <fenv.h>
+#include <locale.h>
 #include <signal.h>
 #include <unistd.h>
 
@@ -34,7 +35,12 @@ enum { /* the items of the enumeration Misdeed */
     CHANGE_FOLDER,
     ROUND_UPWARD,
     TERMINATE,        /* a step that crosses or reaches the misdeed's time is discarded, with fmi2Terminated */
-    TERMINATE_UNTIMED /* the same, and it does not know the last successful time */
+    TERMINATE_UNTIMED, /* the same, and it does not know the last successful time */
+    EXIT_AT_ONCE, /* _exit, which calls no handler */
+    CLOSE_FILES,  /* all but the standard streams */
+    CLOSE_OUTPUT,
+    IGNORE_INTERRUPTS,
+    CHANGE_LOCALE
 };
 
 #define MODEL_REFUSES
@@ -85,6 +91,11 @@ static fmi2Status model_step(Slave *s, double h) {
     if (is_due(s, EXIT)) exit(0);
     if (is_due(s, CHANGE_FOLDER) && chdir("/")) abort();
     if (is_due(s, ROUND_UPWARD)) fesetround(FE_UPWARD);
+    if (is_due(s, EXIT_AT_ONCE)) _exit(0);
+    for (int file = 3; file < 256 && is_due(s, CLOSE_FILES); file++) close(file);
+    if (is_due(s, CLOSE_OUTPUT)) close(1);
+    if (is_due(s, IGNORE_INTERRUPTS)) signal(SIGINT, SIG_IGN);
+    if (is_due(s, CHANGE_LOCALE)) setlocale(LC_ALL, "C");
     if (is_due(s, ERROR)) return refuse(s, fmi2Error, "the rudder is stuck");
     if (is_due(s, FATAL_ERROR)) return refuse(s, fmi2Fatal, "the hull is breached");
     if (discards(s) && h > d->value[LONGEST_STEP] * (1 + 1e-9)) return discard(s, h);

@@ -162,7 +162,7 @@ def test_more_members_than_any_tool_writes_are_not_unpacked(tmp_path: Path) -> N
     with zipfile.ZipFile(path, "w") as archive:
         for i in range(100_001):
             archive.writestr(zipfile.ZipInfo(f"resources/{i}"), b"")
-    assert broken_rules(path)["archive-is-zip"] == ("100001 members: expected at most 100000",)
+    assert broken_rules(path)["archive-is-zip"] == ("100001 files: expected at most 100000",)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no limits of this kind")

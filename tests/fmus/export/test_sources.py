@@ -10,6 +10,7 @@ import pytest
 
 from fmus import catalogue
 from fmus.errors import ExportError
+from fmus.export import archive
 from fmus.export.sources import defined_as, in_package, source_closure
 
 
@@ -46,3 +47,9 @@ def test_a_block_that_no_module_holds_is_refused_by_the_python_flavour() -> None
     block = replace(catalogue.load_block("ExamplePlant"), description="another")
     with pytest.raises(ExportError, match="'ExamplePlant': expected a name at the top level of a module"):
         defined_as(block)
+
+
+def test_a_licence_that_the_installed_project_lacks_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(archive, "distributions", lambda name: [])
+    with pytest.raises(ExportError, match="the installed pythonfmu has no LICENSE among its licences"):
+        archive.licenses("pythonfmu")

@@ -1,10 +1,15 @@
 """What an FMU changes in the process of a run reaches no other FMU, and does not stay."""
 
+import ctypes
+import locale
+import os
+import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import fmpy
 import numpy as np
 import pytest
 
@@ -56,13 +61,71 @@ raise SystemExit(3)
     assert (done.returncode, done.stderr) == (3, "")
 
 
-def test_the_working_directory_is_restored_with_a_warning(
-    linear: Build, rogue: Build, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def _as_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.chdir(tmp_path)
-    with pytest.warns(FmuWarning, match="one of bad, good changed the working directory of this process"):
-        simulate(pair(linear, rogue), doing(Misdeed.CHANGE_FOLDER))
+    before = locale.setlocale(locale.LC_ALL)
+    locale.setlocale(locale.LC_ALL, "C.UTF-8")
+    yield
+    locale.setlocale(locale.LC_ALL, before)
+
+
+@pytest.mark.usefixtures("_as_before")
+@pytest.mark.parametrize(
+    ("misdeed", "changed"),
+    [
+        (Misdeed.CHANGE_FOLDER, "the working directory"),
+        (Misdeed.CHANGE_LOCALE, "the locale"),
+        (Misdeed.IGNORE_INTERRUPTS, "the handler of SIGINT"),
+    ],
+)
+def test_what_an_fmu_changes_is_restored_with_a_warning(
+    linear: Build, rogue: Build, tmp_path: Path, misdeed: Misdeed, changed: str
+) -> None:
+    with pytest.warns(FmuWarning, match=f"one of bad, good changed {changed} of this process"):
+        simulate(pair(linear, rogue), doing(misdeed))
     assert Path.cwd() == tmp_path
+    assert "UTF-8" in locale.setlocale(locale.LC_CTYPE)
+    with pytest.raises(KeyboardInterrupt):
+        os.kill(os.getpid(), signal.SIGINT)
+
+
+@pytest.mark.filterwarnings("error::orchestration.errors.FmuWarning")
+def test_a_handler_that_python_changes_during_a_run_is_no_fault_of_an_fmu(
+    linear: Build, rogue: Build
+) -> None:
+    def change(done: int, total: int) -> None:
+        signal.signal(signal.SIGUSR1, signal.SIG_IGN)
+
+    before = signal.getsignal(signal.SIGUSR1)
+    try:
+        simulate(pair(linear, rogue), doing(Misdeed.NONE), progress=change)
+        assert signal.getsignal(signal.SIGUSR1) == signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGUSR1, before)
+
+
+def test_a_run_ends_whose_fmu_closes_files_of_the_process(rogue: Build) -> None:
+    script = f"""
+import os, sys
+from orchestration import Experiment, SimulationError, System, simulate
+os.dup2(1, 200)
+for misdeed in ({int(Misdeed.CLOSE_OUTPUT)}, {int(Misdeed.CLOSE_FILES)}):
+    parameters = {{"bad.misdeed": misdeed, "bad.misdeed_time": 0.5}}
+    system = System({{"bad": {str(rogue())!r}}})
+    try:
+        simulate(system, Experiment(1.0, 0.1, parameters=parameters, inputs={{"bad.u": 1.0}}))
+    except SimulationError as error:
+        print(error, len(error.recording.time) >= 5, file=sys.stderr)
+    if misdeed == {int(Misdeed.CLOSE_OUTPUT)}:
+        os.dup2(200, 1)
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    lines = done.stderr.splitlines()
+    assert len(lines) == 2, done.stderr
+    for line in lines:
+        assert line.startswith("bad closed files of this process: expected its own ones alone")
+        assert line.endswith(" True")  # what was recorded until then is there
 
 
 def test_a_rounding_mode_does_not_reach_other_fmus(linear: Build, rogue: Build) -> None:
@@ -71,3 +134,4 @@ def test_a_rounding_mode_does_not_reach_other_fmus(linear: Build, rogue: Build) 
     nearest = simulate(system, doing(Misdeed.NONE))
     assert np.array_equal(upward["good.y[1]"], nearest["good.y[1]"])
     assert 1.0 + 1e-30 == 1.0
+    assert fmpy.platform != "linux64" or ctypes.CDLL(None).fegetround() == 0  # also for numbers that C prints

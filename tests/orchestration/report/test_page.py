@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
+from selenium.webdriver.remote.webelement import WebElement
 
 from .made_up import PROVENANCE, recording, write_run, write_sweep
 from .opened import OpenedPage
@@ -28,25 +29,30 @@ def everything(opened: Open, tmp_path: Path) -> OpenedPage:
 def test_runs_with_the_same_metrics_stand_side_by_side(everything: OpenedPage) -> None:
     tables = [" ".join(each.text.split()) for each in everything.all("#metrics table")]
     assert tables == [
-        "Run rmse [cm] settling_time [s] a 12.1 -2 b 4.35 -10",
-        "Run overshoot c -0.5",
+        "Metric Unit a b rmse cm 12.1 4.35 settling_time s -2 -10",
+        "Metric Unit c overshoot -0.5",
     ]
 
 
-def test_a_heading_sorts_its_column_as_numbers_and_back(everything: OpenedPage) -> None:
-    def order() -> list[str]:
-        rows = everything.all("#metrics table:first-of-type tbody th")
-        return [each.text for each in rows][:2]
+def heading(page: OpenedPage, text: str) -> WebElement:
+    (cell,) = [cell for cell in page.all(".distributions th") if cell.text == text]
+    return cell
 
-    rmse, settling = everything.all("#metrics table:first-of-type thead button")[1:3]
-    everything.click(rmse)
-    assert order() == ["b", "a"]
-    assert everything.all("#metrics th")[1].get_attribute("aria-sort") == "ascending"
-    everything.click(rmse)
-    assert order() == ["a", "b"]
-    everything.click(settling)
-    assert order() == ["b", "a"]  # -10 before -2: not as texts
-    assert everything.all("#metrics th")[1].get_attribute("aria-sort") == "none"
+
+def test_a_heading_sorts_its_column_as_numbers_and_back(everything: OpenedPage) -> None:
+    def values() -> list[float]:
+        return [float(cell.text) for cell in everything.all(".distributions td[data-label=mean]")]
+
+    metric, mean = (heading(everything, text) for text in ("Metric", "mean"))
+    everything.click(mean.find_element("tag name", "button"))
+    ascending = values()
+    assert ascending == sorted(ascending)  # -10 before -2: not as texts
+    assert ascending[0] < 0.0
+    assert mean.get_attribute("aria-sort") == "ascending"
+    everything.click(mean.find_element("tag name", "button"))
+    assert values() == ascending[::-1]
+    everything.click(metric.find_element("tag name", "button"))
+    assert mean.get_attribute("aria-sort") == "none"
 
 
 def test_what_differs_between_runs_is_said(everything: OpenedPage) -> None:

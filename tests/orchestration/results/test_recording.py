@@ -161,8 +161,10 @@ def test_a_run_whose_recording_has_no_room_is_refused_before_it_begins(ending: s
     path = tmp_path / f"run.{ending}"
     with largest_file(1_000_000):
         with reserved(path, (1000, 4)):
-            (placeholder,) = tmp_path.iterdir()
+            links = [link for link in Path("/proc/self/fd").iterdir() if link.exists()]
+            (placeholder,) = [link for link in links if str(tmp_path) in str(link.readlink())]
             assert placeholder.stat().st_size >= 1000 * 5 * 8
+            assert not list(tmp_path.iterdir())  # and nothing is left, whatever ends the process
         with pytest.raises(OrchestrationError, match=f"run.{ending}: the recording needs about"):
             reserved(path, (100_000, 4)).__enter__()
     with pytest.raises(OrchestrationError, match=r"needs about 4e\+13 MB|needs about 1e\+14 MB"):

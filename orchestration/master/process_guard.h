@@ -1,0 +1,99 @@
+/* What an FMU changes in the process that it runs in, beside its own state; read process_guard.py first. */
+
+#define _POSIX_C_SOURCE 200809L
+
+#include <signal.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#if defined(__x86_64__)
+#include <xmmintrin.h>
+#endif
+
+#ifdef _WIN32
+#define EXPORT __declspec(dllexport)
+#else
+#define EXPORT __attribute__((visibility("default")))
+#endif
+
+enum { TEXT_SIZE = 256, EXIT_STATUS = 70, MOST_RUNS = 256, BUSY_INDEX = 5 };
+
+/* The floating-point mode, rounding and denormals, is that of before the first FMU. On x86-64 there are two: of SSE,
+   and of the older unit, which computes in long double and by which the C library rounds the numbers that it prints.
+   Processors that are not named keep theirs. */
+
+static uint64_t float_mode;
+
+static uint64_t get_float_mode(void) {
+#if defined(__x86_64__)
+    uint16_t older;
+    __asm__ volatile("fnstcw %0" : "=m"(older));
+    return (uint64_t)older << 32 | (_mm_getcsr() & ~(uint32_t)_MM_EXCEPT_MASK);
+#elif defined(__aarch64__)
+    uint64_t mode;
+    __asm__ volatile("mrs %0, fpcr" : "=r"(mode));
+    return mode;
+#else
+    return 0;
+#endif
+}
+
+EXPORT int guard_restore_float_mode(void) {
+    if (get_float_mode() == float_mode) return 0;
+#if defined(__x86_64__)
+    const uint16_t older = (uint16_t)(float_mode >> 32);
+    __asm__ volatile("fldcw %0" : : "m"(older));
+    _mm_setcsr((uint32_t)float_mode);
+#elif defined(__aarch64__)
+    __asm__ volatile("msr fpcr, %0" : : "r"(float_mode));
+#endif
+    return 1;
+}
+
+/* Handlers of signals, by number. */
+
+enum { MOST_SIGNALS = 32 };
+
+#ifdef _WIN32
+EXPORT int64_t guard_changed_handlers(void) { return 0; }
+EXPORT void guard_handler(int number, int is_restored) { (void)number, (void)is_restored; }
+#else
+static struct sigaction handlers[MOST_SIGNALS];
+
+/* The set of signals, a bit each, whose handler is not the one that was noted. */
+EXPORT int64_t guard_changed_handlers(void) {
+    struct sigaction now;
+    int64_t changed = 0;
+    for (int number = 1; number < MOST_SIGNALS; number++)
+        if (!sigaction(number, NULL, &now) && now.sa_handler != handlers[number].sa_handler)
+            changed |= (int64_t)1 << number;
+    return changed;
+}
+
+/* Put the noted handler of a signal back, or note the present one. */
+EXPORT void guard_handler(int number, int is_restored) {
+    sigaction(number, is_restored ? &handlers[number] : NULL, is_restored ? NULL : &handlers[number]);
+}
+#endif
+
+/* An FMU that calls exit ends the process with status 70 and its text. Runs stand in a table: the address of the
+   report, 0 if there is none, and that of a text for each component. */
+
+static volatile intptr_t runs[MOST_RUNS][2]; /* here, since it is read when Python's memory is gone */
+
+static void report_exit(void) {
+    for (int64_t i = 0; i < MOST_RUNS; i++) {
+        const int64_t *report = (const int64_t *)runs[i][0];
+        if (!report || !report[BUSY_INDEX]) continue;
+        fputs((const char *)runs[i][1] + TEXT_SIZE * (llabs(report[BUSY_INDEX]) - 1), stderr);
+        fflush(stderr);
+        _Exit(EXIT_STATUS);
+    }
+}
+
+/* The table, of MOST_RUNS rows; called once, before the first FMU is loaded. */
+EXPORT volatile intptr_t *guard_runs(void) {
+    float_mode = get_float_mode();
+    atexit(report_exit);
+    return runs[0];
+}

@@ -1,0 +1,80 @@
+"""A program whose process ends before the program does is no success, and the FMU that was busy is named."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+BUSY = """
+import os, signal, struct, sys, time
+from fmus.watched import end_is_meant, report_memory, run_watched, share_names
+def busy():
+    share_names(["good", "bad"])
+    struct.pack_into("=7q", report_memory(56), 0, 0, 0, 0, 0, 0, 2, 0)
+def program():
+    {body}
+    return 0
+sys.exit(run_watched(program))
+"""
+LOST = "the run is lost; with --timeout FMUs have a process of their own\n"
+SEGFAULT = "busy(); os.kill(os.getpid(), signal.SIGSEGV)"
+
+
+def started(body: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-c", BUSY.format(body=body)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+@pytest.mark.parametrize(
+    ("body", "status", "error"),
+    [
+        ("return 3", 3, ""),
+        ("busy(); sys.exit(4)", 4, ""),
+        ("end_is_meant(); os._exit(130)", 130, ""),
+        ("busy(); os._exit(0)", 70, f"l1-depth: bad ended the process with exit status 0: {LOST}"),
+        ("os._exit(5)", 70, f"l1-depth: something ended the process with exit status 5: {LOST}"),
+        (SEGFAULT, 139, f"l1-depth: bad ended the process with signal SIGSEGV: {LOST}"),
+        (
+            "signal.signal(signal.SIGTERM, signal.SIG_DFL); os.kill(os.getpid(), signal.SIGTERM)",
+            130,
+            "l1-depth: interrupted\n",
+        ),
+    ],
+)
+def test_an_end_that_the_program_did_not_decide_is_an_error(body: str, status: int, error: str) -> None:
+    process = started(body)
+    assert process.communicate() == ("", error)
+    assert process.returncode == status
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_an_interrupt_from_another_process_is_passed_on(number: signal.Signals) -> None:
+    wait = f"signal.signal({int(number)}, lambda *_: sys.exit(9)); print('ready', flush=True); time.sleep(60)"
+    process = started(wait)
+    assert process.stdout
+    assert process.stdout.readline() == "ready\n"
+    process.send_signal(number)
+    assert process.communicate() == ("", "")
+    assert process.returncode == 9
+
+
+def test_the_program_is_interrupted_when_the_process_that_waits_is_killed(tmp_path: Path) -> None:
+    file = tmp_path / "interrupted"
+    touch = f"signal.signal(signal.SIGTERM, lambda *_: open({str(file)!r}, 'x') and sys.exit(1))"
+    process = started(f"{touch}; print('ready', flush=True); time.sleep(60)")
+    assert process.stdout
+    assert process.stdout.readline() == "ready\n"
+    os.kill(process.pid, signal.SIGKILL)
+    process.communicate()  # the child holds the streams until its end
+    until = time.monotonic() + 60.0
+    while not file.exists():
+        assert time.monotonic() < until
+        time.sleep(0.02)
