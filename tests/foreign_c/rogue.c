@@ -34,7 +34,7 @@ enum { /* the items of the enumeration Misdeed */
     EXIT,
     CHANGE_FOLDER,
     ROUND_UPWARD,
-    TERMINATE,        /* a step that crosses or reaches the misdeed's time is discarded, with fmi2Terminated */
+    TERMINATE, /* a step that crosses or reaches the misdeed's time is discarded, with fmi2Terminated */
     TERMINATE_UNTIMED, /* the same, and it does not know the last successful time */
     EXIT_AT_ONCE, /* _exit, which calls no handler */
     CLOSE_FILES,  /* all but the standard streams */
