@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from .native_block import EVERYTHING, block_named
-from .native_model import DISCARD, ERROR, OK, Null
+from .native_model import DISCARD, ENDED, ERROR, OK, Null
 from .native_session import GUID, Session, begin, saved, stepping, told, with_checksum
 
 Open = Callable[[str], Session]
@@ -198,3 +198,28 @@ def _use(session: Session) -> None:
     time = session("get_status", 0, "R", 2, "+")
     if time.status == OK:
         session("step", 0, float.fromhex(time.values[0]), 0.001)
+
+
+@pytest.mark.parametrize(
+    ("unknown", "known", "reason"),
+    [
+        ("control", "control", "unknown control: expected an output or a calculated parameter"),
+        ("output", "output", "known output: expected a parameter or an input"),
+    ],
+)
+def test_a_derivative_is_of_what_follows_by_what_is_set(
+    open_session: Open, unknown: str, known: str, reason: str
+) -> None:
+    session, references = stepping(open_session("ExamplePlant")), _references("ExamplePlant")
+    answer = session("directional_derivative", 0, [references[unknown]], [references[known]], [1.0], "+")
+    assert (answer.status, answer.values) == (ERROR, ["untouched"])
+    assert reason in told(answer)
+
+
+def test_the_model_never_ends_the_simulation(open_session: Open) -> None:
+    session = stepping(open_session("ExamplePlant"))
+    answer = session("get_status", 0, "B", ENDED, "+")
+    assert (answer.status, answer.values) == (OK, ["0x0p+0"])
+    begun = open_session("ExamplePlant")
+    begin(begun)
+    assert begun("get_status", 0, "B", ENDED, "+").status == ERROR
