@@ -59,8 +59,9 @@ from fmus.numerics.elementary import (
     trunc,
 )
 from fmus.numerics.integration import rk4_step
+from fmus.numerics.matrices import matmul, solve, transpose
 from fmus.numerics.sampling import Clock, sampled
-from fmus.numerics.tables import ramps
+from fmus.numerics.tables import interp, interp2d, ramps
 
 __all__ = [
     "Clock",
@@ -90,6 +91,8 @@ __all__ = [
     "floor",
     "fmod",
     "hypot",
+    "interp",
+    "interp2d",
     "log",
     "log1p",
     "log2",
@@ -98,6 +101,7 @@ __all__ = [
     "logical_not",
     "logical_or",
     "logical_xor",
+    "matmul",
     "maximum",
     "minimum",
     "power",
@@ -111,9 +115,11 @@ __all__ = [
     "sign",
     "sin",
     "sinh",
+    "solve",
     "sqrt",
     "tan",
     "tanh",
+    "transpose",
     "trunc",
     "where",
 ]

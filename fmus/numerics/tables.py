@@ -1,10 +1,39 @@
-"""Lines through points."""
+"""Tables in one and two dimensions, and ramps in time."""
 
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
-from fmus.numerics.choice import where
+from fmus.numerics.choice import clip, where
+
+
+def interp(x: Any, xp: Sequence[Any], fp: Sequence[Any]) -> Any:
+    """The line through the points (xp, fp) at x, held before the first and after the last, as `np.interp`.
+
+    xp: ascending, each number larger than the one before; fp: as many. Both may be numbers or symbols.
+    """
+    points = list(zip(xp, fp, strict=True))
+    value = points[-1][1]
+    for (x_0, y_0), (x_1, y_1) in reversed(list(pairwise(points))):
+        value = where(x < x_1, (y_1 - y_0) / (x_1 - x_0) * (x - x_0) + y_0, value)
+    return where(x < points[0][0], points[0][1], value)
+
+
+def interp2d(x: Any, y: Any, xp: Sequence[Any], yp: Sequence[Any], fp: Sequence[Sequence[Any]]) -> Any:
+    """Bilinear interpolation of a table at (x, y), held outside.
+
+    xp, yp: ascending, each number larger than the one before
+    fp: fp[i][j] is the value at (xp[i], yp[j])
+    """
+    weights_x, weights_y = _weights(x, xp), _weights(y, yp)
+    rows = [sum(w * f for w, f in zip(weights_y, row, strict=True)) for row in fp]
+    return sum(w * row for w, row in zip(weights_x, rows, strict=True))
+
+
+def _weights(x: Any, points: Sequence[Any]) -> list[Any]:
+    """Of each point in the interpolation at x: between two points, theirs are positive and add up to 1."""
+    rises = [clip((x - a) / (b - a), 0.0, 1.0) for a, b in pairwise(points)]
+    return [1.0 * (before - after) for before, after in zip([1.0, *rises], [*rises, 0.0], strict=True)]
 
 
 def ramps(t: Any, times: Sequence[Any], values: Sequence[Any], smooth: Any) -> Any:

@@ -1,0 +1,50 @@
+"""Matrices of moderate size as tuples of tuples, row by row; a vector is a tuple."""
+
+from typing import Any
+
+from fmus.numerics.choice import where
+
+Vector = tuple[Any, ...]
+Matrix = tuple[Vector, ...]
+
+
+def matmul(a: Any, b: Any) -> Any:
+    """The product of two matrices, of a matrix and a vector, or of two vectors (a number), as NumPy's `@`."""
+    if not isinstance(a[0], tuple):
+        (product,) = matmul((a,), b) if isinstance(b[0], tuple) else (_dot(a, b),)
+        return product
+    if not isinstance(b[0], tuple):
+        return tuple(_dot(row, b) for row in a)
+    return tuple(tuple(_dot(row, column) for column in zip(*b, strict=True)) for row in a)
+
+
+def _dot(a: Vector, b: Vector) -> Any:
+    return sum(x * y for x, y in zip(a, b, strict=True))
+
+
+def transpose(a: Matrix) -> Matrix:
+    """Rows as columns."""
+    return tuple(zip(*a, strict=True))
+
+
+def solve(a: Matrix, b: Any) -> Any:
+    """The x of a x = b, for a square matrix and a vector or matrix b, as `np.linalg.solve`.
+
+    Gaussian elimination with partial pivoting: for matrices of up to about ten rows, as the compiled code
+    grows with their cube. A singular matrix is a division by zero.
+    """
+    if not isinstance(b[0], tuple):
+        return tuple(row[0] for row in solve(a, tuple((x,) for x in b)))
+    n, rows = len(a), [(*row, *right) for row, right in zip(a, b, strict=True)]
+    for k in range(n):
+        for i in range(k + 1, n):
+            is_larger = abs(rows[i][k]) > abs(rows[k][k])
+            rows[k], rows[i] = where(is_larger, (rows[i], rows[k]), (rows[k], rows[i]))
+        for i in range(k + 1, n):
+            factor = rows[i][k] / rows[k][k]
+            rows[i] = tuple(x - factor * p for x, p in zip(rows[i], rows[k], strict=True))
+    solution: list[Vector] = []
+    for k in reversed(range(n)):
+        known = matmul(rows[k][k + 1 : n], tuple(solution)) if solution else (0.0,) * (len(rows[k]) - n)
+        solution.insert(0, tuple((x - s) / rows[k][k] for x, s in zip(rows[k][n:], known, strict=True)))
+    return tuple(solution)
