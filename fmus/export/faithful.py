@@ -14,7 +14,7 @@ import numpy as np
 
 from fmus.block import Block, ScalarVariable, flatten, unflatten
 from fmus.errors import ExportError
-from fmus.export.guard import location
+from fmus.export.guard import location, own_line
 from fmus.export.symbolic import traced
 
 _POINTS, _STEPS = 60, 3  # draws of parameters; steps from each, with inputs drawn anew
@@ -66,6 +66,7 @@ class _Comparison:
         self._traced = getattr(traced(block), name)
         self._where = f"block {block.name!r}: {location(self._python)}{name}"
         self._calls: list[tuple[Sequence[Any], Any, list[float]]] = []  # arguments, result, its numbers
+        self._errors: list[tuple[Sequence[Any], Exception]] = []  # arguments without a result
         self._attempts = 0
 
     def __call__(self, *arguments: Any) -> Any:
@@ -82,20 +83,25 @@ class _Comparison:
             values = flatten(result) if is_dataclass(result) else [holds for holds, _ in result]
             if any(isinstance(value, complex) or not math.isfinite(value) for value in values):
                 return None, None
-        except (ArithmeticError, ValueError):
+        except (ArithmeticError, ValueError) as error:
+            self._errors.append((arguments, error))
             return None, None
         except Exception as error:
-            raise ExportError(f"{self._where} raises {error!r}") from error
+            raise ExportError(f"{self._where} raises {_described(error)}") from error
         return result, list(map(float, values))
 
     def check(self, rng: random.Random) -> None:
         """ExportError for the first point where the function differs, or if too few can be compared."""
         if self._attempts and not self._calls:
+            last = f": {_described(self._errors[-1][1])}" if self._errors else ""
             raise ExportError(
-                f"{self._where} gives no finite numbers at any of {self._attempts} random points"
+                f"{self._where} gives no finite numbers at any of {self._attempts} random points{last}"
             )
+        self._check_errors()
         amplified = 0
-        for (arguments, result, numbers), given in zip(self._calls, self._traced_numbers(), strict=True):
+        for (arguments, result, numbers), given in zip(
+            self._calls, self._traced_numbers([a for a, _, _ in self._calls]), strict=True
+        ):
             again = self._evaluate(arguments)[1] or [math.nan] * len(numbers)
             exactly = [0.0] * len(numbers)
             self._compare(result, numbers, again, exactly, "at one call and {} at another, same arguments")
@@ -110,13 +116,27 @@ class _Comparison:
                 f"{self._where} differs when traced at {amplified} of {len(self._calls)} points"
             )
 
-    def _traced_numbers(self) -> list[list[float]]:
+    def _check_errors(self) -> None:
+        """ExportError where Python divides by zero or leaves a domain, and compiled code gives numbers.
+
+        Not where a number is too large for Python, which compiled code takes for infinite.
+        """
+        errors = [(a, error) for a, error in self._errors if not isinstance(error, OverflowError)]
+        results = self._traced_numbers([arguments for arguments, _ in errors])
+        for (_, error), numbers in zip(errors, results, strict=True):
+            if all(map(math.isfinite, numbers)):
+                raise ExportError(
+                    f"{self._where} raises {_described(error)}, where compiled code gives numbers; give an "
+                    "alternative of fmus.numerics.where that is not always legal as a function: lambda: ..."
+                )
+
+    def _traced_numbers(self, calls: list[Sequence[Any]]) -> list[list[float]]:
         """What the traced function gives for all arguments, in one call."""
-        if not self._calls:
+        if not calls:
             return []
-        columns = zip(*(map(flatten, arguments) for arguments, _, _ in self._calls), strict=True)
-        matrices = [np.array(scalars, float).reshape(len(self._calls), -1).T for scalars in columns]
-        return self._traced.map(len(self._calls))(*matrices).full().T.tolist()
+        columns = zip(*(map(flatten, arguments) for arguments in calls), strict=True)
+        matrices = [np.array(scalars, float).reshape(len(calls), -1).T for scalars in columns]
+        return self._traced.map(len(calls))(*matrices).full().T.tolist()
 
     def _moved(self, arguments: Sequence[Any], numbers: Sequence[float], rng: random.Random) -> list[float]:
         """How far the numbers move when the arguments change by roundings."""
@@ -134,6 +154,12 @@ class _Comparison:
         for name, x, y, difference in zip(names, numbers, others, allowed, strict=True):
             if not _are_near(x, y, difference):
                 raise ExportError(f"{self._where} gives {name} = {x!r} {how.format(repr(y))}")
+
+
+def _described(error: Exception) -> str:
+    """What is raised, and in which line of the user's."""
+    own = own_line(error)
+    return f"{error!r} at {own[0]}:{own[1]}: {own[2]}" if own else repr(error)
 
 
 def _are_near(x: float, y: float, allowed: float) -> bool:

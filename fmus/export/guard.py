@@ -7,7 +7,7 @@ Python does. A clock, a random number or a global that is assigned would be what
 
 import dis
 import linecache
-import re
+import operator
 import sys
 import threading
 import traceback
@@ -18,9 +18,11 @@ from types import CodeType, FrameType
 from typing import Any
 
 import casadi
+import numpy as np
 
 from fmus import numerics
 from fmus.errors import ExportError
+from fmus.export.advice import advice
 
 _LIBRARIES = {*sys.stdlib_module_names, "casadi", "numpy"} - {"__main__"}
 _OURS = (f"{__name__}.", f"{numerics.__name__}.")
@@ -28,19 +30,35 @@ _DRAWS = {"time", "random", "_random"}  # modules whose compiled functions give 
 _CLOCKS = {"now", "utcnow", "today", "urandom", "getrandom"}  # of classes and modules that hold others too
 _LOCK = threading.Lock()  # two tracings at a time would restore each other's methods
 
-# method of a symbol -> why it is refused, and the function of fmus.numerics to use
+# method of a symbol -> what Python asks it for, and the function of fmus.numerics to use
 _REFUSED = {
     "__float__": ("a number is needed", ""),
-    "__int__": ("an integer is needed", "floor"),
+    "__int__": ("an integer is needed", "trunc"),
+    "__index__": ("an integer is needed", "choose"),
     "__bool__": ("a truth value is needed", "where"),
-    "__hash__": ("a key is needed", "where"),
-    "__round__": ("Python rounds halves to even, compiled code does not", "round"),
+    "__hash__": ("a key is needed", "select"),
+    "__str__": ("a text is needed", ""),
+    "__format__": ("a text is needed", ""),
+    "__iter__": ("a sequence is needed", ""),
+    "__getitem__": ("a sequence is needed", ""),
+    "__array__": ("a NumPy array is needed", ""),
+    "__round__": ("Python's is of a number", "round"),
     "__mod__": ("Python computes it otherwise than compiled code", "fmod"),
     "__floordiv__": ("Python computes it otherwise than compiled code", "floor"),
     "__divmod__": ("Python computes it otherwise than compiled code", "fmod"),
+    "__and__": ("a truth value is needed", "logical_and"),
+    "__or__": ("a truth value is needed", "logical_or"),
+    "__xor__": ("a truth value is needed", "logical_xor"),
+    "__invert__": ("a truth value is needed", "logical_not"),
 }
-_REFUSED |= {f"__r{name[2:]}": _REFUSED[name] for name in ("__mod__", "__floordiv__", "__divmod__")}
-_COUNTERPARTS = {"max": "maximum", "min": "minimum", "fabs": "absolute", "pow": "power"}
+_BINARY = ("__mod__", "__floordiv__", "__divmod__", "__and__", "__or__", "__xor__")
+_REFUSED |= {f"__r{name[2:]}": _REFUSED[name] for name in _BINARY}
+_UNKNOWN = "but the value is not known before the FMU runs"
+_OPERATORS = {  # of NumPy, which an operator between a NumPy number and a symbol calls
+    "add": operator.add, "subtract": operator.sub, "multiply": operator.mul, "divide": operator.truediv,
+    "power": operator.pow, "less": operator.lt, "less_equal": operator.le, "greater": operator.gt,
+    "greater_equal": operator.ge, "equal": operator.eq, "not_equal": operator.ne,
+}  # fmt: skip
 
 
 class _RefusedError(TypeError):
@@ -69,24 +87,40 @@ def location(function: Callable[..., Any]) -> str:
 @contextmanager
 def _guarded(package: str) -> Iterator[None]:
     with _LOCK:
-        originals = {name: getattr(casadi.SX, name) for name in _REFUSED}
-        profile = sys.getprofile()
+        profile, originals = sys.getprofile(), {name: vars(casadi.SX).get(name) for name in _methods()}
         try:
-            for name, original in originals.items():
-                setattr(casadi.SX, name, _refusal(original, *_REFUSED[name]))
+            for name, method in _methods().items():
+                setattr(casadi.SX, name, method)
             sys.setprofile(partial(_refuse_impure, package))
             yield
         finally:
             sys.setprofile(profile)
             for name, original in originals.items():
-                setattr(casadi.SX, name, original)
+                delattr(casadi.SX, name) if original is None else setattr(casadi.SX, name, original)
 
 
-def _refusal(original: Callable[..., Any], reason: str, function: str) -> Callable[..., Any]:
+@cache
+def _methods() -> dict[str, Callable[..., Any]]:
+    """What takes the place of a symbol's methods while a block is traced."""
+    methods = {name: _refusal(getattr(casadi.SX, name, None), *_REFUSED[name]) for name in _REFUSED}
+    return methods | {"__array_ufunc__": _array_ufunc, "__array_function__": _array_function}
+
+
+def _array_ufunc(symbol: casadi.SX, ufunc: Any, method: str, *others: Any, **options: Any) -> Any:
+    if ufunc.__name__ in _OPERATORS and not any(isinstance(other, np.ndarray) for other in others):
+        return _OPERATORS[ufunc.__name__](*(x.item() if isinstance(x, np.generic) else x for x in others))
+    return _array_function(symbol)
+
+
+def _array_function(symbol: casadi.SX, *others: Any) -> Any:
+    raise _RefusedError(f"NumPy's functions are of numbers, {_UNKNOWN}")
+
+
+def _refusal(original: Callable[..., Any] | None, reason: str, function: str) -> Callable[..., Any]:
     def method(symbol: casadi.SX, *others: Any) -> Any:
-        if all(casadi.SX(number).is_constant() for number in (symbol, *others)):
+        if original and all(casadi.SX(number).is_constant() for number in (symbol, *others)):
             return original(symbol, *others)
-        raise _RefusedError(f"{reason}, but the value is not known before the FMU runs", function)
+        raise _RefusedError(f"{reason}, {_UNKNOWN}", function)
 
     return method
 
@@ -136,24 +170,27 @@ def _package(module: str) -> str:
 def _reason(error: Exception) -> str:
     """File, line and expression of the user's that led to an error, and what to write instead."""
     cause = error.__cause__ if isinstance(error.__cause__, _RefusedError) else error  # NumPy raises its own
-    frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
-    summaries = traceback.extract_tb(error.__traceback__)
-    own = [s for frame, s in zip(frames, summaries, strict=True) if not _is_library(frame)]
+    own = own_line(error)
     if not own:
         return f"{cause}"
-    source = linecache.getline(own[-1].filename, own[-1].lineno or 0)
-    one_line = own[-1].lineno == own[-1].end_lineno
-    expression = (
-        source.encode()[own[-1].colno or 0 : own[-1].end_colno if one_line else None].decode().strip()
-    )
-    return f"{own[-1].filename}:{own[-1].lineno}: {expression}: {cause}{_advice(cause, expression)}"
+    file, line, expression = own
+    if not isinstance(cause, _RefusedError):
+        return f"{file}:{line}: {expression}: {type(cause).__name__}: {cause}"
+    use = advice(expression, linecache.getline(file, line).strip(), cause.function)
+    return f"{file}:{line}: {expression}: {cause}" + (f"; {use}" if use else "")
 
 
-def _advice(error: BaseException, expression: str) -> str:
-    if not isinstance(error, _RefusedError):
-        return "; expected functions of fmus.numerics, where for a branch on a value"
-    called = re.match(r"(?:\w+\.)*(\w+)\(", expression)
-    name = called[1] if called else ""
-    name = _COUNTERPARTS.get(name, name)
-    known = name if callable(getattr(numerics, name, None)) else error.function
-    return f"; use fmus.numerics.{known}" if known else ""
+def own_line(error: Exception) -> tuple[str, int, str] | None:
+    """File, line and expression of the user's that led to an error, where there is one."""
+    frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
+    summaries = traceback.extract_tb(error.__traceback__)
+    own = [s for frame, s in zip(frames, summaries, strict=True) if _is_users(frame)]
+    if not own:
+        return None
+    file, line, column = own[-1].filename, own[-1].lineno or 0, own[-1].colno or 0
+    end = own[-1].end_colno if line == own[-1].end_lineno else None
+    return file, line, linecache.getline(file, line).encode()[column:end].decode().strip()
+
+
+def _is_users(frame: FrameType) -> bool:
+    return not _is_library(frame) and not frame.f_code.co_filename.startswith("<")  # as of a dataclass

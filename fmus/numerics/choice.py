@@ -1,11 +1,14 @@
 """Conditions, and choices between values: in place of `if`, `and`, `or`, `not`, `min` and `max`.
 
-All alternatives are evaluated. In compiled code one that is not taken cannot spoil the result; in Python a
-division by zero or the root of a negative number in it raises an error: give it a legal argument.
+All alternatives are evaluated. In compiled code one that is not taken cannot spoil the result nor its
+derivatives. In Python a division by zero or the root of a negative number in it raises an error: give such an
+alternative as a function without arguments, which Python calls only if it is taken.
+
+    where(x > 0.0, lambda: sqrt(x), 0.0)
 """
 
 from collections.abc import Iterable, Sequence
-from functools import reduce
+from functools import partial, reduce
 from typing import Any
 
 from fmus.block import flatten, unflatten
@@ -16,16 +19,21 @@ def where(condition: Any, if_true: Any, if_false: Any) -> Any:
     """`if_true` where the condition holds, else `if_false`.
 
     condition: a comparison, a Boolean variable, or what the logical functions give
-    if_true, if_false: numbers, or tuples or dataclasses of one shape
+    if_true, if_false: numbers, or tuples or dataclasses of one shape; or functions that return them
     """
     if condition.__class__ is bool or are_numbers(condition):
-        return if_true if condition else if_false
+        return _value(if_true if condition else if_false)
+    if_true, if_false = _value(if_true), _value(if_false)
     if isinstance(if_true, tuple) or hasattr(if_true, "__dataclass_fields__"):
         pairs = zip(flatten(if_true), flatten(if_false), strict=True)
         return unflatten(if_true, [where(condition, *pair) for pair in pairs])
     if if_true is if_false:
         return if_true
     return casadi().if_else(condition, if_true, if_false)
+
+
+def _value(alternative: Any) -> Any:
+    return alternative() if callable(alternative) else alternative
 
 
 def logical_and(first: Any, second: Any) -> Any:
@@ -69,12 +77,12 @@ def any(conditions: Iterable[Any]) -> Any:
 def select(conditions: Sequence[Any], choices: Sequence[Any], default: Any = 0.0) -> Any:
     """The choice of the first condition that holds, else the default.
 
-    choices: as many as conditions; numbers, or tuples or dataclasses of one shape, as the default
+    choices: as many as conditions; each as an alternative of `where`, as the default
     """
     chosen = default
     for condition, choice in reversed(list(zip(conditions, choices, strict=True))):
-        chosen = where(condition, choice, chosen)
-    return chosen
+        chosen = partial(where, condition, choice, chosen)
+    return _value(chosen)
 
 
 def choose(index: Any, choices: Sequence[Any]) -> Any:

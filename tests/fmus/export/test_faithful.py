@@ -94,6 +94,17 @@ def catches(u: float, x: float, p: Parameters) -> float:
         return x
 
 
+def halves_while_large(u: float, x: float, p: Parameters) -> float:
+    while x > 0.1:
+        x = 0.5 * x
+    return x
+
+
+def asserts(u: float, x: float, p: Parameters) -> float:
+    assert u > 0.0
+    return x
+
+
 class Counter:
     calls = 0
 
@@ -118,28 +129,54 @@ REFUSED: list[tuple[Rule, str]] = [
     (lambda u, x, p: x + math.floor(math.exp(u)), r"math.exp\(u\): a number is needed.*fmus.numerics.exp$"),
     (lambda u, x, p: math.fabs(u), r"use fmus.numerics.absolute$"),
     (lambda u, x, p: math.pow(u, 2.0), r"use fmus.numerics.power$"),
-    (lambda u, x, p: x * float(u), r"float\(u\): a number is needed"),
-    (lambda u, x, p: float(np.float64(u)), r"np.float64\(u\): a number is needed"),
+    (lambda u, x, p: x * float(u), r"float\(u\): a number is needed.*; leave it out$"),
+    (lambda u, x, p: float(np.float64(u)), r"np.float64\(u\): a NumPy array is .*; leave it out$"),
     (lambda u, x, p: complex(u).real, r"complex\(u\): a number is needed"),
-    (lambda u, x, p: float(int(u)), r"int\(u\): an integer is needed.*use fmus.numerics.floor$"),
+    (lambda u, x, p: float(int(u)), r"int\(u\): an integer is needed.*use fmus.numerics.trunc$"),
     (branch, r"u > 0.0: a truth value is needed.*use fmus.numerics.where$"),
     (lambda u, x, p: x if p.flag else u, r"x if p.flag else u: a truth value is needed.*numerics.where$"),
-    (lambda u, x, p: u and x, r"u and x: a truth value is needed.*numerics.where$"),
-    (lambda u, x, p: x if 0.0 < u < 1.0 else u, r"a truth value is needed.*numerics.where$"),
+    (lambda u, x, p: u and x, r"u and x: a truth value is needed.*numerics.logical_and$"),
+    (lambda u, x, p: x if 0.0 < u < 1.0 else u, r"a truth value is needed.*numerics.logical_and$"),
     (lambda u, x, p: x if p.mode == Mode.FAST else u, r"p.mode == Mode.FAST: a truth value is needed"),
-    (lambda u, x, p: x if u in (1.0, 2.0) else u, r"u in \(1.0, 2.0\): a truth value is needed"),
+    (lambda u, x, p: x if u in (1.0, 2.0) else u, r"u in \(1.0, 2.0\): a truth value .*numerics.any$"),
     (lambda u, x, p: max(x, u), r"max\(x, u\): a truth value is needed.*use fmus.numerics.maximum$"),
     (lambda u, x, p: min(x, u), r"use fmus.numerics.minimum$"),
-    (lambda u, x, p: sorted((x, u))[0], r"sorted\(\(x, u\)\): a truth value is needed"),
-    (lambda u, x, p: GAINS[p.mode] * x, r"GAINS\[p.mode\]: a key is needed.*use fmus.numerics.where$"),
+    (lambda u, x, p: sorted((x, u))[0], r"sorted\(\(x, u\)\): a truth value .*numerics.minimum$"),
+    (lambda u, x, p: GAINS[p.mode] * x, r"GAINS\[p.mode\]: a key is needed.*use fmus.numerics.select$"),
     (lambda u, x, p: GAINS.get(p.mode, 5.0) * x, r"GAINS.get\(p.mode, 5.0\): a key is needed"),
     (lambda u, x, p: cached(u), r"cached\(u\): a key is needed"),
-    (lambda u, x, p: float(round(u)), r"round\(u\): Python rounds halves to even.*numerics.round$"),
+    (lambda u, x, p: float(round(u)), r"round\(u\): Python's is of a number.*numerics.round$"),
+    (lambda u, x, p: np.sin(x), r"np.sin\(x\): NumPy's functions are of numbers.*use fmus.numerics.sin$"),
+    (lambda u, x, p: np.clip(x, 0.0, u), r"NumPy's functions are of numbers.*use fmus.numerics.clip$"),
+    (lambda u, x, p: np.where(x > 0.0, x, u), r"NumPy's functions are of numbers.*fmus.numerics.where$"),
+    (lambda u, x, p: np.dot([x, u], [1.0, 2.0]), r"a NumPy array is needed.*use fmus.numerics.matmul$"),
+    (lambda u, x, p: np.add(x, np.ones(2))[0], r"np.add\(.*NumPy's functions are of numbers"),
+    (lambda u, x, p: GAIN if f"{u:.1f}" else u, r"a text is needed, but the value is not known before"),
+    (lambda u, x, p: [x, u][p.mode], r"\[x, u\]\[p.mode\]: an integer is needed.*fmus.numerics.choose$"),
+    (lambda u, x, p: x[0], r"x\[0\]: a sequence is needed, but the value is not known"),  # type: ignore[index]
+    (lambda u, x, p: sum(v for v in u), r"a sequence is needed, but the value is not known"),  # type: ignore[misc]
+    (lambda u, x, p: x if (u > 0.0) & (x > 0.0) else u, r"a truth value is needed.*numerics.logical_and$"),
+    (lambda u, x, p: x if (u > 0.0) | p.flag else u, r"a truth value is needed.*numerics.logical_or$"),
+    (lambda u, x, p: x if (u > 0.0) ^ p.flag else u, r"a truth value is needed.*numerics.logical_xor$"),
+    (
+        lambda u, x, p: x if not p.flag else u,
+        r"if not p.flag else u: a truth value is needed",
+    ),
+    (lambda u, x, p: numerics.where(~p.flag, x, u), r"~p.flag: a truth value is .*numerics.logical_not$"),
+    (lambda u, x, p: math.gamma(u), r"math.gamma\(u\): a number is .*; compute it from constants alone$"),
+    (lambda u, x, p: x if math.isnan(u) else u, r"leave it out: a step whose results are not finite is"),
+    (halves_while_large, r"x > 0.1: a truth value is needed.*; use for with a constant number of turns, and"),
+    (asserts, r"u > 0.0: a truth value is needed.*; use the requirements of the block$"),
+    (lambda u, x, p: setattr(p, "flag", x), r"setattr\(p, \"flag\", x\): FrozenInstanceError: cannot"),
+    (lambda u, x, p: {"a": x}["b"], r"\{\"a\": x\}\[\"b\"\]: KeyError: 'b'$"),
     (lambda u, x, p: u % 0.1, r"u % 0.1: Python computes it otherwise.*use fmus.numerics.fmod$"),
     (lambda u, x, p: 0.1 % u, r"use fmus.numerics.fmod$"),
     (lambda u, x, p: u // 0.1, r"u // 0.1: .*use fmus.numerics.floor$"),
     (lambda u, x, p: divmod(u, 0.1)[1], r"use fmus.numerics.fmod$"),
-    (lambda u, x, p: sum(x for _ in range(p.number)), r"range\(p.number\): .*expected functions of fmus"),
+    (
+        lambda u, x, p: sum(x for _ in range(p.number)),
+        r"range\(p.number\): an integer is needed.*; use a constant number of turns$",
+    ),
     (lambda u, x, p: x + random.random(), r"random.random\(\): random gives another value at each call"),
     (lambda u, x, p: x + random.gauss(0.0, 1.0), r"random.gauss\(0.0, 1.0\): random gives another value"),
     (lambda u, x, p: x + time.time(), r"time.time\(\): time gives another value at each call"),
@@ -156,11 +193,21 @@ REFUSED: list[tuple[Rule, str]] = [
     (lambda u, x, p: (u + 2.0**52) - 2.0**52, r"step gives x = .* in Python and .* when it is traced"),
     (
         lambda u, x, p: [x, u][5 if type(u) is float else 0],
-        r"step raises IndexError\('list index out of range'\)",
+        r"step raises IndexError\('list index out of range'\) at .*test_faithful.py:\d+: \[x, u\]\[5",
     ),
     (lambda u, x, p: np.array([u, x]) if type(u) is float else u, r"step raises TypeError\(.*only"),
     (catches, r"step gives x = .* in Python and .* when it is traced"),
     (lambda u, x, p: numerics.where(u > 0.0, x, math.nan), r"step holds a constant that is not a number"),
+    (
+        lambda u, x, p: numerics.where(u == 0.0, 0.0, x / u),
+        r"ZeroDivisionError\('float division by zero'\) at .*:\d+: x / u, where compiled .*: lambda: \.\.\.$",
+    ),
+    (lambda u, x, p: numerics.minimum(1.0 / u, 5.0), r"ZeroDivisionError.*where compiled code gives numbers"),
+    (lambda u, x, p: x + 1.0 / 0.0, r"1.0 / 0.0: ZeroDivisionError: float division by zero$"),
+    (
+        lambda u, x, p: x / 0.0,
+        r"no finite numbers at any of \d+ random points: ZeroDivisionError\(.*at .*: x / 0.0$",
+    ),
     (lambda u, x, p: (x, u), r"step gives 2 numbers: expected 1"),
 ]
 
@@ -217,6 +264,11 @@ ACCEPTED: list[Rule] = [
     lambda u, x, p: numerics.where(
         numerics.logical_and(p.flag, u < x), numerics.fmod(u, 0.1), numerics.ceil(x)
     ),
+    lambda u, x, p: numerics.where(u == 0.0, 0.0, lambda: x / u),
+    lambda u, x, p: numerics.select([u > 0.0, u < 0.0], [lambda: x / u, lambda: numerics.sqrt(-u)], x),
+    lambda u, x, p: 1.0 / (1.0 + numerics.exp(-100.0 * u)),  # too large for Python, infinite when compiled
+    lambda u, x, p: np.float64(2.0) * x + u / np.float64(3.0),
+    lambda u, x, p: math.prod((x, u, 2.0)) + math.floor(x) - abs(u),
     lambda u, x, p: numerics.log(u),  # refused for u <= 0 by Python, not finite when it is traced
     lambda u, x, p: numerics.sin(1e6 * u) - numerics.sin(1e6 * u + 1e-9),
 ]

@@ -1,0 +1,91 @@
+"""What to write in a block in place of an expression that has no meaning on a symbol."""
+
+import ast
+
+from fmus import numerics
+
+# a function of Python or NumPy -> the function of fmus.numerics with another name
+COUNTERPARTS = {
+    "abs": "absolute", "amax": "maximum", "amin": "minimum", "arccos": "acos", "arccosh": "acosh",
+    "arcsin": "asin", "arcsinh": "asinh", "arctan": "atan", "arctan2": "atan2", "arctanh": "atanh",
+    "around": "round", "deg2rad": "radians", "dot": "matmul", "fabs": "absolute", "fix": "trunc",
+    "float_power": "power", "fmax": "maximum", "fmin": "minimum", "inner": "matmul", "int": "trunc",
+    "max": "maximum", "min": "minimum", "norm": "hypot", "piecewise": "select", "pow": "power",
+    "rad2deg": "degrees", "rint": "round", "sorted": "minimum", "sumprod": "matmul", "vdot": "matmul",
+}  # fmt: skip
+
+_CONSTANTS = "compute it from constants alone"
+_FINITE = "leave it out: a step whose results are not finite is refused"
+
+# a function of Python, its `math` or NumPy that has no counterpart -> what to do
+INSTEAD = {
+    "array": "use tuples",
+    "asarray": "use tuples",
+    "bool": "leave it out",
+    "comb": _CONSTANTS,
+    "complex": "use two numbers",
+    "erfc": "use 1.0 - fmus.numerics.erf(x)",
+    "factorial": _CONSTANTS,
+    "float": "leave it out",
+    "float64": "leave it out",
+    "fma": "use x * y + z",
+    "frexp": _CONSTANTS,
+    "fsum": "use sum",
+    "gamma": _CONSTANTS,
+    "gcd": _CONSTANTS,
+    "isclose": "use fmus.numerics.absolute(x - y) <= tolerance",
+    "isfinite": _FINITE,
+    "isinf": _FINITE,
+    "isnan": _FINITE,
+    "isqrt": "use fmus.numerics.floor(fmus.numerics.sqrt(x))",
+    "lcm": _CONSTANTS,
+    "ldexp": "use x * fmus.numerics.exp2(i)",
+    "lgamma": _CONSTANTS,
+    "mod": "use x - y * fmus.numerics.floor(x / y)",
+    "modf": "use fmus.numerics.fmod(x, 1.0) and fmus.numerics.trunc(x)",
+    "nextafter": _CONSTANTS,
+    "perm": _CONSTANTS,
+    "range": "use a constant number of turns",
+    "sum": "use Python's sum",
+    "ulp": _CONSTANTS,
+}
+
+
+_OPERATORS = {
+    ast.And: "logical_and", ast.BitAnd: "logical_and", ast.Or: "logical_or", ast.BitOr: "logical_or",
+    ast.BitXor: "logical_xor", ast.Not: "logical_not", ast.Invert: "logical_not",
+}  # fmt: skip
+
+
+def advice(expression: str, statement: str, default: str) -> str:
+    """What to do in place of an expression in a line of code; empty if nothing is known.
+
+    default: the function of fmus.numerics if the expression does not show it
+    """
+    if statement.startswith("while "):
+        return "use for with a constant number of turns, and fmus.numerics.where in it"
+    if statement.startswith("assert "):
+        return "use the requirements of the block"
+    try:
+        name = _name(ast.parse(expression, mode="eval").body)
+    except SyntaxError:
+        name = ""
+    if name in INSTEAD:
+        return INSTEAD[name]
+    name = COUNTERPARTS.get(name, name)
+    function = name if name in numerics.__all__ else default
+    return f"use fmus.numerics.{function}" if function else ""
+
+
+def _name(expression: ast.expr) -> str:
+    """The function that an expression calls, or the one that stands for an operator."""
+    match expression:
+        case ast.Call(func=ast.Attribute(attr=name) | ast.Name(id=name)):
+            return name
+        case ast.Compare(ops=[ast.In() | ast.NotIn()]):
+            return "any"
+        case ast.Compare(ops=[_, _, *_]):
+            return "logical_and"
+        case ast.BoolOp(op=operator) | ast.BinOp(op=operator) | ast.UnaryOp(op=operator):
+            return _OPERATORS.get(type(operator), "")
+    return ""
