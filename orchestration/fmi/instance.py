@@ -120,7 +120,16 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
 
     def set_fmu_state(self, state: int) -> None:
         super().set_fmu_state(state)
+        self.forget_failure()
+
+    def forget_failure(self) -> None:
+        """What a state from before an error was set for."""
         self._failed = False
+
+    @property
+    def is_dead(self) -> bool:
+        """Whether a call returned fatal, after which FMI forbids any."""
+        return self._dead
 
     def free_fmu_state(self, state: int) -> None:
         """Free a saved state; after a fatal error nothing is called, the state goes with the library."""

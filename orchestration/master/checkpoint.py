@@ -18,8 +18,7 @@ import numpy as np
 
 from fmus.files import open_atomically
 from orchestration.errors import OrchestrationError, SystemDefinitionError
-from orchestration.master.loop_data import Report
-from orchestration.master.snapshot import changing_arrays
+from orchestration.master.loop_data import CHANGING, CHANGING_OF_CONNECTIONS, Report
 from orchestration.master.stepping import MOST_STEPS, RunInProgress
 from orchestration.system.system import CheckedSystem
 
@@ -140,7 +139,8 @@ def restore(checkpoint: Checkpoint, run: RunInProgress) -> None:
 def _saved_arrays(run: RunInProgress, position: int) -> dict[str, np.ndarray]:
     wiring = run.wiring
     return {
-        **changing_arrays(wiring),
+        **{name: getattr(wiring, name) for name in CHANGING},
+        **{name: getattr(wiring.connections, name) for name in CHANGING_OF_CONNECTIONS},
         "rows": wiring.rows[:position],
         "history": wiring.faults.history[:, : position + 1],
     }

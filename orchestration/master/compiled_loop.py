@@ -38,13 +38,22 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "loop_exchange": (ctypes.c_int, (_INDEX, _TIME, ctypes.c_int)),
     "loop_step": (ctypes.c_int, (_INDEX, _TIME, _TIME)),
     "loop_read_outputs": (ctypes.c_int, (_INDEX,)),
+    "loop_save": (ctypes.c_int, (ctypes.c_void_p,)),
+    "loop_restore": (ctypes.c_int, (ctypes.c_void_p,)),
 }
 
 
 def _members(wiring: Wiring) -> list[int]:
     """`Wiring` of loop.c: counts, then every member in its order, an array as its address."""
     sources = wiring.connections.source
-    counted = wiring.points, wiring.instances, sources, wiring.signal_index, wiring.record_index
+    counted = (
+        wiring.points,
+        wiring.instances,
+        sources,
+        wiring.signal_index,
+        wiring.record_index,
+        wiring.memory,
+    )
     return [*map(len, counted), *_flat(wiring)]
 
 

@@ -11,9 +11,13 @@ def is_discarded_step(wiring: Wiring) -> bool:
     return wiring.report[Report.FAILURE] == Call.DO_STEP and wiring.report[Report.STATUS] == DISCARD
 
 
-def failure_error(run: WiredRun, time: float) -> OrchestrationError:
-    """The error for the reported failure; time: start of the present step [s]."""
+def failure_error(run: WiredRun, time: float | None = None) -> OrchestrationError:
+    """The error for the reported failure.
+
+    time: start of the present step [s], by default the present communication point
+    """
     report = run.wiring.report
+    time = float(run.wiring.points[report[Report.POSITION]]) if time is None else time
     index = int(report[Report.INDEX])
     if report[Report.FAILURE] == Call.NOT_FINITE:
         source, target = run.bus.connections[index]

@@ -8,9 +8,10 @@
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>
+#include <string.h>
 
 enum { HOLD, FMU_DERIVATIVE, MIDPOINT };
-enum { NO_FAILURE, SET_INPUTS, SET_DERIVATIVES, DO_STEP, GET_OUTPUTS, NOT_FINITE };
+enum { NO_FAILURE, SET_INPUTS, SET_DERIVATIVES, DO_STEP, GET_OUTPUTS, GET_STATE, SET_STATE, NOT_FINITE };
 enum { RECORDED, FAILURE, COMPONENT, INDEX, STATUS, BUSY, CALLS, POSITION, TERMINATED };
 enum { OK, WARNING, DISCARD };
 enum { LAST_SUCCESSFUL_TIME = 2, IS_TERMINATED = 3 };
@@ -22,6 +23,8 @@ typedef int SetDerivatives(void *instance, const void *references, size_t count,
                            const void *values);
 typedef int DoStep(void *instance, double start, double size, int no_return_before_start);
 typedef int GetStatus(void *instance, int kind, void *value);
+typedef int GetState(void *instance, void **state);
+typedef int SetState(void *instance, void *state);
 
 typedef struct {
     const int64_t *first;
@@ -42,13 +45,14 @@ typedef struct {
 } Faults;
 
 typedef struct {
-    int64_t n_points, n_components, n_connections, n_signals, n_columns;
+    int64_t n_points, n_components, n_connections, n_signals, n_columns, n_memory;
     int64_t gauss_seidel, full_steps;
     const double *points;
     double *bus, *slopes;
     int32_t *integers;
     const void *orders;
-    const intptr_t *instances, *do_step, *real_status, *boolean_status;
+    double *memory;
+    const intptr_t *instances, *do_step, *real_status, *boolean_status, *get_state, *set_state;
     const int64_t *periods;
     const double *fixed_step_size;
     double *step_start;
@@ -265,6 +269,26 @@ static int gauss_seidel_step(Wiring *wiring, int64_t point, double start, double
 EXPORT int loop_step(Wiring *wiring, int64_t point, double start, double end) {
     return wiring->gauss_seidel ? gauss_seidel_step(wiring, point, start, end)
                                 : jacobi_step(wiring, point, start, end);
+}
+
+EXPORT int loop_save(Wiring *wiring, void **saved) {
+    memcpy(saved + wiring->n_components, wiring->memory, (size_t)wiring->n_memory * sizeof(double));
+    for (int64_t c = 0; c < wiring->n_components; c++) {
+        GetState *function = (GetState *)wiring->get_state[c];
+        wiring->report[BUSY] = c + 1;
+        if (!is_accepted(wiring, GET_STATE, c, 0, function((void *)wiring->instances[c], saved + c))) return 0;
+    }
+    return 1;
+}
+
+EXPORT int loop_restore(Wiring *wiring, void **saved) {
+    memcpy(wiring->memory, saved + wiring->n_components, (size_t)wiring->n_memory * sizeof(double));
+    for (int64_t c = 0; c < wiring->n_components; c++) {
+        SetState *function = (SetState *)wiring->set_state[c];
+        wiring->report[BUSY] = c + 1;
+        if (!is_accepted(wiring, SET_STATE, c, 0, function((void *)wiring->instances[c], saved[c]))) return 0;
+    }
+    return 1;
 }
 
 EXPORT int64_t loop_run(Wiring *wiring, int64_t first, int64_t last) {

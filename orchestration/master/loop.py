@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 
 from fmus.binding import DISCARD, LAST_SUCCESSFUL_TIME, OK, TERMINATED, WARNING
-from orchestration.master.loop_data import Call, Calls, InputMode, LoopFunctions, Report, Wiring
+from orchestration.master.loop_data import Call, Calls, InputMode, LoopFunctions, Report, SavedMemory, Wiring
 
 
 def python_loop(wiring: Wiring) -> LoopFunctions:
     """The functions below for one wiring."""
-    functions: Any = (run, exchange_and_record, exchange, step, read_outputs)
+    functions: Any = (run, exchange_and_record, exchange, step, read_outputs, save, restore)
     return LoopFunctions(*(partial(function, wiring) for function in functions))
 
 
@@ -195,11 +195,37 @@ def read_outputs(wiring: Wiring, c: int) -> bool:
     return True
 
 
+def save(wiring: Wiring, saved: SavedMemory) -> bool:
+    """Save the states of all components and what a step changes; `saved` holds earlier states, or 0."""
+    count = len(wiring.instances)
+    np.ctypeslib.as_array(saved)[count:] = wiring.memory.view(np.int64)
+    for c in range(count):
+        wiring.report[Report.BUSY] = c + 1
+        get_state = _function(_state_type, int(wiring.get_state[c]))
+        status = get_state(int(wiring.instances[c]), ctypes.addressof(saved) + c * ctypes.sizeof(_POINTER))
+        if not _is_accepted(wiring, Call.GET_STATE, c, 0, status):
+            return False
+    return True
+
+
+def restore(wiring: Wiring, saved: SavedMemory) -> bool:
+    """Set everything back to what `save` has saved."""
+    count = len(wiring.instances)
+    wiring.memory[:] = np.ctypeslib.as_array(saved)[count:].view(np.float64)
+    for c in range(count):
+        wiring.report[Report.BUSY] = c + 1
+        set_state = _function(_state_type, int(wiring.set_state[c]))
+        if not _is_accepted(wiring, Call.SET_STATE, c, 0, set_state(int(wiring.instances[c]), saved[c])):
+            return False
+    return True
+
+
 # Calls of FMI functions by their addresses.
 
 _POINTER, _SIZE, _INT = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int
 _exchange_type = ctypes.CFUNCTYPE(_INT, _POINTER, _POINTER, _SIZE, _POINTER)
 _derivatives_type = ctypes.CFUNCTYPE(_INT, _POINTER, _POINTER, _SIZE, _POINTER, _POINTER)
+_state_type = ctypes.CFUNCTYPE(_INT, _POINTER, _POINTER)
 _step_type = ctypes.CFUNCTYPE(_INT, _POINTER, ctypes.c_double, ctypes.c_double, _INT)
 _status_type = ctypes.CFUNCTYPE(_INT, _POINTER, _INT, _POINTER)
 

@@ -3,6 +3,7 @@
 `loop.c` declares the same structures, member by member.
 """
 
+import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
@@ -15,7 +16,11 @@ Array = np.ndarray
 # how an input is extrapolated between communication points
 InputMode = IntEnum("InputMode", "HOLD FMU_DERIVATIVE MIDPOINT", start=0)
 # the kinds of failure and, but for the first and the last, of calls
-Call = IntEnum("Call", "NO_FAILURE SET_INPUTS SET_DERIVATIVES DO_STEP GET_OUTPUTS NOT_FINITE", start=0)
+Call = IntEnum(
+    "Call",
+    "NO_FAILURE SET_INPUTS SET_DERIVATIVES DO_STEP GET_OUTPUTS GET_STATE SET_STATE NOT_FINITE",
+    start=0,
+)
 # indices of Wiring.report
 Report = IntEnum("Report", "RECORDED FAILURE COMPONENT INDEX STATUS BUSY CALLS POSITION TERMINATED", start=0)
 
@@ -66,6 +71,11 @@ class Connections(NamedTuple):
     sample_interval: Array
 
 
+# names of the arrays that a step changes; the record and the history of faults, which only grow, are left out
+CHANGING = ("bus", "slopes", "integers", "step_start", "warning")
+CHANGING_OF_CONNECTIONS = ("value", "slope", "sample_time", "sample", "sample_interval")
+
+
 class Faults(NamedTuple):
     """One row for each faulted connection, one column for each communication point i: the connection carries
     history[source[i]] + addition[i], or addition[i] alone where source[i] is negative."""
@@ -84,7 +94,9 @@ class Wiring(NamedTuple):
     points: communication points [s]
     bus: every exchanged value, as float64; slopes: of inputs, at their indices on the bus
     integers: Integer and Boolean values; orders: address of an array of ones, for the input derivatives
-    instances, do_step, real_status, boolean_status: addresses, one for each component
+    memory: all that a step changes, as one array of which the others are parts
+    instances, do_step, real_status, boolean_status, get_state, set_state: addresses, one for each component;
+    0 for a state that it cannot save
     periods: communication steps in one step of the component
     fixed_step_size: step size [s] of a component that cannot vary it, else 0
     step_start: time [s] at which the present step of the component starts
@@ -105,10 +117,13 @@ class Wiring(NamedTuple):
     slopes: Array
     integers: Array
     orders: int
+    memory: Array
     instances: Array
     do_step: Array
     real_status: Array
     boolean_status: Array
+    get_state: Array
+    set_state: Array
     periods: Array
     fixed_step_size: Array
     step_start: Array
@@ -138,6 +153,10 @@ class Storage:
     report: Array
 
 
+# a saved state for each component, then a copy of `Wiring.memory`; all of eight bytes
+SavedMemory = ctypes.Array[ctypes.c_int64]
+
+
 class LoopFunctions(NamedTuple):
     """The functions of the loop for one wiring: those of loop.py, without their first argument."""
 
@@ -146,3 +165,5 @@ class LoopFunctions(NamedTuple):
     exchange: Callable[[int, float, bool], bool]
     step: Callable[[int, float, float], bool]
     read_outputs: Callable[[int], bool]
+    save: Callable[[SavedMemory], bool]
+    restore: Callable[[SavedMemory], bool]

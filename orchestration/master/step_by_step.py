@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from orchestration.errors import OrchestrationError
+from orchestration.master.saved_state import SavedState
 from orchestration.master.stepped_run import Reader, SteppedRun, Writer
 from orchestration.results.recording import Recording
 from orchestration.system.experiment import Experiment
@@ -14,7 +15,7 @@ class StepByStep:
     """One run at a time, from `start` to the next `start` or `run`, or to `close`.
 
         simulator.start(Experiment(10.0, 0.01), external=["plant.force"])
-        while simulator.time < 10.0:
+        while not simulator.is_done:
             simulator.set("plant.force", -2.0 * simulator.get("plant.position"))
             simulator.step()
         recording = simulator.recording()
@@ -47,11 +48,16 @@ class StepByStep:
         """The present communication point [s]."""
         return self._started().time
 
+    @property
+    def is_done(self) -> bool:
+        """Whether the run is at its stop time, or an FMU has terminated the simulation."""
+        return self._started().is_done
+
     def step(self) -> None:
         """Step to the next communication point.
 
         Raises SimulationError if the step fails: its `recording` holds the values recorded until then;
-        OrchestrationError at the stop time.
+        OrchestrationError if the run is done.
         """
         self._started().step()
 
@@ -78,6 +84,20 @@ class StepByStep:
     def writer(self, *names: str) -> Writer:
         """A function that sets one variable, or several in this order: a quick `set`, for this run alone."""
         return self._started().writer(*names)
+
+    def save(self) -> SavedState:
+        """The whole system at the present communication point: every FMU, the connections, and the record.
+
+        Raises OrchestrationError if an FMU cannot save its state.
+        """
+        return self._started().save()
+
+    def restore(self, state: SavedState) -> None:
+        """Go back to a state that this run saved, also after a failure, or on to one on another way.
+
+        Raises OrchestrationError for a state of another run, and after an FMU returned fatal.
+        """
+        self._started().restore(state)
 
     def recording(self) -> Recording:
         """The values recorded until now, those of the present communication point included."""

@@ -36,7 +36,7 @@ class StepControl:
         self._run, self._wiring, self._loop = run, run.wiring, loop
         experiment = run.prepared.experiment
         self._signals = list(experiment.signals.values())
-        self._before = Snapshot(run)
+        self._before = Snapshot(run, loop)
         self._shortest = 0.0
         self._terminated = 0
         self.tolerance = Tolerance(run) if experiment.tolerance else None

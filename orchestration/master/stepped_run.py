@@ -10,11 +10,15 @@ from collections.abc import Callable
 from operator import itemgetter
 from typing import Any
 
+import numpy as np
+
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.master.bus import SIGNAL
 from orchestration.master.failure import reason_of
-from orchestration.master.loop_data import LoopFunctions, Report
+from orchestration.master.loop_data import LoopFunctions, Report, SavedMemory
 from orchestration.master.process_guard import ProcessGuard
+from orchestration.master.saved_state import Record, SavedState
+from orchestration.master.snapshot import free_states, new_memory, restore_after_failure
 from orchestration.master.stepping import RunInProgress
 from orchestration.master.wiring import WiredRun
 from orchestration.results.recording import Recording
@@ -28,6 +32,7 @@ Writer = Callable[..., None]
 _LOOK_EVERY_S = 1e-3  # at what FMUs changed in this process, and at their warnings
 _LARGEST = sys.float_info.max
 _POSITION = int(Report.POSITION)
+_RECORDED, _TERMINATED = int(Report.RECORDED), int(Report.TERMINATED)
 _PLAIN: dict[str, Callable[[float], Any]] = {"Real": float, "Boolean": bool}  # others: int
 
 
@@ -42,48 +47,63 @@ class SteppedRun(RunInProgress):
         self.failure = ""
         self._last = len(self.wiring.points) - 1
         self._bus, self._report = self.wiring.bus.data, self.wiring.report.data
+        self._points: Any = self.wiring.points.data
         self._driven = {target for _, target in wired.bus.connections}
+        self._special = {*wired.prepared.changes, self._last}  # points where more is due than a step
+        faults = self.wiring.faults
+        self._of_points = (
+            self.wiring.points,
+            self.wiring.signal_values.T,
+            faults.source.T,
+            faults.addition.T,
+        )
+        self._moved_point: tuple[int, list[np.ndarray]] = 0, []
         self._next_look = 0.0
+        self._unable = self.prepared.system.components_without("canGetAndSetFMUstate")
+        self._record = Record(self.wiring.rows, self.wiring.faults.history.T)
+        self._memories: list[SavedMemory] = []  # all of them
+        self._unused: list[SavedMemory] = []
 
     @property
     def time(self) -> float:
         """The present communication point [s]."""
-        return float(self.wiring.points[self.position])
+        return self._points[self._report[_POSITION]]
+
+    @property
+    def is_terminated(self) -> bool:
+        """Whether a component has terminated the simulation, at the present communication point."""
+        return bool(self._report[_TERMINATED])
+
+    @property
+    def is_done(self) -> bool:
+        """Whether the run is at its stop time, or a component has terminated the simulation."""
+        return self._report[_POSITION] == self._last or self.is_terminated
 
     def step(self) -> None:
         """Step to the next communication point. SimulationError if that fails, or the run is at its end."""
         point = self._report[_POSITION]
-        if self.failure or point == self._last:
+        is_plain = point not in self._special and time.perf_counter() < self._next_look
+        if not is_plain and (self.failure or point == self._last):
             raise OrchestrationError(self.failure or self._end())
         try:
-            if point in self.prepared.changes:
-                self._change_and_wait(None)
-            if self._is_plain():
+            if is_plain:
                 self._plain_step(point)
             else:
-                self._run_batch(point + 1)
-            if self._is_terminated():
+                self._step_and_more(point)
+            if self._report[_TERMINATED]:
                 self._finish()
-                self.failure = self._end()
+                self.failure, self._next_look = self._end(), 0.0
             elif point + 1 == self._last:
                 self._finish()
                 self.look_around()
         except Exception as error:
-            self.failure = reason_of(error)
+            self.failure, self._next_look = reason_of(error), 0.0
             raise SimulationError(self.failure, self.recording()) from error
 
     def _end(self) -> str:
         by = self._termination.get("component")
         where = f"{by} terminated the simulation at" if by else "the run is at its stop time,"
         return f"{where} {self.time:.9g} s: expected no further step"
-
-    def _is_plain(self) -> bool:
-        """Whether nothing but the step itself is due."""
-        now = time.perf_counter()
-        if now < self._next_look and not (self.step_control and self.step_control.tolerance):
-            return True
-        self._next_look = now + _LOOK_EVERY_S
-        return False
 
     def _plain_step(self, point: int) -> None:
         if self._snapshot:
@@ -92,12 +112,63 @@ class SteppedRun(RunInProgress):
             self.look_around(failed=True)
             self._repeat_discarded_step(point)
 
+    def _step_and_more(self, point: int) -> None:
+        """A step with what is due before and after it."""
+        self._change_and_wait(None)
+        self._run_batch(point + 1)
+        if not (self.step_control and self.step_control.tolerance):
+            self._next_look = time.perf_counter() + _LOOK_EVERY_S
+
+    def _go_to(self, time: float) -> None:
+        index = self.position + 1
+        before = [array[index].copy() for array in self._of_points]
+        super()._go_to(time)
+        self._moved_point = index, before
+
     def recording_now(self) -> Recording:
         """The values recorded until now, those of the present communication point included."""
         if not self.failure:
             self.record_now()
             self.look_around()
         return self.recording()
+
+    def save(self) -> SavedState:
+        """The whole system at the present communication point."""
+        if self.failure or self._unable:
+            raise OrchestrationError(self.failure or _cannot_save(self._unable))
+        if not self._unused:
+            self._memories.append(new_memory(self.wired))
+            self._unused.append(self._memories[-1])
+        memory = self._unused.pop()
+        if not self._loop.save(memory):
+            raise self._failure()
+        point = self._report[_POSITION]
+        step_size = self.step_control.step_size if self.step_control else 0.0
+        return SavedState(memory, point, step_size, self._record.keep(point), self._unused)
+
+    def restore(self, state: SavedState) -> None:
+        """Set the whole system, and its record, back to a state of this run."""
+        if state.unused is not self._unused:
+            raise OrchestrationError(_stale("saved state"))
+        if self.failure:
+            self._recover(state)
+        elif not self._loop.restore(state.memory):
+            raise self._failure()
+        if state.segment is not self._record.present:
+            self._record.return_to(state.segment)
+        self._report[_POSITION] = self._report[_RECORDED] = state.position
+        if self.step_control:
+            self.step_control.step_size = state.step_size
+
+    def _recover(self, state: SavedState) -> None:
+        """Set the system back after a failure; no call of an FMU is allowed after a fatal one."""
+        if any(instance.is_dead for instance in self.instances.values()):
+            raise OrchestrationError(self.failure)
+        restore_after_failure(self.wired, self._loop, state.memory)
+        index, before = self._moved_point
+        for array, row in zip(self._of_points, before, strict=False):
+            array[index] = row
+        self.failure, self._termination, self._moved_point = "", {}, (0, [])
 
     def get(self, name: str) -> Any:
         """The present value of a variable, in the type of Python that it has."""
@@ -145,7 +216,9 @@ class SteppedRun(RunInProgress):
             return writers[0]
 
         def write(*values: Value) -> None:
-            for write_one, value in zip(writers, values, strict=True):
+            if len(values) != len(writers):
+                raise SystemDefinitionError(f"writer of {', '.join(names)}: got {len(values)} values")
+            for write_one, value in zip(writers, values):  # noqa: B905
                 write_one(value)
 
         return write
@@ -180,7 +253,13 @@ class SteppedRun(RunInProgress):
         """End the run: free the states saved in the FMUs, and make readers and writers refuse."""
         self.failure = "the run has ended: expected start(experiment) for another"
         self._bus.release()
+        for memory in self._memories:
+            free_states(self.wired, memory)
         super().free()
+
+
+def _cannot_save(components: list[str]) -> str:
+    return f"{', '.join(components)} cannot save its state: expected canGetAndSetFMUstate"
 
 
 def _stale(what: str) -> str:

@@ -46,7 +46,7 @@ class RunInProgress:
         self._changes = sorted(wired.prepared.changes)
         self._check_interrupt: Callable[[], None] = lambda: None
         can_repeat = not wired.prepared.retry_obstacle
-        self._snapshot = Snapshot(wired) if can_repeat else None
+        self._snapshot = Snapshot(wired, loop) if can_repeat else None
         self.step_control = StepControl(wired, loop) if can_repeat else None
 
     @property
@@ -214,7 +214,7 @@ class RunInProgress:
         self.guard.restore(f"one of {names}" if len(self.instances) > 1 else names)
 
     def _failure(self) -> OrchestrationError:
-        return failure_error(self.wired, float(self.wiring.points[self.position]))
+        return failure_error(self.wired)
 
     def _change_and_wait(self, pacing: Pacing | None) -> None:
         """Make the scheduled changes of the present communication point; in real time, wait for it."""

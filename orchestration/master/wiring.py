@@ -9,6 +9,7 @@ import numpy as np
 from orchestration.fmi.instance import FmuInstance
 from orchestration.master.bus import SIGNAL, BusLayout, VariableGroup, component_of, lay_out_bus
 from orchestration.master.loop_data import (
+    CHANGING_OF_CONNECTIONS,
     Call,
     Calls,
     Connections,
@@ -46,10 +47,13 @@ def build_wiring(prepared: PreparedRun, instances: Mapping[str, FmuInstance], st
     bus, experiment = lay_out_bus(prepared), prepared.experiment
     count, periods = len(instances), np.array([prepared.periods[name] for name in instances], np.int64)
     fixed = prepared.system.components_without("canHandleVariableCommunicationStepSize")
-    values, slopes = np.zeros(len(bus.index)), np.zeros(len(bus.index))
+    unable = prepared.system.components_without("canGetAndSetFMUstate")
+    memory, parts = _memory(bus, count)
+    values, slopes, integers = parts["bus"], parts["slopes"], parts["integers"]
     for name, value in prepared.external.items():
         values[bus.index[f"{SIGNAL}{name}"]] = value
-    integers, ones = np.zeros(bus.integer_count, np.int32), np.ones(len(bus.index), np.int32)
+    parts["step_start"][:] = experiment.start_time
+    ones = np.ones(len(bus.index), np.int32)
     groups = {
         Call.SET_INPUTS: [(group, f"fmi2Set{group.type}") for group in bus.inputs],
         Call.SET_DERIVATIVES: [(group, "fmi2SetRealInputDerivatives") for group in bus.derivatives],
@@ -69,20 +73,23 @@ def build_wiring(prepared: PreparedRun, instances: Mapping[str, FmuInstance], st
         slopes=slopes,
         integers=integers,
         orders=ones.ctypes.data,
+        memory=memory,
         instances=np.array([instance.address for instance in instances.values()], np.int64),
-        do_step=_addresses(instances, "fmi2DoStep"),
-        real_status=_addresses(instances, "fmi2GetRealStatus"),
-        boolean_status=_addresses(instances, "fmi2GetBooleanStatus"),
+        do_step=_addresses("fmi2DoStep", instances),
+        real_status=_addresses("fmi2GetRealStatus", instances),
+        boolean_status=_addresses("fmi2GetBooleanStatus", instances),
+        get_state=_addresses("fmi2GetFMUstate", instances, unable),
+        set_state=_addresses("fmi2SetFMUstate", instances, unable),
         periods=periods,
         fixed_step_size=np.isin(list(instances), fixed) * periods * experiment.step_size,
-        step_start=np.full(count, experiment.start_time),
+        step_start=parts["step_start"],
         error_logged=_report_calls(instances, storage.report),
-        warning=np.zeros(count, np.int64),
+        warning=parts["warning"],
         warning_time=np.zeros(count),
         input_calls=calls(Call.SET_INPUTS, values),
         derivative_calls=calls(Call.SET_DERIVATIVES, slopes),
         output_calls=calls(Call.GET_OUTPUTS, values),
-        connections=_connections(prepared, bus),
+        connections=_connections(prepared, bus, parts),
         faults=_faults(prepared),
         signal_values=prepared.signal_values,
         signal_index=np.array([bus.index[f"{SIGNAL}{name}"] for name in experiment.signals], np.int64),
@@ -90,12 +97,29 @@ def build_wiring(prepared: PreparedRun, instances: Mapping[str, FmuInstance], st
         rows=storage.rows,
         report=storage.report,
     )
-    functions[Call.DO_STEP] = ["fmi2DoStep"]
+    functions |= {Call.DO_STEP: ["fmi2DoStep"]}
+    functions |= {Call.GET_STATE: ["fmi2GetFMUstate"], Call.SET_STATE: ["fmi2SetFMUstate"]}
     return WiredRun(prepared, instances, wiring, bus, functions, references)
 
 
-def _addresses(instances: Mapping[str, FmuInstance], function: str) -> np.ndarray:
-    return np.array([instance.function(function) for instance in instances.values()], np.int64)
+def _memory(bus: BusLayout, count: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """All that a step changes as one array, and its parts by name; count: of components."""
+    n, n_connections, n_integers = len(bus.index), len(bus.connections), bus.integer_count
+    sizes = dict.fromkeys(CHANGING_OF_CONNECTIONS, n_connections)
+    sizes |= {"bus": n, "slopes": n, "step_start": count, "warning": count, "integers": -(-n_integers // 2)}
+    memory = np.zeros(sum(sizes.values()))
+    parts: dict[str, np.ndarray] = dict(
+        zip(sizes, np.split(memory, np.cumsum([*sizes.values()])[:-1]), strict=True)
+    )
+    parts["warning"] = parts["warning"].view(np.int64)
+    parts["integers"] = parts["integers"].view(np.int32)[:n_integers]
+    return memory, parts
+
+
+def _addresses(function: str, instances: Mapping[str, FmuInstance], unable: Sequence[str] = ()) -> np.ndarray:
+    """Address of a function for each component, 0 for those that do not have it."""
+    values = [0 if name in unable else instance.function(function) for name, instance in instances.items()]
+    return np.array(values, np.int64)
 
 
 def _report_calls(instances: Mapping[str, FmuInstance], report: np.ndarray) -> np.ndarray:
@@ -130,11 +154,12 @@ def _calls(
     )
 
 
-def _connections(prepared: PreparedRun, bus: BusLayout) -> Connections:
+def _connections(prepared: PreparedRun, bus: BusLayout, parts: Mapping[str, np.ndarray]) -> Connections:
     numbers = {name: c for c, name in enumerate(prepared.system.components)}
     faults = {name: row for row, name in enumerate(prepared.fault_patterns)}
     validity = _SLOPE_VALIDITY_WITH_TOLERANCE if prepared.experiment.tolerance else _SLOPE_VALIDITY
-    count, targets = len(bus.connections), [component_of(target) for _, target in bus.connections]
+    targets = [component_of(target) for _, target in bus.connections]
+    parts["sample_time"][:] = -np.inf
     indices, limits = [], []
     for (source, target), own, mode in zip(bus.connections, targets, bus.input_modes, strict=True):
         owner, ends = component_of(source), (bus.index[source], bus.index[target])
@@ -145,11 +170,7 @@ def _connections(prepared: PreparedRun, bus: BusLayout) -> Connections:
         _first_of_each(targets, prepared.system.components),
         *_columns(indices, 5, np.int64),
         *_columns(limits, 3, np.float64),
-        value=np.zeros(count),
-        slope=np.zeros(count),
-        sample_time=np.full(count, -np.inf),
-        sample=np.zeros(count),
-        sample_interval=np.zeros(count),
+        **{name: parts[name] for name in CHANGING_OF_CONNECTIONS},
     )
 
 

@@ -2,13 +2,14 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
+from orchestration.errors import FmuWarning, OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.master import Simulator, simulate
 from orchestration.results.recording import Recording
 from orchestration.scenarios.declarations import fault
@@ -48,7 +49,7 @@ def forced(linear: Build) -> Iterator[Simulator]:
         ({"events": (Event(0.33, {"one.a": -5.0}), Event(0.4, {"two.a": -1.0}))}, STATES),
         ({"faults": (fault({"input": "two.u[1]", "kind": "delay", "delay": 0.2}, "fault"),)}, {}),
         ({"step_sizes": {"two": 0.2}, "extrapolation": 1}, {}),
-        ({"tolerance": 1e-3}, STATES),
+        ({"tolerance": 1e-2}, STATES),
     ],
     ids=["plain", "extrapolation", "events", "fault", "step sizes", "tolerance"],
 )
@@ -62,6 +63,34 @@ def test_steps_make_the_recording_of_a_run(
     assert np.array_equal(steps.values, run.values)
     assert np.array_equal(steps.time, run.time)
     assert (steps.names, steps.units, steps.provenance) == (run.names, run.units, run.provenance)
+
+
+@pytest.mark.parametrize("saves_state", [True, False])
+def test_a_discarded_step_is_taken_in_shorter_ones_as_in_a_run(rogue: Build, saves_state: bool) -> None:
+    """At once: every step is a plain one but the first."""
+    parameters = {"r.misdeed": int(Misdeed.DISCARD), "r.misdeed_time": 0.5, "r.longest_step": 0.04}
+    experiment = Experiment(1.0, 0.1, inputs={"r.u": 1.0}, parameters=parameters)
+    made = []
+    with Simulator(System({"r": rogue(saves_state=saves_state)})) as simulator:
+        for make in (simulator.run, partial(stepped, simulator)):
+            try:
+                made.append(make(experiment))
+            except SimulationError as error:
+                made.append(error.recording)
+    run, steps = made
+    assert len(run.time) == (11 if saves_state else 6)
+    assert np.array_equal(steps.values, run.values)
+    assert steps.provenance == run.provenance
+
+
+def test_warnings_of_fmus_are_emitted_and_their_traces_in_the_process_removed(rogue: Build) -> None:
+    before = Path.cwd()
+    with Simulator(System({"r": rogue()})) as simulator:
+        for misdeed, text in ((Misdeed.WARNING, "fmi2DoStep"), (Misdeed.CHANGE_FOLDER, "working directory")):
+            parameters = {"r.misdeed": int(misdeed), "r.misdeed_time": 0.5}
+            with pytest.warns(FmuWarning, match=text):
+                stepped(simulator, Experiment(1.0, 0.1, inputs={"r.u": 1.0}, parameters=parameters))
+    assert Path.cwd() == before
 
 
 def test_what_an_external_input_is_set_to_acts_like_a_signal_of_the_same_values(linear: Build) -> None:
