@@ -3,6 +3,7 @@
 #define _POSIX_C_SOURCE 200809L
 
 #include <signal.h>
+#include <stddef.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -50,23 +51,24 @@ EXPORT int guard_restore_float_mode(void) {
     return 1;
 }
 
-/* Handlers of signals, by number. */
-
-enum { MOST_SIGNALS = 32 };
+/* Handlers of those signals that programs live by. */
 
 #ifdef _WIN32
 EXPORT int64_t guard_changed_handlers(void) { return 0; }
 EXPORT void guard_handler(int number, int is_restored) { (void)number, (void)is_restored; }
 #else
-static struct sigaction handlers[MOST_SIGNALS];
+enum { MOST_SIGNALS = 32 };
+static const int signals[] = {SIGHUP,  SIGINT,  SIGILL,  SIGABRT, SIGFPE,
+                              SIGSEGV, SIGPIPE, SIGALRM, SIGTERM, SIGCHLD};
+static struct sigaction handlers[MOST_SIGNALS]; /* by number */
 
 /* The set of signals, a bit each, whose handler is not the one that was noted. */
 EXPORT int64_t guard_changed_handlers(void) {
     struct sigaction now;
     int64_t changed = 0;
-    for (int number = 1; number < MOST_SIGNALS; number++)
-        if (!sigaction(number, NULL, &now) && now.sa_handler != handlers[number].sa_handler)
-            changed |= (int64_t)1 << number;
+    for (size_t i = 0; i < sizeof signals / sizeof *signals; i++)
+        if (!sigaction(signals[i], NULL, &now) && now.sa_handler != handlers[signals[i]].sa_handler)
+            changed |= (int64_t)1 << signals[i];
     return changed;
 }
 

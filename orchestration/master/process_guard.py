@@ -7,7 +7,6 @@ once; for `_exit` see `fmus/watched.py`. FMUs in a process of their own (`timeou
 """
 
 import atexit
-import contextlib
 import ctypes
 import locale
 import os
@@ -16,7 +15,6 @@ import threading
 import warnings
 from collections.abc import Iterable
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 
@@ -140,14 +138,15 @@ def _runs() -> np.ndarray:
 
 def _identity(descriptor: int) -> tuple[int, int] | None:
     """What tells an open file from others; None if it is not open."""
-    with contextlib.suppress(OSError):
-        status = os.fstat(descriptor)
-        return status.st_dev, status.st_ino
-    return None
-
-
-def _working_directory() -> Path | None:
     try:
-        return Path.cwd()
+        status = os.fstat(descriptor)
+    except OSError:
+        return None
+    return status.st_dev, status.st_ino
+
+
+def _working_directory() -> str | None:
+    try:
+        return os.getcwd()  # noqa: PTH109  quicker, and it is asked for after each batch of steps
     except OSError:  # it was removed
         return None

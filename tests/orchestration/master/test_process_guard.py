@@ -95,14 +95,14 @@ def test_a_handler_that_python_changes_during_a_run_is_no_fault_of_an_fmu(
     linear: Build, rogue: Build
 ) -> None:
     def change(done: int, total: int) -> None:
-        signal.signal(signal.SIGUSR1, signal.SIG_IGN)
+        signal.signal(signal.SIGALRM, signal.SIG_IGN)
 
-    before = signal.getsignal(signal.SIGUSR1)
+    before = signal.getsignal(signal.SIGALRM)
     try:
         simulate(pair(linear, rogue), doing(Misdeed.NONE), progress=change)
-        assert signal.getsignal(signal.SIGUSR1) == signal.SIG_IGN
+        assert signal.getsignal(signal.SIGALRM) == signal.SIG_IGN
     finally:
-        signal.signal(signal.SIGUSR1, before)
+        signal.signal(signal.SIGALRM, before)
 
 
 def test_a_run_ends_whose_fmu_closes_files_of_the_process(rogue: Build) -> None:
