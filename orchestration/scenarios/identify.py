@@ -14,8 +14,6 @@ from pathlib import Path
 
 import numpy as np
 import tomli_w
-from scipy.optimize import least_squares
-from scipy.stats import qmc
 
 from fmus.files import write_text_atomically
 from orchestration.errors import OrchestrationError
@@ -113,6 +111,9 @@ def identify(
     starts: how many of them go to points drawn over the whole range
     progress: called with the lowest cost (half the sum of squares) after every evaluation
     """
+    from scipy.optimize import least_squares  # here, as the processes of the pool import this module too
+    from scipy.stats import qmc
+
     if not 1 <= starts < evaluations:
         raise OrchestrationError(f"evaluations {evaluations}: expected more than the {starts} starts")
     with worker_pool(len(SCENARIOS)) as submit:

@@ -1,7 +1,9 @@
 """A scenario whose signals are components is the same experiment, whatever the units of its inputs."""
 
+import shutil
 import zipfile
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -22,8 +24,9 @@ from orchestration.system.signals import Constant, Ramps
 from orchestration.system.system import System
 
 Build = Callable[..., Path]
+BuildSource = Callable[[RampSource, Path], Path]
 STRAIGHT = Ramps(((1.0, 0.5), (2.0, 3.0), (2.5, 3.0), (4.0, -1.0)))
-SMOOTH = Ramps(((0.0, 1.0), (4.0, 2.0)), smooth=True)
+SMOOTH = Ramps(((0.0, 1.0), (1.0, 1.0), (2.0, 1.5), (4.0, 2.0)), smooth=True)  # as many points
 
 
 UNITS = {
@@ -58,9 +61,21 @@ def with_unit(description: bytes, unit: str, definition: str) -> bytes:
     return ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
 
 
-def packaged(mine: Scenario, folder: Path) -> Recording:
+@pytest.fixture(scope="module")
+def build_once(tmp_path_factory: pytest.TempPathFactory) -> BuildSource:
+    """`build_ramp_source`, which compiles equal sources once."""
+    folder = tmp_path_factory.mktemp("sources")
+
+    @cache
+    def built(source: RampSource) -> Path:
+        return build_ramp_source(source, folder / f"{len(list(folder.iterdir()))}")
+
+    return lambda source, folder: Path(shutil.copy(built(source), folder))
+
+
+def packaged(mine: Scenario, folder: Path, build: BuildSource) -> Recording:
     """What our master records of a scenario's package."""
-    package = ssp_write.package(mine, folder / "mine.ssp", build_ramp_source)
+    package = ssp_write.package(mine, folder / "mine.ssp", build)
     with ssp_read.opened(package) as loop:
         return simulate(loop.system, loop.experiment)
 
@@ -79,22 +94,26 @@ def test_the_run_is_the_scenarios_own(name: str, rounding: float, tmp_path: Path
     np.testing.assert_allclose(driven.values, own.values, rtol=0.0, atol=rounding)
 
 
-def test_inputs_of_every_unit_are_packaged(lags: dict[str, Path], tmp_path: Path) -> None:
+def test_inputs_of_every_unit_are_packaged(
+    lags: dict[str, Path], tmp_path: Path, build_once: BuildSource
+) -> None:
     """In N, in rad/s, in a unit that only the driven FMU defines, and without a unit; ramps are straight."""
     signals = {f"{name}.u[1]": STRAIGHT for name in lags}
     experiment = Experiment(5.0, 0.125, signals=signals)
     mine = Scenario("mine", "Ramps in every unit", System(lags), experiment, {})
-    own, read_back = simulate(mine.system, mine.experiment), packaged(mine, tmp_path)
+    own, read_back = simulate(mine.system, mine.experiment), packaged(mine, tmp_path, build_once)
     np.testing.assert_array_equal(read_back.time, own.time)
     for name in lags:
         np.testing.assert_array_equal(read_back[f"{name}.y[1]"], own[f"{name}.y[1]"], err_msg=name)
 
 
-def test_the_source_has_the_name_and_the_unit_of_the_input(lags: dict[str, Path], tmp_path: Path) -> None:
+def test_the_source_has_the_name_and_the_unit_of_the_input(
+    lags: dict[str, Path], tmp_path: Path, build_once: BuildSource
+) -> None:
     signals = {f"{name}.u[1]": SMOOTH for name in lags}
     mine = Scenario("mine", "", System(lags), Experiment(5.0, 0.125, signals=signals), {})
     sources = ramp_sources([mine])
-    assert sources["newton.u[1]"] == RampSource("u_1", "N", 2, lags["newton"])
+    assert sources["newton.u[1]"] == RampSource("u_1", "N", 4, lags["newton"])
     assert [sources[target].name for target in signals] == [
         "u_1",
         "angular_u_1",
@@ -103,7 +122,7 @@ def test_the_source_has_the_name_and_the_unit_of_the_input(lags: dict[str, Path]
     ]
     units = {}
     for target, source in sources.items():
-        (output,) = of_causality(describe(build_ramp_source(source, tmp_path / source.name)), "output")
+        (output,) = of_causality(describe(build_once(source, tmp_path)), "output")
         units[target] = output.unit
         assert output.name == source.name
     assert units == {"newton.u[1]": "N", "angular.u[1]": "rad/s", "furlong.u[1]": None, "unitless.u[1]": None}
@@ -116,7 +135,7 @@ def test_one_point_and_many_points_are_handed_on(linear: Build, tmp_path: Path) 
         experiment = Experiment(4.0, 0.125, signals={"a.u[1]": signal})
         mine = Scenario("mine", "", System({"a": through}), experiment, {})
         own = simulate(mine.system, mine.experiment)
-        np.testing.assert_array_equal(packaged(mine, tmp_path)["a.y[1]"], own["a.y[1]"])
+        np.testing.assert_array_equal(packaged(mine, tmp_path, build_ramp_source)["a.y[1]"], own["a.y[1]"])
 
 
 def test_another_signal_is_refused(linear: Build) -> None:
