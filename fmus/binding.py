@@ -26,6 +26,10 @@ _STATUS_NAMES = ("ok", "warning", "discard", "error", "fatal", "pending")
 ELEMENTS = {"Real": fmi2.fmi2Real, "Integer": fmi2.fmi2Integer, "Boolean": fmi2.fmi2Boolean}
 
 
+def _element(transfer_type: str) -> Any:
+    return fmi2.fmi2String if transfer_type == "String" else ELEMENTS[transfer_type]
+
+
 def status_name(status: int) -> str:
     """The name of an fmi2Status; a number that is none is named as it is."""
     return _STATUS_NAMES[status] if 0 <= status < len(_STATUS_NAMES) else f"status {status}"
@@ -259,15 +263,14 @@ class BoundInstance(ABC):
         self.check_status(function, self.status(function, *arguments))
 
     def get_values(self, transfer_type: str, references: Sequence[int]) -> list[Any]:
-        """The values of numbers of one type, in one call."""
-        buffer = (ELEMENTS[transfer_type] * len(references))()
+        """The values of variables of one type, in one call; Strings as bytes."""
+        buffer = (_element(transfer_type) * len(references))()
         self.call(f"fmi2Get{transfer_type}", reference_array(references), len(references), buffer)
         return list(buffer)
 
     def set_values(self, transfer_type: str, references: Sequence[int], values: Sequence[Any]) -> None:
         """Set variables of one type in one call; Strings are given as bytes."""
-        element = fmi2.fmi2String if transfer_type == "String" else ELEMENTS[transfer_type]
-        buffer = (element * len(references))(*values)
+        buffer = (_element(transfer_type) * len(references))(*values)
         self.call(f"fmi2Set{transfer_type}", reference_array(references), len(references), buffer)
 
     def set_up_experiment(self, start_time: float, stop_time: float | None = None) -> None:

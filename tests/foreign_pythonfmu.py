@@ -8,7 +8,7 @@ from pythonfmu.builder import FmuBuilder
 _HEAD = """
     import ctypes
 
-    from pythonfmu import Boolean, Fmi2Causality, Fmi2Slave, Fmi2Variability, Integer, Real
+    from pythonfmu import Boolean, Fmi2Causality, Fmi2Slave, Fmi2Variability, Integer, Real, String
 
     from pythonfmu.enums import Fmi2Status
 
@@ -47,6 +47,27 @@ _SOURCES = {
                 self.register_variable(Boolean("d", causality=OUTPUT, getter=lambda: not self.b, **common))
 
             def do_step(self, t, h):
+                return True
+    """,
+    # appends to the String that it is given; `length` is a local variable, `twice` a calculated parameter
+    "Diary": """
+        class Diary(Fmi2Slave):
+            def __init__(self, **kwargs):
+                super().__init__(**kwargs)
+                self.entry, self.page, self.length, self.gain = "", "begun", 0.0, 2.0
+                discrete = {"variability": Fmi2Variability.discrete}
+                fixed = {"variability": Fmi2Variability.fixed}
+                self.register_variable(String("entry", causality=INPUT, start="", **discrete))
+                self.register_variable(String("page", causality=OUTPUT, **discrete))
+                self.register_variable(Real("length", causality=Fmi2Causality.local))
+                self.register_variable(Real("gain", causality=Fmi2Causality.parameter, start=2.0,
+                                            variability=Fmi2Variability.tunable))
+                self.register_variable(Real("twice", causality=Fmi2Causality.calculatedParameter,
+                                            getter=lambda: 2.0 * self.gain, **fixed))
+
+            def do_step(self, t, h):
+                self.page = self.entry + "|"
+                self.length = self.gain * len(self.page)
                 return True
     """,
     "Discards": """

@@ -100,7 +100,8 @@ def _print_end(recording: "Recording") -> None:
     """Which FMU terminated the run before its stop time, if one did."""
     terminated = recording.provenance.get("terminated")
     if terminated:
-        print(f"{terminated['component']} terminated the simulation at t = {terminated['time_s']:.9g} s")
+        where = f"{terminated['component']} terminated the simulation at t = {terminated['time_s']:.9g} s"
+        print("; ".join([where, *terminated["messages"]]))
 
 
 def _print_pace(recording: "Recording") -> None:

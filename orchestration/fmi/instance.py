@@ -51,6 +51,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         self.is_fresh, self._stepping, self._failed, self._dead = True, False, False, False
         self.number, self.busy, self.calls = 1, np.zeros(1, np.int64), np.zeros(1, np.int64)
         self.after_call: Callable[[], object] = lambda: None
+        self.termination_log: list[str] = []
         callbacks = Callbacks()
         try:
             with contextlib.ExitStack() as resources:
@@ -87,7 +88,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         self.log.clear()
         self._dead = self._dead or status == FATAL
         if status == 0:
-            self.is_fresh, self._stepping, self._failed = True, False, False
+            self.is_fresh, self._stepping, self._failed, self.termination_log = True, False, False, []
         return status == 0
 
     def set(self, variable: ScalarVariable, value: Any) -> None:
@@ -104,8 +105,9 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
             self.set_values(transfer_type, *zip(*members, strict=True))
 
     def get(self, variable: ScalarVariable) -> Any:
-        """Read one number, outside the loop."""
-        return self.get_values(TRANSFER_TYPE[variable.type], [variable.valueReference])[0]
+        """Read one variable, outside the loop."""
+        (value,) = self.get_values(TRANSFER_TYPE[variable.type], [variable.valueReference])
+        return (value or b"").decode("utf-8", "replace") if variable.type == "String" else value
 
     def initialise(self, start_time: float, stop_time: float | None) -> None:
         """Set the experiment up and enter initialization mode."""
@@ -144,7 +146,13 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         return time.value if status == 0 else None
 
     def terminates(self) -> bool:
-        """Whether the FMU discarded the step because it terminates the simulation (FMI 2.0.5, 4.2.3)."""
+        """Whether the FMU discarded the step because it terminates the simulation (FMI 2.0.5, 4.2.3).
+
+        `termination_log` then holds what it logged. An FMU that logged an error has failed.
+        """
+        if self.log.error_logged[0]:
+            return False
+        self.termination_log = [message for _, message in self.log]
         answer = ctypes.c_int()
         status = self.status("fmi2GetBooleanStatus", TERMINATED, ctypes.byref(answer))
         self._remember(status)

@@ -4,6 +4,7 @@ Solved by fixed-point iteration, by Newton's method, or by both in this order.
 """
 
 import math
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -29,17 +30,23 @@ class NoSolutionError(Exception):
 
 
 def exchange_once(connections: Sequence[Connection], instances: Mapping[str, FmuInstance]) -> list[float]:
-    """Read each output and set its input, one connection after the other; returns the values."""
+    """Read each output and set its input, one connection after the other; returns the values as numbers."""
     values = []
     for source, target in connections:
         value = instances[source.component].get(source.variable)
-        if not math.isfinite(value):
+        number = _number(value)
+        if not math.isfinite(number):
             raise NoSolutionError(
                 f"{source.name} is {value:g}: expected a finite number, as it goes to {target.name}"
             )
         instances[target.component].set(target.variable, value)
-        values.append(value)
+        values.append(number)
     return values
+
+
+def _number(value: Any) -> float:
+    """The value; of a String, a number that tells it from others."""
+    return float(zlib.crc32(value.encode()) if isinstance(value, str) else value)
 
 
 def solve_loop(
@@ -70,12 +77,12 @@ class _Loop:
     def __init__(self, connections: Sequence[Connection], instances: Mapping[str, FmuInstance]) -> None:
         self.connections, self.instances = connections, instances
         self.nominal = np.array([_nominal(connection) for connection in connections])
-        self.is_real = all(target.variable.type == "Real" for _, target in connections)
+        self.is_real = all(port.variable.type == "Real" for ends in connections for port in ends)
         self.names = ", ".join(target.name for _, target in connections)
 
     def values(self) -> np.ndarray:
         """The present inputs x, shape (n,)."""
-        return np.array([self.instances[t.component].get(t.variable) for _, t in self.connections], float)
+        return np.array([_number(self.instances[t.component].get(t.variable)) for _, t in self.connections])
 
     def outputs(self, values: np.ndarray) -> np.ndarray:
         """F(x): set the inputs, then read the outputs."""

@@ -37,7 +37,8 @@ class BusLayout:
     """connections: (source, target) of connections and signals, in the order of the target's component
 
     input_modes: of the connections
-    outputs, inputs: the variables that are read and set; integer_count: how many of them are not Real
+    outputs, inputs: the variables that are read, which need not be outputs, and those that are set
+    integer_count: how many of them are not Real
     derivatives: the inputs whose derivatives are set
     index: name -> index on the bus
     """
@@ -60,12 +61,11 @@ def lay_out_bus(prepared: PreparedRun) -> BusLayout:
     connections = tuple(sorted(pairs, key=lambda pair: order[component_of(pair[1])]))
     modes = {target: _input_mode(prepared, source, target) for source, target in connections}
     smooth = {target for target, mode in modes.items() if mode is InputMode.FMU_DERIVATIVE}
-    outputs = _variables_by_type(
-        prepared, "output", {*prepared.recorded, *(s for s, _ in connections)}, smooth
-    )
+    read = {*prepared.recorded, *(source for source, _ in connections)} - modes.keys()
+    outputs = _variables_by_type(prepared, read, smooth)
     groups: list[VariableGroup] = []
     size = integer_count = 0
-    for component, fmi_type, members in (*outputs, *_variables_by_type(prepared, "input", {*modes}, smooth)):
+    for component, fmi_type, members in (*outputs, *_variables_by_type(prepared, {*modes}, smooth)):
         is_real = fmi_type == "Real"
         groups.append(VariableGroup(component, fmi_type, members, size, -1 if is_real else integer_count))
         size += len(members)
@@ -101,7 +101,7 @@ def _input_mode(prepared: PreparedRun, source: str, target: str) -> InputMode:
 
 
 def _variables_by_type(
-    prepared: PreparedRun, causality: str, names: set[str], first: set[str]
+    prepared: PreparedRun, names: set[str], first: set[str]
 ) -> list[tuple[str, str, tuple[ScalarVariable, ...]]]:
     """(component, type of getter and setter, variables) of the variables of these names.
 
@@ -109,7 +109,7 @@ def _variables_by_type(
     """
     groups: dict[tuple[str, str], list[Port]] = {}
     for name, port in prepared.system.ports.items():
-        if name in names and port.variable.causality == causality:
+        if name in names:
             groups.setdefault((port.component, TRANSFER_TYPE[port.variable.type]), []).append(port)
     for members in groups.values():
         members.sort(key=lambda port: port.name not in first)

@@ -22,8 +22,8 @@ from orchestration.master.loop_data import CHANGING, CHANGING_OF_CONNECTIONS, Re
 from orchestration.master.stepping import MOST_STEPS, RunInProgress
 from orchestration.system.system import CheckedSystem
 
-_VERSION = 2
-_HEAD = ("position", "time", "step_size", "past")  # members of a checkpoint that are plain data
+_VERSION = 3
+_HEAD = ("position", "time", "step_size", "past", "texts")  # members of a checkpoint that are plain data
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,7 @@ class Checkpoint:
     position, time: index and time [s] of the communication point
     step_size: next step size of the step control [s]
     past: part of the run -> digest of its data until then
+    texts: of Strings, whose numbers are in the arrays
     states: component -> serialised state of its FMU; arrays: those of the loop, by name
     """
 
@@ -40,6 +41,7 @@ class Checkpoint:
     time: float
     step_size: float
     past: Mapping[str, str]
+    texts: list[str]
     states: Mapping[str, bytes]
     arrays: Mapping[str, np.ndarray]
 
@@ -103,6 +105,7 @@ def capture(run: RunInProgress) -> Checkpoint:
         time=float(wiring.points[position]),
         step_size=run.step_control.step_size if run.step_control else 0.0,
         past=_past(run, position),
+        texts=run.wired.texts.table,
         states=states,
         arrays={name: array.copy() for name, array in _saved_arrays(run, position).items()},
     )
@@ -126,6 +129,7 @@ def restore(checkpoint: Checkpoint, run: RunInProgress) -> None:
         if saved is None or (saved.shape, saved.dtype) != (array.shape, array.dtype):
             raise OrchestrationError(f"the checkpoint is damaged: expected {name} of shape {array.shape}")
         array[:] = saved
+    run.wired.texts.table = checkpoint.texts
     run.wiring.report[Report.RECORDED] = position
     for name, instance in run.instances.items():
         state = instance.deserialize_fmu_state(checkpoint.states[name])

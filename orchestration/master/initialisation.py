@@ -36,18 +36,20 @@ def initialise(
 ) -> None:
     """Bring new instances to step mode with consistent initial values; groups: of `connection_groups`."""
     experiment = prepared.experiment
-    settings: dict[tuple[str, str | None], list[tuple[ScalarVariable, Any]]] = defaultdict(list)
+    settings: dict[tuple[str, bool], list[tuple[ScalarVariable, Any]]] = defaultdict(list)
     for port, value in prepared.settings:
-        settings[port.component, port.variable.causality].append((port.variable, value))
+        is_input = port.variable.causality == "input"
+        settings[port.component, is_input].append((port.variable, value))
     for name, instance in instances.items():
-        instance.set_all(settings[name, "parameter"])
+        instance.set_all(settings[name, False])
     for instance in instances.values():
         instance.initialise(experiment.start_time, experiment.stop_time)
     for name, instance in instances.items():
-        instance.set_all(settings[name, "input"])
+        instance.set_all(settings[name, True])
     for name, values in zip(experiment.signals, prepared.signal_values, strict=True):
         port = prepared.system.ports[name]
-        instances[port.component].set(port.variable, float(values[0]))
+        value = float(values[0])
+        instances[port.component].set(port.variable, value if port.variable.type == "Real" else int(value))
     solve_initial_values(groups, instances, Initialisation(experiment.initialisation))
     for instance in instances.values():
         instance.exit_initialization_mode()

@@ -208,7 +208,7 @@ static int do_step(Wiring *wiring, int64_t c, double end) {
     int status;
     wiring->report[BUSY] = c + 1;
     status = function((void *)wiring->instances[c], start, size, 1);
-    if (status == DISCARD && terminates_at(wiring, c, end)) {
+    if (status == DISCARD && !wiring->error_logged[c] && terminates_at(wiring, c, end)) {
         wiring->report[TERMINATED] = c + 1;
         status = OK;
     }

@@ -241,7 +241,7 @@ def _do_step(wiring: Wiring, c: int, end: float) -> bool:
     wiring.report[Report.BUSY] = c + 1
     do_step = _function(_step_type, int(wiring.do_step[c]))
     status = do_step(int(wiring.instances[c]), start, size, 1)
-    if status == DISCARD and _terminates_at(wiring, c, end):
+    if status == DISCARD and not wiring.error_logged[c] and _terminates_at(wiring, c, end):
         wiring.report[Report.TERMINATED] = c + 1
         status = OK
     return _is_accepted(wiring, Call.DO_STEP, c, 0, status)

@@ -1,6 +1,6 @@
 """The recording of a run: its recorded values, and the provenance that follows from the prepared run."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,19 +10,28 @@ from orchestration.system.prepared_run import PreparedRun
 
 
 def make_recording(
-    prepared: PreparedRun, rows: np.ndarray, count: int, more: Mapping[str, Any] = {}
+    prepared: PreparedRun,
+    rows: np.ndarray,
+    count: int,
+    texts: Sequence[str] = (),
+    more: Mapping[str, Any] = {},
 ) -> Recording:
     """The recorded values at the first `count` communication points.
 
-    rows: shape `prepared.shape`; more: further entries of the provenance
+    rows: shape `prepared.shape`; texts: of Strings, by their numbers; without them Strings are empty
+    more: further entries of the provenance
     """
-    ports = prepared.system.ports
+    ports, values = prepared.system.ports, np.array(rows[:count])
+    is_string = np.array([ports[name].variable.type == "String" for name in prepared.recorded], bool)
+    if not texts:
+        values[:, is_string] = 0.0
     return Recording(
         names=prepared.recorded,
         units=tuple(ports[name].variable.unit or "" for name in prepared.recorded),
         time=prepared.points[:count].copy(),
-        values=np.array(rows[:count]),
+        values=values,
         provenance=_provenance(prepared) | dict(more),
+        texts={prepared.recorded[i]: tuple(texts or ("",)) for i in np.flatnonzero(is_string)},
     )
 
 

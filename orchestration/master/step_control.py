@@ -35,7 +35,12 @@ class StepControl:
     def __init__(self, run: WiredRun, loop: LoopFunctions) -> None:
         self._run, self._wiring, self._loop = run, run.wiring, loop
         experiment = run.prepared.experiment
-        self._signals = list(experiment.signals.values())
+        ports, indices = run.prepared.system.ports, run.wiring.signal_index.tolist()
+        self._signals = [  # others keep the value of the communication point
+            (index, signal)
+            for index, (name, signal) in zip(indices, experiment.signals.items(), strict=True)
+            if ports[name].variable.type == "Real"
+        ]
         self._before = Snapshot(run, loop)
         self._shortest = 0.0
         self._terminated = 0
@@ -113,7 +118,7 @@ class StepControl:
         """Step from `start` to `end`; False if a component discarded the step."""
         wiring = self._wiring
         if start != wiring.points[point]:
-            for index, signal in zip(wiring.signal_index, self._signals, strict=True):
+            for index, signal in self._signals:
                 wiring.bus[index] = signal(start)
             if not self._loop.exchange(point, start, False):
                 raise failure_error(self._run, start)
@@ -161,7 +166,8 @@ class Tolerance:
 
     def __init__(self, run: WiredRun) -> None:
         experiment, ports = run.prepared.experiment, run.prepared.system.ports
-        names = [name for group in run.bus.outputs if group.type == "Real" for name in group.names]
+        read = [name for group in run.bus.outputs if group.type == "Real" for name in group.names]
+        names = [name for name in read if ports[name].variable.causality == "output"]
         driven = {ports[target] for _, target in run.bus.connections}
         self.order = 1 + experiment.extrapolation
         self.bus_index = np.array([run.bus.index[name] for name in names], np.int64)

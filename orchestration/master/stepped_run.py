@@ -23,7 +23,6 @@ from orchestration.master.stepping import RunInProgress
 from orchestration.master.wiring import WiredRun
 from orchestration.results.recording import Recording
 from orchestration.system.prepared_run import check_changeable
-from orchestration.system.system import Port
 from orchestration.system.values import Value, fmi_value, value_range
 
 Reader = Callable[[], Any]
@@ -92,6 +91,7 @@ class SteppedRun(RunInProgress):
                 self._step_and_more(point)
             if self._report[_TERMINATED]:
                 self._finish()
+                self.look_around()
                 self.failure, self._next_look = self._end(), 0.0
             elif point + 1 == self._last:
                 self._finish()
@@ -173,7 +173,7 @@ class SteppedRun(RunInProgress):
     def get(self, name: str) -> Any:
         """The present value of a variable, in the type of Python that it has."""
         port = self.prepared.system.port(name, "get")
-        if name not in self.wired.bus.index:
+        if name not in self.wired.bus.index or port.variable.type == "String":
             return self.instances[port.component].get(port.variable)
         return _PLAIN.get(port.variable.type, int)(self.reader(name)())
 
@@ -187,6 +187,9 @@ class SteppedRun(RunInProgress):
         index = self.wired.bus.index
         if not names:
             raise SystemDefinitionError("reader: expected the name of a variable, or several")
+        for port in ports:
+            if port.variable.type == "String":
+                raise SystemDefinitionError(f"reader: {port.name}: expected a number, got a String; use get")
         if not all(name in index for name in names):
             getters = [(self.instances[port.component].get, port.variable) for port in ports]
             values = lambda: tuple(get(variable) for get, variable in getters)  # noqa: E731
@@ -228,7 +231,7 @@ class SteppedRun(RunInProgress):
         check_changeable(self.prepared.system, name, "set", self._driven - external.keys())
         port = self.prepared.system.ports[name]
         if name not in external:
-            return lambda value: self._set_in_fmu(port, value)
+            return lambda value: self._set_in_fmu(port, fmi_value(port, value))
         bus: Any = self._bus  # of float64, which typing does not know
         index = self.wired.bus.index[f"{SIGNAL}{name}"]
         low, high = (max(-_LARGEST, min(limit, _LARGEST)) for limit in value_range(port))
@@ -243,11 +246,6 @@ class SteppedRun(RunInProgress):
                 raise OrchestrationError(_stale("writer")) from None
 
         return write
-
-    def _set_in_fmu(self, port: Port, value: Value) -> None:
-        instance = self.instances[port.component]
-        instance.time = self.time
-        instance.set(port.variable, fmi_value(port, value))
 
     def free(self) -> None:
         """End the run: free the states saved in the FMUs, and make readers and writers refuse."""

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Protocol
 
+from fmus.fmi_types import FmiValue
 from orchestration.errors import OrchestrationError
 from orchestration.master.failure import emit_warnings, failure_error, is_discarded_step
 from orchestration.master.loop_data import LoopFunctions, Report
@@ -21,6 +22,7 @@ from orchestration.master.snapshot import Snapshot
 from orchestration.master.step_control import StepControl
 from orchestration.master.wiring import WiredRun
 from orchestration.results.recording import Recording
+from orchestration.system.system import Port
 
 _BATCH_S = 0.05
 _GROWTH = 8  # largest growth of a batch from one to the next: the first ones measure how long a step takes
@@ -121,8 +123,9 @@ class RunInProgress:
         if self._snapshot:
             self._snapshot.take()
         start, reached = self.position, self._loop.run(self.position, end)
+        is_terminated = self._is_terminated()
         self.look_around(failed=reached < end)
-        if reached < end and not self._is_terminated():
+        if reached < end and not is_terminated:
             self._repeat_discarded_step(start)
         return reached < end
 
@@ -158,8 +161,8 @@ class RunInProgress:
         except KeyboardInterrupt:  # between two communication points nothing can be saved
             self._snapshot.restore()
             raise
-        self.look_around()
         self._is_terminated(reached)
+        self.look_around()
         self._go_to(reached)
 
     def _terminate_within_step(self) -> None:
@@ -173,12 +176,12 @@ class RunInProgress:
             obstacle = self.prepared.retry_obstacle
             raise OrchestrationError(f"{self._failure()}; no shorter step was tried, as {obstacle}")
         self.wiring.report[Report.TERMINATED] = component + 1
-        self.look_around()
         before, after = self.wiring.points[self.position : self.position + 2].tolist()
         reached = instance.last_successful_time()
         if reached is None or not reached <= after:
             reached = before
         self._is_terminated(reached)
+        self.look_around()
         if len(self.instances) == 1 and reached > before:
             self._go_to(reached)
             self.read_outputs()
@@ -188,7 +191,9 @@ class RunInProgress:
         component = int(self.wiring.report[Report.TERMINATED])
         if component and not self._termination:
             time = float(self.wiring.points[self.position]) if time is None else time
-            self._termination = {"component": list(self.instances)[component - 1], "time_s": time}
+            instance = list(self.instances.values())[component - 1]
+            messages = instance.termination_log or [message for _, message in instance.log]
+            self._termination = {"component": instance.name, "time_s": time, "messages": messages}
         return component > 0
 
     def _go_to(self, time: float) -> None:
@@ -218,13 +223,20 @@ class RunInProgress:
 
     def _change_and_wait(self, pacing: Pacing | None) -> None:
         """Make the scheduled changes of the present communication point; in real time, wait for it."""
-        now = float(self.wiring.points[self.position])
         for port, value in self.prepared.changes.get(self.position, ()):
-            instance = self.instances[port.component]
-            instance.time = now
-            instance.set(port.variable, value)
+            self._set_in_fmu(port, value)
         if pacing:
-            pacing.wait(now, self._check_interrupt)
+            pacing.wait(float(self.wiring.points[self.position]), self._check_interrupt)
+
+    def _set_in_fmu(self, port: Port, value: FmiValue) -> None:
+        """Set a parameter or an input that nothing drives; it is recorded from the present point on."""
+        instance = self.instances[port.component]
+        instance.time = float(self.wiring.points[self.position])
+        instance.set(port.variable, value)
+        index = self.wired.bus.index.get(port.name)
+        if index is not None:
+            is_text = isinstance(value, str)
+            self.wiring.bus[index] = self.wired.texts.number(value) if is_text else value
 
     def recording(self, pacing: Pacing | None = None) -> Recording:
         """The values recorded until now."""
@@ -233,7 +245,7 @@ class RunInProgress:
         more = dict(statistics) if any(statistics.values()) else {}
         more |= {"terminated": self._termination} if self._termination else {}
         pace = {"real_time": pacing.report()} if pacing else {}
-        return make_recording(self.prepared, self.wiring.rows, count, more | pace)
+        return make_recording(self.prepared, self.wiring.rows, count, self.wired.texts.table, more | pace)
 
     def free(self) -> None:
         """Free the states that were saved in the FMUs."""

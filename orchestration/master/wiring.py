@@ -18,6 +18,7 @@ from orchestration.master.loop_data import (
     Storage,
     Wiring,
 )
+from orchestration.master.texts import Texts
 from orchestration.system.experiment import Algorithm
 from orchestration.system.prepared_run import PreparedRun
 
@@ -32,6 +33,7 @@ class WiredRun:
 
     functions: kind of call -> the FMI function of each of its rows
     references: value references and orders, whose addresses are in the wiring
+    texts: the values of Strings
     """
 
     prepared: PreparedRun
@@ -40,6 +42,7 @@ class WiredRun:
     bus: BusLayout
     functions: Mapping[int, Sequence[str]]
     references: Sequence[np.ndarray]
+    texts: Texts
 
 
 def build_wiring(prepared: PreparedRun, instances: Mapping[str, FmuInstance], storage: Storage) -> WiredRun:
@@ -61,9 +64,10 @@ def build_wiring(prepared: PreparedRun, instances: Mapping[str, FmuInstance], st
     }
     functions = {int(kind): [function for _, function in rows] for kind, rows in groups.items()}
     references: list[np.ndarray] = [ones]
+    texts = Texts()
 
     def calls(kind: Call, reals: np.ndarray) -> Calls:
-        return _calls(instances, groups[kind], references, reals, integers)
+        return _calls(instances, groups[kind], references, reals, integers, texts)
 
     wiring = Wiring(
         gauss_seidel=int(experiment.algorithm is Algorithm.GAUSS_SEIDEL),
@@ -99,7 +103,7 @@ def build_wiring(prepared: PreparedRun, instances: Mapping[str, FmuInstance], st
     )
     functions |= {Call.DO_STEP: ["fmi2DoStep"]}
     functions |= {Call.GET_STATE: ["fmi2GetFMUstate"], Call.SET_STATE: ["fmi2SetFMUstate"]}
-    return WiredRun(prepared, instances, wiring, bus, functions, references)
+    return WiredRun(prepared, instances, wiring, bus, functions, references, texts)
 
 
 def _memory(bus: BusLayout, count: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
@@ -138,6 +142,7 @@ def _calls(
     references: list[np.ndarray],
     reals: np.ndarray,
     integers: np.ndarray,
+    texts: Texts,
 ) -> Calls:
     """One row for each group; its value references are added to `references`."""
     rows = []
@@ -148,7 +153,10 @@ def _calls(
         )
         addresses = references[-1].ctypes.data, array.ctypes.data + index * array.itemsize
         sizes = len(group.variables), group.bus_index, group.integer_index
-        rows.append((instances[group.component].function(function), *addresses, *sizes))
+        instance = instances[group.component]
+        is_string = group.type == "String"
+        address = texts.function(instance, function) if is_string else instance.function(function)
+        rows.append((address, *addresses, *sizes))
     return Calls(
         _first_of_each([group.component for group, _ in groups], instances), *_columns(rows, 6, np.int64)
     )

@@ -24,7 +24,7 @@ def packed(values: np.ndarray) -> str:
 def run_data(run: RunResult) -> dict[str, Any]:
     """The data that the page's script draws of a run."""
     recording = run.recording
-    columns = zip(recording.names, recording.units, recording.values.T, strict=True)
+    columns = ((name, recording.unit(name), recording[name]) for name in recording.numbers)
     return {
         "name": run.name,
         "time": packed(recording.time),

@@ -97,13 +97,13 @@ def write_figure(figure: Figure, path: Path, formats: Sequence[FigureFormat]) ->
 def run_figure(
     title: str, recording: Recording, path: Path, formats: Sequence[FigureFormat] = (FigureFormat.PNG,)
 ) -> list[Path]:
-    """Every signal of any run, one panel for each unit."""
-    units = list(dict.fromkeys(recording.units))
+    """Every signal of any run that is a number, one panel for each unit."""
+    units = list(dict.fromkeys(map(recording.unit, recording.numbers)))
     with figure_style():
         figure, panels = stacked_panels([1.5] * len(units), "Time [s]")
         figure.suptitle(title)
         for unit, panel in zip(units, panels, strict=True):
-            names = [n for n, u in zip(recording.names, recording.units, strict=True) if u == unit]
+            names = [name for name in recording.numbers if recording.unit(name) == unit]
             for index, name in enumerate(sorted(names, key=lambda name: -_roughness(recording[name]))):
                 draw_curve(
                     panel,

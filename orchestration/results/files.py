@@ -9,11 +9,11 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import ModuleType
-from typing import Any, NamedTuple
+from types import MappingProxyType, ModuleType
+from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from orchestration.results.formats import RecordingFormat
 
 TIME = "time"  # name of the first column
 _TIME_TITLE = f"{TIME} [s]"
+_STRING = "String"  # in a title in place of the unit: the column holds text
 _TITLE = re.compile(r"(.*) \[([^\[\]]*)\]", re.DOTALL)  # of a signal with its unit
 _UNIT, _KIND, _PROVENANCE = b"unit", b"l1_depth.kind", b"l1_depth.provenance"
 _RECORDING = b"recording"
@@ -40,6 +41,15 @@ class Content(NamedTuple):
     time: np.ndarray
     values: np.ndarray
     provenance: dict[str, Any]
+    texts: Mapping[str, Sequence[str]] = MappingProxyType({})
+
+    def columns(self) -> list[list[Any]]:
+        """The values of each signal, Strings as text."""
+        pairs = zip(self.names, self.values.T.tolist(), strict=True)
+        return [
+            [self.texts[name][int(number)] for number in column] if name in self.texts else column
+            for name, column in pairs
+        ]
 
 
 def write(path: Path, content: Content) -> None:
@@ -108,13 +118,18 @@ def _format(path: Path) -> RecordingFormat:
 
 
 def _write_csv(path: Path, content: Content) -> None:
-    titles = [_title(*pair) for pair in zip(content.names, content.units, strict=True)]
+    units = [_STRING if n in content.texts else u for n, u in zip(content.names, content.units, strict=True)]
+    titles = [_title(*pair) for pair in zip(content.names, units, strict=True)]
     with open_atomically(path) as stream, io.TextIOWrapper(stream, encoding="utf-8", newline="") as text:
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow([_TIME_TITLE, *titles])
         for start in range(0, len(content.time), _BLOCK):
             rows = slice(start, start + _BLOCK)
-            writer.writerows(np.column_stack([content.time[rows], content.values[rows]]).tolist())
+            block = content._replace(values=content.values[rows])
+            if content.texts:
+                writer.writerows(zip(content.time[rows].tolist(), *block.columns(), strict=True))
+            else:
+                writer.writerows(np.column_stack([content.time[rows], block.values]).tolist())
 
 
 def _title(name: str, unit: str) -> str:
@@ -130,16 +145,41 @@ def _read_csv(path: Path) -> Content:
                 raise OrchestrationError(
                     f"{path}: expected {_TIME_TITLE!r} as first column, got {header[:1]}"
                 )
-            first = stream.readline()
-            lines = itertools.chain([first], stream)
-            data = np.loadtxt(lines, delimiter=",", ndmin=2) if first else np.empty((0, len(header)))
+            pairs = [(match[1], match[2]) if (match := _TITLE.fullmatch(t)) else (t, "") for t in header[1:]]
+            texts: dict[str, list[str]] = {name: [] for name, unit in pairs if unit == _STRING}
+            if texts:
+                data = np.array(_rows_with_texts(stream, pairs, texts), float).reshape(-1, len(header))
+            else:
+                first = stream.readline()
+                lines = itertools.chain([first], stream)
+                data = np.loadtxt(lines, delimiter=",", ndmin=2) if first else np.empty((0, len(header)))
         except (ValueError, csv.Error) as error:
             raise OrchestrationError(f"{path}: expected a table of numbers: {error}") from error
     if data.shape[1] != len(header):
         raise OrchestrationError(f"{path}: expected {len(header)} columns, got {data.shape[1]}")
-    pairs = [(match[1], match[2]) if (match := _TITLE.fullmatch(t)) else (t, "") for t in header[1:]]
-    names, units = tuple(name for name, _ in pairs), tuple(unit for _, unit in pairs)
-    return Content(names, units, data[:, 0], data[:, 1:], {})
+    names = tuple(name for name, _ in pairs)
+    units = tuple("" if unit == _STRING else unit for _, unit in pairs)
+    return Content(names, units, data[:, 0], data[:, 1:], {}, dict(texts))
+
+
+def _rows_with_texts(
+    stream: TextIO, pairs: list[tuple[str, str]], texts: dict[str, list[str]]
+) -> list[list[float]]:
+    """The lines of a table as numbers; a text becomes its index in its list, to which a new one is added."""
+    names = ["", *(name for name, _ in pairs)]
+    numbers: dict[str, dict[str, int]] = {name: {} for name in texts}
+    rows = []
+    for row in csv.reader(stream):
+        cells = zip(names, row, strict=True)
+        rows.append(
+            [
+                float(numbers[name].setdefault(cell, len(numbers[name])) if name in texts else cell)
+                for name, cell in cells
+            ]
+        )
+    for name, known in numbers.items():
+        texts[name].extend(known)
+    return rows
 
 
 def _write_parquet(path: Path, content: Content) -> None:
@@ -147,11 +187,17 @@ def _write_parquet(path: Path, content: Content) -> None:
     pa, pq = _arrow()
     names, units = (TIME, *content.names), ("s", *content.units)
     fields = [
-        pa.field(name, pa.float64(), nullable=False, metadata={_UNIT: unit})
+        pa.field(
+            name,
+            pa.string() if name in content.texts else pa.float64(),
+            nullable=False,
+            metadata={_UNIT: unit},
+        )
         for name, unit in zip(names, units, strict=True)
     ]
     metadata = {_KIND: _RECORDING, _PROVENANCE: json.dumps(content.provenance)}
-    columns = [pa.array(column) for column in (content.time, *content.values.T)]
+    values = content.columns() if content.texts else content.values.T
+    columns = [pa.array(column) for column in (content.time, *values)]
     table = pa.Table.from_arrays(columns, schema=pa.schema(fields, metadata=metadata))
     with open_atomically(path) as stream:
         pq.write_table(table, stream)
@@ -163,15 +209,23 @@ def _read_parquet(path: Path) -> Content:
         raise OrchestrationError(
             f"{path}: expected a recording, as l1-depth run writes it; got another table"
         )
-    _, pq = _arrow()
+    pa, pq = _arrow()
     table = pq.read_table(path)
     signals = table.schema.names[1:]
+    texts = {}
+    for i, name in enumerate(table.schema.names):
+        if table.schema.field(name).type == pa.string():
+            encoded = table[name].combine_chunks().dictionary_encode()
+            texts[name] = encoded.dictionary.to_pylist()
+            field = table.schema.field(name).with_type(pa.float64())
+            table = table.set_column(i, field, encoded.indices.cast(pa.float64()))
     return Content(
         names=tuple(signals),
         units=tuple(table.schema.field(name).metadata[_UNIT].decode() for name in signals),
         time=table[TIME].to_numpy(),
         values=np.column_stack([table[name].to_numpy() for name in signals] or [np.empty((len(table), 0))]),
         provenance=json.loads(metadata[_PROVENANCE]),
+        texts=texts,
     )
 
 

@@ -156,6 +156,8 @@ def _one(recording: Recording, name: str, call: Mapping[str, Any]) -> float:
     function = call["function"]
     if function not in FUNCTIONS:
         raise ScenarioError(f"metric {name}: unknown function {function!r}; {nearest(function, FUNCTIONS)}")
+    for signal in (call[key] for key in ("signal", "reference") if call.get(key) in recording.texts):
+        raise ScenarioError(f"metric {name}: {signal} is a String: expected a signal that is a number")
     if _ended_too_early(recording, call):
         return math.nan
     arguments = {key: value for key, value in call.items() if key not in ("function", "unit")}

@@ -1,6 +1,7 @@
 """Recording: the signals of a run with their units at the communication points, and their provenance."""
 
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
@@ -32,6 +33,7 @@ class Recording:
     names: "component.variable"; units: same order, "" where the FMU gives none
     time: shape (n,) [s]; values: shape (n, len(names))
     provenance: FMUs, algorithm and settings of the run, as plain data
+    texts: String -> the texts that it can have; its column of `values` holds their indices
     """
 
     names: tuple[str, ...]
@@ -39,10 +41,19 @@ class Recording:
     time: np.ndarray
     values: np.ndarray
     provenance: dict[str, Any] = field(default_factory=dict)
+    texts: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """One signal, shape (n,); OrchestrationError offers the nearest name for an unknown one."""
-        return self.time if name == TIME else self.values[:, self._column(name)]
+        """One signal, shape (n,), a String as text; OrchestrationError offers the nearest name for others."""
+        if name == TIME:
+            return self.time
+        values = self.values[:, self._column(name)]
+        return np.array(self.texts[name], object)[values.astype(int)] if name in self.texts else values
+
+    @property
+    def numbers(self) -> tuple[str, ...]:
+        """Names of the signals that are no Strings."""
+        return tuple(name for name in self.names if name not in self.texts)
 
     def _column(self, name: str) -> int:
         try:
@@ -55,7 +66,7 @@ class Recording:
         return "s" if name == TIME else self.units[self._column(name)]
 
     def __repr__(self) -> str:
-        return summary.as_text(self.names, self.units, self.time, self.values)
+        return summary.as_text(self.units, self.time, {name: self[name] for name in self.names})
 
     def _repr_html_(self) -> str:
         return f"<pre>{escape(repr(self))}</pre>"
@@ -66,6 +77,8 @@ class Recording:
         table = pandas.DataFrame(
             self.values, index=pandas.Index(self.time, name=TIME), columns=list(self.names), copy=True
         )
+        for name in self.texts:
+            table[name] = self[name]
         units = dict(zip(self.names, self.units, strict=True))
         table.attrs = {"units": units, "provenance": self.provenance}
         return table
@@ -73,9 +86,9 @@ class Recording:
     def to_xarray(self) -> "xr.Dataset":
         """A variable a signal over the coordinate time; attributes "units", and "provenance" as JSON."""
         xarray = require("xarray", "tables", "a recording as a data set")
-        columns = zip(self.names, self.units, self.values.T, strict=True)
+        columns = zip(self.names, self.units, strict=True)
         return xarray.Dataset(
-            {name: (TIME, values.copy(), {"units": unit}) for name, unit, values in columns},
+            {name: (TIME, self[name].copy(), {"units": unit}) for name, unit in columns},
             coords={TIME: (TIME, self.time.copy(), {"units": "s"})},
             attrs={"provenance": json.dumps(self.provenance)},
         )
@@ -85,7 +98,9 @@ class Recording:
 
         Raises OrchestrationError for another ending.
         """
-        content = files.Content(self.names, self.units, self.time, self.values, self.provenance)
+        content = files.Content(
+            self.names, self.units, self.time, self.values, self.provenance, dict(self.texts)
+        )
         files.write(Path(path), content)
 
     @staticmethod

@@ -13,15 +13,16 @@ from orchestration.system.values import fmi_value
 
 
 def check_signals(system: CheckedSystem, experiment: Experiment) -> None:
-    """SystemDefinitionError for a signal that is no function, or whose input is not Real."""
+    """SystemDefinitionError for a signal that is no function, or whose input is a String."""
     for name, signal in experiment.signals.items():
         if not callable(signal):
             raise SystemDefinitionError(
                 f"signal {name} = {signal!r}: expected a function of time; a constant is given as an input"
             )
-        input_type = system.ports[name].variable.type
-        if input_type != "Real":
-            raise SystemDefinitionError(f"signal {name}: expected an input of type Real, got {input_type}")
+        if system.ports[name].variable.type == "String":
+            raise SystemDefinitionError(
+                f"signal {name}: expected an input that is a number, got a String; give it a constant value"
+            )
 
 
 def check_faults(system: CheckedSystem, experiment: Experiment, driven: set[str]) -> None:
@@ -39,6 +40,8 @@ def check_faults(system: CheckedSystem, experiment: Experiment, driven: set[str]
             )
         elif port.variable.type != "Real" and not effect.for_every_type:
             problem = f"{type(effect).__name__}: expected an input of type Real, got {port.variable.type}"
+        elif port.variable.type == "String" and isinstance(effect, Stuck):
+            problem = "Stuck: expected an input that is a number, got a String"
         elif not len(within(step_starts, fault.start, fault.end)):
             problem = (
                 f"no communication step begins at {fault.start:g}..{fault.end:g} s: "

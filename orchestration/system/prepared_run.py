@@ -8,6 +8,7 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from fmpy.model_description import ScalarVariable
 
 from fmus.fmi_types import NUMBERS, FmiValue
 from orchestration.errors import SystemDefinitionError
@@ -17,7 +18,7 @@ from orchestration.system.experiment_checks import check_capabilities, check_fau
 from orchestration.system.faults import Fault, Pattern, compose
 from orchestration.system.signals import values_at
 from orchestration.system.system import CheckedSystem, Port, System, check
-from orchestration.system.values import fmi_value, value_range
+from orchestration.system.values import fmi_value, possible_values, value_range
 
 Setting = tuple[Port, FmiValue]
 
@@ -56,7 +57,7 @@ class PreparedRun:
     def signal_values(self) -> np.ndarray:
         """The signals at every communication point, shape (signals, n).
 
-        Raises SystemDefinitionError for a signal that fails, or is not finite.
+        Raises SystemDefinitionError for a signal that fails, or whose input cannot have its value.
         """
         table = np.empty((len(self.experiment.signals), len(self.points)))
         for row, (name, signal) in enumerate(self.experiment.signals.items()):
@@ -64,11 +65,11 @@ class PreparedRun:
                 table[row] = values_at(signal, self.points)
             except Exception as error:  # whatever a user's own function raises
                 raise SystemDefinitionError(f"signal {name}: {error!r}") from error
-            not_finite = np.flatnonzero(~np.isfinite(table[row]))
-            if not_finite.size:
-                value, t = table[row, not_finite[0]], self.points[not_finite[0]]
+            expected, is_possible = possible_values(self.system.ports[name], table[row])
+            for i in np.flatnonzero(~is_possible)[:1]:
+                value, t = table[row, i], self.points[i]
                 raise SystemDefinitionError(
-                    f"signal {name} is {value:g} at t = {t:.9g} s: expected a finite number"
+                    f"signal {name} is {value:g} at t = {t:.9g} s: expected {expected}"
                 )
         return table
 
@@ -99,7 +100,7 @@ def prepare_checked(
     _check_memory(system, experiment)
     first_values = _external(system, experiment, external)
     driven = {*experiment.signals, *first_values, *(target.name for _, target in system.connections)}
-    recorded = _recorded(system, experiment, driven, first_values)
+    recorded = _recorded(system, experiment, first_values)
     for event in experiment.events:
         _check_event(system, event, driven)
     check_faults(system, experiment, driven)
@@ -147,23 +148,16 @@ def _external(system: CheckedSystem, experiment: Experiment, names: Sequence[str
     return values
 
 
-def _recorded(
-    system: CheckedSystem, experiment: Experiment, driven: set[str], external: Iterable[str]
-) -> tuple[str, ...]:
-    """The names asked for, or signals, external inputs and outputs; Strings are not recorded."""
-    outputs = {
-        name: port
+def _recorded(system: CheckedSystem, experiment: Experiment, external: Iterable[str]) -> tuple[str, ...]:
+    """The names asked for, of variables of any kind; or signals, external inputs, and outputs but Strings."""
+    outputs = [
+        name
         for name, port in system.ports.items()
         if port.variable.causality == "output" and port.variable.type in NUMBERS
-    }
-    names = experiment.record or (*experiment.signals, *external, *outputs)
-    for name in names:
-        if name not in outputs and name not in driven:
-            system.port(name, "record")
-            raise SystemDefinitionError(
-                f"record: {name}: expected an output, or an input that a connection or a signal drives"
-            )
-    return tuple(names)
+    ]
+    for name in experiment.record:
+        system.port(name, "record")
+    return tuple(experiment.record or (*experiment.signals, *external, *outputs))
 
 
 def _check_event(system: CheckedSystem, event: Event, driven: set[str]) -> None:
@@ -205,15 +199,25 @@ def _communication_points(system: CheckedSystem, experiment: Experiment) -> np.n
 
 def _settings(system: CheckedSystem, experiment: Experiment) -> tuple[Setting, ...]:
     settings = []
-    for causality, values in (("parameter", experiment.parameters), ("input", experiment.inputs)):
-        for name, value in values.items():
-            port = system.port(name, causality)
-            if port.variable.causality != causality:
-                raise SystemDefinitionError(
-                    f"{name}: expected a variable with causality {causality}, got {port.variable.causality}"
-                )
-            settings.append((port, fmi_value(port, value)))
+    for name, value in experiment.parameters.items():
+        port = system.port(name, "parameter")
+        if not _has_start_value(port.variable):
+            kind = f"{port.variable.causality} with initial = {port.variable.initial or 'calculated'}"
+            raise SystemDefinitionError(
+                f'{name}: expected a parameter, or a variable with initial = "exact" or "approx", got {kind}'
+            )
+        settings.append((port, fmi_value(port, value)))
+    for name, value in experiment.inputs.items():
+        port = system.port(name, "input")
+        settings.append((port, fmi_value(port, value)))
     return tuple(settings)
+
+
+def _has_start_value(variable: ScalarVariable) -> bool:
+    """Whether a variable that is no input can be set before the initialisation (FMI 2.0.5, 4.2.4)."""
+    if variable.variability == "constant" or variable.causality in ("input", "independent"):
+        return False
+    return variable.causality == "parameter" or variable.initial in ("exact", "approx")
 
 
 def _changes(system: CheckedSystem, experiment: Experiment, points: np.ndarray) -> dict[int, list[Setting]]:

@@ -13,6 +13,15 @@ from fmus.errors import nearest
 from orchestration.errors import SystemDefinitionError
 from orchestration.fmi.description import describe, of_causality
 
+# type of an input -> types of the outputs that it accepts: those of which every value is one of its own
+_ACCEPTED = {
+    "Real": ("Real", "Integer"),
+    "Integer": ("Integer", "Enumeration"),
+    "Boolean": ("Boolean",),
+    "Enumeration": ("Enumeration",),
+    "String": ("String",),
+}
+
 
 @dataclass(frozen=True)
 class Port:
@@ -159,10 +168,11 @@ def _connection(checked: CheckedSystem, source: str, target: str) -> tuple[Port,
         problem = f"expected an output first, got {output.causality}"
     elif input_.causality != "input":
         problem = f"expected an input second, got {input_.causality}"
-    elif output.type != input_.type:
-        problem = f"expected equal types, got {output.type} and {input_.type}"
-    elif output.type == "String":
-        problem = "expected numbers, Strings are not exchanged"
+    elif output.type not in _ACCEPTED[input_.type]:
+        expected = " or ".join(_ACCEPTED[input_.type])
+        problem = (
+            f"expected an output of type {expected} for an input of type {input_.type}, got {output.type}"
+        )
     elif units_are_declared and _unit(checked, start) != _unit(checked, end):
         problem = f"expected equal units, got {output.unit} and {input_.unit}"
     else:

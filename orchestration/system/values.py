@@ -54,6 +54,20 @@ def _item_number(port: Port, name: str) -> int:
     return items[name]
 
 
+def possible_values(port: Port, values: np.ndarray) -> tuple[str, np.ndarray]:
+    """What is expected of a number for an input, in words, and which of the values, shape (n,), are that."""
+    kind = port.variable.type
+    if kind == "Real":
+        return "a finite number", np.isfinite(values)
+    low, high = (0, 1) if kind == "Boolean" else value_range(port)
+    expected = (
+        "true or false"
+        if kind == "Boolean"
+        else f"an integer, {low:g}..{high:g}, as the input has type {kind}"
+    )
+    return expected, (values == np.floor(values)) & (low <= values) & (values <= high)
+
+
 def value_range(port: Port) -> tuple[float, float]:
     """The smallest and the largest value, as declared and as the type can hold."""
     variable = port.variable

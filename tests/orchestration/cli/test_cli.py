@@ -320,5 +320,5 @@ def test_a_run_that_an_fmu_terminates_is_complete(
     assert re.search(r"last +│ +not a number", printed)
     assert Recording.read(tmp_path / "out" / "stair.csv")["stair.counter"][-1] == 10.0
     document = json.loads((tmp_path / "out" / "stair.json").read_text())
-    assert document["run"]["terminated"] == {"component": "stair", "time_s": 9.0}
+    assert document["run"]["terminated"] == {"component": "stair", "time_s": 9.0, "messages": []}
     assert document["metrics"]["last"]["value"] is None

@@ -232,12 +232,6 @@ def test_a_signal_that_raises_is_named_before_the_run(foreign: Mapping[str, Path
         simulate(System({"lag": foreign["Lag"]}), Experiment(1.0, 0.1, signals={"lag.u": broken}))
 
 
-def test_a_signal_drives_real_inputs_only(foreign: Mapping[str, Path]) -> None:
-    experiment = Experiment(1.0, 0.1, inputs={"t.b": False}, signals={"t.a": Constant(1.0)})
-    with pytest.raises(SystemDefinitionError, match=r"t.a: expected an input of type Real, got Integer"):
-        simulate(System({"t": foreign["Types"]}), experiment)
-
-
 def _edited(path: Path, folder: Path, *changes: tuple[str, str]) -> Path:
     """A copy of an FMU with another model description."""
     copy = folder / f"edited_{path.name}"
