@@ -216,6 +216,12 @@ def test_a_derivative_is_of_what_follows_by_what_is_set(
     assert reason in told(answer)
 
 
+def test_a_derivative_by_nothing_that_exists_is_an_error(open_session: Open) -> None:
+    session, references = stepping(open_session("ExamplePlant")), _references("ExamplePlant")
+    answer = session("directional_derivative", 0, [references["output"]], [999], [1.0], "+")
+    assert (answer.status, answer.values) == (ERROR, ["untouched"])
+
+
 def test_the_model_never_ends_the_simulation(open_session: Open) -> None:
     session = stepping(open_session("ExamplePlant"))
     answer = session("get_status", 0, "B", ENDED, "+")
