@@ -39,6 +39,8 @@ def variable(
     variability: "fixed" or "tunable" for a parameter; otherwise the class decides.
     source: where a number comes from: published, estimate or guess.
     """
+    if isinstance(start, list):  # which a dataclass refuses with a message about its own
+        raise TypeError(f"start {start!r}: expected a tuple")
     ranges = {"minimum": min, "maximum": max, "nominal": nominal}
     texts = {"description": description, "source": source}
     units = {"unit": unit, "display_unit": display_unit}

@@ -18,6 +18,7 @@ from fmus.errors import ExportError, nearest
 from fmus.export import native as native_flavour
 from fmus.export import python as python_flavour
 from fmus.export.faithful import check_faithful
+from fmus.export.guard import location
 from fmus.export.symbolic import traced
 from fmus.files import write_archive
 from fmus.instance import Instance
@@ -72,7 +73,10 @@ def verified(block: Block) -> Block:
         trial.do_step(0.0, block.step_size)
         trial.get(len(block.variables) - 1)
     except Exception as error:
-        raise ExportError(f"block {name!r} cannot take a step at its start values: {error!r}") from error
+        where = location(block.step)
+        raise ExportError(
+            f"block {name!r}: {where}cannot take a step at its start values: {error!r}"
+        ) from error
     return block
 
 
@@ -131,11 +135,12 @@ def build_if_stale(name: str, folder: Path | None = None, flavour: Flavour = Fla
 def fmu_of_file(path: Path, flavour: Flavour = Flavour.NATIVE) -> Path:
     """The FMU of the only block that a Python file defines, in the user's cache, built if it is stale."""
     with loaded(str(path)) as blocks:
-        if len(blocks) > 1:
-            names = ", ".join(block.name for block in blocks)
+        block, *others = blocks
+        if others:
+            names = ", ".join(defined.name for defined in blocks)
             raise ExportError(f"{path} defines {names}: expected one block; build them, and choose an FMU")
         digest = hashlib.sha256(str(path.absolute()).encode()).hexdigest()[:12]
-        return _built_if_stale(blocks[0], fmu_folder(flavour) / digest, flavour)
+        return _built_if_stale(block, fmu_folder(flavour) / digest, flavour)
 
 
 def _built_if_stale(block: Block, folder: Path, flavour: Flavour) -> Path:

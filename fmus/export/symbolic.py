@@ -13,6 +13,7 @@ import casadi
 from fmus.block import Block, flatten, unflatten
 from fmus.errors import ExportError
 from fmus.export import guard
+from fmus.export.declaration import check_declaration, check_result
 
 
 class Traced:
@@ -32,21 +33,26 @@ class Traced:
 
     def __init__(self, block: Block) -> None:
         self.block = block
+        check_declaration(block)
         t, h = casadi.SX.sym("t"), casadi.SX.sym("h")
         (ps, p), (cs, c), (us, u) = map(_symbols, (block.parameters, block.calculated, block.inputs))
         call = partial(guard.call, block.name)
         calculated, conditions = call(block.calculate, p), call(block.requirements, p, c)
+        check_result(block, "calculate", calculated)
         initial = call(block.initial_state, t, u, p, c)
+        check_result(block, "initial_state", initial)
         xs, x = _symbols(initial)
         stepped = call(block.step, t, h, x, u, p, c)
+        check_result(block, "step", stepped)
+        check_result(block, "output", call(block.output, t, x, p, c))
         self.required = tuple(text for _, text in conditions)
         self.calculate = self._function("calculate", [ps], calculated)
         self.requirements = self._function("requirements", [ps, cs], tuple(holds for holds, _ in conditions))
         self.initial_state = self._function("initial_state", [t, us, ps, cs], initial)
         self.step = self._function("step", [t, h, xs, us, ps, cs], stepped)
         self.output = self._function("output", [t, xs, ps, cs], call(block.output, t, x, p, c))
-        outputs = len(block.of_causality("output"))
-        self._check((self.calculate, cs.numel()), (self.step, xs.numel()), (self.output, outputs))
+        for name in ("calculate", "step", "output"):
+            self._check_constants(name)
 
         reached = casadi.jacobian(_column(call(block.output, t + h, stepped, p, c)), h)
         rate = casadi.substitute(reached, h, 0.0)
@@ -59,22 +65,16 @@ class Traced:
         held = _column((calculated, call(block.output, t, x, p, calculated)))
         self.output_derivative = self._along("output_derivative", [t, xs, ps], held, ps)
 
-    def _check(self, *functions: tuple[casadi.Function, int]) -> None:
-        """ExportError for a function of a wrong number of results, or with a constant that is NaN."""
-        for function, count in functions:
-            name = function.name().removeprefix(f"{self.block.name}_")
-            given = function.numel_out(0)
-            if given != count:
+    def _check_constants(self, name: str) -> None:
+        """ExportError for a function with a constant that is NaN."""
+        function: casadi.Function = getattr(self, name)
+        for i in range(function.n_instructions()):
+            is_constant = function.instruction_id(i) == casadi.OP_CONST
+            if is_constant and math.isnan(function.instruction_constant(i)):
+                where = guard.location(getattr(self.block, name))
                 raise ExportError(
-                    f"block {self.block.name!r}: {name} gives {given} numbers: expected {count}"
+                    f"block {self.block.name!r}: {where}{name} holds a constant that is not a number"
                 )
-            constants = (
-                function.instruction_constant(i)
-                for i in range(function.n_instructions())
-                if function.instruction_id(i) == casadi.OP_CONST
-            )
-            if any(map(math.isnan, constants)):
-                raise ExportError(f"block {self.block.name!r}: {name} holds a constant that is not a number")
 
     def functions(self) -> list[casadi.Function]:
         """Everything that an FMU needs."""

@@ -208,7 +208,7 @@ REFUSED: list[tuple[Rule, str]] = [
         lambda u, x, p: x / 0.0,
         r"no finite numbers at any of \d+ random points: ZeroDivisionError\(.*at .*: x / 0.0$",
     ),
-    (lambda u, x, p: (x, u), r"step gives 2 numbers: expected 1"),
+    (lambda u, x, p: (x, u), r"step returns State.x as a tuple: expected one number"),
 ]
 
 
