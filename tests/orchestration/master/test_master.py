@@ -1,7 +1,6 @@
 """The master: order of convergence, exact landing, events, and what happens when a slave fails."""
 
 import math
-import tempfile
 import zipfile
 from collections.abc import Mapping
 from dataclasses import replace
@@ -106,13 +105,6 @@ def test_a_loop_that_does_not_settle_is_said(foreign: Mapping[str, Path]) -> Non
         SimulationError, match=r"no solution was found for the loop t.a .* after 1000 iterations"
     ):
         simulate(system, Experiment(1.0, 0.1, inputs={"t.b": False}))
-
-
-@pytest.fixture
-def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The only place where temporary folders can be."""
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    return tmp_path
 
 
 def test_a_slave_of_pythonfmu_that_returns_false_terminates_the_simulation(

@@ -1,0 +1,103 @@
+"""What FMUs cannot do or take is refused before they are loaded."""
+
+import math
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from orchestration.errors import SystemDefinitionError
+from orchestration.master import simulate
+from orchestration.system.experiment import Experiment
+from orchestration.system.system import System
+
+Build = Callable[..., Path]
+
+
+def test_a_signal_that_raises_is_named_before_the_run(foreign: Mapping[str, Path]) -> None:
+    def broken(t: float) -> float:
+        if t > 0.25:
+            raise RuntimeError("no more data")
+        return 0.0
+
+    with pytest.raises(SystemDefinitionError, match=r"signal lag.u: RuntimeError\('no more data'\)"):
+        simulate(System({"lag": foreign["Lag"]}), Experiment(1.0, 0.1, signals={"lag.u": broken}))
+
+
+def _edited(path: Path, folder: Path, *changes: tuple[str, str]) -> Path:
+    """A copy of an FMU with another model description."""
+    copy = folder / f"edited_{path.name}"
+    with zipfile.ZipFile(path) as source, zipfile.ZipFile(copy, "w") as target:
+        for member in source.namelist():
+            data = source.read(member)
+            if member == "modelDescription.xml":
+                text = data.decode()
+                for old, new in changes:
+                    assert old in text
+                    text = text.replace(old, new, 1)
+                data = text.encode()
+            target.writestr(member, data)
+    return copy
+
+
+def test_what_an_fmu_cannot_do_is_said_before_it_is_loaded(
+    foreign: Mapping[str, Path], tmp_path: Path
+) -> None:
+    fixed = _edited(
+        foreign["Lag"], tmp_path,
+        ('canHandleVariableCommunicationStepSize="true"', 'canHandleVariableCommunicationStepSize="false"'),
+        ('canBeInstantiatedOnlyOncePerProcess="false"', 'canBeInstantiatedOnlyOncePerProcess="true"'),
+    )  # fmt: skip
+    with pytest.raises(SystemDefinitionError, match=r"one cannot vary its step size"):
+        simulate(System({"one": fixed}), Experiment(1.05, 0.1, inputs={"one.u": 0.0}))
+    both = Experiment(1.0, 0.1, inputs={"one.u": 0.0, "two.u": 0.0})
+    with pytest.raises(SystemDefinitionError, match=r"one, two: expected one instance"):
+        simulate(System({"one": fixed, "two": fixed}), both)
+
+
+def test_a_range_and_unit_that_only_the_declared_type_states_count(
+    foreign: Mapping[str, Path], tmp_path: Path
+) -> None:
+    types = (
+        '<UnitDefinitions><Unit name="K"><BaseUnit K="1"/></Unit></UnitDefinitions><TypeDefinitions>'
+        '<SimpleType name="T"><Real unit="K" max="5.0"/></SimpleType></TypeDefinitions>'
+    )
+    typed = _edited(
+        foreign["Lag"], tmp_path,
+        ("<LogCategories>", types + "<LogCategories>"),
+        ('<Real start="0"', '<Real declaredType="T" start="0"'),
+    )  # fmt: skip
+    with pytest.raises(SystemDefinitionError, match=r"lag.u = 7.0: expected -inf..5 K"):
+        simulate(System({"lag": typed}), Experiment(1.0, 0.1, inputs={"lag.u": 7.0}))
+
+
+def test_an_fmu_without_units_connects_to_one_with(
+    foreign: Mapping[str, Path], built: Mapping[str, Path]
+) -> None:
+    system = System(
+        {"lag": foreign["Lag"], "p": built["ExamplePlant"]}, (("lag.y", "p.control"), ("p.output", "lag.u"))
+    )
+    run = simulate(system, Experiment(0.1, 0.01, inputs={"p.disturbance": 0.0}))
+    assert run["p.output"][-1] != 0.0
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"step_sizes": {"t": math.inf}}, "step size of t, inf s: expected a multiple"),
+        (
+            {"inputs": {"t.a": 2**40, "t.b": False}},
+            r"t.a = 1099511627776: expected -2.14748e\+09..2.14748e\+09",
+        ),
+    ],
+)
+def test_what_no_fmu_can_take_is_refused_before_the_run(
+    foreign: Mapping[str, Path], settings: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(SystemDefinitionError, match=message):
+        simulate(
+            System({"t": foreign["Types"]}),
+            Experiment(1.0, 0.1, **{"inputs": {"t.a": 1, "t.b": False}, **settings}),
+        )
