@@ -127,12 +127,13 @@ def test_a_warning_that_is_an_error_keeps_the_recording(rogue: Build) -> None:
 def test_a_process_that_cannot_begin_is_no_fault_of_an_fmu(
     linear: Build, temporary: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    system = coupled(linear)  # built by this Python
     broken = temporary.parent / "broken python"
     broken.write_text("#!/bin/sh\nexit 3\n")
     broken.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(broken))
     with pytest.raises(OrchestrationError, match=r"could not begin: .* exit status 3"):
-        simulate(coupled(linear), Experiment(1.0, 0.1), timeout=TIMEOUT)
+        simulate(system, Experiment(1.0, 0.1), timeout=TIMEOUT)
 
 
 def refuse(done: int, total: int) -> None:
