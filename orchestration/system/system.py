@@ -163,7 +163,6 @@ def _connection(checked: CheckedSystem, source: str, target: str) -> tuple[Port,
     purpose = f"connection {source} -> {target}"
     start, end = checked.port(source, purpose), checked.port(target, purpose)
     output, input_ = start.variable, end.variable
-    units_are_declared = output.unit and input_.unit  # a variable need not declare its unit
     if output.causality != "output":
         problem = f"expected an output first, got {output.causality}"
     elif input_.causality != "input":
@@ -173,19 +172,26 @@ def _connection(checked: CheckedSystem, source: str, target: str) -> tuple[Port,
         problem = (
             f"expected an output of type {expected} for an input of type {input_.type}, got {output.type}"
         )
-    elif units_are_declared and _unit(checked, start) != _unit(checked, end):
+    elif not _units_agree(checked, start, end):
         problem = f"expected equal units, got {output.unit} and {input_.unit}"
     else:
         return start, end
     raise SystemDefinitionError(f"{purpose}: {problem}")
 
 
-def _unit(checked: CheckedSystem, port: Port) -> object:
-    """Equal for equal units: base units, factor and offset if the FMU declares them, else the name."""
+def _units_agree(checked: CheckedSystem, start: Port, end: Port) -> bool:
+    """Whether the units are equal, by their base units where both FMUs declare those; or one has no unit."""
+    names = start.variable.unit, end.variable.unit
+    bases = _base_unit(checked, start), _base_unit(checked, end)
+    return not all(names) or (bases[0] == bases[1] if all(bases) else names[0] == names[1])
+
+
+def _base_unit(checked: CheckedSystem, port: Port) -> tuple[object, ...] | None:
+    """Exponents of the base units, factor and offset, if the FMU declares them."""
     name = port.variable.unit
     for unit in checked.descriptions[port.component].unitDefinitions:
         base: Any = unit.baseUnit  # FMPy's declarations disagree from version to version
         if unit.name == name and base is not None:
             exponents = (base.kg, base.m, base.s, base.A, base.K, base.mol, base.cd, base.rad)
             return (*exponents, base.factor, base.offset)
-    return name
+    return None

@@ -10,6 +10,7 @@ import pytest
 from orchestration.errors import FmuLoadError, SystemDefinitionError
 from orchestration.fmi.description import describe
 from orchestration.system.system import System, check
+from tests.described_fmus import described
 
 
 def lags(foreign: Mapping[str, Path], *connections: tuple[str, str]) -> System:
@@ -66,6 +67,20 @@ def test_units_must_be_equal(built: Mapping[str, Path]) -> None:
     system = System({"plant": built["RovDepthPlant"]}, (("plant.depth", "plant.voltage[1]"),))
     with pytest.raises(SystemDefinitionError, match=r"expected equal units, got m and V"):
         check(system)
+
+
+def test_a_unit_that_an_fmu_names_but_does_not_define_is_compared_by_its_name(
+    built: Mapping[str, Path], tmp_path: Path
+) -> None:
+    units = {"y": "V", "z": "mV"}
+    named = described(tmp_path / "named.fmu", outputs=["y", "z"], units=units)
+    components = {"named": named, "plant": built["RovDepthPlant"]}
+    others = ["voltage[2]", "thruster_efficiency[1]", "thruster_efficiency[2]", "external_force"]
+    others += ["buoyancy_change", "current_velocity", "roll", "pitch"]
+    driven = [f"plant.{name}" for name in others]
+    check(System(components, [("named.y", "plant.voltage[1]")]), driven)
+    with pytest.raises(SystemDefinitionError, match="expected equal units, got mV and V"):
+        check(System(components, [("named.z", "plant.voltage[1]")]), driven)
 
 
 def test_a_missing_file_offers_the_nearest(built: Mapping[str, Path]) -> None:
