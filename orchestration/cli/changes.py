@@ -4,12 +4,13 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from fmus.fmi_types import FmiValue
 from orchestration.errors import ScenarioError
+from orchestration.system.open_inputs import OpenInputs
 
 CONTROLLER = "controller"  # the component that --controller replaces
 
@@ -28,28 +29,61 @@ SetOption = Annotated[
         help="Set a parameter or an input, component.variable=value; or replace a component, component=FMU.",
     ),
 ]
+MapOption = Annotated[
+    list[str],
+    typer.Option(
+        "--map",
+        metavar="NAME=VARIABLE",
+        help="Take this variable of the controller for NAME of the scenario; component.NAME for others.",
+    ),
+]
+OpenInputsOption = Annotated[
+    OpenInputs | None,
+    typer.Option(help="Let inputs that nothing drives keep the start values of their FMUs."),
+]
 
 
 @dataclass(frozen=True)
 class Changes:
-    """components: component -> FMU or block in its place; settings: "component.variable" -> value."""
+    """What the options of a command change.
+
+    components: component -> FMU, Python file or block in its place; settings: "component.variable" -> value
+    mapping: component -> name in the scenario -> variable; open_inputs: of the experiment, None as it is
+    """
 
     components: Mapping[str, str] = field(default_factory=dict)
     settings: Mapping[str, FmiValue] = field(default_factory=dict)
+    mapping: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    open_inputs: OpenInputs | None = None
 
     @classmethod
-    def of_options(cls, controller: str, assignments: Sequence[str]) -> "Changes":
-        """From the values of --controller and --set; ScenarioError says what is wrong with one."""
+    def of_options(
+        cls,
+        controller: str = "",
+        assignments: Sequence[str] = (),
+        mapped: Sequence[str] = (),
+        open_inputs: OpenInputs | None = None,
+    ) -> "Changes":
+        """From the values of the options; ScenarioError says what is wrong with one."""
         components, settings = ({CONTROLLER: controller} if controller else {}), {}
         for assignment in assignments:
-            name, equals, value = (part.strip() for part in assignment.partition("="))
-            if not (name and equals and value):
-                raise ScenarioError(f"--set {assignment}: expected component.variable=value or component=FMU")
+            name, value = _parts("--set", assignment, "component.variable=value or component=FMU")
             if "." in name:
                 settings[name] = _value(value)
             else:
                 components[name] = value
-        return cls(components, settings)
+        return cls(components, settings, _mapping(mapped), open_inputs)
+
+    def overrides(self, scenario: str) -> dict[str, Any]:
+        """What is laid over the scenario of that name, besides components and settings."""
+        overrides: dict[str, Any] = {}
+        if self.components:
+            overrides["title"] = self.title(scenario)
+        if self.mapping:
+            overrides["mapping"] = {component: dict(names) for component, names in self.mapping.items()}
+        if self.open_inputs:
+            overrides["experiment"] = {"open_inputs": str(self.open_inputs)}
+        return overrides
 
     def title(self, scenario: str) -> str:
         """The title of the results of the scenario of that name."""
@@ -61,6 +95,23 @@ class Changes:
 
 
 NO_CHANGES = Changes()
+
+
+def _parts(option: str, assignment: str, expected: str) -> tuple[str, str]:
+    name, equals, value = (part.strip() for part in assignment.partition("="))
+    if not (name and equals and value):
+        raise ScenarioError(f"{option} {assignment}: expected {expected}")
+    return name, value
+
+
+def _mapping(mapped: Sequence[str]) -> dict[str, dict[str, str]]:
+    """Component -> name -> variable; a name without a component is of the controller."""
+    mapping: dict[str, dict[str, str]] = {}
+    for assignment in mapped:
+        name, variable = _parts("--map", assignment, "NAME=VARIABLE or component.NAME=VARIABLE")
+        component, _, own = name.rpartition(".")
+        mapping.setdefault(component or CONTROLLER, {})[own] = variable
+    return mapping
 
 
 def _value(text: str) -> FmiValue:

@@ -2,16 +2,17 @@
 
 import sys
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 from fmus import catalogue
-from fmus.registry import Flavour
+from fmus.registry import Flavour, fmu_folder
 from orchestration.cli.changes import NO_CHANGES, Changes
 from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.exchange import ssp_read
+from orchestration.fmi.description import start_value
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.prepared_run import prepare
@@ -28,7 +29,7 @@ def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHA
         warnings.simplefilter("always")
         chosen = scenario.load(
             path,
-            {"title": changes.title(path.stem)} if changes.components else None,
+            changes.overrides(path.stem),
             flavour,
             settings={**changes.components, **changes.settings},
             build=lambda fmu: catalogue.build_missing([fmu]),
@@ -38,9 +39,12 @@ def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHA
     chosen = replace(chosen, name=changes.name(chosen.name))
     build_missing_fmus([chosen])
     try:
-        prepare(chosen.system, chosen.experiment)
+        prepared = prepare(chosen.system, chosen.experiment)
     except SystemDefinitionError as error:
         raise ScenarioError(scenario.located(str(error), chosen.files)) from error
+    open_inputs = [f"{port.name} = {start_value(port.variable)}" for port in prepared.system.open_inputs]
+    if open_inputs:
+        print(f"l1-depth: open inputs at their start values: {', '.join(open_inputs)}", file=sys.stderr)
     return chosen
 
 

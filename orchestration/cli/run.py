@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fmus.registry import Flavour
-from orchestration.cli.changes import Changes, ControllerOption, SetOption
+from orchestration.cli.changes import Changes, ControllerOption, MapOption, OpenInputsOption, SetOption
 from orchestration.cli.shared import (
     FigureFormatsOption,
     FlavourOption,
@@ -40,6 +40,8 @@ def run(
     ] = "",
     controller: ControllerOption = "",
     settings: SetOption = [],  # noqa: B006  (Typer copies it)
+    mapped: MapOption = [],  # noqa: B006
+    open_inputs: OpenInputsOption = None,
     file_format: Annotated[
         RecordingFormat, typer.Option("--format", help="Write the recording in this format.")
     ] = RecordingFormat.CSV,
@@ -72,10 +74,11 @@ def run(
     from orchestration.scenarios import reproduce
 
     written_formats = figure_formats(formats)
+    changes = Changes.of_options(controller, settings, mapped, open_inputs)
     if every < math.inf and checkpoint is None:
         raise OrchestrationError(f"--every {every:g}: expected --checkpoint FILE beside it")
     with (
-        chosen_scenario.opened(name, parameters, flavour, Changes.of_options(controller, settings)) as chosen,
+        chosen_scenario.opened(name, parameters, flavour, changes) as chosen,
         progress(chosen.name, 1) as bar,
     ):
         result = reproduce.run(

@@ -13,8 +13,9 @@ from orchestration.errors import ScenarioError
 from orchestration.exchange.limits import as_ramps
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Experiment
+from orchestration.system.prepared_run import check_for
 from orchestration.system.signals import Ramps
-from orchestration.system.system import System, check
+from orchestration.system.system import System
 
 _SPARE_S = 10.0  # between points that a signal does not use
 _FEWEST_POINTS = 2
@@ -51,7 +52,7 @@ def ramp_sources(scenarios: Sequence[Scenario]) -> dict[str, RampSource]:
     The scenarios have the same system and driven inputs. Raises ScenarioError for a signal that is no ramps.
     """
     first = scenarios[0]
-    checked = check(first.system, first.experiment.driven_inputs)
+    checked = check_for(first.system, first.experiment)
     sources: dict[str, RampSource] = {}
     names = set(checked.components)
     for target in first.experiment.signals:

@@ -17,6 +17,7 @@ from orchestration.system.experiment import (
     Event,
     Experiment,
     InitialisationName,
+    OpenInputsName,
     suggested_times,
 )
 from orchestration.system.faults import Fault
@@ -44,6 +45,7 @@ def simulate(
     tolerance: float | None = None,
     initialisation: InitialisationName = "automatic",
     faults: Sequence[Fault] = (),
+    open_inputs: OpenInputsName = "error",
     timeout: float | None = None,
     real_time: float | None = None,
     checkpoints: Checkpoints | None = None,
@@ -54,7 +56,7 @@ def simulate(
 
         simulate(system, stop_time=10.0, step_size=0.01)
 
-    experiment: in place of the settings stop_time .. faults, which are those of `Experiment`
+    experiment: in place of the settings stop_time .. open_inputs, which are those of `Experiment`
     stop_time, step_size, start_time: [s], by default as the FMUs suggest
     timeout: longest time [s] that a call of an FMU may take, a step for instance; the FMUs then run in a
     process of their own, so that one that hangs or crashes does no harm to this process

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from orchestration.fmi.description import start_value
 from orchestration.results.recording import Recording
 from orchestration.system.prepared_run import PreparedRun
 
@@ -38,6 +39,7 @@ def make_recording(
 def _provenance(prepared: PreparedRun) -> dict[str, Any]:
     """The FMUs and the settings of the run, as plain data."""
     experiment = prepared.experiment
+    open_inputs = {port.name: start_value(port.variable) for port in prepared.system.open_inputs}
     return {
         "fmus": {
             name: {"guid": d.guid, "model": d.modelName, "tool": d.generationTool}
@@ -48,5 +50,6 @@ def _provenance(prepared: PreparedRun) -> dict[str, Any]:
         "extrapolation": experiment.extrapolation,
         **({"tolerance": experiment.tolerance} if experiment.tolerance else {}),
         **({"step_sizes_s": dict(experiment.step_sizes)} if experiment.step_sizes else {}),
+        **({"open_inputs": open_inputs} if open_inputs else {}),
         **({"faults": [repr(fault) for fault in experiment.faults]} if experiment.faults else {}),
     }

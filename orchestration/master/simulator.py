@@ -24,7 +24,8 @@ from orchestration.master.stepped_run import SteppedRun
 from orchestration.master.stepping import Progress, RunInProgress
 from orchestration.master.wiring import WiredRun, build_wiring
 from orchestration.results.recording import Recording
-from orchestration.system.experiment import Experiment
+from orchestration.system.experiment import Experiment, OpenInputsName
+from orchestration.system.open_inputs import OpenInputs
 from orchestration.system.prepared_run import prepare_checked
 from orchestration.system.system import CheckedSystem, System, check
 
@@ -46,7 +47,9 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
         self._must_reload = False
         self._guard: ProcessGuard | None = None
         self._running = threading.Lock()
-        self._checked: dict[tuple[str, ...], tuple[CheckedSystem, tuple[ConnectionGroup, ...]]] = {}
+        self._checked: dict[
+            tuple[tuple[str, ...], str], tuple[CheckedSystem, tuple[ConnectionGroup, ...]]
+        ] = {}
 
     def run(
         self,
@@ -71,7 +74,7 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
         with self._begin_run():
             pacing = None if real_time is None else Pacing(real_time)
             if checkpoints or resume:
-                check_can_save(self._check(experiment.driven_inputs)[0])
+                check_can_save(self._check(experiment.driven_inputs, experiment.open_inputs)[0])
             wired, groups, guard = self._prepare_run(experiment, (), storage)
             run = RunInProgress(wired, self._loop(wired.wiring), guard)
             recording = _run_to_end(run, groups, progress, pacing, checkpoints, resume)
@@ -113,7 +116,7 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
     ) -> tuple[WiredRun, tuple[ConnectionGroup, ...], ProcessGuard]:
         """Check an experiment, load or reset the FMUs and wire them."""
         driven = (*experiment.driven_inputs, *(name for name in external if name not in experiment.inputs))
-        system, groups = self._check(driven)
+        system, groups = self._check(driven, experiment.open_inputs)
         prepared = prepare_checked(system, experiment, external)
         storage = storage or Storage(np.empty(prepared.shape), new_report())
         if self._guard:
@@ -122,12 +125,15 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
         self._load_or_reset(storage.report, guard)
         return build_wiring(prepared, self._instances, storage), groups, guard
 
-    def _check(self, driven: tuple[str, ...]) -> tuple[CheckedSystem, tuple[ConnectionGroup, ...]]:
+    def _check(
+        self, driven: tuple[str, ...], open_inputs: OpenInputsName
+    ) -> tuple[CheckedSystem, tuple[ConnectionGroup, ...]]:
         """The checked system and its groups of initial values, computed once for the same driven inputs."""
-        if driven not in self._checked:
-            system = check(self.system, driven, self._descriptions)
-            self._checked[driven] = system, connection_groups(system)
-        return self._checked[driven]
+        key = driven, open_inputs
+        if key not in self._checked:
+            system = check(self.system, driven, self._descriptions, OpenInputs(open_inputs))
+            self._checked[key] = system, connection_groups(system)
+        return self._checked[key]
 
     def _load_or_reset(self, report: np.ndarray, guard: ProcessGuard) -> None:
         """Load the FMUs that are not loaded, and reset the used ones."""

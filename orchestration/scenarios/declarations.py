@@ -7,8 +7,9 @@ from pydantic import TypeAdapter
 from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.scenarios.file_format import FAULT, SIGNAL
 from orchestration.scenarios.file_tables import Table, checked
-from orchestration.system import faults, signals
+from orchestration.system import faults
 from orchestration.system.faults import Fault
+from orchestration.system.signal_derivatives import KINDS
 from orchestration.system.signals import Signal
 
 _SIGNAL_TABLE = TypeAdapter(Annotated[Table, SIGNAL])
@@ -22,7 +23,7 @@ def signal(declaration: object, where: str) -> Signal:
     """
     arguments = checked(_SIGNAL_TABLE, declaration, where).given()
     try:
-        return signals.KINDS[arguments.pop("kind")](**arguments)
+        return KINDS[arguments.pop("kind")](**arguments)
     except ScenarioError as error:
         raise ScenarioError(f"{where}: {error}") from error
 

@@ -8,17 +8,17 @@ from pydantic import Discriminator, Field, Strict, Tag
 from orchestration.results import metrics
 from orchestration.results.metric_units import FIXED_UNITS
 from orchestration.scenarios.file_tables import OneOf, Table, Value, table_of
-from orchestration.system import faults, signals
+from orchestration.system import faults
 from orchestration.system.experiment import Algorithm, Initialisation
+from orchestration.system.open_inputs import OpenInputs
+from orchestration.system.signal_derivatives import KINDS
 
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Connection = Annotated[list[str], Field(min_length=2, max_length=2)]
 LIST_OR_TABLE = Discriminator(lambda value: "table" if isinstance(value, dict) else "list")
 _OPTIONAL: Any = Field(default=None)  # Experiment has the default
 
-SIGNAL = OneOf(
-    "kind", {kind: table_of("kind", kind, made) for kind, made in signals.KINDS.items()}, droppable=True
-)
+SIGNAL = OneOf("kind", {kind: table_of("kind", kind, made) for kind, made in KINDS.items()}, droppable=True)
 FAULT = OneOf(
     "kind",
     {
@@ -60,6 +60,8 @@ class ExperimentTable(Table, use_attribute_docstrings=True):
     """Of the error that exchanging at steps brings; steps are then as short as that needs."""
     initialisation: Annotated[Initialisation, Strict(False)] = _OPTIONAL
     """How loops of initial values are solved."""
+    open_inputs: Annotated[OpenInputs, Strict(False)] = _OPTIONAL
+    """Inputs that nothing drives are an error, or keep the start values of their FMUs; error by default."""
 
 
 class EventTable(Table, use_attribute_docstrings=True):
@@ -69,6 +71,24 @@ class EventTable(Table, use_attribute_docstrings=True):
     """When [s]."""
     set: dict[str, Value]
     """ "component.variable" -> value."""
+
+
+class WhenReplacedTable(Table, use_attribute_docstrings=True):
+    """Entries of a base that apply if another FMU in the place of its component has some variables."""
+
+    component: str
+    """The component whose FMU another scenario replaces."""
+    has: list[str] = []
+    """Variables that the new FMU must have."""
+    lacks: list[str] = []
+    """Variables that the new FMU must not have."""
+    components: dict[str, str] = {}
+    connections: list[Connection] = []
+    parameters: dict[str, Value] = {}
+    inputs: dict[str, Value] = {}
+    signals: dict[str, Annotated[Table, SIGNAL]] = {}
+    record: list[str] = []
+    metrics: dict[str, Annotated[Table | Literal[False], METRIC]] = {}
 
 
 class ScenarioFile(Table, use_attribute_docstrings=True):
@@ -107,6 +127,10 @@ class ScenarioFile(Table, use_attribute_docstrings=True):
     signals; or a table that changes the list: "component.variable" -> true or false."""
     metrics: dict[str, Annotated[Table | Literal[False], METRIC]] = {}
     """Name -> function and its arguments; false drops a metric of the base."""
+    mapping: dict[str, dict[str, str]] = {}
+    """Component -> variable that the base names -> variable of the FMU that stands for it."""
+    when_replaced: list[WhenReplacedTable] = []
+    """Further entries, for another FMU in the place of a component."""
     sweep: dict[str, Any] = {}
     """Many runs with other values."""
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from fmpy.model_description import ModelDescription
 
-from orchestration.errors import ScenarioWarning, SystemDefinitionError
+from orchestration.errors import ScenarioError, ScenarioWarning, SystemDefinitionError
 from orchestration.scenarios.layers import Data, Layer, with_events
 from orchestration.system.system import Port
 from orchestration.system.values import fmi_value
@@ -23,7 +23,7 @@ _RECORDED = ("output", "input")
 _SIGNALS_OF_METRICS = ("signal", "reference")
 
 Describe = Callable[[str], ModelDescription]
-"""Component -> model description of its FMU."""
+"""Block, or path of an FMU -> its model description."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,19 @@ class Replacement:
             )
             warnings.warn(f"{self.component} {reason}: {listed}", ScenarioWarning, stacklevel=4)
 
+    def lost_inputs(self) -> list[str]:
+        """The inputs that a connection or a signal drives, and the new FMU has not."""
+        targets = (shown.partition(" -> ")[2] for shown in self.dropped.get("connections", []))
+        names = (*targets, *self.dropped.get("signals", []))
+        return [name for name in names if name.startswith(f"{self.component}.")]
 
-def replacements(layers: Sequence[Layer], describe: Describe) -> list[Replacement]:
-    """The components whose FMU is not that of the layer which gave them first."""
+    def names(self, causality: str) -> list[str]:
+        """The variables of the new FMU that have this causality."""
+        return [name for name, port in self.ports.items() if port.variable.causality == causality]
+
+
+def replacements(layers: Sequence[Layer], describe: Describe) -> dict[str, Replacement]:
+    """The components whose FMU is not that of the layer which gave them first, by name."""
     fmus: dict[str, Any] = {}
     changed: dict[str, int] = {}
     for index, layer in enumerate(layers):
@@ -59,41 +69,75 @@ def replacements(layers: Sequence[Layer], describe: Describe) -> list[Replacemen
             if fmus.get(component, fmu) != fmu:
                 changed[component] = index
             fmus[component] = fmu
-    return [
-        Replacement(component, fmus[component] or "", index, _ports(component, fmus[component], describe))
+    return {
+        component: Replacement(
+            component, fmus[component] or "", index, _ports(component, fmus[component], describe)
+        )
         for component, index in changed.items()
-    ]
+    }
 
 
 def _ports(component: str, fmu: Any, describe: Describe) -> dict[str, Port]:
     if fmu is False:
         return {}
-    return {v.name: Port(component, v) for v in describe(component).modelVariables}
+    return {v.name: Port(component, v) for v in describe(fmu).modelVariables}
 
 
-def without_misfits(layers: Sequence[Layer], replaced: Sequence[Replacement]) -> list[Layer]:
-    """The layers without inherited entries that do not fit; a warning for each component names them."""
+def without_misfits(layers: Sequence[Layer], replaced: Mapping[str, Replacement]) -> list[Layer]:
+    """The layers without inherited entries that do not fit, which `Replacement.dropped` then names."""
     fitted = []
     for index, layer in enumerate(layers):
-        above = {r.component: r for r in replaced if r.layer > index}
+        above = {name: r for name, r in replaced.items() if r.layer > index}
         fitted.append(replace(layer, data=_Fitting(above).layer(layer.data)) if above else layer)
-    for replacement in replaced:
-        replacement.warn()
     return fitted
 
 
-def without_removed(
-    values: Mapping[str, Any], table: str, layers: Sequence[Layer], describe: Describe
-) -> dict[str, Any]:
+def warn_of_dropped(replaced: Mapping[str, Replacement], data: Data) -> None:
+    """One warning for each component names what it lacks; ScenarioError if it is not joined to the system."""
+    for replacement in replaced.values():
+        _check_joined(replacement, data)
+    for replacement in replaced.values():
+        replacement.warn()
+
+
+def _check_joined(replaced: Replacement, data: Data) -> None:
+    """Refuse an FMU whose variables have other names than the connections and signals that it inherits."""
+    prefix = f"{replaced.component}."
+    driven = {*data["inputs"], *data["signals"], *(target for _, target, *_ in data.get("connections", []))}
+    missing: set[str] = set()
+    for shown in replaced.dropped.get("connections", []):
+        source, _, target = shown.partition(" -> ")
+        missing |= {source} if source.startswith(prefix) and target not in driven else set()
+    may_be_open = data["experiment"].get("open_inputs") == "start"
+    undriven = [n for n in replaced.names("input") if not (prefix + n in driven or may_be_open)]
+    if undriven:
+        missing |= set(replaced.lost_inputs())
+    if not (replaced.fmu and missing):
+        return
+    lacks = sorted(name.removeprefix(prefix) for name in missing)
+    may_stay = ", or leave inputs at their start values by --open-inputs start" if undriven else ""
+    raise ScenarioError(
+        f"{replaced.component} is {Path(replaced.fmu).name}, which lacks {', '.join(lacks)}; nothing drives "
+        f"its {', '.join(undriven) or '(no input)'}, its outputs are {', '.join(replaced.names('output'))}: "
+        f"name those that stand for others by --map {lacks[0]}=NAME or in [mapping.{replaced.component}]"
+        f"{may_stay}"
+    )
+
+
+def without_removed(data: Data, table: str, layers: Sequence[Layer], describe: Describe) -> dict[str, Any]:
     """The values of a table without those that are `false`, inherited, and of no Boolean variable."""
-    given = {name: sum(name in layer.data.get(table, {}) for layer in layers) for name in values}
-    removed = {n for n, v in values.items() if v is False and given[n] > 1 and not _is_boolean(n, describe)}
-    return {name: value for name, value in values.items() if name not in removed}
+
+    def is_removed(name: str, value: Any) -> bool:
+        is_inherited = sum(name in layer.data.get(table, {}) for layer in layers) > 1
+        return value is False and is_inherited and not _is_boolean(name, data["components"], describe)
+
+    return {name: value for name, value in data[table].items() if not is_removed(name, value)}
 
 
-def _is_boolean(name: str, describe: Describe) -> bool:
+def _is_boolean(name: str, components: Mapping[str, str], describe: Describe) -> bool:
     component, _, variable = name.partition(".")
-    return any(v.name == variable and v.type == "Boolean" for v in describe(component).modelVariables)
+    variables = describe(components[component]).modelVariables if component in components else []
+    return any(v.name == variable and v.type == "Boolean" for v in variables)
 
 
 class _Fitting:

@@ -16,6 +16,7 @@ from fmus.errors import nearest
 from orchestration.errors import SystemDefinitionError
 from orchestration.fmi.description import describe
 from orchestration.system.faults import Fault
+from orchestration.system.open_inputs import OpenInputs
 from orchestration.system.signals import Signal
 from orchestration.system.system import System
 from orchestration.system.time_grid import GRID_TOLERANCE, is_multiple, time_grid
@@ -45,6 +46,7 @@ class Initialisation(StrEnum):
 
 
 AlgorithmName = Algorithm | Literal["jacobi", "gauss-seidel"]
+OpenInputsName = OpenInputs | Literal["error", "start"]
 InitialisationName = Initialisation | Literal["automatic", "fixed-point", "newton"]
 
 
@@ -68,6 +70,7 @@ class Experiment:
     tolerance: of the error caused by exchanging at communication points only; the master then varies the step
     initialisation: how algebraic loops of initial values are solved
     faults: on inputs that a connection or a signal drives; several faults on one input act in their order
+    open_inputs: inputs that nothing drives are an error, or keep their FMU's start value
 
     Raises SystemDefinitionError for values that do not fit together.
     """
@@ -86,6 +89,7 @@ class Experiment:
     tolerance: float | None = None
     initialisation: InitialisationName = Initialisation.AUTOMATIC
     faults: Sequence[Fault] = ()
+    open_inputs: OpenInputsName = OpenInputs.ERROR
 
     def __post_init__(self) -> None:
         self._convert_types()
@@ -94,7 +98,8 @@ class Experiment:
 
     def _convert_types(self) -> None:
         """Names to members of their enumerations, lists to tuples."""
-        for name, kind in (("algorithm", Algorithm), ("initialisation", Initialisation)):
+        kinds = {"algorithm": Algorithm, "initialisation": Initialisation, "open_inputs": OpenInputs}
+        for name, kind in kinds.items():
             object.__setattr__(self, name, _member(kind, getattr(self, name), name))
         for name, kind in (("events", Event), ("faults", Fault), ("record", str)):
             object.__setattr__(self, name, _tuple_of(kind, getattr(self, name), name))

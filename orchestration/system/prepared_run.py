@@ -16,6 +16,7 @@ from orchestration.fmi.description import start_value
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.experiment_checks import check_capabilities, check_faults, check_signals
 from orchestration.system.faults import Fault, Pattern, compose
+from orchestration.system.open_inputs import OpenInputs
 from orchestration.system.signals import values_at
 from orchestration.system.system import CheckedSystem, Port, System, check
 from orchestration.system.values import fmi_value, possible_values, value_range
@@ -29,7 +30,7 @@ class PreparedRun:
 
     points: communication points [s], shape (n,); with the times of events if every FMU can step to them
     recorded: names of the recorded variables
-    settings: parameters and constant inputs, with their values as the FMUs take them
+    settings: parameters, constant inputs and open ones, with their values as the FMUs take them
     changes: index of a communication point -> what is set there
     periods: component -> communication steps in one step of its own
     input_ranges: driven input -> its smallest and largest value
@@ -87,7 +88,12 @@ def prepare(system: System, experiment: Experiment) -> PreparedRun:
 
     Raises FmuLoadError for a file that is no FMU, SystemDefinitionError for what does not fit.
     """
-    return prepare_checked(check(system, experiment.driven_inputs), experiment)
+    return prepare_checked(check_for(system, experiment), experiment)
+
+
+def check_for(system: System, experiment: Experiment) -> CheckedSystem:
+    """Read the model descriptions and check the system, with the inputs that the experiment drives."""
+    return check(system, experiment.driven_inputs, open_inputs=OpenInputs(experiment.open_inputs))
 
 
 def prepare_checked(
@@ -210,7 +216,8 @@ def _settings(system: CheckedSystem, experiment: Experiment) -> tuple[Setting, .
     for name, value in experiment.inputs.items():
         port = system.port(name, "input")
         settings.append((port, fmi_value(port, value)))
-    return tuple(settings)
+    starts = ((port, fmi_value(port, start_value(port.variable))) for port in system.open_inputs)
+    return (*settings, *starts)
 
 
 def _has_start_value(variable: ScalarVariable) -> bool:

@@ -1,6 +1,6 @@
 """Reference trajectories and other signals: functions of time that drive an input."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Protocol
@@ -127,11 +127,3 @@ def _is_pair(point: Any) -> bool:
 def _quintic(s: np.ndarray) -> np.ndarray:
     """10 s^3 - 15 s^4 + 6 s^5: 0 to 1 with zero first and second derivatives at both ends."""
     return s * s * s * (10.0 + s * (6.0 * s - 15.0))
-
-
-KINDS: dict[str, Callable[..., Signal]] = {
-    "ramps": Ramps,
-    "cosine": Cosine,
-    "constant": Constant,
-    "samples": Samples,
-}

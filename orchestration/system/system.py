@@ -12,6 +12,7 @@ from fmpy.model_description import ModelDescription, ScalarVariable
 from fmus.errors import nearest
 from orchestration.errors import SystemDefinitionError
 from orchestration.fmi.description import describe, of_causality
+from orchestration.system.open_inputs import OpenInputs
 
 # type of an input -> types of the outputs that it accepts: those of which every value is one of its own
 _ACCEPTED = {
@@ -70,12 +71,14 @@ class CheckedSystem:
     """A system and its model descriptions: every name exists, every connection fits.
 
     ports: "component.variable" -> variable, of all components
+    open_inputs: inputs that nothing drives
     """
 
     components: Mapping[str, Path]
     descriptions: Mapping[str, ModelDescription]
     ports: Mapping[str, Port]
     connections: tuple[tuple[Port, Port], ...]
+    open_inputs: tuple[Port, ...] = ()
 
     def port(self, name: str, purpose: str) -> Port:
         """The variable called "component.variable"; an unknown one offers the nearest."""
@@ -126,11 +129,13 @@ def check(
     system: System,
     driven: Iterable[str] = (),
     descriptions: Mapping[str, ModelDescription] | None = None,
+    open_inputs: OpenInputs = OpenInputs.ERROR,
 ) -> CheckedSystem:
     """Read every model description and check every name, type and unit of the system.
 
     driven: inputs that a signal or a constant drives; every other input needs a connection
     descriptions: those of the components, if they have been read already
+    open_inputs: whether an input that nothing drives is an error
     Raises FmuLoadError for a file that is no FMU, SystemDefinitionError for what does not fit.
     """
     descriptions = descriptions or {name: describe(Path(path)) for name, path in system.components.items()}
@@ -150,13 +155,13 @@ def check(
     for name, count in drivers.items():
         if count > 1:
             raise SystemDefinitionError(f"{name} is driven {count} times: expected once")
-    undriven = [n for n, port in ports.items() if port.variable.causality == "input" and n not in drivers]
-    if undriven:
+    undriven = [p for n, p in ports.items() if p.variable.causality == "input" and n not in drivers]
+    if undriven and open_inputs is OpenInputs.ERROR:
         raise SystemDefinitionError(
-            f"{', '.join(undriven)}: driven by nothing; connect each input, drive it by a signal "
-            "or give it a constant value"
+            f"{', '.join(port.name for port in undriven)}: driven by nothing; connect each input, drive it "
+            'by a signal, give it a constant value, or set open_inputs = "start" for the FMU\'s start value'
         )
-    return replace(checked, connections=connections)
+    return replace(checked, connections=connections, open_inputs=tuple(undriven))
 
 
 def _connection(checked: CheckedSystem, source: str, target: str) -> tuple[Port, Port]:

@@ -59,7 +59,7 @@ def test_one_warning_names_all_that_is_dropped(tmp_path: Path) -> None:
 
 
 def test_a_variable_of_another_causality_or_range_does_not_fit(tmp_path: Path) -> None:
-    described(tmp_path / "pid.fmu", INPUTS, ("augmentation",), ("roll", "internal_step:Integer"))
+    described(tmp_path / "pid.fmu", INPUTS, (*VOLTAGES, "augmentation"), ("roll", "internal_step:Integer"))
     loaded_path = child(tmp_path, '[components]\ncontroller = "pid.fmu"\n')
     with pytest.warns(ScenarioWarning, match=r"controller\.internal_step"):
         loaded = scenario.load(loaded_path)

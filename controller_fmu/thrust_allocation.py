@@ -1,0 +1,78 @@
+"""Block ThrustAllocation: a vertical force in, two thruster voltages out.
+
+For a controller whose output is the force of the depth control interface, positive down. The voltages are
+those of the inputs of the last step, a communication step later than those of a controller that allocates.
+"""
+
+from dataclasses import dataclass
+
+from controller_fmu import allocation
+from controller_fmu.thrust_allocation_guide import GUIDE
+from fmus.block import Block, NoValues, variable
+
+Vector = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Parameters:
+    internal_step: float = variable(
+        10.0, "Longest internal step; without effect, the voltages follow the inputs at once",
+        unit="s", min=1e-7, max=1e6, variability="fixed",
+    )  # fmt: skip
+    thruster_gain: Vector = variable(
+        (0.25, 0.25), "Force coefficient K of each thruster", unit="N/V", min=1e-6, max=1e6,
+        source="guess: the paper gives none",
+    )  # fmt: skip
+    voltage_limit: float = variable(
+        12.0, "Largest voltage of a thruster", unit="V", min=1e-6, max=1e6,
+        source="guess: the paper gives none",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Inputs:
+    control_force: float = variable(0.0, "Demanded force, earth frame, positive down", unit="N")
+    roll: float = variable(0.0, "Roll angle phi", unit="rad")
+    pitch: float = variable(0.0, "Pitch angle theta", unit="rad")
+
+
+@dataclass(frozen=True)
+class State:
+    """The demanded force [N] and J = cos(roll) cos(pitch)."""
+
+    force: float = 0.0
+    j: float = 1.0
+
+
+@dataclass(frozen=True)
+class Outputs:
+    voltage: Vector = variable((0.0, 0.0), "Voltage of each thruster, saturated", unit="V")
+
+
+def initial_state(t: float, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
+    return State(inputs.control_force, allocation.body_to_earth(inputs.roll, inputs.pitch))
+
+
+def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
+    return initial_state(t, inputs, p, calculated)
+
+
+def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outputs:
+    voltages = allocation.allocate(state.force, state.j, p.thruster_gain)
+    return Outputs(voltage=allocation.saturate(voltages, p.voltage_limit))
+
+
+BLOCK = Block(
+    name="ThrustAllocation",
+    description="Allocation of a vertical force to two thrusters",
+    parameters=Parameters,
+    inputs=Inputs,
+    state=State,
+    outputs=Outputs,
+    initial_state=initial_state,
+    step=step,
+    output=output,
+    stop_time=310.0,
+    step_size=0.02,
+    guide=GUIDE,
+)

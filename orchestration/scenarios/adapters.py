@@ -1,0 +1,112 @@
+"""What joins another FMU to a scenario: names that stand for others, and entries for some FMUs only.
+
+[mapping.controller]            entries of the layers below that name controller.depth_reference
+depth_reference = "setpoint"    mean controller.setpoint
+
+[[when_replaced]]               further entries of a base, if another FMU in the place of its controller
+component = "controller"        has one variable and lacks another
+has = ["control_force"]
+lacks = ["voltage[1]"]
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from fmus.errors import nearest
+from orchestration.errors import ScenarioError
+from orchestration.scenarios.layers import Data, Layer, merge
+from orchestration.scenarios.replaced import Replacement
+
+_CONDITIONS = ("component", "has", "lacks")
+_OWN = ("mapping", "when_replaced")  # tables of this module, which a resolved scenario has not
+
+Mappings = list[dict[str, str]]
+"""For each layer: "component.variable" of the layers below -> the name that stands for it."""
+
+
+def mappings(layers: Sequence[Layer], replaced: Mapping[str, Replacement]) -> Mappings:
+    """The mappings of each layer that are of the component's last FMU."""
+    result: Mappings = []
+    for index, layer in enumerate(layers):
+        names: dict[str, str] = {}
+        for component, table in layer.data.get("mapping", {}).items():
+            replacement = replaced.get(component)
+            if replacement is None or replacement.layer <= index:
+                _check_mapping(component, table, layers[:index], replacement, layer)
+                names |= {f"{component}.{old}": f"{component}.{new}" for old, new in table.items()}
+        result.append(names)
+    return result
+
+
+def _check_mapping(
+    component: str,
+    table: Mapping[str, str],
+    below: Sequence[Layer],
+    replaced: Replacement | None,
+    layer: Layer,
+) -> None:
+    known = {name for lower in below for name in _variables(lower.data, component)}
+    for old, new in table.items():
+        where = f"{layer.at(('mapping', component, old))}: mapping.{component}: "
+        if old not in known:
+            raise ScenarioError(f"{where}nothing names {component}.{old}; {nearest(old, known)}")
+        if replaced is not None and new not in replaced.ports:
+            raise ScenarioError(f"{where}{component} has no variable {new!r}; {nearest(new, replaced.ports)}")
+
+
+def _variables(value: Any, component: str) -> Iterator[str]:
+    """Names of variables of a component, wherever a layer has them."""
+    if isinstance(value, dict):
+        if value.get("component") == component:
+            yield from (*value.get("has", []), *value.get("lacks", []))
+        for key, item in value.items():
+            yield from _variables(key, component)
+            yield from _variables(item, component)
+    elif isinstance(value, list):
+        for item in value:
+            yield from _variables(item, component)
+    elif isinstance(value, str) and value.startswith(f"{component}."):
+        yield value.removeprefix(f"{component}.")
+
+
+def adapted(layers: Sequence[Layer], replaced: Mapping[str, Replacement], names: Mappings) -> list[Layer]:
+    """The layers with their entries for the replaced components, and with the names that stand for others."""
+    result = []
+    for index, layer in enumerate(layers):
+        data = {key: value for key, value in layer.data.items() if key not in _OWN}
+        above: dict[str, str] = {}
+        for mapping in names[index + 1 :]:
+            above |= mapping
+        for entries in layer.data.get("when_replaced", []):
+            replacement = replaced.get(entries["component"])
+            if replacement and replacement.layer > index and _applies(entries, replacement, above):
+                data = _with_entries(data, entries)
+        result.append(replace(layer, data=_renamed(data, above)))
+    return result
+
+
+def _applies(entries: Data, replaced: Replacement, names: Mapping[str, str]) -> bool:
+    def is_there(variable: str) -> bool:
+        name = f"{replaced.component}.{variable}"
+        return names.get(name, name).removeprefix(f"{replaced.component}.") in replaced.ports
+
+    return all(map(is_there, entries.get("has", []))) and not any(map(is_there, entries.get("lacks", [])))
+
+
+def _with_entries(data: Data, entries: Data) -> Data:
+    """The data of a layer with further entries, of tables in place of its own, of lists behind them."""
+    further = {key: value for key, value in entries.items() if key not in _CONDITIONS}
+    lists = {key: [*data.get(key, []), *value] for key, value in further.items() if isinstance(value, list)}
+    return merge(data, {**further, **lists})
+
+
+def _renamed(value: Any, names: Mapping[str, str]) -> Any:
+    """The value with other names of variables, as keys and as texts."""
+    if not names:
+        return value
+    if isinstance(value, dict):
+        return {names.get(key, key): _renamed(item, names) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_renamed(item, names) for item in value]
+    return names.get(value, value) if isinstance(value, str) else value

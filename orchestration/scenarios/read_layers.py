@@ -1,0 +1,150 @@
+"""The layers of a scenario, from its files and from what a command sets."""
+
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from fmus.errors import nearest
+from fmus.fmi_types import FmiValue
+from fmus.registry import block_names
+from orchestration.errors import ScenarioError
+from orchestration.scenarios.file_format import ParameterFile, ScenarioFile
+from orchestration.scenarios.file_tables import check_part, checked
+from orchestration.scenarios.layers import Data, Layer, merge
+from orchestration.scenarios.replaced import Describe
+from orchestration.scenarios.toml_file import TomlFile, read_toml
+
+SHIPPED = Path(str(resources.files("orchestration.scenarios")))
+_FILE, _PARAMETERS = TypeAdapter(ScenarioFile), TypeAdapter(ParameterFile)
+_OF_A_BASE = (("components",), ("experiment",), ("experiment", "stop_time"), ("experiment", "step_size"))
+
+
+def shipped() -> dict[str, Path]:
+    """Scenarios that come with the package, by name."""
+    return {path.stem: path for path in sorted(SHIPPED.glob("*.toml"))}
+
+
+def shipped_bases() -> dict[str, Path]:
+    """What the shipped scenarios share, by name: files that others may have as their base."""
+    return {path.stem: path for path in sorted((SHIPPED / "base").glob("*.toml"))}
+
+
+def find(name_or_path: str) -> Path:
+    """The scenario file of that path, or of that name among the shipped ones."""
+    return _file(name_or_path, Path(), shipped())
+
+
+def _file(name_or_path: str, folder: Path, known: Mapping[str, Path]) -> Path:
+    if name_or_path.endswith(".toml"):
+        return folder / name_or_path
+    if name_or_path not in known:
+        raise ScenarioError(f"no scenario {name_or_path!r}; {nearest(name_or_path, known)}")
+    return known[name_or_path]
+
+
+def file_layers(path: Path, above: tuple[Path, ...] = ()) -> list[Layer]:
+    """A file and its bases, the lowest first; above: the files that it is a base of."""
+    if path.resolve() in above:
+        raise ScenarioError(f"{path}: is its own base")
+    file = read_toml(path)
+    data = file.data
+    check_part(_FILE, data, file.at, absent=_OF_A_BASE)
+    for table, keys in _tables_of_components(data):
+        for name, fmu in table.items():
+            table[name] = fmu and _fmu(fmu, path.parent, file.at((*keys, name)))
+    base = data.pop("base", "")
+    below: list[Layer] = []
+    if base:
+        base_path = _file(base, path.parent, shipped() | shipped_bases())
+        below = file_layers(base_path, (*above, path.resolve()))
+        below[-1].data.pop("title", None)  # a scenario is not called as its base is
+    parameters: dict[str, Any] = {}
+    files = [file]
+    for name in data.pop("parameter_files", []):
+        files.insert(1, read_toml(path.parent / name))
+        parameters |= _values_of(files[1])
+    own = merge({"parameters": parameters}, data) if parameters else data
+    return [*below, Layer(own, tuple(files))]
+
+
+def _tables_of_components(data: Data) -> list[tuple[dict[str, Any], tuple[str | int, ...]]]:
+    """Each table of components, and its keys."""
+    tables: list[tuple[dict[str, Any], tuple[str | int, ...]]]
+    tables = [(data.get("components", {}), ("components",))]
+    for i, entries in enumerate(data.get("when_replaced", [])):
+        tables.append((entries.get("components", {}), ("when_replaced", i, "components")))
+    return tables
+
+
+def parameter_values(path: Path) -> dict[str, Any]:
+    """ "component.variable" -> value of a parameter file, whose entries also tell provenance."""
+    return _values_of(read_toml(path))
+
+
+def _values_of(file: TomlFile) -> dict[str, Any]:
+    parameters = checked(_PARAMETERS, file.data, file.at).parameters
+    return {name: entry.value for name, entry in parameters.items()}
+
+
+def _fmu(fmu: str, folder: Path, where: str) -> str:
+    """The name of a block, or the absolute path of an FMU named relative to a folder.
+
+    where: begins the ScenarioError about a name that is neither
+    """
+    if fmu.endswith(".fmu"):
+        return str((folder / fmu).absolute())
+    if fmu not in block_names():
+        raise ScenarioError(
+            f"{where}: no block {fmu!r}, and a path must end in .fmu; {nearest(fmu, block_names())}"
+        )
+    return fmu
+
+
+def components_of(layers: Sequence[Layer]) -> dict[str, str]:
+    """Component -> block or path of its FMU, as the uppermost layer has it."""
+    components: dict[str, str] = {}
+    for layer in layers:
+        components |= layer.data.get("components", {})
+    return {name: fmu for name, fmu in components.items() if fmu}
+
+
+def command_entries(overrides: Mapping[str, Any], settings: Mapping[str, FmiValue]) -> Data:
+    """The overrides and the settings that name a component; paths are relative to the present folder."""
+    given = {
+        **overrides.get("components", {}),
+        **{n: str(fmu) for n, fmu in settings.items() if "." not in n},
+    }
+    components = {name: _fmu(fmu, Path(), f"{name} = {fmu}") for name, fmu in given.items()}
+    return merge(dict(overrides), {"components": components} if components else {})
+
+
+def check_components(settings: Mapping[str, FmiValue], layers: Sequence[Layer]) -> None:
+    """ScenarioError for a setting that names no component of these layers."""
+    known = components_of(layers)
+    for name, fmu in settings.items():
+        if "." not in name and name not in known:
+            raise ScenarioError(f"{name} = {fmu!r}: no component {name!r} to replace; {nearest(name, known)}")
+
+
+def values_of_settings(
+    settings: Mapping[str, FmiValue], components: Mapping[str, str], description: Describe
+) -> Data:
+    """The tables of a scenario file that the values of variables stand in."""
+    tables: Data = {}
+    for name, value in settings.items():
+        component, dot, variable = name.partition(".")
+        if not dot:
+            continue
+        if component not in components:
+            hint = nearest(component, components)
+            raise ScenarioError(f"{name} = {value!r}: no component {component!r}; {hint}")
+        causalities = {v.name: v.causality for v in description(components[component]).modelVariables}
+        settable = {known: c for known, c in causalities.items() if c in ("parameter", "input")}
+        if variable not in settable:
+            hint = nearest(name, (f"{component}.{known}" for known in settable))
+            raise ScenarioError(f"{name} = {value!r}: expected a parameter or an input; {hint}")
+        tables.setdefault(f"{settable[variable]}s", {})[name] = value
+    return tables

@@ -1,0 +1,108 @@
+"""Time derivatives of signals: of a reference trajectory, for a controller that takes its rate."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from orchestration.errors import ScenarioError
+from orchestration.system.signals import Constant, Cosine, Curve, Ramps, Samples, Signal
+
+
+@dataclass(frozen=True)
+class Derivative(Curve):
+    """The derivative of that order, 1 or 2, of the signal `of` another input.
+
+    At a kink it is that of the time after it, which holds over the next communication step. `derivative_of`
+    gives the values.
+    """
+
+    of: str
+    order: int = 1
+
+    def __post_init__(self) -> None:
+        if self.order not in (1, 2):
+            raise ScenarioError(f"derivative: order = {self.order!r}: expected 1 or 2")
+
+
+@dataclass(frozen=True)
+class _Values(Curve):
+    """A curve by its function of times."""
+
+    function: Callable[[np.ndarray], np.ndarray]
+
+    def at(self, times: np.ndarray) -> np.ndarray:
+        return self.function(times)
+
+
+def with_derivatives(signals: Mapping[str, Signal]) -> dict[str, Signal]:
+    """The signals, each `Derivative` as a curve; ScenarioError for one of a signal without derivatives."""
+    result: dict[str, Signal] = dict(signals)
+    for name, signal in signals.items():
+        if isinstance(signal, Derivative):
+            if signal.of not in signals:
+                raise ScenarioError(
+                    f'signals."{name}": of = {signal.of!r}: expected an input that has a signal'
+                )
+            result[name] = derivative(signals[signal.of], signal.order, name)
+    return result
+
+
+def derivative(signal: Signal, order: int = 1, name: str = "derivative") -> Signal:
+    """The derivative of a signal, of order 1 or 2; `name` begins the error about one that has none."""
+    rates: dict[type, Callable[[Any, int], Callable[[np.ndarray], np.ndarray]]] = {
+        Ramps: _of_ramps,
+        Cosine: _of_cosine,
+        Constant: lambda signal, order: np.zeros_like,
+        Samples: _of_samples,
+    }
+    if type(signal) not in rates:
+        known = "ramps, cosine, constant or samples"
+        raise ScenarioError(
+            f'signals."{name}": expected the derivative of {known}, got {type(signal).__name__}'
+        )
+    return _Values(rates[type(signal)](signal, order))
+
+
+def _of_ramps(ramps: Ramps, order: int) -> Callable[[np.ndarray], np.ndarray]:
+    def at(times: np.ndarray) -> np.ndarray:
+        values = np.zeros(times.shape)
+        for (t_0, x_0), (t_1, x_1) in pairwise(ramps.points):
+            inside = slice(*np.searchsorted(times, (t_0, t_1)))
+            s = (times[inside] - t_0) / (t_1 - t_0)
+            values[inside] = (x_1 - x_0) / (t_1 - t_0) ** order * _shape_rate(s, order, ramps.smooth)
+        return values
+
+    return at
+
+
+def _shape_rate(s: np.ndarray, order: int, smooth: bool) -> np.ndarray:
+    """The derivative by s of s, or of 10 s^3 - 15 s^4 + 6 s^5."""
+    if not smooth:
+        return np.ones_like(s) if order == 1 else np.zeros_like(s)
+    return 30.0 * (s * (1.0 - s)) ** 2 if order == 1 else 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
+
+
+def _of_cosine(cosine: Cosine, order: int) -> Callable[[np.ndarray], np.ndarray]:
+    omega = cosine.angular_frequency
+    moved = Cosine(cosine.amplitude * omega**order, omega, cosine.phase + 0.5 * np.pi * order)
+    return moved.at
+
+
+def _of_samples(samples: Samples, order: int) -> Callable[[np.ndarray], np.ndarray]:
+    times, values = np.asarray(samples.times), np.asarray(samples.values)
+    if samples.hold or order == 2 or len(times) == 1:
+        return np.zeros_like
+    slopes = [0.0, *(np.diff(values) / np.diff(times)), 0.0]
+    return lambda t: np.asarray(slopes)[np.searchsorted(times, t, side="right")]
+
+
+KINDS: dict[str, Callable[..., Signal]] = {
+    "ramps": Ramps,
+    "cosine": Cosine,
+    "constant": Constant,
+    "samples": Samples,
+    "derivative": Derivative,
+}

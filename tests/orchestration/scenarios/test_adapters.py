@@ -1,0 +1,144 @@
+"""How another controller is joined to the vehicle: the depth control interface, and other names."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from orchestration.errors import ScenarioError
+from orchestration.scenarios import scenario
+from orchestration.scenarios.scenario import Scenario
+from orchestration.system.prepared_run import prepare
+from tests.described_fmus import described
+
+pytestmark = pytest.mark.filterwarnings("ignore::orchestration.errors.ScenarioWarning")
+REFERENCE, DEPTH = "depth_reference", "measured_depth"
+VOLTAGES = ("voltage[1]", "voltage[2]")
+MAPPED = {"depth_reference": "r", "measured_depth": "z", "voltage[1]": "v1", "voltage[2]": "v2"}
+
+
+def with_fmu(folder: Path, inputs: Any, outputs: Any, **overrides: Any) -> Scenario:
+    fmu = described(folder / "my.fmu", inputs, outputs, ("kp",))
+    path = scenario.find("nominal-extended")
+    return scenario.load(path, overrides, settings={"controller": str(fmu)})
+
+
+def test_a_force_is_joined_through_the_allocation(tmp_path: Path) -> None:
+    loaded = with_fmu(tmp_path, (REFERENCE, DEPTH), ("control_force",))
+    assert loaded.resolved["components"]["allocation"] == "ThrustAllocation"
+    assert loaded.system.connections == (
+        ("plant.measured_depth", "controller.measured_depth"),
+        ("controller.control_force", "allocation.control_force"),
+        ("allocation.voltage[1]", "plant.voltage[1]"),
+        ("allocation.voltage[2]", "plant.voltage[2]"),
+    )
+    assert "controller.control_force" in loaded.experiment.record
+    assert loaded.metrics["total_variation"]["signal"] == "controller.control_force"
+    prepare(loaded.system, loaded.experiment)
+    assert not {"mapping", "when_replaced"} & loaded.resolved.keys()
+
+
+@pytest.mark.parametrize("outputs", [VOLTAGES, (*VOLTAGES, "control_force")])
+def test_voltages_need_no_allocation(tmp_path: Path, outputs: tuple[str, ...]) -> None:
+    loaded = with_fmu(tmp_path, (REFERENCE, DEPTH), outputs)
+    assert list(loaded.system.components) == ["plant", "controller"]
+    prepare(loaded.system, loaded.experiment)
+
+
+def test_parameters_of_the_allocation_can_be_set(tmp_path: Path) -> None:
+    fmu = described(tmp_path / "my.fmu", (REFERENCE, DEPTH), ("control_force",))
+    settings = {"controller": str(fmu), "allocation.voltage_limit": 6.0}
+    loaded = scenario.load(scenario.find("nominal-l1"), settings=settings)
+    assert loaded.experiment.parameters["allocation.voltage_limit"] == 6.0
+
+
+def test_optional_inputs_are_driven_where_the_controller_has_them(tmp_path: Path) -> None:
+    optional = (
+        "measured_depth_rate",
+        "depth_reference_rate",
+        "depth_reference_acceleration",
+        "roll",
+        "pitch",
+    )
+    loaded = with_fmu(tmp_path, (REFERENCE, DEPTH, *optional), VOLTAGES)
+    assert ("plant.depth_rate", "controller.measured_depth_rate") in loaded.system.connections
+    assert set(loaded.experiment.inputs) >= {"controller.roll", "controller.pitch"}
+    signals = loaded.experiment.signals
+    assert signals["controller.depth_reference_rate"](20.0) == 0.8 / 40.0
+    assert signals["controller.depth_reference_acceleration"](20.0) == 0.0
+    prepare(loaded.system, loaded.experiment)
+
+
+def test_the_reference_rate_is_that_of_the_reference_of_the_scenario(tmp_path: Path) -> None:
+    fmu = described(tmp_path / "my.fmu", (REFERENCE, DEPTH, "depth_reference_rate"), VOLTAGES)
+    smooth = scenario.load(scenario.find("nominal-extended-smooth"), settings={"controller": str(fmu)})
+    assert smooth.experiment.signals["controller.depth_reference_rate"](20.0) == pytest.approx(
+        1.875 * 0.8 / 40.0, rel=1e-15
+    )
+
+
+def test_mapped_names_stand_for_those_of_the_scenario(tmp_path: Path) -> None:
+    mapping = {"controller": MAPPED}
+    loaded = with_fmu(tmp_path, ("r", "z"), ("v1", "v2"), mapping=mapping)
+    assert list(loaded.experiment.signals) == ["controller.r"]
+    assert ("controller.v1", "plant.voltage[1]") in loaded.system.connections
+    assert loaded.metrics["rmse"]["reference"] == "controller.r"
+    prepare(loaded.system, loaded.experiment)
+
+
+def test_a_mapped_force_is_joined_through_the_allocation(tmp_path: Path) -> None:
+    mapping = {"controller": {"control_force": "u"}}
+    loaded = with_fmu(tmp_path, (REFERENCE, DEPTH), ("u",), mapping=mapping)
+    assert ("controller.u", "allocation.control_force") in loaded.system.connections
+    assert loaded.metrics["total_variation"]["signal"] == "controller.u"
+    prepare(loaded.system, loaded.experiment)
+
+
+def test_a_mapping_in_a_file_is_of_its_base_and_of_its_own_fmu(tmp_path: Path) -> None:
+    described(tmp_path / "my.fmu", ("r", "z"), ("v1", "v2"), ("kp",))
+    (tmp_path / "mine.toml").write_text(
+        'base = "nominal-l1"\n[components]\ncontroller = "my.fmu"\n[mapping.controller]\n'
+        + "".join(f'"{name}" = "{own}"\n' for name, own in MAPPED.items())
+        + '[parameters]\n"controller.kp" = 1.0\n'
+    )
+    loaded = scenario.load(tmp_path / "mine.toml")
+    assert list(loaded.experiment.signals) == ["controller.r"]
+    ours = scenario.load(tmp_path / "mine.toml", settings={"controller": "L1DepthController"})
+    assert ours.system == scenario.load(scenario.find("nominal-l1")).system
+
+
+LACKING = (
+    r"my.fmu, which lacks depth_reference, measured_depth, measured_depth_rate, voltage\[1\], voltage\[2\]; "
+    r"nothing drives its r, z, its outputs are v1, v2: name .* by --map depth_reference=NAME or in "
+    r"\[mapping.controller\], or .* --open-inputs start$"
+)
+
+
+@pytest.mark.parametrize(
+    ("mapping", "message"),
+    [
+        ({}, LACKING),
+        ({**MAPPED, "voltage[2]": "v3"}, r"mapping.controller: controller has no variable 'v3'; known: "),
+        ({**MAPPED, "depth_refrence": "r"}, r"nothing names controller.depth_refrence; nearest is 'depth_re"),
+        ({"depth_reference": "r", "measured_depth": "z"}, r"lacks voltage\[1\], voltage\[2\]; .*NAME or in"),
+        (
+            {n: o for n, o in MAPPED.items() if o != "z"},
+            r"lacks measured_depth, .* drives its z, its outputs",
+        ),
+    ],
+)
+def test_an_fmu_that_is_not_joined_is_refused_with_its_names(
+    tmp_path: Path, mapping: dict[str, str], message: str
+) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        with_fmu(tmp_path, ("r", "z"), ("v1", "v2"), mapping={"controller": mapping} if mapping else {})
+
+
+def test_open_inputs_take_start_values_if_asked(tmp_path: Path) -> None:
+    inputs = (REFERENCE, DEPTH, "enable:Boolean")
+    loaded = with_fmu(tmp_path, inputs, VOLTAGES, experiment={"open_inputs": "start"})
+    prepared = prepare(loaded.system, loaded.experiment)
+    assert [port.name for port in prepared.system.open_inputs] == ["controller.enable"]
+    assert {port.name: value for port, value in prepared.settings}["controller.enable"] is False
+    with pytest.raises(ScenarioError, match=r"nothing drives its enable, .* by --open-inputs start$"):
+        with_fmu(tmp_path, inputs, VOLTAGES)

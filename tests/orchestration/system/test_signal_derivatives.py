@@ -1,0 +1,62 @@
+"""Derivatives of signals, against difference quotients of the signals themselves."""
+
+import numpy as np
+import pytest
+
+from orchestration.errors import ScenarioError
+from orchestration.system.signal_derivatives import Derivative, derivative, with_derivatives
+from orchestration.system.signals import Constant, Cosine, Curve, Ramps, Samples, values_at
+
+POINTS = [[1.0, 0.0], [3.0, 2.0], [4.0, 1.0]]
+TIMES = np.linspace(0.0, 5.0, 401) + 1e-3  # beside the kinks
+STEP = 1e-4
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize(
+    "signal",
+    [
+        Ramps(POINTS),
+        Ramps(POINTS, smooth=True),
+        Cosine(2.0, 3.0, 0.4, 1.0),
+        Constant(3.0),
+        Samples([1.0, 2.0, 4.0], [0.0, 1.0, -1.0]),
+        Samples([1.0, 2.0], [0.0, 1.0], hold=True),
+        Samples([1.0], [2.0]),
+    ],
+)
+def test_it_is_the_difference_quotient(signal: Curve, order: int) -> None:
+    later, earlier = signal.at(TIMES + STEP), signal.at(TIMES - STEP)
+    quotient = (later - earlier) / (2 * STEP)
+    if order == 2:
+        quotient = (later - 2.0 * signal.at(TIMES) + earlier) / STEP**2
+    # truncation is 1e-6 and rounding 1e-7 of values about 100
+    assert values_at(derivative(signal, order), TIMES) == pytest.approx(quotient, abs=1e-4)
+
+
+@pytest.mark.parametrize("signal", [Ramps(POINTS), Samples([1.0, 3.0, 4.0], [0.0, 2.0, 1.0])])
+def test_at_a_kink_it_is_that_of_the_time_after_it(signal: Curve) -> None:
+    kinks = np.array([1.0, 3.0, 4.0])
+    assert values_at(derivative(signal), kinks).tolist() == [1.0, -1.0, 0.0]
+
+
+def test_it_follows_the_signal_of_another_input() -> None:
+    signals = with_derivatives({"a.rate": Derivative("a.u"), "a.u": Ramps(POINTS)})
+    assert signals["a.rate"](2.0) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("signals", "message"),
+    [
+        ({"a.rate": Derivative("a.v")}, r"signals.\"a.rate\": of = 'a.v': expected an input that has a sig"),
+        ({"a.rate": Derivative("a.u"), "a.u": abs}, r"signals.\"a.rate\": expected the derivative of ramps"),
+    ],
+)
+def test_a_signal_without_derivative_is_refused(signals: dict, message: str) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        with_derivatives(signals)
+
+
+def test_an_order_above_two_is_refused() -> None:
+    with pytest.raises(ScenarioError, match="derivative: order = 3: expected 1 or 2"):
+        Derivative("a.u", 3)
