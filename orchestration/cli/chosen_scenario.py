@@ -2,13 +2,13 @@
 
 import sys
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 from fmus import catalogue
-from fmus.registry import Flavour, fmu_folder
+from fmus.registry import Flavour
 from orchestration.cli.changes import NO_CHANGES, Changes
 from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.exchange import ssp_read

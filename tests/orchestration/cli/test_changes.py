@@ -10,6 +10,7 @@ import pytest
 
 from orchestration.cli.changes import Changes
 from orchestration.errors import ScenarioError
+from tests.described_fmus import described
 
 Command = Callable[..., Any]
 
@@ -31,13 +32,17 @@ def test_another_controller_runs_beside_ours(
 
 
 def test_what_is_dropped_is_one_line_on_standard_error(
-    command: Command, short_scenario: Callable[..., Path]
+    command: Command, short_scenario: Callable[..., Path], tmp_path: Path
 ) -> None:
     short_scenario()
-    done = command("run", "short.toml", "--controller", "L1Controller", expect=1)
-    warning, error = done.stderr.splitlines()
-    assert warning.startswith("l1-depth: warning: controller is L1Controller; dropped, as it lacks them: ")
-    assert "driven by nothing" in error
+    inputs = ("setpoint", "measured_depth", "enable:Boolean")
+    described(tmp_path / "my.fmu", inputs, ("voltage[1]", "voltage[2]"))
+    options = ("--controller", "my.fmu", "--map", "depth_reference=setpoint", "--open-inputs", "start")
+    done = command("run", "short.toml", *options, expect=1)
+    dropped, open_inputs, error = done.stderr.splitlines()
+    assert dropped.startswith("l1-depth: warning: controller is my.fmu; dropped, as it lacks them: ")
+    assert open_inputs == "l1-depth: open inputs at their start values: controller.enable = False"
+    assert "my.fmu has no binary" in error
 
 
 def test_set_changes_parameters_and_inputs(
