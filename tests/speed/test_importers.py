@@ -30,15 +30,15 @@ FLOOR_S = 1e-7
 def levels(steps: int, one_after_another: bool = False) -> list[float]:
     """The first level at every communication point, by the equations in Python."""
     first, second = 0.0, 0.0
-    found = [first]
+    measurements_made = [first]
     fast, slow = pair_module.FIRST.parameters(), pair_module.SECOND.parameters()
     for i in range(steps):
         t, before = i * STEP_SIZE, first
         first = pair_module.step(t, STEP_SIZE, State(first), Inputs(second), fast, NoValues()).level
         seen = first if one_after_another else before
         second = pair_module.step(t, STEP_SIZE, State(second), Inputs(seen), slow, NoValues()).level
-        found.append(first)
-    return found
+        measurements_made.append(first)
+    return measurements_made
 
 
 def test_the_bare_loop_does_what_the_equations_say(bare: Bare) -> None:
@@ -54,13 +54,13 @@ def test_this_master_records_what_the_equations_say(pair: Pair) -> None:
 
 @pytest.mark.parametrize("name", LOOPS)
 def test_every_importer_ends_where_the_bare_loop_ends(pair: Pair, bare: Bare, name: str) -> None:
-    found = measure(name, pair, AT_ONCE)
-    assert isinstance(found, Measurement), found
+    measurement = measure(name, pair, AT_ONCE)
+    assert isinstance(measurement, Measurement), measurement
     if name == "pathsim":
-        own = levels(2 * found.steps + 1, one_after_another=True)
-        assert found.levels == (own[found.steps + 1], own[2 * found.steps + 1])
+        own = levels(2 * measurement.steps + 1, one_after_another=True)
+        assert measurement.levels == (own[measurement.steps + 1], own[2 * measurement.steps + 1])
     else:
-        assert found.levels == (bare.level(found.steps), bare.level(2 * found.steps))
+        assert measurement.levels == (bare.level(measurement.steps), bare.level(2 * measurement.steps))
 
 
 def test_a_step_more_would_be_noticed(bare: Bare) -> None:
@@ -95,27 +95,27 @@ def made_up(first: float, second: float, scale: float = 1.0) -> Measurement:
 
 def test_loading_cancels_and_the_median_counts() -> None:
     measurements: list[Measurement | str] = [made_up(5.0, 5.5), made_up(1.0, 1.25), made_up(2.0, 2.375)]
-    found = entry("ours", measurements, float, 0.125e-3)
-    assert (found.per_step, found.overhead, found.ratio) == (0.375e-3, 0.25e-3, 3.0)
-    assert (found.remark, found.problem) == ("records every output", "")
+    result = entry("ours", measurements, float, 0.125e-3)
+    assert (result.per_step, result.overhead, result.ratio) == (0.375e-3, 0.25e-3, 3.0)
+    assert (result.remark, result.problem) == ("records every output", "")
 
 
 def test_a_time_below_zero_is_a_row_with_the_reason() -> None:
-    found = entry("ours", [made_up(2.0, 1.0)], float, FLOOR_S)
-    assert found.problem == "N steps took longer than 2 N steps: expected a machine that is less busy"
+    result = entry("ours", [made_up(2.0, 1.0)], float, FLOOR_S)
+    assert result.problem == "N steps took longer than 2 N steps: expected a machine that is less busy"
 
 
 @pytest.mark.parametrize("scale", [1.1, 0.0, math.nan, math.inf])
 def test_who_gives_other_numbers_has_no_time(scale: float) -> None:
-    found = entry("ours", [made_up(1.0, 2.0), made_up(1.0, 2.0, scale)], float, FLOOR_S)
-    assert "expected other numbers" in found.problem
-    assert math.isinf(found.per_step)
+    result = entry("ours", [made_up(1.0, 2.0), made_up(1.0, 2.0, scale)], float, FLOOR_S)
+    assert "expected other numbers" in result.problem
+    assert math.isinf(result.per_step)
 
 
 def test_who_is_a_little_off_has_a_time_and_a_remark() -> None:
-    found = entry("ours", [made_up(1.0, 2.0, 1.001)], float, FLOOR_S)
-    assert found.remark == "records every output; its level is off by 1.0e-03 of its value"
-    assert found.per_step == 1e-3
+    result = entry("ours", [made_up(1.0, 2.0, 1.001)], float, FLOOR_S)
+    assert result.remark == "records every output; its level is off by 1.0e-03 of its value"
+    assert result.per_step == 1e-3
 
 
 def test_the_table_has_the_fastest_first_and_every_reason() -> None:
@@ -141,11 +141,11 @@ def test_a_comparison_has_a_row_for_everyone(monkeypatch: pytest.MonkeyPatch) ->
     )
     monkeypatch.setattr(Bare, "level", lambda self, steps: float(steps))
     shown = []
-    found = compare(2, ["ours", "ecos"], lambda: shown.append(1))
+    entries = compare(2, ["ours", "ecos"], lambda: shown.append(1))
     assert measurements == ["ours", "ecos"] * 2
     assert len(shown) == len(measurements)
-    assert [each.name for each in found] == [importers.FLOOR, "this master", "Ecos"]
-    assert all(each.floor == found[0].per_step > 0.0 for each in found)
+    assert [result.name for result in entries] == [importers.FLOOR, "this master", "Ecos"]
+    assert all(result.floor == entries[0].per_step > 0.0 for result in entries)
 
 
 def test_nothing_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,9 @@ pytestmark = pytest.mark.cross
 
 
 NAME = "DepthReference"
-OTHERS = [each for each in ("linux64", "win64", "darwin64", "aarch64-linux") if each != host_platform()]
+OTHERS = [
+    platform for platform in ("linux64", "win64", "darwin64", "aarch64-linux") if platform != host_platform()
+]
 
 
 @pytest.fixture(scope="module")
@@ -26,14 +28,14 @@ def elsewhere(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_an_fmu_without_a_library_for_this_platform_is_judged_but_for_its_behaviour(elsewhere: Path) -> None:
-    results = {each.rule.name: each for each in examine(elsewhere)}
+    results = {result.rule.name: result for result in examine(elsewhere)}
     warning = results.pop("runs-on-this-platform")
     assert warning.outcome == "warning"
     assert warning.messages == (
         f"libraries for {', '.join(sorted(OTHERS))}: "
         f"without one for {host_platform()} the behaviour is not judged",
     )
-    behaviour = {name for name, each in results.items() if each.rule.stage == "behaviour"}
+    behaviour = {name for name, result in results.items() if result.rule.stage == "behaviour"}
     assert {results[name].not_applicable for name in behaviour} == {f"no library for {host_platform()}"}
     assert {results[name].outcome for name in set(results) - behaviour} == {"passed"}
 
@@ -67,7 +69,7 @@ def test_a_library_compiled_without_a_function_is_caught(tmp_path: Path) -> None
 @pytest.mark.parametrize("platform", OTHERS)
 def test_a_library_of_another_platform_is_caught(elsewhere: Path, tmp_path: Path, platform: str) -> None:
     content = members(elsewhere)
-    other = next(each for each in OTHERS if each != platform)
+    other = next(name for name in OTHERS if name != platform)
     content[library_name(NAME, platform)] = content[library_name(NAME, other)]
     (told,) = broken_rules(write(content, tmp_path / "mutant.fmu"))["library-format"]
     assert library_name(NAME, platform) in told

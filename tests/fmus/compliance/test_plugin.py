@@ -81,7 +81,7 @@ def test_without_an_fmu_nothing_is_collected_and_nothing_heavy_imported(tmp_path
     (tmp_path / "conftest.py").write_text(
         "import sys\n\n"
         "def pytest_unconfigure():\n"
-        f"    print('imported:', [each for each in {HEAVY!r} if each in sys.modules])\n"
+        f"    print('imported:', [name for name in {HEAVY!r} if name in sys.modules])\n"
     )
     done = run_pytest(tmp_path, "-q", "-s")
     assert "no tests ran" in done.stdout

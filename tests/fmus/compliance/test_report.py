@@ -33,12 +33,12 @@ def assert_complete(document: dict[str, Any], path: Path, name: str, outcome: st
     """The document names every rule of one FMU, and one of them has the outcome with its messages."""
     (fmu,) = document["fmus"]
     assert fmu["fmu"] == str(path)
-    assert [each["rule"] for each in fmu["rules"]] == [each.name for each in all_rules()]
-    assert [each["clause"] for each in fmu["rules"]] == [each.clause for each in all_rules()]
-    told = {each["rule"]: each for each in fmu["rules"] if each["messages"]}
+    assert [rule["rule"] for rule in fmu["rules"]] == [rule.name for rule in all_rules()]
+    assert [rule["clause"] for rule in fmu["rules"]] == [rule.clause for rule in all_rules()]
+    told = {rule["rule"]: rule for rule in fmu["rules"] if rule["messages"]}
     assert told[name]["outcome"] == outcome
-    assert {each["outcome"] for each in fmu["rules"]} <= {"passed", "not applicable", "warning", "error"}
-    assert all(isinstance(message, str) for each in fmu["rules"] for message in each["messages"])
+    assert {rule["outcome"] for rule in fmu["rules"]} <= {"passed", "not applicable", "warning", "error"}
+    assert all(isinstance(message, str) for rule in fmu["rules"] for message in rule["messages"])
 
 
 def test_json_in_a_file_names_each_rule_with_clause_outcome_and_messages(
@@ -83,7 +83,7 @@ def test_all_shows_the_rules_that_hold_and_those_that_do_not_apply(
 ) -> None:
     assert main([str(built[NAME]), "--all"]) == 0
     shown = capsys.readouterr().out
-    assert [each.name for each in all_rules() if each.name not in shown] == []
+    assert [rule.name for rule in all_rules() if rule.name not in shown] == []
 
 
 @pytest.mark.parametrize("name", ["a b#c+d%20e", '[a](b){c} it\'s "quoted"', "-größe_深さ %s %d"])

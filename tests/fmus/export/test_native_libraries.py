@@ -81,12 +81,12 @@ class Library:
 
     def imports(self, binary: Any) -> list[str]:
         if self.platform == "win64":
-            return [entry.name for each in binary.imports for entry in each.entries]
+            return [entry.name for library_imports in binary.imports for entry in library_imports.entries]
         return [symbol.name for symbol in binary.imported_symbols]
 
     def libraries(self, binary: Any) -> list[str]:
         """Without its own name, which a Mach-O has in the same list."""
-        names = [each if isinstance(each, str) else each.name for each in binary.libraries]
+        names = [needed if isinstance(needed, str) else needed.name for needed in binary.libraries]
         return [name for name in names if name != f"@rpath/{self.file}"]
 
     def machine(self, binary: Any) -> str:
@@ -115,9 +115,9 @@ def test_it_is_the_platforms_and_has_the_functions_of_fmi_and_nothing_else(
     libraries: dict[tuple[str, str], Library], block: str, platform: str
 ) -> None:
     library = libraries[block, platform]
-    assert [library.machine(each) for each in library.slices] == MACHINES[platform]
-    for each in library.slices:
-        assert library.exports(each) - (LINKERS_OWN if platform in APPLE else set()) == EXPORTS
+    assert [library.machine(binary) for binary in library.slices] == MACHINES[platform]
+    for binary in library.slices:
+        assert library.exports(binary) - (LINKERS_OWN if platform in APPLE else set()) == EXPORTS
 
 
 @pytest.mark.parametrize("platform", PLATFORMS)
@@ -125,10 +125,10 @@ def test_it_needs_nothing_but_the_systems_c_library(
     libraries: dict[tuple[str, str], Library], block: str, platform: str
 ) -> None:
     library = libraries[block, platform]
-    for each in library.slices:
-        assert library.imports(each)
-        assert not [name for name in library.imports(each) if re.match(r"_*(Py|casadi)", name)]
-        for name in library.libraries(each):
+    for binary in library.slices:
+        assert library.imports(binary)
+        assert not [name for name in library.imports(binary) if re.match(r"_*(Py|casadi)", name)]
+        for name in library.libraries(binary):
             assert re.fullmatch(IMPORTS[platform], name)
 
 
@@ -168,12 +168,12 @@ def test_on_macos_it_is_a_library_found_beside_its_importer(
     libraries: dict[tuple[str, str], Library], block: str, platform: str
 ) -> None:
     library = libraries[block, platform]
-    for each in library.slices:
-        assert str(each.header.file_type) == "FILE_TYPE.DYLIB"
-        (identity,) = [c for c in each.commands if str(c.command) == "TYPE.ID_DYLIB"]
+    for binary in library.slices:
+        assert str(binary.header.file_type) == "FILE_TYPE.DYLIB"
+        (identity,) = [c for c in binary.commands if str(c.command) == "TYPE.ID_DYLIB"]
         assert identity.name == f"@rpath/{library.file}"
-        assert str(each.build_version.platform) == "PLATFORMS.MACOS"
-        assert tuple(each.build_version.minos) <= OLDEST_MACOS
+        assert str(binary.build_version.platform) == "PLATFORMS.MACOS"
+        assert tuple(binary.build_version.minos) <= OLDEST_MACOS
 
 
 @pytest.mark.parametrize("platform", APPLE)
@@ -182,11 +182,11 @@ def test_on_apple_silicon_every_page_has_the_signed_hash(
 ) -> None:
     """The kernel kills a process when a page of its library has another one."""
     library = libraries[block, platform]
-    signed = [each for each in library.slices if each.has_code_signature]
-    assert [library.machine(each) for each in signed] == ["CPU_TYPE.ARM64"]
-    for each in signed:
-        thin = library.data[each.fat_offset :][: each.original_size]
-        _check_signature(thin, each.code_signature.data_offset, each.code_signature.data_size)
+    signed = [binary for binary in library.slices if binary.has_code_signature]
+    assert [library.machine(binary) for binary in signed] == ["CPU_TYPE.ARM64"]
+    for binary in signed:
+        thin = library.data[binary.fat_offset :][: binary.original_size]
+        _check_signature(thin, binary.code_signature.data_offset, binary.code_signature.data_size)
 
 
 def _check_signature(thin: bytes, offset: int, size: int) -> None:
@@ -218,7 +218,7 @@ def test_on_arm_no_product_and_sum_are_fused_into_one_rounding(
 ) -> None:
     """Compilers for ARM do so unless told not to, and the trajectory would be another than on x86-64."""
     library = libraries[block, platform]
-    (arm,) = [each for each in library.slices if library.machine(each) != "CPU_TYPE.X86_64"]
+    (arm,) = [binary for binary in library.slices if library.machine(binary) != "CPU_TYPE.X86_64"]
     code = bytes(arm.get_section("__text" if platform in APPLE else ".text").content)
     words = struct.unpack(f"<{len(code) // 4}I", code)
     assert any(word & 0xFFE0FC00 == 0x1E600800 for word in words)  # FMUL of doubles: this is the code

@@ -24,7 +24,7 @@ class Block:
 
 
 def _elements(text: str) -> list[str]:
-    return [] if text.startswith("fill(") else [each.strip() for each in text.strip("{} ").split(",")]
+    return [] if text.startswith("fill(") else [element.strip() for element in text.strip("{} ").split(",")]
 
 
 def _scalars(name: str, text: str) -> dict[str, float]:
@@ -57,7 +57,7 @@ def read_block(path: Path, modifiers: dict[str, str]) -> Block:
     assert starts
     return Block(
         name=call[1],
-        arguments=[[_evaluated(e, values) for e in _elements(each)] for each in lists],
+        arguments=[[_evaluated(e, values) for e in _elements(elements)] for elements in lists],
         inputs=_elements(names[1]),
         outputs=[n for n, _ in re.findall(r"^  (\S+) = y\[(\d+)\];", text, re.M)],
         starts=[float(e) for e in _elements(starts[1])],
@@ -161,7 +161,7 @@ def _opening(name: str, block: Block, folder: Path) -> list[str]:
         (reals, real_values, "double"), (integers, integer_values, "int"), (booleans, boolean_values, "int"),
     ):  # fmt: skip
         parts.append(f"{_literal(references, 'int')}, {_literal(values, kind)}, {len(values)}")
-    ends = ", ".join(f"{_literal(each, 'int')}, {len(each)}" for each in (inputs, outputs))
+    ends = ", ".join(f"{_literal(references, 'int')}, {len(references)}" for references in (inputs, outputs))
     place = folder / "Resources" / "FMUs" / block.name
     values = ", ".join(parts)
     return [f'    void *{name} = modelica_fmu_open("{place}", "{block.name}", "{name}", {values}, {ends});']
@@ -170,7 +170,7 @@ def _opening(name: str, block: Block, folder: Path) -> list[str]:
 def _now(loop: Loop, name: str, time: str) -> list[str]:
     """The inputs of a component at a time, from the connections, the table and the modifiers."""
     source = {target: source for source, target in loop.connections}
-    found = []
+    assignments = []
     for i, variable in enumerate(loop.blocks[name].inputs):
         given = source.get(f"{name}.{variable}")
         if given is None:
@@ -180,8 +180,8 @@ def _now(loop: Loop, name: str, time: str) -> list[str]:
         else:
             component, output = given.split(".", 1)
             text = f"{component}_y[{loop.blocks[component].outputs.index(output)}]"
-        found.append(f"    {name}_u[{i}] = {text};")
-    return found
+        assignments.append(f"    {name}_u[{i}] = {text};")
+    return assignments
 
 
 def _table_function(loop: Loop) -> str:

@@ -57,10 +57,10 @@ def _compiled_by_rumoca(source: str) -> rumoca.StructuralInfo:
 
 def test_the_closed_loop_is_balanced_and_has_no_algebraic_loop(chosen: scenario.Scenario) -> None:
     """As rumoca sees it, with a stand-in for the part of the standard library that the package uses."""
-    found = _compiled_by_rumoca(_one_file(modelica.texts(chosen)))
-    assert found.is_balanced
-    assert found.is_matched
-    assert found.n_algebraic_loops == 0
+    model = _compiled_by_rumoca(_one_file(modelica.texts(chosen)))
+    assert model.is_balanced
+    assert model.is_matched
+    assert model.n_algebraic_loops == 0
 
 
 def test_the_whole_package_with_its_external_object_is_parsed(chosen: scenario.Scenario) -> None:
@@ -91,7 +91,7 @@ def _compiled(code: str, package: Path, folder: Path) -> Path:
     (folder / "driver.c").write_text(code)
     include = [package / "Resources" / "Include", Path(__file__).parent / "modelica"]
     warnings = ["-Wall", "-Wextra", "-Werror"]
-    options = [*toolchain.FLAGS, *warnings, *[f"-I{each}" for each in include]]
+    options = [*toolchain.FLAGS, *warnings, *[f"-I{folder}" for folder in include]]
     toolchain.zig(
         ["cc", "-target", "x86_64-linux-gnu.2.17", *options, "-o", "driver.exe", "driver.c", "-ldl", "-lm"],
         folder,
@@ -107,9 +107,9 @@ def test_the_external_functions_give_what_the_master_gives(
     program = _compiled(modelica_text.driver(loop, package), package, tmp_path)
     subprocess.run([program, tmp_path / "result.bin"], check=True, timeout=120)
     names = modelica_text.columns(loop)
-    found = np.fromfile(tmp_path / "result.bin").reshape(-1, len(names))
+    written = np.fromfile(tmp_path / "result.bin").reshape(-1, len(names))
     recording = simulate(chosen.system, replace(chosen.experiment, record=tuple(names)))
-    assert np.array_equal(found, recording.values)
+    assert np.array_equal(written, recording.values)
 
 
 @pytest.mark.slow
@@ -119,7 +119,7 @@ def test_the_external_functions_compile_for_other_platforms(
 ) -> None:
     (tmp_path / "driver.c").write_text(_open_only("somewhere", "It"))
     include = [package / "Resources" / "Include", Path(__file__).parent / "modelica"]
-    options = [*toolchain.FLAGS, "-Wall", "-Wextra", "-Werror", *[f"-I{each}" for each in include]]
+    options = [*toolchain.FLAGS, "-Wall", "-Wextra", "-Werror", *[f"-I{folder}" for folder in include]]
     toolchain.zig(["cc", "-target", target, *options, "-c", "-o", "driver.o", "driver.c"], tmp_path)
     assert (tmp_path / "driver.o").stat().st_size > 0
 

@@ -74,13 +74,13 @@ def _names(fmu: Path, causality: str) -> list[str]:
 def _wires(calls: list[list[str]], chosen: scenario.Scenario) -> dict[str, str]:
     """ "component.input" -> what drives it: "component.output", or the name of a source block."""
     components = chosen.system.components
-    found = {}
+    sources = {}
     for _, _, source, target, *_ in (call for call in calls if call[0] == "add_line"):
         (a, i), (b, j) = source.split("/"), target.split("/")
         if b in components:
             output = f"{a}.{_names(components[a], 'output')[int(i) - 1]}" if a in components else a
-            found[f"{b}.{_names(components[b], 'input')[int(j) - 1]}"] = output
-    return found
+            sources[f"{b}.{_names(components[b], 'input')[int(j) - 1]}"] = output
+    return sources
 
 
 def test_every_input_is_driven_once_and_by_what_the_scenario_says(
@@ -111,9 +111,11 @@ def test_the_blocks_are_the_fmus_and_step_as_the_scenario_says(
     fmus = [call for call in calls if call[:2] == ["add_block", "simulink_extras/FMU Import/FMU"]]
     assert [call[4] for call in fmus] == [path.name for path in chosen.system.components.values()]
     settings = [call[2:] for call in calls if call[0] == "set_param"]
-    steps = [each[each.index("FMUSampleTime") + 1] for each in settings if "FMUSampleTime" in each]
+    steps = [
+        setting[setting.index("FMUSampleTime") + 1] for setting in settings if "FMUSampleTime" in setting
+    ]
     assert [float(step) for step in steps] == [chosen.experiment.step_size] * 2
-    (solver,) = [each for each in settings if "FixedStep" in each]
+    (solver,) = [setting for setting in settings if "FixedStep" in setting]
     assert float(solver[solver.index("FixedStep") + 1]) == chosen.experiment.step_size
     assert float(solver[solver.index("StopTime") + 1]) == chosen.experiment.stop_time
 

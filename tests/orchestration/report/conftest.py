@@ -58,6 +58,6 @@ def opened(browser: webdriver.Chrome, tmp_path: Path) -> Iterator[Callable[..., 
     yield open_page
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": []})
     browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
-    for each in pages:
-        assert each.complaints() == []
-        assert each.fetched() == []
+    for opened_page in pages:
+        assert opened_page.complaints() == []
+        assert opened_page.fetched() == []

@@ -73,13 +73,13 @@ FAILED = {7: "plant at t = 3 s: fmi2DoStep returned discard", 11: "no step finis
 
 def write_sweep(folder: Path, samples: int = 100) -> Path:
     """The table of the shipped Monte Carlo: its own samples, with metrics that nobody has simulated."""
-    wanted = plan(scenario.load(scenario.find("monte-carlo"), {"sweep": {"samples": samples}}))
-    columns = table.schema(wanted, None)
+    planned = plan(scenario.load(scenario.find("monte-carlo"), {"sweep": {"samples": samples}}))
+    columns = table.schema(planned, None)
     rows = []
     for sample in range(samples):
-        values = wanted.values(sample)
+        values = planned.values(sample)
         mass, lift = (float(values[name]) for name in ("plant.inertia", "plant.buoyancy_change"))
-        metrics = {name: i + mass for i, name in enumerate(wanted.scenario.metrics)}
+        metrics = {name: i + mass for i, name in enumerate(planned.scenario.metrics)}
         metrics["rmse"] = -mass
         metrics["holding_thrust"] = 1.2 + lift + 0.1 * math.sin(sample)
         error = FAILED.get(sample)

@@ -59,7 +59,7 @@ class OpenedPage:
     def choose(self, selector: str, label: str) -> "OpenedPage":
         """An option of a select, by its text."""
         options = self.one(selector).find_elements(By.TAG_NAME, "option")
-        (option,) = [each for each in options if each.text.strip() == label]
+        (option,) = [option for option in options if option.text.strip() == label]
         option.click()
         return self.settled()
 
@@ -135,5 +135,9 @@ class OpenedPage:
     def fetched(self) -> list[str]:
         """Addresses of everything that was asked for and is not part of the page."""
         messages = [json.loads(entry["message"])["message"] for entry in self.driver.get_log("performance")]
-        asked = [each["params"] for each in messages if each["method"] == "Network.requestWillBeSent"]
-        return [each["request"]["url"] for each in asked if not each["request"]["url"].startswith(_OWN)]
+        asked = [
+            message["params"] for message in messages if message["method"] == "Network.requestWillBeSent"
+        ]
+        return [
+            request["request"]["url"] for request in asked if not request["request"]["url"].startswith(_OWN)
+        ]

@@ -21,7 +21,7 @@ from .made_up import PROVENANCE, SCENARIO, recording, write_run, write_sweep
 
 
 def names(*paths: Path) -> list[str]:
-    return [each.name for each in found_results(paths)]
+    return [result.name for result in found_results(paths)]
 
 
 @pytest.mark.parametrize("ending", ["csv", "parquet"])
@@ -69,7 +69,7 @@ def test_a_folder_gives_its_runs_sweeps_and_recordings_and_nothing_else(tmp_path
     (tmp_path / "prices.csv").write_text("what,price\nthruster,100\n")
     pq.write_table(pa.table({"x": [1.0]}), tmp_path / "other.parquet")
     assert names(tmp_path) == ["dive", "failed.partial", "monte-carlo.sweep"]
-    assert [type(each) for each in found_results([tmp_path])] == [RunResult, RunResult, SweepResult]
+    assert [type(result) for result in found_results([tmp_path])] == [RunResult, RunResult, SweepResult]
 
 
 def test_equal_names_are_told_apart_by_their_folders(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ def everything(opened: Open, tmp_path: Path) -> OpenedPage:
 
 
 def test_runs_with_the_same_metrics_stand_side_by_side(everything: OpenedPage) -> None:
-    tables = [" ".join(each.text.split()) for each in everything.all("#metrics table")]
+    tables = [" ".join(table.text.split()) for table in everything.all("#metrics table")]
     assert tables == [
         "Metric Unit a b rmse cm 12.1 4.35 settling_time s -2 -10",
         "Metric Unit c overshoot -0.5",
@@ -76,20 +76,20 @@ def test_what_was_run_is_there(everything: OpenedPage) -> None:
 
 
 def test_every_control_has_a_name_and_every_section_a_link(everything: OpenedPage) -> None:
-    controls = [each for each in everything.all("input, select, button") if each.is_displayed()]
+    controls = [control for control in everything.all("input, select, button") if control.is_displayed()]
     assert len(controls) > 30
     for control in controls:
         assert control.accessible_name, control.get_attribute("outerHTML")
-    sections = {each.get_attribute("id") for each in everything.all("main > section")}
+    sections = {section.get_attribute("id") for section in everything.all("main > section")}
     assert {link.get_attribute("href").partition("#")[2] for link in everything.all("nav a")} == sections  # type: ignore[union-attr]
 
 
 def test_the_keyboard_reaches_every_control_of_the_signals(everything: OpenedPage) -> None:
-    wanted = everything.run(
+    labels = everything.run(
         "return [...document.querySelectorAll('#signals :is(input, select, button)')]"
         ".every((control) => control.tabIndex === 0)"
     )
-    assert wanted
+    assert labels
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -135,7 +135,7 @@ def test_print_is_light_without_controls_and_as_wide_as_paper(everything: Opened
     everything.run("dispatchEvent(new Event('beforeprint'))")  # as a browser: the medium changes after it
     everything.settled()
     everything.emulate(prefers_color_scheme="dark", media="print")
-    assert not any(each.is_displayed() for each in everything.all(".controls, nav, .modebar"))
+    assert not any(control.is_displayed() for control in everything.all(".controls, nav, .modebar"))
     assert luminance(colour_of(everything, "body", "color")) < 0.1
     assert {path.get_attribute("stroke") for path in everything.all(".legend path")} <= set(
         everything.run("return PALETTE.light")
@@ -203,7 +203,9 @@ def test_hostile_texts_of_sweeps_stay_texts(opened: Open, tmp_path: Path) -> Non
     hostile = tmp_path / "hostile.parquet"
     pq.write_table(sweep, hostile)
     page = opened(hostile)
-    (option,) = [each.text for each in page.all(".across option") if each.text.startswith(f"{HOSTILE} [")]
+    (option,) = [
+        option.text for option in page.all(".across option") if option.text.startswith(f"{HOSTILE} [")
+    ]
     page.choose(".across", option).write("input.sample", "0")
     assert page.run("return window.hacked") is None
     assert page.all("img") == []
@@ -225,7 +227,7 @@ def test_the_policy_of_the_page_stops_scripts_and_requests(opened: Open, tmp_pat
     assert page.run("return window.hacked") is None
     complaints = page.complaints()
     assert len(complaints) >= 2
-    assert all("Content Security Policy" in each for each in complaints)
+    assert all("Content Security Policy" in complaint for complaint in complaints)
     assert page.fetched() == ["http://127.0.0.1:9/x"]  # asked for: Chromium notes what it then blocks too
 
 
@@ -237,7 +239,7 @@ def test_the_page_says_what_made_it_and_holds_its_data_as_plain_json(opened: Ope
 
 
 def numbers(colour: str) -> tuple[float, ...]:
-    return tuple(float(each) for each in re.findall(r"[\d.]+", colour)[:3])
+    return tuple(float(number) for number in re.findall(r"[\d.]+", colour)[:3])
 
 
 def colour_of(page: OpenedPage, selector: str, which: str) -> tuple[float, ...]:
@@ -247,7 +249,8 @@ def colour_of(page: OpenedPage, selector: str, which: str) -> tuple[float, ...]:
 def luminance(colour: tuple[float, ...]) -> float:
     """Relative luminance of sRGB, WCAG 2.2."""
     red, green, blue = (
-        c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (each / 255.0 for each in colour)
+        c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4
+        for c in (channel / 255.0 for channel in colour)
     )
     return 0.2126 * red + 0.7152 * green + 0.0722 * blue
 

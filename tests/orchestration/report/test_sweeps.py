@@ -50,7 +50,7 @@ def test_every_metric_has_its_histogram_of_the_samples_that_succeeded(
     )
     metrics = [name for name in rows[0] if not name.startswith(("plant.", "sample", "error"))]
     assert counts == [len(rows) - len(FAILED)] * len(metrics)
-    captions = [each.text for each in swept.all(".histograms figcaption")]
+    captions = [caption.text for caption in swept.all(".histograms figcaption")]
     assert [caption.split(" [")[0] for caption in captions] == metrics
     assert "rmse [cm]" in captions
 
@@ -59,7 +59,7 @@ def test_the_table_of_distributions_tells_count_mean_and_percentiles(
     swept: OpenedPage, rows: list[dict[str, Any]]
 ) -> None:
     values = [row["holding_thrust"] for row in rows if not row["error"]]
-    (row,) = [each for each in swept.all(".distributions tbody tr") if each.text.startswith("holding")]
+    (row,) = [row for row in swept.all(".distributions tbody tr") if row.text.startswith("holding")]
     shown = [float(cell) for cell in row.text.removeprefix("holding_thrust N").split()]
     expected = [
         len(values),
@@ -153,6 +153,6 @@ def test_texts_are_varied_too(opened: Open, tmp_path: Path) -> None:
         ".map((plot) => plot.data.map((trace) => trace.name))"
     )
     assert bars == [["pi", "none"]] * len(bars)  # apart, and in colours that the legend names
-    assert [each.text for each in page.all(".groups > span")] == ["\u25a0 pi", "\u25a0 none"]
+    assert [group.text for group in page.all(".groups > span")] == ["\u25a0 pi", "\u25a0 none"]
     assert len(page.all(".distributions tbody tr")) == 2 * len(bars)
     assert any(row.text.startswith("plant.sensor_seed all ") for row in page.all(".correlations tbody tr"))

@@ -88,8 +88,8 @@ def test_one_two_and_four_workers_give_the_same_bytes(by_two: tuple[Plan, bytes]
         with cluster.local(workers) as client:
             assert len(threads(client)) == workers
             assert swept(made, client, tmp_path / str(workers)).read_bytes() == expected
-    found, _ = table.read(tmp_path / "4" / "mine.sweep.parquet")
-    rows = found.to_pylist()
+    samples, _ = table.read(tmp_path / "4" / "mine.sweep.parquet")
+    rows = samples.to_pylist()
     assert [row["sample"] for row in rows] == list(range(COUNT))
     for row in rows:
         assert {name: row[name] for name in made.values(row["sample"])} == made.values(row["sample"])
@@ -111,10 +111,10 @@ def test_a_killed_worker_loses_nothing(by_two: tuple[Plan, bytes], tmp_path: Pat
                 killed.append(workers[at_work[0]])
                 os.kill(killed[0], signal.SIGKILL)
 
-        found = swept(made, client, tmp_path / "killed", kill_one_at_work)
+        path = swept(made, client, tmp_path / "killed", kill_one_at_work)
         assert killed
         assert not psutil.pid_exists(killed[0])
-    assert found.read_bytes() == expected
+    assert path.read_bytes() == expected
 
 
 def test_samples_that_end_or_hang_their_process_are_rows_with_that_error(
@@ -123,8 +123,8 @@ def test_samples_that_end_or_hang_their_process_are_rows_with_that_error(
     misdeeds = ("none", "segfault", "hang", "none", "abort", "error")
     made = planned(f'[sweep]\ntimeout = 3\n[sweep.vary."r.misdeed"]\nvalues = {list(misdeeds)}\n')
     with cluster.local(2) as client:
-        found, _ = table.read(swept(made, client, tmp_path))
-    assert [row["error"] for row in found.to_pylist()] == [
+        samples, _ = table.read(swept(made, client, tmp_path))
+    assert [row["error"] for row in samples.to_pylist()] == [
         None,
         "the worker process died: SIGSEGV",
         "it took longer than the timeout of 3 s",
@@ -144,8 +144,8 @@ def test_a_sample_whose_workers_die_again_and_again_is_found_among_the_others(
     monkeypatch.setattr(running, "run_sample", importlib.import_module("deadly").run_sample)
     one_death = config.set({"distributed.scheduler.allowed-failures": 0})  # the default of 3 takes a minute
     with one_death, cluster.local(2) as client:
-        found, _ = table.read(swept(made, client, tmp_path))
-    rows = found.to_pylist()
+        samples, _ = table.read(swept(made, client, tmp_path))
+    rows = samples.to_pylist()
     assert [row["sample"] for row in rows if row["error"]] == [3]
     assert rows[3]["error"] == "every worker that ran it died"
 
@@ -153,9 +153,9 @@ def test_a_sample_whose_workers_die_again_and_again_is_found_among_the_others(
 def test_recordings_are_those_of_the_samples_run_alone(planned: Make, tmp_path: Path) -> None:
     made = planned(SWEEP.replace(f"samples = {COUNT}", "samples = 6"))
     with cluster.local(2) as client:
-        found, _ = table.read(swept(made, client, tmp_path, recorded=()))
+        samples, _ = table.read(swept(made, client, tmp_path, recorded=()))
     written = {path.name: Recording.read(path) for path in (tmp_path / "mine.recordings").iterdir()}
-    good = [row["sample"] for row in found.to_pylist() if row["error"] is None]
+    good = [row["sample"] for row in samples.to_pylist() if row["error"] is None]
     assert set(written) == {f"sample-{sample}.parquet" for sample in good}
     for sample in good:
         one = made.of_sample(sample)
@@ -207,10 +207,10 @@ def processes(folder: Path, *workers: str) -> Iterator[str]:
             address = client.scheduler_info()["address"]
         yield address
     finally:
-        for each in started:
-            each.terminate()
-        for each in started:
-            each.wait(30)
+        for process in started:
+            process.terminate()
+        for process in started:
+            process.wait(30)
 
 
 def test_a_cluster_by_its_address_gives_the_same_bytes(by_two: tuple[Plan, bytes], tmp_path: Path) -> None:
@@ -222,7 +222,7 @@ def test_a_cluster_by_its_address_gives_the_same_bytes(by_two: tuple[Plan, bytes
         plugins: Any = client.run(
             lambda dask_worker: [name for name in dask_worker.plugins if "sweep" in name]
         )
-        assert not [name for each in plugins.values() for name in each]
+        assert not [name for names in plugins.values() for name in names]
 
 
 def test_a_cluster_whose_workers_are_gone_is_told(
@@ -268,8 +268,8 @@ def test_nothing_is_left_of_a_local_cluster(
         assert all(address.startswith("tcp://127.0.0.1:") for address in threads(client))
         assert client.scheduler_info()["address"].startswith("tcp://127.0.0.1:")
         processes = {psutil.Process(), *psutil.Process().children(recursive=True)} - others
-        sockets = [each for process in processes for each in process.net_connections("inet")]
-        listening = {each.laddr.ip for each in sockets if each.status == psutil.CONN_LISTEN}
+        sockets = [socket for process in processes for socket in process.net_connections("inet")]
+        listening = {socket.laddr.ip for socket in sockets if socket.status == psutil.CONN_LISTEN}
         assert listening == {"127.0.0.1"}
     assert not Path(folder).exists()
     assert set(tmp_path.iterdir()) == before

@@ -51,7 +51,7 @@ def test_draws_follow_their_distribution(planned: Make, declared: str, law: Any)
 
 def test_integers_and_choices_come_as_often_as_they_should(planned: Make) -> None:
     whole = drawn(planned(of_u('distribution = "integers"\nlow = 3\nhigh = 6')))
-    assert stats.chisquare([whole.count(each) for each in (3, 4, 5, 6)]).pvalue > IMPROBABLE
+    assert stats.chisquare([whole.count(value) for value in (3, 4, 5, 6)]).pvalue > IMPROBABLE
     chosen = drawn(planned(of_u('distribution = "choice"\nvalues = [1.0, 5.0, 9.0]\nweights = [1, 0, 3]')))
     assert set(chosen) == {1.0, 9.0}
     assert stats.binomtest(chosen.count(9.0), MANY, 0.75).pvalue > IMPROBABLE
@@ -62,9 +62,9 @@ def test_a_seed_is_a_whole_number_from_the_range_of_its_variable(tmp_path: Path)
     path = tmp_path / "mine.toml"
     seeds = '[sweep]\nsamples = 50\n[sweep.vary."plant.sensor_seed"]\ndistribution = "seed"\n'
     path.write_text('base = "nominal-extended"\n' + seeds)
-    found = drawn(plan(scenario.load(path)), "plant.sensor_seed")
-    assert all(isinstance(each, int) and 1 <= each <= 2147483397 for each in found)
-    assert len(set(found)) == 50
+    seeds = drawn(plan(scenario.load(path)), "plant.sensor_seed")
+    assert all(isinstance(seed, int) and 1 <= seed <= 2147483397 for seed in seeds)
+    assert len(set(seeds)) == 50
 
 
 def test_a_sample_depends_on_the_seed_and_its_number_alone(planned: Make) -> None:
@@ -89,8 +89,8 @@ def test_variables_of_one_sample_are_independent(planned: Make) -> None:
 def test_grids_combine_as_full_factorial_the_first_one_slowest(planned: Make) -> None:
     grid = '[sweep.vary]\n"r.u" = { linspace = [0, 1, 3] }\n"r.misdeed" = { values = ["none", "warning"] }\n'
     made = planned(grid)
-    found = [tuple(made.values(i).values()) for i in range(made.count)]
-    assert found == [(u, misdeed) for u in (0.0, 0.5, 1.0) for misdeed in ("none", "warning")]
+    samples = [tuple(made.values(i).values()) for i in range(made.count)]
+    assert samples == [(u, misdeed) for u in (0.0, 0.5, 1.0) for misdeed in ("none", "warning")]
 
 
 def test_a_grid_beside_a_distribution_gets_its_samples_at_each_point(planned: Make) -> None:
@@ -112,8 +112,8 @@ def test_truncation_keeps_to_the_range_of_the_fmu(tmp_path: Path) -> None:
     with pytest.raises(OrchestrationError, match=r"plant.inertia: it reaches -inf..inf, permitted is 0.018"):
         plan(scenario.load(path))
     path.write_text(text + "truncate = true\n")
-    found = drawn(plan(scenario.load(path)), "plant.inertia")
-    assert 0.1 <= min(found) < 0.5  # kg; without truncation a third would be below 0
+    inertias = drawn(plan(scenario.load(path)), "plant.inertia")
+    assert 0.1 <= min(inertias) < 0.5  # kg; without truncation a third would be below 0
 
 
 def test_settings_of_the_experiment_can_be_varied(planned: Make) -> None:

@@ -40,8 +40,8 @@ def test_the_table_is_sorted_and_says_what_its_columns_are(planned: Make, tmp_pa
     opened.add(row(made, 4, "the rudder is stuck"))
     add(opened, made, [3, 0, 2, 1])
     opened.finish()
-    found, about = table.read(out / "mine.sweep.parquet")
-    assert found.to_pylist() == [
+    rows, about = table.read(out / "mine.sweep.parquet")
+    assert rows.to_pylist() == [
         {"sample": i, "r.u": float(i), "r.misdeed": "none", "mean": 10.0 * i, "effort": 1.0, "error": None}
         for i in range(4)
     ] + [
@@ -50,12 +50,12 @@ def test_the_table_is_sorted_and_says_what_its_columns_are(planned: Make, tmp_pa
             "error": "the rudder is stuck",
         }
     ]  # fmt: skip
-    assert table.names(found.schema, "varied") == ["r.u", "r.misdeed"]
-    assert table.names(found.schema, "metric") == ["mean", "effort"]
+    assert table.names(rows.schema, "varied") == ["r.u", "r.misdeed"]
+    assert table.names(rows.schema, "metric") == ["mean", "effort"]
     assert (about["seed"], about["samples"]) == (0, 5)
     assert about["scenario"] == made.scenario.resolved
     assert about["fmus"]["r"]["guid"] == made.checked.descriptions["r"].guid
-    assert [each.name for each in out.iterdir()] == ["mine.sweep.parquet"]
+    assert [path.name for path in out.iterdir()] == ["mine.sweep.parquet"]
 
 
 @pytest.mark.usefixtures("scenario_fmus")
@@ -113,7 +113,7 @@ def test_another_sweep_of_the_name_is_refused_until_it_is_discarded(
         store(made, tmp_path, recorded=("r.y",)).begin()
     other.discard()
     assert not [
-        each for each in tmp_path.iterdir() if each.name.startswith("mine.") and each.suffix != ".toml"
+        path for path in tmp_path.iterdir() if path.name.startswith("mine.") and path.suffix != ".toml"
     ]
     assert other.begin() == set()
 
@@ -146,9 +146,9 @@ def test_the_summary_leaves_failed_samples_out(planned: Make, tmp_path: Path) ->
     add(opened, made, range(4))
     opened.add(row(made, 4, "the rudder is stuck"))
     opened.finish()
-    found, _ = table.read(opened.path)
-    assert failed(found) == 1
-    mean = statistics(found["mean"].to_numpy())  # of 0, 10, 20, 30
+    rows, _ = table.read(opened.path)
+    assert failed(rows) == 1
+    mean = statistics(rows["mean"].to_numpy())  # of 0, 10, 20, 30
     assert (mean["samples"], mean["mean"], mean["50 %"]) == (4, 15.0, 15.0)
     assert mean["std"] == pytest.approx((500.0 / 3.0) ** 0.5, rel=1e-15)  # rounding of the root
 
@@ -175,10 +175,10 @@ def test_every_text_that_is_varied_has_rows_of_its_own_in_the_summary(planned: M
 def test_another_file_is_no_table_of_a_sweep(tmp_path: Path, planned: Make) -> None:
     path = tmp_path / "other.parquet"
     pq.write_table(table.schema(planned(GRID), None).remove_metadata().empty_table(), path)
-    for each in (path, tmp_path / "none.parquet", tmp_path / "mine.toml"):
-        assert not table.is_sweep(each)
+    for file in (path, tmp_path / "none.parquet", tmp_path / "mine.toml"):
+        assert not table.is_sweep(file)
         with pytest.raises(SweepError, match="expected the table of a sweep"):
-            table.read(each)
+            table.read(file)
 
 
 def test_two_sweeps_in_one_folder_are_refused_until_the_first_ends(planned: Make, tmp_path: Path) -> None:

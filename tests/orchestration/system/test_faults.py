@@ -63,12 +63,12 @@ effects = st.one_of(
 
 @st.composite
 def faults_on_one_input(draw: st.DrawFn, effect: st.SearchStrategy) -> list[Fault]:
-    found = []
+    drawn = []
     for _ in range(draw(st.integers(1, 4))):
         start = draw(st.one_of(st.just(-math.inf), seconds))
         length = draw(st.one_of(st.just(math.inf), st.integers(1, 40).map(lambda i: i * STEP)))
-        found.append(Fault("a.u", draw(effect), start, start + length if start > -math.inf else math.inf))
-    return found
+        drawn.append(Fault("a.u", draw(effect), start, start + length if start > -math.inf else math.inf))
+    return drawn
 
 
 grids = st.lists(st.integers(0, 50), min_size=1, max_size=40, unique=True).map(
@@ -81,8 +81,8 @@ def test_faults_do_what_a_receiver_would_see(faults: list[Fault], times: np.ndar
     """Up to rounding: additions are summed before they are added to the sample."""
     sent = np.random.default_rng(0).standard_normal(len(times))
     expected = sent.tolist()
-    for each in faults:
-        expected = received(each, times.tolist(), expected)
+    for fault in faults:
+        expected = received(fault, times.tolist(), expected)
     size = 1e3 * 60 * len(faults)  # the largest drift, about
     assert arrives(faults, times, sent) == pytest.approx(expected, rel=1e-12, abs=1e-15 * size)
 
@@ -91,8 +91,8 @@ def test_faults_do_what_a_receiver_would_see(faults: list[Fault], times: np.ndar
 def test_values_that_are_passed_on_stay_exact(faults: list[Fault], times: np.ndarray) -> None:
     sent = np.random.default_rng(0).standard_normal(len(times))
     expected = sent.tolist()
-    for each in faults:
-        expected = received(each, times.tolist(), expected)
+    for fault in faults:
+        expected = received(fault, times.tolist(), expected)
     assert arrives(faults, times, sent).tolist() == expected
 
 
@@ -203,7 +203,7 @@ FAULTS = [
 
 
 @pytest.mark.parametrize("algorithm", list(Algorithm))
-@pytest.mark.parametrize("one", FAULTS, ids=[type(each.effect).__name__ for each in FAULTS])
+@pytest.mark.parametrize("one", FAULTS, ids=[type(fault.effect).__name__ for fault in FAULTS])
 def test_the_master_passes_on_what_a_receiver_would_see(
     linear: Build, one: Fault, algorithm: Algorithm
 ) -> None:
@@ -241,8 +241,8 @@ def test_whole_numbers_and_switches_can_be_stuck(linear: Build) -> None:
     experiment = Experiment(1.0, 0.1, inputs=inputs, faults=faults, record=("b.integer_out", "b.boolean_out"))
     run = simulate(System({"a": through, "b": through}, connections), experiment)
     stuck = [False] * 6 + [True] * 3 + [False] * 2  # seen in the output a step later
-    assert run["b.integer_out"].tolist() == [-7 if each else 3 for each in stuck]
-    assert run["b.boolean_out"].tolist() == [float(each) for each in stuck]
+    assert run["b.integer_out"].tolist() == [-7 if is_stuck else 3 for is_stuck in stuck]
+    assert run["b.boolean_out"].tolist() == [float(is_stuck) for is_stuck in stuck]
 
 
 @pytest.mark.parametrize("algorithm", list(Algorithm))
