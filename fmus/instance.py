@@ -21,6 +21,13 @@ def _tolerance(t: float, h: float) -> float:
     return min(1e-9 * max(1.0, abs(t)), 1e-3 * h) + 8.0 * sys.float_info.epsilon * abs(t)
 
 
+def _typed_as(state: Any, scalars: list[float]) -> Any:
+    """The scalars in the shape of a state, as whole numbers, Booleans and items where it has these."""
+    unflatten(state, scalars)  # ValueError for another number of them
+    pairs = zip(flatten(state), scalars, strict=True)
+    return unflatten(state, [type(x)(y) if isinstance(x, int) and y == int(y) else y for x, y in pairs])
+
+
 class BlockError(ValueError):
     """A call that this instance refuses; the message says what was wrong and what was expected."""
 
@@ -170,7 +177,7 @@ class Instance:
             if format_and_origin != (_FORMAT, self.fingerprint):
                 raise BlockError(f"state of {format_and_origin!r}: expected {(_FORMAT, self.fingerprint)!r}")
             values, time = list(saved["values"]), float(saved["time"])
-            stepping, scalars = bool(saved["stepping"]), [float(x) for x in saved["state"]]
+            stepping, scalars = bool(saved["stepping"]), list(map(float, saved["state"]))
             if not all(map(math.isfinite, [time, *scalars, *map(float, values)])):
                 raise ValueError("a number that is not finite")
         except BlockError:
@@ -189,7 +196,7 @@ class Instance:
         saved_values = list(restored._values)
         restored._prepare()
         try:
-            restored._state = unflatten(restored._initial_state(), scalars)
+            restored._state = _typed_as(restored._initial_state(), scalars)
         except ValueError as error:
             raise BlockError(f"state of {self.block.name}: {error}") from error
         restored._values, restored._parameters_are_stale = saved_values, True

@@ -12,18 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from fmus.block import Block, ScalarVariable, flatten, unflatten
+from fmus.block import Block, flatten, unflatten
 from fmus.errors import ExportError
+from fmus.export.draws import disturbed, drawn, rounded
 from fmus.export.guard import location, own_line
 from fmus.export.symbolic import traced
 
 _POINTS, _STEPS = 60, 3  # draws of parameters; steps from each, with inputs drawn anew
 _EQUAL = 1e-12  # relative: a few roundings of elementary functions, which differ between C libraries
-_ULP, _PERTURBATIONS, _AMPLIFIED = 2.0**-52, 8, 32.0
+_PERTURBATIONS, _AMPLIFIED = 8, 32.0
 _MOST_AMPLIFIED = (
     0.2  # of the points; a function that amplifies rounding at more of them is not compared at all
 )
-_SPECIAL = (0.0, 0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, 2.5, -2.5)  # signs, and halves, which are rounded
 _FUNCTIONS = ("calculate", "requirements", "initial_state", "output", "step")
 
 
@@ -33,6 +33,7 @@ def check_faithful(block: Block) -> None:
     compare = {name: _Comparison(block, name) for name in _FUNCTIONS}
     for point in range(_POINTS):
         _compare_at_a_point(block, compare, rng, at_start=point == 0)
+    _compare_at_zeros(block, compare)
     for comparison in compare.values():
         comparison.check(rng)
 
@@ -42,7 +43,7 @@ def _compare_at_a_point(
 ) -> None:
     """Draw parameters, inputs and a time; follow the state over a few steps, and disturb it in between."""
     changed = 0.0 if at_start else rng.choice((0.1, 0.5, 1.0))
-    p = _drawn(block, "parameter", block.parameters, changed, rng)
+    p = drawn(block, "parameter", block.parameters, changed, rng)
     c = compare["calculate"](p)
     required = None if c is None else compare["requirements"](p, c)
     if required is None or not all(holds for holds, _ in required):
@@ -50,12 +51,38 @@ def _compare_at_a_point(
     t = 0.0 if at_start else rng.uniform(0.0, block.stop_time)
     x, h = None, p.internal_step * rng.choice((1.0, rng.uniform(0.1, 1.0)))
     for _ in range(_STEPS):
-        u = _drawn(block, "input", block.inputs, changed, rng)
-        x = compare["initial_state"](t, u, p, c) if x is None else _disturbed(x, rng)
+        u = drawn(block, "input", block.inputs, changed, rng)
+        is_reached = x is None
+        x = compare["initial_state"](t, u, p, c) if x is None else disturbed(x, rng)
         if x is None:
             return
-        compare["output"](t, x, p, c)
-        x, t = compare["step"](t, h, x, u, p, c), t + h
+        compare["output"](t, x, p, c, is_reached=is_reached)
+        x, t = compare["step"](t, h, x, u, p, c, is_reached=is_reached), t + h
+        if x is not None:
+            _check_whole(block, x)
+
+
+def _compare_at_zeros(block: Block, compare: dict[str, "_Comparison"]) -> None:
+    """The first step from the start values, with one input after the other at zero: where divisions end."""
+    inputs = block.of_causality("input")
+    p = unflatten(block.parameters, [v.start for v in block.of_causality("parameter")])
+    c = compare["calculate"](p)
+    for zero in inputs if c is not None else ():
+        if zero.refuse(0) is None:
+            u = unflatten(block.inputs, [v.cast(0) if v is zero else v.start for v in inputs])
+            if (x := compare["initial_state"](0.0, u, p, c)) is not None:
+                compare["step"](0.0, p.internal_step, x, u, p, c)
+
+
+def _check_whole(block: Block, state: Any) -> None:
+    """ExportError for a number with a fraction in a state that is declared as a whole number."""
+    for name, start, x in zip(_names(state), flatten(block.state), flatten(state), strict=False):
+        expected = "0 or 1" if isinstance(start, bool) else "a whole number"
+        if isinstance(start, int) and x not in ((0, 1) if isinstance(start, bool) else (round(x),)):
+            raise ExportError(
+                f"block {block.name!r}: {location(block.step)}step gives {name} = {x!r}: expected "
+                f"{expected}, as the state declares it with {start!r}; write {float(start)!r} for any number"
+            )
 
 
 class _Comparison:
@@ -69,10 +96,16 @@ class _Comparison:
         self._errors: list[tuple[Sequence[Any], Exception]] = []  # arguments without a result
         self._attempts = 0
 
-    def __call__(self, *arguments: Any) -> Any:
-        """What the Python function returns; None where that is no finite number."""
+    def __call__(self, *arguments: Any, is_reached: bool = True) -> Any:
+        """What the Python function returns; None where that is no finite number.
+
+        is_reached: whether the block can have these arguments; an error at others is none of the block
+        """
         self._attempts += 1
+        errors = len(self._errors)
         result, numbers = self._evaluate(arguments)
+        if not is_reached:
+            del self._errors[errors:]
         if numbers is not None:
             self._calls.append((arguments, result, numbers))
         return result
@@ -142,7 +175,7 @@ class _Comparison:
         """How far the numbers move when the arguments change by roundings."""
         moved = [0.0] * len(numbers)
         for _ in range(_PERTURBATIONS):
-            other = self._evaluate([_rounded(argument, rng) for argument in arguments])[1] or numbers
+            other = self._evaluate([rounded(argument, rng) for argument in arguments])[1] or numbers
             moved = [max(most, abs(x - y)) for most, x, y in zip(moved, other, numbers, strict=True)]
         return moved
 
@@ -164,47 +197,6 @@ def _described(error: Exception) -> str:
 
 def _are_near(x: float, y: float, allowed: float) -> bool:
     return abs(x - y) <= allowed  # False for NaN
-
-
-def _drawn(block: Block, causality: str, template: type, changed: float, rng: random.Random) -> Any:
-    """Parameters or inputs, of which a part is not at the start value."""
-    variables = block.of_causality(causality)
-    return unflatten(template, [_draw(v, rng) if rng.random() < changed else v.start for v in variables])
-
-
-def _draw(v: ScalarVariable, rng: random.Random) -> Any:
-    """A permitted value: near the start value, anywhere in the range, at its ends, or a special one."""
-    if v.enumeration:
-        return rng.choice(list(v.enumeration))
-    if v.type == "Boolean":
-        return rng.random() < 0.5
-    low, high = (v.minimum, v.maximum)
-    low, high = (v.start - 10 if low is None else low), (v.start + 10 if high is None else high)
-    if v.type == "Integer":
-        return rng.randint(int(low), int(high))
-    near = v.start * rng.uniform(0.5, 1.5) + (0.0 if v.start else rng.uniform(-1.0, 1.0))
-    anywhere = (
-        math.exp(rng.uniform(math.log(low), math.log(high))) if 0.0 < low < high else rng.uniform(low, high)
-    )
-    value = rng.choice((near, near, anywhere, rng.choice((low, high)), rng.choice(_SPECIAL)))
-    return float(min(max(value, low), high))
-
-
-def _changed_numbers(value: Any, change: Callable[[float], float]) -> Any:
-    """A dataclass or number whose floats are changed."""
-    scalars = [change(x) if isinstance(x, float) else x for x in flatten(value)]
-    return unflatten(value, scalars)
-
-
-def _disturbed(state: Any, rng: random.Random) -> Any:
-    def change(x: float) -> float:
-        return rng.choice((x, x, x * rng.uniform(0.5, 1.5), x + rng.uniform(-1.0, 1.0), rng.choice(_SPECIAL)))
-
-    return _changed_numbers(state, change)
-
-
-def _rounded(argument: Any, rng: random.Random) -> Any:
-    return _changed_numbers(argument, lambda x: x * (1.0 + rng.choice((-2, -1, 0, 1, 2)) * _ULP))
 
 
 def _names(value: Any, name: str = "") -> Iterator[str]:

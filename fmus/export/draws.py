@@ -1,0 +1,57 @@
+"""Random values of parameters, inputs and states, at which functions of a block are compared."""
+
+import math
+import random
+from enum import IntEnum
+from typing import Any
+
+from fmus.block import Block, ScalarVariable, flatten, unflatten
+
+_SPECIAL = (0.0, 0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, 2.5, -2.5)  # signs, and halves, which are rounded
+_ULP = 2.0**-52
+
+
+def drawn(block: Block, causality: str, template: type, changed: float, rng: random.Random) -> Any:
+    """Parameters or inputs, of which a part is not at the start value."""
+    variables = block.of_causality(causality)
+    return unflatten(template, [_draw(v, rng) if rng.random() < changed else v.start for v in variables])
+
+
+def _draw(v: ScalarVariable, rng: random.Random) -> Any:
+    """A permitted value: near the start value, anywhere in the range, at its ends, or a special one."""
+    if v.enumeration:
+        return rng.choice(list(v.enumeration))
+    if v.type == "Boolean":
+        return rng.random() < 0.5
+    low, high = (v.minimum, v.maximum)
+    low, high = (v.start - 10 if low is None else low), (v.start + 10 if high is None else high)
+    if v.type == "Integer":
+        return rng.randint(int(low), int(high))
+    near = v.start * rng.uniform(0.5, 1.5) + (0.0 if v.start else rng.uniform(-1.0, 1.0))
+    anywhere = (
+        math.exp(rng.uniform(math.log(low), math.log(high))) if 0.0 < low < high else rng.uniform(low, high)
+    )
+    value = rng.choice((near, near, anywhere, rng.choice((low, high)), rng.choice(_SPECIAL)))
+    return float(min(max(value, low), high))
+
+
+def disturbed(state: Any, rng: random.Random) -> Any:
+    """A state near another one, which the block need not be able to reach."""
+
+    def change(x: Any) -> Any:
+        if isinstance(x, IntEnum | bool):
+            return rng.choice(list(type(x)) if isinstance(x, IntEnum) else (False, True))
+        if isinstance(x, int):
+            return x + rng.choice((0, 0, -1, 1))
+        return rng.choice((x, x, x * rng.uniform(0.5, 1.5), x + rng.uniform(-1.0, 1.0), rng.choice(_SPECIAL)))
+
+    return unflatten(state, list(map(change, flatten(state))))
+
+
+def rounded(argument: Any, rng: random.Random) -> Any:
+    """An argument whose floats are changed by a few units in the last place."""
+
+    def change(x: Any) -> Any:
+        return x * (1.0 + rng.choice((-2, -1, 0, 1, 2)) * _ULP) if isinstance(x, float) else x
+
+    return unflatten(argument, list(map(change, flatten(argument))))
