@@ -216,6 +216,14 @@ def test_a_derivative_is_of_what_follows_by_what_is_set(
     assert reason in told(answer)
 
 
+@pytest.mark.parametrize("name", ["initial_state[2]", "state[1]"])
+def test_only_inputs_have_derivatives_to_be_set(open_session: Open, name: str) -> None:
+    session, references = stepping(open_session("ExamplePlant")), _references("ExamplePlant")
+    answer = session("set_input_derivatives", 0, [references[name]], [1], [1.0])
+    assert answer.status == ERROR
+    assert f"{name}: expected an input" in told(answer)
+
+
 def test_a_derivative_by_nothing_that_exists_is_an_error(open_session: Open) -> None:
     session, references = stepping(open_session("ExamplePlant")), _references("ExamplePlant")
     answer = session("directional_derivative", 0, [references["output"]], [999], [1.0], "+")
