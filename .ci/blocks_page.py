@@ -1,0 +1,143 @@
+"""Prints docs/reference/blocks.md, what a block may contain, from the code."""
+
+import inspect
+from collections.abc import Iterable
+from dataclasses import MISSING, dataclass, fields
+from enum import IntEnum
+from typing import Any
+
+from fmus import numerics
+from fmus.block import Block, NoValues, variable
+from fmus.units import BASE_UNITS, Unit, unit
+
+_HEAD = """\
+# Blocks
+
+What a block may contain. Its classes and functions are checked when it is built; a mistake is one sentence
+with file, line, class and variable. [Your own controller](../tutorials/your-own-controller.md) shows a block
+at work, [build a block](../how-to/blocks.md) has a recipe for each part, [Python: blocks](api/blocks.md) every
+name with its types. `python .ci/blocks_page.py` prints this page from the code, and a test compares both.
+"""
+_FURTHER = [
+    "deg", "deg/s", "rev/min", "mm", "km/h", "knot", "h", "l/min", "kN", "Nm", "bar", "kPa", "kWh", "A.h",
+    "degC", "degF", "%",
+]  # fmt: skip
+
+
+class Mode(IntEnum):
+    """Items are numbers from 0 to 31."""
+
+    SLOW = 1
+    FAST = 2
+
+
+@dataclass(frozen=True)
+class _Types:
+    real: float = variable(0.0, "")
+    integer: int = variable(0, "")
+    boolean: bool = variable(False, "")
+    enumeration: Mode = variable(Mode.SLOW, "")
+    vector: tuple[float, ...] = variable((0.0, 0.0), "")
+    matrix: tuple[tuple[float, ...], ...] = variable(((0.0, 0.0), (0.0, 0.0)), "")
+
+
+def page() -> str:
+    """The whole page."""
+    parts = [
+        _HEAD,
+        f"## Block\n\n```text\n{_text(Block)}\n```\n\n{_block_fields()}",
+        f"## Variables\n\n```text\nvariable{_signature(variable)}\n\n{_text(variable)}\n```\n\n{_types()}",
+        f"## Mathematics\n\n{_paragraph(numerics)}\n\n{_functions()}",
+        f"## Units\n\n{_units()}",
+    ]
+    return "\n\n".join(part.strip() for part in parts) + "\n"
+
+
+def _text(thing: Any) -> str:
+    return inspect.cleandoc(thing.__doc__)
+
+
+def _paragraph(thing: Any) -> str:
+    """The docstring behind its first line."""
+    return " ".join(_text(thing).partition("\n\n")[2].split())
+
+
+def _summary(thing: Any) -> str:
+    return " ".join(_text(thing).partition("\n\n")[0].split())
+
+
+def _signature(function: Any) -> str:
+    signature = inspect.signature(function)
+    plain = [p.replace(annotation=inspect.Parameter.empty) for p in signature.parameters.values()]
+    return str(signature.replace(parameters=plain, return_annotation=inspect.Signature.empty))
+
+
+def _table(heads: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    heads = list(heads)
+    lines = [heads, ["---"] * len(heads), *rows]
+    return "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in lines)
+
+
+def _block_fields() -> str:
+    rows = []
+    for member in fields(Block):
+        default = member.default
+        is_required = default is MISSING
+        shown = "" if is_required or callable(default) or default is None else f"`{default!r}`"
+        kind = "a function" if callable(default) or member.name in ("initial_state", "output") else ""
+        kind = "a class with `@dataclass(frozen=True)`" if member.type in (type, "type") else kind
+        shown = "no variables" if default is NoValues else shown
+        shown = "" if member.name == "guide" else shown
+        rows.append((f"`{member.name}`", kind, "required" if is_required else shown or "may be left out"))
+    return _table(("Field", "What it is", "Default"), rows)
+
+
+def _types() -> str:
+    @dataclass(frozen=True)
+    class Outputs:
+        y: float = variable(0.0, "")
+
+    variables = Block(
+        "Types", "", parameters=_Types, outputs=Outputs, output=lambda *_: Outputs()
+    ).of_causality("parameter")
+    rows = []
+    for member in fields(_Types):
+        scalars = [v for v in variables if v.name.partition("[")[0] == member.name]
+        names = ", ".join(f"`{v.name}`" for v in scalars)
+        start = "Mode.SLOW" if member.name == "enumeration" else repr(member.default)
+        rows.append((f"`{start}`", scalars[0].type, names))
+    table = _table(("Start value of `NAME`", "FMI type", "Variables"), rows)
+    for member in fields(_Types):
+        table = table.replace(f"`{member.name}", "`NAME")
+    return f"{table}\n\n`Mode` is an `IntEnum`: {_summary(Mode)[0].lower()}{_summary(Mode)[1:]}"
+
+
+def _functions() -> str:
+    rows = []
+    for name in numerics.__all__:
+        function = getattr(numerics, name)
+        rows.append((f"`{name}{_signature(function)}`", _summary(function)))
+    return _table(("Function", "What it returns"), rows)
+
+
+def _units() -> str:
+    known = ", ".join(f"`{name}`" for name in BASE_UNITS)
+    rows = [
+        (f"`{name}`", _powers(unit(name)), f"{unit(name).factor!r}", f"{unit(name).offset!r}")
+        for name in _FURTHER
+    ]
+    table = _table(("Unit", "Base units of FMI", "Factor", "Offset"), rows)
+    return (
+        f"Coherent units of the base units of FMI 2.0: {known}.\n\n"
+        "Any other that these base units can express: `fmus.units` asks Pint. The value in base units is\n"
+        "factor times value plus offset. Some of them:\n\n"
+        f"{table}\n\nA misspelt unit gets the nearest one."
+    )
+
+
+def _powers(meaning: Unit) -> str:
+    return " ".join(f"{base}^{power}" for base, power in meaning.exponents.items()) or "1"
+
+
+if __name__ == "__main__":
+    print(page(), end="")
