@@ -15,7 +15,7 @@ _HEAD = """\
 
 What a block may contain. Its classes and functions are checked when it is built; a mistake is one sentence
 with file, line, class and variable. [Your own controller](../tutorials/your-own-controller.md) shows a block
-at work, [build a block](../how-to/blocks.md) has a recipe for each part, [Python: blocks](api/blocks.md) every
+at work, [build a block](../how-to/blocks.md) has recipes for each part, [Python: blocks](api/blocks.md) every
 name with its types. `python .ci/blocks_page.py` prints this page from the code, and a test compares both.
 """
 _FURTHER = [
