@@ -224,6 +224,14 @@ def test_only_inputs_have_derivatives_to_be_set(open_session: Open, name: str) -
     assert f"{name}: expected an input" in told(answer)
 
 
+@pytest.mark.parametrize(
+    ("category", "status"), [("logStatusError", OK), ("logNothing", DISCARD), ("", DISCARD)]
+)
+def test_an_unknown_category_of_messages_is_discarded(open_session: Open, category: str, status: int) -> None:
+    session = stepping(open_session("ExamplePlant"))
+    assert session("set_debug_logging", 0, True, [category]).status == status
+
+
 def test_a_derivative_by_nothing_that_exists_is_an_error(open_session: Open) -> None:
     session, references = stepping(open_session("ExamplePlant")), _references("ExamplePlant")
     answer = session("directional_derivative", 0, [references["output"]], [999], [1.0], "+")
