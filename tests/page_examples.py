@@ -2,7 +2,8 @@
 
     ```python, ```sh      run; all Python of a page shares one namespace
     ```text               what the block before it prints; "..." stands for anything
-    first line "# NAME"   the block is written to that file instead (Python, TOML, YAML)
+    first line "# NAME"   the block is written to that file instead (Python, TOML, YAML); so is a comment
+                          of another language: "// NAME", "/* NAME */", "<?xml ...?> <!-- NAME -->"
 
 In docs/tutorials every block is an example; on other pages those below <!-- run -->.
 """
@@ -18,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 _BLOCK = re.compile(r"^(<!-- run -->\n)?```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-_FILE = re.compile(r"# (\S+\.\w+)\n")
+_FILE = re.compile(r"(?:#|//|/\*|<\?xml [^>]*\?> <!--) (\S+\.\w+)(?: \*/| -->)?\n")
 _OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 

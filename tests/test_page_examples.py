@@ -69,6 +69,26 @@ def test_a_page_that_is_wrong_does_not(page: Page, right: str, wrong: str, compl
         run(page(GOOD.replace(right, wrong)))
 
 
+FILES = """
+    '''c
+    /* deep/one.c */
+    '''
+    '''modelica
+    // one.mo
+    '''
+    '''xml
+    <?xml version="1.0"?> <!-- one.xml -->
+    '''
+"""
+
+
+def test_a_block_whose_comment_names_a_file_is_written(page: Page) -> None:
+    run(page(FILES))
+    assert Path("deep/one.c").read_text() == "/* deep/one.c */\n"
+    assert Path("one.mo").is_file()
+    assert Path("one.xml").is_file()
+
+
 def test_an_error_tells_the_line_of_the_page(page: Page) -> None:
     with pytest.raises(NameError) as error:
         run(page(GOOD.replace("x + 1", "y + 1")))
