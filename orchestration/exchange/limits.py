@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from orchestration.errors import ScenarioError
 from orchestration.system.experiment import Algorithm, Experiment
 from orchestration.system.signals import Ramps, Signal
-from orchestration.system.system import Port
+from orchestration.system.system import CheckedSystem, Port
 
 
 def check_plain_exchange(experiment: Experiment, target: str) -> None:
@@ -29,6 +29,14 @@ def check_plain_exchange(experiment: Experiment, target: str) -> None:
     present = ", ".join(name for name, is_present in features.items() if is_present)
     if present:
         raise ScenarioError(f"{target} with {present}: expected none, it cannot carry them")
+
+
+def check_plain_connections(system: CheckedSystem, target: str) -> None:
+    """Raise ScenarioError for a connection with a factor or an offset."""
+    for name, transformation in system.transformations.items():
+        raise ScenarioError(
+            f"{target} with {transformation} of the connection into {name}: expected plain connections"
+        )
 
 
 def check_types(ports: Iterable[Port], types: tuple[str, ...], target: str) -> None:

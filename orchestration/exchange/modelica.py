@@ -15,7 +15,12 @@ from fmpy.model_description import ModelDescription
 from fmus.files import extract_archive
 from fmus.fmi_types import NUMBERS
 from orchestration.errors import ScenarioError
-from orchestration.exchange.limits import check_plain_exchange, check_types, straight_points
+from orchestration.exchange.limits import (
+    check_plain_connections,
+    check_plain_exchange,
+    check_types,
+    straight_points,
+)
 from orchestration.exchange.modelica_blocks import (
     block,
     identifier,
@@ -50,6 +55,7 @@ def texts(scenario: Scenario) -> dict[str, str]:
     check_plain_exchange(experiment, _TARGET)
     prepared = prepare(scenario.system, experiment)
     checked = prepared.system
+    check_plain_connections(checked, _TARGET)
     ports = checked.ports.values()
     check_types([p for p in ports if p.variable.causality in ("input", "output")], ("Real",), _TARGET)
     check_types([p for p in ports if p.variable.causality == "parameter"], NUMBERS, _TARGET)

@@ -11,7 +11,12 @@ from fmpy.model_description import ScalarVariable
 
 from fmus.fmi_types import NUMBERS, FmiValue
 from orchestration.errors import ScenarioError
-from orchestration.exchange.limits import check_plain_exchange, check_types, straight_points
+from orchestration.exchange.limits import (
+    check_plain_connections,
+    check_plain_exchange,
+    check_types,
+    straight_points,
+)
 from orchestration.exchange.template_files import filled
 from orchestration.fmi.description import of_causality, start_value
 from orchestration.scenarios.scenario import Scenario
@@ -34,6 +39,7 @@ def text(scenario: Scenario) -> str:
     check_plain_exchange(experiment, _TARGET)
     prepared = prepare(scenario.system, experiment)
     checked, settings = prepared.system, prepared.settings
+    check_plain_connections(checked, _TARGET)
     check_types([port for port, _ in settings], NUMBERS, _TARGET)
     _check_names(checked)
     drivers = [

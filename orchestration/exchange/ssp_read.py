@@ -11,6 +11,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Element
 
 from fmpy.model_description import ModelDescription
@@ -30,7 +31,11 @@ _REFUSED = (
     ("ssd:System/ssd:Connectors", "connectors of the system itself"),
     ("ssd:System/ssd:Elements/ssd:System", "a system inside the system"),
     ("ssd:System/ssd:Elements/ssd:SignalDictionaryReference", "a signal dictionary"),
-    ("ssd:System/ssd:Connections/ssd:Connection/*", "a transformation or geometry of a connection"),
+    ("ssd:System/ssd:Connections/ssd:Connection/ssd:ConnectionGeometry", "the geometry of a connection"),
+    *(
+        (f"ssd:System/ssd:Connections/ssd:Connection/ssc:{kind}", f"a {kind} of a connection")
+        for kind in (f"{name}MappingTransformation" for name in ("Boolean", "Integer", "Enumeration"))
+    ),
 )
 
 
@@ -59,10 +64,10 @@ def _scenario(package: OpenedPackage, parameter_set: str) -> Scenario:
         )
     root = _checked_root(package)
     components = _components(root, package)
-    connections = tuple(_connection(element) for element in root.iter(tag("ssd:Connection")))
+    connections = tuple(_connection(element, package) for element in root.iter(tag("ssd:Connection")))
     descriptions = {name: describe(path) for name, path in components.items()}
     values = chosen_values(parameter_set, package) if parameter_set else bound_values(root, package)
-    parameters, inputs = _by_causality(values, descriptions, {target for _, target in connections})
+    parameters, inputs = _by_causality(values, descriptions, {target for _, target, *_ in connections})
     start, stop, step = _times(root, descriptions, package)
     outputs = (
         f"{component.get('name')}.{connector.get('name')}"
@@ -80,7 +85,7 @@ def _scenario(package: OpenedPackage, parameter_set: str) -> Scenario:
         metrics={},
         resolved={
             "components": {name: path.name for name, path in components.items()},
-            "connections": [list(pair) for pair in connections],
+            "connections": [list(connection) for connection in connections],
             "experiment": {"start_time": start, "stop_time": stop, "step_size": step},
             "parameters": parameters,
             "inputs": inputs,
@@ -108,11 +113,18 @@ def _components(root: Element, package: OpenedPackage) -> dict[str, Path]:
     return components
 
 
-def _connection(element: Element) -> tuple[str, str]:
+def _connection(element: Element, package: OpenedPackage) -> tuple[Any, ...]:
     source, target = (
         f"{element.get(f'{end}Element', '')}.{element.get(f'{end}Connector', '')}" for end in ("start", "end")
     )
-    return source, target
+    transformation = element.find(tag("ssc:LinearTransformation"))
+    if transformation is None:
+        return source, target
+    try:
+        given = {name: float(value) for name, value in transformation.attrib.items()}
+    except ValueError as error:
+        raise package.error(f"connection {source} -> {target}: {error}; expected numbers") from error
+    return source, target, given
 
 
 def _by_causality(

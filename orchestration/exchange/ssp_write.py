@@ -13,6 +13,7 @@ import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Element
 
 from fmus.files import write_archive
@@ -92,7 +93,7 @@ def family(scenario: Scenario) -> list[Scenario]:
     return [scenario, *(other for other in others if _structure_of(other) == _structure_of(scenario))]
 
 
-def _structure_of(scenario: Scenario) -> tuple[dict[str, Path], tuple[tuple[str, str], ...], set[str]]:
+def _structure_of(scenario: Scenario) -> tuple[dict[str, Path], tuple[Any, ...], set[str]]:
     system = scenario.system
     return dict(system.components), system.connections, set(scenario.experiment.signals)
 
@@ -113,7 +114,11 @@ def _structure(variant: _Variant) -> bytes:
     for source, target in variant.prepared.system.connections:
         ends = {"startElement": source.component, "startConnector": source.variable.name}
         ends |= {"endElement": target.component, "endConnector": target.variable.name}
-        add(connections, "ssd:Connection", **ends)
+        connection = add(connections, "ssd:Connection", **ends)
+        transformation = variant.prepared.system.transformations.get(target.name)
+        if transformation:
+            values = {"factor": repr(transformation.factor), "offset": repr(transformation.offset)}
+            add(connection, "ssc:LinearTransformation", **values)
     _units(root, "ssd:Units", variant.prepared.system, variant.connectors)
     _default_experiment(root, variant.prepared.experiment)
     return ssp_xml.document(root)

@@ -14,8 +14,11 @@ from orchestration.errors import FmuError, OrchestrationError
 from orchestration.fmi.instance import FmuInstance
 from orchestration.system.experiment import Initialisation
 from orchestration.system.system import Port
+from orchestration.system.transformation import LinearTransformation
 
 Connection = tuple[Port, Port]
+Transformations = Mapping[str, LinearTransformation]
+"""Of connections, by the names of their inputs."""
 
 _MOST_ITERATIONS = 1000
 _TOLERANCE = 1e-12  # of a value or its nominal, whichever is larger
@@ -29,11 +32,13 @@ class NoSolutionError(Exception):
     """Why values could not be found."""
 
 
-def exchange_once(connections: Sequence[Connection], instances: Mapping[str, FmuInstance]) -> list[float]:
+def exchange_once(
+    connections: Sequence[Connection], instances: Mapping[str, FmuInstance], transformations: Transformations
+) -> list[float]:
     """Read each output and set its input, one connection after the other; returns the values as numbers."""
     values = []
     for source, target in connections:
-        value = instances[source.component].get(source.variable)
+        value = arriving_value(source, target, instances, transformations)
         number = _number(value)
         if not math.isfinite(number):
             raise NoSolutionError(
@@ -49,14 +54,25 @@ def _number(value: Any) -> float:
     return float(zlib.crc32(value.encode()) if isinstance(value, str) else value)
 
 
+def arriving_value(
+    source: Port, target: Port, instances: Mapping[str, FmuInstance], transformations: Transformations
+) -> Any:
+    """The value of an output as it arrives at an input."""
+    value = instances[source.component].get(source.variable)
+    return transformations[target.name](value) if target.name in transformations else value
+
+
 def solve_loop(
-    connections: Sequence[Connection], instances: Mapping[str, FmuInstance], method: Initialisation
+    connections: Sequence[Connection],
+    instances: Mapping[str, FmuInstance],
+    transformations: Transformations,
+    method: Initialisation,
 ) -> None:
     """Find inputs that equal their outputs, and set them.
 
     Raises OrchestrationError if no method finds a solution, FmuError for a call that an FMU refuses.
     """
-    loop = _Loop(connections, instances)
+    loop = _Loop(connections, instances, transformations)
     start = loop.values()
     reasons = []
     for solve, other in ((_iterate, Initialisation.NEWTON), (_solve_by_newton, Initialisation.FIXED_POINT)):
@@ -74,8 +90,13 @@ def solve_loop(
 class _Loop:
     """x = F(x); names, nominal: of the inputs x, shape (n,)."""
 
-    def __init__(self, connections: Sequence[Connection], instances: Mapping[str, FmuInstance]) -> None:
-        self.connections, self.instances = connections, instances
+    def __init__(
+        self,
+        connections: Sequence[Connection],
+        instances: Mapping[str, FmuInstance],
+        transformations: Transformations,
+    ) -> None:
+        self.connections, self.instances, self.transformations = connections, instances, transformations
         self.nominal = np.array([_nominal(connection) for connection in connections])
         self.is_real = all(port.variable.type == "Real" for ends in connections for port in ends)
         self.names = ", ".join(target.name for _, target in connections)
@@ -88,7 +109,8 @@ class _Loop:
         """F(x): set the inputs, then read the outputs."""
         for (_, target), value in zip(self.connections, values.tolist(), strict=True):
             self.instances[target.component].set(target.variable, value)
-        return np.array([self.instances[s.component].get(s.variable) for s, _ in self.connections])
+        arriving = (arriving_value(*c, self.instances, self.transformations) for c in self.connections)
+        return np.array(list(arriving))
 
     def relative_size(self, change: np.ndarray, values: np.ndarray) -> float:
         """The largest change of a value, relative to it or its nominal; infinite if it is not a number."""
@@ -108,7 +130,7 @@ def _iterate(loop: _Loop, start: np.ndarray) -> None:
     before, least, change = np.full(start.shape, math.inf), math.inf, math.inf
     for _ in range(_MOST_ITERATIONS):
         try:
-            values = np.array(exchange_once(loop.connections, loop.instances), float)
+            values = np.array(exchange_once(loop.connections, loop.instances, loop.transformations), float)
         except FmuError as error:
             raise _discarded_value("fixed-point iteration ends", error) from error
         change = np.max(np.abs(values - before) / loop.nominal)

@@ -166,7 +166,7 @@ def _past(run: RunInProgress, position: int) -> dict[str, str]:
         "the FMUs": [(name, d.guid) for name, d in prepared.system.descriptions.items()],
         "the algorithm": [wiring.gauss_seidel, periods, modes, prepared.experiment.tolerance],
         "the communication points": [wiring.points[:until].tobytes()],
-        "the connections": list(run.wired.bus.connections),
+        "the connections": [*run.wired.bus.connections, sorted(prepared.system.transformations.items())],
         "the record": list(prepared.recorded),
         "the signals": [wiring.signal_values[:, :until].tobytes()],
         "the faults": [faults.source[:, :until].tobytes(), faults.addition[:, :until].tobytes()],

@@ -8,7 +8,7 @@ is exchanged once, a loop is solved by `algebraic_loop.py`.
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
 from typing import Any
 
@@ -17,7 +17,13 @@ from fmpy.model_description import ScalarVariable
 
 from orchestration.errors import OrchestrationError
 from orchestration.fmi.instance import FmuInstance
-from orchestration.master.algebraic_loop import Connection, NoSolutionError, exchange_once, solve_loop
+from orchestration.master.algebraic_loop import (
+    Connection,
+    NoSolutionError,
+    Transformations,
+    exchange_once,
+    solve_loop,
+)
 from orchestration.system.experiment import Initialisation
 from orchestration.system.prepared_run import PreparedRun
 from orchestration.system.system import CheckedSystem
@@ -25,10 +31,14 @@ from orchestration.system.system import CheckedSystem
 
 @dataclass(frozen=True)
 class ConnectionGroup:
-    """The connections of an algebraic loop, or one connection that is in no loop."""
+    """The connections of an algebraic loop, or one connection that is in no loop.
+
+    transformations: of the system's connections, by their input
+    """
 
     connections: tuple[Connection, ...]
     is_loop: bool
+    transformations: Transformations = field(default_factory=dict)
 
 
 def initialise(
@@ -64,10 +74,10 @@ def solve_initial_values(
     """
     for group in groups:
         if group.is_loop:
-            solve_loop(group.connections, instances, method)
+            solve_loop(group.connections, instances, group.transformations, method)
             continue
         try:
-            exchange_once(group.connections, instances)
+            exchange_once(group.connections, instances, group.transformations)
         except NoSolutionError as reason:
             raise OrchestrationError(f"initial values: {reason}") from reason
 
@@ -102,6 +112,7 @@ def connection_groups(system: CheckedSystem) -> tuple[ConnectionGroup, ...]:
         ConnectionGroup(
             connections=tuple(connections[i] for i in group if i < len(connections)),
             is_loop=len(group) > 1 or group[0] in dependencies[group[0]],
+            transformations=system.transformations,
         )
         for group in groups
         if group[0] < len(connections)

@@ -34,7 +34,7 @@ typedef struct {
 
 typedef struct {
     const int64_t *first, *source, *target, *source_component, *fault, *input_mode;
-    const double *minimum, *maximum, *slope_validity;
+    const double *minimum, *maximum, *slope_validity, *factor, *offset;
     double *value, *slope, *sample_time, *sample, *sample_interval;
 } Connections;
 
@@ -93,7 +93,7 @@ static int transfer(Wiring *wiring, int64_t k, int64_t point, double time, int i
     Connections *connections = &wiring->connections;
     Faults *faults = &wiring->faults;
     const int64_t fault = connections->fault[k];
-    double value = wiring->bus[connections->source[k]];
+    double value = wiring->bus[connections->source[k]] * connections->factor[k] + connections->offset[k];
     if (fault >= 0) {
         double *history = faults->history + fault * wiring->n_points;
         const int64_t origin = faults->source[fault * wiring->n_points + point];

@@ -79,7 +79,7 @@ def transfer(wiring: Wiring, k: int, point: int, time: float, is_new: bool) -> b
     is_new: whether the source provided the value at `time` [s], or has held it since an earlier time
     """
     connections, faults = wiring.connections, wiring.faults
-    value = float(wiring.bus[connections.source[k]])
+    value = float(wiring.bus[connections.source[k]] * connections.factor[k] + connections.offset[k])
     fault = connections.fault[k]
     if fault >= 0:
         faults.history[fault, point] = value

@@ -48,6 +48,7 @@ class Connections(NamedTuple):
     source, target: indices on the bus; source_component: -1 for a signal; fault: row of `Faults` or -1
     input_mode: HOLD, FMU_DERIVATIVE or MIDPOINT; minimum, maximum: of the target, for MIDPOINT
     slope_validity: length of the step, in sample intervals, from which on the slope is reduced
+    factor, offset: the value of the source becomes factor * value + offset; 1 and -0.0 change no bit
 
     Between communication points a connection carries value + slope (t - sample_time):
     value, slope: the slope is 0 or, with extrapolation, the difference quotient of the last two samples
@@ -64,6 +65,8 @@ class Connections(NamedTuple):
     minimum: Array
     maximum: Array
     slope_validity: Array
+    factor: Array
+    offset: Array
     value: Array
     slope: Array
     sample_time: Array

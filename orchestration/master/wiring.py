@@ -21,9 +21,11 @@ from orchestration.master.loop_data import (
 from orchestration.master.texts import Texts
 from orchestration.system.experiment import Algorithm
 from orchestration.system.prepared_run import PreparedRun
+from orchestration.system.transformation import LinearTransformation
 
 # How much longer than usual a step may be than the interval from which its slope was taken. With a tolerance
 # the error is estimated, and a step may follow half a step and be five times as long as the whole.
+_UNCHANGED = LinearTransformation()
 _SLOPE_VALIDITY, _SLOPE_VALIDITY_WITH_TOLERANCE = 2.0, 10.0
 
 
@@ -173,11 +175,13 @@ def _connections(prepared: PreparedRun, bus: BusLayout, parts: Mapping[str, np.n
         owner, ends = component_of(source), (bus.index[source], bus.index[target])
         indices.append((*ends, numbers.get(owner, -1), faults.get(target, -1), mode))
         periods = prepared.periods[own] / prepared.periods.get(owner, 1)
-        limits.append((*prepared.input_ranges[target], validity * periods))
+        transformation = prepared.system.transformations.get(target, _UNCHANGED)
+        change = transformation.factor, transformation.offset or -0.0
+        limits.append((*prepared.input_ranges[target], validity * periods, *change))
     return Connections(
         _first_of_each(targets, prepared.system.components),
         *_columns(indices, 5, np.int64),
-        *_columns(limits, 3, np.float64),
+        *_columns(limits, 5, np.float64),
         **{name: parts[name] for name in CHANGING_OF_CONNECTIONS},
     )
 

@@ -14,8 +14,35 @@ from orchestration.system.open_inputs import OpenInputs
 from orchestration.system.signal_derivatives import KINDS
 
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
-Connection = Annotated[list[str], Field(min_length=2, max_length=2)]
+
+
+class TransformationTable(Table, use_attribute_docstrings=True):
+    """What a connection carries: factor * output + offset."""
+
+    factor: float = 1.0
+    offset: float = 0.0
+
+
+class SourceTable(TransformationTable, use_attribute_docstrings=True):
+    """An output, and its transformation."""
+
+    source: str
+    """ "component.output" """
+
+
 LIST_OR_TABLE = Discriminator(lambda value: "table" if isinstance(value, dict) else "list")
+_Ends = Annotated[list[str], Field(min_length=2, max_length=2), Tag("ends")]
+_Transformed = Annotated[tuple[str, str, TransformationTable], Strict(False), Tag("transformed")]
+Connection = Annotated[
+    _Ends | _Transformed,
+    Discriminator(lambda value: "transformed" if isinstance(value, list) and len(value) == 3 else "ends"),
+]
+Source = Annotated[
+    Annotated[str, Tag("text")]
+    | Annotated[Literal[False], Tag("false")]
+    | Annotated[SourceTable, Tag("table")],
+    Discriminator(lambda value: {dict: "table", bool: "false"}.get(type(value), "text")),
+]
 _OPTIONAL: Any = Field(default=None)  # Experiment has the default
 
 SIGNAL = OneOf("kind", {kind: table_of("kind", kind, made) for kind, made in KINDS.items()}, droppable=True)
@@ -103,11 +130,11 @@ class ScenarioFile(Table, use_attribute_docstrings=True):
     components: dict[str, str | Literal[False]]
     """Component -> name of an installed block, or path of an .fmu relative to this file; false removes it."""
     connections: Annotated[
-        Annotated[list[Connection], Tag("list")] | Annotated[dict[str, str | Literal[False]], Tag("table")],
+        Annotated[list[Connection], Tag("list")] | Annotated[dict[str, Source], Tag("table")],
         LIST_OR_TABLE,
     ] = []
     """["component.output", "component.input"] each, in place of those of the base; or a table that changes
-    those: "component.input" -> "component.output", or false."""
+    those: "component.input" -> "component.output", { source, factor, offset } or false."""
     experiment: ExperimentTable
     step_sizes: dict[str, float] = {}
     """Component -> its own step size [s], a multiple of the communication step size."""

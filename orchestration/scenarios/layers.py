@@ -60,9 +60,21 @@ def given_connections(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """(source, target) of the connections of a layer, whichever way they are written."""
     given = data.get("connections", [])
     if isinstance(given, dict):
-        yield from ((source, target) for target, source in given.items() if source is not False)
+        yield from ((source_of(source), target) for target, source in given.items() if source is not False)
     else:
-        yield from ((source, target) for source, target in given)
+        yield from ((source, target) for source, target, *_ in given)
+
+
+def source_of(given: Any) -> str:
+    """The output of an entry of a table of connections."""
+    return given["source"] if isinstance(given, dict) else given
+
+
+def _listed(source: Any, target: str) -> list[Any]:
+    """An entry of a table of connections as a list has it."""
+    if not isinstance(source, dict):
+        return [source, target]
+    return [source["source"], target, {key: value for key, value in source.items() if key != "source"}]
 
 
 def _connections(below: list[Any], above: Any, layer: Layer) -> list[Any]:
@@ -70,7 +82,7 @@ def _connections(below: list[Any], above: Any, layer: Layer) -> list[Any]:
         return above
     _check_removed("connections", above, [target for _, target, *_ in below], layer)
     kept = [connection for connection in below if connection[1] not in above]
-    return [*kept, *([source, target] for target, source in above.items() if source is not False)]
+    return [*kept, *(_listed(source, target) for target, source in above.items() if source is not False)]
 
 
 def _record(below: list[str], above: Any, layer: Layer) -> list[str]:

@@ -14,7 +14,7 @@ from typing import Any
 from fmpy.model_description import ModelDescription
 
 from orchestration.errors import ScenarioError, ScenarioWarning, SystemDefinitionError
-from orchestration.scenarios.layers import Data, Layer, with_events
+from orchestration.scenarios.layers import Data, Layer, source_of, with_events
 from orchestration.system.system import Port
 from orchestration.system.values import fmi_value
 
@@ -177,7 +177,7 @@ class _Fitting:
     def _list(self, data: Data, key: str, fits: Callable[[Any], bool]) -> Data:
         entries = data.get(key)
         if isinstance(entries, dict):
-            as_item = (lambda k, v: [v, k]) if key == "connections" else lambda k, v: k
+            as_item = (lambda k, v: [source_of(v), k]) if key == "connections" else lambda k, v: k
             return {key: {k: v for k, v in entries.items() if v is False or fits(as_item(k, v))}}
         return {} if entries is None else {key: [entry for entry in entries if fits(entry)]}
 

@@ -117,7 +117,7 @@ def load(
         title=file.title,
         system=System(
             components={name: _path(fmu, flavour) for name, fmu in data["components"].items()},
-            connections=tuple((source, target) for source, target in data.get("connections", [])),
+            connections=data.get("connections", []),
         ),
         experiment=experiment,
         metrics=data["metrics"],

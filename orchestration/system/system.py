@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from fmus.errors import nearest
 from orchestration.errors import SystemDefinitionError
 from orchestration.fmi.description import describe, of_causality
 from orchestration.system.open_inputs import OpenInputs
+from orchestration.system.transformation import LinearTransformation
 
 # type of an input -> types of the outputs that it accepts: those of which every value is one of its own
 _ACCEPTED = {
@@ -40,14 +41,16 @@ class Port:
 class System:
     """Named FMUs and the connections between them, (source, target) as "component.variable".
 
+    A third item, {"factor": 0.001, "offset": 0.0}, transforms what the connection carries.
+
     Raises SystemDefinitionError for another form.
     """
 
     components: Mapping[str, Path]
-    connections: tuple[tuple[str, str], ...]
+    connections: tuple[tuple[str, str] | tuple[str, str, LinearTransformation], ...]
 
     def __init__(
-        self, components: Mapping[str, str | Path], connections: Iterable[Sequence[str]] = ()
+        self, components: Mapping[str, str | Path], connections: Iterable[Sequence[Any]] = ()
     ) -> None:
         if not isinstance(components, Mapping):
             raise SystemDefinitionError(f'components: expected {{"name": "path.fmu"}}, got {components!r}')
@@ -56,14 +59,17 @@ class System:
                 raise SystemDefinitionError(f"component {name!r}: expected a name without a dot")
         paths = {name: Path(path) for name, path in components.items()}
         object.__setattr__(self, "components", paths)
-        object.__setattr__(self, "connections", tuple(_pair(connection) for connection in connections))
+        object.__setattr__(self, "connections", tuple(_ends(connection) for connection in connections))
 
 
-def _pair(connection: Any) -> tuple[str, str]:
-    is_pair = isinstance(connection, (tuple, list)) and len(connection) == 2
-    if not is_pair or not all(isinstance(name, str) for name in connection):
+def _ends(connection: Any) -> tuple[str, str] | tuple[str, str, LinearTransformation]:
+    is_connection = isinstance(connection, (tuple, list)) and len(connection) in (2, 3)
+    if not is_connection or not all(isinstance(name, str) for name in connection[:2]):
         raise SystemDefinitionError(f'connection {connection!r}: expected ("a.output", "b.input")')
-    return connection[0], connection[1]
+    source, target, *given = connection
+    if not given:
+        return source, target
+    return source, target, LinearTransformation.of(given[0], f"connection {source} -> {target}")
 
 
 @dataclass(frozen=True)
@@ -72,6 +78,7 @@ class CheckedSystem:
 
     ports: "component.variable" -> variable, of all components
     open_inputs: inputs that nothing drives
+    transformations: of connections, by their input
     """
 
     components: Mapping[str, Path]
@@ -79,6 +86,7 @@ class CheckedSystem:
     ports: Mapping[str, Port]
     connections: tuple[tuple[Port, Port], ...]
     open_inputs: tuple[Port, ...] = ()
+    transformations: Mapping[str, LinearTransformation] = field(default_factory=dict)
 
     def port(self, name: str, purpose: str) -> Port:
         """The variable called "component.variable"; an unknown one offers the nearest."""
@@ -144,8 +152,9 @@ def check(
         for component, description in descriptions.items()
         for variable in description.modelVariables
     }
-    checked = CheckedSystem(system.components, descriptions, ports, ())
-    connections = tuple(_connection(checked, source, target) for source, target in system.connections)
+    transformations = {target: given[0] for _, target, *given in system.connections if given}
+    checked = CheckedSystem(system.components, descriptions, ports, (), (), transformations)
+    connections = tuple(_connection(checked, source, target) for source, target, *_ in system.connections)
     drivers = Counter(target.name for _, target in connections)
     for name in driven:
         port = checked.port(name, "driven input")
@@ -177,7 +186,9 @@ def _connection(checked: CheckedSystem, source: str, target: str) -> tuple[Port,
         problem = (
             f"expected an output of type {expected} for an input of type {input_.type}, got {output.type}"
         )
-    elif not _units_agree(checked, start, end):
+    elif target in checked.transformations and input_.type != "Real":
+        problem = f"expected an input of type Real for a factor or an offset, got {input_.type}"
+    elif target not in checked.transformations and not _units_agree(checked, start, end):
         problem = f"expected equal units, got {output.unit} and {input_.unit}"
     else:
         return start, end

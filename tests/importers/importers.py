@@ -141,7 +141,7 @@ def fmucontainer(job: ImporterJob) -> Reports:
             "step_size": job.step_size,
             **dict.fromkeys(("auto_link", "auto_input", "auto_output"), False),
             "fmu": [fmu.name for fmu in components.values()],
-            "link": [[*split(source), *split(target)] for source, target in loop.system.connections],
+            "link": [[*split(source), *split(target)] for source, target, *_ in loop.system.connections],
             "start": [[*split(name), value] for name, value in values.items()],
             "output": [[*split(job.output), "output"]],
         }

@@ -94,7 +94,7 @@ def test_every_input_is_driven_once_and_by_what_the_scenario_says(
     inputs = {f"{c}.{n}" for c, fmu in chosen.system.components.items() for n in _names(fmu, "input")}
     assert set(wires) == inputs
     blocks = {call[2].split("/")[1]: call for call in calls if call[0] == "add_block"}
-    for source, target in chosen.system.connections:
+    for source, target, *_ in chosen.system.connections:
         assert wires[target] == source
     for target, value in chosen.experiment.inputs.items():
         assert float(blocks[wires[target]][4]) == value

@@ -51,6 +51,7 @@ def both(system: System, experiment: Experiment) -> list[Any]:
         st.tuples(st.sampled_from(["one.u[1]", "two.u[1]", "three.u[1]"]), st.sampled_from(FAULTS))
     ),
     step=st.sampled_from([0.05, 0.07]),
+    factor=st.sampled_from([1.0, -0.3]),
 )
 def test_both_loops_agree(
     linear: Build,
@@ -61,13 +62,14 @@ def test_both_loops_agree(
     periods: tuple[int, int, int],
     faulty: list[tuple[str, dict]],
     step: float,
+    factor: float,
 ) -> None:
     fmu = linear(a=-2.0, d=((0.1,),), passes_discrete=True, interpolates_inputs=interpolates)
     system = System(
         dict.fromkeys(order, fmu),
         (
             ("one.y[1]", "two.u[1]"),
-            ("two.y[1]", "three.u[1]"),
+            ("two.y[1]", "three.u[1]", {"factor": factor, "offset": 0.1}),
             ("one.integer_out", "two.integer_in"),
             ("two.boolean_out", "one.boolean_in"),
         ),

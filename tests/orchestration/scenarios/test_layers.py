@@ -7,6 +7,7 @@ import pytest
 from orchestration.errors import ScenarioError
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
+from orchestration.system.transformation import LinearTransformation
 from tests.described_fmus import described
 
 BASE = """
@@ -84,7 +85,7 @@ def test_an_input_is_driven_as_the_uppermost_layer_says(
     tmp_path: Path, text: str, connections: list[str], inputs: list[str], signals: list[str]
 ) -> None:
     loaded = load(tmp_path, text)
-    assert [target for _, target in loaded.system.connections] == connections
+    assert [target for _, target, *_ in loaded.system.connections] == connections
     assert list(loaded.experiment.inputs) == inputs
     assert list(loaded.experiment.signals) == signals
 
@@ -109,3 +110,29 @@ def test_a_table_of_records_needs_a_list_to_change(tmp_path: Path) -> None:
     base = BASE.replace('record = ["a.y", "b.u"]\n', "")
     with pytest.raises(ScenarioError, match=r"record: expected a list; a table changes that of a base"):
         load(tmp_path, '[record]\n"a.y" = true\n', base)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '[connections]\n"b.u" = { source = "a.z", factor = 0.5 }\n"b.v" = false\n',
+        'connections = [["a.z", "b.u", { factor = 0.5 }]]\n',
+    ],
+)
+def test_a_connection_can_have_a_factor(tmp_path: Path, text: str) -> None:
+    loaded = load(tmp_path, text)
+    assert loaded.system.connections == (("a.z", "b.u", LinearTransformation(0.5)),)
+    assert loaded.resolved["connections"] == [["a.z", "b.u", {"factor": 0.5}]]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('connections = [["a.z", "b.u", { factr = 0.5 }]]', r"connections\[0\]\[2\]: unknown key 'factr'; n"),
+        ('[connections]\n"b.u" = { factor = 0.5 }\n', r'connections."b.u".source is missing'),
+        ('connections = [["a.z", "b.u", 3]]', r"connections\[0\]\[2\] = 3: expected a table"),
+    ],
+)
+def test_a_wrong_factor_names_its_connection(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        load(tmp_path, text)
