@@ -138,6 +138,15 @@ def _without_other_drivers(below: Data, above: Data) -> Data:
     return result
 
 
+def with_faulted_constants(data: Data) -> Data:
+    """The data with a constant signal in place of each constant number that a fault acts on."""
+    faulted = {fault["input"] for fault in data.get("faults", [])}
+    moved = {n: v for n, v in data["inputs"].items() if n in faulted and type(v) in (int, float)}
+    signals = {name: {"kind": "constant", "value": value} for name, value in moved.items()}
+    kept = {name: value for name, value in data["inputs"].items() if name not in moved}
+    return {**data, "inputs": kept, "signals": {**data["signals"], **signals}} if moved else data
+
+
 def with_events(events: list[Any], is_kept: Callable[[str, Any], bool]) -> list[Any]:
     """The events with those variables and values that `is_kept` approves."""
     changed = [{**e, "set": {k: v for k, v in e["set"].items() if is_kept(k, v)}} for e in events]

@@ -22,7 +22,7 @@ from orchestration.scenarios.adapters import adapted, mappings
 from orchestration.scenarios.declarations import fault, signal
 from orchestration.scenarios.file_format import ScenarioFile
 from orchestration.scenarios.file_tables import checked
-from orchestration.scenarios.layers import TABLES, Layer, merged
+from orchestration.scenarios.layers import TABLES, Layer, merged, with_faulted_constants
 from orchestration.scenarios.read_layers import (
     SHIPPED,
     check_components,
@@ -102,6 +102,7 @@ def load(
     data = {"title": path.stem, **{table: {} for table in TABLES}, **merged(fitting)}
     for table in ("parameters", "inputs"):
         data[table] = without_removed(data, table, fitting, description)
+    data = with_faulted_constants(data)
     if not data["components"]:
         raise ScenarioError(f"{path}: components is missing")
     warn_of_dropped(replaced, data)

@@ -7,6 +7,7 @@ import pytest
 from orchestration.errors import ScenarioError
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
+from orchestration.system.prepared_run import prepare
 from orchestration.system.transformation import LinearTransformation
 from tests.described_fmus import described
 
@@ -136,3 +137,18 @@ def test_a_connection_can_have_a_factor(tmp_path: Path, text: str) -> None:
 def test_a_wrong_factor_names_its_connection(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(ScenarioError, match=message):
         load(tmp_path, text)
+
+
+def test_a_fault_on_a_constant_input_makes_it_a_signal(tmp_path: Path) -> None:
+    loaded = load(tmp_path, '[[faults]]\ninput = "a.u"\nkind = "drift"\nrate = 0.1\n')
+    assert not loaded.experiment.inputs
+    assert loaded.experiment.signals["a.u"](0.5) == 1.0
+    prepare(loaded.system, loaded.experiment)
+
+
+def test_a_constant_in_place_of_a_signal_is_without_the_faults_on_it(tmp_path: Path) -> None:
+    fault = '[[faults]]\ninput = "a.v"\nkind = "freeze"\n'
+    event = '[[events]]\ntime = 0.5\nset = { "a.u" = 2.0 }\n'
+    text = '[inputs]\n"a.v" = 1.0\n[signals]\n"a.u" = { kind = "constant", value = 1.0 }\n'
+    experiment = load(tmp_path, text, BASE + fault + event).experiment
+    assert (list(experiment.inputs), experiment.faults, experiment.events) == (["a.v"], (), ())
