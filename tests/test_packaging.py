@@ -162,7 +162,8 @@ start = time.process_time()
 recording = simulate(system, stop_time=1000.0, step_size=0.01)
 print(time.process_time() - start)
 assert len(recording.time) == 100001
-unneeded = {"casadi", "ziglang", "PIL", "matplotlib", "plotly", "pandas", "rich", "typer", "fmus.export"}
+unneeded = {"casadi", "ziglang", "pint", "PIL", "matplotlib", "plotly", "pandas", "rich", "typer"}
+unneeded |= {"fmus.export"}
 assert not unneeded & set(sys.modules), unneeded & set(sys.modules)
 maps = Path("/proc/self/maps").read_text()
 print(*{line.split("/", 1)[1] for line in maps.splitlines() if "l1-depth-" in line})
@@ -182,7 +183,7 @@ def test_running_foreign_fmus_needs_few_libraries_and_no_compiler(
     seconds = float(output.split()[0])
     assert seconds < 2.0  # 100,000 steps: 0.1 s in C, 5 s in Python
     assert list(home.iterdir()) == []
-    for library in ("casadi", "ziglang", "PIL", "matplotlib"):
+    for library in ("casadi", "ziglang", "pint", "PIL", "matplotlib"):
         code = f"import importlib.util; assert importlib.util.find_spec({library!r}) is None"
         run([bin_folder / "python", "-c", code], folder)
 
