@@ -116,6 +116,22 @@ def test_interp_is_numpys(x: float) -> None:
     assert n.interp(x, XP, FP) == np.interp(x, XP, FP)
 
 
+@pytest.mark.parametrize("first", [False, True])
+@pytest.mark.parametrize("second", [False, True])
+def test_boolean_algebra_and_choices_are_numpys(first: bool, second: bool) -> None:
+    for name in ("logical_and", "logical_or", "logical_xor"):
+        assert getattr(n, name)(first, second) is bool(getattr(np, name)(first, second))
+    conditions = [first, second]
+    assert (n.all(conditions), n.any(conditions)) == (all(conditions), any(conditions))
+    assert n.logical_not(first) is not first
+    assert n.select(conditions, [1.0, 2.0], 3.0) == np.select(conditions, [1.0, 2.0], 3.0)
+
+
+@pytest.mark.parametrize("index", [-1, 0, 1, 2, 3])
+def test_choose_is_numpys_and_clips_its_index(index: int) -> None:
+    assert n.choose(index, (5.0, 6.0, 7.0)) == np.choose(index, (5.0, 6.0, 7.0), mode="clip")
+
+
 def test_a_table_in_two_dimensions_meets_its_points_and_is_linear_between_and_held_outside() -> None:
     for i, x in enumerate(XP):
         assert [n.interp2d(x, y, XP, YP, SURFACE) for y in YP] == list(SURFACE[i])
