@@ -22,13 +22,14 @@ def offer(monkeypatch: pytest.MonkeyPatch) -> object:
     return one
 
 
-def test_the_five_blocks_are_found() -> None:
+def test_the_shipped_blocks_are_found() -> None:
     assert registry.block_names() == [
         "DepthReference",
         "ExamplePlant",
         "L1Controller",
         "L1DepthController",
         "RovDepthPlant",
+        "ThrustAllocation",
     ]
 
 
