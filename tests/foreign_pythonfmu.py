@@ -84,6 +84,20 @@ _SOURCES = {
                     return False
                 return True
     """,
+    "Fails": """
+        class Fails(Fmi2Slave):
+            def __init__(self, **kwargs):
+                super().__init__(**kwargs)
+                self.y = 0.0
+                self.register_variable(Real("y", causality=OUTPUT))
+
+            def do_step(self, t, h):
+                self.y = t + h
+                if t > 0.45:
+                    self.log("the rudder is stuck", Fmi2Status.error)
+                    return False
+                return True
+    """,
     "Raises": """
         class Raises(Fmi2Slave):
             def __init__(self, **kwargs):

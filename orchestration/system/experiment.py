@@ -64,7 +64,7 @@ class Experiment:
 
     parameters, inputs: "component.variable" -> value, set before the initialisation
     signals: "component.variable" -> function of time, set at every communication point
-    record: names of outputs and driven inputs; empty means all outputs and signals
+    record: names of variables of any causality and type; empty means all outputs but Strings, and all signals
     extrapolation: order, 0 or 1, of the input extrapolation between communication points
     step_sizes: component -> its own step size [s], a multiple of `step_size`
     tolerance: of the error caused by exchanging at communication points only; the master then varies the step

@@ -12,7 +12,7 @@ import pytest
 from scipy.linalg import expm
 
 from orchestration.errors import FmuLoadError, OrchestrationError, SimulationError, SystemDefinitionError
-from orchestration.master import simulate
+from orchestration.master import Simulator, simulate
 from orchestration.system.experiment import Algorithm, Event, Experiment
 from orchestration.system.signals import Constant, Cosine
 from orchestration.system.system import System
@@ -118,13 +118,22 @@ def test_a_slave_of_pythonfmu_that_returns_false_terminates_the_simulation(
     }  # fmt: skip
 
 
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize(
+    ("name", "status", "words"),
+    [("Fails", "error", "the rudder is stuck"), ("Raises", "fatal", "the hull is breached")],
+)
 def test_a_slave_that_fails_in_mid_run_keeps_what_was_recorded(
-    foreign: Mapping[str, Path], temporary: Path
+    foreign: Mapping[str, Path], temporary: Path, name: str, status: str, words: str, compiled: bool
 ) -> None:
-    with pytest.raises(
-        SimulationError, match=r"bad at t = 0.5 s: fmi2DoStep returned fatal: .*the hull is breached"
-    ) as caught:
-        simulate(System({"bad": foreign["Raises"]}), Experiment(1.0, 0.1))
+    """Also one whose discarded step PythonFMU calls an end, if it has logged an error."""
+    with (
+        pytest.raises(
+            SimulationError, match=rf"bad at t = 0.5 s: fmi2DoStep returned {status}: .*{words}"
+        ) as caught,
+        Simulator(System({"bad": foreign[name]}), compiled) as simulator,
+    ):
+        simulator.run(Experiment(1.0, 0.1))
     recording = caught.value.recording
     assert recording.time == pytest.approx([0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
     assert recording["bad.y"] == pytest.approx(recording.time)
