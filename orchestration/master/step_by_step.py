@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from orchestration.errors import OrchestrationError
 from orchestration.master.saved_state import SavedState
 from orchestration.master.stepped_run import Reader, SteppedRun, Writer
@@ -47,6 +49,26 @@ class StepByStep:
     def time(self) -> float:
         """The present communication point [s]."""
         return self._started().time
+
+    @property
+    def point(self) -> int:
+        """Index of the present communication point."""
+        return self._started().position
+
+    @property
+    def points(self) -> np.ndarray:
+        """The communication points of the run [s]."""
+        return self._started().prepared.points
+
+    @property
+    def is_terminated(self) -> bool:
+        """Whether an FMU has terminated the simulation, at the present communication point."""
+        return self._started().is_terminated
+
+    @property
+    def can_save(self) -> bool:
+        """Whether every FMU can save its state."""
+        return self._started().can_save
 
     @property
     def is_done(self) -> bool:

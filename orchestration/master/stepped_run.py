@@ -35,6 +35,15 @@ _RECORDED, _TERMINATED = int(Report.RECORDED), int(Report.TERMINATED)
 _PLAIN: dict[str, Callable[[float], Any]] = {"Real": float, "Boolean": bool}  # others: int
 
 
+class _NextLook:
+    """When a step of any run looks again at what FMUs changed in this process, which the runs share [s]."""
+
+    time = 0.0
+
+
+_next_look = _NextLook()
+
+
 class SteppedRun(RunInProgress):
     """An initialised run at its first communication point; `free` ends it.
 
@@ -48,7 +57,9 @@ class SteppedRun(RunInProgress):
         self._bus, self._report = self.wiring.bus.data, self.wiring.report.data
         self._points: Any = self.wiring.points.data
         self._driven = {target for _, target in wired.bus.connections}
-        self._special = {*wired.prepared.changes, self._last}  # points where more is due than a step
+        has_tolerance = self.step_control and self.step_control.tolerance
+        every_point = range(self._last + 1)  # points where more is due than a step
+        self._special = every_point if has_tolerance else {0, self._last, *wired.prepared.changes}
         faults = self.wiring.faults
         self._of_points = (
             self.wiring.points,
@@ -57,7 +68,6 @@ class SteppedRun(RunInProgress):
             faults.addition.T,
         )
         self._moved_point: tuple[int, list[np.ndarray]] = 0, []
-        self._next_look = 0.0
         self._unable = self.prepared.system.components_without("canGetAndSetFMUstate")
         self._record = Record(self.wiring.rows, self.wiring.faults.history.T)
         self._memories: list[SavedMemory] = []  # all of them
@@ -74,14 +84,28 @@ class SteppedRun(RunInProgress):
         return bool(self._report[_TERMINATED])
 
     @property
+    def can_save(self) -> bool:
+        """Whether every FMU can save its state."""
+        return not self._unable
+
+    @property
     def is_done(self) -> bool:
         """Whether the run is at its stop time, or a component has terminated the simulation."""
         return self._report[_POSITION] == self._last or self.is_terminated
 
+    @property
+    def position(self) -> int:
+        """Index of the present communication point."""
+        return self._report[_POSITION]
+
+    @position.setter
+    def position(self, point: int) -> None:
+        self._report[_POSITION] = point
+
     def step(self) -> None:
         """Step to the next communication point. SimulationError if that fails, or the run is at its end."""
         point = self._report[_POSITION]
-        is_plain = point not in self._special and time.perf_counter() < self._next_look
+        is_plain = point not in self._special and not self.failure
         if not is_plain and (self.failure or point == self._last):
             raise OrchestrationError(self.failure or self._end())
         try:
@@ -92,12 +116,12 @@ class SteppedRun(RunInProgress):
             if self._report[_TERMINATED]:
                 self._finish()
                 self.look_around()
-                self.failure, self._next_look = self._end(), 0.0
+                self.failure = self._end()
             elif point + 1 == self._last:
                 self._finish()
                 self.look_around()
         except Exception as error:
-            self.failure, self._next_look = reason_of(error), 0.0
+            self.failure = reason_of(error)
             raise SimulationError(self.failure, self.recording()) from error
 
     def _end(self) -> str:
@@ -111,13 +135,14 @@ class SteppedRun(RunInProgress):
         if self._loop.run(point, point + 1) == point:
             self.look_around(failed=True)
             self._repeat_discarded_step(point)
+        elif time.perf_counter() > _next_look.time:
+            self.look_around()
+            _next_look.time = time.perf_counter() + _LOOK_EVERY_S
 
     def _step_and_more(self, point: int) -> None:
         """A step with what is due before and after it."""
         self._change_and_wait(None)
         self._run_batch(point + 1)
-        if not (self.step_control and self.step_control.tolerance):
-            self._next_look = time.perf_counter() + _LOOK_EVERY_S
 
     def _go_to(self, time: float) -> None:
         index = self.position + 1

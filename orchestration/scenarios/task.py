@@ -1,0 +1,105 @@
+"""What an agent does in a system: its actions, its observations and its reward."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from fmus.errors import nearest
+from orchestration.errors import ScenarioError
+from orchestration.results.increments import Reward, reward_of
+from orchestration.scenarios.scenario import Scenario, find, load
+from orchestration.system.experiment import Event, Experiment
+from orchestration.system.signals import Signal
+from orchestration.system.system import System
+from orchestration.system.values import Value
+
+Draw = Callable[[np.random.Generator], Value]
+
+
+@dataclass(frozen=True)
+class Task:
+    """A system, its experiment, and what an agent does and sees there.
+
+    actions: inputs that the agent sets, in the order of its action; nothing else drives them
+    observations: names of variables and of `signals`, in the order of its observation
+    reward: of a step, from the values before and after it, name -> value, and its size [s]
+    reads: variables and `signals` that the reward needs beside the observations
+    bounds: name -> (low, high), in place of the FMU's min and max; an action of -1..1 is scaled to them
+    signals: functions of time that drive no FMU, such as a reference
+    seeds: parameters, such as the seed of a noise, for which each episode draws an integer below 2^31 - 1000
+    vary: parameter -> function of a random generator that draws its value for an episode
+    steps: communication steps for one action
+    """
+
+    system: System
+    experiment: Experiment
+    actions: Sequence[str]
+    observations: Sequence[str]
+    reward: Reward
+    reads: Sequence[str] = ()
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    signals: Mapping[str, Signal] = field(default_factory=dict)
+    seeds: Sequence[str] = ()
+    vary: Mapping[str, Draw] = field(default_factory=dict)
+    steps: int = 1
+
+
+def task_of(
+    scenario: str | Scenario,
+    reward: Mapping[str, float] | Reward,
+    replaced: str = "controller",
+    **settings: Any,
+) -> Task:
+    """The task of a component of a scenario, whose place the agent takes.
+
+    reward: metric of the scenario -> weight (`reward_of`), or a function as of `Task`
+    replaced: the component. The inputs that it drives are the actions; the outputs that it is connected to,
+    and the signals that drive it, are the observations
+    settings: those of `Task`, in place of what follows from the scenario
+    """
+    scenario = load(find(scenario)) if isinstance(scenario, str) else scenario
+    if replaced not in scenario.system.components:
+        known = scenario.system.components
+        raise ScenarioError(f"{scenario.name}: no component {replaced!r}; {nearest(replaced, known)}")
+    own = f"{replaced}."
+    experiment = scenario.experiment
+    connections = scenario.system.connections
+    signals = {name: signal for name, signal in experiment.signals.items() if name.startswith(own)}
+    inputs = [source for source, target, *_ in connections if target.startswith(own)]
+    names: list[str] = []
+    if not callable(reward):
+        duration = experiment.stop_time - experiment.start_time
+        reward, names = reward_of(scenario.metrics, reward, duration)
+        lost = [name for name in names if name.startswith(own) and name not in signals]
+        if lost:
+            raise ScenarioError(f"reward: {', '.join(lost)}: the agent takes the place of {replaced}")
+    follows = {
+        "actions": tuple(target for source, target, *_ in connections if source.startswith(own)),
+        "observations": (*dict.fromkeys(inputs), *signals),
+        "reads": names,
+        "signals": signals,
+    }
+    components = {name: fmu for name, fmu in scenario.system.components.items() if name != replaced}
+    kept = [pair for pair in connections if not any(str(name).startswith(own) for name in pair[:2])]
+    return Task(System(components, kept), _without(experiment, own), reward=reward, **(follows | settings))
+
+
+def _without(experiment: Experiment, own: str) -> Experiment:
+    """The experiment without what belongs to a component; own: the beginning of its names."""
+
+    def kept(values: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: value for name, value in values.items() if not name.startswith(own)}
+
+    events = [Event(event.time, kept(event.values)) for event in experiment.events]
+    return replace(
+        experiment,
+        parameters=kept(experiment.parameters),
+        inputs=kept(experiment.inputs),
+        signals=kept(experiment.signals),
+        events=[event for event in events if event.values],
+        record=[name for name in experiment.record if not name.startswith(own)],
+        step_sizes={name: size for name, size in experiment.step_sizes.items() if f"{name}." != own},
+        faults=[fault for fault in experiment.faults if not fault.input.startswith(own)],
+    )

@@ -1,0 +1,220 @@
+"""Environments: an agent takes a controller's place, an episode is a run, and its rewards are its metrics."""
+
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from orchestration.errors import ScenarioError, SystemDefinitionError
+from orchestration.gym import FmuEnv, FmuVectorEnv, Task, task_of
+from orchestration.results import metrics
+from orchestration.scenarios.scenario import Scenario
+from orchestration.system.experiment import Event, Experiment
+from orchestration.system.signals import Ramps
+from orchestration.system.system import System
+from tests.foreign_fmus import Misdeed
+
+Build = Callable[..., Path]
+FORCE, POSITION, REFERENCE = "plant.u[1]", "plant.y[1]", "control.u[2]"
+METRICS = {
+    "error": {"function": "rmse", "signal": POSITION, "reference": REFERENCE, "scale": 10.0, "unit": "mm"},
+    "effort": {"function": "effort", "signal": POSITION},
+    "variation": {"function": "total_variation", "signal": POSITION},
+    "late": {"function": "mean", "signal": POSITION, "window": [0.5, 1.0]},
+    "early": {"function": "effort", "signal": FORCE, "window": [0.0, 0.5]},
+    "own": {"function": "effort", "signal": "control.y[1]"},
+}
+BOUNDS = {FORCE: (-2.0, 6.0)}
+
+
+@pytest.fixture
+def scenario(linear: Build) -> Scenario:
+    """A plant x' = -x + u that a controller leads along a ramp."""
+    plant, control = linear(saves_state=True), linear(b=(1.0, 1.0), d=((0.5, 0.0),))
+    system = System(
+        {"plant": plant, "control": control}, ((POSITION, "control.u[1]"), ("control.y[1]", FORCE))
+    )
+    experiment = Experiment(
+        1.0,
+        0.1,
+        parameters={"control.a": -2.0, "plant.initial_state": 3.0},
+        signals={REFERENCE: Ramps([[0.0, 0.0], [1.0, 2.0]])},
+        events=(Event(0.5, {"control.a": -1.0}),),
+        record=(POSITION, "control.y[1]", REFERENCE),
+    )
+    return Scenario("ramp", "A ramp", system, experiment, METRICS)
+
+
+@pytest.fixture
+def task(scenario: Scenario) -> Task:
+    weights = {"error": -1.0, "effort": -0.5, "variation": -0.1}
+    return replace(task_of(scenario, weights, replaced="control", bounds=BOUNDS), vary={"plant.a": draw})
+
+
+@pytest.fixture
+def env(task: Task) -> Iterator[FmuEnv]:
+    with closing(FmuEnv(task)) as made:
+        yield made
+
+
+def draw(random: np.random.Generator) -> float:
+    return -random.uniform(1.0, 2.0)
+
+
+def episode(env: FmuEnv, **options: Any) -> tuple[np.ndarray, float]:
+    """Observations and the sum of rewards under actions that are the same each time."""
+    observations, total, done = [env.reset(**options)[0]], 0.0, False
+    actions = np.random.default_rng(0)
+    while not done:
+        observation, reward, terminated, truncated, _ = env.step(actions.uniform(-1.0, 1.0, 1))
+        observations.append(observation)
+        total, done = total + reward, terminated or truncated
+    return np.array(observations), total
+
+
+def test_gymnasium_finds_nothing_wrong(task: Task) -> None:
+    gymnasium.register("Checked-v0", entry_point=lambda **_: FmuEnv(task))
+    with warnings.catch_warnings(), closing(gymnasium.make("Checked-v0")) as made:
+        warnings.simplefilter("error")
+        check_env(made.unwrapped)
+
+
+def test_the_agent_takes_the_place_of_the_component(task: Task) -> None:
+    assert (task.actions, task.observations) == ((FORCE,), (POSITION, REFERENCE))
+    assert list(task.system.components) == ["plant"]
+    assert task.experiment.parameters == {"plant.initial_state": 3.0}
+    assert (task.experiment.signals, task.experiment.events) == ({}, ())
+    assert task.experiment.record == (POSITION,)
+
+
+def test_an_episode_is_a_run_and_its_rewards_add_up_to_its_metrics(task: Task) -> None:
+    recorded = replace(task, experiment=replace(task.experiment, record=(POSITION, FORCE)))
+    with closing(FmuEnv(recorded)) as env:
+        observations, total = episode(env)
+        recording = env.recording()
+    assert observations[:, 0].tolist() == recording[POSITION].tolist()
+    assert observations[:, 1] == pytest.approx(2.0 * recording.time)
+    forces = 2.0 + 4.0 * np.random.default_rng(0).uniform(-1.0, 1.0, 10)  # -1..1 are -2..6
+    assert recording[FORCE] == pytest.approx([*forces, forces[-1]])
+    effort, variation = (metrics.FUNCTIONS[f](recording, POSITION) for f in ("effort", "total_variation"))
+    squares = (10.0 * (observations[1:, 0] - observations[1:, 1])) ** 2  # of the points after the first
+    assert total == pytest.approx(-squares.mean() - 0.5 * effort - 0.1 * variation)
+
+
+def test_the_same_seed_makes_the_same_episodes(env: FmuEnv) -> None:
+    first, second, again, after = (episode(env, **o)[0] for o in ({"seed": 4}, {}, {"seed": 4}, {}))
+    assert np.array_equal(first, again)
+    assert np.array_equal(second, after)
+    assert not np.array_equal(first, second)
+
+
+def test_a_seed_parameter_has_another_integer_in_each_episode(linear: Build, task: Task) -> None:
+    system = System({"plant": linear(passes_discrete=True)})
+    inputs = {"plant.integer_in": 1, "plant.boolean_in": False}
+    seeded = replace(
+        task,
+        system=system,
+        experiment=Experiment(1.0, 0.1, inputs=inputs),
+        vary={"plant.initial_state": lambda random: float(random.integers(100))},
+        steps=3,
+    )
+    with closing(FmuEnv(seeded)) as env:
+        starts = [env.reset(seed=s)[0][0] for s in (1, 1, 2)]
+        times = [env.step(np.zeros(1))[4]["time"] for _ in range(4)]
+    assert starts[0] == starts[1] != starts[2]
+    assert times == pytest.approx([0.3, 0.6, 0.9, 1.0])
+
+
+def test_an_episode_without_draws_begins_like_the_first(task: Task) -> None:
+    with closing(FmuEnv(replace(task, vary={}))) as env:
+        (first, a), (second, b) = episode(env), episode(env)
+    assert np.array_equal(first, second)
+    assert a == b
+
+
+def test_an_fmu_that_terminates_the_simulation_terminates_the_episode(rogue: Build, task: Task) -> None:
+    parameters = {"plant.misdeed": int(Misdeed.TERMINATE), "plant.misdeed_time": 0.35}
+    short = replace(
+        task,
+        system=System({"plant": rogue(saves_state=True)}),
+        experiment=Experiment(1.0, 0.1, parameters=parameters),
+        actions=("plant.u",),
+        observations=("plant.y",),
+        reward=lambda before, after, h: h,
+        bounds={"plant.u": (0.0, 1.0)},
+        reads=(),
+        vary={},
+    )
+    with closing(FmuEnv(short)) as env:
+        env.reset()
+        steps = [env.step(np.zeros(1)) for _ in range(4)]
+    assert [step[2] for step in steps] == [False, False, False, True]
+    assert not any(step[3] for step in steps)
+
+
+def test_a_vector_holds_the_environments_of_its_seeds(task: Task) -> None:
+    actions = np.random.default_rng(1).uniform(-1.0, 1.0, (13, 3, 1))
+    envs = FmuVectorEnv(task, num_envs=3)
+    observations, _ = envs.reset(seed=7)
+    steps = [envs.step(action) for action in actions]
+    envs.close()
+    for i in range(3):
+        with closing(FmuEnv(task)) as env:
+            alone = [env.reset(seed=7 + i)[0]]
+            alone += [env.step(action[i])[0] for action in actions[:10]]
+            alone.append(env.reset()[0])  # by the step after the last
+            alone += [env.step(action[i])[0] for action in actions[11:]]
+        assert np.array_equal([observations[i], *(step[0][i] for step in steps)], alone)
+    assert [step[3].tolist() for step in steps[9:11]] == [[True] * 3, [False] * 3]
+    assert steps[10][1].tolist() == [0.0] * 3
+    assert envs.observation_space.contains(steps[5][0])
+
+
+def test_scenarios_are_registered() -> None:
+    assert {"orchestration.gym:_scenario_env", "orchestration.gym:_scenario_envs"} == {
+        getattr(gymnasium.spec("l1-depth/Scenario-v0"), name)
+        for name in ("entry_point", "vector_entry_point")
+    }
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"reward": {"eror": 1.0}}, "reward: no metric 'eror'; nearest is 'error'"),
+        (
+            {"reward": {"late": 1.0}},
+            "reward: metric late: expected a sum over the whole run: rmse, effort, to",
+        ),
+        ({"reward": {"early": 1.0}}, "reward: metric early: expected a sum over the whole run"),
+        ({"reward": {"own": 1.0}}, "reward: control.y[1]: the agent takes the place of control"),
+        ({"reward": {}, "replaced": "controll"}, "ramp: no component 'controll'; nearest is 'control'"),
+    ],
+)
+def test_a_task_that_a_scenario_does_not_hold_is_refused(
+    scenario: Scenario, arguments: Any, message: str
+) -> None:
+    with pytest.raises(ScenarioError) as refusal:
+        task_of(scenario, **({"replaced": "control"} | arguments))
+    assert message in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"bounds": {}}, "plant.u[1]: the FMU has no min and max: expected bounds of each action"),
+        ({"observations": ("plant.z",)}, "observation: no variable 'plant.z'"),
+        ({"actions": ()}, "plant.u[1]: driven by nothing"),
+        ({"observations": (REFERENCE,), "reads": ()}, "expected an action, and a variable to observe"),
+    ],
+)
+def test_an_environment_that_cannot_be_made_is_refused(task: Task, changes: Any, message: str) -> None:
+    with pytest.raises(SystemDefinitionError) as refusal:
+        FmuEnv(replace(task, **changes))
+    assert message in str(refusal.value)

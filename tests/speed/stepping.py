@@ -1,0 +1,68 @@
+"""What a loop of the caller's own costs: the vehicle read, set, stepped, saved and restored from Python."""
+
+import timeit
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import replace
+
+import numpy as np
+
+from orchestration.gym import FmuEnv, FmuVectorEnv
+from orchestration.master import Simulator
+from orchestration.scenarios.task import Task, task_of
+
+_CALLS, _REPEATS = 500, 100  # the best of many short measurements: others use the processor too
+_VOLTAGES = ("plant.voltage[1]", "plant.voltage[2]")
+
+
+def vehicle() -> Task:
+    """The vehicle of the nominal scenario, over as many steps as are measured."""
+    task = task_of("nominal-extended", {"rmse": -1.0}, bounds=dict.fromkeys(_VOLTAGES, (-6.0, 6.0)))
+    return replace(task, experiment=replace(task.experiment, stop_time=1e4, record=("plant.measured_depth",)))
+
+
+def costs() -> Iterator[tuple[str, float]]:
+    """(what, microseconds of one), of the vehicle."""
+    task = vehicle()
+    with Simulator(task.system) as simulator:
+        simulator.start(task.experiment, external=_VOLTAGES)
+        read, write = simulator.reader("plant.measured_depth"), simulator.writer(_VOLTAGES[0])
+        step, save, restore = simulator.step, simulator.save, simulator.restore
+
+        def controlled() -> None:
+            write(-0.1 * read())
+            step()
+
+        yield "step", _best(step)
+        yield "get, set and step", _best(controlled)
+        state = save()
+        yield "restore", _best(lambda: restore(state))
+        yield "save", _best(save)
+        yield "step and save", _best(lambda: (step(), save()))
+        yield "get by name", _best(lambda: simulator.get("plant.measured_depth"))
+        yield "set by name", _best(lambda: simulator.set(_VOLTAGES[0], 0.0))
+
+
+def environments(*numbers: int) -> Iterator[tuple[str, float]]:
+    """(what, environment steps a second) of one environment, and of vectors of these numbers."""
+    task, action = vehicle(), np.zeros(2)
+    with closing(FmuEnv(task)) as env:
+        env.reset()
+        yield "FmuEnv", 1e6 / _best(lambda: env.step(action))
+    for number in numbers:
+        envs, actions = FmuVectorEnv(task, number), np.zeros((number, 2))
+        envs.reset()
+        yield f"FmuVectorEnv of {number}", number * 1e6 / _best(lambda: envs.step(actions), 100)  # noqa: B023
+        envs.close()
+
+
+def _best(call: Callable[[], object], calls: int = _CALLS) -> float:
+    """Microseconds of one call."""
+    return min(timeit.repeat(call, number=calls, repeat=_REPEATS)) / calls * 1e6
+
+
+if __name__ == "__main__":
+    for what, microseconds in costs():
+        print(f"{what:20} {microseconds:8.2f} us")
+    for what, rate in environments(16, 64):
+        print(f"{what:20} {rate:8.0f} steps a second")
