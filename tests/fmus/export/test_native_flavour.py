@@ -129,7 +129,8 @@ def test_output_derivatives_are_the_slopes_by_the_length_of_short_steps(
     slopes = (after[1] - after[0]) / h
     fmu.slave.freeFMUstate(state)
     assert rates == pytest.approx(slopes, rel=1e-3, abs=1e-3)
-    assert np.any(np.abs(rates) > 1e-3)
+    is_held = name == "ThrustAllocation"  # its outputs are those of the inputs of the last step
+    assert np.any(np.abs(rates) > 1e-3) != is_held
 
 
 def test_inputs_with_a_derivative_are_followed_within_the_step(built: Mapping[str, Path], load: Any) -> None:
