@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fmus.registry import Flavour
+from orchestration.cli.changes import Changes, ControllerOption, MapOption, OpenInputsOption, SetOption
 from orchestration.cli.interrupts import INTERRUPTED
 from orchestration.cli.shared import (
     FlavourOption,
@@ -50,18 +51,23 @@ def sweep(
         bool, typer.Option("--restart", help="Discard the samples of an earlier sweep of that name.")
     ] = False,
     flavour: FlavourOption = Flavour.NATIVE,
+    controller: ControllerOption = "",
+    settings: SetOption = [],  # noqa: B006  (Typer copies it)
+    mapped: MapOption = [],  # noqa: B006
+    open_inputs: OpenInputsOption = None,
 ) -> None:
     """Run the samples of a scenario that has a table [sweep]; an interrupted sweep continues."""
     from orchestration.cli import chosen_scenario
     from orchestration.sweep.plan import plan
     from orchestration.sweep.samples import recorded_signals
 
+    changes = Changes.of_options(controller, settings, mapped, open_inputs)
     alone = {"--workers": workers, "--scheduler": scheduler, "--recordings": recordings, "--restart": restart}
     if sample is not None:
         refuse_without_effect("--sample", alone)
     if scheduler:
         refuse_without_effect("--scheduler", {"--workers": workers})
-    planned = plan(chosen_scenario.load(name, flavour))
+    planned = plan(chosen_scenario.load(name, flavour, changes))
     if sample is not None:
         _run_one(planned, sample, out)
         return

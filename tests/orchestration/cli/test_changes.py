@@ -56,6 +56,15 @@ def test_set_changes_parameters_and_inputs(
     assert scenario["inputs"]["plant.buoyancy_change"] == 0.2
 
 
+def test_a_sweep_takes_the_same_options(
+    command: Command, short_scenario: Callable[..., Path], tmp_path: Path
+) -> None:
+    short_scenario(more='[sweep.vary."plant.inertia"]\nvalues = [5.0]\n')
+    command("sweep", "short.toml", "--sample", "0", "--set", "plant.buoyancy_change=0.2")
+    document = json.loads((tmp_path / "results" / "short.sample-0.json").read_text())
+    assert document["scenario"]["inputs"]["plant.buoyancy_change"] == 0.2
+
+
 def test_a_scenario_without_a_controller_has_none_to_replace(
     refused: Callable[..., str], short_scenario: Callable[..., Path], tmp_path: Path
 ) -> None:
