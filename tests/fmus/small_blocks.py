@@ -330,7 +330,7 @@ REFUSED: dict[str, tuple[Rule, str]] = {
         "s.x / u.u, where compiled code gives numbers; give an alternative of fmus.numerics.where that is "
         "not always legal as a function: lambda: ...",
     ),
-    "a state of another shape": (lambda s, u, p, t, h: Chain(), "step gives 30 numbers: expected 1"),
+    "a state of another shape": (lambda s, u, p, t, h: Chain(), "step returns Chain: expected Number(...)"),
 }
 REFUSED_STATES: dict[str, tuple[Rule, Any, str]] = {
     "a fraction in an Integer state": (
