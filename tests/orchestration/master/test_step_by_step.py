@@ -112,6 +112,18 @@ def test_what_an_external_input_is_set_to_acts_like_a_signal_of_the_same_values(
     assert np.array_equal(steps.values, run.values)
 
 
+def test_an_external_input_is_held_where_others_are_extrapolated(linear: Build) -> None:
+    made = []
+    with Simulator(System({"one": linear(interpolates_inputs=True)})) as simulator:
+        for order in (0, 1):
+            simulator.start(Experiment(1.0, 0.25, extrapolation=order), EXTERNAL)
+            while not simulator.is_done:
+                simulator.set("one.u[1]", simulator.time)
+                simulator.step()
+            made.append(simulator.recording().values)
+    assert np.array_equal(*made)
+
+
 def test_a_fault_acts_on_an_external_input(linear: Build) -> None:
     stuck = fault({"input": "one.u[1]", "kind": "stuck", "value": 7.0, "start": 0.5}, "fault")
     with Simulator(System({"one": linear()})) as simulator:
