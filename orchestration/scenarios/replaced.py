@@ -31,7 +31,7 @@ class Replacement:
     """A component whose FMU a layer replaces.
 
     fmu: "" if it is removed; layer: its index; ports: variable -> port of the new FMU
-    dropped: kind of entry -> names
+    dropped: kind of entry -> names; kept: parameters that the new FMU has too -> value
     """
 
     component: str
@@ -39,15 +39,23 @@ class Replacement:
     layer: int
     ports: Mapping[str, Port]
     dropped: dict[str, list[str]] = field(default_factory=dict)
+    kept: dict[str, Any] = field(default_factory=dict)
 
-    def warn(self) -> None:
-        """Name in one warning what was dropped."""
+    def warn(self, parameters: Mapping[str, Any]) -> None:
+        """Name in one warning what was dropped, and the parameters that were kept.
+
+        parameters: of the scenario; one that a layer above gives is not the inherited one.
+        """
+        parts = []
         if self.dropped:
             listed = "; ".join(f"{kind} {', '.join(names)}" for kind, names in self.dropped.items())
-            reason = (
-                f"is {Path(self.fmu).name}; dropped, as it lacks them" if self.fmu else "is removed, with"
-            )
-            warnings.warn(f"{self.component} {reason}: {listed}", ScenarioWarning, stacklevel=4)
+            parts.append(f"dropped{', as it lacks them' if self.fmu else ''}: {listed}")
+        kept = [f"{name} = {value!r}" for name, value in self.kept.items() if parameters.get(name) == value]
+        if kept:
+            parts.append(f"kept, as it has them: parameters {', '.join(kept)}")
+        if parts:
+            state = f"is {Path(self.fmu).name}" if self.fmu else "is removed"
+            warnings.warn("; ".join([f"{self.component} {state}", *parts]), ScenarioWarning, stacklevel=4)
 
     def lost_inputs(self) -> list[str]:
         """The inputs that a connection or a signal drives, and the new FMU has not."""
@@ -97,7 +105,7 @@ def warn_of_dropped(replaced: Mapping[str, Replacement], data: Data) -> None:
     for replacement in replaced.values():
         _check_joined(replacement, data)
     for replacement in replaced.values():
-        replacement.warn()
+        replacement.warn(data["parameters"])
 
 
 def _check_joined(replaced: Replacement, data: Data) -> None:
@@ -195,7 +203,11 @@ class _Fitting:
     def _fits(self, kind: str, shown: str, name: str, causalities: Sequence[str], value: Any = None) -> bool:
         component, _, variable = name.partition(".")
         replacement = self._replaced.get(component)
-        if replacement is None or _takes(replacement.ports.get(variable), causalities, value):
+        if replacement is None:
+            return True
+        if _takes(replacement.ports.get(variable), causalities, value):
+            if kind == "parameters":
+                replacement.kept[name] = value
             return True
         names = replacement.dropped.setdefault(kind, [])
         if shown not in names:

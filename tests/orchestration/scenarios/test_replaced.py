@@ -58,6 +58,14 @@ def test_one_warning_names_all_that_is_dropped(tmp_path: Path) -> None:
         assert part in message
 
 
+def test_the_warning_names_the_parameters_that_the_new_fmu_inherits(tmp_path: Path) -> None:
+    """Gains that were chosen for another controller are not taken in silence."""
+    described(tmp_path / "pid.fmu", INPUTS, VOLTAGES, ("proportional_gain",))
+    kept = r"; kept, as it has them: parameters controller\.proportional_gain = \d+\.\d+$"
+    with pytest.warns(ScenarioWarning, match=kept):
+        scenario.load(child(tmp_path, '[components]\ncontroller = "pid.fmu"\n'))
+
+
 def test_a_variable_of_another_causality_or_range_does_not_fit(tmp_path: Path) -> None:
     described(tmp_path / "pid.fmu", INPUTS, (*VOLTAGES, "augmentation"), ("roll", "internal_step:Integer"))
     loaded_path = child(tmp_path, '[components]\ncontroller = "pid.fmu"\n')
@@ -76,7 +84,7 @@ def test_what_the_replacing_scenario_gives_is_never_dropped(tmp_path: Path) -> N
 
 def test_what_fits_the_last_fmu_counts_whatever_stood_between(tmp_path: Path) -> None:
     with_controller(tmp_path, '[parameters]\n"controller.kp" = 3.0\n', ("kp",))
-    with pytest.warns(ScenarioWarning, match=r"dropped, as it lacks them: parameters controller\.kp$"):
+    with pytest.warns(ScenarioWarning, match=r"dropped, as it lacks them: parameters controller\.kp; kept"):
         loaded = scenario.load(tmp_path / "child.toml", settings={"controller": "L1DepthController"})
     ours = scenario.load(scenario.find("nominal-extended"))
     assert (loaded.system, loaded.experiment) == (ours.system, ours.experiment)
