@@ -75,4 +75,5 @@ BLOCK = Block(
     stop_time=310.0,
     step_size=0.02,
     guide=GUIDE,
+    license="MIT",
 )

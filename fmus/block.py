@@ -137,6 +137,7 @@ class Block:
     declares none is given one that starts at `step_size`.
     stop_time, step_size: of the experiment that the FMU suggests, in s.
     guide: what the documentation says besides the variables.
+    version, author, license: of the model, as its author gives them.
     """
 
     name: str
@@ -155,6 +156,9 @@ class Block:
     stop_time: float = 1.0
     step_size: float = 0.01
     guide: Guide = NO_GUIDE
+    version: str | None = None
+    author: str | None = None
+    license: str | None = None
 
     def __post_init__(self) -> None:
         for role in ("parameters", "calculated", "inputs", "state", "outputs"):

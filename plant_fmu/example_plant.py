@@ -83,4 +83,5 @@ BLOCK = Block(
     stop_time=94.25,
     step_size=1e-3,
     guide=GUIDE,
+    license="MIT",
 )

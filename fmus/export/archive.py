@@ -17,7 +17,7 @@ _LICENSES = {
     "l1-depth": (
         "l1-depth",
         "LICENSE",
-        "the FMU: its model, its documentation and what makes an FMU of the model",
+        "what makes an FMU of the model and its documentation, and models that come with l1-depth",
     ),
     "fmi-headers": ("fmpy", "", "sources/fmi2*.h, of the Modelica Association"),
     "zig": (COMPILER[0], "ziglang/LICENSE", "what its compiler adds to the libraries"),

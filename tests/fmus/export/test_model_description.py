@@ -124,6 +124,15 @@ def test_the_generation_date_is_utc_and_only_on_request(monkeypatch: pytest.Monk
     assert b'generationDateAndTime="1970-01-01T00:00:00Z"' in model_description(block, "", {})
 
 
+def test_author_version_and_licence_are_those_of_the_block() -> None:
+    """Somebody else's block is neither by us nor under our licence."""
+    ours = catalogue.load_block("ExamplePlant")
+    theirs = replace(ours, author="An author", version="2.1", license=None)
+    described = [ElementTree.fromstring(model_description(block, "", {})) for block in (ours, theirs)]
+    given = [[root.get(name) for name in ("author", "version", "license")] for root in described]
+    assert given == [[None, None, "MIT"], ["An author", "2.1", None]]
+
+
 def test_an_unknown_unit_is_refused_with_the_nearest() -> None:
     @dataclass(frozen=True)
     class Outputs:
