@@ -10,7 +10,7 @@ from pathlib import Path
 from fmus import catalogue
 from fmus.registry import Flavour
 from orchestration.cli.changes import NO_CHANGES, Changes
-from orchestration.errors import ScenarioError, SystemDefinitionError
+from orchestration.errors import ScenarioError, ScenarioWarning, SystemDefinitionError
 from orchestration.exchange import ssp_read
 from orchestration.fmi.description import start_value
 from orchestration.scenarios import scenario
@@ -26,7 +26,7 @@ def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHA
     changes = _with_built_files(changes, flavour)
     path = scenario.find(name)
     with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+        warnings.simplefilter("always", ScenarioWarning)
         chosen = scenario.load(
             path,
             changes.overrides(path.stem),
@@ -34,7 +34,7 @@ def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHA
             settings={**changes.components, **changes.settings},
             build=lambda fmu: catalogue.build_missing([fmu]),
         )
-    for warning in caught:
+    for warning in (w for w in caught if issubclass(w.category, ScenarioWarning)):
         print(f"l1-depth: warning: {warning.message}", file=sys.stderr)
     chosen = replace(chosen, name=changes.name(chosen.name))
     build_missing_fmus([chosen])
