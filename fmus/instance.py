@@ -155,6 +155,7 @@ class Instance:
             at = f"step to {t!r} s" if self._stepping else f"parameters and inputs of {self.block.name}"
             hint = "any more; take shorter steps" if self._stepping else "at the start"
             raise BlockError(f"{at}: state or outputs are not finite {hint}")
+        outputs = self._in_types(self._inputs_end, outputs)
         self.time, self._state = t, state
         self._values[self._inputs_end :] = outputs
         self._outputs_are_stale = False
@@ -209,8 +210,9 @@ class Instance:
         if self._parameters_are_stale:
             parameters = unflatten(self.block.parameters, self._values[: self._parameters_end])
             calculated = self._calculate(parameters)
+            scalars = self._in_types(self._parameters_end, flatten(calculated))
             self._parameters, self._calculated = parameters, calculated
-            self._values[self._parameters_end : self._calculated_end] = flatten(calculated)
+            self._values[self._parameters_end : self._calculated_end] = scalars
             self._parameters_are_stale = False
         if self._inputs_are_stale:
             scalars = self._values[self._calculated_end : self._inputs_end]
@@ -226,6 +228,18 @@ class Instance:
             if not holds:
                 raise BlockError(f"parameters of {self.block.name}: expected {expected}")
         return calculated
+
+    def _in_types(self, first_reference: int, scalars: list[Any]) -> list[Any]:
+        """Results with whole numbers, Booleans and items where these are declared."""
+        typed = list(scalars)
+        for i, x in enumerate(scalars):
+            v = self.block.variables[first_reference + i]
+            if v.type != "Real":
+                try:
+                    typed[i] = v.cast(x)
+                except (ArithmeticError, ValueError) as error:
+                    raise BlockError(f"{v.name} = {x!r}: expected {v.expected}") from error
+        return typed
 
     def _initial_state(self) -> Any:
         try:

@@ -8,6 +8,7 @@ import math
 import random
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, is_dataclass
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -48,6 +49,7 @@ def _compare_at_a_point(
     required = None if c is None else compare["requirements"](p, c)
     if required is None or not all(holds for holds, _ in required):
         return
+    _check_whole(block, "calculate", block.calculated, c)
     t = 0.0 if at_start else rng.uniform(0.0, block.stop_time)
     x, h = None, p.internal_step * rng.choice((1.0, rng.uniform(0.1, 1.0)))
     for _ in range(_STEPS):
@@ -56,10 +58,14 @@ def _compare_at_a_point(
         x = compare["initial_state"](t, u, p, c) if x is None else disturbed(x, rng)
         if x is None:
             return
-        compare["output"](t, x, p, c, is_reached=is_reached)
+        y = compare["output"](t, x, p, c, is_reached=is_reached)
         x, t = compare["step"](t, h, x, u, p, c, is_reached=is_reached), t + h
         if x is not None:
-            _check_whole(block, x)
+            _check_whole(block, "step", block.state, x)
+        if is_reached:
+            reached = y, None if x is None else compare["output"](t, x, p, c)
+            for outputs in filter(None, reached):
+                _check_whole(block, "output", block.outputs, outputs)
 
 
 def _compare_at_zeros(block: Block, compare: dict[str, "_Comparison"]) -> None:
@@ -74,15 +80,28 @@ def _compare_at_zeros(block: Block, compare: dict[str, "_Comparison"]) -> None:
                 compare["step"](0.0, p.internal_step, x, u, p, c)
 
 
-def _check_whole(block: Block, state: Any) -> None:
-    """ExportError for a number with a fraction in a state that is declared as a whole number."""
-    for name, start, x in zip(_names(state), flatten(block.state), flatten(state), strict=False):
-        expected = "0 or 1" if isinstance(start, bool) else "a whole number"
-        if isinstance(start, int) and x not in ((0, 1) if isinstance(start, bool) else (round(x),)):
+def _check_whole(block: Block, name: str, declared: type, result: Any) -> None:
+    """ExportError if a function gives a number that its Integer, Boolean or Enumeration cannot be."""
+    for path, start, x in zip(_names(result), flatten(declared), flatten(result), strict=False):
+        if isinstance(start, int) and x not in _items(start, x):
             raise ExportError(
-                f"block {block.name!r}: {location(block.step)}step gives {name} = {x!r}: expected "
-                f"{expected}, as the state declares it with {start!r}; write {float(start)!r} for any number"
+                f"block {block.name!r}: {location(getattr(block, name))}{name} gives {path} = {x!r}: "
+                f"expected {_expected(start)}, as {declared.__name__} declares it with {start!r}; "
+                f"write {float(start)!r} for any number"
             )
+
+
+def _items(start: int, x: float) -> tuple[float, ...]:
+    """What a variable with this start value can be, as far as x could be among it."""
+    if isinstance(start, bool):
+        return 0, 1
+    return tuple(type(start)) if isinstance(start, IntEnum) else (round(x),)
+
+
+def _expected(start: int) -> str:
+    if isinstance(start, IntEnum):
+        return "one of " + ", ".join(f"{m.value} ({m.name.lower()})" for m in type(start))
+    return "0 or 1" if isinstance(start, bool) else "a whole number"
 
 
 class _Comparison:

@@ -336,11 +336,11 @@ REFUSED_STATES: dict[str, tuple[Rule, Any, str]] = {
     "a fraction in an Integer state": (
         lambda s, u, p, t, h: Counter(s.x + 0.5 * u.count),  # type: ignore[arg-type]
         Counter,
-        "expected a whole number, as the state declares it with 0; write 0.0 for any number",
+        "expected a whole number, as Counter declares it with 0; write 0.0 for any number",
     ),
     "a fraction in a Boolean state": (
         lambda s, u, p, t, h: Switch(0.5 * u.u, s.x),  # type: ignore[arg-type]
         Switch,
-        "expected 0 or 1, as the state declares it with False; write 0.0 for any number",
+        "expected 0 or 1, as Switch declares it with False; write 0.0 for any number",
     ),
 }
