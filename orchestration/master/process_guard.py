@@ -2,8 +2,10 @@
 
 After each call of an FMU the floating-point mode (rounding, denormals) is that of before. After each FMU is
 loaded and after each batch of steps, working directory, locale and handlers of signals are compared and put
-back; a run whose FMU has closed files of this process ends, since nobody knows which. `exit` has status 70 at
-once; for `_exit` see `fmus/watched.py`. FMUs in a process of their own (`timeout`) need none of this.
+back; a run whose FMU has closed files of this process ends, since nobody knows which. In a run that the
+caller leads step by step, they are compared around one step in a millisecond, and after the first change
+around each: what changes outside of these steps may be the caller's own doing, and stays. `exit` has status
+70 at once; for `_exit` see `fmus/watched.py`. FMUs in a process of their own (`timeout`) need none of this.
 """
 
 import atexit
@@ -34,7 +36,10 @@ class ProcessGuard:
     """Guards this process while the FMUs of a simulator are loaded; `close` ends it.
 
     components: the FMUs that `report[BUSY]` counts from 1
+    has_restored: whether FMUs have changed something
     """
+
+    has_restored = False
 
     def __init__(self, components: Iterable[str], report: np.ndarray) -> None:
         names = list(components)
@@ -51,10 +56,16 @@ class ProcessGuard:
                 runs[self._row] = report.ctypes.data, np.frombuffer(texts, np.uint8).ctypes.data
         watched.share_names(names)
         self.restore_float_mode = self._library.guard_restore_float_mode if self._library else lambda: 0
-        self._folder, self._locale = _working_directory(), locale.setlocale(locale.LC_ALL)
         self._null = os.open(os.devnull, os.O_RDONLY)  # closed by an FMU that closes all files
         self._files = {number: _identity(number) for number in (1, 2, self._null)}
+        self.note_surroundings()
         self.note_handlers()
+
+    def note_surroundings(self) -> None:
+        """Note the present folder, locale and output files as those to compare with."""
+        self._folder, self._locale = _working_directory(), locale.setlocale(locale.LC_ALL)
+        for number in (1, 2):
+            self._files[number] = _identity(number) or self._files[number]  # no caller closes them for good
 
     def note_handlers(self) -> None:
         """Note the present handlers of signals as those to put back."""
@@ -77,6 +88,7 @@ class ProcessGuard:
             changed.append("the working directory")
         changed += [f"the handler of {signal.Signals(n).name}" for n in self._restored_handlers()]
         if changed:
+            self.has_restored = True
             text = f"{name} changed {' and '.join(changed)} of this process: it is restored"
             warnings.warn(text, FmuWarning, stacklevel=3)
         if any(_identity(number) != file for number, file in self._files.items()):

@@ -67,6 +67,7 @@ class SteppedRun(RunInProgress):
             faults.source.T,
             faults.addition.T,
         )
+        self._is_noted = False  # whether what the caller may change was noted before the present step
         self._moved_point: tuple[int, list[np.ndarray]] = 0, []
         self._unable = self.prepared.system.components_without("canGetAndSetFMUstate")
         self._record = Record(self.wiring.rows, self.wiring.faults.history.T)
@@ -108,6 +109,10 @@ class SteppedRun(RunInProgress):
         is_plain = point not in self._special and not self.failure
         if not is_plain and (self.failure or point == self._last):
             raise OrchestrationError(self.failure or self._end())
+        is_due = self.guard.has_restored or time.perf_counter() > _next_look.time
+        self._is_noted = is_due or not is_plain or point + 1 == self._last
+        if self._is_noted:
+            self.guard.note_surroundings()
         try:
             if is_plain:
                 self._plain_step(point)
@@ -135,9 +140,14 @@ class SteppedRun(RunInProgress):
         if self._loop.run(point, point + 1) == point:
             self.look_around(failed=True)
             self._repeat_discarded_step(point)
-        elif time.perf_counter() > _next_look.time:
+        elif self._is_noted:
             self.look_around()
             _next_look.time = time.perf_counter() + _LOOK_EVERY_S
+
+    def look_around(self, failed: bool = False) -> None:
+        if not self._is_noted:
+            self.guard.note_surroundings()
+        super().look_around(failed)
 
     def _step_and_more(self, point: int) -> None:
         """A step with what is due before and after it."""
@@ -153,6 +163,8 @@ class SteppedRun(RunInProgress):
     def recording_now(self) -> Recording:
         """The values recorded until now, those of the present communication point included."""
         if not self.failure:
+            self.guard.note_surroundings()
+            self._is_noted = True
             self.record_now()
             self.look_around()
         return self.recording()

@@ -1,5 +1,6 @@
 """Runs led step by step: the same as `run`, but for what is set between the steps."""
 
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -86,11 +87,37 @@ def test_a_discarded_step_is_taken_in_shorter_ones_as_in_a_run(rogue: Build, sav
 def test_warnings_of_fmus_are_emitted_and_their_traces_in_the_process_removed(rogue: Build) -> None:
     before = Path.cwd()
     with Simulator(System({"r": rogue()})) as simulator:
-        for misdeed, text in ((Misdeed.WARNING, "fmi2DoStep"), (Misdeed.CHANGE_FOLDER, "working directory")):
-            parameters = {"r.misdeed": int(misdeed), "r.misdeed_time": 0.5}
+        for misdeed, start, text in (
+            (Misdeed.WARNING, 0.5, "fmi2DoStep"),
+            (Misdeed.CHANGE_FOLDER, 0.0, "working directory"),  # in the first step, which is looked at
+        ):
+            parameters = {"r.misdeed": int(misdeed), "r.misdeed_time": start}
             with pytest.warns(FmuWarning, match=text):
                 stepped(simulator, Experiment(1.0, 0.1, inputs={"r.u": 1.0}, parameters=parameters))
     assert Path.cwd() == before
+
+
+@pytest.mark.filterwarnings("error::orchestration.errors.FmuWarning")
+def test_what_the_caller_changes_between_steps_is_no_fault_of_an_fmu(
+    forced: Simulator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its folder and its output, changed before the first step, a middle one, the last one and the end."""
+    output = os.dup(1)
+    try:
+        for steps in (1, 8, 1, 0):
+            folder = tmp_path / f"{forced.point} {steps}"
+            folder.mkdir()
+            monkeypatch.chdir(folder)
+            with (folder / "output").open("w") as file:
+                os.dup2(file.fileno(), 1)
+            for _ in range(steps):
+                forced.step()
+            forced.recording()
+            assert Path.cwd() == folder
+            assert os.fstat(1).st_ino == (folder / "output").stat().st_ino
+    finally:
+        os.dup2(output, 1)
+        os.close(output)
 
 
 def test_what_an_external_input_is_set_to_acts_like_a_signal_of_the_same_values(linear: Build) -> None:
