@@ -35,6 +35,9 @@ def run_watched(program: Callable[[], int]) -> int:
     _page = mmap.mmap(-1, _PAGE)
     lifeline, end = os.pipe()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {*_INTERRUPTS, signal.SIGCHLD})
+    signal.signal(
+        signal.SIGCHLD, signal.SIG_DFL
+    )  # where it is ignored, no status of a child can be waited for
     child = os.fork()
     if child:
         os.close(lifeline)
@@ -109,13 +112,20 @@ def _judged(status: int, page: mmap.mmap) -> int:
         return 130
     (busy,) = struct.unpack_from("=q", page, _REPORT + 8 * _BUSY)
     name = _text(page, _NAMES + _NAME_SIZE * (abs(busy) - 1), _NAME_SIZE) if busy else ""
-    end = f"signal {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
+    end = f"signal {_signal_name(-status)}" if status < 0 else f"exit status {status}"
     print(
         f"l1-depth: {name or 'something'} ended the process with {end}: the run is lost; "
         "with --timeout FMUs have a process of their own",
         file=sys.stderr,
     )
     return 128 - status if status < 0 else UNEXPECTED_END
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:  # most real-time signals have no name
+        return str(number)
 
 
 def _text(page: mmap.mmap, start: int, size: int) -> str:

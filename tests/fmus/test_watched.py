@@ -22,6 +22,7 @@ sys.exit(run_watched(program))
 """
 LOST = "the run is lost; with --timeout FMUs have a process of their own\n"
 SEGFAULT = "busy(); os.kill(os.getpid(), signal.SIGSEGV)"
+REAL_TIME = "busy(); os.kill(os.getpid(), 37)"  # a signal without a name
 
 
 def started(body: str) -> subprocess.Popen[str]:
@@ -41,6 +42,7 @@ def started(body: str) -> subprocess.Popen[str]:
         ("end_is_meant(); os._exit(130)", 130, ""),
         ("busy(); os._exit(0)", 70, f"l1-depth: bad ended the process with exit status 0: {LOST}"),
         ("os._exit(5)", 70, f"l1-depth: something ended the process with exit status 5: {LOST}"),
+        (REAL_TIME, 165, f"l1-depth: bad ended the process with signal 37: {LOST}"),
         (SEGFAULT, 139, f"l1-depth: bad ended the process with signal SIGSEGV: {LOST}"),
         (
             "signal.signal(signal.SIGTERM, signal.SIG_DFL); os.kill(os.getpid(), signal.SIGTERM)",
@@ -53,6 +55,15 @@ def test_an_end_that_the_program_did_not_decide_is_an_error(body: str, status: i
     process = started(body)
     assert process.communicate() == ("", error)
     assert process.returncode == status
+
+
+def test_the_status_of_the_program_is_known_where_the_end_of_a_child_was_ignored_before() -> None:
+    code = (
+        "import signal, sys; signal.signal(signal.SIGCHLD, signal.SIG_IGN)\n"
+        "from fmus.watched import run_watched; sys.exit(run_watched(lambda: 3))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False, timeout=60)
+    assert (done.returncode, done.stderr) == (3, b"")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
