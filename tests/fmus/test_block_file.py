@@ -1,5 +1,6 @@
 """The blocks of a Python file: found, built in both flavours, and each mistake named with its line."""
 
+import re
 import runpy
 import subprocess
 import sys
@@ -169,11 +170,17 @@ def test_a_name_that_no_module_can_have_is_refused(name: str, tmp_path: Path) ->
         write_new_block(name, tmp_path)
 
 
-def test_the_block_of_a_new_file_has_at_most_forty_lines(tmp_path: Path) -> None:
-    """Of code: without blank lines, docstrings and comments."""
+def test_the_block_of_a_new_file_has_forty_lines(tmp_path: Path) -> None:
+    """As the tutorial tells. Of code: without blank lines, docstrings and comments."""
     block, _ = write_new_block("pid", tmp_path)
-    lines = [line for line in block.read_text().split('"""\n', 2)[2].splitlines() if line.strip()]
-    assert len([line for line in lines if not line.strip().startswith(('"""', "#"))]) <= 40
+    text = re.sub(r'^ *""".*?"""$', "", block.read_text(), flags=re.MULTILINE | re.DOTALL)
+    assert len([line for line in text.splitlines() if line.partition("#")[0].strip()]) == 40
+
+
+def test_the_sampling_period_of_a_new_block_cannot_change_during_a_run(tmp_path: Path) -> None:
+    with blocks_in(write_new_block("pid", tmp_path)[0]) as (block,):
+        parameters = block.of_causality("parameter")
+        assert [v.name for v in parameters if v.variability == "fixed"] == ["period", "internal_step"]
 
 
 def test_a_scenario_takes_the_only_block_of_a_file(tmp_path: Path) -> None:
