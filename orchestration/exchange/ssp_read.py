@@ -65,6 +65,7 @@ def _scenario(package: OpenedPackage, parameter_set: str) -> Scenario:
     root = _checked_root(package)
     components = _components(root, package)
     connections = tuple(_connection(element, package) for element in root.iter(tag("ssd:Connection")))
+    _check_conversions(root, package)
     descriptions = {name: describe(path) for name, path in components.items()}
     values = chosen_values(parameter_set, package) if parameter_set else bound_values(root, package)
     parameters, inputs = _by_causality(values, descriptions, {target for _, target, *_ in connections})
@@ -125,6 +126,28 @@ def _connection(element: Element, package: OpenedPackage) -> tuple[Any, ...]:
     except ValueError as error:
         raise package.error(f"connection {source} -> {target}: {error}; expected numbers") from error
     return source, target, given
+
+
+def _check_conversions(root: Element, package: OpenedPackage) -> None:
+    """Refuse a transformation that SSP makes in addition to a conversion of units, which we do not make."""
+    units = {
+        (component.get("name"), connector.get("name")): real.get("unit")
+        for component in root.iter(tag("ssd:Component"))
+        for connector in component.iter(tag("ssd:Connector"))
+        for real in connector.iter(tag("ssc:Real"))
+    }
+    for element in root.iter(tag("ssd:Connection")):
+        start, end = (
+            units.get((element.get(f"{e}Element"), element.get(f"{e}Connector"))) for e in ("start", "end")
+        )
+        converts = element.get("suppressUnitConversion", "false") not in ("true", "1")
+        is_transformed = element.find(tag("ssc:LinearTransformation")) is not None
+        if is_transformed and converts and start and end and start != end:
+            source, target = _connection(element, package)[:2]
+            raise package.error(
+                f"connection {source} -> {target}: a transformation beside a conversion of {start} to {end}: "
+                'not supported; expected suppressUnitConversion="true", or equal units'
+            )
 
 
 def _by_causality(

@@ -117,6 +117,7 @@ def _structure(variant: _Variant) -> bytes:
         connection = add(connections, "ssd:Connection", **ends)
         transformation = variant.prepared.system.transformations.get(target.name)
         if transformation:
+            connection.set("suppressUnitConversion", "true")  # the factor is between the values as they are
             values = {"factor": repr(transformation.factor), "offset": repr(transformation.offset)}
             add(connection, "ssc:LinearTransformation", **values)
     _units(root, "ssd:Units", variant.prepared.system, variant.connectors)

@@ -91,8 +91,8 @@ class StepByStep:
         """Set "component.variable", from the present communication point on.
 
         It is an external input, an input that the experiment gives a constant value, or a tunable parameter;
-        only external inputs are recorded. Raises SystemDefinitionError for another variable, and for a value
-        of another type or outside the declared range.
+        the latter two are recorded if `record` names them. Raises SystemDefinitionError for another variable,
+        and for a value of another type or outside the declared range.
         """
         self._started().set(name, value)
 

@@ -23,9 +23,9 @@ from orchestration.system.experiment import Algorithm
 from orchestration.system.prepared_run import PreparedRun
 from orchestration.system.transformation import LinearTransformation
 
+_UNCHANGED = LinearTransformation()
 # How much longer than usual a step may be than the interval from which its slope was taken. With a tolerance
 # the error is estimated, and a step may follow half a step and be five times as long as the whole.
-_UNCHANGED = LinearTransformation()
 _SLOPE_VALIDITY, _SLOPE_VALIDITY_WITH_TOLERANCE = 2.0, 10.0
 
 

@@ -15,8 +15,7 @@ from orchestration.system.signals import Constant, Cosine, Curve, Ramps, Samples
 class Derivative(Curve):
     """The derivative of that order, 1 or 2, of the signal `of` another input.
 
-    At a kink it is that of the time after it, which holds over the next communication step. `derivative_of`
-    gives the values.
+    At a kink it is that of the time after it, which holds over the next communication step.
     """
 
     of: str

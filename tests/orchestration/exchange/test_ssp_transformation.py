@@ -1,9 +1,14 @@
 """A factor and an offset of a connection in an SSP package."""
 
+import zipfile
 from pathlib import Path
 
+import pytest
+
+from orchestration.errors import ScenarioError
 from orchestration.exchange import ssp_read, ssp_write
 from orchestration.scenarios import scenario
+from orchestration.scenarios.scenario import Scenario
 from orchestration.system.transformation import LinearTransformation
 from tests.described_fmus import described
 
@@ -18,13 +23,45 @@ step_size = 0.1
 """
 
 
+def packaged(folder: Path, unit: str) -> tuple[Scenario, Path]:
+    """The scenario and its package; unit: of the input, where the output has mm."""
+    described(folder / "a.fmu", outputs=["y"], units={"y": "mm"})
+    described(folder / "b.fmu", inputs=["u", "v"], units={"u": unit})
+    (folder / "mine.toml").write_text(SCENARIO)
+    written = scenario.load(folder / "mine.toml")
+    return written, ssp_write.package(written, folder / "mine.ssp", lambda source, folder: folder)
+
+
 def test_a_package_holds_the_factor_and_the_offset(tmp_path: Path) -> None:
-    described(tmp_path / "a.fmu", outputs=["y"])
-    described(tmp_path / "b.fmu", inputs=["u", "v"])
-    (tmp_path / "mine.toml").write_text(SCENARIO)
-    written = scenario.load(tmp_path / "mine.toml")
-    package = ssp_write.package(written, tmp_path / "mine.ssp", lambda source, folder: folder)
+    written, package = packaged(tmp_path, "m")
     with ssp_read.opened(package) as loaded:
         assert loaded.system.connections == written.system.connections
         assert loaded.system.connections[0] == ("a.y", "b.u", LinearTransformation(0.001, -0.5))
         assert loaded.resolved["connections"][0] == ["a.y", "b.u", {"factor": 0.001, "offset": -0.5}]
+
+
+def without_the_attribute(package: Path) -> Path:
+    """The package as one whose importer converts units too."""
+    changed = package.with_stem("changed")
+    with zipfile.ZipFile(package) as source, zipfile.ZipFile(changed, "w") as target:
+        for info in source.infolist():
+            content = source.read(info)
+            assert (
+                info.filename != "SystemStructure.ssd" or content.count(b'suppressUnitConversion="true"') == 1
+            )
+            target.writestr(info, content.replace(b' suppressUnitConversion="true"', b""))
+    return changed
+
+
+def test_a_transformation_beside_a_conversion_of_units_is_refused(tmp_path: Path) -> None:
+    package = without_the_attribute(packaged(tmp_path, "m")[1])
+    message = (
+        "connection a.y -> b.u: a transformation beside a conversion of mm to m: not supported; expected"
+    )
+    with pytest.raises(ScenarioError, match=message), ssp_read.opened(package):
+        pass
+
+
+def test_a_transformation_between_equal_units_needs_no_attribute(tmp_path: Path) -> None:
+    with ssp_read.opened(without_the_attribute(packaged(tmp_path, "mm")[1])) as loaded:
+        assert loaded.system.connections[0] == ("a.y", "b.u", LinearTransformation(0.001, -0.5))
