@@ -15,7 +15,7 @@ from typing import Any
 
 from fmus.errors import nearest
 from orchestration.errors import ScenarioError
-from orchestration.scenarios.layers import Data, Layer, merge
+from orchestration.scenarios.layers import Data, Layer
 from orchestration.scenarios.replaced import Replacement
 
 _CONDITIONS = ("component", "has", "lacks")
@@ -71,18 +71,22 @@ def _variables(value: Any, component: str) -> Iterator[str]:
 
 
 def adapted(layers: Sequence[Layer], replaced: Mapping[str, Replacement], names: Mappings) -> list[Layer]:
-    """The layers with their entries for the replaced components, and with the names that stand for others."""
-    result = []
+    """The layers with their entries for the replaced components, and with the names that stand for others.
+
+    Entries are a layer of their own above that which has them, so that they join what it inherits.
+    """
+    result: list[Layer] = []
     for index, layer in enumerate(layers):
-        data = {key: value for key, value in layer.data.items() if key not in _OWN}
         above: dict[str, str] = {}
         for mapping in names[index + 1 :]:
             above |= mapping
+        own = {key: value for key, value in layer.data.items() if key not in _OWN}
+        result.append(replace(layer, data=_renamed(own, above)))
         for entries in layer.data.get("when_replaced", []):
             replacement = replaced.get(entries["component"])
             if replacement and replacement.layer > index and _applies(entries, replacement, above):
-                data = _with_entries(data, entries)
-        result.append(replace(layer, data=_renamed(data, above)))
+                has_record = any(lower.data.get("record") for lower in result)
+                result.append(replace(layer, data=_renamed(_joining(entries, has_record), above)))
     return result
 
 
@@ -94,11 +98,17 @@ def _applies(entries: Data, replaced: Replacement, names: Mapping[str, str]) -> 
     return all(map(is_there, entries.get("has", []))) and not any(map(is_there, entries.get("lacks", [])))
 
 
-def _with_entries(data: Data, entries: Data) -> Data:
-    """The data of a layer with further entries, of tables in place of its own, of lists behind them."""
-    further = {key: value for key, value in entries.items() if key not in _CONDITIONS}
-    lists = {key: [*data.get(key, []), *value] for key, value in further.items() if isinstance(value, list)}
-    return merge(data, {**further, **lists})
+def _joining(entries: Data, has_record: bool) -> Data:
+    """Entries as a layer that joins those below: lists as tables, but for a record where there is none."""
+    joining = {key: value for key, value in entries.items() if key not in _CONDITIONS}
+    if "connections" in joining:
+        joining["connections"] = {
+            target: {"source": source, **transformation[0]} if transformation else source
+            for source, target, *transformation in joining["connections"]
+        }
+    if has_record and "record" in joining:
+        joining["record"] = dict.fromkeys(joining["record"], True)
+    return joining
 
 
 def _renamed(value: Any, names: Mapping[str, str]) -> Any:

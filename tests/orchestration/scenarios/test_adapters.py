@@ -142,3 +142,19 @@ def test_open_inputs_take_start_values_if_asked(tmp_path: Path) -> None:
     assert {port.name: value for port, value in prepared.settings}["controller.enable"] is False
     with pytest.raises(ScenarioError, match=r"nothing drives its enable, .* by --open-inputs start$"):
         with_fmu(tmp_path, inputs, VOLTAGES)
+
+
+FORCE = '[[when_replaced]]\ncomponent = "controller"\nhas = ["control_force"]\n'
+
+
+@pytest.mark.parametrize("own", ["", '[record]\n"plant.depth_rate" = false\n'])
+def test_entries_for_other_fmus_join_what_their_file_inherits(tmp_path: Path, own: str) -> None:
+    fmu = described(tmp_path / "my.fmu", (REFERENCE, DEPTH, "roll"), ("control_force",))
+    more = 'record = ["allocation.voltage[1]"]\nconnections = [["plant.depth", "controller.roll"]]\n'
+    (tmp_path / "middle.toml").write_text(f'base = "nominal-extended"\n{own}{FORCE}{more}')
+    loaded = scenario.load(tmp_path / "middle.toml", settings={"controller": str(fmu)})
+    plain = with_fmu(tmp_path, (REFERENCE, DEPTH, "roll"), ("control_force",))
+    inherited = [name for name in plain.experiment.record if not own or name != "plant.depth_rate"]
+    assert list(loaded.experiment.record) == [*inherited, "allocation.voltage[1]"]
+    assert loaded.system.connections == (*plain.system.connections, ("plant.depth", "controller.roll"))
+    assert "controller.roll" not in loaded.experiment.inputs
