@@ -17,6 +17,7 @@ from fmus.errors import nearest
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.layers import Data, Layer
 from orchestration.scenarios.replaced import Replacement
+from orchestration.scenarios.toml_file import KeyPath
 
 _CONDITIONS = ("component", "has", "lacks")
 _OWN = ("mapping", "when_replaced")  # tables of this module, which a resolved scenario has not
@@ -81,12 +82,12 @@ def adapted(layers: Sequence[Layer], replaced: Mapping[str, Replacement], names:
         for mapping in names[index + 1 :]:
             above |= mapping
         own = {key: value for key, value in layer.data.items() if key not in _OWN}
-        result.append(replace(layer, data=_renamed(own, above)))
+        result.append(_renamed(layer, own, above))
         for entries in layer.data.get("when_replaced", []):
             replacement = replaced.get(entries["component"])
             if replacement and replacement.layer > index and _applies(entries, replacement, above):
                 has_record = any(lower.data.get("record") for lower in result)
-                result.append(replace(layer, data=_renamed(_joining(entries, has_record), above)))
+                result.append(_renamed(layer, _joining(entries, has_record), above))
     return result
 
 
@@ -111,12 +112,28 @@ def _joining(entries: Data, has_record: bool) -> Data:
     return joining
 
 
-def _renamed(value: Any, names: Mapping[str, str]) -> Any:
-    """The value with other names of variables, as keys and as texts."""
-    if not names:
-        return value
+def _renamed(layer: Layer, data: Data, names: Mapping[str, str]) -> Layer:
+    """The layer with these data, and other names of variables; ScenarioError for one with two values."""
+    renamed = _with_names(data, names, layer)
+    if isinstance(renamed.get("record"), list):
+        renamed["record"] = list(dict.fromkeys(renamed["record"]))
+    return replace(layer, data=renamed)
+
+
+def _with_names(value: Any, names: Mapping[str, str], layer: Layer, keys: KeyPath = ()) -> Any:
+    """The value with other names of variables, as keys and as texts; keys: where the layer has it."""
     if isinstance(value, dict):
-        return {names.get(key, key): _renamed(item, names) for key, item in value.items()}
+        result: Data = {}
+        old_names: dict[str, str] = {}
+        for key, item in value.items():
+            name, renamed = names.get(key, key), _with_names(item, names, layer, (*keys, key))
+            if result.setdefault(name, renamed) != renamed:
+                raise ScenarioError(
+                    f"{layer.at((*keys, key))}: {'.'.join(map(str, keys))}: {old_names[name]} and {key} both "
+                    f"stand for {name}: expected one value, got {result[name]!r} and {renamed!r}"
+                )
+            old_names[name] = key
+        return result
     if isinstance(value, list):
-        return [_renamed(item, names) for item in value]
+        return [_with_names(item, names, layer, (*keys, index)) for index, item in enumerate(value)]
     return names.get(value, value) if isinstance(value, str) else value

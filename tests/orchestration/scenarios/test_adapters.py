@@ -158,3 +158,22 @@ def test_entries_for_other_fmus_join_what_their_file_inherits(tmp_path: Path, ow
     assert list(loaded.experiment.record) == [*inherited, "allocation.voltage[1]"]
     assert loaded.system.connections == (*plain.system.connections, ("plant.depth", "controller.roll"))
     assert "controller.roll" not in loaded.experiment.inputs
+
+
+def test_two_names_for_one_variable_are_recorded_once(tmp_path: Path) -> None:
+    mapping = {"controller": {"u_m": "u", "u_a": "u"}}
+    loaded = with_fmu(tmp_path, (REFERENCE, DEPTH), (*VOLTAGES, "u"), mapping=mapping)
+    assert [name for name in loaded.experiment.record if name == "controller.u"] == ["controller.u"]
+
+
+def test_two_values_for_one_variable_are_refused(tmp_path: Path) -> None:
+    mapping = {"controller": {"one": "kp", "two": "kp"}}
+    base = '[parameters]\n"controller.one" = 0.5\n"controller.two" = 2.0\n'
+    (tmp_path / "middle.toml").write_text('base = "nominal-extended"\n' + base)
+    fmu = described(tmp_path / "my.fmu", (REFERENCE, DEPTH), VOLTAGES, ("kp",))
+    message = (
+        r"middle.toml:4: parameters: controller.one and controller.two both stand for "
+        r"controller.kp: expected one value, got 0.5 and 2.0$"
+    )
+    with pytest.raises(ScenarioError, match=message):
+        scenario.load(tmp_path / "middle.toml", {"mapping": mapping}, settings={"controller": str(fmu)})
