@@ -139,7 +139,8 @@ def _experiment(file: ScenarioFile, data: Mapping[str, Any]) -> Experiment:
         parameters=data["parameters"],
         inputs=data["inputs"],
         signals=with_derivatives(
-            {name: signal(declared, f'signals."{name}"') for name, declared in data["signals"].items()}
+            {name: signal(declared, f'signals."{name}"') for name, declared in data["signals"].items()},
+            data["inputs"],
         ),
         events=tuple(Event(event.time, event.set) for event in file.events),
         record=tuple(file.record),

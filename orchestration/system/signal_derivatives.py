@@ -36,16 +36,23 @@ class _Values(Curve):
         return self.function(times)
 
 
-def with_derivatives(signals: Mapping[str, Signal]) -> dict[str, Signal]:
-    """The signals, each `Derivative` as a curve; ScenarioError for one of a signal without derivatives."""
+def with_derivatives(signals: Mapping[str, Signal], inputs: Mapping[str, Any] = {}) -> dict[str, Signal]:
+    """The signals, each `Derivative` as a curve; ScenarioError for one of a signal without derivatives.
+
+    inputs: constant ones, whose derivatives are zero
+    """
     result: dict[str, Signal] = dict(signals)
     for name, signal in signals.items():
         if isinstance(signal, Derivative):
-            if signal.of not in signals:
+            of: Signal | None = signals.get(signal.of)
+            if of is None and type(inputs.get(signal.of)) in (int, float):
+                of = Constant(inputs[signal.of])
+            if of is None:
                 raise ScenarioError(
-                    f'signals."{name}": of = {signal.of!r}: expected an input that has a signal'
+                    f'signals."{name}": of = {signal.of!r}: expected an input that has a signal or a '
+                    f"constant number; where a connection drives it, drive {name} by a connection too"
                 )
-            result[name] = derivative(signals[signal.of], signal.order, name)
+            result[name] = derivative(of, signal.order, name)
     return result
 
 

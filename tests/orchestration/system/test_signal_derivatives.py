@@ -45,6 +45,12 @@ def test_it_follows_the_signal_of_another_input() -> None:
     assert signals["a.rate"](2.0) == 1.0
 
 
+def test_that_of_a_constant_input_is_zero() -> None:
+    assert with_derivatives({"a.rate": Derivative("a.u")}, {"a.u": 3.0})["a.rate"](2.0) == 0.0
+    with pytest.raises(ScenarioError, match=r"of = 'a.u': .* drive a.rate by a connection too"):
+        with_derivatives({"a.rate": Derivative("a.u")}, {"a.u": True})
+
+
 @pytest.mark.parametrize(
     ("signals", "message"),
     [
