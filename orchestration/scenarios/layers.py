@@ -119,6 +119,7 @@ def _check_removed(table: str, given: Mapping[str, Any], below: Iterable[str], l
 def _without_other_drivers(below: Data, above: Data) -> Data:
     """`below` without what drives or changes an input that `above` drives in another way."""
     driven = {table: {k for k, v in above.get(table, {}).items() if v is not False} for table in _DRIVING[1:]}
+    driven["inputs"] |= above.get("inputs", {}).keys() - below.get("inputs", {})  # `false` of a Boolean input
     driven["connections"] = {target for _, target in given_connections(above)}
     result = dict(below)
     for table in _DRIVING:

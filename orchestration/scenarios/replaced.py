@@ -170,6 +170,8 @@ class _Fitting:
             result["events"] = with_events(
                 data["events"], lambda name, value: self._fits("events", name, name, _SETTABLE, value)
             )
+        if "step_sizes" in data:
+            result["step_sizes"] = {n: h for n, h in data["step_sizes"].items() if self._has_component(n)}
         if "metrics" in data:
             result["metrics"] = {n: m for n, m in data["metrics"].items() if self._metric(n, m)}
         return result
@@ -195,6 +197,14 @@ class _Fitting:
         return self._fits("connections", shown, source, ("output",)) and self._fits(
             "connections", shown, target, ("input",)
         )
+
+    def _has_component(self, component: str) -> bool:
+        """Whether a component with a step size of its own is left."""
+        replacement = self._replaced.get(component)
+        if replacement and not replacement.fmu:
+            replacement.dropped.setdefault("step_sizes", []).append(component)
+            return False
+        return True
 
     def _metric(self, name: str, metric: Any) -> bool:
         signals = [metric.get(key, "") for key in _SIGNALS_OF_METRICS] if metric else []

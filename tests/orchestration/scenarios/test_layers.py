@@ -30,8 +30,8 @@ step_size = 0.1
 """
 
 
-def load(folder: Path, text: str, base: str = BASE) -> Scenario:
-    described(folder / "a.fmu", ("u", "v"), ("y", "z"), ("p", "on:Boolean"))
+def load(folder: Path, text: str, base: str = BASE, inputs: tuple[str, ...] = ("u", "v")) -> Scenario:
+    described(folder / "a.fmu", inputs, ("y", "z"), ("p", "on:Boolean"))
     (folder / "base.toml").write_text(base)
     (folder / "child.toml").write_text('base = "base.toml"\n' + text)
     return scenario.load(folder / "child.toml")
@@ -46,6 +46,22 @@ def test_false_removes_parameters_inputs_and_signals(tmp_path: Path) -> None:
 def test_false_is_the_value_of_a_boolean_parameter(tmp_path: Path) -> None:
     loaded = load(tmp_path, '[parameters]\n"a.on" = false\n')
     assert loaded.experiment.parameters == {"a.p": 1.0, "a.on": False}
+
+
+def test_false_is_the_constant_value_of_a_boolean_input_that_the_base_drives_by_a_signal(
+    tmp_path: Path,
+) -> None:
+    base = BASE + '"a.open" = { kind = "constant", value = 1.0 }\n'
+    experiment = load(tmp_path, '[inputs]\n"a.open" = false\n', base, ("u", "v", "open:Boolean")).experiment
+    assert experiment.inputs == {"a.u": 1.0, "a.open": False}
+    assert list(experiment.signals) == ["a.v"]
+
+
+def test_a_removed_component_takes_its_step_size_along(tmp_path: Path) -> None:
+    base = BASE + "[step_sizes]\na = 0.2\nb = 0.2\n"
+    with pytest.warns(UserWarning, match=r"b is removed.*; step_sizes b$"):
+        loaded = load(tmp_path, "[components]\nb = false\n", base)
+    assert loaded.experiment.step_sizes == {"a": 0.2}
 
 
 def test_tables_change_the_lists_of_connections_and_records(tmp_path: Path) -> None:
