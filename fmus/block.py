@@ -15,6 +15,7 @@ from typing import Any
 from fmus.guide import NO_GUIDE, Guide
 
 Value = float | int | bool
+_SHORTEST, _LONGEST = 1e-7, 1e6  # internal step of a block that declares none, in s
 
 
 def variable(
@@ -161,13 +162,32 @@ class Block:
     license: str | None = None
 
     def __post_init__(self) -> None:
+        for mistake in self._mistakes():
+            raise TypeError(f"block {self.name!r}: {mistake}")
         for role in ("parameters", "calculated", "inputs", "state", "outputs"):
             if not is_frozen(getattr(self, role)):
                 raise TypeError(f"block {self.name!r}: {role}: expected a class with @dataclass(frozen=True)")
         if "internal_step" not in {declared.name for declared in fields(self.parameters)}:
-            object.__setattr__(self, "parameters", _with_internal_step(self.parameters, self.step_size))
+            if not _SHORTEST <= self.step_size <= _LONGEST:
+                expected = f"expected {_SHORTEST!r}..{_LONGEST!r} s, the range of the internal step"
+                raise TypeError(f"block {self.name!r}: step_size {self.step_size!r}: {expected}")
+            start = float(self.step_size)
+            object.__setattr__(self, "parameters", _with_internal_step(self.parameters, start))
         if self.initial_state is _STATE_AS_DECLARED:
             object.__setattr__(self, "initial_state", lambda *_: self.state())
+
+    def _mistakes(self) -> Iterator[str]:
+        """In the fields that are no classes and functions."""
+        for name in ("name", "description", "version", "author", "license"):
+            text = getattr(self, name)
+            if not isinstance(text, str) and (text is not None or name in ("name", "description")):
+                yield f"{name} {text!r}: expected a text"
+        for name in ("stop_time", "step_size"):
+            number = getattr(self, name)
+            if not isinstance(number, float | int) or isinstance(number, bool):
+                yield f"{name} {number!r}: expected a number of seconds"
+            elif not 0.0 < number < math.inf:
+                yield f"{name} {number!r}: expected a finite number of seconds above 0"
 
     @cached_property
     def variables(self) -> tuple[ScalarVariable, ...]:
@@ -189,7 +209,9 @@ def is_frozen(cls: Any) -> bool:
 
 def _with_internal_step(parameters: type, start: float) -> type:
     """The class with one more parameter, which its functions need not know."""
-    internal_step = variable(start, "Longest internal step", unit="s", min=1e-7, max=1e6, variability="fixed")
+    internal_step = variable(
+        start, "Longest internal step", unit="s", min=_SHORTEST, max=_LONGEST, variability="fixed"
+    )
     return make_dataclass(
         parameters.__name__, [("internal_step", float, internal_step)], bases=(parameters,), frozen=True
     )

@@ -6,7 +6,7 @@ import math
 import textwrap
 from collections.abc import Iterator
 from dataclasses import MISSING, Field, fields, is_dataclass
-from typing import Any
+from typing import Any, get_args, get_origin
 
 from fmus.block import Block, NoValues, ScalarVariable, flatten
 from fmus.errors import ExportError
@@ -27,6 +27,9 @@ _ARGUMENTS = {
 }
 _RESULTS = {"calculate": "calculated", "initial_state": "state", "step": "state", "output": "outputs"}
 _TYPES = "a float, an int, a bool, an IntEnum member, or a tuple of these"
+
+_EXACT = {kind: cls.__name__ for cls in (float, int, bool) for kind in (cls, cls.__name__)}  # of annotations
+_SUCH_AS = {"float": "a number such as 1.0", "int": "a whole number such as 1", "bool": "True or False"}
 
 
 def check_declaration(block: Block) -> None:
@@ -61,6 +64,17 @@ def check_result(block: Block, name: str, result: Any) -> None:
         raise ExportError(f"{where}{path} as {got}: expected {expected}")
 
 
+def check_requirements(block: Block, requirements: Any) -> None:
+    """ExportError if the requirements are no tuple of pairs."""
+    for pair in requirements if isinstance(requirements, tuple | list) else (None,):
+        if not (isinstance(pair, tuple | list) and len(pair) == 2 and isinstance(pair[1], str)):
+            where = f"block {block.name!r}: {location(block.requirements)}requirements"
+            raise ExportError(
+                f'{where}: expected a tuple of pairs, ((condition, "what is expected"), ...), also for one: '
+                'return ((condition, "text"),)'
+            )
+
+
 def _of_role(block: Block, role: str) -> Iterator[ScalarVariable]:
     names = {declared.name for declared in fields(getattr(block, role))}
     return (v for v in block.variables if v.name.partition("[")[0] in names)
@@ -93,6 +107,11 @@ def _mistakes(declared: Field, role: str) -> Iterator[str]:
     if not declared.name.isascii():
         yield "expected ASCII letters, digits and underscores"
     yield from _type_mistakes(declared)
+    if not any(isinstance(scalar, float) for scalar in flatten(declared.default)):
+        for text in flatten(tuple(declared.metadata["units"].values())):
+            if text not in ("1", None):
+                start = f"start {declared.default!r} is no float"
+                yield f"unit {text!r}: expected none, only a Real has a unit; {start}"
     variability = declared.metadata["variability"]
     if variability is not None and variability not in _VARIABILITIES[role]:
         yield f"variability {variability!r}: expected {' or '.join(map(repr, _VARIABILITIES[role]))}"
@@ -116,10 +135,24 @@ def _type_mistakes(declared: Field) -> Iterator[str]:
     for scalar in scalars:
         if not isinstance(scalar, float | int):
             yield f"start {scalar!r} is of the type {type(scalar).__name__}: expected {_TYPES}"
-    if declared.type in (float, "float") and any(type(scalar) is int for scalar in scalars):
-        yield f"start {declared.default!r} is an int, but the type is float: expected {declared.default!r}.0"
-    if declared.type in (float, "float") and isinstance(declared.default, tuple):
-        yield f"start {declared.default!r} is a tuple, but the type is float: expected tuple[float, ...]"
+    if not (expected := _EXACT.get(_element_type(declared.type))):
+        return
+    for scalar in scalars:
+        got = type(scalar).__name__
+        if got != expected and not (expected == "float" and isinstance(scalar, float)):
+            article = "an" if got[0] in "aeiouAEIOU" else "a"
+            instead = f"the type is {expected}: write {_SUCH_AS[expected]}"
+            yield f"start {scalar!r} is {article} {got}, but {instead}"
+    if isinstance(declared.default, tuple) and declared.type in _EXACT:
+        instead = f"the type is {expected}: expected tuple[{expected}, ...]"
+        yield f"start {declared.default!r} is a tuple, but {instead}"
+
+
+def _element_type(annotation: Any) -> Any:
+    """X of tuple[X, ...]; of any other annotation, itself."""
+    while get_origin(annotation) is tuple and get_args(annotation)[1:] == (...,):
+        annotation = get_args(annotation)[0]
+    return annotation
 
 
 def _fits(value: Any, start: Any) -> bool:

@@ -13,7 +13,7 @@ import casadi
 from fmus.block import Block, flatten, unflatten
 from fmus.errors import ExportError
 from fmus.export import guard
-from fmus.export.declaration import check_declaration, check_result
+from fmus.export.declaration import check_declaration, check_requirements, check_result
 
 
 class Traced:
@@ -39,6 +39,7 @@ class Traced:
         call = partial(guard.call, block.name)
         calculated, conditions = call(block.calculate, p), call(block.requirements, p, c)
         check_result(block, "calculate", calculated)
+        check_requirements(block, conditions)
         initial = call(block.initial_state, t, u, p, c)
         check_result(block, "initial_state", initial)
         xs, x = _symbols(initial)

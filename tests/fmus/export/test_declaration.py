@@ -92,6 +92,30 @@ MISTAKES = [
         'gain: float = variable(math.nan, "Gain")',
         "Parameters.gain: start nan: expected a finite number",
     ),
+    (
+        GAIN,
+        'gain: bool = variable(0, "Gain")',
+        "Parameters.gain: start 0 is an int, but the type is bool: write True or False",
+    ),
+    (
+        GAIN,
+        'gain: int = variable(2.0, "Gain")',
+        "Parameters.gain: start 2.0 is a float, but the type is int: write a whole number such as 1",
+    ),
+    (GAIN, 'gain: int = variable(True, "Gain")', "start True is a bool, but the type is int: "),
+    (GAIN, 'gain: float = variable(True, "Gain")', "start True is a bool, but the type is float: "),
+    (BIAS, 'bias: tuple[int, ...] = variable((0, 1.0), "Bias")', "start 1.0 is a float, but the type is int"),
+    (
+        GAIN,
+        'gain: int = variable(1, "Gain", unit="m")',
+        "Parameters.gain: unit 'm': expected none, only a Real has a unit; start 1 is no float",
+    ),
+    (
+        BIAS,
+        'bias: tuple[int, ...] = variable((0, 1), "Bias", unit=("m", "1"))',
+        "Parameters.bias: unit 'm': expected none",
+    ),
+    ("x: float = 0.0", "x: bool = 0", "State.x: start 0 is an int, but the type is bool: "),
     (GAIN, 'gain: float = variable(1.0, "Gain", min=2.0)', "Parameters.gain: start 1.0: expected 2.0..inf"),
     (
         GAIN,
@@ -156,6 +180,20 @@ MISTAKES = [
     (STEP, STEP.replace("State(", "State(math.nan * "), "step holds a constant that is not a number"),
     (STEP, STEP.replace("u.u", "u.v"), "'Inputs' object has no attribute 'v'"),
     ("state=State", "state=dict", "'Lag': state: expected a class with @dataclass(frozen=True)"),
+    (
+        '"A lag", param',
+        '"A lag", requirements=lambda p, c: (p.gain > 0.0, "a gain"), param',
+        """requirements: expected a tuple of pairs, ((condition, "what is expected"), ...), also for one""",
+    ),
+    ('"A lag"', "['A lag']", "'Lag': description ['A lag']: expected a text"),
+    ('"A lag"', '"A lag", stop_time="2"', "'Lag': stop_time '2': expected a number of seconds"),
+    (
+        '"A lag"',
+        '"A lag", stop_time=0.0',
+        "'Lag': stop_time 0.0: expected a finite number of seconds above 0",
+    ),
+    ('"A lag"', '"A lag", step_size=None', "'Lag': step_size None: expected a number of seconds"),
+    ('"A lag"', '"A lag", step_size=1e-9', "'Lag': step_size 1e-09: expected 1e-07..1000000.0 s, the range"),
     ("outputs=Outputs", "stop_time=2.0", "missing 1 required keyword-only argument: 'outputs'"),
 ]
 
@@ -181,3 +219,10 @@ def test_the_block_without_a_mistake_is_accepted(tmp_path: Path) -> None:
     path.write_text(BLOCK)
     with catalogue.loaded(str(path)) as (block,):
         assert block.name == "Lag"
+
+
+def test_a_step_size_may_be_a_whole_number_of_seconds(tmp_path: Path) -> None:
+    path = tmp_path / "lag.py"
+    path.write_text(BLOCK.replace('"A lag"', '"A lag", step_size=1'))
+    with catalogue.loaded(str(path)) as (block,):
+        assert {v.name: v.start for v in block.variables}["internal_step"] == 1.0
