@@ -9,17 +9,19 @@ this module registers `l1-depth/Scenario-v0`, whose arguments are those of `task
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from fmus.extras import imports_of
-from orchestration.errors import SystemDefinitionError
+from orchestration.errors import OrchestrationError, SystemDefinitionError
 from orchestration.master import Simulator
 from orchestration.results.recording import Recording
 from orchestration.scenarios.task import Task, task_of
 from orchestration.system.experiment import Experiment
+from orchestration.system.open_inputs import OpenInputs
 from orchestration.system.signals import values_at
 from orchestration.system.system import CheckedSystem, check
 from orchestration.system.values import value_range
@@ -57,9 +59,10 @@ class _Episodes:
         task = self._task
         drawn: dict[str, Any] = {name: int(random.integers(1, _LARGEST_SEED)) for name in task.seeds}
         drawn |= {name: draw(random) for name, draw in task.vary.items()}
-        if self._first:
-            self.simulator.restore(self._first)
-            return
+        with suppress(OrchestrationError):  # after an FMU returned fatal
+            if self._first:
+                self.simulator.restore(self._first)
+                return
         experiment = replace(self._experiment, parameters={**task.experiment.parameters, **drawn})
         self.simulator.start(experiment, external=task.actions)
         if self._of_signals is None:  # the communication points of every episode are the same
@@ -77,14 +80,9 @@ class _Episodes:
             return values
         return (*values, *self._of_signals[self.simulator.point].tolist())
 
-    def step(self, action: Sequence[float]) -> None:
-        """One action, for the communication steps of the task."""
-        simulator = self.simulator
+    def act(self, action: Sequence[float]) -> None:
+        """Set the actions, in their own units, from the present point on."""
         self._write(*action)
-        for _ in range(self._task.steps):
-            simulator.step()
-            if simulator.is_done:
-                return
 
 
 class FmuEnv(gymnasium.Env[Array, Array]):
@@ -101,8 +99,6 @@ class FmuEnv(gymnasium.Env[Array, Array]):
         self.observation_space, of_inputs = _spaces(task)
         self.action_space = Box(-1.0, 1.0, of_inputs.shape, np.float64)
         self._middle, self._half = _middle_and_half(of_inputs)
-        names = self._episodes.names
-        self._observed = [names.index(name) for name in task.observations]
         self._values: dict[str, float] = {}
 
     def reset(
@@ -111,21 +107,30 @@ class FmuEnv(gymnasium.Env[Array, Array]):
         """Begin another episode, with other seeds and parameters where the task draws them."""
         super().reset(seed=seed)
         self._episodes.reset(self.np_random)
+        self._look()
         return self._observation(), {"time": self._episodes.simulator.time}
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """One action: (observation, reward, whether an FMU terminated, whether time is up, {"time": s})."""
-        simulator, before, start = self._episodes.simulator, self._values, self._episodes.simulator.time
-        self._episodes.step((self._middle + self._half * action).tolist())
-        observation, now = self._observation(), simulator.time
-        reward = float(self._task.reward(before, self._values, now - start))
+        simulator, reward = self._episodes.simulator, 0.0
+        now = simulator.time
+        self._episodes.act((self._middle + self._half * _within(action)).tolist())
+        for _ in range(self._task.steps):
+            before, start = self._values, now
+            simulator.step()
+            self._look()
+            now = simulator.time
+            reward += float(self._task.reward(before, self._values, now - start))
+            if simulator.is_done:
+                break
         terminated = simulator.is_terminated
-        return observation, reward, terminated, simulator.is_done and not terminated, {"time": now}
+        return self._observation(), reward, terminated, simulator.is_done and not terminated, {"time": now}
+
+    def _look(self) -> None:
+        self._values = dict(zip(self._episodes.names, self._episodes.values(), strict=True))
 
     def _observation(self) -> Array:
-        values = self._episodes.values()
-        self._values = dict(zip(self._episodes.names, values, strict=True))
-        return np.array([values[i] for i in self._observed])
+        return np.array([self._values[name] for name in self._task.observations])
 
     def recording(self) -> Recording:
         """The recording of the present episode until now."""
@@ -169,24 +174,33 @@ class FmuVectorEnv(VectorEnv[Array, Array, Array]):
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
         """One action in each environment; those that were done begin an episode, with a reward of 0."""
-        before, start, was_done = self._values, self._time, self._done
-        values = self._middle + self._half * actions
+        values = self._middle + self._half * _within(actions)
         for episodes, random, action, done in zip(
-            self._episodes, self._randoms, values.tolist(), was_done.tolist(), strict=True
+            self._episodes, self._randoms, values.tolist(), self._done.tolist(), strict=True
         ):
             if done:
                 episodes.reset(random)
             else:
-                episodes.step(action)
-        self._look()
-        names, step = self._episodes[0].names, self._time - start
-        old, new = (dict(zip(names, rows, strict=True)) for rows in (before, self._values))
-        rewards = np.where(was_done, 0.0, self._task.reward(old, new, step))
+                episodes.act(action)
         simulators = [episodes.simulator for episodes in self._episodes]
+        rewards, is_running = np.zeros(self.num_envs), ~self._done
+        for _ in range(self._task.steps):
+            rewards += np.where(is_running, self._step(is_running), 0.0)
+            self._done = np.array([simulator.is_done for simulator in simulators])
+            is_running &= ~self._done
         terminated = np.array([simulator.is_terminated for simulator in simulators])
-        self._done = np.array([simulator.is_done for simulator in simulators])
         observations = self._values[self._observed].T
         return observations, rewards, terminated, self._done & ~terminated, {"time": self._time}
+
+    def _step(self, is_running: Array) -> Array:
+        """One communication step of the environments that are running; returns the reward of each."""
+        before, start, names = self._values, self._time, self._episodes[0].names
+        for episodes, running in zip(self._episodes, is_running.tolist(), strict=True):
+            if running:
+                episodes.simulator.step()
+        self._look()
+        old, new = (dict(zip(names, rows, strict=True)) for rows in (before, self._values))
+        return self._task.reward(old, new, self._time - start)
 
     def _look(self) -> None:
         self._values = np.array([episodes.values() for episodes in self._episodes]).T
@@ -218,7 +232,8 @@ def _recorded(task: Task, variables: Sequence[str]) -> Experiment:
 
 
 def _checked(task: Task) -> CheckedSystem:
-    return check(task.system, dict.fromkeys((*task.experiment.driven_inputs, *task.actions)))
+    driven = dict.fromkeys((*task.experiment.driven_inputs, *task.actions))
+    return check(task.system, driven, open_inputs=OpenInputs(task.experiment.open_inputs))
 
 
 def _spaces(task: Task) -> tuple[Box, Box]:
@@ -240,11 +255,20 @@ def _spaces(task: Task) -> tuple[Box, Box]:
         raise SystemDefinitionError(f"{names}: the FMU has no min and max: expected bounds of each action")
     if not task.actions or not _names(task)[0]:
         raise SystemDefinitionError("task: expected an action, and a variable to observe")
+    kinds = {name: system.ports[name].variable.type for name in task.actions}
+    others = [f"{name} is of type {kind}" for name, kind in kinds.items() if kind != "Real"]
+    if others:
+        raise SystemDefinitionError(f"action: {', '.join(others)}: expected inputs of type Real")
     return observations, actions
 
 
 def _middle_and_half(of_inputs: Box) -> tuple[Array, Array]:
     return 0.5 * (of_inputs.low + of_inputs.high), 0.5 * (of_inputs.high - of_inputs.low)
+
+
+def _within(action: Array) -> Array:
+    """The action, or the nearest from -1 to 1; np.clip takes as long as a step."""
+    return np.minimum(np.maximum(action, -1.0), 1.0)
 
 
 def _scenario_env(*arguments: Any, **settings: Any) -> FmuEnv:

@@ -24,13 +24,13 @@ class Task:
 
     actions: inputs that the agent sets, in the order of its action; nothing else drives them
     observations: names of variables and of `signals`, in the order of its observation
-    reward: of a step, from the values before and after it, name -> value, and its size [s]
+    reward: of a communication step, from the values before and after it, name -> value, and its size [s]
     reads: variables and `signals` that the reward needs beside the observations
     bounds: name -> (low, high), in place of the FMU's min and max; an action of -1..1 is scaled to them
     signals: functions of time that drive no FMU, such as a reference
     seeds: parameters, such as the seed of a noise, for which each episode draws an integer below 2^31 - 1000
     vary: parameter -> function of a random generator that draws its value for an episode
-    steps: communication steps for one action
+    steps: communication steps for one action, whose rewards add up
     """
 
     system: System

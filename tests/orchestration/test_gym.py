@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from orchestration.errors import ScenarioError, SystemDefinitionError
+from orchestration.errors import ScenarioError, SimulationError, SystemDefinitionError
 from orchestration.gym import FmuEnv, FmuVectorEnv, Task, task_of
-from orchestration.results import metrics
+from orchestration.results import increments, metrics
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.signals import Ramps
@@ -94,6 +94,68 @@ def test_the_agent_takes_the_place_of_the_component(task: Task) -> None:
     assert task.experiment.record == (POSITION,)
 
 
+@pytest.mark.parametrize("steps", [1, 5])
+@pytest.mark.parametrize("count", [1, 2])
+def test_rewards_add_up_to_the_metric_of_the_run(task: Task, steps: int, count: int) -> None:
+    rewarded = replace(task, reward=increments.effort(POSITION), steps=steps)
+    with closing(FmuVectorEnv(rewarded, count)) as envs:
+        envs.reset(seed=1)
+        total = sum(envs.step(np.zeros((count, 1)))[1] for _ in range(10 // steps))
+        efforts = [metrics.FUNCTIONS["effort"](recording, POSITION) for recording in envs.recordings()]
+    assert total == pytest.approx(efforts)
+    with closing(FmuEnv(rewarded)) as env:
+        env.reset(seed=1)
+        alone = sum(env.step(np.zeros(1))[1] for _ in range(10 // steps))
+    assert alone == pytest.approx(efforts[0])
+
+
+def test_an_action_beyond_its_bounds_counts_as_the_nearest_within(task: Task) -> None:
+    with closing(FmuEnv(task)) as env, closing(FmuVectorEnv(task, 1)) as envs:
+        env.reset(seed=1)
+        envs.reset(seed=1)
+        beyond = [env.step(np.array([3.0]))[0], envs.step(np.array([[3.0]]))[0][0]]
+        env.reset(seed=1)
+        within = env.step(np.ones(1))[0]
+    assert all(np.array_equal(observation, within) for observation in beyond)
+
+
+def test_inputs_that_nothing_drives_may_be_open(linear: Build, task: Task) -> None:
+    system = System({"plant": linear(), "other": linear()})
+    with closing(
+        FmuEnv(replace(task, system=system, experiment=Experiment(1.0, 0.1, open_inputs="start")))
+    ) as env:
+        assert env.reset()[0][0] == 1.0  # its state
+
+
+def test_an_environment_begins_anew_after_a_fatal_error(rogue: Build, task: Task) -> None:
+    parameters = {"plant.misdeed": int(Misdeed.FATAL), "plant.misdeed_time": 0.15}
+    fatal = replace(
+        task,
+        system=System({"plant": rogue(saves_state=True)}),
+        experiment=Experiment(1.0, 0.1, parameters=parameters),
+        actions=("plant.u",),
+        observations=("plant.y",),
+        reward=lambda before, after, h: h,
+        bounds={"plant.u": (0.0, 1.0)},
+        reads=(),
+        vary={},
+    )
+    with closing(FmuEnv(fatal)) as env:
+        first = env.reset()[0]
+        with pytest.raises(SimulationError, match="fatal"):
+            [env.step(np.zeros(1)) for _ in range(4)]
+        assert np.array_equal(env.reset()[0], first)
+        env.step(np.zeros(1))
+
+
+def test_seeds_differ_between_episodes_and_repeat(task: Task) -> None:
+    with closing(FmuEnv(replace(task, vary={}, seeds=["plant.initial_state"]))) as env:
+        starts = [env.reset(seed=seed)[0][0] for seed in (4, None, 4, None)]
+    assert starts[:2] == starts[2:]
+    assert starts[0] != starts[1]
+    assert all(start == int(start) for start in starts)
+
+
 def test_an_episode_is_a_run_and_its_rewards_add_up_to_its_metrics(task: Task) -> None:
     recorded = replace(task, experiment=replace(task.experiment, record=(POSITION, FORCE)))
     with closing(FmuEnv(recorded)) as env:
@@ -115,7 +177,7 @@ def test_the_same_seed_makes_the_same_episodes(env: FmuEnv) -> None:
     assert not np.array_equal(first, second)
 
 
-def test_a_seed_parameter_has_another_integer_in_each_episode(linear: Build, task: Task) -> None:
+def test_a_drawn_parameter_has_another_value_in_each_episode(linear: Build, task: Task) -> None:
     system = System({"plant": linear(passes_discrete=True)})
     inputs = {"plant.integer_in": 1, "plant.boolean_in": False}
     seeded = replace(
@@ -218,3 +280,16 @@ def test_an_environment_that_cannot_be_made_is_refused(task: Task, changes: Any,
     with pytest.raises(SystemDefinitionError) as refusal:
         FmuEnv(replace(task, **changes))
     assert message in str(refusal.value)
+
+
+def test_an_action_of_another_type_than_real_is_refused(linear: Build, task: Task) -> None:
+    system = System({"plant": linear(passes_discrete=True)})
+    discrete = replace(
+        task,
+        system=system,
+        experiment=Experiment(1.0, 0.1, inputs={FORCE: 0.0, "plant.boolean_in": False}),
+        actions=("plant.integer_in",),
+        bounds={"plant.integer_in": (0.0, 4.0)},
+    )
+    with pytest.raises(SystemDefinitionError, match="integer_in is of type Integer: expected inputs of"):
+        FmuEnv(discrete)
