@@ -13,15 +13,15 @@ from fmus.block import Block
 from fmus.block_file import blocks_in
 from fmus.documentation import reference_files
 from fmus.documentation.icon import icon
-from fmus.documentation.reference_results import reference_run
+from fmus.documentation.reference_results import ReferenceRun, reference_run
 from fmus.errors import ExportError, nearest
 from fmus.export import native as native_flavour
 from fmus.export import python as python_flavour
 from fmus.export.faithful import check_faithful
-from fmus.export.guard import location
+from fmus.export.guard import location, own_line
 from fmus.export.symbolic import traced
 from fmus.files import write_archive
-from fmus.instance import Instance
+from fmus.instance import BlockError, Instance
 from fmus.platforms import host_platform, library_name
 from fmus.registry import FOLDER_VARIABLE, Flavour, block_entry_points, block_fmus, block_names, fmu_folder
 
@@ -101,8 +101,18 @@ def build_block(
     _, members = export.content(block)
     check_faithful(block)
     libraries = export.libraries(block.name, members, platforms)
-    shown = {"model.png": icon(block)} | reference_files.members(reference_run(block), block.name)
+    shown = {"model.png": icon(block)} | reference_files.members(_reference_run(block), block.name)
     return write_archive(folder / f"{block.name}.fmu", members | libraries | shown)
+
+
+def _reference_run(block: Block) -> ReferenceRun:
+    """As `reference_run`; ExportError names the line of the block that cannot go on."""
+    try:
+        return reference_run(block)
+    except BlockError as error:
+        own = own_line(error.__cause__) if isinstance(error.__cause__, Exception) else None
+        where = f"{own[0]}:{own[1]}: {own[2]}: " if own else location(block.step)
+        raise ExportError(f"block {block.name!r}: {where}the reference run ends: {error}") from error
 
 
 def build_file(

@@ -140,7 +140,7 @@ class Instance:
         try:
             for i in range(count):
                 state = step(t + i * internal, internal, state, *held)
-        except ArithmeticError as error:
+        except (ArithmeticError, ValueError) as error:
             raise BlockError(f"step at {t!r} s: {error}; the state left the range of numbers") from error
         return state
 
@@ -149,12 +149,14 @@ class Instance:
         try:
             outputs = flatten(self.block.output(t, state, self._parameters, self._calculated))
             is_number = all(map(math.isfinite, [*flatten(state), *outputs]))
-        except ArithmeticError:
-            outputs, is_number = [], False
+            reason = None
+        except (ArithmeticError, ValueError) as error:
+            outputs, is_number, reason = [], False, error
         if not is_number:
             at = f"step to {t!r} s" if self._stepping else f"parameters and inputs of {self.block.name}"
             hint = "any more; take shorter steps" if self._stepping else "at the start"
-            raise BlockError(f"{at}: state or outputs are not finite {hint}")
+            cause = f": {reason}" if reason else ""
+            raise BlockError(f"{at}: state or outputs are not finite {hint}{cause}") from reason
         outputs = self._in_types(self._inputs_end, outputs)
         self.time, self._state = t, state
         self._values[self._inputs_end :] = outputs
@@ -222,7 +224,7 @@ class Instance:
     def _calculate(self, parameters: Any) -> Any:
         try:
             calculated = self.block.calculate(parameters)
-        except ArithmeticError as error:
+        except (ArithmeticError, ValueError) as error:
             raise BlockError(f"parameters of {self.block.name} contradict each other: {error}") from error
         for holds, expected in self.block.requirements(parameters, calculated):
             if not holds:
@@ -244,7 +246,7 @@ class Instance:
     def _initial_state(self) -> Any:
         try:
             return self.block.initial_state(self.time, self._inputs, self._parameters, self._calculated)
-        except ArithmeticError as error:
+        except (ArithmeticError, ValueError) as error:
             raise BlockError(f"parameters and inputs of {self.block.name}: {error}") from error
 
     def _refresh(self) -> None:

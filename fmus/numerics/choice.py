@@ -24,12 +24,25 @@ def where(condition: Any, if_true: Any, if_false: Any) -> Any:
     if condition.__class__ is bool or are_numbers(condition):
         return _value(if_true if condition else if_false)
     if_true, if_false = _value(if_true), _value(if_false)
+    _check_shapes(if_true, if_false)
     if isinstance(if_true, tuple) or hasattr(if_true, "__dataclass_fields__"):
         pairs = zip(flatten(if_true), flatten(if_false), strict=True)
         return unflatten(if_true, [where(condition, *pair) for pair in pairs])
     if if_true is if_false:
         return if_true
     return casadi().if_else(condition, if_true, if_false)
+
+
+def _check_shapes(if_true: Any, if_false: Any) -> None:
+    """TypeError for a number beside a tuple or dataclass, or for another number of elements."""
+    shapes = [
+        type(value).__name__ if hasattr(value, "__dataclass_fields__")
+        else f"a tuple of {len(value)}" if isinstance(value, tuple)
+        else "a number"
+        for value in (if_true, if_false)
+    ]  # fmt: skip
+    if shapes[0] != shapes[1]:
+        raise TypeError(f"alternatives {shapes[0]} and {shapes[1]}: expected two of one shape")
 
 
 def _value(alternative: Any) -> Any:

@@ -193,3 +193,40 @@ def test_a_scenario_takes_the_only_block_of_a_file(tmp_path: Path) -> None:
     assert fmu.stat().st_mtime_ns != built
     with pytest.raises(ExportError, match=r"lowpass\.py defines First, Second: expected one block"):
         catalogue.fmu_of_file(write(tmp_path, names="First Second"), Flavour.PYTHON)
+
+
+LEAVES_ITS_DOMAIN = """\
+from dataclasses import dataclass
+
+from fmus.block import Block, variable
+from fmus.numerics import sqrt
+
+
+@dataclass(frozen=True)
+class State:
+    x: float = 0.0
+
+
+@dataclass(frozen=True)
+class Outputs:
+    y: float = variable(0.0, "Output")
+
+
+BLOCK = Block(
+    "Root", "A root", state=State, outputs=Outputs, step_size=0.1,
+    step=lambda t, h, s, u, p, c: State(s.x + 0.37),
+    output=lambda t, s, p, c: Outputs(sqrt(1.0 - s.x)),
+)
+"""
+
+
+def test_a_block_that_leaves_the_domain_of_a_function_is_refused_with_the_line(tmp_path: Path) -> None:
+    path = tmp_path / "root.py"
+    path.write_text(LEAVES_ITS_DOMAIN)
+    with pytest.raises(ExportError) as refused:
+        catalogue.build_file(path, tmp_path, Flavour.PYTHON)
+    assert f"block 'Root': {path}:20: sqrt(1.0 - s.x): the reference run ends: step to 0.3" in str(
+        refused.value
+    )
+    assert "not finite any more; take shorter steps: math domain error" in str(refused.value)
+    assert list(tmp_path.glob("*.fmu")) == []

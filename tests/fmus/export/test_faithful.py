@@ -208,6 +208,14 @@ REFUSED: list[tuple[Rule, str]] = [
         lambda u, x, p: x / 0.0,
         r"no finite numbers at any of \d+ random points: ZeroDivisionError\(.*at .*: x / 0.0$",
     ),
+    (
+        lambda u, x, p: numerics.where(u > 0.0, x, (1.0, 2.0)),
+        r"test_faithful.py:\d+: .*TypeError: alternatives a number and a tuple of 2: expected two of",
+    ),
+    (
+        lambda u, x, p: numerics.where(u > 0.0, (x, u), (1.0, 2.0, 3.0)),
+        r"test_faithful.py:\d+: .*TypeError: alternatives a tuple of 2 and a tuple of 3: expected two of one",
+    ),
     (lambda u, x, p: (x, u), r"step returns State.x as a tuple: expected one number"),
 ]
 
