@@ -70,6 +70,8 @@ class Changes:
             name, value = _parts("--set", assignment, "component.variable=value or component=FMU")
             if "." in name:
                 settings[name] = _value(value)
+            elif name in components:
+                raise ScenarioError(f"{name} = {value}: expected one FMU, got {components[name]} too")
             else:
                 components[name] = value
         return cls(components, settings, _mapping(mapped), open_inputs)
@@ -109,8 +111,8 @@ def _mapping(mapped: Sequence[str]) -> dict[str, dict[str, str]]:
     mapping: dict[str, dict[str, str]] = {}
     for assignment in mapped:
         name, variable = _parts("--map", assignment, "NAME=VARIABLE or component.NAME=VARIABLE")
-        component, _, own = name.rpartition(".")
-        mapping.setdefault(component or CONTROLLER, {})[own] = variable
+        component, own = name.split(".", 1) if "." in name else (CONTROLLER, name)
+        mapping.setdefault(component, {})[own] = variable
     return mapping
 
 

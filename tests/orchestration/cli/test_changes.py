@@ -102,3 +102,13 @@ def test_every_replaced_component_is_in_the_name_of_the_results() -> None:
     changes = Changes.of_options("lib/pid.fmu", ["plant=Other", "plant.inertia=3"])
     assert changes.name("nominal") == "nominal-pid-Other"
     assert changes.title("nominal") == "nominal, controller pid, plant Other"
+
+
+def test_a_component_is_replaced_once() -> None:
+    with pytest.raises(ScenarioError, match=r"^controller = b.fmu: expected one FMU, got a.fmu too$"):
+        Changes.of_options("a.fmu", ["controller=b.fmu"])
+
+
+def test_a_mapped_name_begins_with_its_component() -> None:
+    changes = Changes.of_options(mapped=["controller.pid.x=y", "plant.u=v", "r=w"])
+    assert changes.mapping == {"controller": {"pid.x": "y", "r": "w"}, "plant": {"u": "v"}}
