@@ -2,11 +2,14 @@
 
 import ast
 import importlib.util
+import keyword
 import linecache
 import sys
+import sysconfig
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.machinery import PathFinder
 from pathlib import Path
 from types import ModuleType
 
@@ -44,9 +47,17 @@ def blocks_in(path: Path) -> Iterator[tuple[Block, ...]]:
 def _check_name(path: Path) -> None:
     if not path.is_file():
         files = [file.name for file in path.parent.glob("*.py")]
-        raise ExportError(f"{path}: no such file; {nearest(path.name, files)}")
-    if not path.stem.isidentifier() or path.stem in sys.stdlib_module_names | _OWN:
+        known = nearest(path.name, files) if files else f"{path.parent} has no Python file"
+        raise ExportError(f"{path}: no such file; {known}")
+    if not is_free_module_name(path.stem):
         raise ExportError(f"{path}: {path.stem!r} is no name for a module of yours: rename the file")
+
+
+def is_free_module_name(name: str) -> bool:
+    """Whether a module can have this name and hides none of Python's, of ours, or of an installed package."""
+    if not name.isidentifier() or keyword.iskeyword(name) or name in sys.stdlib_module_names | _OWN:
+        return False
+    return PathFinder.find_spec(name, [sysconfig.get_path(key) for key in ("purelib", "platlib")]) is None
 
 
 def _imported(path: Path) -> ModuleType:
@@ -80,14 +91,16 @@ def _lies_in(folder: Path, name: str) -> bool:
 
 def _defined(module: ModuleType, path: Path) -> tuple[Block, ...]:
     """The blocks of a module, without those that it imports."""
-    statements = ast.parse(path.read_text(encoding="utf-8")).body
+    statements = ast.parse(path.read_bytes()).body
     imports = [statement for statement in statements if isinstance(statement, ast.ImportFrom)]
     imported = {alias.asname or alias.name for statement in imports for alias in statement.names}
     named = {name: value for name, value in vars(module).items() if isinstance(value, Block)}
     blocks = tuple(dict.fromkeys(block for name, block in named.items() if name not in imported))
     if not blocks:
         raise ExportError(f"{path}: no block at the top level of the file; expected BLOCK = Block(...)")
-    names = [block.name for block in blocks]
-    if twice := next((name for name in names if names.count(name) > 1), None):
-        raise ExportError(f"{path}: two blocks named {twice!r}: expected names that differ")
+    names = [block.name.casefold() for block in blocks]  # some file systems do not tell Pid.fmu from PID.fmu
+    if twice := next((block.name for block in blocks if names.count(block.name.casefold()) > 1), None):
+        raise ExportError(
+            f"{path}: two blocks named {twice!r}: expected names that differ, in upper case too"
+        )
     return blocks

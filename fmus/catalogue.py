@@ -1,6 +1,7 @@
 """Building the FMUs of the installed blocks, which `fmus.registry` names, and of the blocks of a file."""
 
 import hashlib
+import keyword
 import re
 import zipfile
 import zlib
@@ -64,8 +65,10 @@ def loaded(name_or_path: str) -> Iterator[tuple[Block, ...]]:
 def verified(block: Block) -> Block:
     """The block, if it takes a step at its start values."""
     name = block.name
-    if not re.fullmatch(r"[A-Za-z](_?[A-Za-z0-9])*", name):
-        raise ExportError(f"block {name!r}: expected ASCII letters, digits and single underscores")
+    if keyword.iskeyword(name) or not re.fullmatch(r"[A-Za-z](_?[A-Za-z0-9])*", name):
+        raise ExportError(
+            f"block {name!r}: expected ASCII letters, digits and single underscores, and no word of Python's"
+        )
     traced(block)  # before a call with numbers, which a function could remember
     trial = Instance(block)
     try:
@@ -113,17 +116,6 @@ def _reference_run(block: Block) -> ReferenceRun:
         own = own_line(error.__cause__) if isinstance(error.__cause__, Exception) else None
         where = f"{own[0]}:{own[1]}: {own[2]}: " if own else location(block.step)
         raise ExportError(f"block {block.name!r}: {where}the reference run ends: {error}") from error
-
-
-def build_file(
-    path: Path, folder: Path, flavour: Flavour = Flavour.NATIVE, platforms: Sequence[str] = ()
-) -> list[Path]:
-    """Write `folder/NAME.fmu` of each block that a Python file defines.
-
-    Nothing is written if one of them cannot be traced; ExportError names the file and the line.
-    """
-    with loaded(str(path)) as blocks:
-        return [build_block(block, folder, flavour, platforms) for block in blocks]
 
 
 def write_cross_check(block: Block, folder: Path) -> list[Path]:

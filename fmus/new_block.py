@@ -2,11 +2,11 @@
 
 import keyword
 import re
-import sys
 from importlib import resources
 from pathlib import Path
 from string import Template
 
+from fmus.block_file import is_free_module_name
 from fmus.errors import ExportError
 from fmus.files import write_text_atomically
 
@@ -18,12 +18,13 @@ def write_new_block(name: str, folder: Path) -> list[Path]:
 
     name: of the module, such as depth_pid; its block is called DepthPid
     """
-    is_taken = name in sys.stdlib_module_names or keyword.iskeyword(name)
+    values = {"module": name, "name": "".join(map(str.capitalize, name.split("_")))}
+    is_taken = not is_free_module_name(name) or keyword.iskeyword(values["name"])
     if is_taken or not re.fullmatch(r"[a-z](_?[a-z0-9])*", name):
         raise ExportError(
-            f"{name!r}: expected lower-case letters, digits and single underscores, and no name of Python's"
+            f"{name!r}: expected lower-case letters, digits and single underscores, and no name of Python's "
+            "or of an installed package"
         )
-    values = {"module": name, "name": "".join(map(str.capitalize, name.split("_")))}
     templates = resources.files("fmus") / "templates"
     texts = {
         folder / file.format(name): Template((templates / template).read_text("utf-8")).substitute(values)

@@ -10,7 +10,7 @@ COUNTERPARTS = {
     "arcsin": "asin", "arcsinh": "asinh", "arctan": "atan", "arctan2": "atan2", "arctanh": "atanh",
     "around": "round", "deg2rad": "radians", "dot": "matmul", "fabs": "absolute", "fix": "trunc",
     "float_power": "power", "fmax": "maximum", "fmin": "minimum", "inner": "matmul", "int": "trunc",
-    "max": "maximum", "min": "minimum", "norm": "hypot", "piecewise": "select", "pow": "power",
+    "max": "maximum", "min": "minimum", "piecewise": "select", "pow": "power",
     "rad2deg": "degrees", "rint": "round", "sorted": "minimum", "sumprod": "matmul", "vdot": "matmul",
 }  # fmt: skip
 
@@ -44,6 +44,7 @@ INSTEAD = {
     "mod": "use x - y * fmus.numerics.floor(x / y)",
     "modf": "use fmus.numerics.fmod(x, 1.0) and fmus.numerics.trunc(x)",
     "nextafter": _CONSTANTS,
+    "norm": "use fmus.numerics.hypot(*x)",
     "perm": _CONSTANTS,
     "range": "use a constant number of turns",
     "sum": "use Python's sum",

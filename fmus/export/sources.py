@@ -8,10 +8,13 @@ import ast
 import importlib.util
 import re
 import sys
+import tokenize
 from pathlib import Path
 
 from fmus.block import Block
 from fmus.errors import ExportError
+
+_CODING = re.compile(r"^([ \t\f]*#.*?coding[:=][ \t]*)[-\w.]+", re.MULTILINE)  # PEP 263
 
 SHARED_BY_EVERY_FMU = ("fmus.export.slave",)
 
@@ -78,7 +81,9 @@ def _read(name: str) -> str:
     spec = importlib.util.find_spec(name)
     if spec and spec.submodule_search_locations and spec.origin is None:  # a folder without __init__.py
         return ""
-    return _file(name).read_text(encoding="utf-8")
+    with tokenize.open(_file(name)) as file:
+        source = file.read()
+        return source if file.encoding.startswith("utf-8") else _CODING.sub(r"\1utf-8", source, count=1)
 
 
 def _imported(name: str, source: str, folder: Path | None) -> list[str]:

@@ -99,9 +99,19 @@ def _loadable(names: list[str] | None) -> tuple[list[str], list[str]]:
     from fmus.errors import ExportError
 
     chosen, failures = [], []
+    sources: dict[
+        str, str
+    ] = {}  # name of an FMU in lower case, since some file systems know no other -> block
     for name in names or block_names():
         try:
-            with catalogue.loaded(name):
+            with catalogue.loaded(name) as blocks:
+                for block in blocks:
+                    if first := sources.get(block.name.casefold()):
+                        raise ExportError(
+                            f"{name}: block {block.name!r} would replace the FMU of {first}: "
+                            "expected names that differ, in upper case too"
+                        )
+                    sources[block.name.casefold()] = f"block {block.name!r} of {name}"
                 chosen.append(name)
         except ExportError as error:
             if names:

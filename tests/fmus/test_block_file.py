@@ -1,5 +1,6 @@
 """The blocks of a Python file: found, built in both flavours, and each mistake named with its line."""
 
+import ast
 import re
 import runpy
 import subprocess
@@ -12,6 +13,7 @@ import pytest
 from fmus import catalogue
 from fmus.block_file import blocks_in
 from fmus.errors import ExportError
+from fmus.export.sources import source_closure
 from fmus.new_block import write_new_block
 from fmus.registry import Flavour
 
@@ -73,7 +75,8 @@ def test_the_python_flavour_carries_what_lies_beside_the_file(tmp_path: Path) ->
         "from folder.more import GAIN as H\nfrom folder import more\nimport folder.more as m"
     )
     path = write(tmp_path, imports, "(GAIN + gains.GAIN + g.GAIN + H + more.GAIN + m.GAIN) * u.u")
-    (fmu,) = catalogue.build_file(path, tmp_path / "out", Flavour.PYTHON)
+    with catalogue.loaded(str(path)) as (block,):
+        fmu = catalogue.build_block(block, tmp_path / "out", Flavour.PYTHON)
     with zipfile.ZipFile(fmu) as archive:
         archive.extractall(tmp_path / "unpacked")
     (entry,) = (tmp_path / "unpacked" / "resources").glob("lowpass_*.py")
@@ -121,6 +124,7 @@ def test_a_file_that_cannot_be_imported_is_named_with_the_line(
     [
         ("", r"lowpass\.py: no block at the top level of the file; expected BLOCK = Block\("),
         ("Same Other", r"lowpass\.py: two blocks named 'Same': expected names that differ"),
+        ("Case CASE", r"lowpass\.py: two blocks named 'Case': expected names that differ, in upper case too"),
     ],
 )
 def test_a_file_has_blocks_of_different_names(names: str, message: str, tmp_path: Path) -> None:
@@ -136,6 +140,8 @@ def test_a_file_has_blocks_of_different_names(names: str, message: str, tmp_path
         ("lowpas.py", r"lowpas\.py: no such file; nearest is 'lowpass\.py'"),
         ("signal.py", r"signal\.py: 'signal' is no name for a module of yours: rename the file"),
         ("low-pass.py", r"'low-pass' is no name for a module of yours"),
+        ("class.py", r"'class' is no name for a module of yours"),
+        ("numpy.py", r"'numpy' is no name for a module of yours"),
     ],
 )
 def test_a_file_that_cannot_be_a_module_is_refused(file: str, message: str, tmp_path: Path) -> None:
@@ -144,6 +150,27 @@ def test_a_file_that_cannot_be_a_module_is_refused(file: str, message: str, tmp_
         (tmp_path / file).write_text(text)
     with pytest.raises(ExportError, match=message), blocks_in(tmp_path / file):
         pass
+
+
+def test_a_folder_without_a_python_file_is_named(tmp_path: Path) -> None:
+    message = f"{tmp_path / 'pid.py'}: no such file; {tmp_path} has no Python file"
+    with pytest.raises(ExportError, match=re.escape(message)), blocks_in(tmp_path / "pid.py"):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("encoding", "first_line"), [("utf-8-sig", ""), ("latin-1", "# -*- coding: latin-1 -*-\n")]
+)
+def test_a_file_may_declare_its_encoding(encoding: str, first_line: str, tmp_path: Path) -> None:
+    """The python flavour carries it as UTF-8, without a declaration of another encoding."""
+    path = write(tmp_path)
+    text = first_line + path.read_text().replace('"A low', '"\xc4 low')
+    path.write_text(text, encoding=encoding)
+    with blocks_in(path) as (block,):
+        assert block.description == "\xc4 low-pass filter"
+        source = source_closure("lowpass")["lowpass"].encode()
+    assert ast.dump(ast.parse(source)) == ast.dump(ast.parse(text))
+    assert not source.startswith("\ufeff".encode())
 
 
 def test_a_new_block_passes_its_test(tmp_path: Path) -> None:
@@ -164,7 +191,9 @@ def test_a_new_block_replaces_no_file(tmp_path: Path) -> None:
     assert (tmp_path / "test_pid.py").read_text() == "mine"
 
 
-@pytest.mark.parametrize("name", ["Pid", "signal", "lambda", "a-b", "../pid", "", "pid.py"])
+@pytest.mark.parametrize(
+    "name", ["Pid", "signal", "lambda", "a-b", "../pid", "", "pid.py", "orchestration", "numpy", "none"]
+)
 def test_a_name_that_no_module_can_have_is_refused(name: str, tmp_path: Path) -> None:
     with pytest.raises(ExportError, match=r": expected lower-case letters"):
         write_new_block(name, tmp_path)

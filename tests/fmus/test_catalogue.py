@@ -53,6 +53,13 @@ def test_an_entry_point_must_lead_to_a_block(offer: object) -> None:
         catalogue.load_block("Mine")
 
 
+@pytest.mark.parametrize("name", ["None", "class", "two__parts", "2nd", ""])
+def test_a_name_that_no_class_and_no_identifier_of_c_can_have_is_refused(name: str) -> None:
+    block = replace(catalogue.load_block("ExamplePlant"), name=name)
+    with pytest.raises(ExportError, match=f"block {name!r}: expected ASCII letters, digits and single"):
+        catalogue.verified(block)
+
+
 def test_a_block_that_cannot_take_a_step_is_refused(offer: object) -> None:
     plant = catalogue.load_block("ExamplePlant")
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fmus import numerics as n
-from fmus.export.advice import COUNTERPARTS, INSTEAD
+from fmus.export.advice import COUNTERPARTS, INSTEAD, advice
 
 FINITE = st.floats(-1e3, 1e3)
 POSITIVE = st.floats(1e-3, 1e3)
@@ -100,6 +100,10 @@ def test_every_function_of_math_is_offered_or_its_refusal_says_what_to_do() -> N
     offered = {name for name in functions if COUNTERPARTS.get(name, name) in n.__all__}
     assert functions - offered == functions & INSTEAD.keys()
     assert not offered & INSTEAD.keys()
+
+
+def test_the_norm_of_a_vector_is_answered_with_a_call_that_takes_its_coordinates() -> None:
+    assert advice("norm(x)", "y = norm(x)", "") == "use fmus.numerics.hypot(*x)"
 
 
 def test_counterparts_exist() -> None:

@@ -80,6 +80,19 @@ def test_a_broken_block_of_another_package_is_named_and_stops_no_other(
     assert "'Broken': its entry point no_such_package:BLOCK cannot be loaded" in done.stderr
 
 
+def test_two_blocks_that_would_be_written_to_one_file_are_refused(command: Command, refused: Command) -> None:
+    command("new", "pid")
+    text = Path("pid.py").read_text()
+    Path("a").mkdir()
+    Path("a", "pid.py").write_text(text.replace('"Pid"', '"PID"'))
+    message = refused("build", "pid.py", "a/pid.py")
+    assert (
+        "a/pid.py: block 'PID' would replace the FMU of block 'Pid' of pid.py: expected names that differ"
+        in message
+    )
+    assert not Path("fmus-built").exists()
+
+
 @pytest.mark.slow
 def test_build_without_names_builds_all_that_ship(command: Command, tmp_path: Path) -> None:
     command("build", "--out", "out")
