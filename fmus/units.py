@@ -99,6 +99,7 @@ def _converted(name: str) -> tuple[dict[str, int], Decimal, Decimal]:
         if not _GRAMMAR.fullmatch(name):
             raise ValueError(name)
         parsed = _registry().parse_units(name)
+        _check_plurals(name)
         origin, one = (_registry().Quantity(Decimal(i), parsed).to_base_units() for i in range(2))
         powers = {_PINT_NAMES[base]: power for base, power in origin.unit_items()}
     except pint.UndefinedUnitError as error:
@@ -106,6 +107,8 @@ def _converted(name: str) -> tuple[dict[str, int], Decimal, Decimal]:
         known = nearest(unknown, [*BASE_UNITS, *dir(_registry())])
         part = "" if unknown == name else f": no unit {unknown!r}"
         raise ExportError(f"unknown unit {name!r}{part}; {known}") from None
+    except ExportError:
+        raise
     except (KeyError, TypeError) as error:  # bits and the like; decibels and other logarithms
         raise ExportError(f"unit {name!r}: expected one of powers of {', '.join(_BASES)}") from error
     except Exception as error:
@@ -114,6 +117,16 @@ def _converted(name: str) -> tuple[dict[str, int], Decimal, Decimal]:
         raise ExportError(f"unit {name!r}: expected one of whole powers of {', '.join(_BASES)}")
     exponents = {base: int(powers[base]) for base in _BASES if base in powers}
     return exponents, one.magnitude - origin.magnitude, origin.magnitude
+
+
+def _check_plurals(name: str) -> None:
+    """Refuse the plural of a symbol, of at most four letters: Nms and Pas can be meant as products with s."""
+    for symbol in re.findall(r"(?<![^\W\d])([^\W\d]{2,4})s(?![^\W\d])", name):
+        one, several = (_registry().parse_unit_name(token)[:1] for token in (symbol, f"{symbol}s"))
+        if one and one == several and not symbol.endswith(one[0][1]):
+            raise ExportError(
+                f"unit {name!r}: '{symbol}s' is a plural of {symbol!r}: expected {symbol!r} or '{symbol}.s'"
+            )
 
 
 @cache

@@ -31,6 +31,9 @@ def test_the_table_says_what_pint_says(name: str) -> None:
         ("mol/l", Unit({"mol": 1, "m": -3}, 1e3)),
         ("lm", Unit({"cd": 1, "rad": 2})),
         ("%", Unit({}, 0.01)),
+        ("metres", Unit({"m": 1})),  # the plural of a name, not of a symbol
+        ("days", Unit({"s": 1}, 86400.0)),
+        ("ms", Unit({"s": 1}, 1e-3)),
     ],
 )
 def test_a_value_in_base_units_is_factor_times_value_plus_offset(name: str, expected: Unit) -> None:
@@ -52,6 +55,10 @@ def test_a_value_in_a_display_unit_is_factor_times_value_plus_offset() -> None:
     [
         ("kgg", "unknown unit 'kgg'; nearest is 'kg'"),
         ("N/(m.sek)", r"unknown unit 'N/\(m.sek\)': no unit 'sek'; nearest is 'sec'"),
+        ("Nms/rad", r"unit 'Nms/rad': 'Nms' is a plural of 'Nm': expected 'Nm' or 'Nm\.s'"),
+        ("Pas", r"expected 'Pa' or 'Pa\.s'"),
+        ("kNms", r"expected 'kNm' or 'kNm\.s'"),
+        ("MPas", r"expected 'MPa' or 'MPa\.s'"),
         ("byte", "expected one of powers of kg, m, s, A, K, mol, cd, rad"),
         ("dB", "expected one of powers of kg"),  # a logarithm has no factor
         ("G", "expected one of whole powers of kg"),  # of Gaussian units
