@@ -52,6 +52,12 @@ def test_each_rule_is_a_test_and_a_good_fmu_fails_none(judged: subprocess.Comple
     assert set(good.values()) == {"PASSED"}
 
 
+def test_a_good_fmu_is_exit_status_0(built: Mapping[str, Path], tmp_path: Path) -> None:
+    done = run_pytest(tmp_path, "-q", "-k", "archive", "--fmu", str(built[NAME]))
+    assert " passed" in done.stdout
+    assert done.returncode == 0
+
+
 def test_a_broken_fmu_fails_the_tests_of_the_rules_that_it_breaks(
     judged: subprocess.CompletedProcess[str],
 ) -> None:
