@@ -253,7 +253,7 @@ def test_a_block_that_leaves_the_domain_of_a_function_is_refused_with_the_line(t
     path = tmp_path / "root.py"
     path.write_text(LEAVES_ITS_DOMAIN)
     with pytest.raises(ExportError) as refused:
-        catalogue.build_file(path, tmp_path, Flavour.PYTHON)
+        catalogue.fmu_of_file(path, Flavour.PYTHON)
     assert f"block 'Root': {path}:20: sqrt(1.0 - s.x): the reference run ends: step to 0.3" in str(
         refused.value
     )
