@@ -11,15 +11,16 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from fmpy.model_description import ModelDescription
+from fmpy.model_description import ModelDescription, ScalarVariable
 
 from orchestration.errors import ScenarioError, ScenarioWarning, SystemDefinitionError
 from orchestration.scenarios.layers import Data, Layer, source_of, with_events
+from orchestration.system.prepared_run import has_start_value
 from orchestration.system.system import Port
 from orchestration.system.values import fmi_value
 
 _SETTABLE = ("parameter", "input")
-_RECORDED = ("output", "input")
+_ANY = ()
 _SIGNALS_OF_METRICS = ("signal", "reference")
 
 Describe = Callable[[str], ModelDescription]
@@ -156,13 +157,13 @@ class _Fitting:
 
     def layer(self, data: Data) -> Data:
         result = dict(data)
-        for table, causalities in (("parameters", ("parameter",)), ("inputs", ("input",))):
+        for table, causalities in (("parameters", _ANY), ("inputs", ("input",))):
             result |= self._table(data, table, causalities, is_value=True)
         result |= self._table(data, "signals", ("input",))
         if "vary" in data.get("sweep", {}):
             result["sweep"] = data["sweep"] | self._table(data["sweep"], "vary", _SETTABLE)
         result |= self._list(data, "connections", self._connection)
-        result |= self._list(data, "record", lambda name: self._fits("records", name, name, _RECORDED))
+        result |= self._list(data, "record", lambda name: self._fits("records", name, name, _ANY))
         result |= self._list(
             data, "faults", lambda fault: self._fits("faults", fault["input"], fault["input"], ("input",))
         )
@@ -208,14 +209,15 @@ class _Fitting:
 
     def _metric(self, name: str, metric: Any) -> bool:
         signals = [metric.get(key, "") for key in _SIGNALS_OF_METRICS] if metric else []
-        return all(self._fits("metrics", name, signal, _RECORDED) for signal in signals)
+        return all(self._fits("metrics", name, signal, _ANY) for signal in signals)
 
     def _fits(self, kind: str, shown: str, name: str, causalities: Sequence[str], value: Any = None) -> bool:
         component, _, variable = name.partition(".")
         replacement = self._replaced.get(component)
         if replacement is None:
             return True
-        if _takes(replacement.ports.get(variable), causalities, value):
+        port = replacement.ports.get(variable)
+        if port and _has_part(port.variable, kind) and _takes(port, causalities, value):
             if kind == "parameters":
                 replacement.kept[name] = value
             return True
@@ -225,9 +227,16 @@ class _Fitting:
         return False
 
 
-def _takes(port: Port | None, causalities: Sequence[str], value: Any) -> bool:
-    """Whether a variable has one of the causalities, and takes the value if there is one."""
-    if port is None or port.variable.causality not in causalities:
+def _has_part(variable: ScalarVariable, kind: str) -> bool:
+    """Whether a variable can be set before a run, or during it, if that kind of entry does so."""
+    if kind == "parameters":
+        return has_start_value(variable)
+    return kind != "events" or variable.variability != "fixed"
+
+
+def _takes(port: Port, causalities: Sequence[str], value: Any) -> bool:
+    """Whether a variable has one of the causalities, if any are given, and takes the value if given."""
+    if causalities and port.variable.causality not in causalities:
         return False
     try:
         return value is None or value is False or fmi_value(port, value) is not None

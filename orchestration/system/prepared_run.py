@@ -207,7 +207,7 @@ def _settings(system: CheckedSystem, experiment: Experiment) -> tuple[Setting, .
     settings = []
     for name, value in experiment.parameters.items():
         port = system.port(name, "parameter")
-        if not _has_start_value(port.variable):
+        if not has_start_value(port.variable):
             kind = f"{port.variable.causality} with initial = {port.variable.initial or 'calculated'}"
             raise SystemDefinitionError(
                 f'{name}: expected a parameter, or a variable with initial = "exact" or "approx", got {kind}'
@@ -220,7 +220,7 @@ def _settings(system: CheckedSystem, experiment: Experiment) -> tuple[Setting, .
     return (*settings, *starts)
 
 
-def _has_start_value(variable: ScalarVariable) -> bool:
+def has_start_value(variable: ScalarVariable) -> bool:
     """Whether a variable that is no input can be set before the initialisation (FMI 2.0.5, 4.2.4)."""
     if variable.variability == "constant" or variable.causality in ("input", "independent"):
         return False

@@ -1,5 +1,6 @@
 """A component of a scenario is replaced by another FMU: what it inherits, and what is dropped."""
 
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -143,3 +144,26 @@ def test_a_shipped_base_has_a_name(tmp_path: Path) -> None:
     assert loaded.resolved["components"] == {"plant": "RovDepthPlant", "controller": "L1DepthController"}
     with pytest.raises(ScenarioError, match=r"no scenario 'vehicl'; nearest is 'vehicle'"):
         scenario.load(child(tmp_path, base="vehicl"))
+
+
+def test_what_the_new_fmu_can_take_is_not_dropped_for_its_causality(tmp_path: Path) -> None:
+    """Any variable can be recorded, and an output with initial = "exact" has a start value to set."""
+    fmu = described(tmp_path / "pid.fmu", INPUTS, VOLTAGES, ("internal_step", "u_m"))
+    with zipfile.ZipFile(fmu) as archive:
+        text = archive.read("modelDescription.xml").decode()
+    with zipfile.ZipFile(fmu, "w") as archive:
+        parameter, output = 'parameter" variability="tunable"', 'output" variability="continuous"'
+        first = text.replace(parameter, f'{output} initial="exact"', 1)
+        archive.writestr("modelDescription.xml", first)
+    with pytest.warns(ScenarioWarning):
+        loaded = scenario.load(child(tmp_path), settings={"controller": str(fmu)})
+    assert loaded.experiment.parameters["controller.internal_step"] == 0.02
+    assert "controller.u_m" in loaded.experiment.record
+
+
+def test_an_event_on_what_is_fixed_in_the_new_fmu_is_dropped(tmp_path: Path) -> None:
+    event = '[[events]]\ntime = 1.0\nset = { "controller.internal_step" = 0.04 }\n'
+    with_controller(tmp_path, event)
+    with pytest.warns(ScenarioWarning, match=r"events controller.internal_step"):
+        loaded = scenario.load(tmp_path / "child.toml", settings={"controller": "L1DepthController"})
+    assert loaded.experiment.events == ()
