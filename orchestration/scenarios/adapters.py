@@ -127,12 +127,12 @@ def _with_names(value: Any, names: Mapping[str, str], layer: Layer, keys: KeyPat
         old_names: dict[str, str] = {}
         for key, item in value.items():
             name, renamed = names.get(key, key), _with_names(item, names, layer, (*keys, key))
-            if result.setdefault(name, renamed) != renamed:
+            if name in result and result[name] != renamed:
                 raise ScenarioError(
                     f"{layer.at((*keys, key))}: {'.'.join(map(str, keys))}: {old_names[name]} and {key} both "
                     f"stand for {name}: expected one value, got {result[name]!r} and {renamed!r}"
                 )
-            old_names[name] = key
+            result[name], old_names[name] = renamed, key
         return result
     if isinstance(value, list):
         return [_with_names(item, names, layer, (*keys, index)) for index, item in enumerate(value)]
