@@ -1,7 +1,7 @@
-"""A program in a process that another one waits for, which tells of an end that the program did not decide.
+"""A program in a process that another one waits for, which reports an end that the program did not decide.
 
 An FMU can end the process that it runs in, with status 0 (`_exit(0)`) or by a crash, and nothing in that
-process can tell of it. So the command line runs in a child process. Both share memory: which FMU is busy, and
+process can report it then. So the command line runs in a child process. Both share memory: which FMU is busy, and
 the names. On macOS and Windows there is no child: Python cannot wait there for signals and a process at once.
 """
 
@@ -35,9 +35,7 @@ def run_watched(program: Callable[[], int]) -> int:
     _page = mmap.mmap(-1, _PAGE)
     lifeline, end = os.pipe()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {*_INTERRUPTS, signal.SIGCHLD})
-    signal.signal(
-        signal.SIGCHLD, signal.SIG_DFL
-    )  # where it is ignored, no status of a child can be waited for
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # where it is ignored, a child leaves no status
     child = os.fork()
     if child:
         os.close(lifeline)
@@ -91,12 +89,12 @@ def _status_of(child: int, page: mmap.mmap) -> int:
         if received.si_signo == signal.SIGCHLD:
             number, status = os.waitpid(child, os.WNOHANG)
             if number:
-                return _judged(os.waitstatus_to_exitcode(status), page)
+                return _exit_status(os.waitstatus_to_exitcode(status), page)
         elif received.si_code <= 0:  # of a process
             os.kill(child, received.si_signo)
 
 
-def _judged(status: int, page: mmap.mmap) -> int:
+def _exit_status(status: int, page: mmap.mmap) -> int:
     """The exit status for that of the child, after a line on standard error if its end was not meant."""
     if page[0]:
         return status if status >= 0 else 128 - status

@@ -94,6 +94,22 @@ def test_the_agent_takes_the_place_of_the_component(task: Task) -> None:
     assert task.experiment.record == (POSITION,)
 
 
+def misbehaving(task: Task, rogue: Build, misdeed: Misdeed, time: float) -> Task:
+    """Of a plant that does it from that time [s]."""
+    parameters = {"plant.misdeed": int(misdeed), "plant.misdeed_time": time}
+    return replace(
+        task,
+        system=System({"plant": rogue(saves_state=True)}),
+        experiment=Experiment(1.0, 0.1, parameters=parameters),
+        actions=("plant.u",),
+        observations=("plant.y",),
+        reward=lambda before, after, h: h,
+        bounds={"plant.u": (0.0, 1.0)},
+        reads=(),
+        vary={},
+    )
+
+
 @pytest.mark.parametrize("steps", [1, 5])
 @pytest.mark.parametrize("count", [1, 2])
 def test_rewards_add_up_to_the_metric_of_the_run(task: Task, steps: int, count: int) -> None:
@@ -128,19 +144,7 @@ def test_inputs_that_nothing_drives_may_be_open(linear: Build, task: Task) -> No
 
 
 def test_an_environment_begins_anew_after_a_fatal_error(rogue: Build, task: Task) -> None:
-    parameters = {"plant.misdeed": int(Misdeed.FATAL), "plant.misdeed_time": 0.15}
-    fatal = replace(
-        task,
-        system=System({"plant": rogue(saves_state=True)}),
-        experiment=Experiment(1.0, 0.1, parameters=parameters),
-        actions=("plant.u",),
-        observations=("plant.y",),
-        reward=lambda before, after, h: h,
-        bounds={"plant.u": (0.0, 1.0)},
-        reads=(),
-        vary={},
-    )
-    with closing(FmuEnv(fatal)) as env:
+    with closing(FmuEnv(misbehaving(task, rogue, Misdeed.FATAL, 0.15))) as env:
         first = env.reset()[0]
         with pytest.raises(SimulationError, match="fatal"):
             [env.step(np.zeros(1)) for _ in range(4)]
@@ -202,19 +206,7 @@ def test_an_episode_without_draws_begins_like_the_first(task: Task) -> None:
 
 
 def test_an_fmu_that_terminates_the_simulation_terminates_the_episode(rogue: Build, task: Task) -> None:
-    parameters = {"plant.misdeed": int(Misdeed.TERMINATE), "plant.misdeed_time": 0.35}
-    short = replace(
-        task,
-        system=System({"plant": rogue(saves_state=True)}),
-        experiment=Experiment(1.0, 0.1, parameters=parameters),
-        actions=("plant.u",),
-        observations=("plant.y",),
-        reward=lambda before, after, h: h,
-        bounds={"plant.u": (0.0, 1.0)},
-        reads=(),
-        vary={},
-    )
-    with closing(FmuEnv(short)) as env:
+    with closing(FmuEnv(misbehaving(task, rogue, Misdeed.TERMINATE, 0.35))) as env:
         env.reset()
         steps = [env.step(np.zeros(1)) for _ in range(4)]
     assert [step[2] for step in steps] == [False, False, False, True]

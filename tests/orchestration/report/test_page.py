@@ -46,7 +46,8 @@ def test_a_heading_sorts_its_column_as_numbers_and_back(everything: OpenedPage) 
     metric, mean = (heading(everything, text) for text in ("Metric", "mean"))
     everything.click(mean.find_element("tag name", "button"))
     ascending = values()
-    assert ascending == sorted(ascending)  # -10 before -2: not as texts
+    assert ascending == sorted(ascending)
+    assert ascending != sorted(ascending, key=str)  # 5.5 before 10.5: not as texts
     assert ascending[0] < 0.0
     assert mean.get_attribute("aria-sort") == "ascending"
     everything.click(mean.find_element("tag name", "button"))
