@@ -1,8 +1,9 @@
 """A program in a process that another one waits for, which reports an end that the program did not decide.
 
 An FMU can end the process that it runs in, with status 0 (`_exit(0)`) or by a crash, and nothing in that
-process can report it then. So the command line runs in a child process. Both share memory: which FMU is busy, and
-the names. On macOS and Windows there is no child: Python cannot wait there for signals and a process at once.
+process can report it then. So the command line runs in a child process. Both share memory: which FMU is
+busy, and the names. On macOS and Windows there is no child: Python cannot wait there for signals and a
+process at once.
 """
 
 import _thread
