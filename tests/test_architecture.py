@@ -85,6 +85,7 @@ LEVELS = {
     "orchestration.sweep": 9,
     "orchestration.gym": 9,
     "orchestration.report": 10,
+    "orchestration.study": 10,
     "orchestration.cli": 11,
     "orchestration": 12,  # the names that it exports, each imported when it is asked for
 }
@@ -223,6 +224,7 @@ EXTRAS = {
     "orchestration.gym": {"gym"},
     "orchestration.report": {"report"},
     "orchestration.results": {"tables"},
+    "orchestration.study": {"study"},
     "orchestration.sweep": {"sweep"},
 }
 
@@ -259,7 +261,7 @@ def test_what_is_declared_is_imported() -> None:
     declared = project()
     imported = {name: third_party(path) for name, path in MODULES.items()}
     assert declared[""] <= set().union(*imported.values()) | {"ziglang"}  # a program, in toolchain.py
-    for extra in ("check", "gym", "report", "sweep", "tables"):
+    for extra in ("check", "gym", "report", "study", "sweep", "tables"):
         rooms = [name for name, extras in EXTRAS.items() if extra in extras]
         users = [names for module, names in imported.items() if room(module) in rooms]
         assert declared[extra] <= set().union(*users), f"the extra {extra!r}"

@@ -1,0 +1,1 @@
+"""Controllers compared on one vehicle: the protocol, the score, margins, tuning."""

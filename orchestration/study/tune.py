@@ -1,0 +1,179 @@
+"""Tuning: one optimiser, the same number of evaluations for each free gain, several seeds, for every law.
+
+The searches of all seeds go on together, a generation of each at a time, so that several processes have work.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from orchestration.errors import OrchestrationError
+from orchestration.scenarios.worker_pool import Submit
+from orchestration.study.tune_journal import Journal
+from orchestration.study.tune_search import Search
+from orchestration.study.tune_space import FreeGain
+
+OPTIMISER = "CMA-ES"
+LAST_PART = 0.25  # of the evaluations of a search: what they still gain shows whether the cost is flat
+LARGEST_IMPROVEMENT = 0.02  # of the cost, in the last part
+LARGEST_SPREAD = 0.05  # of the lowest cost, between the seeds
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is tuned.
+
+    gains: those that are free
+    cost: a function of a module, {gain: value} -> {"cost": a finite number, and what else is of interest}
+    tuned: plain data that says what the cost depends on; a journal of something else is refused
+    """
+
+    gains: tuple[FreeGain, ...]
+    cost: Callable[[dict[str, float]], Mapping[str, Any]]
+    tuned: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """What the search of one seed ended at.
+
+    curve: the lowest cost after each evaluation; figures: of the best gains
+    """
+
+    seed: int
+    gains: Mapping[str, float]
+    figures: Mapping[str, Any]
+    curve: tuple[float, ...]
+
+    @property
+    def cost(self) -> float:
+        return self.curve[-1]
+
+    @property
+    def improvement(self) -> float:
+        """How much lower the cost became in the last part of the evaluations, relative to what it was."""
+        before = self.curve[int((1.0 - LAST_PART) * len(self.curve)) - 1]
+        return (before - self.cost) / before if before else 0.0
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """The searches of all seeds."""
+
+    problem: Problem
+    searches: tuple[SearchResult, ...]
+
+    @property
+    def best(self) -> SearchResult:
+        return min(self.searches, key=lambda search: search.cost)
+
+    @property
+    def evaluations(self) -> int:
+        return sum(len(search.curve) for search in self.searches)
+
+    @property
+    def spread(self) -> float:
+        """Between the costs of the seeds, relative to the lowest."""
+        lowest = self.best.cost
+        return (max(search.cost for search in self.searches) - lowest) / lowest if lowest else 0.0
+
+    @property
+    def improvement(self) -> float:
+        """The largest of the searches'."""
+        return max(search.improvement for search in self.searches)
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether more evaluations, or other seeds, would hardly lower the cost."""
+        return self.improvement <= LARGEST_IMPROVEMENT and self.spread <= LARGEST_SPREAD
+
+
+def tune(
+    problem: Problem,
+    seeds: Sequence[int],
+    evaluations_per_gain: int,
+    path: Path,
+    submit: Submit,
+    progress: Callable[[int, float], None] = lambda done, cost: None,
+) -> Tuning:
+    """Search the gains of least cost; the same seeds give the same gains, interrupted or not.
+
+    path: of the journal, which holds what is done
+    progress: called with how many more evaluations are done, and the lowest cost until then
+    """
+    evaluations = evaluations_per_gain * len(problem.gains)
+    if evaluations < 1 or not seeds:
+        raise OrchestrationError("nothing to tune: expected a gain, a seed and an evaluation or more")
+    journal = Journal(path, {**problem.tuned, **_what_is_searched(problem, evaluations)})
+    done = journal.begin()
+    searches = [_SeedSearch(problem, seed, evaluations) for seed in seeds]
+    lowest = float("inf")
+    while rows := [row for search in searches for row in search.ask()]:
+        pending = [
+            (row, None if (row["seed"], row["evaluation"]) in done else submit(problem.cost, row["gains"]))
+            for row in rows
+        ]
+        for row, future in pending:
+            if future is None:
+                finished = done[row["seed"], row["evaluation"]]
+                _check_same(row, finished, path)
+            else:
+                finished = {**row, **future.result()}
+                journal.add(finished)
+            row.update(finished)
+            lowest = min(lowest, row["cost"])
+            progress(1, lowest)
+        for search in searches:
+            search.tell()
+    return Tuning(problem, tuple(search.result() for search in searches))
+
+
+def _what_is_searched(problem: Problem, evaluations: int) -> dict[str, Any]:
+    return {
+        "gains": {gain.name: [gain.low, gain.high] for gain in problem.gains},
+        "evaluations": evaluations,
+        "optimiser": f"{OPTIMISER} (cmaes {version('cmaes')})",
+    }
+
+
+def _check_same(row: Mapping[str, Any], stored: Mapping[str, Any], path: Path) -> None:
+    if stored["gains"] != row["gains"]:
+        raise OrchestrationError(
+            f"{path}: evaluation {row['evaluation']} of seed {row['seed']} has other gains than the "
+            "search asks for: expected the same libraries as before; --restart discards it"
+        )
+
+
+class _SeedSearch:
+    """The search of one seed, with every evaluation that it asked for."""
+
+    def __init__(self, problem: Problem, seed: int, evaluations: int) -> None:
+        self._gains, self._seed = problem.gains, seed
+        self._search = Search(len(problem.gains), seed, evaluations)
+        self._rows: list[dict[str, Any]] = []
+        self._asked = 0
+
+    def ask(self) -> list[dict[str, Any]]:
+        """The evaluations of the next generation, each to be completed with its cost."""
+        points = self._search.ask()
+        self._asked = len(points)
+        for point in points:
+            gains = {gain.name: gain.value(float(x)) for gain, x in zip(self._gains, point, strict=True)}
+            self._rows.append({"seed": self._seed, "evaluation": len(self._rows), "gains": gains})
+        return self._rows[len(self._rows) - self._asked :]
+
+    def tell(self) -> None:
+        if self._asked:
+            self._search.tell([row["cost"] for row in self._rows[-self._asked :]])
+
+    def result(self) -> SearchResult:
+        curve: list[float] = []
+        for row in self._rows:
+            curve.append(min(row["cost"], *curve[-1:]) if curve else row["cost"])
+        best = min(self._rows, key=lambda row: row["cost"])
+        figures = {
+            key: value for key, value in best.items() if key not in ("seed", "evaluation", "gains", "cost")
+        }
+        return SearchResult(self._seed, best["gains"], figures, tuple(curve))

@@ -1,0 +1,80 @@
+"""The file of a tuning: gains for `parameter_files` of a scenario, and how far they can be trusted."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from fmus.files import write_text_atomically
+from orchestration.study.tune import LARGEST_IMPROVEMENT, LARGEST_SPREAD, LAST_PART, SearchResult, Tuning
+
+CRITERION = (
+    f"flat: no seed lowers its cost by more than {100 * LARGEST_IMPROVEMENT:g} % in the last "
+    f"{100 * LAST_PART:g} % of its evaluations, and the costs of the seeds differ by at most "
+    f"{100 * LARGEST_SPREAD:g} % of the lowest"
+)
+
+
+def write(tuning: Tuning, fixed: Mapping[str, Any], provenance: Mapping[str, Any], path: Path) -> None:
+    """Write the gains of the best seed, and the cost curves of all.
+
+    fixed: parameters that the tuning did not change, which belong to the law -> value
+    provenance: plain data about the controller, the protocol and the cost
+    """
+    write_text_atomically(path, tomli_w.dumps(document(tuning, fixed, provenance)))
+
+
+def document(tuning: Tuning, fixed: Mapping[str, Any], provenance: Mapping[str, Any]) -> dict[str, Any]:
+    """What the file contains."""
+    best = tuning.best
+    source = (
+        f"tuned: cost {best.cost:.4g} cm of protocol {provenance.get('protocol')}, seed {best.seed}, "
+        f"{len(best.curve)} evaluations of each of {len(tuning.searches)} seeds; not a published value"
+    )
+    chosen = {
+        f"controller.{gain.name}": {
+            "value": best.gains[gain.name],
+            "unit": gain.unit,
+            "limits": [gain.low, gain.high],
+            "at_a_limit": gain.is_at_a_limit(best.gains[gain.name]),
+            "source": source,
+        }
+        for gain in tuning.problem.gains
+    }
+    unchanged = {
+        f"controller.{name}": {"value": value, "source": "fixed: what the law is, not tuned"}
+        for name, value in fixed.items()
+    }
+    return {
+        "tuning": {
+            **provenance,
+            "cost": best.cost,
+            "is_flat": tuning.is_flat,
+            "criterion": CRITERION,
+            "improvement_in_the_last_part": tuning.improvement,
+            "spread_over_seeds": tuning.spread,
+            "evaluations": tuning.evaluations,
+            "figures": dict(best.figures),
+            "seeds": [_seed(search) for search in tuning.searches],
+        },
+        "parameters": {**unchanged, **chosen},
+    }
+
+
+def _seed(search: SearchResult) -> dict[str, Any]:
+    """The curve has a point [evaluations, lowest cost] wherever the cost falls, and one at the end."""
+    curve = [
+        [count, cost]
+        for count, (before, cost) in enumerate(
+            zip((float("inf"), *search.curve), search.curve, strict=False), 1
+        )
+        if cost < before
+    ]
+    return {
+        "seed": search.seed,
+        "cost": search.cost,
+        "improvement_in_the_last_part": search.improvement,
+        "gains": dict(search.gains),
+        "curve": [*curve, [len(search.curve), search.cost]],
+    }

@@ -1,0 +1,181 @@
+"""Tuning on costs that are known: what it finds, how often it asks, how it continues, when a cost is flat."""
+
+import json
+import math
+import tomllib
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from orchestration.errors import OrchestrationError
+from orchestration.scenarios import scenario
+from orchestration.study import tune_file
+from orchestration.study.tune import Problem, SearchResult, Tuning, tune
+from orchestration.study.tune_space import FreeGain
+
+GAINS = (FreeGain("kp", 0.1, 100.0, "N/m"), FreeGain("kd", 0.1, 100.0), FreeGain("offset", -2.0, 2.0))
+OPTIMUM = {"kp": 7.0, "kd": 30.0, "offset": -0.5}
+SEEDS = (1, 2, 3)
+
+
+def known_cost(gains: Mapping[str, float]) -> dict[str, Any]:
+    """A valley that is no sum of functions of one gain, with its least value of 2 at OPTIMUM."""
+    a, b = (math.log(gains[name] / OPTIMUM[name]) for name in ("kp", "kd"))
+    c = gains["offset"] - OPTIMUM["offset"]
+    return {"cost": 2.0 + a**2 + 10.0 * (b - a) ** 2 + (c + 0.5 * a) ** 2, "figures": {"nominal": a}}
+
+
+def at_once(function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+    future: Future[Any] = Future()
+    future.set_result(function(*arguments))
+    return future
+
+
+def tuned(path: Path, cost: Callable[..., Any] = known_cost, evaluations_per_gain: int = 80) -> Tuning:
+    return tune(Problem(GAINS, cost, {"law": "known"}), SEEDS, evaluations_per_gain, path, at_once)
+
+
+class Interrupted:
+    """The known cost, until it is interrupted."""
+
+    def __init__(self, calls: int) -> None:
+        self.calls = calls
+
+    def __call__(self, gains: Mapping[str, float]) -> dict[str, Any]:
+        self.calls -= 1
+        if self.calls < 0:
+            raise KeyboardInterrupt
+        return known_cost(gains)
+
+
+def test_the_search_finds_the_optimum_of_a_known_cost(tmp_path: Path) -> None:
+    tuning = tuned(tmp_path / "journal")
+    for search in tuning.searches:
+        assert search.cost == pytest.approx(2.0, rel=1e-3)  # every seed, with 80 evaluations a gain
+    assert tuning.best.gains == pytest.approx(OPTIMUM, rel=0.05)
+    assert tuning.is_flat
+
+
+def test_one_seed_gives_one_search_and_another_seed_another(tmp_path: Path) -> None:
+    first, second = (tuned(tmp_path / name, evaluations_per_gain=4).searches for name in "ab")
+    assert first == second
+    assert len({search.curve for search in first}) == len(SEEDS)
+
+
+@pytest.mark.parametrize("free", [1, 2, 3])
+def test_every_free_gain_has_the_same_number_of_evaluations(tmp_path: Path, free: int) -> None:
+    asked: list[dict[str, float]] = []
+
+    def cost(gains: dict[str, float]) -> dict[str, float]:
+        asked.append(gains)
+        return {"cost": 1.0}
+
+    tuning = tune(Problem(GAINS[:free], cost), SEEDS, 7, tmp_path / "journal", at_once)
+    assert len(asked) == tuning.evaluations == 7 * free * len(SEEDS)
+    assert {len(search.curve) for search in tuning.searches} == {7 * free}
+    assert all(list(gains) == [gain.name for gain in GAINS[:free]] for gains in asked)
+
+
+def test_gains_stay_within_their_ranges_and_the_first_generation_fills_them(tmp_path: Path) -> None:
+    path = tmp_path / "journal"
+    tuned(path, evaluations_per_gain=10)
+    rows = [json.loads(line) for line in path.read_text().split("\n")[1:]]
+    for gain in GAINS:
+        values = [row["gains"][gain.name] for row in rows]
+        assert gain.low <= min(values) < gain.value(0.3)
+        assert gain.value(0.7) < max(values) <= gain.high
+
+
+@pytest.mark.parametrize("cut_off", [0, 5], ids=["between lines", "in a line"])
+def test_an_interrupted_tuning_continues_to_the_same_result(tmp_path: Path, cut_off: int) -> None:
+    path = tmp_path / "journal"
+    with pytest.raises(KeyboardInterrupt):
+        tuned(path, Interrupted(40), 10)
+    kept = path.read_text()
+    path.write_text(kept[: len(kept) - cut_off])  # as after a power failure
+    done = len(path.read_text().split("\n")) - 1 - (cut_off > 0)
+    rest = Interrupted(10 * len(GAINS) * len(SEEDS) - done)  # not one evaluation is made twice
+    assert done > 10
+    assert tuned(path, rest, 10).searches == tuned(tmp_path / "other", known_cost, 10).searches
+    assert rest.calls == 0
+
+
+def test_the_journal_of_another_tuning_is_refused_and_stays(tmp_path: Path) -> None:
+    path = tmp_path / "journal"
+    tuned(path, evaluations_per_gain=2)
+    before = path.read_text()
+    with pytest.raises(OrchestrationError, match=r"another tuning \(evaluations differ\)"):
+        tuned(path, evaluations_per_gain=3)
+    assert path.read_text() == before
+
+
+def test_a_journal_with_gains_that_the_search_did_not_ask_for_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "journal"
+    tuned(path, evaluations_per_gain=2)
+    first, row, *others = path.read_text().split("\n")
+    changed = json.loads(row)
+    changed["gains"]["kp"] *= 1.001
+    path.write_text("\n".join([first, json.dumps(changed), *others]))
+    with pytest.raises(OrchestrationError, match="evaluation 0 of seed 1 has other gains"):
+        tuned(path, evaluations_per_gain=2)
+
+
+def test_progress_counts_what_is_done_with_the_lowest_cost(tmp_path: Path) -> None:
+    calls: list[tuple[int, float]] = []
+    tuning = tune(
+        Problem(GAINS, known_cost),
+        SEEDS,
+        4,
+        tmp_path / "journal",
+        at_once,
+        lambda done, cost: calls.append((done, cost)),
+    )
+    assert sum(done for done, _ in calls) == tuning.evaluations
+    costs = [cost for _, cost in calls]
+    assert costs == sorted(costs, reverse=True)
+    assert costs[-1] == tuning.best.cost
+
+
+def searched(*curve: float) -> SearchResult:
+    return SearchResult(1, {}, {}, curve)
+
+
+def flat_after(share: float, level: float = 5.0, count: int = 100) -> SearchResult:
+    """Falls by 10 % of the level at that share of the evaluations."""
+    return searched(*(level * (1.1 if i < share * count else 1.0) for i in range(count)))
+
+
+def test_a_cost_is_flat_if_the_last_quarter_gains_little_and_the_seeds_agree() -> None:
+    def is_flat(*searches: SearchResult) -> bool:
+        return Tuning(Problem(GAINS, known_cost), searches).is_flat
+
+    assert is_flat(flat_after(0.5), flat_after(0.74))
+    assert not is_flat(flat_after(0.5), flat_after(0.76))  # 9 % in the last quarter of one seed
+    assert is_flat(flat_after(0.5), flat_after(0.5, level=5.2))
+    assert not is_flat(flat_after(0.5), flat_after(0.5, level=5.3))  # 6 % between the seeds
+    assert flat_after(0.8).improvement == pytest.approx(1.0 - 1.0 / 1.1)
+    assert Tuning(Problem(GAINS, known_cost), (flat_after(0.5), flat_after(0.5, 5.3))).spread == (
+        pytest.approx(0.06)
+    )
+
+
+def test_the_file_holds_gains_for_scenarios_and_says_how_far_to_trust_them(tmp_path: Path) -> None:
+    tuning = tuned(tmp_path / "journal", evaluations_per_gain=10)
+    path = tmp_path / "gains.toml"
+    tune_file.write(tuning, {"law": "pi"}, {"protocol": "7"}, path)
+    best = {f"controller.{name}": value for name, value in tuning.best.gains.items()}
+    assert scenario.parameter_values(path) == {"controller.law": "pi", **best}
+    written = tomllib.loads(path.read_text())
+    assert written["tuning"]["is_flat"] is tuning.is_flat
+    assert written["tuning"]["protocol"] == "7"
+    assert written["tuning"]["evaluations"] == 10 * len(GAINS) * len(SEEDS)
+    assert [table["cost"] for table in written["tuning"]["seeds"]] == [s.cost for s in tuning.searches]
+    entry = written["parameters"]["controller.kp"]
+    assert (entry["unit"], entry["limits"]) == ("N/m", [0.1, 100.0])
+    for table, search in zip(written["tuning"]["seeds"], tuning.searches, strict=True):
+        for count, cost in table["curve"]:
+            assert search.curve[count - 1] == cost
+        assert table["curve"][-1] == [30, search.cost]
