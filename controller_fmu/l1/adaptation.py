@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
-from controller_fmu.l1.matrices import LawMatrices, Matrix, Vector, dot
+from controller_fmu.l1.matrices import LawMatrices, Vector, dot, relaxed
 from controller_fmu.l1.projection import keep_within, projection_factor
 from fmus.numerics import absolute, maximum, sin, sqrt, where
 
@@ -84,7 +84,7 @@ def adapt(
     u_omega = where(p.input_gain_regressor == InputGainRegressor.ADAPTIVE_CONTROL, over.u_a, u)
 
     # without adaptation: x_tilde grows by drift + h B_m eta, s by `growth`
-    x_tilde = _relaxed(matrices.predictor_matrix, 0.5 * h, before.x_tilde)
+    x_tilde = relaxed(matrices.predictor_matrix, 0.5 * h, before.x_tilde)
     drift = (
         h * dot(matrices.predictor_matrix[0], x) - (over.x_1[0] - over.x_0[0]),
         h * dot(matrices.predictor_matrix[1], x) - (over.x_1[1] - over.x_0[1]),
@@ -110,7 +110,7 @@ def adapt(
         x_tilde[1] + drift[1] + b[1] * integral_of_eta,
     )
     after = Estimates(
-        x_tilde=_relaxed(matrices.predictor_matrix, 0.5 * h, unrelaxed),
+        x_tilde=relaxed(matrices.predictor_matrix, 0.5 * h, unrelaxed),
         theta_hat=(keep_within(theta_1, p.theta_bound[0]), keep_within(theta_2, p.theta_bound[1])),
         sigma_hat=keep_within(before.sigma_hat + change * g.sigma, p.sigma_bound),
         omega_hat=p.input_gain + keep_within(away, p.input_gain_uncertainty),
@@ -156,13 +156,3 @@ def _sinc(square: float) -> float:
     """sin(a) / a for the square of a."""
     angle = sqrt(maximum(square, _SMALL_SQUARE))
     return sin(angle) / angle
-
-
-def _relaxed(a_m: Matrix, h: float, vector: Vector) -> Vector:
-    """The vector h seconds later under x' = A_m x, by the implicit midpoint rule."""
-    half = 0.5 * h
-    (a_11, a_12), (a_21, a_22) = a_m
-    m_11, m_12, m_21, m_22 = 1 - half * a_11, -half * a_12, -half * a_21, 1 - half * a_22
-    m = m_11 * m_22 - m_12 * m_21
-    middle = (m_22 * vector[0] - m_12 * vector[1]) / m, (m_11 * vector[1] - m_21 * vector[0]) / m
-    return 2.0 * middle[0] - vector[0], 2.0 * middle[1] - vector[1]

@@ -10,6 +10,7 @@ derived in docs/explanation/theory.md.
 from dataclasses import dataclass
 from typing import Any
 
+from controller_fmu.anti_windup import integrate_error
 from controller_fmu.l1 import augmentation, lowpass
 from controller_fmu.l1.adaptation import Estimates, InputGainRegressor, Interval, Regressor, adapt
 from controller_fmu.l1.augmentation import Augmentation, Threshold
@@ -216,5 +217,5 @@ def law_step(
         estimates=estimates,
         held=given,
         filter=lowpass.advance(p.filter_order, p.filter_bandwidth, law.filter, 0.5 * h, v, shortfall),
-        error_integral=law.error_integral + where(shortfall * -now.error < 0.0, 0.0, h * now.error),
+        error_integral=integrate_error(h, law.error_integral, now.error, shortfall),
     )

@@ -14,6 +14,7 @@ Source: Maalouf et al. (2013), (6), with sigma_hat in eta_hat (docs/fidelity.md)
 from dataclasses import dataclass
 from enum import IntEnum
 
+from controller_fmu.anti_windup import widens
 from fmus.numerics import where
 
 
@@ -64,4 +65,4 @@ def advance(
 
 def _held(before: float, midway: float, shortfall: float) -> float:
     """The value after the step, or before it where the change would widen the shortfall."""
-    return where(shortfall * (midway - before) < 0.0, before, 2.0 * midway - before)
+    return where(widens(shortfall, midway - before), before, 2.0 * midway - before)

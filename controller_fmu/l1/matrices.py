@@ -61,14 +61,29 @@ def law_matrices(a_m: Matrix, b: Vector, c: Vector, q: Vector) -> LawMatrices:
     )
 
 
-def law_requirements(parameters: Any, a_m: Matrix) -> tuple[tuple[Any, str], ...]:
-    """A_m is Hurwitz (trace < 0 < determinant) and omega_hat cannot reach zero."""
+def hurwitz_requirement(a_m: Matrix) -> tuple[Any, str]:
+    """A_m is Hurwitz: trace < 0 < determinant."""
     (a, b), (c, d) = a_m
     trace, determinant = a + d, a * d - b * c
+    return (maximum(trace, -determinant) < 0.0, "a Hurwitz A_m (trace < 0 and determinant > 0)")
+
+
+def law_requirements(parameters: Any, a_m: Matrix) -> tuple[tuple[Any, str], ...]:
+    """A_m is Hurwitz and omega_hat cannot reach zero."""
     return (
-        (maximum(trace, -determinant) < 0.0, "a Hurwitz A_m (trace < 0 and determinant > 0)"),
+        hurwitz_requirement(a_m),
         (
             parameters.input_gain_uncertainty < parameters.input_gain,
             "input_gain_uncertainty below input_gain, so that omega_hat stays positive",
         ),
     )
+
+
+def relaxed(a_m: Matrix, h: float, vector: Vector) -> Vector:
+    """The vector h seconds later under x' = A_m x, by the implicit midpoint rule."""
+    half = 0.5 * h
+    (a_11, a_12), (a_21, a_22) = a_m
+    m_11, m_12, m_21, m_22 = 1 - half * a_11, -half * a_12, -half * a_21, 1 - half * a_22
+    m = m_11 * m_22 - m_12 * m_21
+    middle = (m_22 * vector[0] - m_12 * vector[1]) / m, (m_11 * vector[1] - m_21 * vector[0]) / m
+    return 2.0 * middle[0] - vector[0], 2.0 * middle[1] - vector[1]

@@ -77,15 +77,19 @@ def adapted(layers: Sequence[Layer], replaced: Mapping[str, Replacement], names:
     Entries are a layer of their own above that which has them, so that they join what it inherits.
     """
     result: list[Layer] = []
+    fmus: dict[str, Any] = {}  # of the layers so far
     for index, layer in enumerate(layers):
+        fmus |= layer.data.get("components", {})
         above: dict[str, str] = {}
         for mapping in names[index + 1 :]:
             above |= mapping
         own = {key: value for key, value in layer.data.items() if key not in _OWN}
         result.append(_renamed(layer, own, above))
         for entries in layer.data.get("when_replaced", []):
-            replacement = replaced.get(entries["component"])
-            if replacement and replacement.layer > index and _applies(entries, replacement, above):
+            component = entries["component"]
+            replacement = replaced.get(component)
+            is_other = replacement and replacement.layer > index and replacement.fmu != fmus.get(component)
+            if replacement and is_other and _applies(entries, replacement, above):
                 has_record = any(lower.data.get("record") for lower in result)
                 result.append(_renamed(layer, _joining(entries, has_record), above))
     return result

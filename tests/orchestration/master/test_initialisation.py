@@ -307,6 +307,7 @@ def test_the_controller_follows_the_plant(built: Mapping[str, Path]) -> None:
         "plant.thruster_efficiency[1]", "plant.thruster_efficiency[2]", "plant.external_force",
         "plant.buoyancy_change", "plant.current_velocity", "plant.roll", "plant.pitch",
         "controller.roll", "controller.pitch", "controller.depth_reference",
+        "controller.depth_reference_rate", "controller.depth_reference_acceleration",
     ]  # fmt: skip
     found = connection_groups(check(system, idle))
     targets = [target.name for each in found for _, target in each.connections]

@@ -51,7 +51,7 @@ def test_one_warning_names_all_that_is_dropped(tmp_path: Path) -> None:
     for part in (
         "controller is pid.fmu",
         "controller.augmentation",
-        "inputs controller.roll, controller.pitch",
+        "inputs controller.depth_reference_rate, controller.depth_reference_acceleration, controller.roll, ",
         "plant.depth_rate -> controller.measured_depth_rate",
         "controller.u_m",
         "metrics total_variation",

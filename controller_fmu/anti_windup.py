@@ -1,0 +1,19 @@
+"""Anti-windup by conditional integration: an integrator holds where its change would widen a saturation.
+
+The shortfall is the control that is delivered minus the one that is demanded, exactly 0 without saturation.
+Source: Astrom and Hagglund, Advanced PID Control (2006), chapter 3 (windup).
+"""
+
+from typing import Any
+
+from fmus.numerics import where
+
+
+def widens(shortfall: float, change: float) -> Any:
+    """Whether a change of the demand would widen the shortfall."""
+    return shortfall * change < 0.0
+
+
+def integrate_error(h: float, integral: float, error: float, shortfall: float) -> float:
+    """int e dt after h s with the error held, of a demand that falls as it grows."""
+    return integral + where(widens(shortfall, -error), 0.0, h * error)

@@ -1,0 +1,193 @@
+"""What every controller of the depth control interface shares: its inputs, observer, allocation and outputs.
+
+A block declares its parameters by inheritance from the classes that it uses, so that one variable has one
+name, unit and start value in all of them. The order of a step is that of L1DepthController: the measurement
+of the beginning of a step decides the control of its end.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+from controller_fmu import allocation
+from controller_fmu.observer import ObserverState, VelocitySource, sample_when_due
+from fmus.block import variable
+from fmus.numerics import Clock, where
+
+Vector = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class ActuatorParameters:
+    """Of every depth controller."""
+
+    internal_step: float = variable(
+        0.02, "Longest internal step; one for each communication step is best", unit="s", min=1e-6, max=10.0,
+        variability="fixed",
+    )  # fmt: skip
+    thruster_gain: Vector = variable(
+        (0.25, 0.25), "Force coefficient K of each thruster", unit="N/V", min=1e-6, max=1e6,
+        source="guess: the paper gives none",
+    )  # fmt: skip
+    voltage_limit: float = variable(
+        12.0, "Largest voltage of a thruster", unit="V", min=1e-6, max=1e6,
+        source="guess: the paper gives none",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ObserverParameters:
+    """Of a controller that uses the depth rate."""
+
+    velocity_source: VelocitySource = variable(
+        VelocitySource.ALPHA_BETA_OBSERVER, "Where the depth rate comes from", variability="fixed"
+    )
+    observer_alpha: float = variable(
+        0.4, "alpha of the observer", min=0.0, max=1.0, source="guess: not published"
+    )
+    observer_beta: float = variable(
+        0.1, "beta of the observer", min=0.0, max=2.0,
+        source="alpha^2 / (2 - alpha), Benedict and Bordner (1962); not published",
+    )  # fmt: skip
+    observer_period: float = variable(
+        0.04, "Sampling period of the observer", unit="s", min=1e-4, max=10.0, variability="fixed",
+        source="proxy: reading time of a Bar30 depth sensor",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class InertiaParameter:
+    """Of a design that assumes the inertia of the vehicle."""
+
+    model_inertia: float = variable(
+        5.5, "Inertia with added mass M_z that the design assumes", unit="kg", min=0.1, max=1e6,
+        source="estimate: 3 kg and the added mass of a box",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class DampingParameter:
+    """Of a design that assumes the linear damping of the vehicle."""
+
+    model_damping: float = variable(
+        2.5, "Linear damping D_z that the design assumes", unit="N.s/m", min=0.0, max=1e6,
+        source="guess: the paper gives none",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class DepthInputs:
+    depth_reference: float = variable(0.0, "Reference r of the depth", unit="m")
+    depth_reference_rate: float = variable(0.0, "Its derivative r'", unit="m/s")
+    depth_reference_acceleration: float = variable(0.0, "Its second derivative r''", unit="m/s2")
+    measured_depth: float = variable(0.0, "Measured depth z, positive down", unit="m")
+    measured_depth_rate: float = variable(
+        0.0, "Depth rate z', used when velocity_source is measured", unit="m/s"
+    )
+    roll: float = variable(0.0, "Roll angle phi", unit="rad")
+    pitch: float = variable(0.0, "Pitch angle theta", unit="rad")
+
+
+@dataclass(frozen=True)
+class DepthOutputs:
+    voltage: Vector = variable((0.0, 0.0), "Voltage of each thruster, saturated", unit="V")
+    demanded_force: float = variable(0.0, "Demand u, earth frame, positive down", unit="N")
+    tracking_error: float = variable(0.0, "e = z - r", unit="m")
+    estimated_depth_rate: float = variable(0.0, "Depth rate that the law uses", unit="m/s")
+
+
+@dataclass(frozen=True)
+class DepthMeasurement:
+    """Depth z [m] and its rate v [m/s] as the law uses them, reference r [m], r' [m/s] and r'' [m/s2]."""
+
+    depth: float = 0.0
+    rate: float = 0.0
+    reference: float = 0.0
+    reference_rate: float = 0.0
+    reference_acceleration: float = 0.0
+
+    @property
+    def error(self) -> float:
+        """Tracking error e = z - r."""
+        return self.depth - self.reference
+
+    @property
+    def error_rate(self) -> float:
+        """e' = v - r'."""
+        return self.rate - self.reference_rate
+
+
+@dataclass(frozen=True)
+class DepthState:
+    """What a controller knows besides the state of its law: last measurement, observer and J."""
+
+    measured: DepthMeasurement = DepthMeasurement()
+    observer: ObserverState = ObserverState()
+    j: float = 1.0
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """What the thrusters make of a demand: voltages [V], force [N], force delivered minus demanded [N]."""
+
+    voltage: Vector
+    force: float
+    shortfall: float
+
+
+def requirements(p: Any, calculated: Any) -> tuple:
+    """Of a controller with an observer, which takes one sample a step."""
+    is_short = p.internal_step <= p.observer_period * (1.0 + 1e-9)
+    return ((is_short, "internal_step at most observer_period"),)
+
+
+def first_state(t: float, inputs: DepthInputs, p: Any) -> DepthState:
+    """The observer at rest on the first measurement."""
+    return _after(ObserverState(inputs.measured_depth, 0.0, Clock(t + p.observer_period)), inputs, p)
+
+
+def next_state(t: float, state: DepthState, inputs: DepthInputs, p: Any) -> DepthState:
+    """With the measurement of time t, and the observer after a sample of it if one is due."""
+    observer = sample_when_due(
+        t, state.observer, inputs.measured_depth, p.observer_alpha, p.observer_beta, p.observer_period
+    )
+    return _after(observer, inputs, p)
+
+
+def _after(observer: ObserverState, inputs: DepthInputs, p: Any) -> DepthState:
+    is_measured = p.velocity_source == VelocitySource.MEASURED
+    rate = where(is_measured, inputs.measured_depth_rate, observer.rate)
+    return DepthState(measurement(inputs, rate), observer, body_to_earth(inputs))
+
+
+def measurement(inputs: DepthInputs, rate: float) -> DepthMeasurement:
+    """The inputs of one time, with the depth rate [m/s] that the law uses."""
+    return DepthMeasurement(
+        inputs.measured_depth, rate,
+        inputs.depth_reference, inputs.depth_reference_rate, inputs.depth_reference_acceleration,
+    )  # fmt: skip
+
+
+def body_to_earth(inputs: DepthInputs) -> float:
+    """J = cos(roll) cos(pitch)."""
+    return allocation.body_to_earth(inputs.roll, inputs.pitch)
+
+
+def deliver(force: float, j: float, p: Any) -> Delivery:
+    """Allocation, saturation, and the force that is left of the demand [N]."""
+    demanded = allocation.allocate(force, j, p.thruster_gain)
+    saturated = allocation.saturate(demanded, p.voltage_limit)
+    return Delivery(
+        voltage=saturated,
+        force=allocation.force(saturated, j, p.thruster_gain),
+        shortfall=allocation.shortfall(demanded, saturated, j, p.thruster_gain),
+    )
+
+
+def outputs(force: float, measured: DepthMeasurement, j: float, p: Any) -> dict[str, Any]:
+    """The variables of `DepthOutputs`, for a demand [N]."""
+    return {
+        "voltage": deliver(force, j, p).voltage,
+        "demanded_force": force,
+        "tracking_error": measured.error,
+        "estimated_depth_rate": measured.rate,
+    }

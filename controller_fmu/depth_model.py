@@ -1,0 +1,38 @@
+"""The vehicle as a design knows it, under the state feedback u_m = -k_m x, with the state x = (z, z').
+
+    A = [[0, 1], [0, -D / M]],   B_m = [0, 1 / M],   A_m = A - B_m k_m,   C = [1, 0]                    (13)
+
+M is the inertia with added mass, D the linear damping, z the depth, positive down.
+Source: Maalouf et al. (2013), section 4.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+from controller_fmu.l1.matrices import LawMatrices, Matrix, Vector, law_matrices
+from fmus.block import variable
+
+
+@dataclass(frozen=True)
+class DepthMatrices(LawMatrices):
+    """The calculated parameters with the vehicle's units."""
+
+    predictor_matrix: Matrix = variable(
+        ((0.0, 1.0), (-1.0, -1.0)), "A_m, desired dynamics", unit=(("1/s", "1"), ("1/s2", "1/s"))
+    )
+    predictor_input: Vector = variable((0.0, 1.0), "B_m, input column", unit=("s/kg", "1/kg"))
+    feedforward_gain: float = variable(1.0, "k_g = -1 / (C A_m^-1 B_m)", unit="N/m")
+
+
+def calculate(p: Any) -> DepthMatrices:
+    """A_m, B_m, P and k_g of the assumed vehicle under the state feedback k_m."""
+    inverse_inertia = 1.0 / p.model_inertia
+    a_m = (
+        (0.0, 1.0),
+        (
+            -p.depth_feedback_gain * inverse_inertia,
+            -(p.model_damping + p.rate_feedback_gain) * inverse_inertia,
+        ),
+    )
+    matrices = law_matrices(a_m, (0.0, inverse_inertia), (1.0, 0.0), p.lyapunov_weight)
+    return DepthMatrices(**vars(matrices))
