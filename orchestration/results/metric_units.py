@@ -4,11 +4,18 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-FIXED_UNITS = {"settling_time": "s", "shift_lag": "s", "phase_lag": "s", "overshoot": "%"}
+FIXED_UNITS = {"settling_time": "s", "shift_lag": "s", "phase_lag": "s", "time_below": "s", "overshoot": "%"}
 """Function -> its unit, whatever the signal is measured in."""
-_UNIT_OF_THE_SIGNAL = ("rmse", "mean", "total_variation")
+_UNIT_OF_THE_SIGNAL = ("rmse", "peak_error", "mean", "peak", "total_variation")
+_INTEGRALS = {"effort": (1, 1), "iae": (1, 1), "ise": (2, 1), "itae": (1, 2)}
+"""Function -> powers of the signal and of time in it."""
 
-_ABSENT = {"settling_time": "not settled", "shift_lag": "no lag found", "phase_lag": "no oscillation"}
+_ABSENT = {
+    "settling_time": "not settled",
+    "shift_lag": "no lag found",
+    "phase_lag": "no oscillation",
+    "time_below": "never above",
+}
 
 MetricDocument = dict[str, dict[str, float | str | None]]
 """Metric -> {"value": number, "unit": text}, as the JSON files of runs hold it; null: it did not happen."""
@@ -33,18 +40,21 @@ def metric_unit(call: Mapping[str, Any], signal_units: Mapping[str, str]) -> str
         return FIXED_UNITS[function]
     if call.get("unit"):
         return call["unit"]
-    if function == "effort":
-        return _times_seconds(signal_unit)
+    if function in _INTEGRALS:
+        return _integral_unit(signal_unit, *_INTEGRALS[function])
     if function not in _UNIT_OF_THE_SIGNAL or not signal_unit or scale == 0.0:
         return ""
     return signal_unit if scale == 1.0 else f"{1.0 / scale:g} {signal_unit}"
 
 
-def _times_seconds(unit: str) -> str:
-    """The unit of an integral over time, in the notation of FMI's units: N -> N.s."""
+def _integral_unit(unit: str, power: int, time_power: int) -> str:
+    """The unit of an integral over time, in the notation of FMI's units: N -> N.s, m squared -> m2.s."""
+    seconds = f"s{time_power}" if time_power > 1 else "s"
     if unit in ("", "1"):
-        return "s" if unit else ""
-    return f"({unit}).s" if "/" in unit else f"{unit}.s"
+        return seconds if unit else ""
+    if "/" in unit or (power > 1 and not unit.isalpha()):
+        unit = f"({unit})"
+    return f"{unit}{power}.{seconds}" if power > 1 else f"{unit}.{seconds}"
 
 
 def with_units(

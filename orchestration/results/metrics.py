@@ -77,6 +77,66 @@ def effort(recording: Recording, signal: str, window: list[float] | None = None)
     return float(np.trapezoid(np.abs(recording[signal][inside]), recording.time[inside]))
 
 
+def peak(recording: Recording, signal: str, window: list[float] | None = None, scale: float = 1.0) -> float:
+    """scale * largest |signal| at the communication points of the window."""
+    return float(scale * np.abs(recording[signal][_window(recording, window)]).max())
+
+
+def peak_error(
+    recording: Recording, signal: str, reference: str, window: list[float] | None = None, scale: float = 1.0
+) -> float:
+    """scale * largest |signal - reference| at the communication points of the window."""
+    return float(scale * np.abs(_error(recording, signal, reference, window)[1]).max())
+
+
+def iae(recording: Recording, signal: str, reference: str, window: list[float] | None = None) -> float:
+    """Integral of the absolute error, |signal - reference| dt, trapezoidal rule."""
+    time, error = _error(recording, signal, reference, window)
+    return float(np.trapezoid(np.abs(error), time))
+
+
+def ise(recording: Recording, signal: str, reference: str, window: list[float] | None = None) -> float:
+    """Integral of the squared error, (signal - reference)^2 dt, trapezoidal rule."""
+    time, error = _error(recording, signal, reference, window)
+    return float(np.trapezoid(error**2, time))
+
+
+def itae(recording: Recording, signal: str, reference: str, window: list[float] | None = None) -> float:
+    """Integral of the absolute error times time, t |signal - reference| dt, trapezoidal rule.
+
+    t: since the beginning of the window, which is the run by default
+    """
+    time, error = _error(recording, signal, reference, window)
+    return float(np.trapezoid((time - time[0]) * np.abs(error), time))
+
+
+def _error(
+    recording: Recording, signal: str, reference: str, window: list[float] | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """(time, signal - reference) of the window."""
+    inside = _window(recording, window)
+    return recording.time[inside], (recording[signal] - recording[reference])[inside]
+
+
+def time_below(
+    recording: Recording, signal: str, limit: float, after: float, window: list[float] | None = None
+) -> float:
+    """How long [s] the signal, as lines between points, is below the limit once it has been above `after`.
+
+    Not a number if it is never above `after` in the window.
+    """
+    inside = _window(recording, window)
+    time, values = recording.time[inside], recording[signal][inside]
+    passed = np.flatnonzero(values > after)
+    if not len(passed):
+        return math.nan
+    time, values = time[passed[0] :], values[passed[0] :]
+    low, high = np.minimum(values[:-1], values[1:]), np.maximum(values[:-1], values[1:])
+    span = np.where(high > low, high - low, 1.0)
+    share = np.where(high > low, ((limit - low) / span).clip(0.0, 1.0), low < limit)
+    return float(share @ np.diff(time))
+
+
 def total_variation(
     recording: Recording, signal: str, every: float | None = None, window: list[float] | None = None
 ) -> float:
@@ -140,7 +200,22 @@ def phase_lag(
 
 FUNCTIONS: dict[str, Callable[..., float]] = {
     function.__name__: function
-    for function in (settling_time, rmse, overshoot, mean, effort, total_variation, shift_lag, phase_lag)
+    for function in (
+        settling_time,
+        rmse,
+        peak_error,
+        iae,
+        ise,
+        itae,
+        overshoot,
+        mean,
+        peak,
+        effort,
+        total_variation,
+        time_below,
+        shift_lag,
+        phase_lag,
+    )
 }
 
 

@@ -72,18 +72,20 @@ def load(
     overrides: Mapping[str, Any] | None = None,
     flavour: Flavour = Flavour.NATIVE,
     *,
+    layers_between: Sequence[Mapping[str, Any]] = (),
     settings: Mapping[str, FmiValue] | None = None,
     build: Callable[[Path], object] = lambda fmu: None,
 ) -> Scenario:
     """Read a scenario file; `overrides` is laid over it as a scenario over its base.
 
     flavour: of our own blocks' FMUs
+    layers_between: laid over the file one after another, below `overrides`, whose mapping they so follow
     settings: "component.variable" -> value of a parameter or a constant input, and component -> the FMU or
     block in its place; checked and laid over all
     build: called with the file of an FMU whose model description is needed to load the scenario
     Warns (ScenarioWarning) of inherited entries that do not fit an FMU which replaces that of the base.
     """
-    layers = file_layers(path)
+    layers = [*file_layers(path), *(Layer(dict(data)) for data in layers_between)]
     layers.append(Layer(command_entries(overrides or {}, settings or {})))
     files = [file for layer in reversed(layers) for file in layer.files]
 

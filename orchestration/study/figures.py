@@ -1,0 +1,74 @@
+"""The figures of one run: metrics of its depth, its reference and its voltages, and whether it failed."""
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from orchestration.results import metrics
+from orchestration.results.recording import Recording
+from orchestration.study.protocol import Case, Protocol
+from orchestration.study.protocol_format import FigureTable
+
+SIGNALS = {"depth": "m", "reference": "m", "u": "N", "voltage": "V", "power": "V2", "saturated": "%"}
+"""What figures are computed of -> its unit."""
+
+
+def judged_signals(
+    recording: Recording, columns: Sequence[str], limits: Sequence[float], gains: Sequence[float]
+) -> Recording:
+    """The recording with the signals that figures are computed of (`SIGNALS`) in place of its own.
+
+    columns: names of reference, depth and both voltages; limits [V], gains [N/V]: of both thrusters
+    """
+    reference, depth, *voltages = (recording[name] for name in columns)
+    asked = np.abs(np.column_stack(voltages))
+    delivered = np.clip(np.column_stack(voltages), -np.asarray(limits), limits)
+    values = {
+        "depth": depth,
+        "reference": reference,
+        "u": delivered @ np.asarray(gains),
+        "voltage": asked.max(axis=1),
+        "power": (delivered**2).sum(axis=1),
+        "saturated": 100.0 * (asked >= limits).any(axis=1),
+    }
+    table = np.column_stack([values[name] for name in SIGNALS])
+    return Recording(tuple(SIGNALS), tuple(SIGNALS.values()), recording.time, table, recording.provenance)
+
+
+def figures_of(
+    signals: Recording, case: Case, protocol: Protocol, names: Collection[str] = ()
+) -> dict[str, float]:
+    """Name -> figure of a run of a case, of all or of those named; not a number for what did not happen.
+
+    signals: as `judged_signals` gives them
+    """
+    tables = {name: table for name, table in protocol.figures.items() if not names or name in names}
+    declared = {
+        name: _call(table, case) for name, table in tables.items() if case.target.moves or not table.of_motion
+    }
+    values = metrics.evaluate(signals, declared)
+    return {name: values.get(name, math.nan) for name in tables}
+
+
+def _call(table: FigureTable, case: Case) -> dict[str, Any]:
+    """A figure of a case as a scenario declares a metric."""
+    call: dict[str, Any] = {"function": table.function, **table.arguments}
+    if table.at_target:
+        call |= {"target": case.target.depth, "window": list(case.target.window)}
+        if table.function == "settling_time":
+            call["band"] = case.target.band
+    elif not table.whole_run:
+        call["window"] = list(case.judged)
+    return call
+
+
+def failures(figures: Mapping[str, float], protocol: Protocol) -> list[str]:
+    """Why a run failed: what did not happen, and what is above its limit; empty if it did not."""
+    reasons = ["not settled"] if math.isnan(figures.get("settling_time", 0.0)) else []
+    for name, limit in protocol.tables.failure.items():
+        if figures.get(name, 0.0) > limit:
+            table = protocol.figures[name]
+            reasons.append(f"{table.title.lower()} {figures[name]:.3g} {table.unit}")
+    return reasons

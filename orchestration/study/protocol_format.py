@@ -1,0 +1,105 @@
+"""What protocol.toml contains, as types."""
+# ruff: noqa: RUF012  (Pydantic copies defaults)
+
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from orchestration.scenarios.file_format import FAULT, SIGNAL, Pair
+from orchestration.scenarios.file_tables import Table, Value
+
+
+class FigureTable(Table, use_attribute_docstrings=True):
+    """A number that a score gives of each run."""
+
+    title: str
+    unit: str
+    meaning: str
+    """Its definition, for readers."""
+    function: str
+    """Of `orchestration.results.metrics`."""
+    arguments: dict[str, Any]
+    """Of the function, over the signals of a run."""
+    at_target: bool = False
+    """The function takes the target of the case, the window until the reference leaves it, and its band."""
+    of_motion: bool = False
+    """Not a number where the reference does not move."""
+    whole_run: bool = False
+    """Of the whole run, not of the part of the case that is judged."""
+
+
+class CaseTable(Table, use_attribute_docstrings=True):
+    """What differs from the nominal case, as a scenario gives it."""
+
+    title: str
+    tuned_on: bool = False
+    """Controllers are tuned on this case: its figures stand apart."""
+    hold: float = 0.0
+    """The reference is this depth [m] all the time, and the vehicle starts there; 0: the trajectory."""
+    judged: Pair = []
+    """[start, end] in s of what figures tell about; by default the run."""
+    stop_time: float = 0.0
+    """End of the run [s]; by default that of the trajectory."""
+    parameters: dict[str, Value] = {}
+    inputs: dict[str, Value] = {}
+    signals: dict[str, Annotated[Table, SIGNAL]] = {}
+    faults: list[Annotated[Table, FAULT]] = []
+
+
+class GainTable(Table, use_attribute_docstrings=True):
+    """The range in which a gain may be tuned; it is searched by its logarithm."""
+
+    low: Annotated[float, Field(gt=0.0)]
+    high: Annotated[float, Field(gt=0.0)]
+
+
+class ControllerTable(Table, use_attribute_docstrings=True):
+    """A controller that stands beside those that are scored."""
+
+    title: str
+    fmu: str
+    """Name of a block."""
+    league: str
+    parameters: dict[str, Value] = {}
+    """Variable -> value, of what is not at its start value."""
+    gains: dict[str, GainTable] = {}
+    """Variables that `tune` may change."""
+
+
+class CostTable(Table, use_attribute_docstrings=True):
+    """What tuning makes small: the mean of a figure over cases, with bounds on others."""
+
+    figure: str
+    cases: Annotated[list[str], Field(min_length=1)]
+    bounds: dict[str, float] = {}
+    """Figure -> its largest value; of the delay margin, its smallest."""
+
+
+class ProtocolFile(Table, use_attribute_docstrings=True):
+    """The protocol of the score."""
+
+    version: str
+    statement: str
+    """What a score is about, for the top of every one."""
+    base: str
+    """The shipped base of all cases."""
+    time_limit: Annotated[float, Field(gt=0.0)]
+    """Longest time [s] that a run may take."""
+    practice_seeds: Annotated[list[int], Field(min_length=1)]
+    """Seeds of the sensor's noise for whoever tunes."""
+    trajectory: Annotated[list[Pair], Field(min_length=3)]
+    """[time, depth] of the reference, in s and m; straight lines between them."""
+    leagues: dict[str, str]
+    figures: dict[str, FigureTable]
+    failure: dict[str, float]
+    """Figure -> a run with more of it failed."""
+    cases: dict[str, CaseTable]
+    cost: CostTable
+    controllers: dict[str, ControllerTable]
+
+
+class TableFile(Table, use_attribute_docstrings=True):
+    """What is kept for the table of a score, and never read by who tunes."""
+
+    seed: Annotated[int, Field(ge=1)]
+    """Seed of the sensor's noise in the cases."""
