@@ -15,7 +15,6 @@ from orchestration.study.tune_journal import Journal
 from orchestration.study.tune_search import Search
 from orchestration.study.tune_space import FreeGain
 
-OPTIMISER = "CMA-ES"
 LAST_PART = 0.25  # of the evaluations of a search: what they still gain shows whether the cost is flat
 LARGEST_IMPROVEMENT = 0.02  # of the cost, in the last part
 LARGEST_SPREAD = 0.05  # of the lowest cost, between the seeds
@@ -68,6 +67,10 @@ class Tuning:
     @property
     def best(self) -> SearchResult:
         return min(self.searches, key=lambda search: search.cost)
+
+    @property
+    def optimiser(self) -> str:
+        return _optimiser()
 
     @property
     def evaluations(self) -> int:
@@ -134,8 +137,12 @@ def _what_is_searched(problem: Problem, evaluations: int) -> dict[str, Any]:
     return {
         "gains": {gain.name: [gain.low, gain.high] for gain in problem.gains},
         "evaluations": evaluations,
-        "optimiser": f"{OPTIMISER} (cmaes {version('cmaes')})",
+        "optimiser": _optimiser(),
     }
+
+
+def _optimiser() -> str:
+    return f"CMA-ES (cmaes {version('cmaes')})"
 
 
 def _check_same(row: Mapping[str, Any], stored: Mapping[str, Any], path: Path) -> None:

@@ -1,0 +1,100 @@
+"""The cost of gains: mean RMSE over the cases of the cost, each with another seed of noise, with bounds.
+
+What is beyond its bound costs `_SLOPE` for each time that the bound fits into the excess. That is steeper than
+the RMSE falls with total variation, so that the least cost is at a bound or within it. The bound on the delay
+margin is one more run, in which the measured depth is late by that much: it is to be quiet in hold.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from orchestration.errors import SimulationError
+from orchestration.study.loop import Controller, Loop
+from orchestration.study.protocol import Case, Protocol, read_protocol
+
+LARGEST = 1000.0  # cost of a run that ends early; finite, so that the search goes on
+MARGIN = "delay_margin"
+_SLOPE = 10.0
+_QUIET_M = 0.003  # largest standard deviation of the depth in hold of a loop that is quiet
+_HOLD_S = 40.0  # what is judged of a hold, at its end: 100 s to 140 s
+
+Figures = Mapping[str, float]
+
+
+def cost_of(gains: Mapping[str, float], controller: Controller, every_seed: bool = False) -> dict[str, Any]:
+    """The cost of gains over those of a controller, with the mean figures of each case.
+
+    every_seed: each case with every practice seed, not with one
+    """
+    loop = _loop(controller)
+    table = loop.protocol.tables.cost
+    bounds = {name: bound for name, bound in table.bounds.items() if name != MARGIN}
+    figures: dict[str, list[Figures]] = {}
+    try:
+        for case in practice_cases(loop.protocol, every_seed):
+            measured = loop.figures(case, gains, {table.figure, *bounds})
+            figures.setdefault(case.name, []).append(measured)
+        unrest = _unrest(loop, gains, table.bounds[MARGIN]) if MARGIN in table.bounds else 0.0
+    except SimulationError as error:
+        return {"cost": LARGEST, "failure": str(error)}
+    runs = [run_cost(run, table.figure, bounds) for case in figures.values() for run in case]
+    return {
+        "cost": min(sum(runs) / len(runs) + _SLOPE * max(0.0, unrest / _QUIET_M - 1.0), LARGEST),
+        "figures": {case: _mean(measured) for case, measured in figures.items()},
+        "unrest": unrest,
+    }
+
+
+def practice_cases(protocol: Protocol, every_seed: bool = False) -> list[Case]:
+    """The cases of the cost, each with another practice seed in turn, or with every one."""
+    cases = [protocol.cases[name] for name in protocol.tables.cost.cases]
+    seeds = protocol.tables.practice_seeds
+    if every_seed:
+        return [case.with_seed(seed) for case in cases for seed in seeds]
+    return [case.with_seed(seeds[i % len(seeds)]) for i, case in enumerate(cases)]
+
+
+def run_cost(figures: Figures, objective: str, bounds: Mapping[str, float]) -> float:
+    """The cost of one run: its objective, and what its figures are beyond their bounds.
+
+    A bound on a figure that is not a number does not apply: there is no overshoot where nothing moves.
+    """
+    excess = (figures[name] / bound - 1.0 for name, bound in bounds.items())
+    cost = figures[objective] + _SLOPE * sum(x for x in excess if x > 0.0)
+    return min(cost, LARGEST) if math.isfinite(cost) else LARGEST
+
+
+def delayed(case: Case, delay: float, variable: str) -> Case:
+    """The case with an input that is late by so many seconds."""
+    fault = {"input": variable, "kind": "delay", "delay": delay}
+    faults = [*case.layer.get("faults", []), fault]
+    return replace(case, layer={**case.layer, "faults": faults})
+
+
+def _unrest(loop: Loop, gains: Mapping[str, float], delay: float) -> float:
+    """Standard deviation [m] of the depth at the end of the nominal hold, the measurement being late."""
+    nominal = next(iter(loop.protocol.cases.values()))
+    signals = loop.run(delayed(nominal, delay, loop.controller.variable("measured_depth")), gains)
+    end = nominal.target.window[1]
+    hold = (signals.time >= end - _HOLD_S) & (signals.time <= end)
+    return float(np.std(signals["depth"][hold]))
+
+
+def _mean(runs: Sequence[Figures]) -> dict[str, float]:
+    """The mean of each figure that is a number in every run."""
+    means = {name: float(np.mean([run[name] for run in runs])) for name in runs[0]}
+    return {name: mean for name, mean in means.items() if math.isfinite(mean)}
+
+
+_LOOPS: dict[str, Loop] = {}  # of this process, which stay loaded
+
+
+def _loop(controller: Controller) -> Loop:
+    key = repr(controller)
+    if key not in _LOOPS:
+        _LOOPS[key] = Loop(controller, read_protocol())
+    return _LOOPS[key]

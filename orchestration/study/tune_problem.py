@@ -1,0 +1,68 @@
+"""What is tuned for one controller: its free gains, its cost, and what the cost depends on."""
+
+import functools
+import hashlib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from orchestration.errors import OrchestrationError
+from orchestration.fmi.description import describe
+from orchestration.study.loop import Controller, Loop
+from orchestration.study.protocol import Protocol
+from orchestration.study.tune import Problem, Tuning
+from orchestration.study.tune_cost import LARGEST, cost_of, practice_cases
+from orchestration.study.tune_space import FreeGain, with_units
+
+
+def problem_of(controller: Controller, protocol: Protocol, free: Iterable[FreeGain] = ()) -> Problem:
+    """The tuning of a controller, by default of the gains that the protocol has for it.
+
+    Raises OrchestrationError for a controller that does not fit the vehicle, a gain that its FMU cannot take,
+    or one that is given a value for all evaluations.
+    """
+    with Loop(controller, protocol) as loop:
+        components = loop.scenario(practice_cases(protocol)[0]).system.components
+    gains = with_units(list(free) or _of_protocol(controller.name, protocol), describe(components["controller"]))
+    for gain in gains:
+        if gain.name in controller.parameters:
+            raise OrchestrationError(f"{gain.name}: it is set, and free: expected one of them")
+    tuned = {
+        "controller": repr(controller),
+        "fmus": {name: _hash(path) for name, path in components.items()},
+        "protocol": _hash(protocol.file.path),
+    }
+    return Problem(gains, functools.partial(cost_of, controller=controller), tuned)
+
+
+def _of_protocol(name: str, protocol: Protocol) -> list[FreeGain]:
+    if name not in protocol.controllers:
+        return []
+    return [FreeGain(gain, table.low, table.high) for gain, table in protocol.controllers[name].gains.items()]
+
+
+def _hash(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def provenance(tuning: Tuning, controller: Controller, protocol: Protocol) -> dict[str, Any]:
+    """What the file of a tuning says of the controller, the protocol and the cost.
+
+    Raises OrchestrationError if every evaluation failed: then there are no gains to write.
+    """
+    best = tuning.best
+    if best.cost >= LARGEST:
+        raise OrchestrationError(
+            f"{controller.name}: none of {tuning.evaluations} evaluations ran to its end: expected one that "
+            f"does; the last failure: {best.figures.get('failure', 'a cost that is not finite')}"
+        )
+    table = protocol.tables.cost
+    return {
+        "controller": controller.name,
+        "fmu": Path(controller.fmu).name,
+        "league": controller.league,
+        "protocol": protocol.version,
+        "objective": f"mean {table.figure} over {', '.join(table.cases)}, practice seeds",
+        "bounds": dict(table.bounds),
+        "cost_of_every_practice_seed": cost_of(best.gains, controller, every_seed=True)["cost"],
+    }
