@@ -26,8 +26,8 @@ def tune(
         list[str],
         typer.Option(
             metavar="NAME=LOW:HIGH",
-            help="Search this parameter within these limits, in its logarithm if both are positive; by default "
-            "the gains that the protocol has for the controller.",
+            help="Search this parameter within these limits, in its logarithm if both are positive; "
+            "by default the gains that the protocol has for the controller.",
         ),
     ] = [],  # noqa: B006  (Typer copies it)
     evaluations: Annotated[
@@ -49,7 +49,7 @@ def tune(
     mapped: MapOption = [],  # noqa: B006
     open_inputs: OpenInputsOption = None,
 ) -> None:
-    """Search the gains of least cost on the practice cases of the protocol; an interrupted tuning continues."""
+    """Search the gains of least cost on practice cases of the protocol; an interrupted tuning continues."""
     from orchestration.scenarios.worker_pool import worker_pool
     from orchestration.study import tune_file, tune_problem, tune_space
     from orchestration.study.protocol import read_protocol
@@ -115,8 +115,9 @@ def _print_gains(tuning: "Tuning", name: str) -> None:
         limits = f"{gain.low:g} to {gain.high:g} {gain.unit}".rstrip()
         table.add_row(gain.name, f"{value:g}", limits, "at a limit" if gain.is_at_a_limit(value) else "")
     print_table(table)
-    flat = "flat" if tuning.is_flat else "not flat: more evaluations may lower it"
+    verdict = "flat" if tuning.is_flat else "not flat: more evaluations may lower it"
     print(
-        f"The cost is {flat}. In the last quarter of {len(tuning.best.curve)} evaluations it fell by at most "
-        f"{100 * tuning.improvement:.2g} %; the {len(tuning.searches)} seeds differ by {100 * tuning.spread:.2g} %."
+        f"The cost is {verdict}. In the last quarter of {len(tuning.best.curve)} evaluations it fell by at "
+        f"most {100 * tuning.improvement:.2g} %; the {len(tuning.searches)} seeds differ by "
+        f"{100 * tuning.spread:.2g} %."
     )

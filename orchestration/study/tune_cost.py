@@ -1,8 +1,8 @@
 """The cost of gains: mean RMSE over the cases of the cost, each with another seed of noise, with bounds.
 
-What is beyond its bound costs `_SLOPE` for each time that the bound fits into the excess. That is steeper than
-the RMSE falls with total variation, so that the least cost is at a bound or within it. The bound on the delay
-margin is one more run, in which the measured depth is late by that much: it is to be quiet in hold.
+What is beyond its bound costs `_SLOPE` for each time that the bound fits into the excess. That is steeper
+than the RMSE falls with total variation, so that the least cost is at a bound or within it. The bound on the
+delay margin is one more run, in which the measured depth is late by that much: it is to be quiet in hold.
 """
 
 import math

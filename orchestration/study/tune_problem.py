@@ -23,7 +23,9 @@ def problem_of(controller: Controller, protocol: Protocol, free: Iterable[FreeGa
     """
     with Loop(controller, protocol) as loop:
         components = loop.scenario(practice_cases(protocol)[0]).system.components
-    gains = with_units(list(free) or _of_protocol(controller.name, protocol), describe(components["controller"]))
+    gains = with_units(
+        list(free) or _of_protocol(controller.name, protocol), describe(components["controller"])
+    )
     for gain in gains:
         if gain.name in controller.parameters:
             raise OrchestrationError(f"{gain.name}: it is set, and free: expected one of them")
