@@ -9,7 +9,8 @@ Source: Maalouf et al. (2013), section 4.
 from dataclasses import dataclass
 from typing import Any
 
-from controller_fmu.l1.matrices import LawMatrices, Matrix, Vector, law_matrices
+from controller_fmu.l1.matrices import LawMatrices, law_matrices
+from controller_fmu.l1.second_order import Matrix, Vector
 from fmus.block import variable
 
 
@@ -22,10 +23,12 @@ class DepthMatrices(LawMatrices):
     )
     predictor_input: Vector = variable((0.0, 1.0), "B_m, input column", unit=("s/kg", "1/kg"))
     feedforward_gain: float = variable(1.0, "k_g = -1 / (C A_m^-1 B_m)", unit="N/m")
+    feedforward_rate_gain: float = variable(1.0, "Gain of r' in f, D + k_m2", unit="N.s/m")
+    feedforward_acceleration_gain: float = variable(1.0, "Gain of r'' in f, M", unit="kg")
 
 
 def calculate(p: Any) -> DepthMatrices:
-    """A_m, B_m, P and k_g of the assumed vehicle under the state feedback k_m."""
+    """A_m, B_m, P, k_g and the gains of f of the assumed vehicle under the state feedback k_m."""
     inverse_inertia = 1.0 / p.model_inertia
     a_m = (
         (0.0, 1.0),

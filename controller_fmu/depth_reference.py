@@ -1,4 +1,4 @@
-"""Block DepthReference: the depth that is wanted, as ramps through given points.
+"""Block DepthReference: the depth that is wanted, as ramps through given points, and its derivatives.
 
 Straight or quintic lines through (point_time, point_depth), held before the first and after the last
 point. For an importer that has no other means to give the controller its reference.
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from controller_fmu.depth_reference_guide import GUIDE
 from fmus.block import Block, NoValues, variable
-from fmus.numerics import ramps
+from fmus.numerics import ramp_rates, ramps
 
 POINTS = 12  # spare ones come later than the last wanted one, at the same depth
 
@@ -38,7 +38,11 @@ class Parameters:
 
 @dataclass(frozen=True)
 class Outputs:
-    depth_reference: float = variable(0.0, "Depth reference, positive down", unit="m")
+    depth_reference: float = variable(0.0, "Depth reference r, positive down", unit="m")
+    depth_reference_rate: float = variable(0.0, "Its derivative r'", unit="m/s")
+    depth_reference_acceleration: float = variable(
+        0.0, "Its second derivative r'', 0 of straight ramps", unit="m/s2"
+    )
 
 
 def requirements(p: Parameters, calculated: NoValues) -> tuple:
@@ -59,12 +63,13 @@ def step(
 
 
 def output(t: float, state: NoValues, p: Parameters, calculated: NoValues) -> Outputs:
-    return Outputs(depth_reference=ramps(t, p.point_time, p.point_depth, p.smooth))
+    rate, acceleration = ramp_rates(t, p.point_time, p.point_depth, p.smooth)
+    return Outputs(ramps(t, p.point_time, p.point_depth, p.smooth), rate, acceleration)
 
 
 BLOCK = Block(
     name="DepthReference",
-    description="Depth reference as ramps through given points",
+    description="Depth reference as ramps through given points, with its derivatives",
     parameters=Parameters,
     inputs=NoValues,
     state=NoValues,

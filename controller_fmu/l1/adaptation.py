@@ -15,12 +15,20 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
-from controller_fmu.l1.matrices import LawMatrices, Vector, dot, relaxed
+from controller_fmu.l1.matrices import LawMatrices
 from controller_fmu.l1.projection import keep_within, projection_factor
+from controller_fmu.l1.second_order import Vector, dot, relaxed
 from fmus.numerics import absolute, maximum, sin, sqrt, where
 
 _SMALL_SQUARE = 1e-16  # of an angle: below it sin(a) / a is 1 to the last bit
 _SHORTEST = 1e-300  # s; keeps a mean over no time finite
+
+
+class AdaptationLaw(IntEnum):
+    """How the estimates follow from the prediction error: here, or in `piecewise.py`."""
+
+    PROJECTION = 1
+    PIECEWISE_CONSTANT = 2
 
 
 class Regressor(IntEnum):
@@ -39,20 +47,24 @@ class InputGainRegressor(IntEnum):
 
 @dataclass(frozen=True)
 class Estimates:
-    """Prediction error x_tilde = x_hat - x and the estimates, at the time of a measurement of x."""
+    """Prediction error x_tilde = x_hat - x and the estimates, at the time of a measurement of x.
+
+    sigma_u: the unmatched disturbance, which the piecewise-constant law alone estimates
+    """
 
     x_tilde: Vector = (0.0, 0.0)
     theta_hat: Vector = (0.0, 0.0)
     sigma_hat: float = 0.0
     omega_hat: float = 1.0
+    sigma_u: float = 0.0
 
 
 @dataclass(frozen=True)
 class Interval:
     """What is known of the time between two measurements.
 
-    duration [s]; x at both ends; u_ap: the control that the plant received less u_m, that is u_a + u_p and
-    what saturation took away; u_a: its adaptive part
+    duration [s]; x at both ends; u_ap: the control that the plant received less u_m, that is u_a + u_p + u_f
+    and what saturation took away; u_a: its part that precedes the extension
     """
 
     duration: float

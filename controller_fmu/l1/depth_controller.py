@@ -16,11 +16,15 @@ from controller_fmu.depth_interface import (
     InertiaParameter,
     ObserverParameters,
 )
-from controller_fmu.depth_model import DepthMatrices, calculate
+from controller_fmu.depth_model import DepthMatrices
+from controller_fmu.depth_model import calculate as depth_matrices
 from controller_fmu.l1 import law as l1
 from controller_fmu.l1.depth_controller_guide import GUIDE
-from controller_fmu.l1.law import Control, LawParameters, LawState, Measurement
-from controller_fmu.l1.matrices import Vector, law_requirements
+from controller_fmu.l1.feedforward import reference_feedforward
+from controller_fmu.l1.law import Control, LawState, Measurement
+from controller_fmu.l1.matrices import SampledPrediction, law_requirements, sampled_prediction
+from controller_fmu.l1.parameters import LawParameters
+from controller_fmu.l1.second_order import Matrix, Vector
 from fmus.block import Block, variable
 
 
@@ -68,6 +72,31 @@ class Parameters(DampingParameter, InertiaParameter, ObserverParameters, Actuato
     threshold_floor: float = variable(
         0.01, "Least delta of the nonlinear P", unit="m", min=1e-9, max=1e6, source="guess"
     )
+    adaptation_period: float = variable(
+        0.04, "Sampling period Ts of the piecewise-constant law", unit="s", min=1e-6, max=10.0,
+        variability="fixed", source="guess: that of the depth sensor",
+    )  # fmt: skip
+    prediction_error_matrix: Matrix = variable(
+        ((-0.1, 0.0), (0.0, -0.1)), "A_s of the piecewise-constant law, Hurwitz",
+        unit=(("1/s", "1"), ("1/s2", "1/s")), min=-1e6, max=1e6,
+        source="guess: estimates are e^(A_s Ts) times the disturbance, 0.4 % less here",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Matrices(DepthMatrices, SampledPrediction):
+    """The calculated parameters with the vehicle's units."""
+
+    error_transition: Matrix = variable(
+        ((1.0, 0.0), (0.0, 1.0)), "e^(A_s Ts)", unit=(("1", "s"), ("1/s", "1"))
+    )
+    error_input: Matrix = variable(
+        ((1.0, 0.0), (0.0, 1.0)), "Phi = A_s^-1 (e^(A_s Ts) - I)", unit=(("s", "s2"), ("1", "s"))
+    )
+    estimation_gain: Matrix = variable(
+        ((0.0, 1.0), (1.0, 0.0)), "-[B_m, B_u]^-1 Phi^-1 e^(A_s Ts), prediction error to estimates",
+        unit=(("N/m", "N.s/m"), ("1/s", "1")),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -78,44 +107,52 @@ class State:
 
 @dataclass(frozen=True)
 class Outputs(DepthOutputs):
-    demanded_force: float = variable(0.0, "u = u_m + u_a + u_p, earth frame, positive down", unit="N")
+    demanded_force: float = variable(0.0, "u = u_m + u_a + u_p + u_f, earth frame, positive down", unit="N")
     u_m: float = variable(0.0, "State feedback -k_m x", unit="N")
     u_a: float = variable(0.0, "Adaptive control", unit="N")
     u_p: float = variable(0.0, "Extension: PI or nonlinear P", unit="N")
+    u_f: float = variable(0.0, "Reference feedforward outside the filter", unit="N")
     theta_hat: Vector = variable((0.0, 0.0), "Estimate theta_hat, per SI unit of the regressor", unit="N")
     sigma_hat: float = variable(0.0, "Estimate sigma_hat", unit="N")
     omega_hat: float = variable(1.0, "Estimate omega_hat of the input gain")
+    sigma_u: float = variable(
+        0.0, "Estimate of the unmatched disturbance, piecewise-constant law", unit="m/s"
+    )
     predicted_depth: float = variable(0.0, "Predicted state x_hat, depth", unit="m")
     predicted_depth_rate: float = variable(0.0, "Predicted state x_hat, depth rate", unit="m/s")
     depth_prediction_error: float = variable(0.0, "x_tilde = x_hat - x, depth", unit="m")
     depth_rate_prediction_error: float = variable(0.0, "x_tilde = x_hat - x, depth rate", unit="m/s")
 
 
-def requirements(p: Parameters, matrices: DepthMatrices) -> tuple:
+def calculate(p: Parameters) -> Matrices:
+    vehicle = depth_matrices(p)
+    sampled = sampled_prediction(vehicle.predictor_input, p.prediction_error_matrix, p.adaptation_period)
+    return Matrices(**(vars(vehicle) | vars(sampled)))
+
+
+def requirements(p: Parameters, matrices: Matrices) -> tuple:
     return (
         *law_requirements(p, matrices.predictor_matrix),
         *depth_interface.requirements(p, matrices),
     )
 
 
-def initial_state(t: float, inputs: DepthInputs, p: Parameters, matrices: DepthMatrices) -> State:
+def initial_state(t: float, inputs: DepthInputs, p: Parameters, matrices: Matrices) -> State:
     """At rest on the first measurement: no estimate, no adaptive control, prediction = state."""
     interface = depth_interface.first_state(t, inputs, p)
-    return State(l1.initial_law(_measurement(interface.measured), p.input_gain), interface)
+    return State(l1.initial_law(_measurement(interface.measured, matrices), p.input_gain), interface)
 
 
-def step(
-    t: float, h: float, state: State, inputs: DepthInputs, p: Parameters, matrices: DepthMatrices
-) -> State:
+def step(t: float, h: float, state: State, inputs: DepthInputs, p: Parameters, matrices: Matrices) -> State:
     u = _control(state.law, p)
     given = depth_interface.deliver(u.total, state.interface.j, p)
     interface = depth_interface.next_state(t, state.interface, inputs, p)
-    now, k_m = _measurement(interface.measured), _state_feedback(p)
+    now, k_m = _measurement(interface.measured, matrices), _state_feedback(p)
     law = l1.law_step(h, state.law, now, u, given.force, given.shortfall, k_m, p, matrices)
     return State(law, interface)
 
 
-def output(t: float, state: State, p: Parameters, matrices: DepthMatrices) -> Outputs:
+def output(t: float, state: State, p: Parameters, matrices: Matrices) -> Outputs:
     law, estimates, interface = state.law, state.law.estimates, state.interface
     u = _control(law, p)
     predicted = l1.predicted_state(law)
@@ -124,9 +161,11 @@ def output(t: float, state: State, p: Parameters, matrices: DepthMatrices) -> Ou
         u_m=u.u_m,
         u_a=u.u_a,
         u_p=u.u_p,
+        u_f=u.u_f,
         theta_hat=estimates.theta_hat,
         sigma_hat=estimates.sigma_hat,
         omega_hat=estimates.omega_hat,
+        sigma_u=estimates.sigma_u,
         predicted_depth=predicted[0],
         predicted_depth_rate=predicted[1],
         depth_prediction_error=estimates.x_tilde[0],
@@ -134,8 +173,10 @@ def output(t: float, state: State, p: Parameters, matrices: DepthMatrices) -> Ou
     )
 
 
-def _measurement(measured: DepthMeasurement) -> Measurement:
-    return Measurement(x=(measured.depth, measured.rate), y=measured.depth, r=measured.reference)
+def _measurement(measured: DepthMeasurement, matrices: Matrices) -> Measurement:
+    z, r = measured.depth, measured.reference
+    f = reference_feedforward(r, measured.reference_rate, measured.reference_acceleration, matrices)
+    return Measurement(x=(z, measured.rate), y=z, r=r, f=f)
 
 
 def _state_feedback(p: Parameters) -> Vector:
@@ -150,7 +191,7 @@ BLOCK = Block(
     name="L1DepthController",
     description="Extended L1 adaptive depth controller for an underwater vehicle",
     parameters=Parameters,
-    calculated=DepthMatrices,
+    calculated=Matrices,
     inputs=DepthInputs,
     state=State,
     outputs=Outputs,

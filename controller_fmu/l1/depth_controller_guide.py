@@ -1,6 +1,6 @@
 """What the documentation of L1DepthController says besides its variables."""
 
-from controller_fmu.l1.law import EQUATIONS
+from controller_fmu.l1.parameters import EQUATIONS
 from fmus.guide import Experiment, Guide, Source
 
 PAPER = Source(

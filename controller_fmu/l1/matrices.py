@@ -1,19 +1,26 @@
-"""What follows from a design alone: P, P B_m and k_g of A_m, B_m, C and Q.
+"""What follows from a design alone: P, P B_m and k_g of A_m, B_m, C and Q, and the gains of two additions.
 
     A_m' P + P A_m = -Q,    k_g = -1 / (C A_m^-1 B_m)
 
-In closed form for second order, so that a block computes them from its parameters with nothing but
-arithmetic; `design.py` gives the same from SciPy. Source: Maalouf et al. (2013), section 2.
+Source: Maalouf et al. (2013), section 2. In closed form for second order, so that a block computes them
+from its parameters with nothing but arithmetic; `design.py` gives the same from SciPy.
 """
 
 from dataclasses import dataclass
 from typing import Any
 
+from controller_fmu.l1.second_order import (
+    Matrix,
+    Vector,
+    dot,
+    is_hurwitz,
+    lyapunov_solution,
+    sampled_system,
+)  # fmt: skip
 from fmus.block import variable
-from fmus.numerics import maximum
+from fmus.numerics import logical_and, matmul, sqrt, where
 
-Vector = tuple[float, float]
-Matrix = tuple[Vector, Vector]
+_FASTEST = 20.0  # of -tr(A_s) Ts: beyond it nothing of a disturbance would be estimated, e^-10 of it
 
 
 @dataclass(frozen=True)
@@ -25,26 +32,24 @@ class LawMatrices:
     lyapunov_matrix: Matrix = variable(((1.0, 0.0), (0.0, 1.0)), "P, solution of A_m' P + P A_m = -Q")
     adaptation_vector: Vector = variable((0.0, 1.0), "P B_m, weight of the prediction error")
     feedforward_gain: float = variable(1.0, "k_g = -1 / (C A_m^-1 B_m)")
+    feedforward_rate_gain: float = variable(1.0, "-k_g tr(A_m) / det(A_m), gain of r' in f")
+    feedforward_acceleration_gain: float = variable(1.0, "k_g / det(A_m), gain of r'' in f")
 
 
-def dot(first: Vector, second: Vector) -> float:
-    """Scalar product."""
-    return first[0] * second[0] + first[1] * second[1]
+@dataclass(frozen=True)
+class SampledPrediction:
+    """What the piecewise-constant law needs besides."""
 
-
-def lyapunov_solution(a_m: Matrix, q: Vector) -> Matrix:
-    """P of A_m' P + P A_m = -diag(q), by Cramer's rule on (p_11, p_12, p_22)."""
-    (a, b), (c, d) = a_m
-    trace, determinant = a + d, a * d - b * c
-    scale = -0.5 / (trace * determinant)
-    p_11 = scale * (q[0] * (determinant + d * d) + q[1] * c * c)
-    p_12 = -scale * (q[0] * b * d + q[1] * a * c)
-    p_22 = scale * (q[0] * b * b + q[1] * (determinant + a * a))
-    return (p_11, p_12), (p_12, p_22)
+    unmatched_input: Vector = variable((1.0, 0.0), "B_u, unit vector at right angles to B_m")
+    error_transition: Matrix = variable(((1.0, 0.0), (0.0, 1.0)), "e^(A_s Ts)")
+    error_input: Matrix = variable(((1.0, 0.0), (0.0, 1.0)), "Phi = A_s^-1 (e^(A_s Ts) - I)")
+    estimation_gain: Matrix = variable(
+        ((0.0, 1.0), (1.0, 0.0)), "-[B_m, B_u]^-1 Phi^-1 e^(A_s Ts), prediction error to estimates"
+    )
 
 
 def law_matrices(a_m: Matrix, b: Vector, c: Vector, q: Vector) -> LawMatrices:
-    """P, P B_m and k_g of a design; A_m must be Hurwitz and C A_m^-1 B_m not zero."""
+    """P, P B_m, k_g and the gains of f; A_m must be Hurwitz and C A_m^-1 B_m not zero."""
     (a_11, a_12), (a_21, a_22) = a_m
     determinant = a_11 * a_22 - a_12 * a_21
     p = lyapunov_solution(a_m, q)
@@ -52,38 +57,57 @@ def law_matrices(a_m: Matrix, b: Vector, c: Vector, q: Vector) -> LawMatrices:
         (a_22 * b[0] - a_12 * b[1]) / determinant,
         (a_11 * b[1] - a_21 * b[0]) / determinant,
     )
+    k_g = -1.0 / dot(c, steady_state)
     return LawMatrices(
         predictor_matrix=a_m,
         predictor_input=b,
         lyapunov_matrix=p,
         adaptation_vector=(dot(p[0], b), dot(p[1], b)),
-        feedforward_gain=-1.0 / dot(c, steady_state),
+        feedforward_gain=k_g,
+        feedforward_rate_gain=-k_g * (a_11 + a_22) / determinant,
+        feedforward_acceleration_gain=k_g / determinant,
     )
 
 
-def hurwitz_requirement(a_m: Matrix) -> tuple[Any, str]:
-    """A_m is Hurwitz: trace < 0 < determinant."""
-    (a, b), (c, d) = a_m
-    trace, determinant = a + d, a * d - b * c
-    return (maximum(trace, -determinant) < 0.0, "a Hurwitz A_m (trace < 0 and determinant > 0)")
+def sampled_prediction(b: Vector, a_s: Matrix, period: float) -> SampledPrediction:
+    """Of the prediction error x_tilde' = A_s x_tilde + ..., sampled every `period` [s].
+
+    An A_s that `law_requirements` refuses is replaced by one that can be computed.
+    """
+    a_s = where(_can_be_sampled(a_s, period), a_s, ((-1.0 / period, 0.0), (0.0, -1.0 / period)))
+    transition, error_input, inverse = sampled_system(a_s, period)
+    square = dot(b, b)
+    length = sqrt(square)
+    unmatched = b[1] / length, -b[0] / length
+    to_estimates = (-b[0] / square, -b[1] / square), (-unmatched[0], -unmatched[1])
+    return SampledPrediction(
+        unmatched_input=unmatched,
+        error_transition=transition,
+        error_input=error_input,
+        estimation_gain=matmul(to_estimates, inverse),
+    )
 
 
 def law_requirements(parameters: Any, a_m: Matrix) -> tuple[tuple[Any, str], ...]:
-    """A_m is Hurwitz and omega_hat cannot reach zero."""
+    """A_m and A_s are Hurwitz, A_s is not too fast for its period, and omega_hat cannot reach zero."""
+    p = parameters
     return (
-        hurwitz_requirement(a_m),
+        (is_hurwitz(a_m), "a Hurwitz A_m (trace < 0 and determinant > 0)"),
         (
-            parameters.input_gain_uncertainty < parameters.input_gain,
+            is_hurwitz(p.prediction_error_matrix),
+            "a Hurwitz prediction_error_matrix A_s (trace < 0 and determinant > 0)",
+        ),
+        (
+            _can_be_sampled(p.prediction_error_matrix, p.adaptation_period),
+            f"a trace of prediction_error_matrix above -{_FASTEST:g} / adaptation_period: the estimates are"
+            " e^(A_s Ts) times the disturbance",
+        ),
+        (
+            p.input_gain_uncertainty < p.input_gain,
             "input_gain_uncertainty below input_gain, so that omega_hat stays positive",
         ),
     )
 
 
-def relaxed(a_m: Matrix, h: float, vector: Vector) -> Vector:
-    """The vector h seconds later under x' = A_m x, by the implicit midpoint rule."""
-    half = 0.5 * h
-    (a_11, a_12), (a_21, a_22) = a_m
-    m_11, m_12, m_21, m_22 = 1 - half * a_11, -half * a_12, -half * a_21, 1 - half * a_22
-    m = m_11 * m_22 - m_12 * m_21
-    middle = (m_22 * vector[0] - m_12 * vector[1]) / m, (m_11 * vector[1] - m_21 * vector[0]) / m
-    return 2.0 * middle[0] - vector[0], 2.0 * middle[1] - vector[1]
+def _can_be_sampled(a_s: Matrix, period: float) -> Any:
+    return logical_and(is_hurwitz(a_s), (a_s[0][0] + a_s[1][1]) * period > -_FASTEST)

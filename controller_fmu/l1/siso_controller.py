@@ -9,8 +9,17 @@ from dataclasses import dataclass
 from controller_fmu.l1 import law as l1
 from controller_fmu.l1.adaptation import Regressor
 from controller_fmu.l1.augmentation import Threshold
-from controller_fmu.l1.law import LawParameters, LawState, Measurement
-from controller_fmu.l1.matrices import LawMatrices, Matrix, Vector, law_matrices, law_requirements
+from controller_fmu.l1.feedforward import feedforward_requirement, reference_feedforward
+from controller_fmu.l1.law import LawState, Measurement
+from controller_fmu.l1.matrices import (
+    LawMatrices,
+    SampledPrediction,
+    law_matrices,
+    law_requirements,
+    sampled_prediction,
+)  # fmt: skip
+from controller_fmu.l1.parameters import LawParameters
+from controller_fmu.l1.second_order import Matrix, Vector, dot
 from controller_fmu.l1.siso_controller_guide import GUIDE
 from fmus.block import Block, variable
 from fmus.numerics import clip
@@ -66,8 +75,15 @@ class Parameters(LawParameters):
 
 
 @dataclass(frozen=True)
+class Matrices(LawMatrices, SampledPrediction):
+    """What follows from the parameters alone."""
+
+
+@dataclass(frozen=True)
 class Inputs:
     reference: float = variable(0.0, "Reference r")
+    reference_rate: float = variable(0.0, "Its rate r', used by reference_feedforward")
+    reference_acceleration: float = variable(0.0, "Its acceleration r'', used by reference_feedforward")
     measured_state: Vector = variable((0.0, 0.0), "Measured state x")
 
 
@@ -78,38 +94,45 @@ class State:
 
 @dataclass(frozen=True)
 class Outputs:
-    control: float = variable(0.0, "u = u_m + u_a + u_p, saturated")
+    control: float = variable(0.0, "u = u_m + u_a + u_p + u_f, saturated")
     u_m: float = variable(0.0, "State feedback -k_m x")
     u_a: float = variable(0.0, "Adaptive control")
     u_p: float = variable(0.0, "Extension: PI or nonlinear P")
+    u_f: float = variable(0.0, "Reference feedforward outside the filter")
     theta_hat: Vector = variable((0.0, 0.0), "Estimate theta_hat")
     sigma_hat: float = variable(0.0, "Estimate sigma_hat")
     omega_hat: float = variable(1.0, "Estimate omega_hat of the input gain")
+    sigma_u: float = variable(0.0, "Estimate of the unmatched disturbance, piecewise-constant law")
     predicted_state: Vector = variable((0.0, 0.0), "Predicted state x_hat")
     prediction_error: Vector = variable((0.0, 0.0), "x_tilde = x_hat - x")
     tracking_error: float = variable(0.0, "e = y - r")
 
 
-def calculate(p: Parameters) -> LawMatrices:
-    return law_matrices(p.state_matrix, p.input_vector, p.output_vector, p.lyapunov_weight)
+def calculate(p: Parameters) -> Matrices:
+    law = law_matrices(p.state_matrix, p.input_vector, p.output_vector, p.lyapunov_weight)
+    error = sampled_prediction(p.input_vector, p.prediction_error_matrix, p.adaptation_period)
+    return Matrices(**(vars(law) | vars(error)))
 
 
-def requirements(p: Parameters, matrices: LawMatrices) -> tuple:
-    return law_requirements(p, p.state_matrix)
+def requirements(p: Parameters, matrices: Matrices) -> tuple:
+    return (
+        *law_requirements(p, p.state_matrix),
+        feedforward_requirement(p.reference_feedforward, p.input_vector, p.output_vector),
+    )
 
 
-def initial_state(t: float, inputs: Inputs, p: Parameters, matrices: LawMatrices) -> State:
-    return State(l1.initial_law(_measurement(inputs, p), p.input_gain))
+def initial_state(t: float, inputs: Inputs, p: Parameters, matrices: Matrices) -> State:
+    return State(l1.initial_law(_measurement(inputs, p, matrices), p.input_gain))
 
 
-def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, matrices: LawMatrices) -> State:
+def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, matrices: Matrices) -> State:
     u = l1.control(state.law, p.feedback_gain, p)
     delivered = _saturated(u.total, p)
-    shortfall, now = delivered - u.total, _measurement(inputs, p)
+    shortfall, now = delivered - u.total, _measurement(inputs, p, matrices)
     return State(l1.law_step(h, state.law, now, u, delivered, shortfall, p.feedback_gain, p, matrices))
 
 
-def output(t: float, state: State, p: Parameters, matrices: LawMatrices) -> Outputs:
+def output(t: float, state: State, p: Parameters, matrices: Matrices) -> Outputs:
     law, estimates = state.law, state.law.estimates
     u = l1.control(law, p.feedback_gain, p)
     return Outputs(
@@ -117,9 +140,11 @@ def output(t: float, state: State, p: Parameters, matrices: LawMatrices) -> Outp
         u_m=u.u_m,
         u_a=u.u_a,
         u_p=u.u_p,
+        u_f=u.u_f,
         theta_hat=estimates.theta_hat,
         sigma_hat=estimates.sigma_hat,
         omega_hat=estimates.omega_hat,
+        sigma_u=estimates.sigma_u,
         predicted_state=l1.predicted_state(law),
         prediction_error=estimates.x_tilde,
         tracking_error=law.measured.error,
@@ -130,16 +155,17 @@ def _saturated(u: float, p: Parameters) -> float:
     return clip(u, -p.control_limit, p.control_limit)
 
 
-def _measurement(inputs: Inputs, p: Parameters) -> Measurement:
-    x, c = inputs.measured_state, p.output_vector
-    return Measurement(x=x, y=c[0] * x[0] + c[1] * x[1], r=inputs.reference)
+def _measurement(inputs: Inputs, p: Parameters, matrices: Matrices) -> Measurement:
+    r, x = inputs.reference, inputs.measured_state
+    f = reference_feedforward(r, inputs.reference_rate, inputs.reference_acceleration, matrices)
+    return Measurement(x=x, y=dot(p.output_vector, x), r=r, f=f)
 
 
 BLOCK = Block(
     name="L1Controller",
     description="Extended L1 adaptive controller for a plant of second order",
     parameters=Parameters,
-    calculated=LawMatrices,
+    calculated=Matrices,
     inputs=Inputs,
     state=State,
     outputs=Outputs,

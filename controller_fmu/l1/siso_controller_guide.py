@@ -1,7 +1,7 @@
 """What the documentation of L1Controller says besides its variables."""
 
 from controller_fmu.l1.depth_controller_guide import LAW_LIMITS, PAPER
-from controller_fmu.l1.law import EQUATIONS
+from controller_fmu.l1.parameters import EQUATIONS
 from fmus.guide import Experiment, Guide, Source
 
 GUIDE = Guide(

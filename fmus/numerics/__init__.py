@@ -61,7 +61,7 @@ from fmus.numerics.elementary import (
 from fmus.numerics.integration import rk4_step
 from fmus.numerics.matrices import matmul, solve, transpose
 from fmus.numerics.sampling import Clock, sampled
-from fmus.numerics.tables import interp, interp2d, ramps
+from fmus.numerics.tables import interp, interp2d, ramp_rates, ramps
 
 __all__ = [
     "Clock",
@@ -106,6 +106,7 @@ __all__ = [
     "minimum",
     "power",
     "radians",
+    "ramp_rates",
     "ramps",
     "remainder",
     "rk4_step",

@@ -49,3 +49,20 @@ def ramps(t: Any, times: Sequence[Any], values: Sequence[Any], smooth: Any) -> A
         quintic = s**3 * (10.0 + s * (6.0 * s - 15.0))
         value = where(t <= t_1, y_0 + (y_1 - y_0) * where(smooth, quintic, s), value)
     return where(t <= points[0][0], points[0][1], value)
+
+
+def ramp_rates(t: Any, times: Sequence[Any], values: Sequence[Any], smooth: Any) -> tuple[Any, Any]:
+    """First and second derivative of `ramps` at time t; at a point, those of the time after it.
+
+    The second derivative of straight ramps is 0 everywhere, also where the first one jumps.
+    """
+    points = list(zip(times, values, strict=True))
+    rate, acceleration = 0.0, 0.0
+    for (t_0, y_0), (t_1, y_1) in reversed(list(pairwise(points))):
+        s, slope = (t - t_0) / (t_1 - t_0), (y_1 - y_0) / (t_1 - t_0)
+        rest = s * (1.0 - s)
+        curvature = slope / (t_1 - t_0) * 60.0 * rest * (1.0 - 2.0 * s)
+        rate = where(t < t_1, slope * where(smooth, 30.0 * rest * rest, 1.0), rate)
+        acceleration = where(t < t_1, where(smooth, curvature, 0.0), acceleration)
+    is_before = t < points[0][0]
+    return where(is_before, 0.0, rate), where(is_before, 0.0, acceleration)

@@ -7,9 +7,11 @@ import pytest
 
 from controller_fmu.depth_reference import BLOCK, POINTS
 from fmus.instance import BlockError
+from orchestration.system.signal_derivatives import derivative
 from orchestration.system.signals import Ramps
 
 ROUNDING = 1e-12  # of a depth of 1 m; both evaluate the same formula
+NAMES = ("depth_reference", "depth_reference_rate", "depth_reference_acceleration")
 
 
 def reference(driver: Any, points: list[tuple[float, float]], **values: Any) -> Any:
@@ -34,6 +36,32 @@ def test_it_gives_what_the_scenarios_ramps_give(driver: Any, smooth: bool, seed:
     while block.instance.time < points[-1][0] + 10.0:
         assert block["depth_reference"] == pytest.approx(expected(block.instance.time), abs=ROUNDING)
         block.step(0.37)
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_its_derivatives_are_those_of_the_scenarios_signals(driver: Any, smooth: bool, seed: int) -> None:
+    """Also at the points themselves: those of the time after them."""
+    points = spread(seed)
+    rate, acceleration = (derivative(Ramps(points, smooth), order) for order in (1, 2))
+    for t in (-30.0, *(t + shift for t, _ in points for shift in (0.0, 0.03))):
+        block = reference(driver, points, smooth=smooth).begin(t)
+        assert block["depth_reference_rate"] == pytest.approx(rate(t), abs=ROUNDING)
+        assert block["depth_reference_acceleration"] == pytest.approx(acceleration(t), abs=ROUNDING)
+
+
+def test_its_derivatives_are_the_differences_of_its_depth(driver: Any) -> None:
+    """Of quintic ramps, by central differences; the third derivative jumps by up to 7.5e-4 m/s3."""
+    points, h = [(0.0, 0.0), (40.0, 0.8), (60.0, 0.8), (100.0, 0.2)], 0.01
+    points += [(110.0 + i, 0.2) for i in range(POINTS - len(points))]
+    block = reference(driver, points, smooth=True).begin(1.0)
+    rows = []
+    while block.instance.time < 99.0:
+        rows.append([block[name] for name in NAMES])
+        block.step(h)
+    z, rate, acceleration = np.array(rows).T
+    np.testing.assert_allclose(rate[1:-1], (z[2:] - z[:-2]) / (2.0 * h), atol=h**2 * 7.5e-4)
+    np.testing.assert_allclose(acceleration[1:-1], (rate[2:] - rate[:-2]) / (2.0 * h), atol=h * 7.5e-4)
 
 
 def test_a_long_step_gives_the_same_as_many_short_ones(driver: Any) -> None:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from controller_fmu import design
 from controller_fmu.l1 import depth_controller, matrices
-from controller_fmu.l1.law import Regressor
+from controller_fmu.l1.adaptation import Regressor
 from controller_fmu.l1.lowpass import FilterOrder
 
 A_M = np.array([[0.0, 1.0], [-1.0, -1.4]])

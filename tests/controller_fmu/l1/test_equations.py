@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from controller_fmu.l1.law import EQUATIONS
+from controller_fmu.l1.parameters import EQUATIONS
 from fmus import catalogue
 
 THEORY = Path(__file__).parents[3] / "docs" / "explanation" / "theory.md"

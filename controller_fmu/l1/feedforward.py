@@ -1,0 +1,41 @@
+"""The reference feedforward: the control that makes the reference itself a solution of the desired dynamics.
+
+    x' = A_m x + B_m f,   y = C x,   C B_m = 0
+    y'' = C A_m^2 x + C A_m B_m f = tr(A_m) y' - det(A_m) y + C A_m B_m f        (Cayley and Hamilton)
+    f   = k_g (r - (tr(A_m) r' - r'') / det(A_m)),   as k_g = det(A_m) / (C A_m B_m)
+
+so y = r from then on if it is so once, with its rate. For the vehicle f = M r'' + (D + k_m2) r' + k_m1 r.
+"""
+
+from enum import IntEnum
+from typing import Any
+
+from controller_fmu.l1.matrices import LawMatrices
+from controller_fmu.l1.second_order import Vector, dot
+from fmus.numerics import absolute, logical_or, sqrt
+
+_ROUNDING = 1e-12  # of |C| |B_m|
+
+
+class ReferenceFeedforward(IntEnum):
+    """Where f acts: nowhere, in the low-pass filter in place of k_g r, or added behind it."""
+
+    NONE = 1
+    INSIDE = 2
+    OUTSIDE = 3
+
+
+def reference_feedforward(r: float, rate: float, acceleration: float, matrices: LawMatrices) -> float:
+    """f for the reference r, its rate and its acceleration."""
+    m = matrices
+    of_rates = m.feedforward_rate_gain * rate + m.feedforward_acceleration_gain * acceleration
+    return m.feedforward_gain * r + of_rates
+
+
+def feedforward_requirement(kind: ReferenceFeedforward, b: Vector, c: Vector) -> tuple[Any, str]:
+    """C B_m = 0, or no feedforward: else f would depend on the past of r as well."""
+    is_relative_degree_two = absolute(dot(c, b)) <= _ROUNDING * sqrt(dot(c, c) * dot(b, b))
+    return (
+        logical_or(kind == ReferenceFeedforward.NONE, is_relative_degree_two),
+        "C B_m = 0 (output_vector, input_vector) with a reference_feedforward",
+    )

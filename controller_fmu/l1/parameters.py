@@ -1,0 +1,105 @@
+"""The equations of the law, and the parameters that every block with this law has."""
+
+from dataclasses import dataclass
+
+from controller_fmu.l1.adaptation import AdaptationLaw, InputGainRegressor, Regressor
+from controller_fmu.l1.augmentation import Augmentation, Threshold
+from controller_fmu.l1.feedforward import ReferenceFeedforward
+from controller_fmu.l1.lowpass import FilterOrder
+from controller_fmu.l1.second_order import Matrix
+from fmus.block import variable
+
+EQUATIONS = """\
+u            = u_m + u_a + u_p + u_f,   u_m = -k_m x
+x_hat'       = A_m x_hat + B_m (omega_hat (u_a + u_p + u_f) + theta_hat^T phi + sigma_hat)  (5)
+theta_hat_i' = Gamma Proj(theta_hat_i, -(x_tilde^T P B_m) phi_i),   x_tilde = x_hat - x     (4)
+sigma_hat'   = Gamma Proj(sigma_hat, -(x_tilde^T P B_m))
+omega_hat'   = Gamma Proj(omega_hat, -(x_tilde^T P B_m) u_omega)
+u_a(s)       = -k D(s) (omega_hat u_a + theta_hat^T phi + sigma_hat - v)                    (6)
+A_m^T P + P A_m = -Q,   k_g = -1 / (C A_m^-1 B_m)
+
+phi          = (|x|_inf, 0)    regressor infinity_norm
+               x               regressor state
+u_omega      = u_a + u_f       input_gain_regressor adaptive_control
+               u_a + u_f + u_p input_gain_regressor adaptive_control_and_extension
+C(s)         = w / (s + w)                         filter_order first
+               (3 w^2 s + w^3) / (s + w)^3         filter_order third
+
+v, u_f       = k_g r, 0                            reference_feedforward none
+               f, 0                                reference_feedforward inside
+               (1 - omega_hat) f, f                reference_feedforward outside
+f            = k_g (r - (tr(A_m) r' - r'') / det(A_m)),   for C B_m = 0
+
+u_p          = 0                                   augmentation none
+               -K_P e - K_I int e dt,   e = y - r  augmentation pi            (7)
+               -a_1 |e|^alpha sgn(e)               augmentation nonlinear_p   (8), |e| > delta
+               -a_2 e / delta^(1 - alpha)                                     (8), elsewhere
+
+With adaptation_law piecewise_constant, theta_hat = 0, omega_hat = input_gain and, at every Ts:
+x_hat'       = A_m x + A_s x_tilde + B_m (omega_hat (u_a + u_p + u_f) + sigma_hat) + B_u sigma_u
+(sigma_hat, sigma_u) = -[B_m, B_u]^-1 Phi^-1 e^(A_s Ts) x_tilde,   Phi = A_s^-1 (e^(A_s Ts) - I)
+"""
+
+
+@dataclass(frozen=True)
+class LawParameters:
+    """What every block with this law has in common; units that depend on the plant are added there."""
+
+    internal_step: float = variable(
+        10.0, "Longest internal step; one for each communication step is best", unit="s", min=1e-7, max=10.0,
+        variability="fixed",
+    )  # fmt: skip
+    regressor: Regressor = variable(
+        Regressor.INFINITY_NORM, "Regressor that theta_hat multiplies", variability="fixed"
+    )
+    filter_order: FilterOrder = variable(
+        FilterOrder.FIRST, "Order of the low-pass filter C(s)", variability="fixed"
+    )
+    augmentation: Augmentation = variable(
+        Augmentation.NONE, "Extension u_p of the control law", variability="fixed"
+    )
+    threshold: Threshold = variable(
+        Threshold.FIXED, "Kind of the threshold of the nonlinear P", variability="fixed"
+    )
+    adaptation_gain: float = variable(
+        1e4, "Adaptation gain Gamma", min=0.0, max=1e9, source="published for the example"
+    )
+    projection_tolerance: float = variable(
+        0.1, "Width eps of the boundary layer of the projection", min=1e-6, max=10.0, source="guess"
+    )
+    input_gain: float = variable(
+        1.0, "Centre of the box of omega_hat, and its initial value", min=1e-3, max=1e3,
+        variability="fixed", source="published: omega = 1",
+    )  # fmt: skip
+    input_gain_uncertainty: float = variable(
+        0.0, "Half-width of the box of omega_hat; 0 holds it", min=0.0, max=1e3,
+        source="published: omega is known",
+    )  # fmt: skip
+    filter_bandwidth: float = variable(
+        1.0, "Bandwidth w of the low-pass filter C(s)", unit="rad/s", min=1e-6, max=1e6
+    )
+    nonlinear_exponent: float = variable(
+        0.1, "Exponent alpha of the nonlinear P", min=1e-3, max=1.0, source="published, (9)"
+    )
+    input_gain_regressor: InputGainRegressor = variable(
+        InputGainRegressor.ADAPTIVE_CONTROL, "Control that omega_hat learns from", variability="fixed",
+        source="published: u_a, which precedes the extension",
+    )  # fmt: skip
+    inputs_at_step_end: bool = variable(
+        False, "Inputs are those of the end of a step (Gauss-Seidel), not of its beginning (Jacobi)",
+        variability="fixed",
+    )  # fmt: skip
+    reference_feedforward: ReferenceFeedforward = variable(
+        ReferenceFeedforward.NONE, "Where the feedforward f of the reference acts", variability="fixed"
+    )
+    adaptation_law: AdaptationLaw = variable(
+        AdaptationLaw.PROJECTION, "How the estimates follow from the prediction error", variability="fixed"
+    )
+    adaptation_period: float = variable(
+        1e-3, "Sampling period Ts of the piecewise-constant law", unit="s", min=1e-6, max=10.0,
+        variability="fixed", source="guess",
+    )  # fmt: skip
+    prediction_error_matrix: Matrix = variable(
+        ((-1.0, 0.0), (0.0, -1.0)), "A_s of the piecewise-constant law, Hurwitz", min=-1e6, max=1e6,
+        source="guess: estimates are e^(A_s Ts) times the disturbance, 0.1 % less here",
+    )  # fmt: skip

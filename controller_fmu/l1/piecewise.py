@@ -1,0 +1,79 @@
+"""The piecewise-constant law: an adaptation that computes its estimates anew at every sample.
+
+    x_hat'             = A_m x + A_s x_tilde + B_m (omega u + sigma_hat) + B_u sigma_u,   x_tilde = x_hat - x
+    (sigma_hat, sigma_u) = -[B_m, B_u]^-1 Phi^-1 e^(A_s Ts) x_tilde   at every sample, constant between two
+    Phi                = A_s^-1 (e^(A_s Ts) - I)
+
+sigma_hat is the matched disturbance, which the filter of the law answers, and sigma_u the unmatched one,
+which the prediction alone uses. With x' = A_m x + B_m omega u + d and d constant over an interval,
+x_tilde goes from one sample to the next as
+
+    x_tilde <- e^(A_s Ts) x_tilde + Phi (B_m sigma_hat + B_u sigma_u - d) = -Phi d
+
+so the estimates are e^(A_s Ts) d, one interval late. A_s and Ts are parameters, so that these matrices are
+calculated once. Source: Hovakimyan and Cao (2010), chapter 3; docs/explanation/theory.md.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+from controller_fmu.l1.adaptation import Estimates, Interval
+from controller_fmu.l1.second_order import Vector, dot
+from fmus.numerics import matmul, maximum, where
+
+_EARLY = 1e-6  # of a period: sums of communication steps are rounded
+_SHORTEST = 1e-300  # s; keeps a mean over no time finite
+
+
+@dataclass(frozen=True)
+class Sample:
+    """The state x at the last sample and what came since: duration [s], integrals of x and of u."""
+
+    x: Vector = (0.0, 0.0)
+    duration: float = 0.0
+    x_integral: Vector = (0.0, 0.0)
+    u_integral: float = 0.0
+
+
+def adapt_at_samples(
+    before: Estimates, sample: Sample, over: Interval, parameters: Any, matrices: Any
+) -> tuple[Estimates, float, Sample]:
+    """Estimates, the matched one of them, and the sample to go on from, at the end of the interval.
+
+    A sample is due at the first measurement Ts or more after the last. What the disturbance was since then
+    is its mean, so a longer interval than Ts gives the estimates of that mean.
+
+    matrices: LawMatrices and SampledPrediction in one
+    """
+    h, x_0, x_1 = over.duration, over.x_0, over.x_1
+    since = Sample(
+        x=sample.x,
+        duration=sample.duration + h,
+        x_integral=(
+            sample.x_integral[0] + 0.5 * h * (x_0[0] + x_1[0]),
+            sample.x_integral[1] + 0.5 * h * (x_0[1] + x_1[1]),
+        ),
+        u_integral=sample.u_integral + h * over.u_ap,
+    )
+    is_due = since.duration >= parameters.adaptation_period * (1.0 - _EARLY)
+    new = _estimates(before, since, x_1, parameters.input_gain, matrices)
+    estimates, after = where(is_due, (new, Sample(x=x_1)), (before, since))
+    return estimates, estimates.sigma_hat, after
+
+
+def _estimates(before: Estimates, since: Sample, x: Vector, omega: float, matrices: Any) -> Estimates:
+    """The estimates at a sample at which the state is x."""
+    m, duration = matrices, maximum(since.duration, _SHORTEST)
+    b, b_u = m.predictor_input, m.unmatched_input
+
+    def excess(i: int) -> float:
+        """Of the estimates over the mean disturbance, component i."""
+        explained = dot(m.predictor_matrix[i], since.x_integral) + b[i] * omega * since.u_integral
+        disturbance = (x[i] - since.x[i] - explained) / duration
+        return b[i] * before.sigma_hat + b_u[i] * before.sigma_u - disturbance
+
+    free = matmul(m.error_transition, before.x_tilde)
+    driven = matmul(m.error_input, (excess(0), excess(1)))
+    x_tilde = free[0] + driven[0], free[1] + driven[1]
+    sigma_hat, sigma_u = matmul(m.estimation_gain, x_tilde)
+    return Estimates(x_tilde=x_tilde, sigma_hat=sigma_hat, omega_hat=omega, sigma_u=sigma_u)
