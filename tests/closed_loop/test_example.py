@@ -86,12 +86,12 @@ def example_at(h: float, controller: str) -> dict[str, float]:
 
 MISTAKES = {
     "the predictor does not receive u_p": [
-        ("given = Held(h, delivered, u.u_a)", "given = Held(h, delivered - u.u_p, u.u_a)"),
+        ("Held(h, delivered, ", "Held(h, delivered - u.u_p, "),
     ],
     "eta_hat holds u_p as well": [
         (
-            "drive, omega = known - matrices",
-            "drive, omega = known + law.estimates.omega_hat * u.u_p - matrices",
+            "drive = known - ",
+            "drive = known + omega * u.u_p - ",
         ),
     ],
 }

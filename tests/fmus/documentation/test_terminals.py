@@ -16,6 +16,9 @@ from fmus.documentation.terminals import PATH, terminals
 SCHEMA = Path(fmpy.__file__).parent / "schema" / "fmi3" / "fmi3TerminalsAndIcons.xsd"
 
 
+REFERENCE = {"depth_reference", "depth_reference_rate", "depth_reference_acceleration"}
+
+
 @pytest.fixture(scope="module")
 def described(built: Mapping[str, Path]) -> dict[str, Any]:
     """Root element of the file in each FMU, by name."""
@@ -51,7 +54,7 @@ def test_both_flavours_have_the_same_terminals(either: dict[str, Path]) -> None:
 @pytest.mark.parametrize(
     ("source", "target", "links"),
     [
-        ("DepthReference", "L1DepthController", {"depth_reference"}),
+        ("DepthReference", "L1DepthController", REFERENCE),
         ("L1DepthController", "RovDepthPlant", {"voltage[1]", "voltage[2]"}),
         ("RovDepthPlant", "L1DepthController", {"measured_depth"}),
         ("L1Controller", "ExamplePlant", {"control"}),

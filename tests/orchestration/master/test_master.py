@@ -228,7 +228,14 @@ def test_a_signal_that_leaves_the_numbers_is_refused_before_the_run(built: Mappi
 
 
 def test_an_unknown_enumeration_item_lists_them(built: Mapping[str, Path]) -> None:
-    inputs = {"c.reference": 0.0, "c.measured_state[1]": 0.0, "c.measured_state[2]": 0.0}
+    names = (
+        "reference",
+        "reference_rate",
+        "reference_acceleration",
+        "measured_state[1]",
+        "measured_state[2]",
+    )
+    inputs = {f"c.{name}": 0.0 for name in names}
     experiment = Experiment(1.0, 0.1, parameters={"c.augmentation": "pid"}, inputs=inputs)
     with pytest.raises(
         OrchestrationError, match=r"c.augmentation = 'pid': expected one of none, pi, nonlinear_p"
