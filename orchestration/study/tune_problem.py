@@ -32,7 +32,7 @@ def problem_of(controller: Controller, protocol: Protocol, free: Iterable[FreeGa
     tuned = {
         "controller": repr(controller),
         "fmus": {name: _hash(path) for name, path in components.items()},
-        "protocol": _hash(protocol.file.path),
+        "protocol": _what_costs(protocol),
     }
     return Problem(gains, functools.partial(cost_of, controller=controller), tuned)
 
@@ -41,6 +41,17 @@ def _of_protocol(name: str, protocol: Protocol) -> list[FreeGain]:
     if name not in protocol.controllers:
         return []
     return [FreeGain(gain, table.low, table.high) for gain, table in protocol.controllers[name].gains.items()]
+
+
+def _what_costs(protocol: Protocol) -> dict[str, Any]:
+    """What the cost depends on of the protocol, as plain data."""
+    data = protocol.file.data
+    return {
+        "version": protocol.version,
+        "cost": data["cost"],
+        "cases": {name: data["cases"][name] for name in data["cost"]["cases"]},
+        **{key: data[key] for key in ("base", "trajectory", "practice_seeds")},
+    }
 
 
 def _hash(path: Path) -> str:
