@@ -285,5 +285,5 @@ def _fill(template: Any, scalars: Iterator[Any]) -> Any:
     return next(scalars)
 
 
-def _default(template: Any, each: Field) -> Any:
-    return each.default if isinstance(template, type) else getattr(template, each.name)
+def _default(template: Any, member: Field) -> Any:
+    return member.default if isinstance(template, type) else getattr(template, member.name)

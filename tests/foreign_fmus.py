@@ -218,8 +218,8 @@ def _description(
     if any(v.kind == "Enumeration" for v in variables):
         declared = _add(_add(root, "TypeDefinitions"), "SimpleType", name="Misdeed")
         items = _add(declared, "Enumeration")
-        for each in Misdeed:
-            _add(items, "Item", name=each.name.lower(), value=str(each.value))
+        for misdeed in Misdeed:
+            _add(items, "Item", name=misdeed.name.lower(), value=str(misdeed.value))
     categories = _add(root, "LogCategories")
     for status in _STATUSES:
         _add(categories, "Category", name=f"logStatus{status}")
@@ -242,8 +242,8 @@ def _scalar_variable(parent: Any, reference: int, v: Variable) -> None:
     if v.kind == "Enumeration":
         typed.set("declaredType", "Misdeed")
     if v.causality != "output" or v.initial == "exact":
-        whole = {"Boolean": bool, "Integer": int, "Enumeration": int}.get(v.kind, float)
-        typed.set("start", _text(whole(v.start)))
+        python_type = {"Boolean": bool, "Integer": int, "Enumeration": int}.get(v.kind, float)
+        typed.set("start", _text(python_type(v.start)))
     if v.nominal is not None:
         typed.set("nominal", _text(v.nominal))
 

@@ -34,17 +34,17 @@ class Example:
     @property
     def file(self) -> str:
         """To which it is written; empty if it runs."""
-        found = _FILE.match(self.code) if self.language != "sh" else None
-        return found[1] if found else ""
+        match = _FILE.match(self.code) if self.language != "sh" else None
+        return match[1] if match else ""
 
 
 def examples(page: Path) -> list[Example]:
     """In the order of the page."""
     text, is_tutorial = page.read_text(encoding="utf-8"), page.parent.name == "tutorials"
     return [
-        Example(found[2], found[3], text.count("\n", 0, found.start(3)) + 1)
-        for found in _BLOCK.finditer(text)
-        if is_tutorial or found[1]
+        Example(match[2], match[3], text.count("\n", 0, match.start(3)) + 1)
+        for match in _BLOCK.finditer(text)
+        if is_tutorial or match[1]
     ]
 
 

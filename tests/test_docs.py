@@ -73,7 +73,7 @@ def test_a_page_says_what_was_tested_and_what_was_not(page: Path) -> None:
     """Every claim of a test names a file that exists, or says that nothing was tested."""
     text = page.read_text(encoding="utf-8")
     (tested,) = re.findall(r"^## Tested here\n(.*?)^## Not tested\n", text, re.M | re.DOTALL)
-    claims = [each for each in re.split(r"^- ", tested, flags=re.M)[1:] if not each.startswith("Nothing")]
+    claims = [claim for claim in re.split(r"^- ", tested, flags=re.M)[1:] if not claim.startswith("Nothing")]
     for claim in claims:
         named = re.findall(r"`(tests/\S+?\.py)`", claim)
         assert named, claim
@@ -111,15 +111,17 @@ def test_the_examples_run_and_print_what_the_page_shows(page: Path, tmp_path: Pa
 
 @pytest.mark.parametrize("page", TUTORIALS, ids=_name)
 def test_a_tutorial_shows_output_and_is_linked_from_the_readme(page: Path) -> None:
-    assert any(each.language == "text" for each in examples(page))
+    assert any(example.language == "text" for example in examples(page))
     assert f"(docs/tutorials/{page.name})" in (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def test_the_workflow_shown_runs_what_the_page_runs() -> None:
     """Except for what installs, each command of the workflow is one that this page's examples ran."""
     shown = examples(ROOT / "docs" / "tutorials" / "continuous-integration.md")
-    (workflow,) = [each.code for each in shown if each.language == "yaml"]
-    ran = {line.strip() for each in shown if each.language == "sh" for line in each.code.splitlines()}
+    (workflow,) = [example.code for example in shown if example.language == "yaml"]
+    ran = {
+        line.strip() for example in shown if example.language == "sh" for line in example.code.splitlines()
+    }
     commands = [c for c in re.findall(r"- run: (.*)", workflow) if not c.startswith("pip ")]
     assert len(commands) == 2
     assert set(commands) <= ran

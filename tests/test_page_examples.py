@@ -103,4 +103,4 @@ def test_output_without_an_example_is_refused(page: Page) -> None:
 def test_on_other_pages_only_what_is_marked_runs(tmp_path: Path) -> None:
     path = tmp_path / "page.md"
     path.write_text("```sh\nfalse\n```\n<!-- run -->\n```sh\ntrue\n```\n", encoding="utf-8")
-    assert [each.code for each in examples(path)] == ["true\n"]
+    assert [example.code for example in examples(path)] == ["true\n"]

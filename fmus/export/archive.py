@@ -49,7 +49,7 @@ def licenses(*names: str) -> dict[str, bytes]:
 
 def _license(project: str, file: str) -> str:
     if file:  # a clone's own .egg-info, found first where it is the working directory, has no licence
-        texts = (found.read_text(f"licenses/{file}") for found in distributions(name=project))
+        texts = (distribution.read_text(f"licenses/{file}") for distribution in distributions(name=project))
         text = next(filter(None, texts), "")
         if not text:
             raise ExportError(

@@ -39,19 +39,19 @@ def source_closure(module: str) -> dict[str, str]:
     Raises ExportError for a module beyond the standard library that is not plain Python
     beside the block or PythonFMU's own.
     """
-    found: dict[str, str] = {}
+    sources: dict[str, str] = {}
     waiting = [module, *SHARED_BY_EVERY_FMU]
     folder = None if "." in module else _file(module).parent
     while waiting:
         name = waiting.pop()
-        if name in found:
+        if name in sources:
             continue
-        found[name] = _read(name)
+        sources[name] = _read(name)
         parts = name.split(".")
         for parent in (".".join(parts[:i]) for i in range(1, len(parts))):
-            found.setdefault(parent, "" if parent == "pythonfmu" else _read(parent))
-        waiting.extend(_imported(name, found[name], folder))
-    return dict(sorted(found.items()))
+            sources.setdefault(parent, "" if parent == "pythonfmu" else _read(parent))
+        waiting.extend(_imported(name, sources[name], folder))
+    return dict(sorted(sources.items()))
 
 
 def in_package(sources: dict[str, str], package: str) -> dict[str, str]:

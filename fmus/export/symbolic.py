@@ -124,7 +124,7 @@ def initial_dependencies(block: Block) -> dict[int, tuple[int, ...]]:
     """Value reference of each initial unknown -> those of the parameters and inputs it follows from."""
     unknowns = (*block.of_causality("calculatedParameter"), *block.of_causality("output"))
     knowns = (*block.of_causality("parameter"), *block.of_causality("input"))
-    found: dict[int, list[int]] = {v.value_reference: [] for v in unknowns}
+    dependencies: dict[int, list[int]] = {v.value_reference: [] for v in unknowns}
     for row, column in zip(*traced(block).initial_sparsity.get_triplet(), strict=True):
-        found[unknowns[row].value_reference].append(knowns[column].value_reference)
-    return {unknown: tuple(sorted(known)) for unknown, known in found.items()}
+        dependencies[unknowns[row].value_reference].append(knowns[column].value_reference)
+    return {unknown: tuple(sorted(known)) for unknown, known in dependencies.items()}

@@ -24,9 +24,9 @@ def results(folder: Path, scenario_fmus: None) -> dict[str, Result]:
     """Every shipped scenario, run through the FMUs and the master at its default settings."""
 
     def run_all(path: Path) -> None:
-        found = reproduce.run_all(folder, os.cpu_count() or 1)
-        reproduce.write_report(found, folder)
-        path.write_bytes(pickle.dumps(found))
+        results = reproduce.run_all(folder, os.cpu_count() or 1)
+        reproduce.write_report(results, folder)
+        path.write_bytes(pickle.dumps(results))
 
     return pickle.loads(built_once(folder / "results.pickle", run_all).read_bytes())
 

@@ -49,8 +49,8 @@ def python_results(tmp_path_factory: pytest.TempPathFactory, python_fmus: None) 
     folder = session_folder(tmp_path_factory, "python reproduction")
 
     def run_all(path: Path) -> None:
-        found = reproduce.run_all(folder, os.cpu_count() or 1, flavour=Flavour.PYTHON)
-        path.write_bytes(pickle.dumps(found))
+        results = reproduce.run_all(folder, os.cpu_count() or 1, flavour=Flavour.PYTHON)
+        path.write_bytes(pickle.dumps(results))
 
     return pickle.loads(built_once(folder / "results.pickle", run_all).read_bytes())
 
@@ -76,5 +76,5 @@ def flat(value: Any) -> list[Any]:
     if isinstance(value, dict):
         return [leaf for key in value for leaf in [key, *flat(value[key])]]
     if isinstance(value, list):
-        return [leaf for each in value for leaf in flat(each)]
+        return [leaf for item in value for leaf in flat(item)]
     return [value]

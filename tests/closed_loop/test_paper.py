@@ -87,8 +87,8 @@ def test_only_the_augmentation_differs_between_controllers() -> None:
             dict(scenario.load(shipped[f"{case}-{name}"]).resolved) for name in ("l1", "extended")
         )
         assert plain.pop("title") != extended.pop("title")
-        parameters = [dict(each.pop("parameters")) for each in (plain, extended)]
-        kinds = [each.pop("controller.augmentation") for each in parameters]
+        parameters = [dict(experiment.pop("parameters")) for experiment in (plain, extended)]
+        kinds = [experiment.pop("controller.augmentation") for experiment in parameters]
         assert kinds[0] == "none" != kinds[1]
         assert parameters[0] == parameters[1]
         assert plain == extended

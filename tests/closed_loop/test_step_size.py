@@ -90,9 +90,9 @@ def test_a_step_that_does_not_resolve_the_fast_loop_neither_excites_nor_damps_it
     scenario_fmus: None, r: float, h: float, algorithm: str
 ) -> None:
     """Up to 34 rad in a step. Sampled every millisecond, u varies as in the continuous system."""
-    exact, found = CONTINUOUS[r], co_simulated(r, h, algorithm)
-    assert found.variation_per_ms == pytest.approx(exact.variation_per_ms, rel=0.25)
-    assert found.y == pytest.approx(exact.y, rel=0.003)
+    exact, sampled = CONTINUOUS[r], co_simulated(r, h, algorithm)
+    assert sampled.variation_per_ms == pytest.approx(exact.variation_per_ms, rel=0.25)
+    assert sampled.y == pytest.approx(exact.y, rel=0.003)
 
 
 @pytest.mark.parametrize("h", [1e-3, 2e-5])
@@ -101,8 +101,8 @@ def test_the_prediction_error_does_not_grow_with_the_step_of_the_reference(
     scenario_fmus: None, r: float, h: float
 ) -> None:
     """The transient bound of fast adaptation: |x_tilde| <= sqrt(theta_max / (lambda_min(P) Gamma))."""
-    found = co_simulated(r, h).prediction_error
-    assert found == pytest.approx(
+    sampled = co_simulated(r, h).prediction_error
+    assert sampled == pytest.approx(
         CONTINUOUS[r].prediction_error, rel=0.01
     )  # its peak lies between two points
 

@@ -29,9 +29,9 @@ def test_the_blocks_lyapunov_solution_is_scipys(
 
 
 def test_p_and_k_g_of_the_example() -> None:
-    found = matrices.law_matrices(((0.0, 1.0), (-1.0, -1.4)), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0))
-    np.testing.assert_allclose(found.lyapunov_matrix, [[1.41429, 0.5], [0.5, 0.714286]], rtol=1e-5)
-    assert found.feedforward_gain == pytest.approx(1.0)
+    calculated = matrices.law_matrices(((0.0, 1.0), (-1.0, -1.4)), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0))
+    np.testing.assert_allclose(calculated.lyapunov_matrix, [[1.41429, 0.5], [0.5, 0.714286]], rtol=1e-5)
+    assert calculated.feedforward_gain == pytest.approx(1.0)
     assert design.feedforward_gain(A_M, B, C) == pytest.approx(1.0)
 
 
@@ -83,7 +83,7 @@ def test_bad_designs_are_refused() -> None:
 
 def test_the_shipped_vehicle_design_satisfies_the_l1_norm_condition() -> None:
     p = depth_controller.Parameters()
-    found = depth_controller.calculate(p)
-    a_m, b = np.array(found.predictor_matrix), np.array(found.predictor_input)
+    calculated = depth_controller.calculate(p)
+    a_m, b = np.array(calculated.predictor_matrix), np.array(calculated.predictor_input)
     lipschitz = design.lipschitz_constant(p.regressor, p.theta_bound)
     assert design.l1_condition(a_m, b, p.filter_order, p.filter_bandwidth, lipschitz) < 1.0

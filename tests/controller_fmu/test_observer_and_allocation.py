@@ -70,10 +70,10 @@ def test_the_thrusters_give_j_times_the_demand(force: float, roll: float, pitch:
 
 def test_the_shortfall_is_what_saturation_takes_away() -> None:
     gains = (0.25, 0.25)
-    wanted = allocate(10.0, 1.0, gains)
-    possible = saturate(wanted, 12.0)
+    demanded = allocate(10.0, 1.0, gains)
+    possible = saturate(demanded, 12.0)
     assert possible == (12.0, 12.0)
-    assert shortfall(wanted, possible, 1.0, gains) == pytest.approx(6.0 - 10.0)
+    assert shortfall(demanded, possible, 1.0, gains) == pytest.approx(6.0 - 10.0)
 
 
 @given(st.floats(-20.0, 20.0), st.floats(-3.0, 3.0))

@@ -69,8 +69,8 @@ def load(tmp_path: Path) -> Iterator[Any]:
         return loaded[-1]
 
     yield one
-    for each in loaded:
-        each.free()
+    for fmu in loaded:
+        fmu.free()
 
 
 @pytest.fixture(params=list(Flavour))

@@ -6,7 +6,7 @@ from fmus.errors import nearest
 
 
 @pytest.mark.parametrize(
-    ("name", "known", "told"),
+    ("name", "known", "suggestion"),
     [
         ("dpeth", ["mass", "depth"], "nearest is 'depth'"),
         ("DEPTH", ["mass", "depth"], "nearest is 'depth'"),
@@ -15,5 +15,5 @@ from fmus.errors import nearest
         ("q", [], "there are none"),
     ],
 )
-def test_a_name_is_suggested_only_if_it_is_near(name: str, known: list[str], told: str) -> None:
-    assert nearest(name, known) == told
+def test_a_name_is_suggested_only_if_it_is_near(name: str, known: list[str], suggestion: str) -> None:
+    assert nearest(name, known) == suggestion

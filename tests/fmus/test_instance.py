@@ -47,10 +47,10 @@ def test_save_step_restore_step_gives_identical_results(name: str, data: st.Data
     assert instance.snapshot() == other.snapshot()
 
 
-def damaged(driver: Any, key: str, place: int, value: Any) -> str:
+def damaged(driver: Any, key: str, index: int, value: Any) -> str:
     """A snapshot with one entry changed."""
     saved = json.loads(driver.instance.snapshot())
-    saved[key][place] = value
+    saved[key][index] = value
     return json.dumps(saved)
 
 

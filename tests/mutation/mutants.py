@@ -115,7 +115,9 @@ def _of_python(content: str) -> Iterator[tuple[int, int, str]]:
                         start, end = span(left)[1], span(right)[0]
                         before, after = _SYMBOLS[type(symbol)]
                         yield start, end, content[start:end].replace(before, after, 1)
-                    yield from ((*span(whole), text) for whole, text in _replacements(node, content, span))
+                    yield from (
+                        (*span(replaced), text) for replaced, text in _replacements(node, content, span)
+                    )
 
 
 def _executed(node: ast.AST) -> Iterator[ast.AST]:

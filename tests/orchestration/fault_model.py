@@ -3,17 +3,17 @@
 from orchestration.system.faults import Delay, Drift, DropOut, Fault, Freeze, Noise, Offset, Stuck
 
 
-def received(each: Fault, times: list[float], sent: list[float]) -> list[float]:
+def received(fault: Fault, times: list[float], sent: list[float]) -> list[float]:
     """What a receiver gets, one sample after the other, by the definition of each kind."""
-    stream = each.stream()
+    stream = fault.stream()
     got: list[float] = []
     begin: int | None = None
     for i, t in enumerate(times):
-        if not each.start <= t < each.end:
+        if not fault.start <= t < fault.end:
             got.append(sent[i])
             continue
         begin = i if begin is None else begin
-        match each.effect:
+        match fault.effect:
             case Freeze():
                 got.append(sent[begin])
             case Stuck(value):

@@ -14,11 +14,11 @@ DEEP = {"initial_depth": 5.0, "net_weight": 0.0}
 def readings(driver: Any, count: int = 500, **values: Any) -> np.ndarray:
     """Depth errors of a sensor on a vehicle at rest."""
     plant = driver(PLANT, **DEEP, **values).begin()
-    found = []
+    errors = []
     for _ in range(count):
         plant.step(0.04)
-        found.append(plant["measured_depth"] - plant["depth"])
-    return np.array(found)
+        errors.append(plant["measured_depth"] - plant["depth"])
+    return np.array(errors)
 
 
 @pytest.mark.parametrize(("alive", "dead"), [(1, 2), (2, 1)])

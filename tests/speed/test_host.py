@@ -112,8 +112,8 @@ def test_the_host_gives_what_the_master_gives(
 def test_no_python_is_loaded(linux: Host, built: Mapping[str, Path], tmp_path: Path) -> None:
     """What the dynamic linker opens, as it tells itself."""
     plan = _plan(*_shipped("nominal-extended", built), tmp_path)
-    told = dataclasses.replace(linux, environment={"LD_DEBUG": "files"}).start(plan).stderr
-    opened = {Path(line.split()[-1]).name for line in told.splitlines() if "calling init:" in line}
+    log = dataclasses.replace(linux, environment={"LD_DEBUG": "files"}).start(plan).stderr
+    opened = {Path(line.split()[-1]).name for line in log.splitlines() if "calling init:" in line}
     assert opened >= {"RovDepthPlant.so", "L1DepthController.so"}
     system = {"libc.so.6", "libm.so.6", "libdl.so.2", "libpthread.so.0", "ld-linux-x86-64.so.2"}
     assert opened <= system | {"RovDepthPlant.so", "L1DepthController.so"}
@@ -146,8 +146,8 @@ def test_another_platform_gives_the_same(
     """Up to the last bits of the elementary functions, which each C library computes in its own way."""
     system, experiment = _shipped(name, built_everywhere)
     expected = linux.run(_plan(system, experiment, tmp_path / "linux"))
-    found = request.getfixturevalue(host).run(_plan(system, experiment, tmp_path / "other", platform))
-    assert np.all(np.abs(found - expected) <= ANOTHER_C_LIBRARY * np.abs(expected).max(axis=0))
+    values = request.getfixturevalue(host).run(_plan(system, experiment, tmp_path / "other", platform))
+    assert np.all(np.abs(values - expected) <= ANOTHER_C_LIBRARY * np.abs(expected).max(axis=0))
 
 
 def test_what_the_host_cannot_do_is_refused(built: Mapping[str, Path], tmp_path: Path) -> None:

@@ -35,8 +35,8 @@ def levels(steps: int, one_after_another: bool = False) -> list[float]:
     for i in range(steps):
         t, before = i * STEP_SIZE, first
         first = pair_module.step(t, STEP_SIZE, State(first), Inputs(second), fast, NoValues()).level
-        seen = first if one_after_another else before
-        second = pair_module.step(t, STEP_SIZE, State(second), Inputs(seen), slow, NoValues()).level
+        received = first if one_after_another else before
+        second = pair_module.step(t, STEP_SIZE, State(second), Inputs(received), slow, NoValues()).level
         measurements_made.append(first)
     return measurements_made
 

@@ -19,17 +19,17 @@ from tests.speed.tables import tables
 @pytest.mark.parametrize("name", catalogue.block_names())
 def test_a_block_is_measured_both_ways(name: str) -> None:
     """The C program itself checks that both ways end with the same output."""
-    found = layer(name, steps=1000, rounds=1)
-    assert found.block == name
-    assert min(found.through_fmi, found.bare) > 0.0
+    measured = layer(name, steps=1000, rounds=1)
+    assert measured.block == name
+    assert min(measured.through_fmi, measured.bare) > 0.0
 
 
 @pytest.mark.slow
 def test_a_scenario_is_measured_in_every_way() -> None:
     """That the host and the one C program give equal trajectories is checked on the way."""
-    found = loop("nominal-extended", rounds=1)
-    assert found.steps == 15_500
-    assert min(found.seconds[way] for way in (PYTHON, MASTER, HOST, MONOLITH)) > 0.0
+    measured = loop("nominal-extended", rounds=1)
+    assert measured.steps == 15_500
+    assert min(measured.seconds[way] for way in (PYTHON, MASTER, HOST, MONOLITH)) > 0.0
 
 
 def test_programs_that_differ_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:

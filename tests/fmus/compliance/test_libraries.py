@@ -51,7 +51,7 @@ def test_a_library_that_lacks_a_function_is_caught_on_every_platform(
     assert missing.encode() in content[path]
     content[path] = content[path].replace(missing.encode() + b"\0", renamed + b"\0")
     broken = broken_rules(write(content, tmp_path / "mutant.fmu"))
-    assert any(path in told and missing in told for told in broken["library-exports"]), broken
+    assert any(path in message and missing in message for message in broken["library-exports"]), broken
 
 
 def test_a_library_compiled_without_a_function_is_caught(tmp_path: Path) -> None:
@@ -71,8 +71,8 @@ def test_a_library_of_another_platform_is_caught(elsewhere: Path, tmp_path: Path
     content = members(elsewhere)
     other = next(name for name in OTHERS if name != platform)
     content[library_name(NAME, platform)] = content[library_name(NAME, other)]
-    (told,) = broken_rules(write(content, tmp_path / "mutant.fmu"))["library-format"]
-    assert library_name(NAME, platform) in told
+    (message,) = broken_rules(write(content, tmp_path / "mutant.fmu"))["library-format"]
+    assert library_name(NAME, platform) in message
 
 
 @pytest.mark.parametrize("platform", OTHERS)
@@ -90,9 +90,9 @@ def test_a_processor_that_nobody_knows_is_caught(elsewhere: Path, tmp_path: Path
     content = members(elsewhere)
     path = library_name(NAME, "aarch64-linux")
     content[path] = content[path][:18] + b"\xfe\xfe" + content[path][20:]  # e_machine of ELF
-    (told,) = broken_rules(write(content, tmp_path / "mutant.fmu"))["library-format"]
-    assert told.startswith(f"{path} is ELF")
-    assert told.endswith("expected ELF AARCH64")
+    (message,) = broken_rules(write(content, tmp_path / "mutant.fmu"))["library-format"]
+    assert message.startswith(f"{path} is ELF")
+    assert message.endswith("expected ELF AARCH64")
 
 
 def test_an_fmu_of_sources_alone_is_not_without_implementation(elsewhere: Path, tmp_path: Path) -> None:

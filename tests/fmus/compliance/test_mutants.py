@@ -58,8 +58,8 @@ def test_a_damaged_member_is_caught(built: Mapping[str, Path], tmp_path: Path) -
     data = bytearray(path.read_bytes())
     data[info.header_offset + 30 + len(info.filename) + info.compress_size // 2] ^= 0xFF
     path.write_bytes(data)
-    (told,) = broken_rules(path)["archive-is-zip"]
-    assert told.startswith("sources/fmi2.c is damaged")
+    (message,) = broken_rules(path)["archive-is-zip"]
+    assert message.startswith("sources/fmi2.c is damaged")
 
 
 def test_a_symbolic_link_is_caught(built: Mapping[str, Path], tmp_path: Path) -> None:

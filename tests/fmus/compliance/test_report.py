@@ -35,8 +35,8 @@ def assert_complete(document: dict[str, Any], path: Path, name: str, outcome: st
     assert fmu["fmu"] == str(path)
     assert [rule["rule"] for rule in fmu["rules"]] == [rule.name for rule in all_rules()]
     assert [rule["clause"] for rule in fmu["rules"]] == [rule.clause for rule in all_rules()]
-    told = {rule["rule"]: rule for rule in fmu["rules"] if rule["messages"]}
-    assert told[name]["outcome"] == outcome
+    rules_with_messages = {rule["rule"]: rule for rule in fmu["rules"] if rule["messages"]}
+    assert rules_with_messages[name]["outcome"] == outcome
     assert {rule["outcome"] for rule in fmu["rules"]} <= {"passed", "not applicable", "warning", "error"}
     assert all(isinstance(message, str) for rule in fmu["rules"] for message in rule["messages"])
 

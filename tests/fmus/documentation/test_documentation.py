@@ -165,16 +165,16 @@ def test_the_licence_of_everything_inside_is_inside(
     def licences(path: Path) -> dict[str, str]:
         folder = "documentation/licenses/"
         with zipfile.ZipFile(path) as archive:
-            found = [member for member in archive.namelist() if member.startswith(folder)]
+            members = [member for member in archive.namelist() if member.startswith(folder)]
             return {
                 member.removeprefix(folder).removesuffix(".txt"): archive.read(member).decode()
-                for member in found
+                for member in members
             }
 
     native, python = licences(built["ExamplePlant"]), licences(python_built["ExamplePlant"])
-    for found in (native, python):
-        listed = [line.partition(".txt: ")[0] for line in found.pop("license").splitlines()]
-        assert sorted(listed) == sorted(found)
+    for licences_inside in (native, python):
+        listed = [line.partition(".txt: ")[0] for line in licences_inside.pop("license").splitlines()]
+        assert sorted(listed) == sorted(licences_inside)
     assert set(native) == {"l1-depth", "fmi-headers", "zig", "mingw-w64"}
     assert set(python) == {"l1-depth", "pythonfmu"}
     assert native["l1-depth"] == (Path(__file__).parents[3] / "LICENSE").read_text("utf-8")

@@ -116,7 +116,7 @@ def test_the_manifest_describes_every_file_of_the_layered_standard(either: dict[
         with zipfile.ZipFile(path) as archive:
             files = {m.removeprefix(f"extra/{LS_REF}/") for m in archive.namelist() if m.startswith("extra/")}
             manifest = ElementTree.fromstring(archive.read(f"extra/{LS_REF}/fmi-ls-manifest.xml"))
-        related = {str(each.get("source")): str(each.get("role")) for each in manifest}
+        related = {str(entry.get("source")): str(entry.get("role")) for entry in manifest}
         assert manifest.tag == "fmiReferences"
         assert set(related) | {"fmi-ls-manifest.xml"} == files
         assert sorted(related.values()) == sorted(["experiment", "result", "other"][: len(related)])
@@ -132,7 +132,7 @@ def test_the_experiment_inside_is_the_one_beside(built: Mapping[str, Path], fold
         prefix = f"extra/{LS_REF}/{name}"
         with zipfile.ZipFile(path) as archive:
             (experiment,) = ElementTree.fromstring(archive.read(f"{prefix}.exp"))
-            tables = {each.get("source") for each in experiment if each.get("source")}
+            tables = {entry.get("source") for entry in experiment if entry.get("source")}
             for file in tables:
                 assert archive.read(f"extra/{LS_REF}/{file}") == (folder / str(file)).read_bytes()
         settings = experiment.find("TransientSimulation")

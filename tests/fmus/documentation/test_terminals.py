@@ -22,11 +22,11 @@ REFERENCE = {"depth_reference", "depth_reference_rate", "depth_reference_acceler
 @pytest.fixture(scope="module")
 def described(built: Mapping[str, Path]) -> dict[str, Any]:
     """Root element of the file in each FMU, by name."""
-    found = {}
+    roots = {}
     for name, path in built.items():
         with zipfile.ZipFile(path) as archive:
-            found[name] = etree.fromstring(archive.read(PATH))
-    return found
+            roots[name] = etree.fromstring(archive.read(PATH))
+    return roots
 
 
 def test_the_file_is_valid_against_the_schema_of_fmi_3(described: dict[str, Any]) -> None:
@@ -41,7 +41,7 @@ def test_every_port_is_a_member_once_and_nothing_else_is(
     for name, root in described.items():
         variables = fmpy.read_model_description(str(built[name])).modelVariables
         for terminal, causality in (("inputs", "input"), ("outputs", "output")):
-            members = [each.get("variableName") for each in root.iterfind(f".//*[@name='{terminal}']/*")]
+            members = [member.get("variableName") for member in root.iterfind(f".//*[@name='{terminal}']/*")]
             assert members == [v.name for v in variables if v.causality == causality]
 
 

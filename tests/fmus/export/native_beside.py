@@ -62,12 +62,12 @@ class Beside(RuleBasedStateMachine):
             arguments = (*arguments[:-1], "+" if arguments[-1] else NOWHERE)
         answer = self.send(name, slot, *arguments)
         status, values = expected
-        told = (name, slot, *arguments)
-        assert answer.status == status, (told, answer, expected)
+        call = (name, slot, *arguments)
+        assert answer.status == status, (call, answer, expected)
         if status != OK:
-            assert set(answer.values) <= {"untouched"}, (told, answer)
+            assert set(answer.values) <= {"untouched"}, (call, answer)
         elif values is not None:
-            assert [_exactly(v) for v in answer.values] == [_exactly(float(v)) for v in values], told
+            assert [_exactly(v) for v in answer.values] == [_exactly(float(v)) for v in values], call
         self.check_messages(slot, enabled, answer)
         if status != OK:
             self.read_everything(slot)
@@ -91,9 +91,11 @@ class Beside(RuleBasedStateMachine):
                 expected = model.get(kind, references, True)
                 answer = self.send("get", slot, kind, references, "+")
                 assert answer.status == expected[0]
-                found = [_exactly(v) for v in answer.values] if answer.status == OK else None
-                wanted = [_exactly(float(v)) for v in expected[1]] if expected[1] is not None else None
-                assert found == wanted, (kind, references)
+                answered = [_exactly(v) for v in answer.values] if answer.status == OK else None
+                expected_values = (
+                    [_exactly(float(v)) for v in expected[1]] if expected[1] is not None else None
+                )
+                assert answered == expected_values, (kind, references)
 
     # life
 
@@ -117,8 +119,8 @@ class Beside(RuleBasedStateMachine):
 
     def teardown(self) -> None:
         if self.send.is_alive and self.models:
-            for place in self.states:
-                self.send("free_state", 0, place)
+            for saved_slot in self.states:
+                self.send("free_state", 0, saved_slot)
             for slot in self.models:
                 self.send("free", slot)
             if int(self.send("live").values[0]) != self.live:
@@ -141,8 +143,10 @@ class Beside(RuleBasedStateMachine):
         if following == "step":
             self.take_step(slot, data.draw(st.sampled_from((1.0, 0.3, 2.0, 4.4))))
         elif following == "reset" and self.states and data.draw(st.booleans()):
-            place = data.draw(st.sampled_from(sorted(self.states)))
-            self.state_call(slot, "set_state", (place,), self.models[slot].restore(self.states[place]))
+            saved_slot = data.draw(st.sampled_from(sorted(self.states)))
+            self.state_call(
+                slot, "set_state", (saved_slot,), self.models[slot].restore(self.states[saved_slot])
+            )
         else:
             self.call(slot, following)
 

@@ -136,7 +136,7 @@ class Model:
         parameters = self.data.values[: self.calculated.start]
         calculated = self._calculate("calculate", parameters)
         holds = self._calculate("requirements", parameters, calculated)
-        return calculated if all(each == 1 for each in holds) else None
+        return calculated if all(condition == 1 for condition in holds) else None
 
     def _refresh(self) -> bool:
         if self.data.is_held:
@@ -210,8 +210,8 @@ class Model:
 
     @property
     def internal_step(self) -> float:
-        (place,) = [v.value_reference for v in self.block.variables if v.name == "internal_step"]
-        return self.data.values[place]
+        (reference,) = [v.value_reference for v in self.block.variables if v.name == "internal_step"]
+        return self.data.values[reference]
 
     def _moving(self, elapsed: float) -> list[float]:
         """Inputs so long after the communication point, within their ranges."""
@@ -295,10 +295,12 @@ class Model:
     def set_debug_logging(self, on: bool, categories: list[str | None] | Null) -> tuple[int, None]:
         if on and isinstance(categories, Null) and categories.count:
             return self._error()
-        if on and any(each not in (*ALL, "logAll") for each in categories):
+        if on and any(category not in (*ALL, "logAll") for category in categories):
             return DISCARD, None
         chosen = (
-            set(ALL) if not categories or "logAll" in categories else {each for each in categories if each}
+            set(ALL)
+            if not categories or "logAll" in categories
+            else {category for category in categories if category}
         )
         self.log = chosen if on else set(ALL) - {"logStatusDiscard"}
         return OK, None

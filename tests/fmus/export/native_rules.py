@@ -69,8 +69,8 @@ class Calls(Beside):
             references = [r for r in references if self.block.variables[r].variability != "fixed"]
         values = [data.draw(st.sampled_from(_acceptable(self.block.variables[r]))) for r in references]
         if refused == 3 and references:
-            place = data.draw(st.integers(0, len(references) - 1))
-            values[place] = data.draw(st.sampled_from(_refused(self.block.variables[references[place]])))
+            index = data.draw(st.integers(0, len(references) - 1))
+            values[index] = data.draw(st.sampled_from(_refused(self.block.variables[references[index]])))
         asked = self.one_wrong(data, references)
         values += [
             type(v)(1) for v in (values or [1.0 if kind == "R" else 1])[: len(asked) - len(references)]
@@ -190,60 +190,62 @@ class Calls(Beside):
 
     # saved states
 
-    @rule(slot=st.integers(0, 1), place=st.integers(0, SLOTS - 1))
-    def save(self, slot: int, place: int) -> None:
-        self.state_call(slot, "get_state", (place,))
-        self.states[place] = self.models[slot].saved()
+    @rule(slot=st.integers(0, 1), saved_slot=st.integers(0, SLOTS - 1))
+    def save(self, slot: int, saved_slot: int) -> None:
+        self.state_call(slot, "get_state", (saved_slot,))
+        self.states[saved_slot] = self.models[slot].saved()
 
-    @rule(data=st.data(), slot=st.integers(0, 1), place=st.integers(0, SLOTS - 1))
-    def restore(self, data: Any, slot: int, place: int) -> None:
+    @rule(data=st.data(), slot=st.integers(0, 1), saved_slot=st.integers(0, SLOTS - 1))
+    def restore(self, data: Any, slot: int, saved_slot: int) -> None:
         """Of whichever instance and mode; without a saved state there it is an error."""
         model = self.models[slot]
-        if place not in self.states and not data.draw(SELDOM):
+        if saved_slot not in self.states and not data.draw(SELDOM):
             return
-        self.state_call(slot, "set_state", (place,), model.restore(self.states.get(place)))
+        self.state_call(slot, "set_state", (saved_slot,), model.restore(self.states.get(saved_slot)))
         self.read_everything(slot)
 
-    @rule(slot=st.integers(0, 1), place=st.sampled_from((0, 1, 2, None)))
-    def free(self, slot: int, place: int | None) -> None:
-        self.state_call(slot, "free_state", (place,))
-        if place is not None:
-            self.states.pop(place, None)
+    @rule(slot=st.integers(0, 1), saved_slot=st.sampled_from((0, 1, 2, None)))
+    def free(self, slot: int, saved_slot: int | None) -> None:
+        self.state_call(slot, "free_state", (saved_slot,))
+        if saved_slot is not None:
+            self.states.pop(saved_slot, None)
         assert int(self.send("live").values[0]) == self.live + 2 + len(self.states)
 
     @rule(
         data=st.data(),
         slot=st.integers(0, 1),
-        place=st.integers(0, SLOTS - 1),
+        saved_slot=st.integers(0, SLOTS - 1),
         change=st.sampled_from((*8 * (0,), 1, -1)),
     )
-    def serialize(self, data: Any, slot: int, place: int, change: int) -> None:
+    def serialize(self, data: Any, slot: int, saved_slot: int, change: int) -> None:
         model = self.models[slot]
-        if place not in self.states and not data.draw(SELDOM):
+        if saved_slot not in self.states and not data.draw(SELDOM):
             return
-        saved = self.states.get(place)
-        told = self.state_call(slot, "state_size", (place, "+"), (OK, None) if saved else model.refuse())
-        size = int(told.values[0]) if saved else 9
-        whole = saved and change >= 0
-        answer = self.state_call(
-            slot, "serialize", (place, size + change, "+"), (OK, None) if whole else model.refuse()
+        saved = self.states.get(saved_slot)
+        size_answer = self.state_call(
+            slot, "state_size", (saved_slot, "+"), (OK, None) if saved else model.refuse()
         )
-        if saved and whole:
+        size = int(size_answer.values[0]) if saved else 9
+        fits = saved and change >= 0
+        answer = self.state_call(
+            slot, "serialize", (saved_slot, size + change, "+"), (OK, None) if fits else model.refuse()
+        )
+        if saved and fits:
             self.buffers.append(([int(v) for v in answer.values[:size]], saved))
 
-    @rule(data=st.data(), slot=st.integers(0, 1), place=st.integers(0, SLOTS - 1))
-    def deserialize(self, data: Any, slot: int, place: int) -> None:
+    @rule(data=st.data(), slot=st.integers(0, 1), saved_slot=st.integers(0, SLOTS - 1))
+    def deserialize(self, data: Any, slot: int, saved_slot: int) -> None:
         """Bytes as they were, or with one bit, the end or a piece wrong."""
         if not self.buffers:
-            self.save(slot, place)
-            self.serialize(data, slot, place, 0)
+            self.save(slot, saved_slot)
+            self.serialize(data, slot, saved_slot, 0)
         content, saved = data.draw(st.sampled_from(self.buffers))
         changed = data.draw(_changes(content))
         intact = changed == content
         expected = (OK, None) if intact else self.models[slot].refuse()
-        self.state_call(slot, "deserialize", (changed, place), expected)
+        self.state_call(slot, "deserialize", (changed, saved_slot), expected)
         if intact:
-            self.states[place] = saved
+            self.states[saved_slot] = saved
 
 
 def _acceptable(v: ScalarVariable) -> list:

@@ -93,7 +93,7 @@ class Session:
         for reply in self._process.stdout:
             if reply.startswith("="):
                 status, *values = reply[1:].split()
-                return Answer(int(status), values, [_message(each) for each in messages])
+                return Answer(int(status), values, [_message(message) for message in messages])
             messages.append(reply)
         self._process.wait(timeout=60)
         raise AssertionError(f"ended by {line[:200]!r}: {self._said()}")

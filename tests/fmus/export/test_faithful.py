@@ -237,8 +237,8 @@ def test_a_difference_names_file_and_line_of_the_function_and_both_values() -> N
     block = block_of(lambda u, x, p: 1.0 if isinstance(u, float) else 2.0)
     with pytest.raises(ExportError) as refusal:
         check_faithful(block)
-    place = f"{__file__}:{inspect.getsourcelines(block.step)[1]}"
-    assert f"{place}: step gives x = 1.0 in Python and 2.0 when it is traced" in str(refusal.value)
+    position = f"{__file__}:{inspect.getsourcelines(block.step)[1]}"
+    assert f"{position}: step gives x = 1.0 in Python and 2.0 when it is traced" in str(refusal.value)
 
 
 def collector_starts(phase: str, info: dict[str, int]) -> None:
@@ -294,13 +294,13 @@ def test_every_block_is_faithful_and_takes_its_branches_both_ways(name: str) -> 
     def observe(frame: FrameType, event: str, argument: Any) -> None:
         if event == "call" and frame.f_code is numerics.where.__code__ and frame.f_back:
             condition = frame.f_locals["condition"]
-            place = f"{frame.f_back.f_code.co_filename}:{frame.f_back.f_lineno}"
+            position = f"{frame.f_back.f_code.co_filename}:{frame.f_back.f_lineno}"
             if isinstance(condition, bool):
-                outcomes.setdefault(place, set()).add(condition)
+                outcomes.setdefault(position, set()).add(condition)
 
     sys.setprofile(observe)
     try:
         check_faithful(block)
     finally:
         sys.setprofile(None)
-    assert {place for place, both in outcomes.items() if both != {True, False}} == set()
+    assert {position for position, both in outcomes.items() if both != {True, False}} == set()

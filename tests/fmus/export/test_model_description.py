@@ -69,7 +69,7 @@ def test_capabilities_and_enumerations(fmu: Path) -> None:
 def test_both_flavours_have_the_same_variables(
     built: Mapping[str, Path], python_built: Mapping[str, Path], name: str
 ) -> None:
-    native, python = (fmpy.read_model_description(str(each[name])) for each in (built, python_built))
+    native, python = (fmpy.read_model_description(str(fmus[name])) for fmus in (built, python_built))
     for one, other in zip(native.modelVariables, python.modelVariables, strict=True):
         assert (one.name, one.valueReference, one.start) == (other.name, other.valueReference, other.start)
     assert native.guid != python.guid

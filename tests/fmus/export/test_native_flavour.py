@@ -25,12 +25,12 @@ def test_the_trace_equals_the_block_stepped_in_python(
     outputs = [v.name for v in block.instance.block.of_causality("output")]
     inputs = [v.name for v in block.instance.block.of_causality("input") if v.minimum is None]
     for i in range(200):
-        for k, each in enumerate(inputs):
-            fmu[each] = block[each] = math.cos(0.1 * i * (k + 1))
+        for k, variable in enumerate(inputs):
+            fmu[variable] = block[variable] = math.cos(0.1 * i * (k + 1))
         fmu.slave.doStep(i * 0.02, 0.02)
         block.instance.do_step(i * 0.02, 0.02)
-        for each in outputs:
-            assert fmu[each] == pytest.approx(block[each], rel=1e-12, abs=1e-15)
+        for variable in outputs:
+            assert fmu[variable] == pytest.approx(block[variable], rel=1e-12, abs=1e-15)
 
 
 def test_any_communication_step_size_lands_on_its_point(

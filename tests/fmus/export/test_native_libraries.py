@@ -196,7 +196,7 @@ def _check_signature(thin: bytes, offset: int, size: int) -> None:
     assert magic == EMBEDDED_SIGNATURE
     assert length <= size
     places = [struct.unpack_from(">II", blob, 12 + 8 * i) for i in range(count)]
-    (start,) = [place for slot, place in places if slot == 0]
+    (start,) = [offset_of_slot for slot, offset_of_slot in places if slot == 0]
     directory = blob[start:]
     magic, length, _, flags, hashes, _, _, n_pages, limit = struct.unpack_from(">9I", directory)
     hash_size, hash_type, _, page_bits = struct.unpack_from("BBBB", directory, 36)
@@ -258,8 +258,8 @@ def test_it_tells_no_place_nor_time_of_its_making(
 ) -> None:
     library = libraries[block, platform]
     places = [str(Path.home()), str(Path.cwd()), sys.prefix, "/tmp", "l1-depth-build", ".pdb"]
-    for place in places:
-        assert place.encode() not in library.data
+    for path in places:
+        assert path.encode() not in library.data
     assert not re.search(rb"(?<!\d)20[2-9]\d-[01]\d-[0-3]\d", library.data)
     if platform == "win64":
         # a time stamp is a digest of the content where the linker says so by this entry
@@ -281,11 +281,11 @@ def built_elsewhere(tmp_path_factory: pytest.TempPathFactory) -> Path:
     cold = warm | {
         name: str(_made(folder / name)) for name in ("ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR")
     }
-    for environment, place, platforms in (
+    for environment, subfolder, platforms in (
         (warm, "all", PLATFORMS),
         (cold, "cold", ("linux64", "aarch64-darwin")),
     ):
-        command = [sys.executable, "-c", script, "RovDepthPlant", str(folder / place), *platforms]
+        command = [sys.executable, "-c", script, "RovDepthPlant", str(folder / subfolder), *platforms]
         subprocess.run(command, env=os.environ | environment, check=True, timeout=300)
     return folder
 
@@ -296,11 +296,13 @@ def _made(folder: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("place", "platform"),
+    ("subfolder", "platform"),
     [*(("all", platform) for platform in PLATFORMS), ("cold", "linux64"), ("cold", "aarch64-darwin")],
 )
 def test_it_is_the_same_byte_for_byte_wherever_it_is_built(
-    built_everywhere: Mapping[str, Path], built_elsewhere: Path, place: str, platform: str
+    built_everywhere: Mapping[str, Path], built_elsewhere: Path, subfolder: str, platform: str
 ) -> None:
     name = "RovDepthPlant"
-    assert _read(built_elsewhere / place / f"{name}.fmu", platform) == _read(built_everywhere[name], platform)
+    assert _read(built_elsewhere / subfolder / f"{name}.fmu", platform) == _read(
+        built_everywhere[name], platform
+    )

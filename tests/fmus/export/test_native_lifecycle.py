@@ -73,9 +73,9 @@ def test_a_thousand_instances_leave_nothing_behind(lifecycle: Lifecycle, tool: C
 
 def _blocks(done: subprocess.CompletedProcess[str]) -> int:
     """How many blocks of memory valgrind saw, whoever asked for them."""
-    found = re.search(r"total heap usage: ([\d,]+) allocs", done.stderr)
-    assert found
-    return int(found[1].replace(",", ""))
+    match = re.search(r"total heap usage: ([\d,]+) allocs", done.stderr)
+    assert match
+    return int(match[1].replace(",", ""))
 
 
 def test_eight_threads_do_not_disturb_each_other(lifecycle: Lifecycle) -> None:

@@ -178,9 +178,9 @@ def test_forged_bytes_do_no_harm(open_session: Open) -> None:
         b"\x05" + bytes(7),
     ]
     statuses = set()
-    for place in range(first, len(content) - 8, 8):
+    for position in range(first, len(content) - 8, 8):
         for word in words:
-            forged = with_checksum(bytes([*content[:place], *word, *content[place + 8 : -8]]))
+            forged = with_checksum(bytes([*content[:position], *word, *content[position + 8 : -8]]))
             answer = session("deserialize", 0, list(forged), 0)
             statuses.add(answer.status)
             if answer.status == OK:

@@ -288,9 +288,9 @@ def test_a_forged_number_that_is_not_finite_is_refused(
     mark = struct.pack("<d", MARK)
     places = [i for i in range(FIRST_WORD, len(content) - 8, 8) if content[i : i + 8] == mark]
     assert places
-    for place in places:
+    for position in places:
         for word in (*words, *refused):
-            assert _forged(session, content, place, struct.pack("<d", word)) is (word in words)
+            assert _forged(session, content, position, struct.pack("<d", word)) is (word in words)
 
 
 def test_forged_flags_values_and_outputs_that_no_instance_has_are_refused(session: Session) -> None:
@@ -315,15 +315,15 @@ def test_forged_flags_values_and_outputs_that_no_instance_has_are_refused(sessio
         ("square", (1e308,), (math.nan, -math.inf)),
     ):
         for number in (*good, *bad):
-            place = first_value + 8 * REFERENCES[name]
-            is_taken = _forged(session, content, place, struct.pack("<d", number))
+            position = first_value + 8 * REFERENCES[name]
+            is_taken = _forged(session, content, position, struct.pack("<d", number))
             assert is_taken is (number in good), (name, number)
 
 
-def _forged(session: Session, content: bytes, place: int, word: bytes) -> bool:
+def _forged(session: Session, content: bytes, position: int, word: bytes) -> bool:
     """Whether the bytes are taken with another word at a place; the instance is as before then."""
     session("get_state", 0, 1)
-    forged = with_checksum(content[:place] + word + content[place + 8 : -8])
+    forged = with_checksum(content[:position] + word + content[position + 8 : -8])
     answer = session("deserialize", 0, list(forged), 0)
     assert answer.status in (OK, ERROR)
     if answer.status == ERROR:

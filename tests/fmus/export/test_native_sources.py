@@ -79,9 +79,9 @@ def test_what_fmpy_compiles_from_the_sources_does_the_same(
         members = [member for member in archive.namelist() if not member.endswith("/")]
     libraries = [member for member in members if member.startswith("binaries/")]
     assert libraries == [platforms.library_name(name, platforms.host_platform())]
-    expected, found = (_trace(fmu) for fmu in (built[name], rebuilt[name]))
+    expected, recompiled = (_trace(fmu) for fmu in (built[name], rebuilt[name]))
     # 100 steps of rounding errors of 1e-16, which an adaptation gain of 10^4 multiplies at most
-    assert np.all(np.abs(found - expected) <= 1e-11 * np.abs(expected).max(axis=0))
+    assert np.all(np.abs(recompiled - expected) <= 1e-11 * np.abs(expected).max(axis=0))
     assert np.abs(expected).max() > 0
 
 

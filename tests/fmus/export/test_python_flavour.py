@@ -24,11 +24,11 @@ def test_the_trace_equals_the_block_stepped_directly(
     outputs = [v.name for v in block.instance.block.of_causality("output")]
     inputs = [v.name for v in block.instance.block.of_causality("input") if v.minimum is None]
     for i in range(100):
-        for k, each in enumerate(inputs):
-            fmu[each] = block[each] = math.cos(0.1 * i * (k + 1))
+        for k, variable in enumerate(inputs):
+            fmu[variable] = block[variable] = math.cos(0.1 * i * (k + 1))
         fmu.slave.doStep(i * 0.02, 0.02)
         block.instance.do_step(i * 0.02, 0.02)
-        assert [fmu[each] for each in outputs] == [block[each] for each in outputs]
+        assert [fmu[variable] for variable in outputs] == [block[variable] for variable in outputs]
 
 
 def test_the_bytes_of_another_fmu_are_refused(python_built: Mapping[str, Path], load: Any) -> None:

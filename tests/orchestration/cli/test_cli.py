@@ -164,9 +164,9 @@ def test_a_recording_that_cannot_be_written_is_kept_elsewhere(
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     (tmp_path / "out" / "short.csv").mkdir(parents=True)  # which no file replaces
     message = refused("run", short_scenario(), "--out", "out")
-    kept = re.search(r"short\.csv: .*; the recording is in (\S+)", message)
-    assert kept
-    assert len(Recording.read(kept[1]).time) > 1
+    match = re.search(r"short\.csv: .*; the recording is in (\S+)", message)
+    assert match
+    assert len(Recording.read(match[1]).time) > 1
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["short.csv"]
 
 

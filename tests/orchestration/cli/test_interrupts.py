@@ -96,8 +96,8 @@ def test_a_recording_that_cannot_be_written_outlives_the_command(
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     with pytest.raises(SystemExit, match="1"):
         run_interruptible()
-    kept = Path(capsys.readouterr().err.rpartition("the recording is in ")[2].strip())
-    assert Recording.read(kept).time[-1] == 0.2
+    rescued = Path(capsys.readouterr().err.rpartition("the recording is in ")[2].strip())
+    assert Recording.read(rescued).time[-1] == 0.2
 
 
 @pytest.fixture

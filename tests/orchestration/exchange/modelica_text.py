@@ -162,9 +162,11 @@ def _opening(name: str, block: Block, folder: Path) -> list[str]:
     ):  # fmt: skip
         parts.append(f"{_literal(references, 'int')}, {_literal(values, kind)}, {len(values)}")
     ends = ", ".join(f"{_literal(references, 'int')}, {len(references)}" for references in (inputs, outputs))
-    place = folder / "Resources" / "FMUs" / block.name
+    unpacked = folder / "Resources" / "FMUs" / block.name
     values = ", ".join(parts)
-    return [f'    void *{name} = modelica_fmu_open("{place}", "{block.name}", "{name}", {values}, {ends});']
+    return [
+        f'    void *{name} = modelica_fmu_open("{unpacked}", "{block.name}", "{name}", {values}, {ends});'
+    ]
 
 
 def _now(loop: Loop, name: str, time: str) -> list[str]:

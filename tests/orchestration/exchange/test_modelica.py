@@ -145,8 +145,8 @@ def _open_only(folder: str, name: str) -> str:
 def test_what_goes_wrong_ends_the_simulation_with_one_line(
     package: Path, tmp_path: Path, folder: str, name: str, words: str
 ) -> None:
-    place = folder.format(fmu=package / "Resources" / "FMUs" / "RovDepthPlant")
-    program = _compiled(_open_only(place, name), package, tmp_path)
+    unpacked = folder.format(fmu=package / "Resources" / "FMUs" / "RovDepthPlant")
+    program = _compiled(_open_only(unpacked, name), package, tmp_path)
     done = subprocess.run([program], capture_output=True, text=True, check=False, timeout=60)
     assert done.returncode == 3
     assert words in done.stderr

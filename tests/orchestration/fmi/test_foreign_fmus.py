@@ -49,7 +49,7 @@ def test_misdeeds_have_the_same_numbers_in_c() -> None:
     text = (Path(foreign_fmus.__file__).parent / "foreign_c" / "rogue.c").read_text()
     (items,) = re.findall(r"enum \{ /\* the items.*?\};", text, re.DOTALL)
     names = re.findall(r"^    ([A-Z_]+)", items, re.MULTILINE)
-    assert [name.removesuffix("_ERROR") for name in names] == [each.name for each in Misdeed]
+    assert [name.removesuffix("_ERROR") for name in names] == [misdeed.name for misdeed in Misdeed]
 
 
 class Stepped:
@@ -79,9 +79,9 @@ def test_a_linear_fmu_is_exact_for_inputs_on_a_slope(
     linear: Build, tmp_path: Path, a: float, h: float
 ) -> None:
     """Against SciPy with a tolerance of 1e-12; feedthrough takes the input at the end of the step."""
-    it = Stepped(linear(**TWO_BY_TWO | {"a": a}, **EVERYTHING), tmp_path)
+    stepped = Stepped(linear(**TWO_BY_TWO | {"a": a}, **EVERYTHING), tmp_path)
     u, rate = np.array([0.4, -1.0]), np.array([3.0, 0.5])
-    it["u[1]"], it["u[2]"] = u
+    stepped["u[1]"], stepped["u[2]"] = u
     b, c, d = (np.array(TWO_BY_TWO[name]) for name in "bcd")
 
     def after(start: float, rate: np.ndarray) -> float:
@@ -89,54 +89,54 @@ def test_a_linear_fmu_is_exact_for_inputs_on_a_slope(
         solved = solve_ivp(lambda t, x: a * x + b @ (u + rate * t), (0, h), [start], rtol=1e-12, atol=1e-12)
         return solved.y[0, -1]
 
-    assert [it["y[1]"], it["y[2]"]] == pytest.approx(c * 1.0 + d @ u, rel=1e-15)
-    it.slave.exitInitializationMode()
-    references = [it.references["u[1]"], it.references["u[2]"]]
-    it.slave.setRealInputDerivatives(references, [1, 1], list(rate))
-    it.slave.doStep(0.0, h)
+    assert [stepped["y[1]"], stepped["y[2]"]] == pytest.approx(c * 1.0 + d @ u, rel=1e-15)
+    stepped.slave.exitInitializationMode()
+    references = [stepped.references["u[1]"], stepped.references["u[2]"]]
+    stepped.slave.setRealInputDerivatives(references, [1, 1], list(rate))
+    stepped.slave.doStep(0.0, h)
     x, end = after(1.0, rate), u + rate * h
-    assert [it["y[1]"], it["y[2]"]] == pytest.approx(c * x + d @ end, abs=1e-11)
+    assert [stepped["y[1]"], stepped["y[2]"]] == pytest.approx(c * x + d @ end, abs=1e-11)
     slope = c * (a * x + b @ end) + d @ rate
-    outputs = [it.references["y[1]"], it.references["y[2]"]]
-    assert it.slave.getRealOutputDerivatives(outputs, [1, 1]) == pytest.approx(slope, abs=1e-11)
-    it.slave.doStep(h, h)  # the slope held for one step alone
-    assert it["y[1]"] == pytest.approx(c[0] * after(x, 0.0 * rate) + d[0] @ u, abs=1e-11)
-    it.slave.terminate()
-    it.slave.freeInstance()
+    outputs = [stepped.references["y[1]"], stepped.references["y[2]"]]
+    assert stepped.slave.getRealOutputDerivatives(outputs, [1, 1]) == pytest.approx(slope, abs=1e-11)
+    stepped.slave.doStep(h, h)  # the slope held for one step alone
+    assert stepped["y[1]"] == pytest.approx(c[0] * after(x, 0.0 * rate) + d[0] @ u, abs=1e-11)
+    stepped.slave.terminate()
+    stepped.slave.freeInstance()
 
 
 @pytest.mark.parametrize(
     "call",
     [
-        lambda it: it.slave.setRealInputDerivatives([it.references["u[1]"]], [1], [1.0]),
-        lambda it: it.slave.getRealOutputDerivatives([it.references["y[1]"]], [1]),
-        lambda it: it.slave.getFMUState(),
-        lambda it: it.slave.doStep(0.1, 0.1),
-        lambda it: (it.slave.doStep(0.0, 0.1), it.slave.doStep(0.1, 0.2)),
+        lambda stepped: stepped.slave.setRealInputDerivatives([stepped.references["u[1]"]], [1], [1.0]),
+        lambda stepped: stepped.slave.getRealOutputDerivatives([stepped.references["y[1]"]], [1]),
+        lambda stepped: stepped.slave.getFMUState(),
+        lambda stepped: stepped.slave.doStep(0.1, 0.1),
+        lambda stepped: (stepped.slave.doStep(0.0, 0.1), stepped.slave.doStep(0.1, 0.2)),
     ],
 )
 def test_what_is_not_claimed_is_an_error(linear: Build, tmp_path: Path, call: Callable) -> None:
-    it = Stepped(linear(varies_step_size=False), tmp_path)
-    it.slave.exitInitializationMode()
+    stepped = Stepped(linear(varies_step_size=False), tmp_path)
+    stepped.slave.exitInitializationMode()
     with pytest.raises(FMICallException) as caught:
-        call(it)
+        call(stepped)
     assert caught.value.status == 3
-    it.slave.freeInstance()
+    stepped.slave.freeInstance()
 
 
 def test_a_discarded_step_leaves_the_part_that_succeeded(rogue: Build, tmp_path: Path) -> None:
-    it = Stepped(rogue(saves_state=True), tmp_path)
-    it.slave.setInteger([it.references["misdeed"]], [Misdeed.DISCARD])
-    it["longest_step"], it["u"] = 0.25, 2.0
-    it.slave.exitInitializationMode()
-    before = it.slave.getFMUState()
+    stepped = Stepped(rogue(saves_state=True), tmp_path)
+    stepped.slave.setInteger([stepped.references["misdeed"]], [Misdeed.DISCARD])
+    stepped["longest_step"], stepped["u"] = 0.25, 2.0
+    stepped.slave.exitInitializationMode()
+    before = stepped.slave.getFMUState()
     with pytest.raises(FMICallException) as caught:
-        it.slave.doStep(0.0, 1.0)
+        stepped.slave.doStep(0.0, 1.0)
     assert caught.value.status == 2
-    assert it.slave.getRealStatus(2) == 0.25
-    assert it["y"] == 0.5
-    it.slave.setFMUState(before)
-    it.slave.doStep(0.0, 0.25)
-    assert it["y"] == 0.5
-    it.slave.freeFMUState(before)
-    it.slave.freeInstance()
+    assert stepped.slave.getRealStatus(2) == 0.25
+    assert stepped["y"] == 0.5
+    stepped.slave.setFMUState(before)
+    stepped.slave.doStep(0.0, 0.25)
+    assert stepped["y"] == 0.5
+    stepped.slave.freeFMUState(before)
+    stepped.slave.freeInstance()

@@ -100,7 +100,7 @@ def begin(component: FmuInstance, misdeed: Misdeed) -> None:
         (Misdeed.ERROR, ["fmi2FreeInstance"]),
         (Misdeed.FATAL, []),
     ],
-    ids=lambda each: each.name if isinstance(each, Misdeed) else "",
+    ids=lambda argument: argument.name if isinstance(argument, Misdeed) else "",
 )
 def test_an_instance_ends_as_fmi_allows_after_its_last_step(
     rogue: Build, misdeed: Misdeed, calls: list[str]
@@ -220,6 +220,6 @@ def test_an_fmu_that_repeats_itself_is_heard_once(rogue: Build) -> None:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         simulate(System({"bad": rogue()}), experiment)
-    messages = [str(each.message) for each in caught]
+    messages = [str(warning.message) for warning in caught]
     assert messages[0].startswith("bad at t = 0.5 s: ")
     assert max(map(len, messages)) < 200

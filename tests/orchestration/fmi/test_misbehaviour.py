@@ -166,7 +166,7 @@ def test_both_loops_discard_alike(linear: Build, rogue: Build) -> None:
 
 @pytest.mark.parametrize("algorithm", list(Algorithm))
 @pytest.mark.parametrize(
-    "effect", [Delay(0.2), DropOut(0.5), Noise(0.1)], ids=lambda each: type(each).__name__
+    "effect", [Delay(0.2), DropOut(0.5), Noise(0.1)], ids=lambda effect: type(effect).__name__
 )
 def test_a_fault_acts_once_a_communication_point_also_where_steps_are_shorter(
     linear: Build, rogue: Build, compiled: bool, effect: Effect, algorithm: Algorithm
@@ -212,12 +212,12 @@ def test_a_step_that_is_discarded_however_short_ends_the_run(
 LIES = [(Misdeed.TELLS_BEFORE, "0.4"), (Misdeed.TELLS_AFTER, "0.7"), (Misdeed.TELLS_NAN, "nan")]
 
 
-@pytest.mark.parametrize(("misdeed", "told"), LIES)
+@pytest.mark.parametrize(("misdeed", "reported"), LIES)
 def test_a_last_successful_time_outside_the_step_ends_the_run(
-    linear: Build, rogue: Build, compiled: bool, misdeed: Misdeed, told: str
+    linear: Build, rogue: Build, compiled: bool, misdeed: Misdeed, reported: str
 ) -> None:
     message = (
-        rf"rogue discarded the step from 0.5 to 0.6 s and returned LastSuccessfulTime = {told} s: "
+        rf"rogue discarded the step from 0.5 to 0.6 s and returned LastSuccessfulTime = {reported} s: "
         "expected a time within the step"
     )
     failure(pair(linear, rogue), doing(misdeed, 0.5, 0.04), compiled, message)
@@ -269,7 +269,7 @@ def test_a_process_of_its_own_gives_the_same(linear: Build, rogue: Build, tempor
 @pytest.mark.parametrize(
     "misdeed",
     [Misdeed.ERROR, Misdeed.FATAL, Misdeed.NAN_OUTPUT, Misdeed.TELLS_NAN],
-    ids=lambda each: each.name,
+    ids=lambda misdeed: misdeed.name,
 )
 def test_the_next_run_of_a_simulator_is_as_if_nothing_had_happened(
     linear: Build, rogue: Build, compiled: bool, misdeed: Misdeed

@@ -64,14 +64,14 @@ def interrupted(
 def test_it_is_the_same_run_to_the_last_bit(linear: Build, tmp_path: Path, change: dict[str, Any]) -> None:
     system = coupled(linear, saves_state=True, serialises_state=True, interpolates_inputs=True)
     experiment = replace(Experiment(2.0, 0.01), **change)
-    whole = simulate(system, experiment)
-    points = len(whole.time)
+    uninterrupted = simulate(system, experiment)
+    points = len(uninterrupted.time)
     checkpoint, broken = interrupted(system, experiment, tmp_path / "checkpoint", points // 2)
     assert points // 2 <= checkpoint.position < points - 1
-    assert np.array_equal(broken.recording.values, whole.values[: len(broken.recording.time)])
+    assert np.array_equal(broken.recording.values, uninterrupted.values[: len(broken.recording.time)])
     resumed = simulate(system, experiment, resume=checkpoint)
-    assert np.array_equal(resumed.time, whole.time)
-    assert np.array_equal(resumed.values, whole.values)
+    assert np.array_equal(resumed.time, uninterrupted.time)
+    assert np.array_equal(resumed.values, uninterrupted.values)
 
 
 @pytest.mark.usefixtures("scenario_fmus")
@@ -79,13 +79,13 @@ def test_the_shipped_vehicle_goes_on_from_a_file_bit_for_bit(tmp_path: Path) -> 
     """Controller, noise of the sensor and all."""
     chosen = scenario.load(scenario.find("nominal-extended"))
     experiment = replace(chosen.experiment, stop_time=30.0)
-    whole = simulate(chosen.system, experiment)
+    uninterrupted = simulate(chosen.system, experiment)
     path = tmp_path / "checkpoint"
     simulate(chosen.system, experiment, checkpoints=Checkpoints(path, every=11.0))
     checkpoint = read_checkpoint(path)
     assert checkpoint.position == round(22.0 / experiment.step_size)
     resumed = simulate(chosen.system, experiment, resume=checkpoint)
-    assert np.array_equal(resumed.values, whole.values)
+    assert np.array_equal(resumed.values, uninterrupted.values)
     longer = replace(experiment, stop_time=35.0)
     assert np.array_equal(
         simulate(chosen.system, longer, resume=checkpoint).values, simulate(chosen.system, longer).values

@@ -153,22 +153,22 @@ def test_both_loops_agree_and_interrupts_change_nothing(
     )
     system = chain(linear, rogue, order, through, interpolates)
     with Simulator(system) as compiled, Simulator(system, compiled=False) as plain:
-        whole = compiled.run(experiment)
-        check_same(plain.run(experiment), whole)
+        uninterrupted = compiled.run(experiment)
+        check_same(plain.run(experiment), uninterrupted)
         first, begun = interrupted(compiled, experiment, checkpoint, points[0])
-        check_same(begun, whole, points[0] + 1)
+        check_same(begun, uninterrupted, points[0] + 1)
         second, begun = interrupted(plain, experiment, checkpoint, sum(points), first)
-        check_same(begun, whole, sum(points) + 1)
-        check_same(compiled.run(experiment, resume=second), whole)
-    assert len(np.unique(whole["three.y[1]"])) > 3
+        check_same(begun, uninterrupted, sum(points) + 1)
+        check_same(compiled.run(experiment, resume=second), uninterrupted)
+    assert len(np.unique(uninterrupted["three.y[1]"])) > 3
 
 
 def _later(declared: dict[str, Any], by: float) -> dict[str, Any]:
     return {key: value + by if key in ("start", "end") else value for key, value in declared.items()}
 
 
-def check_same(found: Recording, expected: Recording, points: int | None = None) -> None:
+def check_same(recording: Recording, expected: Recording, points: int | None = None) -> None:
     """To the last bit, up to so many points."""
-    assert found.names == expected.names
-    assert np.array_equal(found.time, expected.time[:points])
-    assert np.array_equal(found.values, expected.values[:points])
+    assert recording.names == expected.names
+    assert np.array_equal(recording.time, expected.time[:points])
+    assert np.array_equal(recording.values, expected.values[:points])

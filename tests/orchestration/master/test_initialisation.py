@@ -85,11 +85,11 @@ def settled(
 
 
 def test_a_chain_is_one_pass_in_the_order_of_the_dependencies(linear: Build) -> None:
-    it = gain(linear, 2.0)
+    double = gain(linear, 2.0)
     chain = (("b.y[1]", "c.u[1]"), ("a.y[1]", "b.u[1]"))
-    with initialising({"a": it, "b": it, "c": it}, chain, a=5.0) as (checked, live):
+    with initialising({"a": double, "b": double, "c": double}, chain, a=5.0) as (checked, live):
         solve_initial_values(connection_groups(checked), live, AUTOMATIC)
-        assert sum((each.calls for each in live.values()), Counter()) == {"get": 2, "set": 2}
+        assert sum((component.calls for component in live.values()), Counter()) == {"get": 2, "set": 2}
         assert value(checked, live, "c.u[1]") == 1.0 + 2.0 * (1.0 + 2.0 * 5.0)
 
 
@@ -108,7 +108,7 @@ def test_an_output_that_follows_no_input_closes_no_loop(linear: Build) -> None:
     components = {"plant": linear(), "controller": gain(linear, 3.0)}
     both = (("controller.y[1]", "plant.u[1]"), ("plant.y[1]", "controller.u[1]"))
     with initialising(components, both) as (checked, live):
-        assert [[t.name for _, t in each.connections] for each in connection_groups(checked)] == [
+        assert [[t.name for _, t in group.connections] for group in connection_groups(checked)] == [
             ["controller.u[1]"],
             ["plant.u[1]"],
         ]
@@ -138,11 +138,11 @@ def test_newtons_method_solves_what_does_not_contract(
 def check_linear_loop(linear: Build, method: Initialisation, loop_gain: float) -> None:
     """a.u = 3 + g b.u, b.u = 1 + a.u."""
     components = {"a": gain(linear, 1.0), "b": gain(linear, loop_gain, 3.0)}
-    found = settled(components, LOOP, method)
+    solved = settled(components, LOOP, method)
     solution = (1.0 + 3.0) / (1.0 - loop_gain)
     precision = ROUNDING * max(1.0, 0.1 / abs(1.0 - loop_gain))
-    assert found["b.u[1]"] == pytest.approx(solution, rel=precision)
-    assert found["a.u[1]"] == pytest.approx(solution - 1.0, rel=2.0 * precision)
+    assert solved["b.u[1]"] == pytest.approx(solution, rel=precision)
+    assert solved["a.u[1]"] == pytest.approx(solution - 1.0, rel=2.0 * precision)
 
 
 def test_several_loop_variables_of_different_size_are_solved_together(linear: Build) -> None:
@@ -157,9 +157,9 @@ def test_several_loop_variables_of_different_size_are_solved_together(linear: Bu
         "b": linear(d=tuple(map(tuple, matrix[:2, 2:].tolist())), c=tuple(offset[:2].tolist()), **common),
     }
     pairs = tuple((f"{s}.y[{i}]", f"{t}.u[{i}]") for s, t in ("ba", "ab") for i in (1, 2))
-    found = settled(components, pairs)
+    solved = settled(components, pairs)
     exact = np.linalg.solve(np.eye(4) - matrix, offset)
-    assert list(found.values()) == pytest.approx(exact, rel=ROUNDING)
+    assert list(solved.values()) == pytest.approx(exact, rel=ROUNDING)
 
 
 def test_fixed_points_alone_give_up_where_they_diverge(linear: Build) -> None:
@@ -197,7 +197,7 @@ def test_two_loops_and_the_chain_between_them_are_solved_in_order(linear: Build)
         ("e.y[1]", "d.u[1]"), ("d.y[1]", "e.u[1]"), ("c.y[1]", "d.u[2]"), ("b.y[1]", "c.u[1]"), *LOOP,
     )  # fmt: skip
     with initialising(components, connections) as (checked, live):
-        loops = [len(each.connections) for each in connection_groups(checked) if each.is_loop]
+        loops = [len(group.connections) for group in connection_groups(checked) if group.is_loop]
         solve_initial_values(connection_groups(checked), live, AUTOMATIC)
         assert loops == [2, 2]
         assert live["c"].calls == {"get": 1, "set": 1}
@@ -219,14 +219,14 @@ def test_a_nonlinear_loop_comes_to_its_solution(function: Build, method: Initial
 @pytest.mark.parametrize("method", list(Initialisation))
 def test_nominals_say_what_is_small(function: Build, method: Initialisation) -> None:
     """x = 1e-9 + x / 2; without a nominal, a change of 1e-12 counts as none."""
-    found = settled({"f": function("1e-9 + 0.5 * u", nominal=1e-9)}, (("f.y", "f.u"),), method)
-    assert found["f.u"] == pytest.approx(2e-9, rel=ROUNDING, abs=0.0)
+    solved = settled({"f": function("1e-9 + 0.5 * u", nominal=1e-9)}, (("f.y", "f.u"),), method)
+    assert solved["f.u"] == pytest.approx(2e-9, rel=ROUNDING, abs=0.0)
 
 
 def test_newtons_method_takes_shorter_steps_where_a_value_is_discarded(function: Build) -> None:
     """x = x + log(x) - 1 has the solution e; a full step ends below zero from everywhere above e^2."""
-    found = settled({"f": function("u + log(u) - 1", start=20.0)}, (("f.y", "f.u"),), NEWTON)
-    assert found["f.u"] == pytest.approx(np.e, rel=ROUNDING)
+    solved = settled({"f": function("u + log(u) - 1", start=20.0)}, (("f.y", "f.u"),), NEWTON)
+    assert solved["f.u"] == pytest.approx(np.e, rel=ROUNDING)
 
 
 def test_a_loop_whose_every_value_is_discarded_says_so(function: Build) -> None:
@@ -309,7 +309,7 @@ def test_the_controller_follows_the_plant(built: Mapping[str, Path]) -> None:
         "controller.roll", "controller.pitch", "controller.depth_reference",
         "controller.depth_reference_rate", "controller.depth_reference_acceleration",
     ]  # fmt: skip
-    found = connection_groups(check(system, idle))
-    targets = [target.name for each in found for _, target in each.connections]
-    assert not any(each.is_loop for each in found)
+    groups = connection_groups(check(system, idle))
+    targets = [target.name for group in groups for _, target in group.connections]
+    assert not any(group.is_loop for group in groups)
     assert targets.index("controller.measured_depth") < targets.index("plant.voltage[1]")

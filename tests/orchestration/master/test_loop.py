@@ -31,14 +31,14 @@ FAULTS = [
 
 def both(system: System, experiment: Experiment) -> list[Any]:
     """What each loop makes of it: recordings, or what they left of one that failed."""
-    found = []
+    outcomes = []
     for is_compiled in (True, False):
         with Simulator(system, compiled=is_compiled) as simulator:
             try:
-                found.append(simulator.run(experiment))
+                outcomes.append(simulator.run(experiment))
             except SimulationError as error:
-                found.append(error)
-    return found
+                outcomes.append(error)
+    return outcomes
 
 
 @given(

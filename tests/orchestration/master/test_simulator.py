@@ -26,15 +26,15 @@ EXPERIMENT = Experiment(1.0, 0.1)
 @pytest.fixture
 def loaded(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Names of the components in the order in which they were loaded."""
-    found: list[str] = []
+    names: list[str] = []
     original = FmuInstance.__init__
 
     def counted(self: FmuInstance, name: str, *arguments: Any) -> None:
-        found.append(name)
+        names.append(name)
         original(self, name, *arguments)
 
     monkeypatch.setattr(FmuInstance, "__init__", counted)
-    return found
+    return names
 
 
 def test_a_second_run_is_like_the_first_and_loads_nothing(linear: Build, loaded: list[str]) -> None:
@@ -151,5 +151,5 @@ def test_simulators_of_one_system_do_not_meet(linear: Build) -> None:
     with Simulator(coupled(linear)) as one, Simulator(coupled(linear)) as other:
         inside: list[Any] = []
         outer = one.run(EXPERIMENT, lambda done, total: inside.append(other.run(EXPERIMENT)))
-    assert all(np.array_equal(each.values, outer.values) for each in inside)
+    assert all(np.array_equal(recording.values, outer.values) for recording in inside)
     assert inside

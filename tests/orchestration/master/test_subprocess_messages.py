@@ -74,12 +74,12 @@ def failing(error: Callable[[], BaseException]) -> Experiment:
 
 @pytest.mark.parametrize("error", [ZeroDivisionError, SystemExit])
 def test_what_a_signal_raises_is_the_same(linear: Build, error: type[BaseException]) -> None:
-    found = []
+    errors = []
     for seconds in (TIMEOUT, None):
         with pytest.raises((SystemDefinitionError, SystemExit), match="no draught") as caught:
             simulate(System({"one": linear()}), failing(lambda: error("no draught")), timeout=seconds)
-        found.append((caught.type, str(caught.value)))
-    assert found[0] == found[1]
+        errors.append((caught.type, str(caught.value)))
+    assert errors[0] == errors[1]
 
 
 def test_an_error_that_does_not_travel_is_told(linear: Build) -> None:
@@ -110,7 +110,7 @@ def test_a_warning_is_heard_of_a_process_that_crashed(rogue: Build) -> None:
         pytest.raises(SimulationError, match=r"worse at t = 0.5 s: ended its process with SIGSEGV"),
     ):
         simulate(System({"bad": rogue(), "worse": rogue()}), experiment, real_time=100.0, timeout=TIMEOUT)
-    assert [str(each.message).partition(":")[0] for each in heard] == [
+    assert [str(warning.message).partition(":")[0] for warning in heard] == [
         f"bad at t = {t} s" for t in (0.2, 0.3, 0.4)
     ]
 

@@ -43,13 +43,13 @@ def test_it_is_the_same_run(linear: Build, temporary: Path) -> None:
     """Also of a signal that no file could name."""
     system = System({"one": linear()})
     experiment = Experiment(1.0, 0.01, signals={"one.u[1]": lambda t: t * t})
-    seen: list[tuple[int, int]] = []
-    there = simulate(system, experiment, lambda done, total: seen.append((done, total)), timeout=TIMEOUT)
+    progress: list[tuple[int, int]] = []
+    there = simulate(system, experiment, lambda done, total: progress.append((done, total)), timeout=TIMEOUT)
     here = simulate(system, experiment)
     assert np.array_equal(there.values, here.values)
     assert there.provenance == here.provenance
-    assert seen[-1] == (100, 100)
-    assert all(done < total == 100 for done, total in seen[:-1])
+    assert progress[-1] == (100, 100)
+    assert all(done < total == 100 for done, total in progress[:-1])
     assert not list(temporary.iterdir())
 
 
@@ -70,9 +70,9 @@ def test_the_record_until_then_is_kept(
     with pytest.raises(SimulationError, match=rf"bad at t = 0.5 s: {words}") as caught:
         simulate(system, Experiment(1.0, 0.1, parameters=parameters), timeout=TIMEOUT)
     recording = caught.value.recording
-    whole = simulate(system, Experiment(1.0, 0.1))
-    assert np.array_equal(recording.time, whole.time[:6])
-    assert np.array_equal(recording.values, whole.values[:6])
+    uninterrupted = simulate(system, Experiment(1.0, 0.1))
+    assert np.array_equal(recording.time, uninterrupted.time[:6])
+    assert np.array_equal(recording.values, uninterrupted.values[:6])
     assert not list(temporary.iterdir())
     assert set(psutil.Process().children(recursive=True)) <= before
 
@@ -176,14 +176,14 @@ def test_a_second_interrupt_ends_what_hangs(rogue: Build, temporary: Path) -> No
 
 @pytest.mark.parametrize("error", [ValueError("no bar"), OrchestrationError("no bar")])
 def test_a_progress_that_fails_is_the_same_failure(linear: Build, error: Exception) -> None:
-    found = []
+    messages = []
     for seconds in (None, TIMEOUT):
         with pytest.raises(SimulationError) as caught:
             simulate(coupled(linear), LONG, raises(error), timeout=seconds)
         assert len(caught.value.recording.time) > 10
         assert caught.value.__cause__ is error
-        found.append(str(caught.value))
-    assert found[0] == found[1]
+        messages.append(str(caught.value))
+    assert messages[0] == messages[1]
 
 
 class Sleeps:

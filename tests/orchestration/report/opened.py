@@ -112,8 +112,8 @@ class OpenedPage:
                 point,
             )
             moves = ActionChains(self.driver)
-            for place in (x + 2.0, x):
-                moves.w3c_actions.pointer_action.move_to_location(round(place), round(y)).pause(0.2)
+            for position in (x + 2.0, x):
+                moves.w3c_actions.pointer_action.move_to_location(round(position), round(y)).pause(0.2)
             moves.perform()
             return bool(plot.find_elements(By.CSS_SELECTOR, ".hovertext"))
 

@@ -198,8 +198,8 @@ def test_hostile_texts_of_sweeps_stay_texts(opened: Open, tmp_path: Path) -> Non
         for name in sweep.column_names
     ]
     errors = [HOSTILE if i == 0 else None for i in range(len(sweep))]
-    place = sweep.schema.get_field_index("error")
-    sweep = sweep.set_column(place, sweep.schema.field(place), [errors]).rename_columns(renamed)
+    column = sweep.schema.get_field_index("error")
+    sweep = sweep.set_column(column, sweep.schema.field(column), [errors]).rename_columns(renamed)
     sweep = sweep.replace_schema_metadata(pq.read_schema(path).metadata)
     hostile = tmp_path / "hostile.parquet"
     pq.write_table(sweep, hostile)

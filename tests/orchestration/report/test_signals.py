@@ -27,7 +27,7 @@ def two(opened: Open, tmp_path: Path) -> OpenedPage:
 
 def captions(page: OpenedPage) -> list[str]:
     """Of the panels that are shown."""
-    return [each.text for each in page.all("#panels figcaption") if each.is_displayed()]
+    return [caption.text for caption in page.all("#panels figcaption") if caption.is_displayed()]
 
 
 def test_at_first_the_signals_that_the_metrics_judge_are_drawn(two: OpenedPage) -> None:
@@ -190,8 +190,8 @@ def test_a_long_line_is_thinned_to_its_extremes_and_complete_when_zoomed(
     assert {(run.time[i], run["plant.depth"][i]) for i in (0, 7_777, 12_345, 15_500)} <= drawn
     page.write("#from", "150").write("#to", "160")
     inside = page.line("plant.depth")["x"]
-    wanted = run.time[(run.time >= 150.0) & (run.time <= 160.0)]
-    assert set(wanted) <= set(inside)
+    recorded = run.time[(run.time >= 150.0) & (run.time <= 160.0)]
+    assert set(recorded) <= set(inside)
     assert page.one("#drawn").text == "Every point is drawn."
 
 

@@ -142,10 +142,10 @@ def test_a_sweep_that_failed_altogether_lists_its_errors(opened: Open, tmp_path:
 def test_texts_are_varied_too(opened: Open, tmp_path: Path) -> None:
     path = write_sweep(tmp_path)
     read, _ = table.read(path)
-    place = read.schema.get_field_index("plant.sensor_seed")
+    column = read.schema.get_field_index("plant.sensor_seed")
     kinds = ["pi", "none"] * (len(read) // 2)
-    field = read.schema.field(place).with_type(pa.string())
-    pq.write_table(read.set_column(place, field, [kinds]), path)
+    field = read.schema.field(column).with_type(pa.string())
+    pq.write_table(read.set_column(column, field, [kinds]), path)
     page = opened(path).choose(".across", "plant.sensor_seed")
     assert points(page)["x"] == kinds
     bars = page.run(

@@ -41,7 +41,7 @@ def test_a_file_is_exact_and_tells_units(ending: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(back.time, run.time)
     np.testing.assert_array_equal(back.values, run.values)
     assert back.provenance == (PROVENANCE if ending == "parquet" else {})
-    assert [each.name for each in tmp_path.iterdir()] == [path.name]
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]
     assert is_recording(path)
 
 

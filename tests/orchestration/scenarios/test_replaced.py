@@ -62,8 +62,8 @@ def test_one_warning_names_all_that_is_dropped(tmp_path: Path) -> None:
 def test_the_warning_names_the_parameters_that_the_new_fmu_inherits(tmp_path: Path) -> None:
     """Gains that were chosen for another controller are not taken in silence."""
     described(tmp_path / "pid.fmu", INPUTS, VOLTAGES, ("proportional_gain",))
-    kept = r"; kept, as it has them: parameters controller\.proportional_gain = \d+\.\d+$"
-    with pytest.warns(ScenarioWarning, match=kept):
+    kept_parameters = r"; kept, as it has them: parameters controller\.proportional_gain = \d+\.\d+$"
+    with pytest.warns(ScenarioWarning, match=kept_parameters):
         scenario.load(child(tmp_path, '[components]\ncontroller = "pid.fmu"\n'))
 
 

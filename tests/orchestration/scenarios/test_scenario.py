@@ -236,7 +236,7 @@ def test_a_mistake_is_told_with_its_line(tmp_path: Path, text: str, line: int) -
 
 
 @pytest.mark.parametrize(
-    ("message", "told"),
+    ("message", "expected"),
     [
         ("plant.inertia = nan: expected a finite number", "mine.toml:4: plant.inertia"),
         ("connection plant.depht -> controller.x: no variable 'plant.depht'", "mine.toml:2: connection"),
@@ -245,15 +245,15 @@ def test_a_mistake_is_told_with_its_line(tmp_path: Path, text: str, line: int) -
     ],
 )
 def test_a_mistake_that_the_fmus_show_is_told_with_the_line_of_its_name(
-    tmp_path: Path, message: str, told: str
+    tmp_path: Path, message: str, expected: str
 ) -> None:
     text = 'connections = [["plant.depht", "controller.x"]]\n[parameters]\n"plant.inertia" = nan\n'
     loaded = scenario.load(write(tmp_path, CHILD + text))
-    assert re.search(told, scenario.located(message, loaded.files))
+    assert re.search(expected, scenario.located(message, loaded.files))
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "expected"),
     [
         (
             "[parameters]\nplant.inertia = 3.0\n",
@@ -266,8 +266,8 @@ def test_a_mistake_that_the_fmus_show_is_told_with_the_line_of_its_name(
         ),
     ],
 )
-def test_a_name_with_a_dot_that_is_not_quoted_is_told_so(tmp_path: Path, text: str, told: str) -> None:
-    with pytest.raises(ScenarioError, match=told):
+def test_a_name_with_a_dot_that_is_not_quoted_is_told_so(tmp_path: Path, text: str, expected: str) -> None:
+    with pytest.raises(ScenarioError, match=expected):
         scenario.load(write(tmp_path, CHILD + text))
 
 

@@ -51,10 +51,10 @@ def test_it_writes_a_table_and_prints_a_summary(sweep_file: MakeFile, tmp_path: 
 @pytest.mark.cluster
 def test_one_sample_alone_has_the_values_and_metrics_of_its_row(sweep_file: MakeFile, tmp_path: Path) -> None:
     ended(started(tmp_path, sweep_file(), "--workers", 1), tmp_path)
-    found, _ = table.read(tmp_path / "results" / "mine.sweep.parquet")
+    results, _ = table.read(tmp_path / "results" / "mine.sweep.parquet")
     ended(started(tmp_path, sweep_file(), "--sample", 7, "--out", "one"), tmp_path)
     document = json.loads((tmp_path / "one" / "mine.sample-7.json").read_text())
-    row = found.to_pylist()[7]
+    row = results.to_pylist()[7]
     values = {name: metric["value"] for name, metric in document["metrics"].items()}
     assert values == {name: row[name] for name in ("mean", "effort")}
     assert document["scenario"]["inputs"]["r.u"] == row["r.u"]

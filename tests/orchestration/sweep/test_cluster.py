@@ -160,9 +160,9 @@ def test_recordings_are_those_of_the_samples_run_alone(planned: Make, tmp_path: 
     for sample in good:
         one = made.of_sample(sample)
         alone = simulate(one.system, one.experiment)
-        kept = written[f"sample-{sample}.parquet"]
-        assert kept.names == alone.names
-        assert kept.values.tolist() == alone.values.tolist()
+        recording = written[f"sample-{sample}.parquet"]
+        assert recording.names == alone.names
+        assert recording.values.tolist() == alone.values.tolist()
 
 
 def test_what_was_done_before_is_not_run_again(by_two: tuple[Plan, bytes], tmp_path: Path) -> None:

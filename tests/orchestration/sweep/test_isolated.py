@@ -38,7 +38,7 @@ def samples(sweep_file: Callable[..., Path], tmp_path: Path) -> Iterator[Isolate
     yield opened
     opened.close()
     assert processes() <= others
-    assert [each.name for each in folder.iterdir()] == [Path(next(iter(made.fmus))).parent.name]
+    assert [entry.name for entry in folder.iterdir()] == [Path(next(iter(made.fmus))).parent.name]
 
 
 def processes() -> set[psutil.Process]:

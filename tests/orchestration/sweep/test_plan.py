@@ -50,8 +50,8 @@ def test_draws_follow_their_distribution(planned: Make, declared: str, law: Any)
 
 
 def test_integers_and_choices_come_as_often_as_they_should(planned: Make) -> None:
-    whole = drawn(planned(of_u('distribution = "integers"\nlow = 3\nhigh = 6')))
-    assert stats.chisquare([whole.count(value) for value in (3, 4, 5, 6)]).pvalue > IMPROBABLE
+    numbers = drawn(planned(of_u('distribution = "integers"\nlow = 3\nhigh = 6')))
+    assert stats.chisquare([numbers.count(value) for value in (3, 4, 5, 6)]).pvalue > IMPROBABLE
     chosen = drawn(planned(of_u('distribution = "choice"\nvalues = [1.0, 5.0, 9.0]\nweights = [1, 0, 3]')))
     assert set(chosen) == {1.0, 9.0}
     assert stats.binomtest(chosen.count(9.0), MANY, 0.75).pvalue > IMPROBABLE

@@ -104,7 +104,9 @@ def test_samples_and_functions_drive_inputs(linear: Build) -> None:
     constant = simulate(system, stop_time=1.0, signals={"one.u[1]": lambda t: 1.0})
     np.testing.assert_allclose(constant["one.y[1]"], 1.0, rtol=0.0, atol=1e-15)
     line = Samples(np.linspace(0.0, 1.0, 11), np.linspace(0.0, 3.0, 11))
-    runs = [simulate(system, stop_time=1.0, signals={"one.u[1]": each}) for each in (line, lambda t: 3.0 * t)]
+    runs = [
+        simulate(system, stop_time=1.0, signals={"one.u[1]": signal}) for signal in (line, lambda t: 3.0 * t)
+    ]
     np.testing.assert_allclose(
         runs[0].values, runs[1].values, rtol=0.0, atol=1e-14
     )  # rounding of the samples
