@@ -54,7 +54,10 @@ class Parameters:
         0.022192, "Horizontal section of the vehicle", unit="m2", min=1e-6, max=1e4,
         source="published size: 0.152 m x 0.146 m",
     )  # fmt: skip
-    thruster_ideal: bool = variable(False, "Switches dead zone, saturation and lag off", variability="fixed")
+    thruster_ideal: bool = variable(
+        False, "Leaves nothing of the thrusters but gain and efficiency: no dead zone, saturation or lag",
+        variability="fixed",
+    )  # fmt: skip
     thruster_gain: Pair = variable(
         (0.25, 0.25), "Force coefficient K of each thruster", unit="N/V", min=1e-6, max=1e6,
         source="guess: the paper gives none",
@@ -70,6 +73,30 @@ class Parameters:
     thruster_lag: Pair = variable(
         (0.05, 0.05), "Time constant of each thruster", unit="s", min=0.0, max=1e3,
         source="guess: the paper gives none",
+    )  # fmt: skip
+    thruster_rate_limit: Pair = variable(
+        (0.0, 0.0), "Largest change of a thruster's force in a second; 0 does not limit", unit="N/s",
+        min=0.0, max=1e6, source="guess: none, the paper gives none",
+    )  # fmt: skip
+    thruster_reverse_ratio: Pair = variable(
+        (1.0, 1.0), "Gain of negative voltages over that of positive ones", min=0.0, max=10.0,
+        source="assumed: symmetric, as (11); other propellers give less in reverse, about 0.8 (guess)",
+    )  # fmt: skip
+    thruster_curvature: Pair = variable(
+        (0.0, 0.0), "Share of the force that is quadratic in the voltage: 0 a line, 1 a parabola",
+        min=0.0, max=1.0, source="published: a line, (11)",
+    )  # fmt: skip
+    thruster_curve_voltage: Pair = variable(
+        (12.0, 12.0), "Voltage at which line and parabola give the same force", unit="V", min=1e-6, max=1e6,
+        source="guess: the largest voltage; without effect on a line",
+    )  # fmt: skip
+    thruster_depth: float = variable(
+        0.073, "Depth of the propellers below the vehicle's top", unit="m", min=-1e3, max=1e3,
+        source="guess: the middle of the published height; without effect but for ventilation",
+    )  # fmt: skip
+    thruster_full_depth: float = variable(
+        0.0, "Depth of a propeller from which ventilation takes no thrust; 0 leaves ventilation out",
+        unit="m", min=0.0, max=1e3, source="guess: left out, the paper gives none",
     )  # fmt: skip
     sensor_ideal: bool = variable(False, "Reports the true depth at every instant", variability="fixed")
     sensor_period: float = variable(
@@ -168,7 +195,7 @@ def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calcul
 
     def derivative(elapsed: float, x: tuple) -> tuple:
         z, w = x
-        thrust = sum(forces(elapsed))
+        thrust = _submerged_share(z, p) * sum(forces(elapsed))
         floating = heave.buoyancy(z, submerged_buoyancy, p.water_density, p.waterplane_area)
         b = where(p.free_surface, floating, submerged_buoyancy)
         drag = heave.damping(w - j * inputs.current_velocity, p.linear_damping, p.quadratic_damping)
@@ -181,13 +208,15 @@ def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calcul
 
 
 def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outputs:
+    submerged = _submerged_share(state.depth, p)
+    first, second = (submerged * force for force in state.thruster_force)
     return Outputs(
         depth=state.depth,
         depth_rate=state.j * state.heave_velocity,
         heave_velocity=state.heave_velocity,
         measured_depth=depth_sensor.reading(_sensor(p), state.sensor, t, state.depth),
-        thruster_force=state.thruster_force,
-        total_force=state.thruster_force[0] + state.thruster_force[1],
+        thruster_force=(first, second),
+        total_force=first + second,
     )
 
 
@@ -198,7 +227,15 @@ def _thruster(p: Parameters, i: int) -> Thruster:
         limit=p.thruster_voltage_limit[i],
         lag=p.thruster_lag[i],
         ideal=p.thruster_ideal,
+        reverse_ratio=p.thruster_reverse_ratio[i],
+        curvature=p.thruster_curvature[i],
+        curve_voltage=p.thruster_curve_voltage[i],
+        rate_limit=p.thruster_rate_limit[i],
     )
+
+
+def _submerged_share(depth: float, p: Parameters) -> float:
+    return thruster.submerged_share(depth + p.thruster_depth, p.thruster_full_depth, p.thruster_ideal)
 
 
 def _sensor(p: Parameters) -> Sensor:

@@ -9,7 +9,9 @@ z'         = J w,   J = cos(roll) cos(pitch),   w_r = w - J v_c
 B(z)       = B_0                        submerged, B_0 = weight - net_weight + buoyancy_change
              B_0 - rho g A (-z)         emerged by -z, never negative; only with free_surface
 thruster   v_s = sat(v, v_max),   v_d = sgn(v_s) max(|v_s| - v_0, 0)
-           F'  = (efficiency K v_d - F) / T,   tau_z = F_1 + F_2         (11): F = K v
+           F_s = efficiency K r v_d ((1 - c) + c |v_d| / v_c)            (11): F = K v; off: r = 1, c = 0
+           F'  = sat((F_s - F) / T, R)                                   off: no limit R
+           tau_z = s (F_1 + F_2),   s = clip((z + d_t) / d_f, 0, 1)      off: s = 1
 sensor     s_k = q(z(t_k) + bias + drift (t_k - t_0) + noise n_k) at t_k = t_0 + k T,   n_k standard normal
            measured = the newest s_k with t_k + delay <= t
 """,
@@ -25,6 +27,11 @@ sensor     s_k = q(z(t_k) + bias + drift (t_k - t_0) + noise n_k) at t_k = t_0 +
         " then linear_damping and quadratic_damping from a descent at constant thrust.",
         "thruster_gain, thruster_dead_zone, thruster_voltage_limit and thruster_lag one by one, or"
         " thruster_ideal to leave all but the gain out.",
+        "More of a thruster, all off at the start values: thruster_reverse_ratio, r for negative voltages;"
+        " thruster_curvature c, for a force that grows with the square of the voltage, with"
+        " thruster_curve_voltage v_c, where line and parabola meet; thruster_rate_limit R, of the force, as"
+        " motors and their drivers have it; thruster_full_depth d_f, the depth from which a propeller draws"
+        " no air, with thruster_depth d_t below the vehicle's top.",
         "sensor_ideal reports the true depth at every instant; otherwise period, noise, bias, drift,"
         " resolution and delay act, and sensor_seed chooses the noise: one seed gives one sequence, on"
         " every platform.",
@@ -39,6 +46,10 @@ sensor     s_k = q(z(t_k) + bias + drift (t_k - t_0) + noise n_k) at t_k = t_0 +
         " tether.",
         "At the surface it is a spring of 217 N/m under 5.5 kg, at 6.3 rad/s, and sensor noise in a loop"
         " keeps it bobbing there.",
+        "The controllers of this project take the thrust for a line, with a thruster_gain and a voltage_limit"
+        " of their own: they do not invert the curve, and know of no other limit of the vehicle's thrusters.",
+        "Loss of thrust at the surface is a straight line in the propeller's depth: it depends neither on the"
+        " load nor on how long the propeller has drawn air.",
         "internal_step may not exceed sensor_period, and sensor_delay not seven periods.",
     ),
     sources=(
@@ -49,6 +60,8 @@ sensor     s_k = q(z(t_k) + bias + drift (t_k - t_0) + noise n_k) at t_k = t_0 +
         ),
         Source("T. I. Fossen: Marine Control Systems, Marine Cybernetics, 2002 (damping, current, surface)."),
         Source("DNV-RP-H103: Modelling and analysis of marine operations (added mass of a box)."),
+        Source("A. Kozlowska et al.: Time domain modeling of propeller forces due to ventilation in"
+               " static and dynamic conditions, Journal of Marine Science and Engineering 8, 2020 (loss of thrust)."),
         Source("P. L'Ecuyer: Efficient and portable combined random number generators, Communications of the"
                " ACM 31(6), 1988 (the sensor's noise)."),
     ),

@@ -1,16 +1,20 @@
 """What another tool cannot express is refused here, before anything is written.
 
 Every exporter carries a system whose components exchange values at communication points, in the order of
-Jacobi, and whose signals are ramps; this is what an SSP package, a block diagram and a Modelica model have
-in common.
+Jacobi, and whose signals are lines through points; this is what an SSP package, a block diagram and a
+Modelica model have in common.
 """
 
 from collections.abc import Iterable
 
+import numpy as np
+
 from orchestration.errors import ScenarioError
 from orchestration.system.experiment import Algorithm, Experiment
-from orchestration.system.signals import Ramps, Signal
+from orchestration.system.signals import Constant, Ramps, Signal, Table
 from orchestration.system.system import CheckedSystem, Port
+
+_OTHERS = "a constant or a table of straight lines"  # signals that ramps can give
 
 
 def check_plain_exchange(experiment: Experiment, target: str) -> None:
@@ -49,15 +53,25 @@ def check_types(ports: Iterable[Port], types: tuple[str, ...], target: str) -> N
 
 
 def as_ramps(input_name: str, signal: Signal) -> Ramps:
-    """The signal, if it is ramps, straight or smooth; ScenarioError otherwise."""
-    if not isinstance(signal, Ramps):
-        kind = type(signal).__name__
-        raise ScenarioError(f"signal {input_name}: expected ramps, which a component can give; got {kind}")
-    return signal
+    """Ramps, a constant and a table of straight lines as ramps; ScenarioError for any other signal."""
+    if isinstance(signal, Ramps):
+        return signal
+    if isinstance(signal, Constant):
+        return Ramps([(0.0, signal.value)])
+    if isinstance(signal, Table) and not signal.hold:
+        columns = np.column_stack([np.asarray(signal.times), np.asarray(signal.values)])
+        return Ramps([(time, value) for time, value in columns.tolist()])
+    kind = "a table that holds its values" if isinstance(signal, Table) else type(signal).__name__
+    raise ScenarioError(
+        f"signal {input_name}: expected ramps, {_OTHERS}, which a component can give; got {kind}"
+    )
 
 
 def straight_points(input_name: str, signal: Signal) -> list[tuple[float, float]]:
-    """(time [s], value) of straight ramps, as a table that is interpolated has them; else ScenarioError."""
-    if not isinstance(signal, Ramps) or signal.smooth:
-        raise ScenarioError(f"signal {input_name}: expected straight ramps, the only ones a table gives")
-    return [(float(time), float(value)) for time, value in signal.points]
+    """(time [s], value) of straight lines, as a table that is interpolated has them; else ScenarioError."""
+    can_be_ramps = isinstance(signal, (Ramps, Constant, Table))
+    if not can_be_ramps or (isinstance(signal, Ramps) and signal.smooth):
+        kind = "smooth ramps" if isinstance(signal, Ramps) else type(signal).__name__
+        expected = f"expected straight ramps, {_OTHERS}, which an interpolated table gives"
+        raise ScenarioError(f"signal {input_name}: {expected}; got {kind}")
+    return [(float(time), float(value)) for time, value in as_ramps(input_name, signal).points]

@@ -4,14 +4,22 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-FIXED_UNITS = {"settling_time": "s", "shift_lag": "s", "phase_lag": "s", "time_below": "s", "overshoot": "%"}
+FIXED_UNITS = {
+    "settling_time": "s",
+    "recovery_time": "s",
+    "shift_lag": "s",
+    "phase_lag": "s",
+    "time_below": "s",
+    "overshoot": "%",
+}
 """Function -> its unit, whatever the signal is measured in."""
-_UNIT_OF_THE_SIGNAL = ("rmse", "peak_error", "mean", "peak", "total_variation")
+_UNIT_OF_THE_SIGNAL = ("rmse", "peak_error", "std", "mean", "peak", "total_variation")
 _INTEGRALS = {"effort": (1, 1), "iae": (1, 1), "ise": (2, 1), "itae": (1, 2)}
 """Function -> powers of the signal and of time in it."""
 
 _ABSENT = {
     "settling_time": "not settled",
+    "recovery_time": "not recovered",
     "shift_lag": "no lag found",
     "phase_lag": "no oscillation",
     "time_below": "never above",

@@ -58,6 +58,19 @@ def rmse(
     return float(scale * np.sqrt(np.mean(error**2)))
 
 
+def recovery_time(
+    recording: Recording, signal: str, target: float, band: float, window: list[float]
+) -> float:
+    """`settling_time` from the beginning of the window on, at which a disturbance sets in [s]."""
+    begin = recording.time[_window(recording, window)][0]
+    return settling_time(recording, signal, target, band, window) - float(begin)
+
+
+def std(recording: Recording, signal: str, window: list[float] | None = None, scale: float = 1.0) -> float:
+    """scale * standard deviation about the mean, over the communication points of the window."""
+    return float(scale * recording[signal][_window(recording, window)].std())
+
+
 def overshoot(recording: Recording, signal: str, target: float, window: list[float] | None = None) -> float:
     """How far the signal goes beyond the target, in percent of it, 0 if it does not; the target is not 0."""
     if target == 0.0:
@@ -202,8 +215,10 @@ FUNCTIONS: dict[str, Callable[..., float]] = {
     function.__name__: function
     for function in (
         settling_time,
+        recovery_time,
         rmse,
         peak_error,
+        std,
         iae,
         ise,
         itae,

@@ -45,7 +45,15 @@ Source = Annotated[
 ]
 _OPTIONAL: Any = Field(default=None)  # Experiment has the default
 
-SIGNAL = OneOf("kind", {kind: table_of("kind", kind, made) for kind, made in KINDS.items()}, droppable=True)
+_CSV: Any = {"file": (str, ""), "column": (str, "")}  # whose values stand for times and values
+SIGNAL = OneOf(
+    "kind",
+    {
+        kind: table_of("kind", kind, made, also=_CSV if kind == "table" else {})
+        for kind, made in KINDS.items()
+    },
+    droppable=True,
+)
 FAULT = OneOf(
     "kind",
     {

@@ -7,7 +7,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from orchestration.results.metric_units import MetricDocument, shown
-from orchestration.scenarios.published import CONTROLLERS, PUBLISHED
+from orchestration.scenarios.published import CASES, CONTROLLERS, PUBLISHED
 
 Measured = Mapping[str, Mapping[str, float]]
 
@@ -15,8 +15,7 @@ Measured = Mapping[str, Mapping[str, float]]
 def summary(metrics: Mapping[str, MetricDocument]) -> dict[str, dict[str, MetricDocument]]:
     """{case: {controller: metrics with units}} of the paper's experiments, from those of the scenarios."""
     return {
-        case: {controller: metrics[f"{case}-{controller}"] for controller in CONTROLLERS}
-        for case in ("nominal", "buoyancy", "example")
+        case: {controller: metrics[f"{case}-{controller}"] for controller in CONTROLLERS} for case in CASES
     }
 
 

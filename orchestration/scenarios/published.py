@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 CONTROLLERS = {"l1": "L1", "extended": "extended L1"}
 """Name of a controller in the scenarios' names -> its name for readers."""
+CASES = ("nominal", "buoyancy", "example")
+"""The paper's experiments: the names of their scenarios begin with these."""
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from orchestration.scenarios.file_format import ParameterFile, ScenarioFile
 from orchestration.scenarios.file_tables import check_part, checked
 from orchestration.scenarios.layers import Data, Layer, merge
 from orchestration.scenarios.replaced import Describe
+from orchestration.scenarios.signal_files import with_values
 from orchestration.scenarios.toml_file import TomlFile, read_toml
 
 SHIPPED = Path(str(resources.files("orchestration.scenarios")))
@@ -55,6 +56,8 @@ def file_layers(path: Path, above: tuple[Path, ...] = ()) -> list[Layer]:
     for table, keys in _tables_of_components(data):
         for name, fmu in table.items():
             table[name] = fmu and _fmu(fmu, path.parent, file.at((*keys, name)))
+    for table, keys in _tables_of_signals(data):
+        table["signals"] = with_values(table["signals"], path.parent, file.at, keys)
     base = data.pop("base", "")
     below: list[Layer] = []
     if base:
@@ -77,6 +80,14 @@ def _tables_of_components(data: Data) -> list[tuple[dict[str, Any], tuple[str | 
     for i, entries in enumerate(data.get("when_replaced", [])):
         tables.append((entries.get("components", {}), ("when_replaced", i, "components")))
     return tables
+
+
+def _tables_of_signals(data: Data) -> list[tuple[dict[str, Any], tuple[str | int, ...]]]:
+    """Each table that has `signals`, and the keys of these."""
+    tables: list[tuple[dict[str, Any], tuple[str | int, ...]]] = [(data, ("signals",))]
+    for i, entries in enumerate(data.get("when_replaced", [])):
+        tables.append((entries, ("when_replaced", i, "signals")))
+    return [(table, keys) for table, keys in tables if "signals" in table]
 
 
 def parameter_values(path: Path) -> dict[str, Any]:
@@ -118,7 +129,10 @@ def command_entries(overrides: Mapping[str, Any], settings: Mapping[str, FmiValu
         **{n: str(fmu) for n, fmu in settings.items() if "." not in n},
     }
     components = {name: _fmu(fmu, Path(), f"{name} = {fmu}") for name, fmu in given.items()}
-    return merge(dict(overrides), {"components": components} if components else {})
+    above: Data = {"components": components} if components else {}
+    if "signals" in overrides:
+        above["signals"] = with_values(overrides["signals"], Path(), lambda keys: "command line", ())
+    return merge(dict(overrides), above)
 
 
 def check_components(settings: Mapping[str, FmiValue], layers: Sequence[Layer]) -> None:

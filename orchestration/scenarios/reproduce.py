@@ -17,6 +17,7 @@ from orchestration.results.metric_units import MetricDocument, metric_units, wit
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 from orchestration.scenarios.paper_tables import summary
+from orchestration.scenarios.published import CASES
 from orchestration.scenarios.scenario import Scenario
 from orchestration.scenarios.worker_pool import worker_pool
 from orchestration.system.prepared_run import prepare
@@ -90,9 +91,9 @@ def run(
 
 
 def reproduced(flavour: Flavour = Flavour.NATIVE) -> dict[str, Scenario]:
-    """The shipped scenarios by name, without those that are to be swept."""
-    scenarios = (scenario.load(path, flavour=flavour) for path in scenario.shipped().values())
-    return {shipped.name: shipped for shipped in scenarios if not shipped.sweep}
+    """The shipped scenarios of the paper's experiments by name."""
+    paths = scenario.shipped().items()
+    return {name: scenario.load(path, flavour=flavour) for name, path in paths if name.startswith(CASES)}
 
 
 def _write(recording: Recording, file: Path) -> None:

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from orchestration.errors import ScenarioError
-from orchestration.system.signals import Constant, Cosine, Curve, Ramps, Samples, Signal
+from orchestration.system.signal_sines import Sines, sine, spectrum, sum_of_sines
+from orchestration.system.signals import Constant, Cosine, Curve, Ramps, Signal, Table
 
 
 @dataclass(frozen=True)
@@ -61,11 +62,12 @@ def derivative(signal: Signal, order: int = 1, name: str = "derivative") -> Sign
     rates: dict[type, Callable[[Any, int], Callable[[np.ndarray], np.ndarray]]] = {
         Ramps: _of_ramps,
         Cosine: _of_cosine,
+        Sines: _of_sines,
         Constant: lambda signal, order: np.zeros_like,
-        Samples: _of_samples,
+        Table: _of_table,
     }
     if type(signal) not in rates:
-        known = "ramps, cosine, constant or samples"
+        known = "ramps, cosine, sines, constant or table"
         raise ScenarioError(
             f'signals."{name}": expected the derivative of {known}, got {type(signal).__name__}'
         )
@@ -97,9 +99,15 @@ def _of_cosine(cosine: Cosine, order: int) -> Callable[[np.ndarray], np.ndarray]
     return moved.at
 
 
-def _of_samples(samples: Samples, order: int) -> Callable[[np.ndarray], np.ndarray]:
-    times, values = np.asarray(samples.times), np.asarray(samples.values)
-    if samples.hold or order == 2 or len(times) == 1:
+def _of_sines(sines: Sines, order: int) -> Callable[[np.ndarray], np.ndarray]:
+    omega = np.asarray(sines.angular_frequencies)
+    amplitudes, phases = np.asarray(sines.amplitudes), np.asarray(sines.phases)
+    return Sines(amplitudes * omega**order, omega, phases + 0.5 * np.pi * order).at
+
+
+def _of_table(table: Table, order: int) -> Callable[[np.ndarray], np.ndarray]:
+    times, values = np.asarray(table.times), np.asarray(table.values)
+    if table.hold or order == 2 or len(times) == 1:
         return np.zeros_like
     slopes = [0.0, *(np.diff(values) / np.diff(times)), 0.0]
     return lambda t: np.asarray(slopes)[np.searchsorted(times, t, side="right")]
@@ -108,7 +116,10 @@ def _of_samples(samples: Samples, order: int) -> Callable[[np.ndarray], np.ndarr
 KINDS: dict[str, Callable[..., Signal]] = {
     "ramps": Ramps,
     "cosine": Cosine,
+    "sine": sine,
+    "sum-of-sines": sum_of_sines,
+    "spectrum": spectrum,
     "constant": Constant,
-    "samples": Samples,
+    "table": Table,
     "derivative": Derivative,
 }

@@ -88,26 +88,25 @@ class Constant(Curve):
 
 
 @dataclass(frozen=True, eq=False)
-class Samples(Curve):
+class Table(Curve):
     """`values` at `times` [s], shapes (n,), held before the first and after the last.
 
-    Between two samples a straight line, or with hold = True the earlier one.
+    Between two times a straight line, or with hold = True the earlier value.
     """
 
-    times: npt.ArrayLike
-    values: npt.ArrayLike
+    times: npt.ArrayLike = ()
+    values: npt.ArrayLike = ()
     hold: bool = False
 
     def __post_init__(self) -> None:
         times, values = np.array(self.times, float), np.array(self.values, float)
         if times.ndim != 1 or times.shape != values.shape or not len(times):
-            raise ScenarioError(
-                f"samples: expected as many times as values, got shapes {times.shape} and {values.shape}"
-            )
+            shapes = f"got shapes {times.shape} and {values.shape}"
+            raise ScenarioError(f"table: expected times and as many values, {shapes}")
         if not (np.isfinite(times).all() and np.isfinite(values).all()):
-            raise ScenarioError("samples: expected finite numbers")
+            raise ScenarioError("table: expected finite numbers")
         if (np.diff(times) <= 0.0).any():
-            raise ScenarioError("samples: expected ascending times")
+            raise ScenarioError("table: expected ascending times")
         object.__setattr__(self, "times", times)
         object.__setattr__(self, "values", values)
 

@@ -43,6 +43,30 @@ def test_each_thruster_has_its_own_gain_dead_zone_limit_and_lag(driver: Any, whi
     assert plant[f"thruster_force[{3 - which}]"] == pytest.approx(2.5 * (1.0 - np.exp(-4.0)))
 
 
+@pytest.mark.parametrize("which", [1, 2])
+def test_each_thruster_has_its_own_curve_reverse_ratio_and_rate_limit(driver: Any, which: int) -> None:
+    curved = {f"thruster_curvature[{which}]": 1.0, f"thruster_curve_voltage[{which}]": 6.0}
+    weaker = {f"thruster_reverse_ratio[{which}]": 0.8}
+    plant = driver(PLANT, **curved, **weaker, **{"voltage[1]": -3.0, "voltage[2]": -3.0}).begin().step(2.0)
+    assert plant[f"thruster_force[{which}]"] == pytest.approx(-0.8 * 0.25 * 3.0 * 3.0 / 6.0)
+    assert plant[f"thruster_force[{3 - which}]"] == pytest.approx(-0.75)
+    limited = driver(PLANT, **{f"thruster_rate_limit[{which}]": 1.0, "voltage[1]": 8.0, "voltage[2]": 8.0})
+    limited.begin().step(1.0)
+    assert limited[f"thruster_force[{which}]"] == pytest.approx(1.0)
+    assert limited[f"thruster_force[{3 - which}]"] == pytest.approx(2.0)
+
+
+def test_thrusters_that_draw_air_push_less(driver: Any) -> None:
+    """At 5 cm with propellers 3 cm below the top and full thrust from 16 cm on: half of it."""
+    full = {"voltage[1]": 4.0, "voltage[2]": 4.0}
+    near = {"initial_depth": 0.05, "thruster_depth": 0.03, "thruster_full_depth": 0.16}
+    plant = driver(PLANT, **full, **near, inertia=1e6, **{"thruster_lag[1]": 0.0, "thruster_lag[2]": 0.0})
+    plant.begin().step(0.02)
+    assert plant["total_force"] == pytest.approx(1.0)
+    assert plant["thruster_force[1]"] == pytest.approx(0.5)
+    assert plant["heave_velocity"] == pytest.approx((1.0 - 1.2) / 1e6 * 0.02, rel=1e-6)
+
+
 def test_the_sensor_has_the_noise_bias_and_seed_that_were_set(driver: Any) -> None:
     fine: dict[str, Any] = {"sensor_resolution": 0.0, "sensor_noise": 0.01, "sensor_bias": 0.3}
     errors = readings(driver, **fine)

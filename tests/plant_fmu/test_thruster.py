@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plant_fmu.thruster import Thruster, force_after, steady_force
+from plant_fmu.thruster import Thruster, force_after, steady_force, submerged_share
 
 REAL = Thruster(gain=0.25, dead_zone=0.5, limit=12.0, lag=0.1, ideal=False)
 VOLTAGES = st.floats(-1e3, 1e3)
@@ -51,3 +51,81 @@ def test_an_ideal_thruster_gives_gain_times_voltage_at_once() -> None:
     assert steady_force(ideal, 100.0, 1.0) == 25.0
     assert force_after(ideal, 0.0, 25.0, 1e-3) == 25.0
     assert force_after(replace(REAL, lag=0.0), 0.0, 1.0, 1e-3) == 1.0
+
+
+@given(VOLTAGES, EFFICIENCIES, st.floats(0.0, 1.0))
+def test_what_the_paper_has_not_is_off_by_default(voltage: float, efficiency: float, elapsed: float) -> None:
+    """Bit for bit: the force of gain, dead zone, saturation and lag alone."""
+    behind = math.copysign(max(min(abs(voltage), 12.0) - 0.5, 0.0), voltage)
+    steady = steady_force(REAL, voltage, efficiency)
+    assert steady == efficiency * 0.25 * behind
+    assert force_after(REAL, 0.5, steady, elapsed) == steady + (0.5 - steady) * math.exp(-elapsed / 0.1)
+
+
+@given(st.floats(0.0, 20.0))
+def test_in_reverse_it_gives_its_ratio_of_the_force(voltage: float) -> None:
+    weaker = replace(REAL, reverse_ratio=0.8)
+    assert steady_force(weaker, voltage, 1.0) == steady_force(REAL, voltage, 1.0)
+    assert steady_force(weaker, -voltage, 1.0) == pytest.approx(-0.8 * steady_force(REAL, voltage, 1.0))
+
+
+@pytest.mark.parametrize("voltage", [-6.0, -1.5, 0.0, 1.5, 3.0, 6.0])
+def test_the_quadratic_curve_is_k_v_abs_v_over_the_curve_voltage(voltage: float) -> None:
+    parabola = replace(REAL, dead_zone=0.0, curvature=1.0, curve_voltage=6.0)
+    assert steady_force(parabola, voltage, 1.0) == pytest.approx(0.25 * voltage * abs(voltage) / 6.0)
+    half = replace(parabola, curvature=0.5)
+    mean = 0.5 * (0.25 * voltage + 0.25 * voltage * abs(voltage) / 6.0)
+    assert steady_force(half, voltage, 1.0) == pytest.approx(mean)
+
+
+def test_the_curve_begins_behind_the_dead_zone() -> None:
+    parabola = replace(REAL, curvature=1.0, curve_voltage=2.0)
+    assert steady_force(parabola, 1.5, 1.0) == pytest.approx(0.25 * 1.0**2 / 2.0)
+
+
+@pytest.mark.parametrize("end", [2.0, -2.0])
+def test_a_rate_limit_is_a_ramp_until_the_lag_is_slower(end: float) -> None:
+    """From 0 to 2 N at 1 N/s with a lag of 0.5 s: 1.5 s of ramp, then the lag from 1.5 N."""
+    limited = replace(REAL, lag=0.5, rate_limit=1.0)
+    signed = math.copysign(1.0, end)
+    assert force_after(limited, 0.0, end, 0.7) == pytest.approx(0.7 * signed)
+    assert force_after(limited, 0.0, end, 1.5) == pytest.approx(1.5 * signed)
+    late = 2.0 - 0.5 * math.exp(-(2.1 - 1.5) / 0.5)
+    assert force_after(limited, 0.0, end, 2.1) == pytest.approx(late * signed)
+    assert force_after(limited, 1.8 * signed, end, 0.1) == pytest.approx(
+        (2.0 - 0.2 * math.exp(-0.2)) * signed  # where the lag alone is slower
+    )
+
+
+def test_a_rate_limit_without_lag_is_a_ramp_to_the_force() -> None:
+    limited = replace(REAL, lag=0.0, rate_limit=4.0)
+    assert [force_after(limited, 0.0, 1.0, t) for t in (0.0, 0.1, 0.25, 9.0)] == pytest.approx(
+        [0.0, 0.4, 1.0, 1.0]
+    )
+
+
+@given(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.floats(1e-3, 0.5), st.floats(0.1, 50.0))
+def test_the_force_changes_no_faster_than_the_limit(
+    before: float, steady: float, elapsed: float, rate: float
+) -> None:
+    """And two steps give what one of both does."""
+    limited = replace(REAL, rate_limit=rate)
+    after = force_after(limited, before, steady, elapsed)
+    assert abs(after - before) <= rate * elapsed * (1.0 + 1e-12)
+    twice = force_after(limited, force_after(limited, before, steady, 0.4 * elapsed), steady, 0.6 * elapsed)
+    assert twice == pytest.approx(after, abs=1e-13)  # rounding of at most 3 N
+
+
+def test_a_propeller_loses_its_thrust_in_proportion_to_its_depth() -> None:
+    depths = (-0.1, 0.0, 0.02, 0.06, 0.08, 5.0)
+    assert [submerged_share(d, 0.08, False) for d in depths] == pytest.approx(
+        [0.0, 0.0, 0.25, 0.75, 1.0, 1.0]
+    )
+    assert [submerged_share(d, 0.0, False) for d in depths] == [1.0] * 6
+    assert submerged_share(-0.1, 0.08, True) == 1.0
+
+
+def test_an_ideal_thruster_has_nothing_but_its_gain() -> None:
+    ideal = replace(REAL, ideal=True, reverse_ratio=0.5, curvature=1.0, curve_voltage=3.0, rate_limit=1.0)
+    assert steady_force(ideal, -20.0, 1.0) == -5.0
+    assert force_after(ideal, 0.0, -5.0, 1e-3) == -5.0

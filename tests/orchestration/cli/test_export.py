@@ -29,7 +29,7 @@ def test_a_scenario_that_cannot_be_expressed_ends_with_one_line(
     refused: Command, tool: Tool, tmp_path: Path
 ) -> None:
     message = refused("export", tool, "example-extended", "--out", "here")
-    assert message.strip().endswith("expected straight ramps, the only ones a table gives")
+    assert message.strip().endswith("which an interpolated table gives; got Cosine")
     assert not (tmp_path / "here").exists()
 
 

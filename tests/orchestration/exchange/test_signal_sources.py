@@ -20,7 +20,8 @@ from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Experiment
-from orchestration.system.signals import Constant, Ramps
+from orchestration.system.signal_sines import sine
+from orchestration.system.signals import Constant, Ramps, Signal, Table
 from orchestration.system.system import System
 
 Build = Callable[..., Path]
@@ -138,8 +139,18 @@ def test_one_point_and_many_points_are_handed_on(linear: Build, tmp_path: Path) 
         np.testing.assert_array_equal(packaged(mine, tmp_path, build_ramp_source)["a.y[1]"], own["a.y[1]"])
 
 
-def test_another_signal_is_refused(linear: Build) -> None:
-    experiment = Experiment(1.0, 0.125, signals={"a.u[1]": Constant(1.0)})
+@pytest.mark.parametrize("signal", [Constant(0.7), Table([1.0, 2.0, 3.0], [0.0, 1.0, -1.0])])
+def test_a_constant_and_a_table_of_straight_lines_are_handed_on_as_ramps(
+    linear: Build, tmp_path: Path, signal: Signal
+) -> None:
+    experiment = Experiment(4.0, 0.125, signals={"a.u[1]": signal})
     mine = Scenario("mine", "", System({"a": linear()}), experiment, {})
-    with pytest.raises(ScenarioError, match=r"signal a\.u\[1\]: expected ramps, .*; got Constant"):
+    own, handed_on = simulate(mine.system, mine.experiment), packaged(mine, tmp_path, build_ramp_source)
+    np.testing.assert_allclose(handed_on["a.y[1]"], own["a.y[1]"], atol=1e-14)  # rounding of values below 1
+
+
+def test_another_signal_is_refused(linear: Build) -> None:
+    experiment = Experiment(1.0, 0.125, signals={"a.u[1]": sine(1.0, 0.2)})
+    mine = Scenario("mine", "", System({"a": linear()}), experiment, {})
+    with pytest.raises(ScenarioError, match=r"signal a\.u\[1\]: expected ramps, .*; got Sines"):
         ramp_sources([mine])

@@ -20,7 +20,7 @@ from orchestration.exchange.ssp_xml import STRUCTURE, tag
 from orchestration.master import simulate
 from orchestration.scenarios import scenario
 
-VEHICLE = [name for name in scenario.shipped() if not name.startswith("example")]
+VEHICLE = [name for name in scenario.shipped() if name.startswith(("nominal", "buoyancy", "monte-carlo"))]
 
 
 @pytest.fixture(scope="module")

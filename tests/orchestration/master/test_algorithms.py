@@ -15,7 +15,7 @@ from orchestration.master import simulate
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 from orchestration.system.experiment import Algorithm, Event, Experiment
-from orchestration.system.signals import Constant, Cosine, Ramps, Samples
+from orchestration.system.signals import Constant, Cosine, Ramps, Table
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import coupled, solution
@@ -117,7 +117,7 @@ def test_a_jump_in_a_short_step_is_no_leap_in_a_long_one(linear: Build) -> None:
 
     The step from 0.29999 s to 0.3 s, which an event brings, sees the whole jump.
     """
-    jump = Samples([0.0, 0.3], [0.0, 1.0], hold=True)
+    jump = Table([0.0, 0.3], [0.0, 1.0], hold=True)
     experiment = Experiment(
         1.0, 0.1, signals={"one.u[1]": jump}, extrapolation=1, events=(Event(0.29999, {"one.a": -1.0}),)
     )

@@ -16,7 +16,7 @@ from orchestration.results.figures import run_figure
 from orchestration.results.recording import Recording
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.faults import Delay, Fault, Stuck
-from orchestration.system.signals import Ramps, Samples, Signal
+from orchestration.system.signals import Ramps, Signal, Table
 from orchestration.system.system import System
 
 Build = Callable[..., Path]
@@ -45,7 +45,7 @@ def driven(**signals: Any) -> Experiment:
 
 
 def test_integers_and_booleans_follow_signals(linear: Build, compiled: bool) -> None:
-    steps = Samples([0.0, 0.2, 0.4], [3, -7, 2**31 - 1], hold=True)
+    steps = Table([0.0, 0.2, 0.4], [3, -7, 2**31 - 1], hold=True)
     signals: dict[str, Signal] = {"integer_in": steps, "boolean_in": lambda t: t > 0.25}
     recording = run(passing(linear), driven(**signals), compiled)
     assert recording["p.integer_in"].tolist() == [3, 3, -7, -7, 2**31 - 1, 2**31 - 1]

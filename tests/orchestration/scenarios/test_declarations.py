@@ -11,7 +11,7 @@ from orchestration.system.faults import DropOut, Fault, Stuck
 
 
 def test_a_declaration_becomes_a_signal() -> None:
-    declared = {"kind": "samples", "times": [0.0, 2.0], "values": [1.0, 3.0], "hold": True}
+    declared = {"kind": "table", "times": [0.0, 2.0], "values": [1.0, 3.0], "hold": True}
     assert signal(declared, "here")(1.9) == 1.0
 
 
@@ -20,7 +20,7 @@ def test_a_declaration_becomes_a_signal() -> None:
     [
         ({"kind": "ramp", "points": [[0.0, 0.0]]}, r"here: unknown kind 'ramp'; nearest is 'ramps'"),
         ({"kind": ["ramps"]}, r"here: unknown kind \['ramps'\]; nearest is 'ramps'"),
-        ({"points": []}, r"here: kind is missing; expected one of ramps, cosine, constant, samples"),
+        ({"points": []}, r"here: kind is missing; expected one of ramps, cosine, sine, sum-of-sines"),
         (3, r"here: 3: expected a table"),
         ({"kind": "ramps"}, r"here: points is missing"),
         ({"kind": "cosine", "amplitud": 1.0}, r"here: unknown key 'amplitud'; nearest is 'amplitude'"),
@@ -34,7 +34,7 @@ def test_a_declaration_becomes_a_signal() -> None:
         ),
         ({"kind": "ramps", "points": 3.0}, r"here: points = 3.0: expected a list"),
         ({"kind": "ramps", "points": [[1.0, 0.0], [1.0, 2.0]]}, r"here: ramps: .*ascending time"),
-        ({"kind": "samples", "times": [0.0, 1.0], "values": [0.0]}, r"here: samples: .*\(2,\) and \(1,\)"),
+        ({"kind": "table", "times": [0.0, 1.0], "values": [0.0]}, r"here: table: .*\(2,\) and \(1,\)"),
     ],
 )
 def test_a_mistake_in_a_signal_is_one_line(declaration: object, message: str) -> None:

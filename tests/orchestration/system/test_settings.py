@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from orchestration import Cosine, Event, Experiment, Samples, Simulator, System, simulate
+from orchestration import Cosine, Event, Experiment, Simulator, System, Table, simulate
 from orchestration.errors import SystemDefinitionError
 from orchestration.system.experiment import Algorithm, Initialisation, suggested_times
 
@@ -103,7 +103,7 @@ def test_samples_and_functions_drive_inputs(linear: Build) -> None:
     system = System({"one": linear()})
     constant = simulate(system, stop_time=1.0, signals={"one.u[1]": lambda t: 1.0})
     np.testing.assert_allclose(constant["one.y[1]"], 1.0, rtol=0.0, atol=1e-15)
-    line = Samples(np.linspace(0.0, 1.0, 11), np.linspace(0.0, 3.0, 11))
+    line = Table(np.linspace(0.0, 1.0, 11), np.linspace(0.0, 3.0, 11))
     runs = [
         simulate(system, stop_time=1.0, signals={"one.u[1]": signal}) for signal in (line, lambda t: 3.0 * t)
     ]

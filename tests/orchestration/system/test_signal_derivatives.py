@@ -5,7 +5,7 @@ import pytest
 
 from orchestration.errors import ScenarioError
 from orchestration.system.signal_derivatives import Derivative, derivative, with_derivatives
-from orchestration.system.signals import Constant, Cosine, Curve, Ramps, Samples, values_at
+from orchestration.system.signals import Constant, Cosine, Curve, Ramps, Table, values_at
 
 POINTS = [[1.0, 0.0], [3.0, 2.0], [4.0, 1.0]]
 TIMES = np.linspace(0.0, 5.0, 401) + 1e-3  # beside the kinks
@@ -20,9 +20,9 @@ STEP = 1e-4
         Ramps(POINTS, smooth=True),
         Cosine(2.0, 3.0, 0.4, 1.0),
         Constant(3.0),
-        Samples([1.0, 2.0, 4.0], [0.0, 1.0, -1.0]),
-        Samples([1.0, 2.0], [0.0, 1.0], hold=True),
-        Samples([1.0], [2.0]),
+        Table([1.0, 2.0, 4.0], [0.0, 1.0, -1.0]),
+        Table([1.0, 2.0], [0.0, 1.0], hold=True),
+        Table([1.0], [2.0]),
     ],
 )
 def test_it_is_the_difference_quotient(signal: Curve, order: int) -> None:
@@ -34,7 +34,7 @@ def test_it_is_the_difference_quotient(signal: Curve, order: int) -> None:
     assert values_at(derivative(signal, order), TIMES) == pytest.approx(quotient, abs=1e-4)
 
 
-@pytest.mark.parametrize("signal", [Ramps(POINTS), Samples([1.0, 3.0, 4.0], [0.0, 2.0, 1.0])])
+@pytest.mark.parametrize("signal", [Ramps(POINTS), Table([1.0, 3.0, 4.0], [0.0, 2.0, 1.0])])
 def test_at_a_kink_it_is_that_of_the_time_after_it(signal: Curve) -> None:
     kinks = np.array([1.0, 3.0, 4.0])
     assert values_at(derivative(signal), kinks).tolist() == [1.0, -1.0, 0.0]

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from orchestration.errors import ScenarioError
-from orchestration.system.signals import Constant, Cosine, Ramps, Samples
+from orchestration.system.signals import Constant, Cosine, Ramps, Table
 
 POINTS = [[0.0, 0.0], [40.0, 0.8], [140.0, 0.8], [180.0, 0.4]]
 
@@ -43,20 +43,20 @@ def test_cosine_and_constant() -> None:
 def test_samples_are_joined_by_lines_or_hold() -> None:
     times, values = [0.0, 1.0, 3.0], np.array([2.0, 4.0, 0.0])
     asked = np.array([-1.0, 0.0, 0.5, 1.0, 2.0, 3.0, 9.0])
-    assert Samples(times, values).at(asked).tolist() == [2.0, 2.0, 3.0, 4.0, 2.0, 0.0, 0.0]
-    assert Samples(times, values, hold=True).at(asked).tolist() == [2.0, 2.0, 2.0, 4.0, 4.0, 0.0, 0.0]
+    assert Table(times, values).at(asked).tolist() == [2.0, 2.0, 3.0, 4.0, 2.0, 0.0, 0.0]
+    assert Table(times, values, hold=True).at(asked).tolist() == [2.0, 2.0, 2.0, 4.0, 4.0, 0.0, 0.0]
 
 
 def test_held_samples_change_at_their_communication_point_whatever_the_rounding() -> None:
     """3 * 0.1 is a little more than 0.3, 0.7 + 0.1 a little less than 0.8."""
-    held = Samples([0.0, 3 * 0.1, 0.8], [0.0, 1.0, 2.0], hold=True)
+    held = Table([0.0, 3 * 0.1, 0.8], [0.0, 1.0, 2.0], hold=True)
     assert [held(0.3), held(0.7 + 0.1)] == [1.0, 2.0]
     assert held(0.3 - 1e-6) == 0.0
 
 
 def test_samples_are_copied() -> None:
     values = np.array([1.0, 2.0])
-    samples = Samples([0.0, 1.0], values)
+    samples = Table([0.0, 1.0], values)
     values[:] = 9.0
     assert samples(0.0) == 1.0
 
@@ -66,10 +66,10 @@ def test_samples_are_copied() -> None:
     [
         (lambda: Ramps([[1.0, 0.0], [1.0, 2.0]]), r"ascending time"),
         (lambda: Ramps([[1.0]]), r"\[time, value\]"),
-        (lambda: Samples([0.0, 1.0], [0.0]), r"shapes \(2,\) and \(1,\)"),
-        (lambda: Samples([], []), r"as many times as values"),
-        (lambda: Samples([0.0, 0.0], [0.0, 1.0]), r"ascending times"),
-        (lambda: Samples([0.0, math.nan], [0.0, 1.0]), r"finite numbers"),
+        (lambda: Table([0.0, 1.0], [0.0]), r"shapes \(2,\) and \(1,\)"),
+        (lambda: Table([], []), r"expected times and as many values"),
+        (lambda: Table([0.0, 0.0], [0.0, 1.0]), r"ascending times"),
+        (lambda: Table([0.0, math.nan], [0.0, 1.0]), r"finite numbers"),
     ],
 )
 def test_bad_arguments_are_refused(make: Callable[[], object], message: str) -> None:
