@@ -61,7 +61,8 @@ sensor     s_k = q(z(t_k) + bias + drift (t_k - t_0) + noise n_k) at t_k = t_0 +
         Source("T. I. Fossen: Marine Control Systems, Marine Cybernetics, 2002 (damping, current, surface)."),
         Source("DNV-RP-H103: Modelling and analysis of marine operations (added mass of a box)."),
         Source("A. Kozlowska et al.: Time domain modeling of propeller forces due to ventilation in"
-               " static and dynamic conditions, Journal of Marine Science and Engineering 8, 2020 (loss of thrust)."),
+               " static and dynamic conditions,"
+               " Journal of Marine Science and Engineering 8, 2020 (loss of thrust)."),
         Source("P. L'Ecuyer: Efficient and portable combined random number generators, Communications of the"
                " ACM 31(6), 1988 (the sensor's noise)."),
     ),

@@ -6,13 +6,13 @@
     force = s F,   s = clip(d / d_f, 0, 1)
 
 K [N/V], dead zone v_0 [V], saturation v_max [V], lag T [s], efficiency 0..1 (1 healthy, 0 dead). The curve
-is a line for c = 0 and quadratic for c = 1; at v_c [V] both give K v_c, so that K stays in N/V. R [N/s] limits
-how fast the force changes, as the torque of a motor limits how fast its propeller speeds up. d [m] is the depth
-of the propeller, d_f that from which its thrust is full; above it draws air (ventilation) and loses thrust,
-here in proportion to its depth. An ideal thruster gives efficiency K v at once, in air too. The paper's model
-is F = K u, (11); the rest is added here. The straight line of the ventilation stands for curves that depend on
-the load too: Kozlowska et al., Time domain modeling of propeller forces due to ventilation in static and
-dynamic conditions, Journal of Marine Science and Engineering 8, 2020.
+is a line for c = 0 and quadratic for c = 1; at v_c [V] both give K v_c, so that K stays in N/V. R [N/s]
+limits how fast the force changes, as the torque of a motor limits how fast its propeller speeds up. d [m]
+is the depth of the propeller, d_f that from which its thrust is full; above it draws air (ventilation) and
+loses thrust, here in proportion to its depth. An ideal thruster gives efficiency K v at once, in air too.
+The paper's model is F = K u, (11); the rest is added here. The straight line of the ventilation stands for
+curves that depend on the load too: Kozlowska et al., Time domain modeling of propeller forces due to
+ventilation in static and dynamic conditions, Journal of Marine Science and Engineering 8, 2020.
 """
 
 from dataclasses import dataclass
