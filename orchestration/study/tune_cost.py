@@ -69,19 +69,18 @@ def run_cost(figures: Figures, objective: str, bounds: Mapping[str, float]) -> f
 
 
 def delayed(case: Case, delay: float, variable: str) -> Case:
-    """The case with an input that is late by so many seconds."""
+    """The case until its target is left, with an input that is late by so many seconds."""
     fault = {"input": variable, "kind": "delay", "delay": delay}
     faults = [*case.layer.get("faults", []), fault]
-    return replace(case, layer={**case.layer, "faults": faults})
+    experiment = {**case.layer.get("experiment", {}), "stop_time": case.target.window[1]}
+    return replace(case, layer={**case.layer, "faults": faults, "experiment": experiment})
 
 
 def _unrest(loop: Loop, gains: Mapping[str, float], delay: float) -> float:
     """Standard deviation [m] of the depth at the end of the nominal hold, the measurement being late."""
     nominal = next(iter(loop.protocol.cases.values()))
     signals = loop.run(delayed(nominal, delay, loop.controller.variable("measured_depth")), gains)
-    end = nominal.target.window[1]
-    hold = (signals.time >= end - _HOLD_S) & (signals.time <= end)
-    return float(np.std(signals["depth"][hold]))
+    return float(np.std(signals["depth"][signals.time >= nominal.target.window[1] - _HOLD_S]))
 
 
 def _mean(runs: Sequence[Figures]) -> dict[str, float]:

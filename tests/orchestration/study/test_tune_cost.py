@@ -68,6 +68,7 @@ def test_a_case_can_be_delayed_besides_its_own_faults() -> None:
     frozen = {"input": "controller.measured_depth", "kind": "freeze", "start": 1.0, "end": 2.0}
     late = delayed(replace(nominal, layer={**nominal.layer, "faults": [frozen]}), 0.1, "controller.y")
     assert late.layer["faults"] == [frozen, {"input": "controller.y", "kind": "delay", "delay": 0.1}]
+    assert late.layer["experiment"]["stop_time"] == 140.0  # when the reference leaves 0.8 m
 
 
 def test_gains_that_the_fmu_refuses_have_a_finite_cost_and_the_reason(controller: Controller) -> None:
