@@ -27,15 +27,12 @@ class DepthMatrices(LawMatrices):
     feedforward_acceleration_gain: float = variable(1.0, "Gain of r'' in f, M", unit="kg")
 
 
-def calculate(p: Any) -> DepthMatrices:
-    """A_m, B_m, P, k_g and the gains of f of the assumed vehicle under the state feedback k_m."""
+def depth_matrices(k_m: Vector, p: Any) -> DepthMatrices:
+    """A_m, B_m, P, k_g and the gains of f of the assumed vehicle under k_m [N/m, N.s/m]."""
     inverse_inertia = 1.0 / p.model_inertia
     a_m = (
         (0.0, 1.0),
-        (
-            -p.depth_feedback_gain * inverse_inertia,
-            -(p.model_damping + p.rate_feedback_gain) * inverse_inertia,
-        ),
+        (-k_m[0] * inverse_inertia, -(p.model_damping + k_m[1]) * inverse_inertia),
     )
     matrices = law_matrices(a_m, (0.0, inverse_inertia), (1.0, 0.0), p.lyapunov_weight)
     return DepthMatrices(**vars(matrices))

@@ -16,8 +16,7 @@ from controller_fmu.depth_interface import (
     InertiaParameter,
     ObserverParameters,
 )
-from controller_fmu.depth_model import DepthMatrices
-from controller_fmu.depth_model import calculate as depth_matrices
+from controller_fmu.depth_model import DepthMatrices, depth_matrices
 from controller_fmu.l1 import law as l1
 from controller_fmu.l1.depth_controller_guide import GUIDE
 from controller_fmu.l1.feedforward import reference_feedforward
@@ -125,7 +124,7 @@ class Outputs(DepthOutputs):
 
 
 def calculate(p: Parameters) -> Matrices:
-    vehicle = depth_matrices(p)
+    vehicle = depth_matrices(_state_feedback(p), p)
     sampled = sampled_prediction(vehicle.predictor_input, p.prediction_error_matrix, p.adaptation_period)
     return Matrices(**(vars(vehicle) | vars(sampled)))
 

@@ -1,7 +1,15 @@
 """What the documentation of L1DepthController says besides its variables."""
 
+from controller_fmu.depth_interface_guide import (
+    CONVENTIONS,
+    EXPERIMENT,
+    OBSERVER_AND_ALLOCATION,
+    OBSERVER_SOURCE,
+    OBSERVER_TUNING,
+    VEHICLE_LIMIT,
+)
 from controller_fmu.l1.parameters import EQUATIONS
-from fmus.guide import Experiment, Guide, Source
+from fmus.guide import Guide, Source
 
 PAPER = Source(
     "Maalouf, Chemori and Creuze: A new extension of the L1 adaptive controller to drastically reduce the"
@@ -28,16 +36,9 @@ GUIDE = Guide(
     equations=EQUATIONS
     + """
 x            = (z, z'),   A_m = [[0, 1], [-k_m1 / M_z, -(D_z + k_m2) / M_z]],   B_m = [0, 1 / M_z]   (13)
-voltage_i    = J u / (2 K_i), saturated,   J = cos(roll) cos(pitch)                                  (11)
-observer     z_p = z_hat + T v_hat,   z_hat = z_p + alpha (z - z_p),   v_hat = v_hat + beta / T (z - z_p)
-""",
-    conventions=(
-        "Depth is positive down, and so is every force; a positive demand pushes the vehicle down.",
-        "A positive voltage gives a force along the body's z axis, downwards when the vehicle is upright;"
-        " each thruster takes half of the demand.",
-        "tracking_error is measured depth minus reference: positive when the vehicle is too deep.",
-        "Angles are in rad; roll and pitch may stay at 0 where they are not measured.",
-    ),
+"""
+    + OBSERVER_AND_ALLOCATION,
+    conventions=CONVENTIONS,
     tuning=(
         "Begin with the vehicle: model_inertia with added mass, model_damping, thruster_gain (N/V,"
         " measured) and voltage_limit. What is wrong here, the adaptation has to make up for.",
@@ -54,8 +55,7 @@ observer     z_p = z_hat + T v_hat,   z_hat = z_p + alpha (z - z_p),   v_hat = v
         " too fast.",
         "Against the lag, set augmentation to pi: proportional_gain first, then little integral_gain; or"
         " to nonlinear_p, with a_1 = a_2 where the control should not jump at |e| = delta.",
-        "observer_period is the sampling period of the depth sensor; beta = alpha^2 / (2 - alpha) goes"
-        " with an alpha. With a measured depth rate, set velocity_source to measured.",
+        OBSERVER_TUNING,
     ),
     limits=(
         *LAW_LIMITS,
@@ -64,20 +64,13 @@ observer     z_p = z_hat + T v_hat,   z_hat = z_p + alpha (z - z_p),   v_hat = v
         " RovDepthPlant alone.",
         "Tried on that plant, holding 0.8 m: with adaptation_gain 100 a sensor delay of 200 ms is harmless;"
         " with 1000, 60 ms make the depth oscillate.",
-        "A vehicle that lies on its side (J near 0) cannot push vertically, and nothing here tries to.",
+        VEHICLE_LIMIT,
     ),
     sources=(
         PAPER,
-        Source("R. Penoyer: The alpha-beta filter, C User's Journal 11(7), 1993 (the observer)."),
+        OBSERVER_SOURCE,
         Source("T. Benedict and G. Bordner: Synthesis of an optimal set of radar track-while-scan smoothing"
                " equations, IRE Transactions on Automatic Control, 1962 (beta of an alpha)."),
     ),
-    experiment=Experiment(
-        stop_time=20.0,
-        stimuli=(
-            ("depth_reference", ((1.0, 0.0), (9.0, 0.4))),
-            ("measured_depth", ((3.0, 0.0), (12.0, 0.36), (18.0, 0.4))),
-            ("roll", ((5.0, 0.0), (10.0, 0.2), (15.0, 0.0))),
-        ),
-    ),
+    experiment=EXPERIMENT,
 )  # fmt: skip

@@ -24,11 +24,16 @@ def offer(monkeypatch: pytest.MonkeyPatch) -> object:
 
 def test_the_shipped_blocks_are_found() -> None:
     assert registry.block_names() == [
+        "AdrcDepthController",
         "DepthReference",
         "ExamplePlant",
         "L1Controller",
         "L1DepthController",
+        "MracDepthController",
+        "PidDepthController",
         "RovDepthPlant",
+        "SlidingModeDepthController",
+        "SuperTwistingDepthController",
         "ThrustAllocation",
     ]
 

@@ -1,0 +1,48 @@
+"""What the documentation of every depth controller says besides its variables."""
+
+from fmus.guide import Experiment, Source
+
+CONVENTIONS = (
+    "Depth is positive down, and so is every force; a positive demand pushes the vehicle down.",
+    "A positive voltage gives a force along the body's z axis, downwards when the vehicle is upright;"
+    " each thruster takes half of the demand.",
+    "tracking_error is measured depth minus reference: positive when the vehicle is too deep.",
+    "Angles are in rad; roll and pitch may stay at 0 where they are not measured.",
+)
+OBSERVER_AND_ALLOCATION = """\
+voltage_i    = J u / (2 K_i), saturated,   J = cos(roll) cos(pitch)   Maalouf et al. (2013), (11)
+observer     z_p = z_hat + T v_hat,   z_hat = z_p + alpha (z - z_p),   v_hat = v_hat + beta / T (z - z_p)
+"""
+ALLOCATION = OBSERVER_AND_ALLOCATION.splitlines(keepends=True)[0]
+
+OBSERVER_TUNING = (
+    "observer_period is the sampling period of the depth sensor; beta = alpha^2 / (2 - alpha) goes"
+    " with an alpha. With a measured depth rate, set velocity_source to measured."
+)
+VEHICLE_LIMIT = (
+    "A vehicle that lies on its side (J near 0) cannot push vertically, and nothing here tries to."
+)
+REFERENCE_RATES = (
+    "depth_reference_rate and depth_reference_acceleration may stay at 0 where only the depth is given."
+    " The loop then follows a ramp with a lag, as the equations say."
+)
+LAGS = (
+    "The stated poles and proofs hold for ideal measurements and thrusters. Observer, sensor, thrusters and"
+    " the held control delay the loop by about 0.2 s with the start values: gains that make it several times"
+    " as fast let it oscillate."
+)
+TRIED_ON = (
+    "The gains follow from the vehicle of RovDepthPlant, whose inertia and damping are an estimate and a"
+    " guess, and were tried on that plant alone."
+)
+OBSERVER_SOURCE = Source("R. Penoyer: The alpha-beta filter, C User's Journal 11(7), 1993 (the observer).")
+
+EXPERIMENT = Experiment(
+    stop_time=20.0,
+    stimuli=(
+        ("depth_reference", ((1.0, 0.0), (9.0, 0.4))),
+        ("measured_depth", ((3.0, 0.0), (12.0, 0.36), (18.0, 0.4))),
+        ("roll", ((5.0, 0.0), (10.0, 0.2), (15.0, 0.0))),
+    ),
+)
+"""A reference that the measured depth follows late."""

@@ -1,0 +1,104 @@
+"""Block PidDepthController: PID control of the depth with two degrees of freedom.
+
+    u = -k_p e - k_i int e dt - k_d (v - beta r') + beta D r',   e = z - r
+
+beta weighs the reference in the derivative, 0 to 1; its weight in the proportional part is 1. On the assumed
+vehicle, M z'' + D z' = u + d, with ideal measurements and thrusters,
+
+    z / r = (beta (k_d + D) s^2 + k_p s + k_i) / (M s^3 + (D + k_d) s^2 + k_p s + k_i)
+
+so beta moves zeros and no pole; with 1, e / r is -M s^3 over the same denominator.
+Source: Astrom and Hagglund, Advanced PID Control (2006), chapter 3 (set-point weighting) and 5 (two degrees
+of freedom, feedforward).
+"""
+
+from dataclasses import dataclass
+
+from controller_fmu import depth_interface
+from controller_fmu.anti_windup import integrate_error
+from controller_fmu.depth_interface import (
+    ActuatorParameters,
+    DampingParameter,
+    DepthInputs,
+    DepthMeasurement,
+    DepthOutputs,
+    DepthState,
+    ObserverParameters,
+)
+from controller_fmu.pid_guide import GUIDE
+from fmus.block import Block, NoValues, variable
+
+_POLES = "three poles at w = 1 rad/s for M = 5.5 kg and D = 2.5 N.s/m: "
+
+
+@dataclass(frozen=True)
+class Parameters(DampingParameter, ObserverParameters, ActuatorParameters):
+    kp: float = variable(16.5, "k_p", unit="N/m", min=0.0, max=1e6, source=_POLES + "3 M w^2")
+    ki: float = variable(5.5, "k_i", unit="N/(m.s)", min=0.0, max=1e6, source=_POLES + "M w^3")
+    kd: float = variable(14.0, "k_d", unit="N.s/m", min=0.0, max=1e6, source=_POLES + "3 M w - D")
+    beta: float = variable(
+        1.0, "beta, weight of the reference in the derivative", min=0.0, max=1.0,
+        source="1: no error on a ramp of known rate",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class State:
+    """`error_integral`: int e dt [m.s]."""
+
+    interface: DepthState = DepthState()
+    error_integral: float = 0.0
+
+
+@dataclass(frozen=True)
+class Outputs(DepthOutputs):
+    integral_force: float = variable(0.0, "Integral part -k_i int e dt of the demand", unit="N")
+
+
+def control(now: DepthMeasurement, error_integral: float, p: Parameters) -> float:
+    """u [N]."""
+    return (
+        -p.kp * now.error
+        - p.ki * error_integral
+        - p.kd * (now.rate - p.beta * now.reference_rate)
+        + p.beta * p.model_damping * now.reference_rate
+    )
+
+
+def initial_state(t: float, inputs: DepthInputs, p: Parameters, calculated: NoValues) -> State:
+    return State(depth_interface.first_state(t, inputs, p))
+
+
+def step(t: float, h: float, state: State, inputs: DepthInputs, p: Parameters, calculated: NoValues) -> State:
+    u = control(state.interface.measured, state.error_integral, p)
+    shortfall = depth_interface.deliver(u, state.interface.j, p).shortfall
+    interface = depth_interface.next_state(t, state.interface, inputs, p)
+    integral = integrate_error(h, state.error_integral, interface.measured.error, shortfall)
+    return State(interface, integral)
+
+
+def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outputs:
+    measured, j = state.interface.measured, state.interface.j
+    u = control(measured, state.error_integral, p)
+    return Outputs(
+        **depth_interface.outputs(u, measured, j, p),
+        integral_force=-p.ki * state.error_integral,
+    )
+
+
+BLOCK = Block(
+    name="PidDepthController",
+    description="PID depth controller with two degrees of freedom",
+    parameters=Parameters,
+    inputs=DepthInputs,
+    state=State,
+    outputs=Outputs,
+    requirements=depth_interface.requirements,
+    initial_state=initial_state,
+    step=step,
+    output=output,
+    stop_time=310.0,
+    step_size=0.02,
+    guide=GUIDE,
+    license="MIT",
+)

@@ -1,0 +1,115 @@
+"""Block SlidingModeDepthController: integral sliding mode control of the depth, with a boundary layer.
+
+    s = e' + 2 lambda e + lambda^2 int e dt,   e = z - r,   e' = v - r'
+    u = M (r'' - 2 lambda e' - lambda^2 e) + D v - K sat(s / phi)
+
+On M z'' + D z' = u + d, with ideal measurements and thrusters, M s' = d - K sat(s / phi). With |d| <= d_max
+below K, the boundary layer |s| <= phi is reached after M (|s(0)| - phi) / (K - d_max) s at the latest, and
+not left. Inside it the law is linear: a PID with poles at -lambda, -lambda and -K / (M phi).
+Source: Slotine and Li, Applied Nonlinear Control (1991), section 7.1 (integral in s) and 7.2 (boundary
+layer); Utkin, Guldner and Shi, Sliding Mode Control in Electro-Mechanical Systems (2009).
+"""
+
+from dataclasses import dataclass
+
+from controller_fmu import depth_interface
+from controller_fmu.anti_windup import integrate_error
+from controller_fmu.depth_interface import (
+    ActuatorParameters,
+    DampingParameter,
+    DepthInputs,
+    DepthMeasurement,
+    DepthOutputs,
+    DepthState,
+    InertiaParameter,
+    ObserverParameters,
+)
+from controller_fmu.sliding_mode_guide import GUIDE
+from fmus.block import Block, NoValues, variable
+from fmus.numerics import clip
+
+
+@dataclass(frozen=True)
+class Parameters(DampingParameter, InertiaParameter, ObserverParameters, ActuatorParameters):
+    error_bandwidth: float = variable(
+        1.0, "lambda, both poles of the error on s = 0", unit="rad/s", min=1e-6, max=1e3,
+        source="poles at 1 rad/s: slow beside observer (8 rad/s) and thrusters (20 rad/s)",
+    )  # fmt: skip
+    switching_gain: float = variable(
+        4.0, "K, above the largest disturbance", unit="N", min=0.0, max=1e6,
+        source="buoyancy 1.4 N, a step of 2 N, and 0.6 N for the damping; below the 6 N of the thrusters",
+    )  # fmt: skip
+    boundary_layer: float = variable(
+        0.5, "phi, half the width of the boundary layer", unit="m/s", min=1e-9, max=1e6,
+        source="K / (M phi) = 1.5 rad/s, the third pole, for M = 5.5 kg",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class State:
+    """`error_integral`: int e dt [m.s]."""
+
+    interface: DepthState = DepthState()
+    error_integral: float = 0.0
+
+
+@dataclass(frozen=True)
+class Outputs(DepthOutputs):
+    sliding_variable: float = variable(0.0, "s = e' + 2 lambda e + lambda^2 int e dt", unit="m/s")
+
+
+def sliding_variable(now: DepthMeasurement, error_integral: float, p: Parameters) -> float:
+    """s [m/s]."""
+    bandwidth = p.error_bandwidth
+    return now.error_rate + 2.0 * bandwidth * now.error + bandwidth**2 * error_integral
+
+
+def control(now: DepthMeasurement, error_integral: float, p: Parameters) -> float:
+    """u [N]."""
+    bandwidth = p.error_bandwidth
+    wanted = now.reference_acceleration - 2.0 * bandwidth * now.error_rate - bandwidth**2 * now.error
+    s = sliding_variable(now, error_integral, p)
+    return (
+        p.model_inertia * wanted
+        + p.model_damping * now.rate
+        - p.switching_gain * clip(s / p.boundary_layer, -1.0, 1.0)
+    )
+
+
+def initial_state(t: float, inputs: DepthInputs, p: Parameters, calculated: NoValues) -> State:
+    return State(depth_interface.first_state(t, inputs, p))
+
+
+def step(t: float, h: float, state: State, inputs: DepthInputs, p: Parameters, calculated: NoValues) -> State:
+    u = control(state.interface.measured, state.error_integral, p)
+    shortfall = depth_interface.deliver(u, state.interface.j, p).shortfall
+    interface = depth_interface.next_state(t, state.interface, inputs, p)
+    integral = integrate_error(h, state.error_integral, interface.measured.error, shortfall)
+    return State(interface, integral)
+
+
+def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outputs:
+    measured, j = state.interface.measured, state.interface.j
+    u = control(measured, state.error_integral, p)
+    return Outputs(
+        **depth_interface.outputs(u, measured, j, p),
+        sliding_variable=sliding_variable(measured, state.error_integral, p),
+    )
+
+
+BLOCK = Block(
+    name="SlidingModeDepthController",
+    description="Integral sliding mode depth controller with a boundary layer",
+    parameters=Parameters,
+    inputs=DepthInputs,
+    state=State,
+    outputs=Outputs,
+    requirements=depth_interface.requirements,
+    initial_state=initial_state,
+    step=step,
+    output=output,
+    stop_time=310.0,
+    step_size=0.02,
+    guide=GUIDE,
+    license="MIT",
+)

@@ -1,0 +1,141 @@
+"""Block SuperTwistingDepthController: second-order sliding mode control of the depth by super-twisting.
+
+    s = e' + lambda e,   e = z - r,   e' = v - r',   g = s / (|s| + eps)
+    u = M (r'' - lambda e') + D v - k_1 sqrt(|s|) g + nu,   nu' = -k_2 g
+
+On M z'' + D z' = u + d, with ideal measurements and thrusters, M s' = -k_1 sqrt(|s|) g + nu + d. With eps = 0
+(g is the sign of s) and |d'| <= L below k_2, s and s' reach 0 in finite time for a k_1 that is large enough,
+whatever d is; with eps > 0 they reach a neighbourhood of 0.
+
+In a step of h s the law is used with
+
+    g = s / (|s| + eps + (h / M) (k_1 sqrt(|s|) + h k_2))
+
+which is g of the s that the step leads to, s_1 = s - (h / M) (k_1 sqrt(|s|) + h k_2) g: a semi-implicit Euler
+step. It tends to the law with h, has the same equilibrium, and does not overshoot s = 0 for any h, where the
+explicit step with eps = 0 switches for ever.
+Source: A. Levant, Sliding order and sliding accuracy in sliding mode control, Int. J. Control 58 (1993);
+J. Moreno and M. Osorio, Strict Lyapunov functions for the super-twisting algorithm, IEEE TAC 57 (2012); for
+the step B. Brogliato, A. Polyakov and D. Efimov, The implicit discretization of the supertwisting
+sliding-mode control algorithm, IEEE TAC 65 (2020), here with sqrt(|s|) of the step's beginning.
+"""
+
+from dataclasses import dataclass
+
+from controller_fmu import depth_interface
+from controller_fmu.anti_windup import widens
+from controller_fmu.depth_interface import (
+    ActuatorParameters,
+    DampingParameter,
+    DepthInputs,
+    DepthMeasurement,
+    DepthOutputs,
+    DepthState,
+    InertiaParameter,
+    ObserverParameters,
+)
+from controller_fmu.super_twisting_guide import GUIDE
+from fmus.block import Block, NoValues, variable
+from fmus.numerics import absolute, maximum, sqrt, where
+
+_LEAST_ROOT = 1e-3  # of eps: the root is held below, where g is smaller, so that it has a derivative at 0
+
+
+@dataclass(frozen=True)
+class Parameters(DampingParameter, InertiaParameter, ObserverParameters, ActuatorParameters):
+    error_bandwidth: float = variable(
+        1.0, "lambda, the pole of the error on s = 0", unit="rad/s", min=1e-6, max=1e3,
+        source="1 rad/s: slow beside observer (8 rad/s) and thrusters (20 rad/s)",
+    )  # fmt: skip
+    root_gain: float = variable(
+        1.5, "k_1, in N per (m/s)^0.5", min=0.0, max=1e6,
+        source="1.5 sqrt(L M), Levant (1998), for |d'| <= L = 0.2 N/s and M = 5.5 kg",
+    )  # fmt: skip
+    twisting_gain: float = variable(
+        0.22, "k_2", unit="N/s", min=0.0, max=1e6, source="1.1 L, Levant (1998), for |d'| <= L = 0.2 N/s"
+    )
+    smoothing: float = variable(
+        0.02, "eps, below which g is linear", unit="m/s", min=1e-9, max=1e6,
+        source="the noise of the observed depth rate",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class State:
+    """`direction`: g of the last step; `integral_force`: nu [N]."""
+
+    interface: DepthState = DepthState()
+    direction: float = 0.0
+    integral_force: float = 0.0
+
+
+@dataclass(frozen=True)
+class Outputs(DepthOutputs):
+    sliding_variable: float = variable(0.0, "s = e' + lambda e", unit="m/s")
+    integral_force: float = variable(0.0, "nu, minus the estimated disturbance", unit="N")
+
+
+def sliding_variable(now: DepthMeasurement, p: Parameters) -> float:
+    """s [m/s]."""
+    return now.error_rate + p.error_bandwidth * now.error
+
+
+def direction(h: float, s: float, p: Parameters) -> float:
+    """g of a step of h s."""
+    root = _root(s, p)
+    change = h / p.model_inertia * (p.root_gain * root + h * p.twisting_gain)
+    return s / (absolute(s) + p.smoothing + change)
+
+
+def control(now: DepthMeasurement, g: float, integral_force: float, p: Parameters) -> float:
+    """u [N]."""
+    wanted = now.reference_acceleration - p.error_bandwidth * now.error_rate
+    root = _root(sliding_variable(now, p), p)
+    return p.model_inertia * wanted + p.model_damping * now.rate - p.root_gain * root * g + integral_force
+
+
+def _root(s: float, p: Parameters) -> float:
+    """sqrt(|s|)."""
+    return sqrt(maximum(absolute(s), _LEAST_ROOT * p.smoothing))
+
+
+def initial_state(t: float, inputs: DepthInputs, p: Parameters, calculated: NoValues) -> State:
+    interface = depth_interface.first_state(t, inputs, p)
+    return State(interface, direction(0.0, sliding_variable(interface.measured, p), p))
+
+
+def step(t: float, h: float, state: State, inputs: DepthInputs, p: Parameters, calculated: NoValues) -> State:
+    u = control(state.interface.measured, state.direction, state.integral_force, p)
+    shortfall = depth_interface.deliver(u, state.interface.j, p).shortfall
+    interface = depth_interface.next_state(t, state.interface, inputs, p)
+    g = direction(h, sliding_variable(interface.measured, p), p)
+    change = -h * p.twisting_gain * g
+    return State(interface, g, state.integral_force + where(widens(shortfall, change), 0.0, change))
+
+
+def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outputs:
+    measured, j = state.interface.measured, state.interface.j
+    u = control(measured, state.direction, state.integral_force, p)
+    return Outputs(
+        **depth_interface.outputs(u, measured, j, p),
+        sliding_variable=sliding_variable(measured, p),
+        integral_force=state.integral_force,
+    )
+
+
+BLOCK = Block(
+    name="SuperTwistingDepthController",
+    description="Super-twisting depth controller",
+    parameters=Parameters,
+    inputs=DepthInputs,
+    state=State,
+    outputs=Outputs,
+    requirements=depth_interface.requirements,
+    initial_state=initial_state,
+    step=step,
+    output=output,
+    stop_time=310.0,
+    step_size=0.02,
+    guide=GUIDE,
+    license="MIT",
+)
