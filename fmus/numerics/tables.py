@@ -57,12 +57,11 @@ def ramp_rates(t: Any, times: Sequence[Any], values: Sequence[Any], smooth: Any)
     The second derivative of straight ramps is 0 everywhere, also where the first one jumps.
     """
     points = list(zip(times, values, strict=True))
-    rate, acceleration = 0.0, 0.0
+    start, duration, rise = times[-1], 1.0, 0.0
     for (t_0, y_0), (t_1, y_1) in reversed(list(pairwise(points))):
-        s, slope = (t - t_0) / (t_1 - t_0), (y_1 - y_0) / (t_1 - t_0)
-        rest = s * (1.0 - s)
-        curvature = slope / (t_1 - t_0) * 60.0 * rest * (1.0 - 2.0 * s)
-        rate = where(t < t_1, slope * where(smooth, 30.0 * rest * rest, 1.0), rate)
-        acceleration = where(t < t_1, where(smooth, curvature, 0.0), acceleration)
-    is_before = t < points[0][0]
-    return where(is_before, 0.0, rate), where(is_before, 0.0, acceleration)
+        start, duration, rise = where(t < t_1, (t_0, t_1 - t_0, y_1 - y_0), (start, duration, rise))
+    slope = where(t < times[0], 0.0, rise) / duration
+    s = (t - start) / duration
+    rest = s * (1.0 - s)
+    rate = slope * where(smooth, 30.0 * rest * rest, 1.0)
+    return rate, where(smooth, slope / duration * 60.0 * rest * (1.0 - 2.0 * s), 0.0)

@@ -7,6 +7,10 @@ depth_reference = "setpoint"    mean controller.setpoint
 component = "controller"        has one variable and lacks another
 has = ["control_force"]
 lacks = ["voltage[1]"]
+
+[[when_set]]                    further signals of a base, if a parameter has one of these values
+parameter = "controller.reference_feedforward"
+values = ["inside", "outside"]
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -92,6 +96,22 @@ def adapted(layers: Sequence[Layer], replaced: Mapping[str, Replacement], names:
             if replacement and is_other and _applies(entries, replacement, above):
                 has_record = any(lower.data.get("record") for lower in result)
                 result.append(_renamed(layer, _joining(entries, has_record), above))
+    return result
+
+
+def with_chosen_signals(layers: Sequence[Layer]) -> list[Layer]:
+    """The layers with their signals for a value that a parameter has, or that a sweep may give it."""
+    parameters: Data = {}
+    for layer in layers:
+        parameters |= layer.data.get("parameters", {})
+    varied = {name for layer in layers for name in layer.data.get("sweep", {}).get("vary", {})}
+    result: list[Layer] = []
+    for layer in layers:
+        result.append(replace(layer, data={k: v for k, v in layer.data.items() if k != "when_set"}))
+        for entries in layer.data.get("when_set", []):
+            name = entries["parameter"]
+            if name in varied or parameters.get(name) in entries["values"]:
+                result.append(replace(layer, data={"signals": entries["signals"]}))
     return result
 
 

@@ -126,6 +126,17 @@ class WhenReplacedTable(Table, use_attribute_docstrings=True):
     metrics: dict[str, Annotated[Table | Literal[False], METRIC]] = {}
 
 
+class WhenSetTable(Table, use_attribute_docstrings=True):
+    """Signals of a base that apply if a parameter has one of some values."""
+
+    parameter: str
+    """ "component.variable" """
+    values: list[Value]
+    """Items of an enumeration by name and by number."""
+    signals: dict[str, Annotated[Table, SIGNAL]]
+    """ "component.variable" -> a function of time."""
+
+
 class ScenarioFile(Table, use_attribute_docstrings=True):
     """A scenario of l1-depth: components, connections, an experiment, and what is measured."""
 
@@ -166,6 +177,8 @@ class ScenarioFile(Table, use_attribute_docstrings=True):
     """Component -> variable that the base names -> variable of the FMU that stands for it."""
     when_replaced: list[WhenReplacedTable] = []
     """Further entries, for another FMU in the place of a component."""
+    when_set: list[WhenSetTable] = []
+    """Further signals, for some values of a parameter."""
     sweep: dict[str, Any] = {}
     """Many runs with other values."""
 
