@@ -20,7 +20,8 @@ from orchestration.exchange.ssp_xml import STRUCTURE, tag
 from orchestration.master import simulate
 from orchestration.scenarios import scenario
 
-VEHICLE = [name for name in scenario.shipped() if name.startswith(("nominal", "buoyancy", "monte-carlo"))]
+SAME_SYSTEM = ("nominal-l1", "nominal-extended", "buoyancy", "monte-carlo")
+VEHICLE = [name for name in scenario.shipped() if name.startswith(SAME_SYSTEM)]
 
 
 @pytest.fixture(scope="module")
