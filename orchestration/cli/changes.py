@@ -1,6 +1,5 @@
 """Options that change a scenario: another FMU in a component's place, other values."""
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,6 +9,7 @@ import typer
 
 from fmus.fmi_types import FmiValue
 from orchestration.errors import ScenarioError
+from orchestration.scenarios.assigned_text import AssignedText
 from orchestration.system.open_inputs import OpenInputs
 
 CONTROLLER = "controller"  # the component that --controller replaces
@@ -69,7 +69,7 @@ class Changes:
         for assignment in assignments:
             name, value = _parts("--set", assignment, "component.variable=value or component=FMU")
             if "." in name:
-                settings[name] = _value(value)
+                settings[name] = AssignedText(value)
             elif name in components:
                 raise ScenarioError(f"{name} = {value}: expected one FMU, got {components[name]} too")
             else:
@@ -86,6 +86,17 @@ class Changes:
         if self.open_inputs:
             overrides["experiment"] = {"open_inputs": str(self.open_inputs)}
         return overrides
+
+    def options(self) -> tuple[str, ...]:
+        """The options that make these changes."""
+        assignments = [
+            f"{name}={value}" for name, value in (*self.components.items(), *self.settings.items())
+        ]
+        mapped = [f"{c}.{name}={own}" for c, names in self.mapping.items() for name, own in names.items()]
+        options = [("--set", assignment) for assignment in assignments]
+        options += [("--map", assignment) for assignment in mapped]
+        options += [("--open-inputs", str(self.open_inputs))] if self.open_inputs else []
+        return tuple(part for option in options for part in option)
 
     def title(self, scenario: str) -> str:
         """The title of the results of the scenario of that name."""
@@ -114,12 +125,3 @@ def _mapping(mapped: Sequence[str]) -> dict[str, dict[str, str]]:
         component, own = name.split(".", 1) if "." in name else (CONTROLLER, name)
         mapping.setdefault(component, {})[own] = variable
     return mapping
-
-
-def _value(text: str) -> FmiValue:
-    """A number, true, false or a text, as TOML writes it; a text needs no quotes."""
-    try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        return text
-    return value if isinstance(value, bool | int | float | str) else text

@@ -23,6 +23,7 @@ def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHA
 
     Its name and title tell which components are replaced by the changes.
     """
+    arguments = (name, *changes.options(), *(() if flavour is Flavour.NATIVE else ("--flavour", flavour)))
     changes = _with_built_files(changes, flavour)
     path = scenario.find(name)
     with warnings.catch_warnings(record=True) as caught:
@@ -36,7 +37,7 @@ def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHA
         )
     for warning in (w for w in caught if issubclass(w.category, ScenarioWarning)):
         print(f"l1-depth: warning: {warning.message}", file=sys.stderr)
-    chosen = replace(chosen, name=changes.name(chosen.name))
+    chosen = replace(chosen, name=changes.name(chosen.name), arguments=arguments)
     build_missing_fmus([chosen])
     try:
         prepared = prepare(chosen.system, chosen.experiment)

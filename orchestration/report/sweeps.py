@@ -17,7 +17,6 @@ from fmus.extras import imports_of
 from orchestration.errors import OrchestrationError
 from orchestration.report.result import SweepResult
 from orchestration.results.metric_units import shown
-from orchestration.scenarios import scenario
 
 with imports_of("report", "a report"):
     import pyarrow  # noqa: F401  (of the table, which would name its own extra)
@@ -25,7 +24,7 @@ with imports_of("report", "a report"):
     from orchestration.sweep import table  # which needs no more of the extra sweep
     from orchestration.sweep.summary import categorical, groups, statistics
 
-_SHOWN_ELSEWHERE = {"name", "title", "scenario", "varied"}
+_SHOWN_ELSEWHERE = {"name", "title", "scenario", "varied", "arguments"}
 
 
 def read(file: Path) -> SweepResult:
@@ -34,8 +33,7 @@ def read(file: Path) -> SweepResult:
     if not rows.num_rows:
         raise OrchestrationError(f"{file}: expected at least one sample, got none")
     varied, metrics = table.names(rows.schema, "varied"), table.names(rows.schema, "metric")
-    name = provenance["name"]
-    argument = shlex.quote(name if name in scenario.shipped() else f"{name}.toml")
+    arguments = provenance.get("arguments", [provenance["name"]])  # those of older tables are not known
     return SweepResult(
         name=file.stem,
         samples=rows[table.SAMPLE].to_numpy(),
@@ -46,7 +44,7 @@ def read(file: Path) -> SweepResult:
         scenario=provenance["scenario"],
         provenance={key: value for key, value in provenance.items() if key not in _SHOWN_ELSEWHERE},
         absent={name: shown(math.nan, provenance["scenario"]["metrics"].get(name, {})) for name in metrics},
-        command=f"l1-depth sweep {argument} --sample {{sample}}",
+        command=f"{shlex.join(['l1-depth', 'sweep', *arguments])} --sample {{sample}}",
     )
 
 

@@ -11,6 +11,7 @@ from fmus.errors import nearest
 from fmus.fmi_types import FmiValue
 from fmus.registry import block_names
 from orchestration.errors import ScenarioError
+from orchestration.scenarios.assigned_text import AssignedText
 from orchestration.scenarios.file_format import ParameterFile, ScenarioFile
 from orchestration.scenarios.file_tables import check_part, checked
 from orchestration.scenarios.layers import Data, Layer, merge
@@ -155,10 +156,12 @@ def values_of_settings(
         if component not in components:
             hint = nearest(component, components)
             raise ScenarioError(f"{name} = {value!r}: no component {component!r}; {hint}")
-        causalities = {v.name: v.causality for v in description(components[component]).modelVariables}
-        settable = {known: c for known, c in causalities.items() if c in ("parameter", "input")}
+        variables = {v.name: v for v in description(components[component]).modelVariables}
+        settable = {known: v for known, v in variables.items() if v.causality in ("parameter", "input")}
         if variable not in settable:
             hint = nearest(name, (f"{component}.{known}" for known in settable))
             raise ScenarioError(f"{name} = {value!r}: expected a parameter or an input; {hint}")
-        tables.setdefault(f"{settable[variable]}s", {})[name] = value
+        fmi_type, causality = settable[variable].type, settable[variable].causality
+        typed = value.value(str(fmi_type)) if isinstance(value, AssignedText) else value
+        tables.setdefault(f"{causality}s", {})[name] = typed
     return tables

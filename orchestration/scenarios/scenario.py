@@ -55,6 +55,7 @@ class Scenario:
     """What to run and what to measure.
 
     resolved: the same as one self-contained file; files: those that it was read from, the uppermost first
+    arguments: of a command line that takes a scenario
     """
 
     name: str
@@ -65,6 +66,7 @@ class Scenario:
     resolved: Mapping[str, Any] = field(default_factory=dict)
     sweep: Mapping[str, Any] = field(default_factory=dict)
     files: tuple[TomlFile, ...] = ()
+    arguments: tuple[str, ...] = ()
 
 
 def load(
@@ -128,6 +130,7 @@ def load(
         resolved=data,
         sweep=data["sweep"],
         files=tuple(files),
+        arguments=(path.stem if shipped().get(path.stem) == path else str(path),),
     )
 
 

@@ -3,8 +3,9 @@
 columns: `sample` (its number), what was varied (named "component.variable"), the metrics, `error` (null, or
          why the sample failed: its metrics are then null). A metric that is not a number did not happen
 column metadata: `role` is sample, varied, metric or error; `unit` is "" where there is none
-table metadata: `l1_depth.kind` is sweep; `l1_depth.provenance` is JSON with the resolved scenario, the FMUs
-         with their GUIDs, the seed, the number of samples, what was varied and what was recorded
+table metadata: `l1_depth.kind` is sweep; `l1_depth.provenance` is JSON with the resolved scenario, the
+         arguments of the command, the FMUs with their GUIDs, the seed, the number of samples, what was varied
+         and what was recorded
 """
 
 import hashlib
@@ -65,6 +66,7 @@ def _provenance(plan: Plan, recorded: tuple[str, ...] | None) -> dict[str, Any]:
     return {
         "name": plan.scenario.name,
         "title": plan.scenario.title,
+        "arguments": plan.scenario.arguments,
         "scenario": plan.scenario.resolved,
         "fmus": fmus,
         "seed": plan.seed,

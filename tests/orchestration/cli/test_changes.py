@@ -1,6 +1,7 @@
 """Options that change a scenario: --controller and --set."""
 
 import json
+import shlex
 import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -8,8 +9,14 @@ from typing import Any
 
 import pytest
 
+from orchestration.cli import chosen_scenario
 from orchestration.cli.changes import Changes
 from orchestration.errors import ScenarioError
+from orchestration.report import sweeps
+from orchestration.scenarios.assigned_text import AssignedText
+from orchestration.sweep import table
+from orchestration.sweep.plan import plan
+from orchestration.system.open_inputs import OpenInputs
 from tests.described_fmus import described
 
 Command = Callable[..., Any]
@@ -66,6 +73,24 @@ def test_a_sweep_takes_the_same_options(
     assert document["scenario"]["inputs"]["plant.buoyancy_change"] == 0.2
 
 
+def test_a_report_has_the_command_that_runs_a_sample_again_with_its_options(
+    command: Command, short_scenario: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    short_scenario(more='[sweep.vary."plant.inertia"]\nvalues = [5.0, 6.0]\n')
+    changes = Changes.of_options("L1DepthController", ["plant.buoyancy_change=0.2"])
+    swept = plan(chosen_scenario.load("short.toml", changes=changes))
+    rows = [{"sample": i, **swept.values(i), "error": "not run"} for i in range(swept.count)]
+    table.write(rows, table.schema(swept, None), tmp_path / "short.sweep.parquet")
+    again = sweeps.read(tmp_path / "short.sweep.parquet").command.replace("{sample}", "1")
+    program, *arguments = shlex.split(again)
+    assert program == "l1-depth"
+    command(*arguments)
+    document = json.loads((tmp_path / "results" / f"{swept.of_sample(1).name}.json").read_text())
+    assert document["scenario"] == {**swept.of_sample(1).resolved}
+    assert document["scenario"]["inputs"]["plant.buoyancy_change"] == 0.2
+
+
 def test_a_scenario_without_a_controller_has_none_to_replace(
     refused: Callable[..., str], short_scenario: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -77,19 +102,42 @@ def test_a_scenario_without_a_controller_has_none_to_replace(
 
 
 @pytest.mark.parametrize(
-    ("assignment", "value"),
+    ("assignment", "fmi_type", "value"),
     [
-        ("a.p=3", 3),
-        ("a.p = -1e3", -1e3),
-        ("a.p=true", True),
-        ("a.p=pi", "pi"),
-        ('a.p="3"', "3"),
-        ("a.p=x=y", "x=y"),
-        ("a.p=[1]", "[1]"),
+        ("a.p=3", "Real", 3),
+        ("a.p = -1e3", "Real", -1e3),
+        ("a.p=true", "Boolean", True),
+        ("a.p=pi", "Enumeration", "pi"),
+        ('a.p="3"', "String", "3"),
+        ("a.p=1.50", "String", "1.50"),
+        ("a.p=true", "String", "true"),
+        ("a.p=x=y", "String", "x=y"),
+        ("a.p=[1]", "String", "[1]"),
     ],
 )
-def test_a_value_is_written_as_in_toml_and_a_text_needs_no_quotes(assignment: str, value: object) -> None:
-    assert Changes.of_options("", [assignment]).settings == {"a.p": value}
+def test_a_value_is_written_as_in_toml_and_a_text_needs_no_quotes(
+    assignment: str, fmi_type: str, value: object
+) -> None:
+    (text,) = Changes.of_options("", [assignment]).settings.values()
+    assert isinstance(text, AssignedText)
+    assert text.value(fmi_type) == value
+
+
+def test_a_string_keeps_what_the_command_line_has(tmp_path: Path) -> None:
+    described(tmp_path / "my.fmu", ("u",), ("y",), parameters=("version:String", "gain"))
+    (tmp_path / "one.toml").write_text(
+        f'[components]\nmy = "{tmp_path}/my.fmu"\n[experiment]\nstop_time = 1\nstep_size = 0.1\n'
+        '[inputs]\n"my.u" = 0.0\n'
+    )
+    changes = Changes.of_options(assignments=["my.version=1.50", "my.gain=1.50"])
+    parameters = chosen_scenario.load(str(tmp_path / "one.toml"), changes=changes).experiment.parameters
+    assert parameters == {"my.version": "1.50", "my.gain": 1.5}
+
+
+def test_the_options_of_changes_make_them_again() -> None:
+    given = ("--set", "controller=my pid.py", "--set", "plant.version=1.50", "--map", "plant.u=v")
+    changes = Changes.of_options("my pid.py", ["plant.version = 1.50"], ["plant.u=v"], OpenInputs.START)
+    assert changes.options() == (*given, "--open-inputs", "start")
 
 
 @pytest.mark.parametrize("assignment", ["a.p", "=3", "a.p=", ""])
