@@ -9,7 +9,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 from collections import Counter
@@ -24,6 +23,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from tests.mutation.mutants import Mutant, chosen, mutants_of
+from tests.mutation.verdict import SURVIVED, TIME_LIMIT, BrokenEnvironmentError, first_failure, verdict
 
 _OF_THE_C_LAYER = ("refusals", "lifecycle", "states", "calls", "rare_calls", "small_block", "importers")
 # the folders that are mutated, and the tests that should notice: the first that fails ends the run
@@ -46,7 +46,7 @@ def main(
     workers: Annotated[int, typer.Option(help="Mutants at a time.", min=1)] = os.cpu_count() or 1,
     results: Annotated[Path, typer.Option(help="File of results.")] = Path("mutation.json"),
 ) -> None:
-    """Count the mutants that the tests notice, and list the others."""
+    """Count the mutants that the tests notice, and list the others; `verdict.py` says what counts."""
     signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background; tests send it
     verdicts: dict[str, str] = json.loads(results.read_text()) if results.exists() else {}
     copies: Queue[Path] = Queue()
@@ -59,22 +59,31 @@ def main(
             drawn = _drawn(room, count, seed)
             progress.update(bar, description=room, total=len(drawn))
 
-            def judge(mutant: Mutant, room: str = room, limit: float = limit) -> tuple[str, str]:
+            def judge(mutant: Mutant, room: str = room, limit: float = limit) -> None:
                 content = mutant.path.read_text()
                 name = mutant.describe(content)
                 if name not in verdicts:
                     copy = copies.get()
-                    (copy / mutant.path).write_text(mutant.source(content))
-                    verdicts[name] = _verdict(copy, room, limit)
-                    (copy / mutant.path).write_text(content)
-                    copies.put(copy)
-                return name, verdicts[name]
+                    try:
+                        verdicts[name] = verdict(
+                            copy, mutant.path, mutant.source(content), TESTS[room], limit
+                        )
+                    finally:
+                        copies.put(copy)
 
-            with ThreadPoolExecutor(workers) as pool:
-                for _ in pool.map(judge, drawn):
-                    progress.advance(bar)
-                    results.write_text(json.dumps(dict(verdicts), indent=1))
+            try:
+                with ThreadPoolExecutor(workers) as pool:
+                    for _ in pool.map(judge, drawn):
+                        progress.advance(bar)
+                        _write(verdicts, results)
+            except BrokenEnvironmentError as error:
+                _write(verdicts, results)
+                raise SystemExit(f"{room}: {error}; what is done is kept in {results}") from error
     _print(verdicts)
+
+
+def _write(verdicts: dict[str, str], results: Path) -> None:
+    results.write_text(json.dumps(dict(verdicts), indent=1))
 
 
 def _copy(folder: Path) -> Path:
@@ -99,46 +108,26 @@ def _drawn(room: str, count: int, seed: int) -> list[Mutant]:
 def _baseline(room: str, copies: Queue[Path]) -> float:
     """How long [s] the tests of a folder take without a mutant."""
     copy, start = copies.get(), time.monotonic()
-    if _verdict(copy, room, None) != "survived":
-        raise SystemExit(f"{room}: its tests fail without a mutant")
+    test = first_failure(copy, TESTS[room])
     copies.put(copy)
+    if test:
+        raise SystemExit(f"{room}: {test} fails without a mutant")
     return time.monotonic() - start
 
 
-def _verdict(copy: Path, room: str, limit: float | None) -> str:
-    """What becomes of a mutant: killed, timeout or survived."""
-    # the tests that noticed the mutants before it come first
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "--failed-first", "-n", "0", *TESTS[room]]
-    process = subprocess.Popen(
-        command,
-        cwd=copy,
-        env={**os.environ, "PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"},
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
-    try:
-        return "killed" if process.wait(limit) else "survived"
-    except subprocess.TimeoutExpired:
-        return "timeout"
-    finally:
-        if process.poll() is None:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-
-
 def _print(verdicts: dict[str, str]) -> None:
-    table = Table("folder", "mutants", "killed", "%")
+    table = Table("folder", "mutants", "killed", "of them by the time limit", "%")
     for room in TESTS:
-        counts = Counter(verdict for name, verdict in verdicts.items() if name.startswith(room))
-        killed = counts.total() - counts["survived"]
-        if counts:
-            table.add_row(room, str(counts.total()), str(killed), f"{100 * killed / counts.total():.0f}")
+        counts = Counter(outcome for name, outcome in verdicts.items() if name.startswith(room))
+        total, killed = counts.total(), counts.total() - counts[SURVIVED]
+        if total:
+            numbers = (total, killed, counts[TIME_LIMIT], round(100 * killed / total))
+            table.add_row(room, *map(str, numbers))
     console = Console()
     console.print(table)
-    for name, verdict in verdicts.items():
-        if verdict == "survived":
-            console.print(f"survived  {name}", highlight=False, soft_wrap=True)
+    for name, outcome in verdicts.items():
+        if outcome in (SURVIVED, TIME_LIMIT):
+            console.print(f"{outcome}  {name}", highlight=False, soft_wrap=True)
 
 
 if __name__ == "__main__":

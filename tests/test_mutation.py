@@ -1,0 +1,83 @@
+"""What counts as a mistake that the tests notice."""
+
+import shutil
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from tests.mutation import verdict as of_verdicts
+from tests.mutation.verdict import KILLED_BY, SURVIVED, TIME_LIMIT, BrokenEnvironmentError, verdict
+
+pytestmark = pytest.mark.slow
+LIMIT_S = 60.0
+TESTS = """
+    import os, time
+    import pytest
+
+    @pytest.fixture
+    def answer():
+        text = open("answer.txt").read()
+        if text == "crash":
+            os._exit(9)
+        if text == "hang":
+            time.sleep(100)
+        return int(text)
+
+    def test_first():
+        pass
+
+    def test_answer(answer, monkeypatch, tmp_path):
+        monkeypatch.chdir(tmp_path)
+        assert answer in (42, 43)
+
+    def test_after(answer):
+        assert "BROKEN" not in os.environ
+"""
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    """A project of one file and its tests."""
+    shutil.copytree(Path(str(of_verdicts.__file__)).parent, tmp_path / "tests" / "mutation")
+    (tmp_path / "test_answer.py").write_text(textwrap.dedent(TESTS))
+    (tmp_path / "answer.txt").write_text("42")
+    (tmp_path / "pytest.ini").write_text("[pytest]\naddopts = -p no:l1_depth -p no:hypothesispytest\n")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("content", "outcome"),
+    [
+        ("43", SURVIVED),
+        ("41", f"{KILLED_BY}test_answer.py::test_answer"),
+        ("crash", f"{KILLED_BY}test_answer.py::test_answer"),  # the process ends in the setup
+    ],
+)
+def test_a_mutant_is_killed_by_the_first_test_that_fails(project: Path, content: str, outcome: str) -> None:
+    assert verdict(project, Path("answer.txt"), content, ["test_answer.py"], LIMIT_S) == outcome
+    assert (project / "answer.txt").read_text() == "42"
+
+
+def test_a_mutant_that_does_not_end_is_killed_by_the_time_limit(project: Path) -> None:
+    assert verdict(project, Path("answer.txt"), "hang", ["test_answer.py"], 5.0) == TIME_LIMIT
+
+
+def test_a_file_that_cannot_be_collected_kills_if_it_can_be_without_the_mutant(project: Path) -> None:
+    test = Path("test_answer.py")
+    assert verdict(project, test, "import nothing_such", [str(test)], LIMIT_S) == f"{KILLED_BY}test_answer.py"
+
+
+@pytest.mark.parametrize(
+    ("tests", "message"),
+    [
+        (["test_answer.py"], "test_answer.py::test_after fails without a mutant"),
+        (["test_none.py"], "status 4"),
+    ],
+)
+def test_where_tests_fail_anyway_nothing_is_killed(
+    project: Path, monkeypatch: pytest.MonkeyPatch, tests: list[str], message: str
+) -> None:
+    monkeypatch.setenv("BROKEN", "1")
+    with pytest.raises(BrokenEnvironmentError, match=message):
+        verdict(project, Path("answer.txt"), "43", tests, LIMIT_S)
