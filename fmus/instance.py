@@ -241,6 +241,8 @@ class Instance:
                     typed[i] = v.cast(x)
                 except (ArithmeticError, ValueError) as error:
                     raise BlockError(f"{v.name} = {x!r}: expected {v.expected}") from error
+                if v.type == "Boolean" and typed[i] != x:
+                    raise BlockError(f"{v.name} = {x!r}: expected {v.expected}")
         return typed
 
     def _initial_state(self) -> Any:

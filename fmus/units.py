@@ -120,7 +120,12 @@ def _converted(name: str) -> tuple[dict[str, int], Decimal, Decimal]:
 
 
 def _check_plurals(name: str) -> None:
-    """Refuse the plural of a symbol, of at most four letters: Nms and Pas can be meant as products with s."""
+    """Refuse the plural of a symbol, of at most four letters: Nms and Pas can be meant as products with s.
+
+    Pint's rads is a dose of radiation.
+    """
+    if re.search(r"(?<![^\W\d])rads(?![^\W\d])", name):
+        raise ExportError(f"unit {name!r}: no unit 'rads'; nearest is 'rad/s'")
     for symbol in re.findall(r"(?<![^\W\d])([^\W\d]{2,4})s(?![^\W\d])", name):
         one, several = (_registry().parse_unit_name(token)[:1] for token in (symbol, f"{symbol}s"))
         if one and one == several and not symbol.endswith(one[0][1]):

@@ -19,11 +19,13 @@ _FINITE = "leave it out: a step whose results are not finite is refused"
 
 # a function of Python, its `math` or NumPy that has no counterpart -> what to do
 INSTEAD = {
+    "add": "use x + y",
     "array": "use tuples",
     "asarray": "use tuples",
     "bool": "leave it out",
     "comb": _CONSTANTS,
     "complex": "use two numbers",
+    "divide": "use x / y",
     "erfc": "use 1.0 - fmus.numerics.erf(x)",
     "factorial": _CONSTANTS,
     "float": "leave it out",
@@ -43,10 +45,14 @@ INSTEAD = {
     "lgamma": _CONSTANTS,
     "mod": "use x - y * fmus.numerics.floor(x / y)",
     "modf": "use fmus.numerics.fmod(x, 1.0) and fmus.numerics.trunc(x)",
+    "multiply": "use x * y",
+    "negative": "use -x",
     "nextafter": _CONSTANTS,
     "norm": "use fmus.numerics.hypot(*x)",
     "perm": _CONSTANTS,
     "range": "use a constant number of turns",
+    "square": "use x * x",
+    "subtract": "use x - y",
     "sum": "use Python's sum",
     "ulp": _CONSTANTS,
 }

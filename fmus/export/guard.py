@@ -14,6 +14,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache, partial
+from pathlib import Path
 from types import CodeType, FrameType
 from typing import Any
 
@@ -26,6 +27,7 @@ from fmus.export.advice import advice
 
 _LIBRARIES = {*sys.stdlib_module_names, "casadi", "numpy"} - {"__main__"}
 _OURS = (f"{__name__}.", f"{numerics.__name__}.")
+_PROJECT, _INSTALLED = {"fmus", "orchestration"}, {"site-packages", "dist-packages"}
 _DRAWS = {"time", "random", "_random"}  # modules whose compiled functions give another value at each call
 _CLOCKS = {"now", "utcnow", "today", "urandom", "getrandom"}  # of classes and modules that hold others too
 _LOCK = threading.Lock()  # two tracings at a time would restore each other's methods
@@ -107,7 +109,8 @@ def _methods() -> dict[str, Callable[..., Any]]:
 
 
 def _array_ufunc(symbol: casadi.SX, ufunc: Any, method: str, *others: Any, **options: Any) -> Any:
-    if ufunc.__name__ in _OPERATORS and not any(isinstance(other, np.ndarray) for other in others):
+    is_operator = ufunc.__name__ in _OPERATORS and any(isinstance(other, np.generic) for other in others)
+    if is_operator and not any(isinstance(other, np.ndarray) for other in others):
         return _OPERATORS[ufunc.__name__](*(x.item() if isinstance(x, np.generic) else x for x in others))
     return _array_function(symbol)
 
@@ -126,13 +129,13 @@ def _refusal(original: Callable[..., Any] | None, reason: str, function: str) ->
 
 
 def _refuse_impure(package: str, frame: FrameType, event: str, called: Any) -> None:
-    """The profile function of a tracing: refuses what the package of the block calls.
+    """The profile function of a tracing: refuses what the block's own code calls, and modules beside it.
 
-    Python may call others in between: handlers of signals and of the garbage collector.
+    Python may call others in between: handlers of signals, and of the garbage collector, of libraries.
     """
-    if event == "call" and (name := _assigned_global(frame.f_code)) and _caller(frame) == package:
+    if event == "call" and (name := _assigned_global(frame.f_code)) and _is_of_block(frame, package):
         raise _RefusedError(f"the global {name} is assigned, but an FMU has no memory beside its state")
-    if event == "c_call" and _is_draw(called) and _caller(frame) == package:
+    if event == "c_call" and _is_draw(called) and _is_of_block(frame, package):
         raise _RefusedError(f"{called.__name__} gives another value at each call; use the time and the state")
 
 
@@ -141,13 +144,24 @@ def _is_draw(called: Any) -> bool:
     return module in _DRAWS or called.__name__ in _CLOCKS
 
 
-def _caller(frame: FrameType | None) -> str:
-    """The package that calls, perhaps through libraries; none for an import, which happens once."""
-    while frame and _is_library(frame):
+def _is_of_block(frame: FrameType | None, package: str) -> bool:
+    """Whether code of the block calls, perhaps through libraries; not in an import, which happens once.
+
+    It is of the block's package, or not installed, as a module that stands beside the block.
+    """
+    own = None
+    while frame and _module(frame) != __name__:
         if _module(frame).startswith("importlib"):
-            return ""
+            return False
+        own = own or (None if _is_library(frame) else frame)
         frame = frame.f_back
-    return _package(_module(frame)) if frame else ""
+    return own is not None and (_package(_module(own)) == package or _is_beside(own))
+
+
+def _is_beside(frame: FrameType) -> bool:
+    """Whether the code of a frame is neither installed nor ours."""
+    file = frame.f_code.co_filename
+    return not (_package(_module(frame)) in _PROJECT or _INSTALLED & {*Path(file).parts} or file[:1] == "<")
 
 
 @cache

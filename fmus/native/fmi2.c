@@ -51,7 +51,13 @@ static fmi2Status missing(Instance *instance, const char *function, const char *
     return refuse(instance, fmi2Error, "%s: %s is NULL", function, argument);
 }
 
+static fmi2Status no_item(Instance *instance, int reference, const char *function) {
+    const Variable *v = VARIABLES + reference;
+    return refuse(instance, fmi2Discard, "%s: %s is another number: expected %s", function, v->name, v->expected);
+}
+
 static fmi2Status contradictory(Instance *instance, int broken, const char *function) {
+    if (broken >= N_REQUIREMENTS) return no_item(instance, FIRST_CALCULATED + broken - N_REQUIREMENTS, function);
     return refuse(instance, fmi2Discard, "%s: parameters of " MODEL_NAME ": expected %s", function, REQUIRED[broken]);
 }
 
@@ -59,6 +65,7 @@ static fmi2Status contradictory(Instance *instance, int broken, const char *func
 static fmi2Status report(Instance *instance, Outcome outcome, const int *broken, const char *function, double h) {
     if (outcome == DONE) return fmi2OK;
     if (outcome == CONTRADICTORY) return contradictory(instance, *broken, function);
+    if (outcome == NO_ITEM) return no_item(instance, *broken, function);
     if (outcome == TOO_MANY_STEPS)
         return refuse(instance, fmi2Discard,
                       "%s: communication step size %s s: expected at most %s internal steps", function,

@@ -24,7 +24,7 @@ typedef struct {
     double state[N_STATES + 1];
 } Data;
 
-typedef enum { DONE, CONTRADICTORY, TOO_MANY_STEPS, NOT_FINITE } Outcome;
+typedef enum { DONE, CONTRADICTORY, TOO_MANY_STEPS, NOT_FINITE, NO_ITEM } Outcome;
 
 static const double MOST_INTERNAL_STEPS = 1e9;
 
@@ -43,7 +43,8 @@ static void data_set(Data *d, int reference, double value) {
 }
 
 /* The calculated parameters, computed into `fresh` after a change. NULL if parameters contradict each other:
- * `broken` is then the first requirement that does not hold. */
+ * `broken` is then the first requirement that does not hold; or, counted on from these, the first calculated
+ * parameter that is none of its items. */
 static const double *data_calculated(const Data *d, double *fresh, int *broken) {
     double holds[N_REQUIREMENTS + 1];
     if (!d->parameters_are_stale) return d->value + FIRST_CALCULATED;
@@ -52,6 +53,12 @@ static const double *data_calculated(const Data *d, double *fresh, int *broken) 
     for (int i = 0; i < N_REQUIREMENTS; i++) {
         if (holds[i] != 1) {
             *broken = i;
+            return NULL;
+        }
+    }
+    for (int i = 0; i < N_CALCULATED; i++) {
+        if (!is_item(FIRST_CALCULATED + i, fresh[i])) {
+            *broken = N_REQUIREMENTS + i;
             return NULL;
         }
     }
@@ -71,6 +78,16 @@ static int can_be_read(const double *outputs) {
     return are_finite(outputs, N_OUTPUTS);
 }
 
+/* Whether state and outputs are finite, and outputs items where they must be: `broken` is then the first that is none. */
+static Outcome checked(const double *state, const double *outputs, int *broken) {
+    if (!are_finite(state, N_STATES) || !can_be_read(outputs)) return NOT_FINITE;
+    for (int i = 0; i < N_WHOLE_OUTPUTS; i++) {
+        *broken = FIRST_OUTPUT + WHOLE_OUTPUTS[i];
+        if (!is_item(*broken, outputs[WHOLE_OUTPUTS[i]])) return NO_ITEM;
+    }
+    return DONE;
+}
+
 /* The state at time t with its outputs, and the calculated parameters that they were made with. */
 static void data_become(Data *d, double t, const double *state, const double *outputs, const double *calculated) {
     memcpy(d->state, state, N_STATES * sizeof *state);
@@ -84,14 +101,15 @@ static void data_become(Data *d, double t, const double *state, const double *ou
 static Outcome data_refresh(Data *d, int *broken) {
     double fresh[N_CALCULATED + 1], state[N_STATES + 1], outputs[N_OUTPUTS + 1];
     const double *p = d->value, *c;
+    Outcome outcome;
     if (!d->outputs_are_stale) return DONE;
     c = data_calculated(d, fresh, broken);
     if (!c) return CONTRADICTORY;
     model_initial_state(d->time, p + FIRST_INPUT, p, c, state);
     model_output(d->time, state, p, c, outputs);
-    if (!are_finite(state, N_STATES) || !can_be_read(outputs)) return NOT_FINITE;
-    data_become(d, d->time, state, outputs, c);
-    return DONE;
+    outcome = checked(state, outputs, broken);
+    if (outcome == DONE) data_become(d, d->time, state, outputs, c);
+    return outcome;
 }
 
 /* Inputs at `elapsed` seconds after the communication point, within their ranges. */
@@ -126,7 +144,8 @@ static Outcome data_step(Data *d, double t, double h, int *broken) {
         x = memcpy(reached, next, N_STATES * sizeof *next);
     }
     model_output(t + h, next, p, c, outputs);
-    if (!are_finite(next, N_STATES) || !can_be_read(outputs)) return NOT_FINITE;
+    const Outcome outcome = checked(next, outputs, broken);
+    if (outcome != DONE) return outcome;
     data_become(d, t + h, next, outputs, c);
     if (d->inputs_have_rates) memset(d->input_rate, 0, sizeof d->input_rate);
     d->inputs_have_rates = 0;

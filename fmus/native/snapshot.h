@@ -68,7 +68,8 @@ static int is_consistent(const Data *d) {
     good = good && is_flag(d->inputs_have_rates);
     good = good && are_finite(d->input_rate, N_INPUTS) && are_finite(d->state, N_STATES);
     good = good && can_be_read(d->value + FIRST_OUTPUT);
-    for (int i = 0; i < N_VARIABLES; i++) good = good && (!is_settable(i) || is_acceptable(i, d->value[i]));
+    for (int i = 0; i < N_VARIABLES; i++)
+        good = good && (is_settable(i) ? is_acceptable(i, d->value[i]) : is_item(i, d->value[i]));
     return good;
 }
 

@@ -46,4 +46,10 @@ static int is_acceptable(int reference, double value) {
     return value >= v->min && value <= v->max && (!v->items || v->items >> (int)value & 1);
 }
 
+/* An item of the enumeration, 0 or 1 of a Boolean; true for a variable of another type. */
+static int is_item(int reference, double value) {
+    const uint32_t items = VARIABLES[reference].type == BOOLEAN ? 3 : VARIABLES[reference].items;
+    return !items || (value >= 0 && value < 32 && value == (int)value && items >> (int)value & 1);
+}
+
 #endif

@@ -33,8 +33,8 @@ def where(condition: Any, if_true: Any, if_false: Any) -> Any:
     return casadi().if_else(condition, if_true, if_false)
 
 
-def _check_shapes(if_true: Any, if_false: Any) -> None:
-    """TypeError for a number beside a tuple or dataclass, or for another number of elements."""
+def _check_shapes(if_true: Any, if_false: Any, place: str = "") -> None:
+    """TypeError for a number beside a tuple or dataclass, or for another number of elements, at any level."""
     shapes = [
         type(value).__name__ if hasattr(value, "__dataclass_fields__")
         else f"a tuple of {len(value)}" if isinstance(value, tuple)
@@ -42,7 +42,17 @@ def _check_shapes(if_true: Any, if_false: Any) -> None:
         for value in (if_true, if_false)
     ]  # fmt: skip
     if shapes[0] != shapes[1]:
-        raise TypeError(f"alternatives {shapes[0]} and {shapes[1]}: expected two of one shape")
+        where = f" at {place}" if place else ""
+        raise TypeError(f"alternatives {shapes[0]} and {shapes[1]}{where}: expected two of one shape")
+    for (name, first), (_, second) in zip(_elements(if_true), _elements(if_false), strict=True):
+        _check_shapes(first, second, f"{place}{name}")
+
+
+def _elements(value: Any) -> list[tuple[str, Any]]:
+    """Place and value of what a tuple or dataclass consists of."""
+    if isinstance(value, tuple):
+        return [(f"[{i}]", element) for i, element in enumerate(value)]
+    return [(f".{name}", getattr(value, name)) for name in getattr(value, "__dataclass_fields__", ())]
 
 
 def _value(alternative: Any) -> Any:

@@ -273,6 +273,10 @@ REFUSED: dict[str, tuple[Rule, str]] = {
         lambda s, u, p, t, h: Number(numpy.sin(u.u)),
         f"numpy.sin(u.u): NumPy's functions are of numbers, {UNKNOWN}; use fmus.numerics.sin",
     ),
+    "NumPy in place of an operator": (
+        lambda s, u, p, t, h: Number(numpy.add(s.x, u.u)),
+        f"numpy.add(s.x, u.u): NumPy's functions are of numbers, {UNKNOWN}; use x + y",
+    ),
     "if": (branches, f"s.x > 0.0: a truth value is needed, {UNKNOWN}; use fmus.numerics.where"),
     "and": (
         lambda s, u, p, t, h: Number(where(u.u > 0.0 and u.is_on, 1.0, 0.0)),

@@ -1,6 +1,8 @@
 """The blocks of a Python file: found, built in both flavours, and each mistake named with its line."""
 
 import ast
+import gc
+import importlib
 import re
 import runpy
 import subprocess
@@ -13,6 +15,7 @@ import pytest
 from fmus import catalogue
 from fmus.block_file import blocks_in
 from fmus.errors import ExportError
+from fmus.export.faithful import check_faithful
 from fmus.export.sources import source_closure
 from fmus.new_block import write_new_block
 from fmus.registry import Flavour
@@ -100,6 +103,62 @@ def test_a_changed_file_is_read_again_and_leaves_nothing_behind(tmp_path: Path) 
             assert block.step(0.0, 1.0, block.state(), block.inputs(1.0), None, None).x == float(gain)
     assert not {"lowpass", "gains"} & (set(sys.modules) - before)
     assert sys.path == paths
+
+
+@pytest.mark.parametrize(
+    ("helper", "message"),
+    [
+        (
+            "import time\n\ndef gain():\n    return 1e-9 * time.monotonic()\n",
+            "monotonic gives another value at",
+        ),
+        ("import random\n\ndef gain():\n    return random.gauss(1, 2)\n", "gives another value at each call"),
+        (
+            "COUNT = 0\n\ndef gain():\n    global COUNT\n    COUNT += 1\n    return 1e-15 * COUNT\n",
+            "the global COUNT is assigned, but an FMU has no memory beside its state",
+        ),
+    ],
+    ids=["clock", "random number", "global counter"],
+)
+def test_a_module_beside_the_block_may_change_no_more_than_the_block(
+    tmp_path: Path, helper: str, message: str
+) -> None:
+    """Each value is so small, or so slow, that a comparison of two tracings need not see it."""
+    (tmp_path / "helper.py").write_text(helper)
+    path = write(tmp_path, "from helper import gain", "(1.0 + gain()) * u.u")
+    with blocks_in(path) as (block,), pytest.raises(ExportError, match=rf"helper\.py:\d+: .*{message}"):
+        check_faithful(block)
+
+
+def test_a_clock_that_is_read_once_at_an_import_is_a_constant(tmp_path: Path) -> None:
+    (tmp_path / "helper.py").write_text("import random\nimport time\nGAIN = time.time() + random.random()\n")
+    path = write(tmp_path, expression="__import__('helper').GAIN * u.u")
+    with blocks_in(path) as (block,):
+        check_faithful(block)
+
+
+def test_what_an_installed_library_remembers_and_times_is_not_the_blocks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a library does that counts its calls, or what the garbage collector calls it for."""
+    library = tmp_path / "lib" / "site-packages" / "a_library.py"
+    library.parent.mkdir(parents=True)
+    library.write_text(
+        "import gc, time\nCALLS = STARTED = 0\n\n"
+        "def watch(phase, info):\n    global STARTED\n    STARTED = time.time()\n\n"
+        "def twice(x):\n    global CALLS\n    CALLS += 1\n    CALLS > 1 or gc.collect()\n    return 2.0 * x\n"
+    )
+    monkeypatch.syspath_prepend(library.parent)
+    a_library = importlib.import_module("a_library")
+    gc.callbacks.append(a_library.watch)
+    try:
+        with blocks_in(write(tmp_path, "from a_library import twice", "twice(u.u)")) as (block,):
+            check_faithful(block)
+    finally:
+        gc.callbacks.remove(a_library.watch)
+        del sys.modules["a_library"]
+    assert a_library.STARTED > 0
+    assert a_library.CALLS > 1
 
 
 @pytest.mark.parametrize(

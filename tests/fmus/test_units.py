@@ -55,6 +55,8 @@ def test_a_value_in_a_display_unit_is_factor_times_value_plus_offset() -> None:
     [
         ("kgg", "unknown unit 'kgg'; nearest is 'kg'"),
         ("N/(m.sek)", r"unknown unit 'N/\(m.sek\)': no unit 'sek'; nearest is 'sec'"),
+        ("rads", "unit 'rads': no unit 'rads'; nearest is 'rad/s'"),  # Pint's unit of dose
+        ("N.m/rads", "no unit 'rads'; nearest is 'rad/s'"),
         ("Nms/rad", r"unit 'Nms/rad': 'Nms' is a plural of 'Nm': expected 'Nm' or 'Nm\.s'"),
         ("Pas", r"expected 'Pa' or 'Pa\.s'"),
         ("kNms", r"expected 'kNm' or 'kNm\.s'"),

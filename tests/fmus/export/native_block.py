@@ -82,6 +82,49 @@ EVERYTHING = Block(
 )
 
 
+@dataclass(frozen=True)
+class Choice:
+    choice: float = variable(0.0, "Beyond 1000 the number of an item")
+
+
+@dataclass(frozen=True)
+class Chosen:
+    chosen: Mode = variable(Mode.REST, "Item")
+
+
+@dataclass(frozen=True)
+class Chooser:
+    choose: float = variable(0.0, "Beyond 1000 the number of an item, below -1000 a truth value")
+
+
+@dataclass(frozen=True)
+class Given:
+    choice: float = 0.0
+
+
+@dataclass(frozen=True)
+class Choices:
+    mode: Mode = variable(Mode.REST, "Item")
+    is_on: bool = variable(False, "Truth value")
+
+
+ITEMS = Block(
+    name="Items",
+    description="Items and truth values, which rare inputs and parameters make other numbers",
+    parameters=Choice,
+    calculated=Chosen,
+    calculate=lambda p: Chosen(where(p.choice < 1e3, 0.0, p.choice - 1e3)),
+    inputs=Chooser,
+    state=Given,
+    outputs=Choices,
+    step=lambda t, h, s, u, p, c: Given(u.choose),
+    output=lambda t, s, p, c: Choices(
+        where(s.choice < 1e3, 0.0, s.choice - 1e3), where(s.choice > -1e3, 0.0, -1e3 - s.choice)
+    ),
+)
+
+
 def block_named(name: str) -> Block:
-    """The small block, or one that is installed."""
-    return EVERYTHING if name == EVERYTHING.name else catalogue.load_block(name)
+    """A block of this file, or one that is installed."""
+    own = {block.name: block for block in (EVERYTHING, ITEMS)}
+    return own[name] if name in own else catalogue.load_block(name)

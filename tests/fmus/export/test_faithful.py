@@ -216,6 +216,14 @@ REFUSED: list[tuple[Rule, str]] = [
         lambda u, x, p: numerics.where(u > 0.0, (x, u), (1.0, 2.0, 3.0)),
         r"test_faithful.py:\d+: .*TypeError: alternatives a tuple of 2 and a tuple of 3: expected two of one",
     ),
+    (
+        lambda u, x, p: numerics.where(u > 0.0, (x, (u, x)), (x, u)),
+        r"test_faithful.py:\d+: .*TypeError: alternatives a tuple of 2 and a number at \[1\]: expected two",
+    ),
+    (
+        lambda u, x, p: numerics.where(u > 0.0, (x, (u, (x, x))), (x, (u, (x,)))),
+        r"TypeError: alternatives a tuple of 2 and a tuple of 1 at \[1\]\[1\]: expected two of one shape",
+    ),
     (lambda u, x, p: (x, u), r"step returns State.x as a tuple: expected one number"),
 ]
 

@@ -310,7 +310,7 @@ def test_forged_flags_values_and_outputs_that_no_instance_has_are_refused(sessio
         ("count", (-(2.0**31 - 1), 2.0**31 - 2), (2.0**31 - 1, -(2.0**31))),
         ("level", (-5.0, 5.0), (-6.0, 6.0)),
         ("steps", (-(2.0**31 - 1), 2.0**31 - 1), (2.0**31, -(2.0**31), math.nan)),
-        ("high", (0.0, 1.0), (3e9, math.inf)),
+        ("high", (0.0, 1.0), (0.5, 2.0, -1.0, 3e9, math.inf)),
         ("y", (1e308,), (math.nan, math.inf)),
         ("square", (1e308,), (math.nan, -math.inf)),
     ):
