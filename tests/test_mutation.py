@@ -20,6 +20,11 @@ TESTS = """
         text = open("answer.txt").read()
         if text == "crash":
             os._exit(9)
+        if text == "disturbed" and not os.path.exists("disturbed"):
+            open("disturbed", "w").close()
+            return 0
+        if text == "disturbed":
+            return 42
         if text == "hang":
             time.sleep(100)
         return int(text)
@@ -50,6 +55,7 @@ def project(tmp_path: Path) -> Path:
     ("content", "outcome"),
     [
         ("43", SURVIVED),
+        ("disturbed", SURVIVED),  # a test fails once
         ("41", f"{KILLED_BY}test_answer.py::test_answer"),
         ("crash", f"{KILLED_BY}test_answer.py::test_answer"),  # the process ends in the setup
     ],

@@ -28,15 +28,17 @@ def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHA
     path = scenario.find(name)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", ScenarioWarning)
-        chosen = scenario.load(
-            path,
-            changes.overrides(path.stem),
-            flavour,
-            settings={**changes.components, **changes.settings},
-            build=lambda fmu: catalogue.build_missing([fmu]),
-        )
-    for warning in (w for w in caught if issubclass(w.category, ScenarioWarning)):
-        print(f"l1-depth: warning: {warning.message}", file=sys.stderr)
+        try:
+            chosen = scenario.load(
+                path,
+                changes.overrides(path.stem),
+                flavour,
+                settings={**changes.components, **changes.settings},
+                build=lambda fmu: catalogue.build_missing([fmu]),
+            )
+        finally:  # an error may follow from what a warning tells
+            for warning in (w for w in caught if issubclass(w.category, ScenarioWarning)):
+                print(f"l1-depth: warning: {warning.message}", file=sys.stderr)
     chosen = replace(chosen, name=changes.name(chosen.name), arguments=arguments)
     build_missing_fmus([chosen])
     try:

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from orchestration.cli.changes import Changes, ControllerOption, MapOption, OpenInputsOption, SetOption
 from orchestration.cli.shared import OutFolder, ScenarioArgument
 
 
@@ -21,13 +22,18 @@ def package(
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write this package; by default SCENARIO.ssp.")
     ] = None,
+    controller: ControllerOption = "",
+    settings: SetOption = [],  # noqa: B006  (Typer copies it)
+    mapped: MapOption = [],  # noqa: B006
+    open_inputs: OpenInputsOption = None,
 ) -> None:
     """Write a scenario as an SSP 1.0 package, with a parameter set for each scenario of its system."""
     from orchestration.cli import chosen_scenario
     from orchestration.cli.ramp_sources import build_ramp_source
     from orchestration.exchange import ssp_write
 
-    chosen = chosen_scenario.load(name)
+    changes = Changes.of_options(controller, settings, mapped, open_inputs)
+    chosen = chosen_scenario.load(name, changes=changes)
     print(ssp_write.package(chosen, out or Path(f"{chosen.name}.ssp"), build_ramp_source))
 
 
@@ -35,10 +41,15 @@ def export(
     tool: Annotated[Tool, typer.Argument(help="Write for this tool.")],
     name: ScenarioArgument = "nominal-extended",
     out: OutFolder = Path(),
+    controller: ControllerOption = "",
+    settings: SetOption = [],  # noqa: B006
+    mapped: MapOption = [],  # noqa: B006
+    open_inputs: OpenInputsOption = None,
 ) -> None:
     """Write the closed loop of a scenario as a Modelica package or a Simulink script, with its FMUs."""
     from orchestration.cli import chosen_scenario
     from orchestration.exchange import modelica, simulink
 
     write = {Tool.MODELICA: modelica.write, Tool.SIMULINK: simulink.write}[tool]
-    print(write(chosen_scenario.load(name), out))
+    changes = Changes.of_options(controller, settings, mapped, open_inputs)
+    print(write(chosen_scenario.load(name, changes=changes), out))

@@ -19,7 +19,7 @@ from typing import Any
 
 from fmus.errors import nearest
 from orchestration.errors import ScenarioError
-from orchestration.scenarios.layers import Data, Layer
+from orchestration.scenarios.layers import Data, Layer, source_of
 from orchestration.scenarios.replaced import Replacement
 from orchestration.scenarios.toml_file import KeyPath
 
@@ -89,13 +89,14 @@ def adapted(layers: Sequence[Layer], replaced: Mapping[str, Replacement], names:
             above |= mapping
         own = {key: value for key, value in layer.data.items() if key not in _OWN}
         result.append(_renamed(layer, own, above))
-        for entries in layer.data.get("when_replaced", []):
+        for number, entries in enumerate(layer.data.get("when_replaced", [])):
             component = entries["component"]
             replacement = replaced.get(component)
             is_other = replacement and replacement.layer > index and replacement.fmu != fmus.get(component)
             if replacement and is_other and _applies(entries, replacement, above):
+                where = layer.at(("when_replaced", number, "connections"))
                 has_record = any(lower.data.get("record") for lower in result)
-                result.append(_renamed(layer, _joining(entries, has_record), above))
+                result.append(_renamed(layer, _joining(entries, has_record, where), above))
     return result
 
 
@@ -123,14 +124,22 @@ def _applies(entries: Data, replaced: Replacement, names: Mapping[str, str]) -> 
     return all(map(is_there, entries.get("has", []))) and not any(map(is_there, entries.get("lacks", [])))
 
 
-def _joining(entries: Data, has_record: bool) -> Data:
-    """Entries as a layer that joins those below: lists as tables, but for a record where there is none."""
+def _joining(entries: Data, has_record: bool, where: str) -> Data:
+    """Entries as a layer that joins those below: lists as tables, but for a record where there is none.
+
+    where: begins the ScenarioError about two connections to one input
+    """
     joining = {key: value for key, value in entries.items() if key not in _CONDITIONS}
     if "connections" in joining:
-        joining["connections"] = {
-            target: {"source": source, **transformation[0]} if transformation else source
-            for source, target, *transformation in joining["connections"]
-        }
+        table: Data = {}
+        for source, target, *transformation in joining["connections"]:
+            if target in table:
+                raise ScenarioError(
+                    f"{where}: when_replaced: {source_of(table[target])} and {source} are connected to "
+                    f"{target}: expected one connection to an input"
+                )
+            table[target] = {"source": source, **transformation[0]} if transformation else source
+        joining["connections"] = table
     if has_record and "record" in joining:
         joining["record"] = dict.fromkeys(joining["record"], True)
     return joining

@@ -147,6 +147,7 @@ def _experiment(file: ScenarioFile, data: Mapping[str, Any]) -> Experiment:
         signals=with_derivatives(
             {name: signal(declared, f'signals."{name}"') for name, declared in data["signals"].items()},
             data["inputs"],
+            data.get("connections", []),
         ),
         events=tuple(Event(event.time, event.set) for event in file.events),
         record=tuple(file.record),

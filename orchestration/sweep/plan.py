@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -61,9 +62,11 @@ class Plan:
 
     def settings(self, values: Mapping[str, FmiValue]) -> Settings:
         """The values as a scenario file would give them."""
-        tables: dict[str, dict[str, FmiValue]] = {}
+        tables: dict[str, dict[str, Any]] = {}
         for entry in self.varied:
-            tables.setdefault(entry.target.table, {})[entry.target.key] = values[entry.target.name]
+            tables.setdefault(entry.target.table, {})[entry.target.key] = entry.target.entry(
+                values[entry.target.name]
+            )
         return tables
 
     def of_sample(self, sample: int) -> Scenario:

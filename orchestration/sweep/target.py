@@ -1,4 +1,4 @@
-"""What a sweep may vary: a parameter, a constant input, or a setting of the experiment."""
+"""What a sweep may vary: a parameter, a constant input or signal, or a setting of the experiment."""
 
 import math
 from collections.abc import Mapping
@@ -10,14 +10,15 @@ from fmus.fmi_types import FmiValue
 from orchestration.errors import ScenarioError
 from orchestration.fmi.description import start_value
 from orchestration.system.experiment import Algorithm, Experiment
+from orchestration.system.signals import Constant
 from orchestration.system.system import CheckedSystem, Port
 from orchestration.system.values import fmi_value, value_range
 
 _EXPERIMENT_UNITS = {"experiment.step_size": "s", "experiment.stop_time": "s", "experiment.algorithm": ""}
 _PURPOSE = "sweep"
 
-Settings = Mapping[str, Mapping[str, FmiValue]]
-"""Table of the scenario file -> key -> value."""
+Settings = Mapping[str, Mapping[str, Any]]
+"""Table of the scenario file -> key -> value, or the table of a constant signal."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,10 @@ class Target:
         if self.port.variable.type == "Enumeration":
             return _items(self.port).get(int(number), str(number))
         return number
+
+    def entry(self, value: FmiValue) -> Any:
+        """What a scenario file gives for the value."""
+        return {"kind": "constant", "value": value} if self.table == "signals" else value
 
     def within(self, value: float) -> float:
         """The value, moved into the range if rounding has carried it out."""
@@ -82,11 +87,16 @@ def target(name: str, checked: CheckedSystem, experiment: Experiment) -> Target:
     causality = port.variable.causality
     if causality not in ("parameter", "input"):
         raise ScenarioError(f"{_PURPOSE}: {name}: expected a parameter or an input, got {causality}")
-    if causality == "input" and name not in experiment.inputs:
+    signal = experiment.signals.get(name)
+    if causality == "input" and name not in experiment.inputs and not isinstance(signal, Constant):
         raise ScenarioError(
             f"{_PURPOSE}: {name} is driven by a connection or signal: expected a constant input"
         )
-    table = f"{causality}s"
+    if isinstance(signal, Constant):
+        table, base_value = "signals", signal.value
+    else:
+        table = f"{causality}s"
+        base_value = getattr(experiment, table).get(name, start_value(port.variable))
     return Target(
         name=name,
         table=table,
@@ -94,7 +104,7 @@ def target(name: str, checked: CheckedSystem, experiment: Experiment) -> Target:
         unit=port.variable.unit or "",
         type="String" if port.variable.type == "Enumeration" else port.variable.type,
         permitted=value_range(port),
-        base_value=getattr(experiment, table).get(name, start_value(port.variable)),
+        base_value=base_value,
         port=port,
     )
 
@@ -102,12 +112,14 @@ def target(name: str, checked: CheckedSystem, experiment: Experiment) -> Target:
 def with_settings(experiment: Experiment, settings: Settings) -> Experiment:
     """The experiment with other values."""
     changes: dict[str, Any] = dict(settings.get("experiment", {}))
+    constants = {name: Constant(entry["value"]) for name, entry in settings.get("signals", {}).items()}
     if "algorithm" in changes:
         changes["algorithm"] = Algorithm(changes["algorithm"])
     return replace(
         experiment,
         parameters={**experiment.parameters, **settings.get("parameters", {})},
         inputs={**experiment.inputs, **settings.get("inputs", {})},
+        signals={**experiment.signals, **constants},
         **changes,
     )
 

@@ -1,6 +1,6 @@
 """Time derivatives of signals: of a reference trajectory, for a controller that takes its rate."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -37,10 +37,12 @@ class _Values(Curve):
         return self.function(times)
 
 
-def with_derivatives(signals: Mapping[str, Signal], inputs: Mapping[str, Any] = {}) -> dict[str, Signal]:
+def with_derivatives(
+    signals: Mapping[str, Signal], inputs: Mapping[str, Any] = {}, connections: Iterable[Sequence[Any]] = ()
+) -> dict[str, Signal]:
     """The signals, each `Derivative` as a curve; ScenarioError for one of a signal without derivatives.
 
-    inputs: constant ones, whose derivatives are zero
+    inputs: constant ones, whose derivatives are zero; connections: (source, target, ...) of the system
     """
     result: dict[str, Signal] = dict(signals)
     for name, signal in signals.items():
@@ -49,12 +51,27 @@ def with_derivatives(signals: Mapping[str, Signal], inputs: Mapping[str, Any] = 
             if of is None and type(inputs.get(signal.of)) in (int, float):
                 of = Constant(inputs[signal.of])
             if of is None:
+                sources = {target: source for source, target, *_ in connections}
                 raise ScenarioError(
-                    f'signals."{name}": of = {signal.of!r}: expected an input that has a signal or a '
-                    f"constant number; where a connection drives it, drive {name} by a connection too"
+                    f'signals."{name}": of = {signal.of!r}: {_instead(name, signal.of, sources)}'
                 )
             result[name] = derivative(of, signal.order, name)
     return result
+
+
+def _instead(name: str, of: str, sources: Mapping[str, str]) -> str:
+    """What to do for the derivative of an input without a signal.
+
+    sources: input -> output that is connected to it
+    """
+    if of not in sources:
+        return "expected an input that has a signal or a constant number"
+    component = sources[of].partition(".")[0]
+    return (
+        f"expected an input that has a signal or a constant number, but {sources[of]} drives it: connect the "
+        f'output of {component} that is its rate, [connections] "{name}" = "{component}.NAME", or give '
+        f'[inputs] "{name}" = 0.0'
+    )
 
 
 def derivative(signal: Signal, order: int = 1, name: str = "derivative") -> Signal:

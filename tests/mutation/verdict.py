@@ -1,8 +1,9 @@
 """What becomes of a mutant when the tests run: killed, and by which test, or survived.
 
-A mutant is killed if a test fails, is in error or ends the process with it, and passes without it right
-after; or if the tests take longer than the limit. So an environment in which a test fails anyway kills no
-mutant: the measurement ends there. `pytest` loads this file as a plugin, which notes the test that runs.
+A mutant is killed if a test fails, is in error or ends the process with it, twice, and passes without it
+right after; or if the tests take longer than the limit. So a test that a busy machine disturbs kills no
+mutant, nor does an environment in which a test fails anyway: there the measurement ends. `pytest` loads this
+file as a plugin, which notes the test that runs.
 """
 
 import os
@@ -17,6 +18,7 @@ import pytest
 SURVIVED, TIME_LIMIT, KILLED_BY = "survived", "time limit", "killed by "
 _FAILED_FIRST = ("--failed-first",)  # the tests that noticed the mutants before
 _NOT_REMEMBERED = ("-p", "no:cacheprovider")
+_ATTEMPTS = 3
 _note = Path("test-that-runs.txt").absolute()  # where pytest starts: tests may go to other folders
 
 
@@ -64,7 +66,7 @@ def verdict(folder: Path, path: Path, mutated: str, tests: Sequence[str], limit:
     content = (folder / path).read_text()
     (folder / path).write_text(mutated)
     try:
-        test = first_failure(folder, tests, limit)
+        test = _failing_twice(folder, tests, limit)
     except TimeoutError:
         return TIME_LIMIT
     finally:
@@ -78,6 +80,15 @@ def verdict(folder: Path, path: Path, mutated: str, tests: Sequence[str], limit:
     if is_broken:
         raise BrokenEnvironmentError(f"{test} fails without a mutant")
     return KILLED_BY + test
+
+
+def _failing_twice(folder: Path, tests: Sequence[str], limit: float) -> str:
+    """The first test that fails, and again alone; "" if none."""
+    for _ in range(_ATTEMPTS):
+        test = first_failure(folder, tests, limit)
+        if not test or first_failure(folder, [test], limit, _NOT_REMEMBERED):
+            return test
+    raise BrokenEnvironmentError(f"{test} fails now and then")
 
 
 def pytest_runtest_logstart(nodeid: str) -> None:

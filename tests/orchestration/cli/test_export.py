@@ -1,6 +1,8 @@
 """The commands that write a scenario for other tools."""
 
-from collections.abc import Callable
+import re
+import shutil
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -45,3 +47,22 @@ def test_a_package_runs_with_another_of_its_parameter_sets(
         Recording.read(tmp_path / folder / "short.csv") for folder in ("from package", "from scenario")
     )
     np.testing.assert_array_equal(packaged["plant.depth"], own["plant.depth"])
+
+
+def test_what_options_change_is_packaged_and_exported(
+    command: Command, short_scenario: Command, built: Mapping[str, Path], tmp_path: Path
+) -> None:
+    shutil.copy(built["L1DepthController"], tmp_path / "my.fmu")
+    short_scenario()
+    options = ("--controller", "my.fmu", "--set", "plant.buoyancy_change=0.2")
+    assert command("package", "short.toml", *options).stdout == "short-my.ssp\n"
+    command("run", "short-my.ssp", "--out", "from package")
+    command("run", "short.toml", *options)
+    packaged, own = (
+        Recording.read(tmp_path / folder / "short-my.csv") for folder in ("from package", "results")
+    )
+    np.testing.assert_array_equal(packaged["plant.depth"], own["plant.depth"])
+    command("export", Tool.SIMULINK, "short.toml", *options, "--out", "here")
+    script = (tmp_path / "here" / "import_l1_depth.m").read_text()
+    assert "my.fmu" in script
+    assert re.search(r"buoyancy_change.*\b0\.2\b", script)

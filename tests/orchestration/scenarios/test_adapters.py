@@ -107,6 +107,36 @@ def test_a_mapping_in_a_file_is_of_its_base_and_of_its_own_fmu(tmp_path: Path) -
     assert ours.system == scenario.load(scenario.find("nominal-l1")).system
 
 
+def test_two_connections_to_one_input_in_an_entry_are_refused(tmp_path: Path) -> None:
+    described(tmp_path / "my.fmu", ("r", "z"), ("v1", "v2"))
+    (tmp_path / "base.toml").write_text(
+        'base = "nominal-l1"\n\n[[when_replaced]]\ncomponent = "controller"\nhas = ["v1"]\nconnections = [\n'
+        '    ["controller.v1", "plant.voltage[1]", { factor = 2.0 }],\n'
+        '    ["controller.v2", "plant.voltage[1]"],\n]\n'
+    )
+    with pytest.raises(ScenarioError) as refusal:
+        scenario.load(tmp_path / "base.toml", settings={"controller": str(tmp_path / "my.fmu")})
+    assert str(refusal.value) == (
+        f"{tmp_path}/base.toml:6: when_replaced: controller.v1 and controller.v2 are connected to "
+        "plant.voltage[1]: expected one connection to an input"
+    )
+
+
+def test_a_reference_that_a_connection_drives_needs_its_rate_from_there(tmp_path: Path) -> None:
+    fmu = described(tmp_path / "my.fmu", (REFERENCE, DEPTH, "depth_reference_rate"), VOLTAGES)
+    connected = {
+        "components": {"reference": "DepthReference"},
+        "connections": {"controller.depth_reference": "reference.depth_reference"},
+    }
+    path = scenario.find("nominal-l1")
+    with pytest.raises(ScenarioError, match=r"but reference.depth_reference drives it: connect the output"):
+        scenario.load(path, connected, settings={"controller": str(fmu)})
+    rate = {"inputs": {"controller.depth_reference_rate": 0.0}}
+    loaded = scenario.load(path, connected | rate, settings={"controller": str(fmu)})
+    assert loaded.experiment.inputs["controller.depth_reference_rate"] == 0.0
+    assert not loaded.experiment.signals
+
+
 LACKING = (
     r"my.fmu, which lacks depth_reference, measured_depth, measured_depth_rate, voltage\[1\], voltage\[2\]; "
     r"nothing drives its r, z, its outputs are v1, v2: name .* by --map depth_reference=NAME or in "

@@ -8,8 +8,10 @@ import pytest
 from scipy import stats
 
 from orchestration.errors import OrchestrationError
+from orchestration.master import simulate
 from orchestration.scenarios import scenario
 from orchestration.sweep.plan import Plan, plan
+from orchestration.system.signals import Constant
 
 Make = Callable[..., Plan]
 MANY = 2000
@@ -114,6 +116,26 @@ def test_truncation_keeps_to_the_range_of_the_fmu(tmp_path: Path) -> None:
     path.write_text(text + "truncate = true\n")
     inertias = drawn(plan(scenario.load(path)), "plant.inertia")
     assert 0.1 <= min(inertias) < 0.5  # kg; without truncation a third would be below 0
+
+
+@pytest.mark.parametrize(
+    ("more", "arriving"),
+    [
+        ({"faults": [{"input": "r.u", "kind": "offset", "value": 0.5}]}, 2.0),
+        ({"signals": {"r.u": {"kind": "constant", "value": 2.0}}}, 1.5),
+    ],
+    ids=["a fault on it", "a constant signal"],
+)
+def test_a_constant_is_varied_also_if_a_signal_carries_it(
+    sweep_file: Callable[..., Path], more: dict[str, Any], arriving: float
+) -> None:
+    file = sweep_file('[sweep.vary."r.u"]\nrelative = true\nvalues = [0.25, 0.75]\n')
+    made = plan(scenario.load(file, more))
+    assert drawn(made) == [0.5, 1.5]
+    sample = made.of_sample(1)
+    assert sample.experiment.signals == {"r.u": Constant(1.5)}
+    assert sample.resolved["signals"] == {"r.u": {"kind": "constant", "value": 1.5}}
+    assert simulate(sample.system, sample.experiment)["r.u"][0] == arriving
 
 
 def test_settings_of_the_experiment_can_be_varied(planned: Make) -> None:

@@ -47,8 +47,16 @@ def test_it_follows_the_signal_of_another_input() -> None:
 
 def test_that_of_a_constant_input_is_zero() -> None:
     assert with_derivatives({"a.rate": Derivative("a.u")}, {"a.u": 3.0})["a.rate"](2.0) == 0.0
-    with pytest.raises(ScenarioError, match=r"of = 'a.u': .* drive a.rate by a connection too"):
+    with pytest.raises(ScenarioError, match=r"of = 'a.u': expected an input that has a signal or a constant"):
         with_derivatives({"a.rate": Derivative("a.u")}, {"a.u": True})
+
+
+def test_the_error_about_a_connected_input_says_what_to_connect_or_to_give() -> None:
+    with pytest.raises(ScenarioError) as refusal:
+        with_derivatives({"a.rate": Derivative("a.u")}, connections=[("b.y", "a.v"), ("c.y", "a.u")])
+    message = str(refusal.value)
+    assert "but c.y drives it: connect the output of c that is its rate" in message
+    assert '[connections] "a.rate" = "c.NAME", or give [inputs] "a.rate" = 0.0' in message
 
 
 @pytest.mark.parametrize(
