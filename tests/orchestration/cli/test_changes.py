@@ -54,14 +54,14 @@ def test_what_is_dropped_is_one_line_on_standard_error(
 
 
 def test_what_is_dropped_is_told_also_if_the_scenario_is_refused(
-    refused: Callable[..., str], short_scenario: Callable[..., Path], tmp_path: Path
+    command: Command, short_scenario: Callable[..., Path], tmp_path: Path
 ) -> None:
-    short_scenario(more='[metrics.more]\nfunction = "mean"\nsignal = "plant.depth"\nwindow = [0.0, 1.0]\n')
+    short_scenario(more="[step_sizes]\nplant = 0.03\n")
     described(tmp_path / "my.fmu", ("depth_reference", "measured_depth"), ("voltage[1]", "voltage[2]"))
-    error = refused("run", "short.toml", "--controller", "my.fmu")
+    error = command("run", "short.toml", "--controller", "my.fmu", expect=1).stderr
     dropped, refusal = error.splitlines()
     assert dropped.startswith("l1-depth: warning: controller is my.fmu; dropped, as it lacks them: ")
-    assert "metric more: " in refusal
+    assert "step size of plant, 0.03 s: expected a multiple" in refusal
 
 
 def test_set_changes_parameters_and_inputs(

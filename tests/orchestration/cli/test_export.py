@@ -65,4 +65,4 @@ def test_what_options_change_is_packaged_and_exported(
     command("export", Tool.SIMULINK, "short.toml", *options, "--out", "here")
     script = (tmp_path / "here" / "import_l1_depth.m").read_text()
     assert "my.fmu" in script
-    assert re.search(r"buoyancy_change.*\b0\.2\b", script)
+    assert re.search(r"'plant_buoyancy_change', .*\n.*'Value', '0\.2'", script)
