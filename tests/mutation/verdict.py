@@ -84,6 +84,7 @@ def verdict(folder: Path, path: Path, mutated: str, tests: Sequence[str], limit:
 
 def _failing_twice(folder: Path, tests: Sequence[str], limit: float) -> str:
     """The first test that fails, and again alone; "" if none."""
+    test = ""
     for _ in range(_ATTEMPTS):
         test = first_failure(folder, tests, limit)
         if not test or first_failure(folder, [test], limit, _NOT_REMEMBERED):
