@@ -1,6 +1,6 @@
 """The layers of a scenario, from its files and from what a command sets."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -54,9 +54,10 @@ def file_layers(path: Path, above: tuple[Path, ...] = ()) -> list[Layer]:
     file = read_toml(path)
     data = file.data
     check_part(_FILE, data, file.at, absent=_OF_A_BASE)
+    known = block_names()  # once: it reads the entry points of every installed package
     for table, keys in _tables_of_components(data):
         for name, fmu in table.items():
-            table[name] = fmu and _fmu(fmu, path.parent, file.at((*keys, name)))
+            table[name] = fmu and _fmu(fmu, path.parent, file.at((*keys, name)), known)
     for table, keys in _tables_of_signals(data):
         table["signals"] = with_values(table["signals"], path.parent, file.at, keys)
     base = data.pop("base", "")
@@ -101,17 +102,15 @@ def _values_of(file: TomlFile) -> dict[str, Any]:
     return {name: entry.value for name, entry in parameters.items()}
 
 
-def _fmu(fmu: str, folder: Path, where: str) -> str:
-    """The name of a block, or the absolute path of an FMU named relative to a folder.
+def _fmu(fmu: str, folder: Path, where: str, known: Collection[str]) -> str:
+    """The name of a known block, or the absolute path of an FMU named relative to a folder.
 
     where: begins the ScenarioError about a name that is neither
     """
     if fmu.endswith(".fmu"):
         return str((folder / fmu).absolute())
-    if fmu not in block_names():
-        raise ScenarioError(
-            f"{where}: no block {fmu!r}, and a path must end in .fmu; {nearest(fmu, block_names())}"
-        )
+    if fmu not in known:
+        raise ScenarioError(f"{where}: no block {fmu!r}, and a path must end in .fmu; {nearest(fmu, known)}")
     return fmu
 
 
@@ -129,7 +128,8 @@ def command_entries(overrides: Mapping[str, Any], settings: Mapping[str, FmiValu
         **overrides.get("components", {}),
         **{n: str(fmu) for n, fmu in settings.items() if "." not in n},
     }
-    components = {name: _fmu(fmu, Path(), f"{name} = {fmu}") for name, fmu in given.items()}
+    known = block_names() if given else ()
+    components = {name: _fmu(fmu, Path(), f"{name} = {fmu}", known) for name, fmu in given.items()}
     above: Data = {"components": components} if components else {}
     if "signals" in overrides:
         above["signals"] = with_values(overrides["signals"], Path(), lambda keys: "command line", ())

@@ -192,6 +192,7 @@ def _inputs(fmu: Path) -> set[str]:
     return {v.name for v in of_causality(describe(fmu), "input")}
 
 
+@cache
 def _judging(path: Path) -> dict[str, Any]:
     """A layer over a base: what is recorded for figures, in place of the metrics of the base."""
     metrics = {name: False for layer in file_layers(path) for name in layer.data.get("metrics", {})}

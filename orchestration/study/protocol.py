@@ -94,6 +94,11 @@ class Protocol:
         """The cases of the table by name, at the first practice seed."""
         return {name: self._case(name) for name in self.tables.cases}
 
+    @property
+    def nominal(self) -> Case:
+        """The case of the paper: the first."""
+        return next(iter(self.cases.values()))
+
     def practice_cases(self) -> list[Case]:
         """The cases of the cost of `tune`, each with every practice seed."""
         seeds = self.tables.practice_seeds

@@ -6,7 +6,11 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from orchestration.scenarios.file_format import FAULT, SIGNAL, Pair
-from orchestration.scenarios.file_tables import Table, Value
+from orchestration.scenarios.file_tables import OneOf, Table, Value, table_of
+from orchestration.sweep.distributions import FUNCTIONS
+
+CONTINUOUS = {name: function for name, function in FUNCTIONS.items() if name not in ("seed", "choice")}
+"""Distributions of numbers by name."""
 
 
 class FigureTable(Table, use_attribute_docstrings=True):
@@ -75,6 +79,40 @@ class CostTable(Table, use_attribute_docstrings=True):
     """Figure -> its largest value; of the delay margin, its smallest."""
 
 
+_DISTRIBUTION = OneOf(
+    "distribution",
+    {name: table_of("distribution", name, function) for name, function in CONTINUOUS.items()},
+)
+_DRAWN = OneOf(
+    "distribution",
+    {
+        name: table_of("distribution", name, function, also={"variables": (list[str], ...)})
+        for name, function in CONTINUOUS.items()
+    },
+)
+
+
+class TrajectoryTable(Table, use_attribute_docstrings=True):
+    """The reference of a plant: from the surface to one depth after another."""
+
+    ways: Annotated[Table, _DISTRIBUTION]
+    """How long the way to a depth takes [s]."""
+    holds: Annotated[Table, _DISTRIBUTION]
+    """How long a depth is held [s]; the last until the run ends."""
+    depths: Annotated[list[Annotated[Table, _DISTRIBUTION]], Field(min_length=1)]
+    """The depths [m]."""
+
+
+class PlantsTable(Table, use_attribute_docstrings=True):
+    """Plants that are drawn, with a trajectory each."""
+
+    count: Annotated[int, Field(ge=2)]
+    practice_seed: Annotated[int, Field(ge=0)]
+    vary: dict[str, Annotated[Table, _DRAWN]]
+    """What is drawn -> the variables that it is the value of, and its distribution."""
+    trajectory: TrajectoryTable
+
+
 class ProtocolFile(Table, use_attribute_docstrings=True):
     """The protocol of the score."""
 
@@ -94,6 +132,7 @@ class ProtocolFile(Table, use_attribute_docstrings=True):
     failure: dict[str, float]
     """Figure -> a run with more of it failed."""
     cases: dict[str, CaseTable]
+    plants: PlantsTable
     cost: CostTable
     controllers: dict[str, ControllerTable]
 
@@ -101,5 +140,7 @@ class ProtocolFile(Table, use_attribute_docstrings=True):
 class TableFile(Table, use_attribute_docstrings=True):
     """What is kept for the table of a score, and never read by who tunes."""
 
-    seed: Annotated[int, Field(ge=1)]
+    sensor_seed: Annotated[int, Field(ge=1)]
     """Seed of the sensor's noise in the cases."""
+    plants_seed: Annotated[int, Field(ge=0)]
+    """Seed of the plants and their trajectories."""

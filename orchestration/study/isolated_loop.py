@@ -1,0 +1,92 @@
+"""A controller in the loop of the protocol, in a process of its own, where it may hang or crash."""
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Concatenate
+
+from fmus.process import Parent, ProcessEndedError, WorkerProcess
+from orchestration.errors import OrchestrationError
+from orchestration.study.loop import Controller, Loop
+from orchestration.study.protocol import read_protocol
+
+_START_S = 300.0  # to import and to load, on a machine that is busy
+
+
+class RunError(OrchestrationError):
+    """A run that gave no figures: the controller failed, hung or crashed."""
+
+
+class IsolatedLoop:
+    """Calls functions of a `Loop` in another process, which is replaced when it ends.
+
+    timeout: longest time [s] of a call. After one that took longer nothing more is asked of the controller.
+    """
+
+    def __init__(self, controller: Controller, protocol: Path, timeout: float) -> None:
+        self._job, self._timeout = (controller, protocol), timeout
+        self._process: WorkerProcess | None = None
+        self._lock = threading.Lock()
+        self._refusal = ""
+
+    def call(self, function: Callable[Concatenate[Loop, ...], Any], *arguments: Any) -> Any:
+        """function(loop, *arguments), a function of a module; RunError says why there is no result."""
+        try:
+            process = self._running()
+            process.send((function, arguments))
+            value, error = process.receive(self._timeout)
+        except ProcessEndedError as ended:
+            self._replace()
+            raise RunError(f"its process ended with {ended}") from ended
+        except TimeoutError:
+            self._refuse("not run: it took too long before")
+            raise RunError(f"it took longer than {self._timeout:g} s") from None
+        if error:
+            raise RunError(error)
+        return value
+
+    def close(self) -> None:
+        """End the process at once, also from another thread while a call runs."""
+        self._refuse("closed")
+
+    def _running(self) -> WorkerProcess:
+        with self._lock:
+            if self._refusal:
+                raise RunError(self._refusal)
+            if self._process is not None:
+                return self._process
+            self._process = process = WorkerProcess(answer_calls)
+        process.send(self._job)
+        process.receive(_START_S)
+        return process
+
+    def _refuse(self, reason: str) -> None:
+        with self._lock:
+            self._refusal = reason
+        self._replace()
+
+    def _replace(self) -> None:
+        with self._lock:
+            if self._process is not None:
+                self._process.close()
+            self._process = None
+
+
+def answer_calls(parent: Parent) -> None:
+    """In the process: receive controller and protocol; then call what is sent, and send the result."""
+    controller, protocol = parent.receive()
+    loop = Loop(controller, read_protocol(protocol))
+    parent.send("ready")
+    while True:
+        function, arguments = parent.receive()
+        try:
+            answer = function(loop, *arguments), ""
+        except Exception as error:  # whatever the reason, it is a row of the score
+            loop.close()
+            answer = None, _error_line(error)
+        parent.send(answer)
+
+
+def _error_line(error: Exception) -> str:
+    text = str(error) if isinstance(error, OrchestrationError) else f"{type(error).__name__}: {error}"
+    return " ".join(text.split())

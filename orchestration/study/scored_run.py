@@ -1,0 +1,86 @@
+"""What a score asks of one controller: functions of its `Loop`, which run in a process of their own."""
+
+import time
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from orchestration.fmi.description import describe, of_causality
+from orchestration.master.simulator import Simulator
+from orchestration.results.recording import Recording
+from orchestration.study.figures import failures, figures_of
+from orchestration.study.loop import OWN, Loop
+from orchestration.study.protocol import Case
+from orchestration.system.experiment import Experiment
+from orchestration.system.system import System
+
+_TRACED = ("depth", "reference", "u")
+_TRACE_PERIOD_S = 0.5
+_TIMED_S = 100.0  # of simulation
+_REPETITIONS = 3
+_TRUE_RATE = "measured_depth_rate"
+
+Trace = dict[str, list[float]]
+"""time [s], depth [m], reference [m] and u [N] of a run, every half second."""
+
+
+@dataclass(frozen=True)
+class ScoredRun:
+    """Figures of a run, why it counts as failed, and what is drawn of it."""
+
+    figures: dict[str, float]
+    failed: list[str]
+    trace: Trace = field(default_factory=dict)
+
+
+def scored_run(loop: Loop, case: Case, names: Collection[str] = (), traced: bool = False) -> ScoredRun:
+    """One run of a case, with all figures or those named."""
+    signals = loop.run(case)
+    figures = figures_of(signals, case, loop.protocol, names)
+    return ScoredRun(figures, failures(figures, loop.protocol), _trace(signals) if traced else {})
+
+
+def _trace(signals: Recording) -> Trace:
+    stride = max(1, round(_TRACE_PERIOD_S / (signals.time[1] - signals.time[0])))
+    columns = {"time": signals.time, **{name: signals[name] for name in _TRACED}}
+    return {name: np.round(column[::stride], 5).tolist() for name, column in columns.items()}
+
+
+def uses_true_rate(loop: Loop, case: Case) -> bool:
+    """Whether a run depends on the true depth rate, which no sensor of the vehicle measures."""
+    controller = loop.controller
+    variable = controller.variable(_TRUE_RATE)
+    inputs = of_causality(describe(loop.scenario(case).system.components["controller"]), "input")
+    if variable.removeprefix(OWN) not in {v.name for v in inputs}:
+        return False
+    without = replace(controller, settings={**controller.settings, variable: 0.0})
+    with Loop(without, loop.protocol) as blind:
+        return not np.array_equal(loop.run(case).values, blind.run(case).values)
+
+
+def microseconds(loop: Loop, case: Case) -> float:
+    """Time [us] of a communication step of the controller's FMU alone: the fastest of three runs.
+
+    Its inputs keep their start values. The time of a short run is subtracted, which is that of the start.
+    """
+    loaded = loop.scenario(case)
+    fmu = loaded.system.components["controller"]
+    step = loaded.experiment.step_size
+    parameters = {n: v for n, v in loop.experiment(case).parameters.items() if n.startswith(OWN)}
+    output = next(v.name for v in of_causality(describe(fmu), "output") if v.type != "String")
+    durations = {}
+    with Simulator(System({"controller": fmu})) as simulator:
+        for steps in (round(0.1 * _TIMED_S / step), round(_TIMED_S / step)):
+            experiment = Experiment(
+                steps * step, step, parameters=parameters, record=(OWN + output,), open_inputs="start"
+            )
+            durations[steps] = min(_duration(simulator, experiment) for _ in range(_REPETITIONS))
+    (few, short), (many, long) = durations.items()
+    return 1e6 * (long - short) / (many - few)
+
+
+def _duration(simulator: Simulator, experiment: Experiment) -> float:
+    start = time.perf_counter()
+    simulator.run(experiment)
+    return time.perf_counter() - start
