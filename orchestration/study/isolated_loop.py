@@ -10,6 +10,7 @@ from orchestration.errors import OrchestrationError
 from orchestration.study.loop import Controller, Loop
 from orchestration.study.protocol import read_protocol
 
+_MOST_ENDINGS = 3  # of processes; a start takes a second
 _START_S = 300.0  # to import and to load, on a machine that is busy
 
 
@@ -20,7 +21,8 @@ class RunError(OrchestrationError):
 class IsolatedLoop:
     """Calls functions of a `Loop` in another process, which is replaced when it ends.
 
-    timeout: longest time [s] of a call. After one that took longer nothing more is asked of the controller.
+    timeout: longest time [s] of a call. Nothing more is asked of a controller after a call that took longer,
+    and after its process has ended three times.
     """
 
     def __init__(self, controller: Controller, protocol: Path, timeout: float) -> None:
@@ -28,6 +30,7 @@ class IsolatedLoop:
         self._process: WorkerProcess | None = None
         self._lock = threading.Lock()
         self._refusal = ""
+        self._endings = 0
 
     def call(self, function: Callable[Concatenate[Loop, ...], Any], *arguments: Any) -> Any:
         """function(loop, *arguments), a function of a module; RunError says why there is no result."""
@@ -36,7 +39,10 @@ class IsolatedLoop:
             process.send((function, arguments))
             value, error = process.receive(self._timeout)
         except ProcessEndedError as ended:
+            self._endings += 1
             self._replace()
+            if self._endings == _MOST_ENDINGS:
+                self._refuse(f"not run: its process ended {_MOST_ENDINGS} times before")
             raise RunError(f"its process ended with {ended}") from ended
         except TimeoutError:
             self._refuse("not run: it took too long before")

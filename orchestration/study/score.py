@@ -33,6 +33,7 @@ from orchestration.study.score_document import (
 from orchestration.study.scored_run import ScoredRun, Trace, microseconds, scored_run, uses_true_rate
 from orchestration.study.statistics import compare, distribution, holm
 from orchestration.study.table_seeds import table_seeds
+from orchestration.system.prepared_run import prepare
 
 OVER_PLANTS = ("rmse", "peak_error", "settling_time", "overshoot", "total_variation", "breach")
 """Figures of the runs over plants."""
@@ -64,7 +65,7 @@ def score(
     timeout: longest time [s] of a run, by default that of the protocol
     progress: called with how many more runs are done, of `run_count`
     Each controller runs in a process of its own. One that fails, hangs or crashes has its row with the
-    reason; one that does not fit the ports of the vehicle raises ScenarioError before anything runs.
+    reason; one that does not fit the vehicle raises OrchestrationError before anything runs.
     """
     protocol = protocol or read_protocol()
     scoring = _Scoring(protocol, full, timeout or protocol.tables.time_limit, progress)
@@ -76,7 +77,7 @@ def score(
     with ExitStack() as stack:
         loops = [stack.enter_context(Loop(controller, protocol)) for controller, _ in jobs]
         for loop in loops:
-            loop.scenario(protocol.nominal)
+            prepare(loop.scenario(protocol.nominal).system, loop.experiment(protocol.nominal))
         pool = stack.enter_context(ThreadPoolExecutor(workers))
         stack.callback(pool.shutdown, wait=False, cancel_futures=True)
         stack.callback(scoring.close)

@@ -1,12 +1,19 @@
-"""score.json as types, from which its schema is derived. What did not happen, or cannot be said, is null."""
+"""score.json as types, from which its schema is derived. What did not happen, or cannot be said, is null.
 
+`python -m orchestration.study.score_document` writes the schema that ships.
+"""
+
+import json
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainSerializer, WithJsonSchema
 
 from orchestration.study.protocol import Protocol
+
+SCHEMA = Path(__file__).with_name("score.schema.json")
 
 Number = Annotated[
     float,
@@ -150,7 +157,7 @@ OF_A_ROW: Mapping[str, Figure] = {
     MICROSECONDS: Figure(
         title="Step",
         unit="us",
-        meaning="time of a communication step of the controller's FMU alone, the fastest of three runs",
+        meaning="processor time of a communication step of the controller's FMU alone",
     ),
 }
 """Figures that a row has once, not for each case."""
@@ -170,3 +177,13 @@ def protocol_info(protocol: Protocol) -> ProtocolInfo:
         cases={name: CaseInfo(title=c.title, tuned_on=c.tuned_on) for name, c in protocol.cases.items()},
         failure=dict(protocol.tables.failure),
     )
+
+
+def schema() -> str:
+    """The JSON schema of score.json, as `SCHEMA` holds it."""
+    dialect = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
+    return json.dumps({**dialect, **Score.model_json_schema(mode="serialization")}, indent=1) + "\n"
+
+
+if __name__ == "__main__":
+    SCHEMA.write_text(schema(), encoding="utf-8")

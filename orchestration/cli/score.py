@@ -1,0 +1,77 @@
+"""Command score: a controller in every case of the protocol, beside the built-in ones."""
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from orchestration.cli.changes import MapOption, OpenInputsOption, SetOption
+from orchestration.cli.shared import OutFolder, print_table, progress
+
+if TYPE_CHECKING:
+    from orchestration.study.score_document import Score
+
+
+def score(
+    controllers: Annotated[
+        list[str],
+        typer.Argument(metavar="CONTROLLER...", help="An .fmu, a block or its .py file; or several."),
+    ],
+    league: Annotated[
+        str,
+        typer.Option(metavar="NAME", help="What the controller knows: position, or reference-rates too."),
+    ] = "position",
+    full: Annotated[
+        bool, typer.Option("--full", help="Run the 300 plants of the protocol too, and compare on each.")
+    ] = False,
+    out: OutFolder = Path("results"),
+    settings: SetOption = [],  # noqa: B006  (Typer copies it)
+    mapped: MapOption = [],  # noqa: B006
+    open_inputs: OpenInputsOption = None,
+    protocol_file: Annotated[
+        Path | None,
+        typer.Option("--protocol", metavar="FILE", help="Follow this protocol, not the one that ships."),
+    ] = None,
+    timeout: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="End a run that takes longer; by default that of the protocol."),
+    ] = None,
+    workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = os.cpu_count() or 1,
+) -> None:
+    """Score a controller on the simulated vehicle: terminal tables, score.json and an interactive page."""
+    from fmus.files import write_text_atomically
+    from orchestration.cli.scored_controllers import scored_controllers
+    from orchestration.study import score as scoring
+    from orchestration.study.protocol import read_protocol
+
+    protocol = read_protocol(protocol_file) if protocol_file else read_protocol()
+    chosen = scored_controllers(controllers, league, settings, mapped, open_inputs)
+    total = scoring.run_count(len(chosen), protocol, full)
+    with progress("score", total) as bar:
+        result = scoring.score(
+            chosen, protocol, full=full, timeout=timeout, workers=workers, progress=bar.advance
+        )
+    print_score(result.document)
+    file = out / "score.json"
+    write_text_atomically(file, result.document.model_dump_json(indent=1) + "\n")
+    print(file)
+
+
+def print_score(document: "Score") -> None:
+    """The tables of a score, what it tells about, and why runs failed."""
+    from orchestration.cli.score_tables import BEST, FAILED, differences_table, score_tables
+
+    print(f"Protocol {document.protocol.version}. {document.protocol.statement}")
+    for table in (*score_tables(document), differences_table(document)):
+        if table:
+            print_table(table)
+    print(f"{BEST} the best of its league, {FAILED} a run that failed")
+    for row in document.scored:
+        if row.uses_true_rate:
+            print(f"{row.title} uses the true depth rate, which no sensor of the vehicle measures")
+        for name, case in row.cases.items():
+            if case.failed:
+                print(f"{row.title}, {document.protocol.cases[name].title}: {', '.join(case.failed)}")
+    sys.stdout.flush()
