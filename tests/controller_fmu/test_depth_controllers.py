@@ -1,0 +1,56 @@
+"""What every controller of the depth control interface shares."""
+
+from typing import Any
+
+import pytest
+
+from controller_fmu import adrc, mrac, pid, sliding_mode, super_twisting
+from controller_fmu.depth_interface import DepthInputs, DepthOutputs
+from controller_fmu.l1 import depth_controller
+from fmus.block import Block, flatten
+
+OTHERS = [pid.BLOCK, mrac.BLOCK, sliding_mode.BLOCK, super_twisting.BLOCK, adrc.BLOCK]
+BLOCKS = [depth_controller.BLOCK, *OTHERS]
+
+
+def named(block: Block) -> str:
+    return block.name
+
+
+@pytest.mark.parametrize("block", BLOCKS, ids=named)
+def test_it_has_the_ports_of_the_depth_control_interface(block: Block) -> None:
+    assert block.inputs is DepthInputs
+    names = [v.name for v in block.of_causality("output")]
+    assert names[:2] == ["voltage[1]", "voltage[2]"]
+    assert names[2 : len(flatten(DepthOutputs()))] == [
+        "demanded_force", "tracking_error", "estimated_depth_rate"
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("block", BLOCKS, ids=named)
+def test_a_gain_that_the_identification_of_l1_fits_is_no_gain_of_another_law(block: Block) -> None:
+    """A scenario's value of an L1 gain stays where a controller that takes its place has that name."""
+    fitted = {"depth_feedback_gain", "rate_feedback_gain", "filter_bandwidth", "proportional_gain"}
+    names = {v.name for v in block.of_causality("parameter")}
+    shared = names & {*fitted, "integral_gain", "adaptation_gain"}
+    assert not shared or block is depth_controller.BLOCK
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("block", [b for b in OTHERS if b not in (mrac.BLOCK, adrc.BLOCK)], ids=named)
+def test_integrators_hold_while_they_would_widen_a_saturation(driver: Any, block: Block, sign: float) -> None:
+    """5 m too deep saturates thrusters that give 1 N; 5 mm do not."""
+    integral = "sliding_variable" if block is sliding_mode.BLOCK else "integral_force"
+    controller = driver(block, measured_depth=5.0 * sign, velocity_source=2, voltage_limit=2.0).begin()
+    before = controller[integral]
+    for _ in range(50):
+        controller.step(0.02)
+        assert abs(controller["demanded_force"]) > 1.0
+        assert abs(controller["voltage[1]"]) == 2.0
+    assert controller[integral] == before
+    controller["measured_depth"] = 0.005 * sign
+    controller.step(0.02)
+    changed = controller[integral]
+    for _ in range(50):
+        controller.step(0.02)
+    assert abs(controller[integral] - changed) > 1e-3
