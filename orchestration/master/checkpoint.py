@@ -169,7 +169,7 @@ def _past(run: RunInProgress, position: int) -> dict[str, str]:
         "the connections": [*run.wired.bus.connections, sorted(prepared.system.transformations.items())],
         "the record": list(prepared.recorded),
         "the signals": [wiring.signal_values[:, :until].tobytes()],
-        "the faults": [faults.source[:, :until].tobytes(), faults.addition[:, :until].tobytes()],
+        "the faults": [x[:, :until].tobytes() for x in (faults.source, faults.weight, faults.addition)],
         "parameters, inputs and events": [settings, changes],
     }
     return {name: hashlib.sha256(repr(part).encode()).hexdigest() for name, part in parts.items()}

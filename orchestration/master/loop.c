@@ -39,8 +39,9 @@ typedef struct {
 } Connections;
 
 typedef struct {
+    int64_t terms;
     const int64_t *source;
-    const double *addition;
+    const double *weight, *addition;
     double *history;
 } Faults;
 
@@ -96,10 +97,11 @@ static int transfer(Wiring *wiring, int64_t k, int64_t point, double time, int i
     double value = wiring->bus[connections->source[k]] * connections->factor[k] + connections->offset[k];
     if (fault >= 0) {
         double *history = faults->history + fault * wiring->n_points;
-        const int64_t origin = faults->source[fault * wiring->n_points + point];
+        const int64_t row = fault * wiring->n_points + point;
         history[point] = value;
-        value = faults->addition[fault * wiring->n_points + point];
-        if (origin >= 0) value += history[origin];
+        value = faults->addition[row];
+        for (int64_t term = row * faults->terms; term < (row + 1) * faults->terms; term++)
+            if (faults->source[term] >= 0) value += faults->weight[term] * history[faults->source[term]];
     }
     if (connections->input_mode[k] != HOLD && is_new) {
         if (time > connections->sample_time[k]) {

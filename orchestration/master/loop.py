@@ -83,10 +83,11 @@ def transfer(wiring: Wiring, k: int, point: int, time: float, is_new: bool) -> b
     fault = connections.fault[k]
     if fault >= 0:
         faults.history[fault, point] = value
-        origin = faults.source[fault, point]
         value = float(faults.addition[fault, point])
-        if origin >= 0:
-            value += float(faults.history[fault, origin])
+        for term in range(faults.terms):
+            origin = faults.source[fault, point, term]
+            if origin >= 0:
+                value += float(faults.weight[fault, point, term] * faults.history[fault, origin])
     if connections.input_mode[k] != InputMode.HOLD and is_new:
         if time > connections.sample_time[k]:
             connections.sample_interval[k] = time - connections.sample_time[k]

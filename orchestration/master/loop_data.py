@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from orchestration.system.faults import Pattern
+
 Array = np.ndarray
 
 # how an input is extrapolated between communication points
@@ -81,11 +83,23 @@ CHANGING_OF_CONNECTIONS = ("value", "slope", "sample_time", "sample", "sample_in
 
 class Faults(NamedTuple):
     """One row for each faulted connection, one column for each communication point i: the connection carries
-    history[source[i]] + addition[i], or addition[i] alone where source[i] is negative."""
+    addition[i] + the sum of weight[i, j] history[source[i, j]] over its terms j whose source is not negative.
 
+    terms: the number of terms, the length of the last axis of `source` and `weight`
+    """
+
+    terms: int
     source: Array
+    weight: Array
     addition: Array
     history: Array
+
+    def put(self, row: int, points: int | slice, pattern: Pattern) -> None:
+        """Set what a connection carries at these communication points; a pattern may have fewer terms."""
+        terms = pattern.source.shape[-1]
+        self.source[row, points, :terms] = pattern.source
+        self.weight[row, points, :terms] = pattern.weight
+        self.addition[row, points] = pattern.addition
 
 
 class Wiring(NamedTuple):

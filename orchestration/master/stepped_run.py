@@ -64,7 +64,8 @@ class SteppedRun(RunInProgress):
         self._of_points = (
             self.wiring.points,
             self.wiring.signal_values.T,
-            faults.source.T,
+            faults.source.swapaxes(0, 1),
+            faults.weight.swapaxes(0, 1),
             faults.addition.T,
         )
         self._is_noted = False  # whether what the caller may change was noted before the present step

@@ -22,6 +22,7 @@ from orchestration.master.snapshot import Snapshot
 from orchestration.master.step_control import StepControl
 from orchestration.master.wiring import WiredRun
 from orchestration.results.recording import Recording
+from orchestration.system.faults import Pattern
 from orchestration.system.system import Port
 
 _BATCH_S = 0.05
@@ -209,9 +210,7 @@ class RunInProgress:
             shortened = replace(self.prepared, points=wiring.points[: index + 1])
             wiring.signal_values[:, index] = shortened.signal_values[:, -1]
             for row, pattern in enumerate(shortened.fault_patterns.values()):
-                wiring.faults.source[row, index], wiring.faults.addition[row, index] = (
-                    x[-1] for x in pattern
-                )
+                wiring.faults.put(row, index, Pattern(*(x[-1] for x in pattern)))
 
     def restore_process(self) -> None:
         """Put back what FMUs changed in this process beside their own state."""

@@ -187,10 +187,14 @@ def _connections(prepared: PreparedRun, bus: BusLayout, parts: Mapping[str, np.n
 
 
 def _faults(prepared: PreparedRun) -> Faults:
-    patterns = prepared.fault_patterns.values()
+    patterns = [*prepared.fault_patterns.values()]
     shape = len(patterns), len(prepared.points)
-    source = np.array([source for source, _ in patterns], np.int64).reshape(shape)
-    return Faults(source, np.array([added for _, added in patterns], float).reshape(shape), np.zeros(shape))
+    terms = max((pattern.source.shape[1] for pattern in patterns), default=1)
+    source, weight = np.full((*shape, terms), -1, np.int64), np.ones((*shape, terms))
+    faults = Faults(terms, source, weight, np.zeros(shape), np.zeros(shape))
+    for row, pattern in enumerate(patterns):
+        faults.put(row, slice(None), pattern)
+    return faults
 
 
 def _columns(rows: Sequence[tuple[float, ...]], width: int, kind: type[np.generic]) -> np.ndarray:

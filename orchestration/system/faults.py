@@ -1,10 +1,10 @@
-"""Faults on a connection, as data: which earlier sample arrives in place of each, and what is added to it.
+"""Faults on a connection, as data: which earlier samples arrive in place of each, and what is added.
 
 Sample i is what a connection carries at communication point i. Under a fault the input is given
 
-    sample[source[i]] + addition[i],   or addition[i] alone where source[i] is -1
+    addition[i] + sum over j of weight[i, j] sample[source[i, j]],   without the terms whose source is -1
 
-with source[i] <= i, so that every kind of fault, and any number of them one after another, is two arrays.
+with source[i, j] <= i, so that every kind of fault, and any number of them one after another, is three arrays.
 Faults act from the first communication step on; initial values are exchanged without them.
 """
 
@@ -12,14 +12,34 @@ import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from orchestration.errors import SystemDefinitionError
 from orchestration.system.time_grid import within
 
-Pattern = tuple[np.ndarray, np.ndarray]
+
+class Pattern(NamedTuple):
+    """What arrives in place of n samples: `source` and `weight`, shapes (n, terms), and `addition`, (n,)."""
+
+    source: np.ndarray
+    weight: np.ndarray
+    addition: np.ndarray
+
+    @classmethod
+    def of_one(cls, source: np.ndarray, addition: np.ndarray) -> "Pattern":
+        """One sample, or none, and an addition in place of each: shapes (n,)."""
+        return cls(source[:, np.newaxis], np.ones((len(source), 1)), addition)
+
+    def after(self, earlier: "Pattern") -> "Pattern":
+        """This pattern of what another one has let arrive."""
+        is_sent = self.source >= 0
+        source = np.where(is_sent[..., np.newaxis], earlier.source[self.source], -1)
+        weight = self.weight[..., np.newaxis] * earlier.weight[self.source]
+        carried = np.where(is_sent, self.weight * earlier.addition[self.source], 0.0).sum(axis=1)
+        shape = len(source), -1
+        return Pattern(source.reshape(shape), weight.reshape(shape), carried + self.addition)
 
 
 class Effect:
@@ -28,7 +48,7 @@ class Effect:
     for_every_type: ClassVar[bool] = True
 
     def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
-        """(source, addition) of the samples `inside`, consecutive ones and at least one."""
+        """The pattern of the samples `inside`, consecutive ones and at least one."""
         raise NotImplementedError
 
 
@@ -37,7 +57,7 @@ class Freeze(Effect):
     """The value at the first communication point of the window holds."""
 
     def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
-        return np.full(inside.shape, inside[0]), np.zeros(inside.shape)
+        return Pattern.of_one(np.full(inside.shape, inside[0]), np.zeros(inside.shape))
 
 
 @dataclass(frozen=True)
@@ -51,7 +71,7 @@ class Stuck(Effect):
             _check_number("value", self.value)
 
     def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
-        return np.full(inside.shape, -1), np.full(inside.shape, float(self.value))
+        return Pattern.of_one(np.full(inside.shape, -1), np.full(inside.shape, float(self.value)))
 
 
 @dataclass(frozen=True)
@@ -65,7 +85,7 @@ class Offset(Effect):
         _check_number("value", self.value)
 
     def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
-        return inside, np.full(inside.shape, float(self.value))
+        return Pattern.of_one(inside, np.full(inside.shape, float(self.value)))
 
 
 @dataclass(frozen=True)
@@ -79,7 +99,7 @@ class Drift(Effect):
         _check_number("rate", self.rate)
 
     def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
-        return inside, self.rate * (times[inside] - times[inside[0]])
+        return Pattern.of_one(inside, self.rate * (times[inside] - times[inside[0]]))
 
 
 @dataclass(frozen=True)
@@ -95,7 +115,7 @@ class Noise(Effect):
         _check_number("seed", self.seed, "an integer, 0 or more", 0, of_type=int)
 
     def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
-        return inside, self.standard_deviation * stream.standard_normal(len(inside))
+        return Pattern.of_one(inside, self.standard_deviation * stream.standard_normal(len(inside)))
 
 
 @dataclass(frozen=True)
@@ -115,7 +135,8 @@ class DropOut(Effect):
     def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
         is_lost = stream.random(len(inside)) < self.probability
         before = max(inside[0] - 1, 0)
-        return np.maximum.accumulate(np.where(is_lost, before, inside)), np.zeros(inside.shape)
+        held = np.maximum.accumulate(np.where(is_lost, before, inside))
+        return Pattern.of_one(held, np.zeros(inside.shape))
 
 
 @dataclass(frozen=True)
@@ -129,7 +150,41 @@ class Delay(Effect):
 
     def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
         middles = 0.5 * (times[1:] + times[:-1])
-        return np.searchsorted(middles, times[inside] - self.delay), np.zeros(inside.shape)
+        nearest = np.searchsorted(middles, times[inside] - self.delay)
+        return Pattern.of_one(nearest, np.zeros(inside.shape))
+
+
+@dataclass(frozen=True)
+class InterpolatedDelay(Effect):
+    """What was sent `delay` seconds ago arrives, on a straight line between two samples; at first the first."""
+
+    for_every_type = False
+    delay: float
+
+    def __post_init__(self) -> None:
+        _check_number("delay", self.delay, "a finite number of seconds, 0 or more", 0.0)
+
+    def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
+        sent = np.interp(times[inside] - self.delay, times, np.arange(len(times)))  # as a fractional index
+        before = np.floor(sent).astype(int)
+        source = np.column_stack([before, np.minimum(before + 1, inside)])
+        weight = np.column_stack([1.0 - (sent - before), sent - before])
+        return Pattern(source, weight, np.zeros(inside.shape))
+
+
+@dataclass(frozen=True)
+class Scale(Effect):
+    """`factor` times the value arrives: a wrong gain of an actuator or a sensor."""
+
+    for_every_type = False
+    factor: float
+
+    def __post_init__(self) -> None:
+        _check_number("factor", self.factor)
+
+    def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
+        one = Pattern.of_one(inside, np.zeros(inside.shape))
+        return one._replace(weight=np.full(one.weight.shape, float(self.factor)))
 
 
 KINDS: Mapping[str, type[Effect]] = {
@@ -140,6 +195,8 @@ KINDS: Mapping[str, type[Effect]] = {
     "noise": Noise,
     "drop-out": DropOut,
     "delay": Delay,
+    "interpolated-delay": InterpolatedDelay,
+    "scale": Scale,
 }
 
 
@@ -162,12 +219,17 @@ class Fault:
             )
 
     def pattern(self, times: np.ndarray) -> Pattern:
-        """(source, addition) of every sample, shapes (n,)."""
-        source, addition = np.arange(len(times)), np.zeros(len(times))
+        """Of every sample, at these times [s]."""
+        everywhere = Pattern.of_one(np.arange(len(times)), np.zeros(len(times)))
         inside = within(times, self.start, self.end)
-        if len(inside):
-            source[inside], addition[inside] = self.effect.on(inside, times, self.stream())
-        return source, addition
+        if not len(inside):
+            return everywhere
+        window = self.effect.on(inside, times, self.stream())
+        terms = window.source.shape[1]
+        source, weight = np.full((len(times), terms), -1), np.ones((len(times), terms))
+        source[:, :1], everywhere.addition[inside] = everywhere.source, window.addition
+        source[inside], weight[inside] = window.source, window.weight
+        return Pattern(source, weight, everywhere.addition)
 
     def stream(self) -> np.random.Generator:
         """Random numbers that follow from seed, input and kind alone."""
@@ -177,17 +239,14 @@ class Fault:
 
 
 def compose(faults: Sequence[Fault], times: np.ndarray) -> Pattern:
-    """(source, addition), shapes (n,), of the faults on one connection, in the order in which they act.
+    """The pattern of the faults on one connection, in the order in which they act.
 
     times: of the samples, ascending [s].
     """
-    source, addition = np.arange(len(times)), np.zeros(len(times))
+    pattern = Pattern.of_one(np.arange(len(times)), np.zeros(len(times)))
     for fault in faults:
-        later_source, later_addition = fault.pattern(times)
-        is_sent = later_source >= 0
-        addition = np.where(is_sent, addition[later_source], 0.0) + later_addition
-        source = np.where(is_sent, source[later_source], -1)
-    return source, addition
+        pattern = fault.pattern(times).after(pattern)
+    return pattern
 
 
 def _check_number(

@@ -1,6 +1,19 @@
 """What a faulty connection gives its receiver, sample by sample: written apart from what the master does."""
 
-from orchestration.system.faults import Delay, Drift, DropOut, Fault, Freeze, Noise, Offset, Stuck
+from bisect import bisect_right
+
+from orchestration.system.faults import (
+    Delay,
+    Drift,
+    DropOut,
+    Fault,
+    Freeze,
+    InterpolatedDelay,
+    Noise,
+    Offset,
+    Scale,
+    Stuck,
+)
 
 
 def received(fault: Fault, times: list[float], sent: list[float]) -> list[float]:
@@ -30,4 +43,12 @@ def received(fault: Fault, times: list[float], sent: list[float]) -> list[float]
             case Delay(delay):
                 nearest = min(range(i + 1), key=lambda j: abs(times[j] - (t - delay)))
                 got.append(sent[nearest])
+            case InterpolatedDelay(delay):
+                before = max(bisect_right(times, t - delay) - 1, 0)
+                after = min(before + 1, i)
+                length = times[after] - times[before]
+                part = max(t - delay - times[before], 0.0) / length if length else 0.0
+                got.append(sent[before] + part * (sent[after] - sent[before]))
+            case Scale(factor):
+                got.append(factor * sent[i])
     return got

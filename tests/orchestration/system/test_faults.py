@@ -24,8 +24,10 @@ from orchestration.system.faults import (
     DropOut,
     Fault,
     Freeze,
+    InterpolatedDelay,
     Noise,
     Offset,
+    Scale,
     Stuck,
     compose,
 )
@@ -40,8 +42,9 @@ STEP = 0.25  # s: a power of two, so that times and their differences are exact
 
 def arrives(faults: list[Fault], times: np.ndarray, sent: np.ndarray) -> np.ndarray:
     """As the master's loop does it."""
-    source, addition = compose(faults, times)
-    return np.where(source >= 0, sent[source], 0.0) + addition
+    pattern = compose(faults, times)
+    arriving = np.where(pattern.source >= 0, pattern.weight * sent[pattern.source], 0.0)
+    return arriving.sum(axis=1) + pattern.addition
 
 
 seconds = st.integers(-4, 60).map(lambda i: i * STEP)
@@ -58,6 +61,8 @@ effects = st.one_of(
     st.builds(Offset, numbers),
     st.builds(Drift, numbers),
     st.builds(Noise, st.floats(0.0, 1e3), seeds),
+    st.builds(InterpolatedDelay, st.floats(0.0, 10.0)),
+    st.builds(Scale, st.floats(-2.0, 2.0)),
 )
 
 
@@ -98,8 +103,8 @@ def test_values_that_are_passed_on_stay_exact(faults: list[Fault], times: np.nda
 
 @given(faults_on_one_input(effects), grids)
 def test_nothing_arrives_before_it_is_sent(faults: list[Fault], times: np.ndarray) -> None:
-    source, _ = compose(faults, times)
-    assert np.all(source <= np.arange(len(times)))
+    source = compose(faults, times).source
+    assert np.all(source <= np.arange(len(times))[:, np.newaxis])
     assert np.all(source >= -1)
 
 
@@ -107,15 +112,15 @@ def test_windows_begin_and_end_on_communication_points_despite_rounding() -> Non
     times = np.arange(10) * 0.7
     assert times[3] < 2.1
     assert times[6] < 4.2
-    _, addition = compose([Fault("a.u", Offset(1.0), start=2.1, end=4.2)], times)
+    addition = compose([Fault("a.u", Offset(1.0), start=2.1, end=4.2)], times).addition
     assert np.flatnonzero(addition).tolist() == [3, 4, 5]
 
 
 def test_random_faults_are_the_same_everywhere() -> None:
     """Written down once: another machine or version must give the same."""
     times = np.arange(6) * 1.0
-    _, noise = compose([Fault("a.u", Noise(2.0, seed=7))], times)
-    source, _ = compose([Fault("a.u", DropOut(0.5, seed=7))], times)
+    noise = compose([Fault("a.u", Noise(2.0, seed=7))], times).addition
+    source = compose([Fault("a.u", DropOut(0.5, seed=7))], times).source[:, 0]
     written = [2.3710838050445804, -2.1434666553250183, -0.40526788571715033, 1.54014610811233]
     assert noise[:4] == pytest.approx(written, rel=1e-15)
     assert source.tolist() == [0, 1, 1, 3, 3, 5]
@@ -125,7 +130,7 @@ def test_noise_has_its_deviation_and_differs_by_input_and_seed() -> None:
     times = np.arange(20_000) * 0.01
 
     def noise(name: str, seed: int) -> np.ndarray:
-        return compose([Fault(name, Noise(3.0, seed))], times)[1]
+        return compose([Fault(name, Noise(3.0, seed))], times).addition
 
     first = noise("a.u", 1)
     bound = 5.0 / math.sqrt(
@@ -139,7 +144,7 @@ def test_noise_has_its_deviation_and_differs_by_input_and_seed() -> None:
 
 def test_drop_out_loses_its_share() -> None:
     times = np.arange(20_000) * 0.01
-    source, _ = compose([Fault("a.u", DropOut(0.3))], times)
+    source = compose([Fault("a.u", DropOut(0.3))], times).source[:, 0]
     lost = np.mean(source != np.arange(len(times)))
     assert lost == pytest.approx(0.3, abs=5.0 * math.sqrt(0.3 * 0.7 / len(times)))
 
@@ -155,6 +160,8 @@ def test_drop_out_loses_its_share() -> None:
         (lambda: DropOut(1.5), r"probability = 1.5: expected 0..1"),
         (lambda: DropOut(0.5, True), r"seed = True: expected an integer"),
         (lambda: Delay(0.0), r"delay = 0.0: expected a finite number of seconds, more than 0"),
+        (lambda: InterpolatedDelay(-0.1), r"delay = -0.1: expected a finite number of seconds, 0 or more"),
+        (lambda: Scale(math.nan), r"factor = nan: expected a finite number"),
     ],
 )
 def test_a_wrong_argument_is_refused(make: Callable[[], object], message: str) -> None:
@@ -170,6 +177,11 @@ def test_a_wrong_argument_is_refused(make: Callable[[], object], message: str) -
         ([Fault("a.u[1]", Freeze())], r"a.u\[1\]: expected an input that a connection or a signal drives"),
         ([Fault("b.integer_in", Offset(1.0))], "Offset: expected an input of type Real, got Integer"),
         ([Fault("b.integer_in", Noise(1.0))], "Noise: expected an input of type Real, got Integer"),
+        ([Fault("b.integer_in", Scale(2.0))], "Scale: expected an input of type Real, got Integer"),
+        (
+            [Fault("b.integer_in", InterpolatedDelay(0.1))],
+            "InterpolatedDelay: expected an input of type Real, got Integer",
+        ),
         ([Fault("b.integer_in", Stuck(1.5))], "b.integer_in = 1.5: expected a value of type Integer"),
         ([Fault("b.boolean_in", Stuck(1.0))], "b.boolean_in = 1.0: expected a value of type Boolean"),
         ([Fault("b.u[1]", Freeze(), start=1.0)], r"no communication step begins at 1..inf s: .* 0..1 s"),
@@ -199,6 +211,8 @@ FAULTS = [
     Fault("b.u[1]", Noise(0.1, seed=2)),
     Fault("b.u[1]", DropOut(0.5, seed=2)),
     Fault("b.u[1]", Delay(0.2)),
+    Fault("b.u[1]", InterpolatedDelay(0.13)),
+    Fault("b.u[1]", Scale(-1.5), 0.3, 0.6),
 ]
 
 
