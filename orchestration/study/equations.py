@@ -1,8 +1,8 @@
 """Linear equations between named signals, their frequency response and their poles.
 
-An equation is `sum of derivatives[name] name' = sum of values[name] name`; one without derivatives is algebraic.
-Written so, a loop reads like the laws it is made of, and a limit, such as a time constant of 0 or an adaptation
-gain without bound, is a coefficient of 0 and no other model.
+An equation is `sum of derivatives[name] name' = sum of values[name] name`, algebraic without derivatives.
+Written so, a loop reads like the laws it is made of, and a limit, such as a time constant of 0 or an
+adaptation gain without bound, is a coefficient of 0 and no other model.
 """
 
 from collections.abc import Mapping
@@ -36,7 +36,7 @@ class LinearLoop:
 
     @cached_property
     def signals(self) -> list[str]:
-        """The signals that the equations determine; ValueError if there are more, or fewer, than equations."""
+        """The signals that the equations determine; ValueError for more, or fewer, than equations."""
         named = dict.fromkeys(name for row in self.equations for name in (*row.derivatives, *row.values))
         signals = [name for name in named if name != self.source]
         if len(signals) != len(self.equations):
@@ -61,11 +61,11 @@ class LinearLoop:
         states = np.linalg.solve(s * e - a, b[:, np.newaxis])
         return states[..., self.signals.index(self.target), 0]
 
-    def poles(self) -> np.ndarray:
-        """Of the closed loop [1/s]."""
+    def poles(self, closed: bool = True) -> np.ndarray:
+        """Of the closed loop, or of the loop that is cut [1/s]."""
         e, a, b = self.matrices
-        closed = a.copy()
-        closed[:, self.signals.index(self.target)] += b
-        numerators, denominators = eigvals(closed, e, homogeneous_eigvals=True)
+        a = a.copy()
+        a[:, self.signals.index(self.target)] += b if closed else 0.0
+        numerators, denominators = eigvals(a, e, homogeneous_eigvals=True)
         is_finite = np.abs(numerators) < _INFINITE * np.abs(denominators)
         return numerators[is_finite] / denominators[is_finite]

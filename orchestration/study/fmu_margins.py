@@ -1,8 +1,8 @@
 """Delay and gain margins of any controller and plant, measured by runs of their FMUs.
 
-A scan tries values on a grid, then the first loss is enclosed by bisection. Quiet behaviour need not be monotonic in a
-delay: a value that is quiet again may lie beyond one that is not, and an interval of loss that is narrower than the
-step of the scan may be missed. So a result is the first loss that was seen, with the steps that it was seen by.
+A scan tries values on a grid, then the first loss is enclosed by bisection. Quietness need not be monotonic
+in a delay: a value that is quiet again may lie beyond one that is not, and an interval of loss narrower than
+the step of the scan may be missed. So a result is the first loss that was measured, with these steps.
 """
 
 import math

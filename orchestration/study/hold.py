@@ -49,7 +49,8 @@ def hold_of(chosen: Scenario, quiet: float = QUIET) -> Hold:
     compared = [m for m in chosen.metrics.values() if m.get("signal") and m.get("reference")]
     if not compared:
         raise ScenarioError(
-            f"{chosen.name}: no metric compares a signal with a reference: expected one, or --signal and --window"
+            f"{chosen.name}: no metric compares a signal with a reference: "
+            "expected one, or --signal and --window"
         )
     signal, reference = str(compared[0]["signal"]), str(compared[0]["reference"])
     start, end = _constant(chosen, reference)

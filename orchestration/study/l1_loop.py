@@ -5,8 +5,8 @@ The law, all of it linear but for projection, saturation and the nonlinear P:
     x_hat' = A_m x_hat + b (omega_hat (u_a + u_p) + eta),   eta' = -kappa (x_hat - x)' P b
     u_a    = -k D(s) (omega_hat u_a + eta),   u_p = -K_P c x - K_I int c x dt,   u = -k_m x + u_a + u_p
 
-eta stands for theta_hat phi + sigma_hat, kappa for Gamma (|phi|^2 + 1) with phi the regressor at rest and theta_hat
-taken as 0 there. In the limit of fast adaptation 1 / kappa is 0: the equation reads (x_hat - x)' P b = 0.
+eta stands for theta_hat phi + sigma_hat, kappa for Gamma (|phi|^2 + 1) with phi the regressor at rest and
+theta_hat taken as 0 there. In the limit of fast adaptation 1 / kappa is 0: (x_hat - x)' P b = 0.
 Sources: Hovakimyan and Cao (2010), section 2.2; Maalouf et al. (2013), (3) to (7).
 """
 

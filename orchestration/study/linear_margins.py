@@ -1,8 +1,8 @@
 """Delay and gain margins of a linear loop, from its frequency response (Nyquist).
 
-With L(s) from the cut to the cut, so that the loop is closed where L = 1, a delay d gives 1 = L e^(-s d) and a
-factor g gives 1 = g L. A loop that is stable as it is loses its stability at the smallest d and at the g nearest to 1
-for which the equation has a solution s = j w. Source: Astrom and Murray (2008), section 9.3.
+With L(s) from the cut to the cut, so that the loop is closed where L = 1, a delay d gives 1 = L e^(-s d), a
+factor g gives 1 = g L. A loop that is stable as it is loses its stability at the smallest d, and at the g
+nearest to 1, for which the equation has a solution s = j w. Source: Astrom and Murray (2008), section 9.3.
 """
 
 import math
@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 
 from orchestration.study.equations import LinearLoop
 
-_LOWEST, _HIGHEST, _PER_DECADE = 1e-5, 1e5, 400  # rad/s; a resonance narrower than 0.6 % may be missed
+_LOWEST, _HIGHEST, _PER_DECADE = 1e-5, 1e5, 400  # rad/s
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,7 @@ def margins(loop: LinearLoop) -> LinearMargins:
     """The margins of a loop."""
     if loop.poles().real.max() >= 0.0:
         return _UNSTABLE
-    count = round(math.log10(_HIGHEST / _LOWEST) * _PER_DECADE) + 1
-    grid = np.geomspace(_LOWEST, _HIGHEST, count)
+    grid = _frequencies(loop)
     response = loop.response(grid)
     delays = [(_delay_at(loop, w), w) for w in _roots(loop, grid, np.log(np.abs(response)), _log_modulus)]
     gains = [1.0 / loop.response(np.array(w)).real for w in _roots(loop, grid, response.imag, _imaginary)]
@@ -50,6 +49,17 @@ def margins(loop: LinearLoop) -> LinearMargins:
         low_gain=float(max((g for g in gains if 0.0 < g < 1.0), default=0.0)),
         high_gain=float(min((g for g in gains if g > 1.0), default=math.inf)),
     )
+
+
+def _frequencies(loop: LinearLoop) -> np.ndarray:
+    """A grid [rad/s] that is fine where poles, of the open or the closed loop, make the response change."""
+    count = round(math.log10(_HIGHEST / _LOWEST) * _PER_DECADE) + 1
+    grid = [np.geomspace(_LOWEST, _HIGHEST, count)]
+    for pole in (*loop.poles(), *loop.poles(closed=False)):
+        near = abs(pole.real) * np.geomspace(1e-2, 1e2, _PER_DECADE)
+        grid += [abs(pole.imag) - near, abs(pole.imag) + near]
+    frequencies = np.unique(np.concatenate(grid))
+    return frequencies[frequencies >= _LOWEST]
 
 
 def _log_modulus(loop: LinearLoop, w: float) -> float:

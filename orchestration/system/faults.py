@@ -4,7 +4,7 @@ Sample i is what a connection carries at communication point i. Under a fault th
 
     addition[i] + sum over j of weight[i, j] sample[source[i, j]],   without the terms whose source is -1
 
-with source[i, j] <= i, so that every kind of fault, and any number of them one after another, is three arrays.
+with source[i, j] <= i, so that every kind of fault, and any number of them in turn, is three arrays.
 Faults act from the first communication step on; initial values are exchanged without them.
 """
 
@@ -156,7 +156,7 @@ class Delay(Effect):
 
 @dataclass(frozen=True)
 class InterpolatedDelay(Effect):
-    """What was sent `delay` seconds ago arrives, on a straight line between two samples; at first the first."""
+    """What was sent `delay` seconds ago arrives, on a line between two samples; at first the first."""
 
     for_every_type = False
     delay: float
