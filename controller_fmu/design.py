@@ -6,9 +6,16 @@ The L1 adaptive controller is stable with any fast adaptation if
 
 where |.|_L1 is the largest row sum of integrals of |impulse response|, C(s) the low-pass filter and L a
 Lipschitz constant of the uncertainty in |x|_inf. Source: Hovakimyan and Cao (2010), section 2.1.
+
+With the extension u_p = -K (y - r), K = K_P + K_I / s, and the input gain omega the same argument gives
+
+    G(s) = (s I - A_m + omega B_m K C)^-1 B_m (C_omega(s) - 1),   C_omega = omega k D / (1 + omega k D)
+
+which is not in the paper: docs/explanation/margins.md derives it.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,8 +26,9 @@ from controller_fmu.l1.adaptation import Regressor
 from controller_fmu.l1.lowpass import FilterOrder
 
 _STEPS_PER_TIME_CONSTANT = 100  # of the fastest mode: trapezoidal error of |g| below 1e-4
-_TIME_CONSTANTS = 30  # of the slowest mode: e^-30 of the impulse response is left out
+_TIME_CONSTANTS = 30  # of a mode: e^-30 of its part of the impulse response is left out
 _CHUNK = 4096
+_LARGEST_GAIN = 1e4  # times k_g: where the search for the largest proportional gain ends
 
 
 @dataclass(frozen=True)
@@ -30,6 +38,18 @@ class StateSpace:
     a: np.ndarray
     b: np.ndarray
     c: np.ndarray
+
+
+@dataclass(frozen=True)
+class Extension:
+    """u_p = -K_P e - K_I int e dt, with e = C x - r; output: C."""
+
+    output: tuple[float, ...] = ()
+    proportional_gain: float = 0.0
+    integral_gain: float = 0.0
+
+
+NO_EXTENSION = Extension()
 
 
 def lyapunov_matrix(a_m: np.ndarray, q: np.ndarray) -> np.ndarray:
@@ -45,52 +65,69 @@ def feedforward_gain(a_m: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
     return float(-1.0 / (np.asarray(c) @ np.linalg.solve(np.asarray(a_m, float), np.asarray(b))))
 
 
-def filter_realisation(order: FilterOrder, w: float) -> StateSpace:
-    """C(s) with one input and one output, in controllable form."""
+def filter_realisation(order: FilterOrder, w: float, omega: float = 1.0) -> StateSpace:
+    """C_omega(s) with one input and one output, in controllable form; C(s) with omega = 1."""
     if order == FilterOrder.FIRST:
-        return StateSpace(np.array([[-w]]), np.array([[1.0]]), np.array([[w]]))
-    companion = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-(w**3), -3.0 * w**2, -3.0 * w]])
-    return StateSpace(companion, np.array([[0.0], [0.0], [1.0]]), np.array([[w**3, 3.0 * w**2, 0.0]]))
+        return StateSpace(np.array([[-omega * w]]), np.array([[1.0]]), np.array([[omega * w]]))
+    square, cube = omega * 3.0 * w**2, omega * w**3
+    companion = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-cube, -square, -3.0 * w]])
+    return StateSpace(companion, np.array([[0.0], [0.0], [1.0]]), np.array([[cube, square, 0.0]]))
 
 
-def uncompensated(a_m: np.ndarray, b: np.ndarray, order: FilterOrder, w: float) -> StateSpace:
-    """G(s) = (s I - A_m)^-1 B_m (C(s) - 1), from the uncertainty to the state."""
-    low_pass = filter_realisation(order, w)
-    a_m, column = np.asarray(a_m, float), np.asarray(b, float).reshape(-1, 1)
-    n, m = len(a_m), len(low_pass.a)
-    a = np.block([[a_m, column @ low_pass.c], [np.zeros((m, n)), low_pass.a]])
-    return StateSpace(a, np.vstack([-column, low_pass.b]), np.hstack([np.eye(n), np.zeros((n, m))]))
+def uncompensated(
+    a_m: np.ndarray,
+    b: np.ndarray,
+    order: FilterOrder,
+    w: float,
+    extension: Extension = NO_EXTENSION,
+    omega: float = 1.0,
+) -> StateSpace:
+    """G(s) from the uncertainty to the state x, also with the extension, whose integral is a state more."""
+    low_pass = filter_realisation(order, w, omega)
+    a_x, column = np.asarray(a_m, float), np.asarray(b, float).reshape(-1, 1)
+    n = len(a_x)
+    if extension.output:
+        row = np.asarray(extension.output, float).reshape(1, -1)
+        a_x = a_x - omega * extension.proportional_gain * column @ row
+        if extension.integral_gain:
+            a_x = np.block([[a_x, -omega * extension.integral_gain * column], [row, np.zeros((1, 1))]])
+            column = np.vstack([column, [[0.0]]])
+    m, size = len(low_pass.a), len(a_x)
+    a = np.block([[a_x, column @ low_pass.c], [np.zeros((m, size)), low_pass.a]])
+    return StateSpace(a, np.vstack([-column, low_pass.b]), np.eye(n, size + m))
 
 
 def l1_norm(system: StateSpace) -> float:
     """|G|_L1 = max over rows of sum over columns of the integral of |C e^(A t) B| dt.
 
-    Trapezoidal rule on a grid as fine as the fastest mode asks, until the slowest has died out.
+    Trapezoidal rule on a grid as fine as the fastest mode that is left asks, until the slowest has died out.
     """
     eigenvalues = np.linalg.eigvals(system.a)
-    slowest, fastest = -eigenvalues.real.max(), np.abs(eigenvalues).max()
-    if slowest <= 0.0:
+    if eigenvalues.real.max() >= 0.0:
         raise ValueError(f"the system must be stable, got eigenvalues {eigenvalues}")
-    step = 1.0 / (_STEPS_PER_TIME_CONSTANT * fastest)
-    state = _propagated(system, step)
-    over_a_chunk = expm(system.a * step * _CHUNK)
     total = np.zeros((system.c.shape[0], system.b.shape[1]))
-    for _ in range(int(np.ceil(_TIME_CONSTANTS / slowest / (step * _CHUNK)))):
-        response = np.abs(np.einsum("on,tni->toi", system.c, state))
-        total += step * (response.sum(axis=0) - 0.5 * (response[0] + response[-1]))
-        state = np.einsum("mn,tni->tmi", over_a_chunk, state)
+    state, start = system.b.astype(float), 0.0
+    for end in np.unique(_TIME_CONSTANTS / -eigenvalues.real):
+        left = eigenvalues[_TIME_CONSTANTS / -eigenvalues.real >= end]
+        count = int(np.ceil((end - start) * _STEPS_PER_TIME_CONSTANT * np.abs(left).max()))
+        step, start = (end - start) / count, end
+        for first in range(0, count, _CHUNK):
+            states = _propagated(system.a, state, step, min(_CHUNK, count - first))
+            response = np.abs(np.einsum("on,tni->toi", system.c, states))
+            total += step * (response.sum(axis=0) - 0.5 * (response[0] + response[-1]))
+            state = states[-1]
     return float(total.sum(axis=1).max())
 
 
-def _propagated(system: StateSpace, step: float) -> np.ndarray:
-    """e^(A t) B at the points of one chunk, both ends included: shape (chunk + 1, n, inputs)."""
-    states = np.empty((_CHUNK + 1, *system.b.shape))
-    states[0] = system.b
-    done, over = 1, expm(system.a * step)
-    while done <= _CHUNK:  # twice as many points each time
-        count = min(done, _CHUNK + 1 - done)
-        states[done : done + count] = np.einsum("mn,tni->tmi", over, states[:count])
-        done += count
+def _propagated(a: np.ndarray, state: np.ndarray, step: float, count: int) -> np.ndarray:
+    """e^(A t) times the state at t = 0, step, ... count step: shape (count + 1, n, inputs)."""
+    states = np.empty((count + 1, *state.shape))
+    states[0] = state
+    done, over = 1, expm(a * step)
+    while done <= count:  # twice as many points each time
+        more = min(done, count + 1 - done)
+        states[done : done + more] = np.einsum("mn,tni->tmi", over, states[:more])
+        done += more
         over = over @ over
     return states
 
@@ -100,13 +137,59 @@ def lipschitz_constant(kind: Regressor, theta_bound: tuple[float, float]) -> flo
     return theta_bound[0] if kind == Regressor.INFINITY_NORM else sum(theta_bound)
 
 
-def l1_condition(a_m: np.ndarray, b: np.ndarray, order: FilterOrder, w: float, lipschitz: float) -> float:
-    """|G|_L1 L, which must stay below 1."""
-    return l1_norm(uncompensated(a_m, b, order, w)) * lipschitz
+def l1_condition(
+    a_m: np.ndarray,
+    b: np.ndarray,
+    order: FilterOrder,
+    w: float,
+    lipschitz: float,
+    extension: Extension = NO_EXTENSION,
+    omegas: Sequence[float] = (1.0,),
+) -> float:
+    """|G|_L1 L, which must stay below 1: the largest over these input gains."""
+    systems = (uncompensated(a_m, b, order, w, extension, omega) for omega in omegas)
+    return max(map(l1_norm, systems)) * lipschitz
+
+
+def largest_proportional_gain(
+    a_m: np.ndarray,
+    b: np.ndarray,
+    order: FilterOrder,
+    w: float,
+    lipschitz: float,
+    extension: Extension,
+    omegas: Sequence[float] = (1.0,),
+) -> float:
+    """The K_P up to which the L1-norm condition holds from K_P = 0 on, with K_I as in the extension.
+
+    Searched on 5 gains a decade, then to 0.01 %. Not a number if it does not hold with K_P = 0 and K_I = 0,
+    infinite if it holds up to 1e4 k_g.
+    """
+
+    def excess(gain: float) -> float:
+        changed = replace(extension, proportional_gain=gain) if gain else NO_EXTENSION
+        return l1_condition(a_m, b, order, w, lipschitz, changed, omegas) - 1.0
+
+    if excess(0.0) >= 0.0:
+        return float("nan")
+    k_g = abs(feedforward_gain(a_m, b, np.asarray(extension.output)))
+    held = 0.0
+    for gain in k_g * np.geomspace(1e-3, _LARGEST_GAIN, 36):
+        if excess(gain) >= 0.0:
+            root: Any = brentq(excess, held, gain, xtol=1e-4 * gain)
+            return float(root)
+        held = gain
+    return float("inf")
 
 
 def smallest_bandwidth(
-    a_m: np.ndarray, b: np.ndarray, order: FilterOrder, lipschitz: float, largest: float = 1e5
+    a_m: np.ndarray,
+    b: np.ndarray,
+    order: FilterOrder,
+    lipschitz: float,
+    largest: float = 1e5,
+    extension: Extension = NO_EXTENSION,
+    omegas: Sequence[float] = (1.0,),
 ) -> float:
     """The filter bandwidth [rad/s] above which the L1-norm condition holds, to 0.1 %.
 
@@ -115,7 +198,8 @@ def smallest_bandwidth(
     """
 
     def excess(logarithm: float) -> float:
-        return l1_condition(a_m, b, order, float(np.exp(logarithm)), lipschitz) - 1.0
+        w = float(np.exp(logarithm))
+        return l1_condition(a_m, b, order, w, lipschitz, extension, omegas) - 1.0
 
     slowest = -np.linalg.eigvals(np.asarray(a_m, float)).real.max()
     low, high = np.log(0.01 * slowest), np.log(largest)

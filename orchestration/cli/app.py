@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from fmus.errors import ExportError, MissingExtraError
-from orchestration.cli import exchange, fmu, paper, run, score, study, sweep
+from orchestration.cli import exchange, fmu, margins, paper, run, score, study, sweep
 from orchestration.cli.interrupts import INTERRUPTED
 from orchestration.cli.shared import fail
 from orchestration.errors import OrchestrationError
@@ -25,7 +25,7 @@ app = typer.Typer(
 for _panel, _commands in {
     "FMUs": (fmu.new, fmu.build, fmu.check, fmu.inspect),
     "Scenarios": (run.scenarios, run.run, sweep.sweep, run.report),
-    "Controllers compared": (score.score, study.tune),
+    "Controllers compared": (score.score, study.tune, margins.margins),
     "The paper": (paper.reproduce, paper.identify),
     "Other tools": (exchange.package, exchange.export),
 }.items():

@@ -8,6 +8,7 @@ adaptation gain without bound, is a coefficient of 0 and no other model.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.linalg import eigvals
@@ -54,18 +55,19 @@ class LinearLoop:
                     matrix[row, index[name]] = coefficient
         return e[:, :-1], a[:, :-1], a[:, -1]
 
-    def response(self, frequencies: np.ndarray) -> np.ndarray:
-        """target / source at these frequencies [rad/s], complex, same shape."""
+    def response(self, frequencies: np.ndarray) -> Any:
+        """target / source at these frequencies [rad/s], a complex array of the same shape."""
         e, a, b = self.matrices
         s = 1j * np.asarray(frequencies, float)[..., np.newaxis, np.newaxis]
         states = np.linalg.solve(s * e - a, b[:, np.newaxis])
         return states[..., self.signals.index(self.target), 0]
 
-    def poles(self, closed: bool = True) -> np.ndarray:
-        """Of the closed loop, or of the loop that is cut [1/s]."""
+    def poles(self, closed: bool = True) -> Any:
+        """Of the closed loop, or of the loop that is cut [1/s], a complex array."""
         e, a, b = self.matrices
         a = a.copy()
         a[:, self.signals.index(self.target)] += b if closed else 0.0
-        numerators, denominators = eigvals(a, e, homogeneous_eigvals=True)
+        pairs: Any = eigvals(a, e, homogeneous_eigvals=True)
+        numerators, denominators = pairs
         is_finite = np.abs(numerators) < _INFINITE * np.abs(denominators)
         return numerators[is_finite] / denominators[is_finite]

@@ -124,7 +124,7 @@ class HoldRuns(AbstractContextManager["HoldRuns"]):
         self._simulator = Simulator(chosen.system)
         self.count = 0
         unchanged = self._samples((), {})
-        self.deviation, self._mean = float(unchanged.std()), float(unchanged.mean())
+        self.deviation, self.mean = float(unchanged.std()), float(unchanged.mean())
 
     def is_quiet(
         self,
@@ -140,7 +140,7 @@ class HoldRuns(AbstractContextManager["HoldRuns"]):
             samples = self._samples([Fault(name, effect) for name in inputs if effect], parameters)
         except SimulationError:
             return False
-        return bool(samples.std() < self.hold.quiet and abs(samples.mean() - self._mean) < _MOVED)
+        return bool(samples.std() < self.hold.quiet and abs(samples.mean() - self.mean) < _MOVED)
 
     def _samples(self, faults: Sequence[Fault], parameters: Mapping[str, FmiValue]) -> np.ndarray:
         """The signal in the hold, shape (n,)."""

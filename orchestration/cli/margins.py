@@ -1,0 +1,104 @@
+"""Command margins: how much delay and gain a scenario bears, and what theory says of its controller."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fmus.registry import Flavour
+from orchestration.cli.changes import Changes, ControllerOption, MapOption, OpenInputsOption, SetOption
+from orchestration.cli.shared import FlavourOption, ScenarioArgument, print_table, progress
+from orchestration.errors import OrchestrationError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from orchestration.study.margins import Margins
+
+
+def margins(
+    name: ScenarioArgument,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write margins.json to this folder.")
+    ] = None,
+    flavour: FlavourOption = Flavour.NATIVE,
+    controller: ControllerOption = "",
+    settings: SetOption = [],  # noqa: B006  (Typer copies it)
+    mapped: MapOption = [],  # noqa: B006
+    open_inputs: OpenInputsOption = None,
+    signal: Annotated[
+        str, typer.Option(metavar="NAME", help="Judge this signal; by default that of a metric.")
+    ] = "",
+    window: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="S S", help="Judge it in this time; by default where its reference holds."),
+    ] = None,
+    quiet: Annotated[
+        float, typer.Option(help="Largest standard deviation that counts as quiet, in the signal's unit.")
+    ] = 3e-3,
+    over: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME=V,V", help="Measure the delay margins at each of these values of a parameter, too."
+        ),
+    ] = "",
+) -> None:
+    """Give the delay and gain margins of a scenario, by runs and, for our L1 controllers, in theory."""
+    from fmus.files import write_json_atomically
+    from orchestration.cli import chosen_scenario
+    from orchestration.study.hold import Hold
+    from orchestration.study.margins import judge
+    from orchestration.study.run_figures import runs_needed
+
+    changes = Changes.of_options(controller, settings, mapped, open_inputs)
+    if bool(signal) != bool(window):
+        raise OrchestrationError("--signal and --window: expected both, or none of them")
+    repeated = _values(over)
+    chosen = chosen_scenario.load(name, flavour, changes)
+    hold = Hold(signal, *window, quiet) if window else None
+    with progress("margins", runs_needed(repeated)) as bar:
+        judged = judge(chosen, hold, quiet=quiet, over=repeated, progress=bar.advance)
+    _print(chosen.title, judged)
+    if out:
+        path = out / "margins.json"
+        write_json_atomically(path, judged.document())
+        print(path)
+
+
+def _values(over: str) -> dict[str, list[float]]:
+    """Parameter -> values."""
+    if not over:
+        return {}
+    name, _, texts = over.partition("=")
+    try:
+        return {name.strip(): [float(text) for text in texts.split(",")]}
+    except ValueError:
+        raise OrchestrationError(f"--over {over}: expected component.parameter=number,number") from None
+
+
+def _print(title: str, judged: "Margins") -> None:
+    """The figures, and below them what each assumes, once."""
+    notes = list(dict.fromkeys((figure.assumption, figure.source) for figure in judged.figures))
+    print_table(_table(title, judged, notes))
+    for number, (assumption, source) in enumerate(notes, 1):
+        print(f"[{number}] {assumption} ({source})")
+    for sentence in judged.not_judged:
+        print(sentence)
+
+
+def _table(title: str, judged: "Margins", notes: list[tuple[str, str]]) -> "Table":
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(title=escape(title), title_justify="left")
+    for heading in ("", "Margin", "Value", "Unit", "Remark", "Note"):
+        table.add_column(heading, justify="right" if heading in ("Value", "Note") else "left")
+    group = ""
+    for figure in judged.figures:
+        if figure.group != group:
+            table.add_section()
+        shown_group, group = "" if figure.group == group else figure.group, figure.group
+        note = str(notes.index((figure.assumption, figure.source)) + 1)
+        cells = shown_group, figure.name, figure.shown, figure.unit, figure.remark, note
+        table.add_row(*map(escape, cells))
+    return table

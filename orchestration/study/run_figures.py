@@ -1,0 +1,63 @@
+"""The figures that are measured by runs of the FMUs, whatever is inside them."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+from fmus.fmi_types import FmiValue
+from orchestration.study.margin_figure import Figure
+from orchestration.study.fmu_margins import (
+    DELAY_RESOLUTION,
+    DELAY_STEP,
+    GAIN_RESOLUTION,
+    GAIN_STEP,
+    LARGEST_DELAY,
+    LARGEST_GAIN,
+    Scan,
+    delay_margin,
+    gain_margin,
+)
+from orchestration.study.hold import HoldRuns, Place
+
+THROUGH_FMUS = "through the FMUs"
+_GRADUAL = (
+    f"delays interpolated, in steps of {1e3 * DELAY_STEP:g} ms, the loss within {1e3 * DELAY_RESOLUTION:g} ms"
+)
+_RATIOS = (
+    f"factors in steps of {100 * (GAIN_STEP - 1):.3g} %, the loss within {100 * (GAIN_RESOLUTION - 1):.3g} %"
+)
+
+
+def runs_needed(over: Mapping[str, Sequence[float]]) -> int:
+    """How many runs the figures take, about."""
+    return 2 * 36 + 2 * 30 + sum(2 * 15 * len(values) for values in over.values())
+
+
+def run_figures(runs: HoldRuns, progress: Callable[[], object]) -> Iterator[Figure]:
+    """Delay margins on control and measurement, and gain margins."""
+    for place in Place:
+        scan = delay_margin(runs, place, progress=progress)
+        yield _figure(f"delay margin, {place}", scan, "s", f"{_GRADUAL}, up to {LARGEST_DELAY:g} s", runs)
+    for name, largest in (("largest", LARGEST_GAIN), ("smallest", 1.0 / LARGEST_GAIN)):
+        scan = gain_margin(runs, largest=largest, progress=progress)
+        yield _figure(f"{name} gain, control", scan, "1", f"{_RATIOS}, up to {largest:g}", runs)
+
+
+def parameter_figures(
+    runs: HoldRuns, parameter: str, values: Sequence[float], progress: Callable[[], object]
+) -> Iterator[Figure]:
+    """Delay margins on control and measurement at several values of a parameter."""
+    for value in values:
+        changed: Mapping[str, FmiValue] = {parameter: value}
+        for place in Place:
+            scan = delay_margin(runs, place, parameters=changed, only_first_loss=True, progress=progress)
+            name = f"delay margin, {place}, {parameter} = {value:g}"
+            yield _figure(name, scan, "s", f"{_GRADUAL}; the first loss alone", runs)
+
+
+def _figure(name: str, scan: Scan, unit: str, how: str, runs: HoldRuns) -> Figure:
+    hold, signal_unit = runs.hold, runs.prepared.system.ports[runs.hold.signal].variable.unit or ""
+    again = ", ".join(f"quiet again at {low:.4g}..{high:.4g} {unit}" for low, high in scan.quiet_again)
+    assumption = (
+        f"quiet: standard deviation of {hold.signal} below {hold.quiet:g} {signal_unit} from "
+        f"{hold.start:g} s to {hold.end:g} s; {how}"
+    )
+    return Figure(THROUGH_FMUS, name, scan.margin, unit, assumption, "measured", again)

@@ -1,0 +1,94 @@
+"""The figures that follow from the design of an L1 controller: L1-norm condition and linear margins."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from controller_fmu.design import (
+    NO_EXTENSION,
+    Extension,
+    l1_condition,
+    largest_proportional_gain,
+    smallest_bandwidth,
+)
+from orchestration.study.margin_figure import Figure
+from orchestration.study.l1_design import Design
+from orchestration.study.l1_loop import Law, Plant, loop
+from orchestration.study.linear_margins import margins
+
+CONDITION, LINEAR = "L1-norm condition", "linear loop"
+_BOOK = "Hovakimyan and Cao (2010), section 2.1"
+_EXTENDED = "derived in docs/explanation/margins.md; not in the paper"
+_NYQUIST = "frequency response of the linear loop; limit after Hovakimyan and Cao (2010), section 2.2"
+_OMEGAS = 9  # input gains tried over their box: the norm need not be monotonic in omega
+
+
+def norm_figures(design: Design) -> Iterator[Figure]:
+    """|G|_L1 L with and without the extension, and where the condition is lost."""
+    law = design.law
+    omegas = np.unique(np.linspace(*design.omegas, _OMEGAS)).tolist()
+    box = f"omega in {omegas[0]:g}..{omegas[-1]:g}, " + (f"{len(omegas)} values; " if omegas[1:] else "")
+    state = f"{box}L = {design.lipschitz:g}, perfect measurement, no delay and no lag; it holds below 1"
+    common = np.array(law.a_m), np.array(law.b), law.filter_order, law.bandwidth, design.lipschitz
+
+    def condition(name: str, extension: Extension, assumption: str, source: str) -> Figure:
+        value = l1_condition(*common, extension, omegas)
+        return Figure(CONDITION, name, value, "1", assumption, source)
+
+    yield condition("|G| L without the extension", NO_EXTENSION, state, _BOOK)
+    for gain in design.frozen_gains:
+        frozen = Extension(law.c, gain)
+        name = f"|G| L, nonlinear P frozen at {gain:.4g}"
+        yield condition(name, frozen, f"{state}; a norm at a frozen gain is no guarantee", _EXTENDED)
+    is_pi = bool(design.extension.proportional_gain or design.extension.integral_gain)
+    if is_pi and not design.frozen_gains:
+        yield condition("|G| L with the extension", design.extension, state, _EXTENDED)
+    extension = replace(design.extension, proportional_gain=0.0) if is_pi else Extension(law.c)
+    lost = largest_proportional_gain(*common, extension, omegas)
+    note = "of a linear P in place of the nonlinear one; " if design.frozen_gains else ""
+    note += "K_I as it is, up to 1e4 k_g" if extension.integral_gain else "K_I = 0, up to 1e4 k_g"
+    yield Figure(CONDITION, "K_P up to which it holds", lost, design.gain_unit, state, _EXTENDED, note)
+    a_m, b, order, _, lipschitz = common
+    with_extension = design.extension if is_pi and not design.frozen_gains else NO_EXTENSION
+    pairs = {"without": NO_EXTENSION, "with": with_extension}
+    for label, chosen in pairs.items():
+        if label == "without" or chosen is not NO_EXTENSION:
+            least = smallest_bandwidth(a_m, b, order, lipschitz, extension=chosen, omegas=omegas)
+            source = _BOOK if label == "without" else _EXTENDED
+            name = f"bandwidth from which it holds, {label} the extension"
+            yield Figure(CONDITION, name, least, "rad/s", state, source)
+
+
+def linear_figures(design: Design) -> Iterator[Figure]:
+    """Delay and gain margins of the loop in the limit of fast adaptation, and at the adaptation gain."""
+    law, true_state = replace(design.law, kappa=math.inf), replace(design.law, kappa=math.inf, observer=None)
+    lagging, prompt = design.plant, design.plant.without_lag()
+    limit = "limit of fast adaptation"
+    loops = {"ideal": (true_state, prompt)}
+    if lagging != prompt:
+        loops["thruster lag"] = true_state, lagging
+    if law.observer:
+        loops["observer"] = law, prompt
+    if law.observer and lagging != prompt:
+        loops["lag and observer"] = law, lagging
+    for label, (chosen, plant) in loops.items():
+        yield from _margins(label, chosen, plant, limit, bool(design.frozen_gains))
+    if design.has_rest:
+        at_rest = f"kappa = {design.law.kappa:g} at rest, theta_hat = 0"
+        yield from _margins(
+            "at this adaptation gain", design.law, lagging, at_rest, bool(design.frozen_gains)
+        )
+
+
+def _margins(label: str, law: Law, plant: Plant, limit: str, frozen: bool) -> Iterator[Figure]:
+    """Of one loop; a delay of the control and one of every measurement give the same poles."""
+    known = "continuous equivalent of the observer" if law.observer else "true state"
+    known += f"; nonlinear P linear about e = 0, gain {law.proportional_gain:.4g}" if frozen else ""
+    assumption = f"{limit}; {known}; linear at rest, without quadratic damping, saturation and sampling"
+    found = margins(loop(law, plant))
+    at = f"lost at {found.frequency:.3g} rad/s" if math.isfinite(found.delay) else ""
+    yield Figure(LINEAR, f"delay margin, {label}", found.delay, "s", assumption, _NYQUIST, at)
+    yield Figure(LINEAR, f"largest gain, {label}", found.high_gain, "1", assumption, _NYQUIST)
+    yield Figure(LINEAR, f"smallest gain, {label}", found.low_gain, "1", assumption, _NYQUIST)
