@@ -9,9 +9,9 @@ import numpy as np
 
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.scenario import Scenario
-from orchestration.study.margin_figure import Figure
 from orchestration.study.hold import QUIET, Hold, HoldRuns, hold_of
 from orchestration.study.l1_design import Design, design_of
+from orchestration.study.margin_figure import Figure
 from orchestration.study.run_figures import parameter_figures, run_figures
 from orchestration.study.theory_figures import linear_figures, norm_figures
 from orchestration.system.prepared_run import prepare

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from fmus.fmi_types import FmiValue
-from orchestration.study.margin_figure import Figure
 from orchestration.study.fmu_margins import (
     DELAY_RESOLUTION,
     DELAY_STEP,
@@ -16,6 +15,7 @@ from orchestration.study.fmu_margins import (
     gain_margin,
 )
 from orchestration.study.hold import HoldRuns, Place
+from orchestration.study.margin_figure import Figure
 
 THROUGH_FMUS = "through the FMUs"
 _GRADUAL = (

@@ -13,10 +13,10 @@ from controller_fmu.design import (
     largest_proportional_gain,
     smallest_bandwidth,
 )
-from orchestration.study.margin_figure import Figure
 from orchestration.study.l1_design import Design
 from orchestration.study.l1_loop import Law, Plant, loop
 from orchestration.study.linear_margins import margins
+from orchestration.study.margin_figure import Figure
 
 CONDITION, LINEAR = "L1-norm condition", "linear loop"
 _BOOK = "Hovakimyan and Cao (2010), section 2.1"
