@@ -7,17 +7,17 @@ On M z'' + D z' = u + d, with ideal measurements and thrusters, M s' = -k_1 sqrt
 (g is the sign of s) and |d'| <= L below k_2, s and s' reach 0 in finite time for a k_1 that is large enough,
 whatever d is; with eps > 0 they reach a neighbourhood of 0.
 
-In a step of h s the law is used with
+A step of h s takes
 
-    g = s / (|s| + eps + (h / M) (k_1 sqrt(|s|) + h k_2))
+    g = s / max(|s| + eps, (h / M) (k_1 sqrt(|s|) + h k_2))
 
-which is g of the s that the step leads to, s_1 = s - (h / M) (k_1 sqrt(|s|) + h k_2) g: a semi-implicit Euler
-step. It tends to the law with h, has the same equilibrium, and does not overshoot s = 0 for any h, where the
-explicit step with eps = 0 switches for ever.
+which is the law, explicit, unless it would lead the s of the assumed vehicle beyond 0: then to 0. So the
+control does not switch for ever at eps = 0, as it does with the explicit step alone, and is the law for every
+eps that is large beside h^2 k_1^2 / M^2.
 Source: A. Levant, Sliding order and sliding accuracy in sliding mode control, Int. J. Control 58 (1993);
-J. Moreno and M. Osorio, Strict Lyapunov functions for the super-twisting algorithm, IEEE TAC 57 (2012); for
-the step B. Brogliato, A. Polyakov and D. Efimov, The implicit discretization of the supertwisting
-sliding-mode control algorithm, IEEE TAC 65 (2020), here with sqrt(|s|) of the step's beginning.
+J. Moreno and M. Osorio, Strict Lyapunov functions for the super-twisting algorithm, IEEE TAC 57 (2012); after
+B. Brogliato, A. Polyakov and D. Efimov, The implicit discretization of the supertwisting sliding-mode control
+algorithm, IEEE TAC 65 (2020), whose step leads to 0 where it can.
 """
 
 from dataclasses import dataclass
@@ -84,7 +84,7 @@ def direction(h: float, s: float, p: Parameters) -> float:
     """g of a step of h s."""
     root = _root(s, p)
     change = h / p.model_inertia * (p.root_gain * root + h * p.twisting_gain)
-    return s / (absolute(s) + p.smoothing + change)
+    return s / maximum(absolute(s) + p.smoothing, change)
 
 
 def control(now: DepthMeasurement, g: float, integral_force: float, p: Parameters) -> float:

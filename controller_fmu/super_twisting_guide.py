@@ -16,7 +16,7 @@ from fmus.guide import Guide, Source
 EQUATIONS = """\
 s = e' + lambda e,   e = z - r,   e' = v - r',   g = s / (|s| + eps)
 u = M (r'' - lambda e') + D v - k_1 sqrt(|s|) g + nu,   nu' = -k_2 g
-g = s / (|s| + eps + (h / M) (k_1 sqrt(|s|) + h k_2))   in a step of h s
+g = s / max(|s| + eps, (h / M) (k_1 sqrt(|s|) + h k_2))   in a step of h s
 """
 
 GUIDE = Guide(

@@ -88,16 +88,12 @@ def test_the_step_does_not_switch_for_ever(h: float) -> None:
     st.floats(1e-6, 10.0), st.floats(-5.0, 5.0), st.floats(0.0, 100.0), st.floats(0.0, 100.0),
     st.floats(1e-9, 1.0),
 )  # fmt: skip
-def test_a_step_never_leads_beyond_s_of_zero(h: float, s: float, k_1: float, k_2: float, eps: float) -> None:
+def test_a_step_is_the_law_unless_that_leads_beyond_s_of_zero(
+    h: float, s: float, k_1: float, k_2: float, eps: float
+) -> None:
     p = Parameters(root_gain=k_1, twisting_gain=k_2, smoothing=eps)
-    g = direction(h, s, p)
-    root = np.sqrt(max(abs(s), 1e-3 * eps))
-    after = s - h / INERTIA * (k_1 * root + h * k_2) * g
-    assert 0.0 <= after * np.sign(s) <= abs(s)
-    assert g == pytest.approx(after / (abs(s) + eps), rel=1e-9, abs=1e-12)
-
-
-def test_a_short_step_is_the_law() -> None:
-    p = Parameters()
-    for s in (-0.3, -1e-3, 0.02, 2.0):
-        assert direction(1e-9, s, p) == pytest.approx(s / (abs(s) + p.smoothing), rel=1e-6)
+    pull = h / INERTIA * (k_1 * np.sqrt(max(abs(s), 1e-3 * eps)) + h * k_2)  # change of s for g = 1
+    law = s / (abs(s) + eps)
+    is_beyond = pull * abs(law) > abs(s)
+    after = s - pull * direction(h, s, p)
+    assert after == pytest.approx(0.0 if is_beyond else s - pull * law, abs=1e-12)
