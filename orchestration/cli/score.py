@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from orchestration.cli.changes import MapOption, OpenInputsOption, SetOption
-from orchestration.cli.shared import OutFolder, print_table, progress
+from orchestration.cli.shared import OutFolder, console, print_table, progress
 
 if TYPE_CHECKING:
     from orchestration.study.score_document import Score
@@ -64,7 +64,7 @@ def print_score(document: "Score") -> None:
     from orchestration.cli.score_tables import BEST, FAILED, differences_table, score_tables
 
     print(f"Protocol {document.protocol.version}. {document.protocol.statement}")
-    for table in (*score_tables(document), differences_table(document)):
+    for table in (*score_tables(document, console().width), differences_table(document)):
         if table:
             print_table(table)
     print(f"{BEST} the best of its league, {FAILED} a run that failed")

@@ -1,5 +1,6 @@
 """A score in the terminal."""
 
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
@@ -8,12 +9,13 @@ from orchestration.study.score_document import Score
 from orchestration.study.score_view import Cell, ScoreTable
 
 BEST, FAILED = "*", "!"
+_COLUMN_WIDTH = 11
 
 
-def score_tables(score: Score) -> list[Table]:
+def score_tables(score: Score, width: int) -> list[Table]:
     """The overview, the nominal case, the errors of all cases, and the plants if there are any.
 
-    Controllers are the columns, so that many figures fit.
+    width: of the terminal; a table that does not fit is shown in parts
     """
     nominal = next(iter(score.protocol.cases))
     tables = [
@@ -22,7 +24,7 @@ def score_tables(score: Score) -> list[Table]:
         score_view.of_figure(score, "rmse"),
         score_view.over_plants(score),
     ]
-    return [_table(table) for table in tables if table]
+    return [part for table in tables if table for part in _parts(table, width)]
 
 
 def differences_table(score: Score) -> Table | None:
@@ -49,15 +51,26 @@ def differences_table(score: Score) -> Table | None:
     return table
 
 
-def _table(shown: ScoreTable) -> Table:
-    """The table with controllers as columns."""
-    table = Table(title=shown.title)
-    table.add_column("")
-    for row in shown.rows:
-        table.add_column(Text(row.title, "bold" if row.scored else ""), justify="right")
-    for index, column in enumerate(shown.columns):
+def _parts(shown: ScoreTable, width: int) -> list[Table]:
+    """The table, in as many parts as its columns need."""
+    first = 2 + max(len(row.title) for row in shown.rows)
+    count = max(1, (width - first) // _COLUMN_WIDTH)
+    return [
+        _table(shown, range(begin, min(begin + count, len(shown.columns))))
+        for begin in range(0, len(shown.columns), count)
+    ]
+
+
+def _table(shown: ScoreTable, columns: range) -> Table:
+    title = Text(shown.title if columns[0] == 0 else f"{shown.title}, continued")
+    table = Table(title=title, box=SIMPLE_HEAD)
+    table.add_column("", no_wrap=True)
+    for column in (shown.columns[index] for index in columns):
         heading = f"{column.title} [{column.unit}]" if column.unit else column.title
-        table.add_row(Text(heading), *(_cell(cells[index]) for cells in shown.cells))
+        table.add_column(Text(heading), justify="right", width=_COLUMN_WIDTH - 2)
+    for row, cells in zip(shown.rows, shown.cells, strict=True):
+        label = Text(row.title, "bold" if row.scored else "")
+        table.add_row(label, *(_cell(cells[index]) for index in columns))
     return table
 
 

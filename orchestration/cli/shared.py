@@ -14,10 +14,11 @@ from orchestration.errors import OrchestrationError
 from orchestration.results.formats import FigureFormat
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.progress import Progress
     from rich.table import Table
 
-_PIPED_WIDTH = 130
+PIPED_WIDTH = 130
 
 
 def shipped_scenarios() -> list[str]:
@@ -70,11 +71,16 @@ def fail(message: str, status: int = 1) -> NoReturn:
     sys.exit(status)
 
 
-def print_table(table: "Table", piped_width: int = _PIPED_WIDTH) -> None:
+def print_table(table: "Table", piped_width: int = PIPED_WIDTH) -> None:
     """Print a table as wide as the terminal, or as `piped_width` where there is none."""
+    console(piped_width).print(table)
+
+
+def console(piped_width: int = PIPED_WIDTH) -> "Console":
+    """The terminal, or as wide a page where there is none."""
     from rich.console import Console
 
-    Console(width=None if sys.stdout.isatty() else piped_width).print(table)
+    return Console(width=None if sys.stdout.isatty() else piped_width)
 
 
 class ProgressBar:

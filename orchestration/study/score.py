@@ -7,10 +7,10 @@ result.document.figure(result.document.scored[0], "nominal", "rmse")
 import hashlib
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from typing import Any
 
@@ -55,6 +55,7 @@ def score(
     controllers: Sequence[Controller],
     protocol: Protocol | None = None,
     *,
+    beside: Sequence[Controller] | None = None,
     full: bool = False,
     timeout: float | None = None,
     workers: int = os.cpu_count() or 1,
@@ -62,6 +63,7 @@ def score(
 ) -> ScoreResult:
     """Run every case, with `full` every plant too, and compare with the controllers of the protocol.
 
+    beside: the other controllers, by default those of the protocol; their rows are kept in a cache
     timeout: longest time [s] of a run, by default that of the protocol
     progress: called with how many more runs are done, of `run_count`
     Each controller runs in a process of its own. One that fails, hangs or crashes has its row with the
@@ -69,8 +71,11 @@ def score(
     """
     protocol = protocol or read_protocol()
     scoring = _Scoring(protocol, full, timeout or protocol.tables.time_limit, progress)
-    jobs = [(_named(controller, protocol), True) for controller in controllers]
-    jobs += [(built_in(protocol, name), False) for name in protocol.controllers]
+    if beside is None:
+        beside = [built_in(protocol, name) for name in protocol.controllers]
+    taken = {controller.name for controller in beside}
+    jobs = [(_named(controller, taken), True) for controller in controllers]
+    jobs += [(controller, False) for controller in beside]
     for controller, _ in jobs:
         if [c.name for c, _ in jobs].count(controller.name) > 1:
             raise ScenarioError(f"two controllers are called {controller.name!r}: expected different names")
@@ -100,11 +105,10 @@ def run_count(controllers: int, protocol: Protocol, full: bool) -> int:
     return (controllers + len(protocol.controllers)) * runs
 
 
-def _named(controller: Controller, protocol: Protocol) -> Controller:
-    """The controller, under a name that no other one has."""
-    if controller.name in protocol.controllers:
-        return Controller(**{**vars(controller), "name": f"{controller.name} (scored)"})
-    return controller
+def _named(controller: Controller, taken: Collection[str]) -> Controller:
+    """The controller, under a name that is not taken."""
+    name = f"{controller.name} (scored)" if controller.name in taken else controller.name
+    return replace(controller, name=name)
 
 
 @dataclass
