@@ -31,6 +31,19 @@ def test_settling_time_is_the_last_time_outside_the_band() -> None:
     assert metrics.settling_time(recording(z=late), "z", 0.8, 0.04, [0.0, 80.0]) < 31.0
 
 
+def test_recovery_time_is_the_settling_time_after_the_disturbance() -> None:
+    z = 1.0 + 0.1 * np.where(TIME >= 20.0, np.exp(-(TIME - 20.0) / 10.0), 0.0)
+    expected = pytest.approx(10.0 * math.log(5.0), abs=0.011)  # one communication step
+    assert metrics.recovery_time(recording(z=z), "z", 1.0, 0.02, [20.0, 100.0]) == expected
+    assert metrics.recovery_time(recording(z=z), "z", 1.0, 0.2, [20.0, 100.0]) == 0.0
+    assert math.isnan(metrics.recovery_time(recording(z=z), "z", 1.0, 0.02, [20.0, 30.0]))
+
+
+def test_std_is_about_the_mean_of_the_window() -> None:
+    run = recording(z=3.0 + np.sin(TIME * 2 * math.pi))
+    assert metrics.std(run, "z", [10.0, 20.0], scale=100.0) == pytest.approx(100.0 / math.sqrt(2.0), rel=1e-3)
+
+
 def test_rmse_overshoot_mean_effort() -> None:
     run = recording(z=np.sin(TIME * 2 * math.pi), r=np.zeros_like(TIME))
     assert metrics.rmse(run, "z", "r", scale=100.0) == pytest.approx(100.0 / math.sqrt(2.0), rel=1e-3)

@@ -5,6 +5,7 @@ import pytest
 
 from orchestration.errors import ScenarioError
 from orchestration.system.signal_derivatives import Derivative, derivative, with_derivatives
+from orchestration.system.signal_sines import sine, spectrum, sum_of_sines
 from orchestration.system.signals import Constant, Cosine, Curve, Ramps, Table, values_at
 
 POINTS = [[1.0, 0.0], [3.0, 2.0], [4.0, 1.0]]
@@ -19,6 +20,9 @@ STEP = 1e-4
         Ramps(POINTS),
         Ramps(POINTS, smooth=True),
         Cosine(2.0, 3.0, 0.4, 1.0),
+        sine(2.0, 0.4, 0.4, 1.0),
+        sum_of_sines([1.0, 0.2], [0.1, 0.5], [0.0, 1.0]),
+        spectrum(1.0, 5.0, components=20),
         Constant(3.0),
         Table([1.0, 2.0, 4.0], [0.0, 1.0, -1.0]),
         Table([1.0, 2.0], [0.0, 1.0], hold=True),

@@ -1,0 +1,79 @@
+"""Disturbed vehicles against SciPy and against frequency responses in closed form."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from fmus.registry import Flavour, fmu_path
+from orchestration.master import simulate
+from orchestration.results.recording import Recording
+from orchestration.system.experiment import Experiment
+from orchestration.system.open_inputs import OpenInputs
+from orchestration.system.signal_sines import sine
+from orchestration.system.signals import Signal
+from orchestration.system.system import System
+
+OMEGA = 2.0 * math.pi * 0.2  # rad/s
+DEEP: dict[str, Any] = {
+    "plant.initial_depth": 5.0,
+    "plant.net_weight": 0.0,
+    "plant.free_surface": False,
+    "plant.thruster_ideal": True,
+    "plant.sensor_ideal": True,
+}
+
+
+def disturbed(
+    force: Signal, stop: float, step: float, connections: list[Any] | None = None, **values: float
+) -> Recording:
+    """A vehicle under water and without weight, which a force acts on."""
+    plant = fmu_path("RovDepthPlant", Flavour.NATIVE)
+    named = {f"plant.{name}": value for name, value in values.items()}
+    experiment = Experiment(
+        stop, step, parameters=DEEP | {"plant.internal_step": step} | named,
+        signals={"plant.external_force": force},
+        record=("plant.depth",), open_inputs=OpenInputs.START,
+    )  # fmt: skip
+    return simulate(System({"plant": plant}, connections or []), experiment)
+
+
+def test_the_vehicle_under_a_sine_is_what_scipy_integrates(scenario_fmus: None) -> None:
+    """A force held for 20 ms is one 10 ms late, but for (0.02 s * 1.26 rad/s)^2 / 24 of it."""
+    step = 0.02
+    own = disturbed(sine(1.0, 0.2), 30.0, step)
+
+    def rates(t: float, x: np.ndarray) -> list[float]:
+        force = math.sin(OMEGA * (t - 0.5 * step))
+        return [x[1], (force - 2.5 * x[1] - 7.0 * abs(x[1]) * x[1]) / 5.5]
+
+    exact = solve_ivp(rates, (0.0, 30.0), [5.0, 0.0], t_eval=own.time, rtol=1e-10, atol=1e-12)
+    moved = own["plant.depth"] - 5.0
+    assert np.abs(moved).max() > 0.1
+    np.testing.assert_allclose(moved, exact.y[0] - 5.0, rtol=0.0, atol=3e-5 * np.abs(moved).max())
+
+
+@pytest.mark.parametrize(("stiffness", "damping"), [(20.0, 10.0), (4.0, 30.0)])
+def test_a_pd_controlled_vehicle_answers_a_sine_as_its_frequency_response_says(
+    scenario_fmus: None, stiffness: float, damping: float
+) -> None:
+    """z = 1 N / (k_p - M w^2 + j w (D + k_d)): u = -k_p (z - 5 m) - k_d z', by two connections with a factor.
+
+    Voltages are held for 1 ms after a measurement 1 ms old, which takes about 1.5 ms k_p from the damping.
+    """
+    gain, step = 0.25, 0.001
+    proportional = {"factor": -stiffness / gain, "offset": 5.0 * stiffness / gain}
+    connections = [
+        ("plant.depth", "plant.voltage[1]", proportional),
+        ("plant.depth_rate", "plant.voltage[2]", {"factor": -damping / gain}),
+    ]
+    own = disturbed(sine(1.0, 0.2), 60.0, step, connections, quadratic_damping=0.0)
+    late = own.time >= 40.0  # four periods, after ten time constants
+    angle = OMEGA * own.time[late]
+    basis = np.column_stack([np.sin(angle), np.cos(angle), np.ones_like(angle)])
+    (real, imaginary, mean), *_ = np.linalg.lstsq(basis, own["plant.depth"][late], rcond=None)
+    exact = 1.0 / (stiffness - 5.5 * OMEGA**2 + 1j * OMEGA * (2.5 + damping))
+    assert mean == pytest.approx(5.0, abs=1e-4)
+    assert abs(complex(real, imaginary) - exact) < 2e-3 * abs(exact)
