@@ -13,10 +13,10 @@ Nothing of `controller_fmu`, `plant_fmu` or `fmus.numerics` is used. Depth and f
 u_d is the control that the vehicle receives. Source: Maalouf et al. (2013), (4)-(7), (10), (11), (13), with
 the errata of docs/fidelity.md.
 
-Sampled, vehicle and law exchange at communication points, both at once (Jacobi), and hold in between what they
-receive. The law holds the measurement (`HELD`); or it goes as docs/explanation/theory.md describes the step of
-the FMU (`BETWEEN_MEASUREMENTS`): the estimates follow from the interval between the last two measurements, x on
-a line, and the filter then takes their mean.
+Sampled, vehicle and law exchange at communication points, both at once (Jacobi), and hold in between what
+they receive. The law holds the measurement (`HELD`); or it goes as docs/explanation/theory.md describes the
+step of the FMU (`BETWEEN_MEASUREMENTS`): the estimates follow from the interval between the last two
+measurements, x on a line, and the filter then takes their mean.
 """
 
 from collections.abc import Callable, Mapping
@@ -137,7 +137,7 @@ def sampled(case: Case, step: float, law_step: LawStep) -> dict[str, np.ndarray]
     for i in range(round(case.duration / step) + 1):
         t = i * step
         if case.ideal:
-            measured = vehicle[:2]
+            measured = vehicle[0], vehicle[1]
         elif i % period == 0:
             observer = _observed(case.law, observer, vehicle[0]) if i else observer
             measured = vehicle[0], observer[1]

@@ -32,11 +32,12 @@ def chosen(name: str, step: float = 0.02, stop: float | None = None, **parameter
 def case_of(loaded: Scenario) -> Case:
     """The same experiment for the second program: numbers of the model descriptions and of the scenario."""
     experiment = loaded.experiment
-    given = {**experiment.parameters, **experiment.inputs}
+    given: dict[str, Any] = {**experiment.parameters, **experiment.inputs}
     values: dict[str, dict[str, float]] = {}
     for component, fmu in loaded.system.components.items():
-        numbers = [v for v in describe(fmu).modelVariables if v.type == "Real" and v.start is not None]
-        values[component] = {v.name: float(given.get(f"{component}.{v.name}", v.start)) for v in numbers}
+        starts: dict[str, Any] = {v.name: v.start for v in describe(fmu).modelVariables if v.type == "Real"}
+        own = {name: given.get(f"{component}.{name}", start) for name, start in starts.items()}
+        values[component] = {name: float(value) for name, value in own.items() if value is not None}
     return Case(
         plant=values["plant"],
         law=values["controller"],
@@ -64,36 +65,37 @@ def recording(run: dict[str, np.ndarray]) -> Recording:
 
 @pytest.mark.parametrize("name", ["nominal-l1", "hold-force-sine"])
 def test_the_first_seconds_are_those_of_a_second_program(scenario_fmus: None, name: str) -> None:
-    compare(chosen(name, stop=15.0))
+    compare(chosen(name, stop=10.0))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name",
+    ("name", "rel"),
     [
-        "nominal-l1",
-        "nominal-extended",
-        "buoyancy-extended",
-        "hold-force-step",
-        "hold-force-sine",
-        "hold-waves",
+        ("nominal-l1", 5e-3),
+        ("nominal-extended", 5e-3),
+        ("buoyancy-extended", 5e-3),
+        ("hold-force-step", 12e-3),
+        ("hold-force-sine", 12e-3),
     ],
 )
-def test_a_second_program_gives_the_figures_of_the_scenario(scenario_fmus: None, name: str) -> None:
+def test_a_second_program_gives_the_figures_of_the_scenario(
+    scenario_fmus: None, name: str, rel: float
+) -> None:
+    """rel: of a program that holds the measurement; at most what exchanging at steps makes of a force."""
     loaded = chosen(name)
     own, second = compare(loaded)
-    judged = {
-        name: call
-        for name, call in loaded.metrics.items()
-        if {call["signal"], call.get("reference")} <= {"plant.depth", "controller.depth_reference", None}
-    }
-    ours, theirs = metrics.evaluate(own, judged), metrics.evaluate(recording(second), judged)
+    held = sampled(case_of(loaded), loaded.experiment.step_size, LawStep.HELD)
+    ours = figures(loaded, own)
     assert len(ours) > 1
-    for metric, value in ours.items():
-        if metric in ("settling_time", "recovery_time"):
-            assert theirs[metric] == pytest.approx(value, abs=loaded.experiment.step_size * 1.001)
-        else:
-            assert theirs[metric] == pytest.approx(value, rel=5e-3), metric
+    for other, tolerance in ((second, 5e-4), (held, rel)):
+        for metric, theirs in figures(loaded, recording(other)).items():
+            if metric in ("settling_time", "recovery_time"):
+                assert theirs == pytest.approx(ours[metric], abs=0.05), metric
+            else:
+                assert theirs == pytest.approx(ours[metric], rel=tolerance, abs=1e-3), (
+                    metric
+                )  # of cm, s and %
 
 
 @pytest.mark.slow
@@ -101,23 +103,26 @@ def test_a_second_program_gives_the_figures_of_the_scenario(scenario_fmus: None,
 def test_the_figures_tend_to_those_of_the_continuous_system_with_first_order(
     scenario_fmus: None, name: str
 ) -> None:
-    """With a sensor that is ideal; of a program that holds the measurement too, which the FMU does not."""
-    errors: dict[str, list[float]] = {"fmus": [], "held": []}
-    case = case_of(chosen(name, **IDEAL))
-    times = np.arange(0.0, case.duration + 0.01, 0.02)
-    exact = rms(continuous(case, times), times)
-    for step in (0.02, 0.01):
-        loaded = chosen(name, step, **IDEAL)
-        own = simulate(loaded.system, loaded.experiment)
-        held = sampled(case, step, LawStep.HELD)
-        errors["fmus"].append(rms(own["plant.depth"], own.time) / exact - 1.0)
-        errors["held"].append(rms(held["depth"], held["time"]) / exact - 1.0)
-    for first, second in errors.values():
-        assert abs(first) < 0.03
-        # second-order terms are about the step times the loop's 4 rad/s = 8 %
-        assert math.log2(first / second) == pytest.approx(1.0, abs=0.15)
+    """With an ideal sensor, whose sampling would be part of the system."""
+    loaded = [chosen(name, step, **IDEAL) for step in (0.02, 0.01)]
+    own = [simulate(each.system, each.experiment) for each in loaded]
+    exact = deviation(continuous(case_of(loaded[0]), own[0].time), own[0].time)
+    errors = [deviation(run["plant.depth"], run.time) / exact - 1.0 for run in own]
+    assert 0.0 < errors[0] < 0.03
+    # second-order terms are about the step times the loop's 4 rad/s = 8 %
+    assert math.log2(errors[0] / errors[1]) == pytest.approx(1.0, abs=0.1)
 
 
-def rms(depth: np.ndarray, time: np.ndarray) -> float:
-    """Of the deviation from 1 m, from 60 s on [m]."""
+def figures(loaded: Scenario, run: Recording) -> dict[str, float]:
+    """Those of the scenario's metrics that follow from depth and reference."""
+    both = {"plant.depth", "controller.depth_reference"}
+    calls = loaded.metrics.items()
+    judged = {
+        name: call for name, call in calls if {call["signal"], call.get("reference", "")} <= {*both, ""}
+    }
+    return metrics.evaluate(run, judged)
+
+
+def deviation(depth: np.ndarray, time: np.ndarray) -> float:
+    """Root of the mean squared deviation from 1 m, from 60 s on [m]."""
     return float(np.sqrt(np.mean((depth[time >= 60.0 - 1e-9] - 1.0) ** 2)))
