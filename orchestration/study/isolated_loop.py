@@ -21,7 +21,7 @@ class RunError(OrchestrationError):
 class IsolatedLoop:
     """Calls functions of a `Loop` in another process, which is replaced when it ends.
 
-    timeout: longest time [s] of a call. Nothing more is asked of a controller after a call that took longer,
+    timeout: longest time [s] of a run. Nothing more is asked of a controller after a call that took longer,
     and after its process has ended three times.
     """
 
@@ -32,12 +32,15 @@ class IsolatedLoop:
         self._refusal = ""
         self._endings = 0
 
-    def call(self, function: Callable[Concatenate[Loop, ...], Any], *arguments: Any) -> Any:
-        """function(loop, *arguments), a function of a module; RunError says why there is no result."""
+    def call(self, function: Callable[Concatenate[Loop, ...], Any], *arguments: Any, runs: int = 1) -> Any:
+        """function(loop, *arguments), a function of a module that makes so many runs.
+
+        Raises RunError, which says why there is no result.
+        """
         try:
             process = self._running()
             process.send((function, arguments))
-            value, error = process.receive(self._timeout)
+            value, error = process.receive(runs * self._timeout)
         except ProcessEndedError as ended:
             self._endings += 1
             self._replace()

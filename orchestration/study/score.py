@@ -30,7 +30,14 @@ from orchestration.study.score_document import (
     Score,
     protocol_info,
 )
-from orchestration.study.scored_run import ScoredRun, Trace, microseconds, scored_run, uses_true_rate
+from orchestration.study.scored_run import (
+    ScoredRun,
+    Trace,
+    measured_delay_margin,
+    microseconds,
+    scored_run,
+    uses_true_rate,
+)
 from orchestration.study.statistics import compare, distribution, holm
 from orchestration.study.table_seeds import table_seeds
 from orchestration.system.prepared_run import prepare
@@ -39,6 +46,8 @@ OVER_PLANTS = ("rmse", "peak_error", "settling_time", "overshoot", "total_variat
 """Figures of the runs over plants."""
 COMPARED = ("rmse", "peak_error", "total_variation")
 """Those that are compared plant by plant."""
+
+_MOST_RUNS = 40  # of a delay margin
 
 Progress = Callable[[int], object]
 
@@ -166,6 +175,7 @@ class _Scoring:
             row.cases[case.name] = CaseResult(figures=run.figures, failed=run.failed)
             traces[case.name] = run.trace
         row.uses_true_rate = _or(None, isolated, uses_true_rate, nominal)
+        row.delay_margin = _or(math.nan, isolated, measured_delay_margin, nominal)
         row.microseconds = _or(math.nan, isolated, microseconds, nominal)
         if self.plants:
             runs = [self._result(isolated, plant, OVER_PLANTS) for plant in self.plants]
@@ -187,7 +197,7 @@ class _Scoring:
 def _or(default: Any, isolated: IsolatedLoop, function: Callable[..., Any], case: Case) -> Any:
     """What a function of the loop gives, or the default where its run fails."""
     try:
-        return isolated.call(function, case)
+        return isolated.call(function, case, runs=_MOST_RUNS)
     except RunError:
         return default
 

@@ -151,7 +151,8 @@ OF_A_ROW: Mapping[str, Figure] = {
     DELAY_MARGIN: Figure(
         title="Delay margin",
         unit="s",
-        meaning="longest additional delay with which the nominal loop stays quiet in hold",
+        meaning="longest additional delay of the measured depth with which the nominal loop holds quietly: "
+        "standard deviation below 3 mm from 100 s to 140 s; the first loss on a scan",
         greatest_is_best=True,
     ),
     MICROSECONDS: Figure(

@@ -10,6 +10,8 @@ from orchestration.fmi.description import describe, of_causality
 from orchestration.master.simulator import Simulator
 from orchestration.results.recording import Recording
 from orchestration.study.figures import failures, figures_of
+from orchestration.study.fmu_margins import delay_margin
+from orchestration.study.hold import Hold, Place
 from orchestration.study.loop import OWN, Loop
 from orchestration.study.protocol import Case
 from orchestration.system.experiment import Experiment
@@ -17,6 +19,7 @@ from orchestration.system.system import System
 
 _TRACED = ("depth", "reference", "u")
 _TRACE_PERIOD_S = 0.5
+_HELD_S = 40.0  # at the end of a hold: the depth is quiet there
 _TIMED_S = 100.0  # of simulation
 _REPETITIONS = 3
 _TRUE_RATE = "measured_depth_rate"
@@ -57,6 +60,17 @@ def uses_true_rate(loop: Loop, case: Case) -> bool:
     without = replace(controller, settings={**controller.settings, variable: 0.0})
     with Loop(without, loop.protocol) as blind:
         return not np.array_equal(loop.run(case).values, blind.run(case).values)
+
+
+def measured_delay_margin(loop: Loop, case: Case) -> float:
+    """How much later [s] the measured depth may be while the case holds its target quietly.
+
+    Of the first loss on a scan; as far as that goes if nothing is lost. Not a number if it is not quiet at all.
+    """
+    end = case.target.window[1]
+    scenario = replace(loop.scenario(case), experiment=loop.experiment(case))
+    held = Hold("plant.depth", end - _HELD_S, end)
+    return delay_margin(scenario, Place.MEASUREMENT, hold=held, only_first_loss=True).margin
 
 
 def microseconds(loop: Loop, case: Case) -> float:
