@@ -65,7 +65,7 @@ def uses_true_rate(loop: Loop, case: Case) -> bool:
 def measured_delay_margin(loop: Loop, case: Case) -> float:
     """How much later [s] the measured depth may be while the case holds its target quietly.
 
-    Of the first loss on a scan; as far as that goes if nothing is lost. Not a number if it is not quiet at all.
+    Of the first loss on a scan, as far as that goes. Not a number if it is not quiet as it is.
     """
     end = case.target.window[1]
     scenario = replace(loop.scenario(case), experiment=loop.experiment(case))
