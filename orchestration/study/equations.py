@@ -11,9 +11,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.linalg import eigvals
 
-_INFINITE = 1e7  # rad/s; a pole beyond it belongs to an algebraic equation
+_INFINITE = 1e6  # 1/s; a pole beyond it belongs to an algebraic equation
+_SHIFT = 0.7320508  # 1/s; any number that is no pole
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,6 @@ class LinearLoop:
         e, a, b = self.matrices
         a = a.copy()
         a[:, self.signals.index(self.target)] += b if closed else 0.0
-        pairs: Any = eigvals(a, e, homogeneous_eigvals=True)
-        numerators, denominators = pairs
-        is_finite = np.abs(numerators) < _INFINITE * np.abs(denominators)
-        return numerators[is_finite] / denominators[is_finite]
+        # 1 / (pole - shift); of an algebraic equation 0, but for rounding
+        inverses = np.linalg.eigvals(np.linalg.solve(a - _SHIFT * e, e))
+        return _SHIFT + 1.0 / inverses[np.abs(inverses) > 1.0 / _INFINITE]
