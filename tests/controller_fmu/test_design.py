@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import signal
 
 from controller_fmu import design
 from controller_fmu.l1 import depth_controller, matrices
@@ -87,3 +88,80 @@ def test_the_shipped_vehicle_design_satisfies_the_l1_norm_condition() -> None:
     a_m, b = np.array(calculated.predictor_matrix), np.array(calculated.predictor_input)
     lipschitz = design.lipschitz_constant(p.regressor, p.theta_bound)
     assert design.l1_condition(a_m, b, p.filter_order, p.filter_bandwidth, lipschitz) < 1.0
+
+
+# With the extension
+
+
+EXTENDED = design.Extension((1.0, 0.0), 3.967, 0.00499)
+
+
+@pytest.mark.parametrize("order", list(FilterOrder))
+@pytest.mark.parametrize("omega", [0.7, 1.3])
+def test_g_with_the_extension_is_the_transfer_function_it_says(order: FilterOrder, omega: float) -> None:
+    s, w, k_p, k_i = 0.7j, 5.0, 3.0, 0.4
+    system = design.uncompensated(A_M, B, order, w, design.Extension((1.0, 0.0), k_p, k_i), omega)
+    g = system.c @ np.linalg.solve(s * np.eye(len(system.a)) - system.a, system.b)
+    k_d = w / s if order == FilterOrder.FIRST else (3.0 * w**2 * s + w**3) / (s**2 * (s + 3.0 * w))
+    c_omega = omega * k_d / (1.0 + omega * k_d)
+    closed = s * np.eye(2) - A_M + omega * (k_p + k_i / s) * np.outer(B, C)
+    np.testing.assert_allclose(g, np.linalg.solve(closed, B.reshape(-1, 1)) * (c_omega - 1.0), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("k_p", "k_i", "omega"), [(0.0, 0.0, 1.0), (3.0, 0.0, 1.0), (100.0, 0.0, 1.3), (3.0, 0.5, 0.7)]
+)
+def test_the_norm_with_the_extension_is_that_of_scipys_impulse_response(
+    k_p: float, k_i: float, omega: float
+) -> None:
+    """G by hand as transfer functions, its impulse response by partial fractions, a quadrature of their sum.
+
+    det(s I - A_x) = s^2 + 1.4 s + 1 + omega K(s); C_omega - 1 = -s / (s + omega w).
+    """
+    w = 20.0
+    found = design.l1_norm(
+        design.uncompensated(A_M, B, FilterOrder.FIRST, w, design.Extension((1.0, 0.0), k_p, k_i), omega)
+    )
+    integral = [1.0, 0.0] if k_i else [1.0]
+    closed = np.polyadd(np.polymul([1.0, 1.4, 1.0 + omega * k_p], integral), [omega * k_i])
+    denominator = np.polymul(closed, [1.0, omega * w])
+    norms = []
+    for row in ([1.0], [1.0, 0.0]):  # x_1, and x_2 = s x_1
+        residues, poles, _ = signal.residue(np.polymul(np.polymul(row, integral), [-1.0, 0.0]), denominator)
+        t = np.linspace(0.0, 40.0 / -poles.real.max(), 400_001)
+        response = sum(
+            (residue * np.exp(pole * t)).real for residue, pole in zip(residues, poles, strict=True)
+        )
+        norms.append(np.trapezoid(np.abs(response), t))
+    assert found == pytest.approx(max(norms), rel=2e-4)  # both rules are of second order
+
+
+def test_the_condition_takes_the_worst_input_gain_of_the_box() -> None:
+    values = [
+        design.l1_condition(A_M, B, FilterOrder.FIRST, 60.0, 20.0, EXTENDED, [omega])
+        for omega in (0.7, 1.0, 1.3)
+    ]
+    box = design.l1_condition(A_M, B, FilterOrder.FIRST, 60.0, 20.0, EXTENDED, [0.7, 1.0, 1.3])
+    assert box == max(values) > min(values)
+
+
+def test_the_largest_proportional_gain_is_on_the_edge_of_the_condition() -> None:
+    common = A_M, B, FilterOrder.FIRST, 160.0, 20.0
+    largest = design.largest_proportional_gain(*common, design.Extension((1.0, 0.0)))
+    below, above = (
+        design.l1_condition(*common, design.Extension((1.0, 0.0), factor * largest))
+        for factor in (0.99, 1.01)
+    )
+    assert below < 1.0 < above
+    assert np.isnan(
+        design.largest_proportional_gain(A_M, B, FilterOrder.FIRST, 10.0, 20.0, EXTENDED)
+    )  # not held without
+
+
+def test_the_extension_of_the_vehicle_lets_a_smaller_bandwidth_do() -> None:
+    a_m, b = np.array([[0.0, 1.0], [-1.895 / 5.5, -22.73 / 5.5]]), np.array([0.0, 1.0 / 5.5])
+    without = design.smallest_bandwidth(a_m, b, FilterOrder.FIRST, 5.0)
+    extended = design.smallest_bandwidth(a_m, b, FilterOrder.FIRST, 5.0, extension=EXTENDED)
+    assert extended < without
+    assert design.l1_condition(a_m, b, FilterOrder.FIRST, 1.01 * extended, 5.0, EXTENDED) < 1.0
+    assert design.l1_condition(a_m, b, FilterOrder.FIRST, 0.99 * extended, 5.0, EXTENDED) > 1.0
