@@ -1,6 +1,7 @@
 """Disturbed vehicles against SciPy and against frequency responses in closed form."""
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,13 +10,16 @@ from scipy.integrate import solve_ivp
 
 from fmus.registry import Flavour, fmu_path
 from orchestration.master import simulate
+from orchestration.results import metrics
 from orchestration.results.recording import Recording
+from orchestration.scenarios import scenario
 from orchestration.system.experiment import Experiment
 from orchestration.system.open_inputs import OpenInputs
 from orchestration.system.signal_sines import sine
 from orchestration.system.signals import Signal
 from orchestration.system.system import System
 
+PAGE = Path(__file__).parents[2] / "docs" / "explanation" / "disturbances.md"
 OMEGA = 2.0 * math.pi * 0.2  # rad/s
 DEEP: dict[str, Any] = {
     "plant.initial_depth": 5.0,
@@ -24,6 +28,28 @@ DEEP: dict[str, Any] = {
     "plant.thruster_ideal": True,
     "plant.sensor_ideal": True,
 }
+
+
+def rows() -> dict[str, list[str]]:
+    """Scenario -> the cells of its row in the page's table of figures."""
+    lines = [line.strip("| \n").split("|") for line in PAGE.read_text(encoding="utf-8").splitlines()]
+    return {
+        cells[0].strip(" `"): cells[1:] for cells in lines if cells[0].startswith("`hold-") and len(cells) > 4
+    }
+
+
+@pytest.mark.parametrize("name", [name for name in scenario.shipped() if name.startswith("hold-")])
+@pytest.mark.parametrize(("augmentation", "first"), [("pi", 0), ("none", 3)])
+def test_the_page_shows_the_figures_of_the_scenarios(
+    scenario_fmus: None, name: str, augmentation: str, first: int
+) -> None:
+    loaded = scenario.load(scenario.find(name), settings={"controller.augmentation": augmentation})
+    found = metrics.evaluate(simulate(loaded.system, loaded.experiment), loaded.metrics)
+    shown = rows()[name][first : first + 3]
+    for metric, cell in zip(("rmse", "peak_error", "recovery_time"), shown, strict=False):
+        assert (metric in found) == bool(cell.strip())
+        if metric in found:
+            assert float(cell) == pytest.approx(found[metric], rel=6e-3), metric  # three digits
 
 
 def disturbed(
