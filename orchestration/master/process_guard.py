@@ -4,8 +4,9 @@ After each call of an FMU the floating-point mode (rounding, denormals) is that 
 loaded and after each batch of steps, working directory, locale and handlers of signals are compared and put
 back; a run whose FMU has closed files of this process ends, since nobody knows which. In a run that the
 caller leads step by step, they are compared around one step in a millisecond, and after the first change
-around each: what changes outside of these steps may be the caller's own doing, and stays. `exit` has status
-70 at once; for `_exit` see `fmus/watched.py`. FMUs in a process of their own (`timeout`) need none of this.
+around each. What changes between two such steps may be the caller's own doing, and stays; where other steps
+were in between, a warning names it. `exit` has status 70 at once; for `_exit` see `fmus/watched.py`. FMUs in
+a process of their own (`timeout`) need none of this.
 """
 
 import atexit
@@ -56,8 +57,8 @@ class ProcessGuard:
                 runs[self._row] = report.ctypes.data, np.frombuffer(texts, np.uint8).ctypes.data
         watched.share_names(names)
         self.restore_float_mode = self._library.guard_restore_float_mode if self._library else lambda: 0
-        self._null = os.open(os.devnull, os.O_RDONLY)  # closed by an FMU that closes all files
-        self._files = {number: _identity(number) for number in (1, 2, self._null)}
+        self._own = _own_descriptor()  # closed by an FMU that closes all files
+        self._files = {number: _identity(number) for number in (1, 2, self._own)}
         self.note_surroundings()
         self.note_handlers()
 
@@ -66,6 +67,13 @@ class ProcessGuard:
         self._folder, self._locale = _working_directory(), locale.setlocale(locale.LC_ALL)
         for number in (1, 2):
             self._files[number] = _identity(number) or self._files[number]  # no caller closes them for good
+
+    def changed_surroundings(self) -> list[str]:
+        """What differs from what was noted."""
+        changed = ["the locale"] if locale.setlocale(locale.LC_ALL) != self._locale else []
+        changed += ["the working directory"] if _working_directory() != self._folder else []
+        is_output_changed = any(_identity(n) not in (None, self._files[n]) for n in (1, 2))
+        return changed + (["the output"] if is_output_changed else [])
 
     def note_handlers(self) -> None:
         """Note the present handlers of signals as those to put back."""
@@ -114,9 +122,9 @@ class ProcessGuard:
                 _runs()[self._row] = 0
                 del _texts[self._row]
                 self._row = -1
-        null = self._files.pop(self._null, None)
-        if null and _identity(self._null) == null:
-            os.close(self._null)
+        own = self._files.pop(self._own, None)
+        if own and _identity(self._own) == own:
+            os.close(self._own)
 
 
 def new_report() -> np.ndarray:
@@ -146,6 +154,13 @@ def _runs() -> np.ndarray:
     runs = np.ctypeslib.as_array(guard.guard_runs(), (_MOST_RUNS, 2))
     atexit.register(runs.fill, 0)  # from then on the process ends by itself
     return runs
+
+
+def _own_descriptor() -> int:
+    """An open file like no other: should an FMU close it, its number may become that of somebody else's."""
+    own, other_end = os.pipe()
+    os.close(other_end)
+    return own
 
 
 def _identity(descriptor: int) -> tuple[int, int] | None:

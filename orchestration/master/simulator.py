@@ -81,9 +81,16 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
             self._must_reload = False
             return recording
 
-    def _start_stepped(self, experiment: Experiment, external: tuple[str, ...]) -> SteppedRun:
+    def start(self, experiment: Experiment, external: Sequence[str] = ()) -> None:
+        """Initialise the system for an experiment, at its start time, to be led step by step.
+
+        external: inputs that the caller sets between the steps, beginning with their value in
+        `experiment.inputs`, or the FMU's start value. They are held over a step, and recorded.
+
+        Raises what `run` raises.
+        """
         with self._begin_run():
-            wired, groups, guard = self._prepare_run(experiment, external)
+            wired, groups, guard = self._prepare_run(experiment, tuple(external))
             run = SteppedRun(wired, self._loop(wired.wiring), guard)
             try:
                 with deferred_interrupt():
@@ -92,7 +99,7 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
                 run.free()
                 raise SimulationError(reason_of(error), run.recording()) from error
             self._must_reload = False
-            return run
+            self._stepped = run
 
     @contextmanager
     def _begin_run(self) -> Iterator[None]:

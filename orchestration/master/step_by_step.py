@@ -1,20 +1,19 @@
 """Runs that are led step by step: the methods of `Simulator` for loops of the caller's own."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from orchestration.errors import OrchestrationError
 from orchestration.master.saved_state import SavedState
-from orchestration.master.stepped_run import Reader, SteppedRun, Writer
+from orchestration.master.stepped_run import SteppedRun
+from orchestration.master.variable_access import Reader, Writer
 from orchestration.results.recording import Recording
-from orchestration.system.experiment import Experiment
 from orchestration.system.values import Value
 
 
 class StepByStep:
-    """One run at a time, from `start` to the next `start` or `run`, or to `close`.
+    """One run at a time, from `Simulator.start` to the next `start` or `run`, or to `close`.
 
         simulator.start(Experiment(10.0, 0.01), external=["plant.force"])
         while not simulator.is_done:
@@ -26,19 +25,6 @@ class StepByStep:
     """
 
     _stepped: SteppedRun | None = None
-
-    def start(self, experiment: Experiment, external: Sequence[str] = ()) -> None:
-        """Initialise the system for an experiment, at its start time.
-
-        external: inputs that the caller sets between the steps, beginning with their value in
-        `experiment.inputs`, or the FMU's start value. They are held over a step, and recorded.
-
-        Raises what `run` raises.
-        """
-        self._stepped = self._start_stepped(experiment, tuple(external))
-
-    def _start_stepped(self, experiment: Experiment, external: tuple[str, ...]) -> SteppedRun:
-        raise NotImplementedError
 
     def _started(self) -> SteppedRun:
         if self._stepped is None:
@@ -85,7 +71,7 @@ class StepByStep:
 
     def get(self, name: str) -> Any:
         """The value of "component.variable" at the present communication point."""
-        return self._started().get(name)
+        return self._started().variables.get(name)
 
     def set(self, name: str, value: Value) -> None:
         """Set "component.variable", from the present communication point on.
@@ -94,18 +80,18 @@ class StepByStep:
         the latter two are recorded if `record` names them. Raises SystemDefinitionError for another variable,
         and for a value of another type or outside the declared range.
         """
-        self._started().set(name, value)
+        self._started().variables.set(name, value)
 
     def reader(self, *names: str) -> Reader:
         """A function that returns the present number of one variable, or a tuple of several: a quick `get`.
 
         It serves this run alone. Booleans are 0.0 and 1.0, as in a recording.
         """
-        return self._started().reader(*names)
+        return self._started().variables.reader(*names)
 
     def writer(self, *names: str) -> Writer:
         """A function that sets one variable, or several in this order: a quick `set`, for this run alone."""
-        return self._started().writer(*names)
+        return self._started().variables.writer(*names)
 
     def save(self) -> SavedState:
         """The whole system at the present communication point: every FMU, the connections, and the record.

@@ -223,11 +223,11 @@ class RunInProgress:
     def _change_and_wait(self, pacing: Pacing | None) -> None:
         """Make the scheduled changes of the present communication point; in real time, wait for it."""
         for port, value in self.prepared.changes.get(self.position, ()):
-            self._set_in_fmu(port, value)
+            self.set_in_fmu(port, value)
         if pacing:
             pacing.wait(float(self.wiring.points[self.position]), self._check_interrupt)
 
-    def _set_in_fmu(self, port: Port, value: FmiValue) -> None:
+    def set_in_fmu(self, port: Port, value: FmiValue) -> None:
         """Set a parameter or an input that nothing drives; it is recorded from the present point on."""
         instance = self.instances[port.component]
         instance.time = float(self.wiring.points[self.position])

@@ -13,8 +13,10 @@ import fmpy
 import numpy as np
 import pytest
 
-from orchestration.errors import FmuWarning
+from orchestration.errors import FmuWarning, OrchestrationError
 from orchestration.master import simulate
+from orchestration.master.loop_data import Report
+from orchestration.master.process_guard import ProcessGuard
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
@@ -126,6 +128,36 @@ for misdeed in ({int(Misdeed.CLOSE_OUTPUT)}, {int(Misdeed.CLOSE_FILES)}):
     for line in lines:
         assert line.startswith("bad closed files of this process: expected its own ones alone")
         assert line.endswith(" True")  # what was recorded until then is there
+
+
+def test_a_guard_whose_file_an_fmu_has_closed_closes_no_file_of_another_guard() -> None:
+    """Whose file has the number that became free."""
+    before = _descriptors()
+    first = ProcessGuard(["one"], np.zeros(len(Report), np.int64))
+    (closed,) = _descriptors() - before
+    os.close(closed)
+    second = ProcessGuard(["two"], np.zeros(len(Report), np.int64))
+    assert _descriptors() == before | {closed}
+    with pytest.raises(OrchestrationError, match="one closed files of this process"):
+        first.restore("one")
+    first.close()
+    second.restore("two")
+    second.close()
+    assert _descriptors() == before
+
+
+def _descriptors() -> set[int]:
+    """The numbers of this process's open files."""
+    numbers = range(512)
+    return {number for number in numbers if _is_open(number)}
+
+
+def _is_open(number: int) -> bool:
+    try:
+        os.fstat(number)
+    except OSError:
+        return False
+    return True
 
 
 def test_a_rounding_mode_does_not_reach_other_fmus(linear: Build, rogue: Build) -> None:
