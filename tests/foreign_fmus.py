@@ -106,6 +106,7 @@ def linear(
     d: Sequence[Sequence[float]] = ((0.0,),),
     initial_state: float = 1.0,
     passes_discrete: bool = False,
+    refuses_boolean_from: float = 1e300,
     nominal: float | None = None,
     declares_dependencies: bool = True,
     **capabilities: Any,
@@ -113,6 +114,7 @@ def linear(
     """x' = a x + b u, y = c x + d u: parameters `a` (tunable) and `initial_state`, inputs u[j], outputs y[i].
 
     passes_discrete: the outputs integer_out and boolean_out are the inputs integer_in and boolean_in.
+    refuses_boolean_from: time [s] from which on boolean_in is discarded in a step.
     nominal: of inputs and outputs.
     declares_dependencies: whether the model description tells which outputs follow which inputs.
     """
@@ -147,6 +149,7 @@ def linear(
         "N_U": str(len(b)),
         "N_Y": str(len(c)),
         "N_DISCRETE": str(int(passes_discrete)),
+        "REFUSES_BOOLEAN_FROM": repr(refuses_boolean_from),
         "B_VALUES": _array(b or (0.0,)),
         "C_VALUES": _array(c),
         "D_VALUES": "{" + ", ".join(_array(row or (0.0,)) for row in d) + "}",

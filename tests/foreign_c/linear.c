@@ -4,7 +4,7 @@
  *     x(t + h) = exp(a h) x + h phi_1(a h) b u + h^2 phi_2(a h) b u'
  *     phi_1(z) = (exp(z) - 1) / z,  phi_2(z) = (exp(z) - 1 - z) / z^2
  * The outputs are those at the end of the step, with the inputs that the step ends with.
- * With N_DISCRETE = 1, an Integer and a Boolean are passed through as well.
+ * With N_DISCRETE = 1, an Integer and a Boolean are passed through as well; the Boolean until REFUSES_BOOLEAN_FROM.
  */
 
 #include "config.h"
@@ -21,7 +21,24 @@ enum {
     N_VARIABLES = BOOLEAN_OUT + N_DISCRETE
 };
 
+#define MODEL_REFUSES
 #include "slave.h"
+
+static fmi2Status model_accepts(Slave *s, fmi2ValueReference reference) {
+    const int is_boolean = N_DISCRETE && reference == BOOLEAN_IN && s->data.mode == STEPPING;
+    return is_boolean && s->data.time >= REFUSES_BOOLEAN_FROM ? refuse(s, fmi2Discard, "no Boolean is taken any more")
+                                                              : fmi2OK;
+}
+
+static fmi2Status model_saves(Slave *s) {
+    (void)s;
+    return fmi2OK;
+}
+
+static fmi2Status model_tells_time(Slave *s) {
+    (void)s;
+    return fmi2OK;
+}
 
 static const double B[] = B_VALUES, C[] = C_VALUES, D[][N_U ? N_U : 1] = D_VALUES;
 

@@ -235,6 +235,11 @@ def test_a_loop_whose_every_value_is_discarded_says_so(function: Build) -> None:
         OrchestrationError, match=r"no solution .* was discarded: f at t = 0 s: .*has no value"
     ):
         settled({"f": path}, (("f.y", "f.u"),))
+    with pytest.raises(
+        OrchestrationError,
+        match=r"\(Newton's method ends .*, and a value was discarded: f at t = 0 s: .*has no",
+    ):
+        settled({"f": path}, (("f.y", "f.u"),), NEWTON)
 
 
 def test_an_output_that_is_no_number_is_not_passed_on(linear: Build) -> None:
@@ -283,6 +288,18 @@ def test_integers_and_booleans_settle_by_exchange_alone(linear: Build) -> None:
     )
     with pytest.raises(OrchestrationError, match="Newton's method needs variables of type Real"):
         settled({"a": through, "b": through}, connections, NEWTON, a=0.0, b=0.0)
+
+
+def test_newtons_method_takes_no_loop_in_which_one_variable_is_no_real(linear: Build) -> None:
+    """Integers and Reals are one loop, as no output declares what it follows."""
+    through = linear(passes_discrete=True, declares_dependencies=False, d=((0.5,),))
+    connections = tuple(
+        (f"{s}.{name}_out" if name else f"{s}.y[1]", f"{t}.{name}_in" if name else f"{t}.u[1]")
+        for s, t in ("ab", "ba")
+        for name in ("", "integer", "boolean")
+    )
+    with pytest.raises(OrchestrationError, match="Newton's method needs variables of type Real"):
+        settled({"a": through, "b": through}, connections, NEWTON)
 
 
 def test_the_experiment_chooses_the_method(linear: Build) -> None:

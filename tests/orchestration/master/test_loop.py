@@ -125,3 +125,23 @@ def test_both_loops_fail_alike(rogue: Build, linear: Build, misdeed: Misdeed) ->
     assert str(fast) == str(slow)
     assert np.array_equal(fast.recording.values, slow.recording.values, equal_nan=True)
     assert 5 <= len(fast.recording.time) <= 7
+
+
+def test_both_loops_name_the_function_of_a_call_that_fails(linear: Build) -> None:
+    """Not the first one of its kind, which sets the Reals."""
+    refusing = linear(passes_discrete=True, refuses_boolean_from=0.45)
+    system = System(
+        {"source": linear(passes_discrete=True), "refusing": refusing},
+        [
+            (f"source.{name}", f"refusing.{target}")
+            for name, target in (
+                ("y[1]", "u[1]"),
+                ("integer_out", "integer_in"),
+                ("boolean_out", "boolean_in"),
+            )
+        ],
+    )
+    inputs = {"source.u[1]": 1.0, "source.integer_in": 3, "source.boolean_in": True}
+    fast, slow = both(system, Experiment(1.0, 0.1, inputs=inputs))
+    assert str(fast) == str(slow)
+    assert "refusing at t = 0.5 s: fmi2SetBoolean returned discard: no Boolean is taken any more" in str(fast)
