@@ -10,6 +10,11 @@ from filelock import FileLock
 
 Build = Callable[..., Path]
 
+LIKE_ANOTHER = (
+    "AdrcDepthController", "PidDepthController", "SlidingModeDepthController", "SuperTwistingDepthController",
+)  # fmt: skip
+"""Blocks on the interface of MracDepthController, by whose FMU they are tested at every run."""
+
 
 def session_folder(factory: pytest.TempPathFactory, name: str) -> Path:
     """A folder of the session that all of its processes share."""
