@@ -12,6 +12,7 @@ import pytest
 
 from controller_fmu.l1 import law as l1
 from controller_fmu.l1 import siso_controller
+from controller_fmu.l1.feedforward import ReferenceFeedforward, reference_feedforward
 from orchestration.master import simulate
 from orchestration.results import metrics
 from orchestration.scenarios import scenario
@@ -101,9 +102,25 @@ MISTAKES = {
 def test_either_wiring_mistake_gives_plain_l1_back(mistake: str, tmp_path: Path) -> None:
     """The low-pass filter then cancels the extension silently: lag 1.402 s, RMSE 19.79."""
     wrong = _law_with(MISTAKES[mistake], tmp_path)
-    lag, rmse = _extended_example(wrong)
+    lag, rmse = _extended_example(wrong, ReferenceFeedforward.NONE)
     assert lag == pytest.approx(1.402, rel=0.02)
     assert rmse == pytest.approx(19.79, rel=0.02)
+
+
+MISTAKES_WITH_FEEDFORWARD = {
+    "the predictor does not receive u_f": [("Held(h, delivered, ", "Held(h, delivered - u.u_f, ")],
+    "eta_hat holds u_f as well": [("drive = known - ", "drive = known + omega * u.u_f - ")],
+}
+
+
+@pytest.mark.parametrize("mistake", list(MISTAKES_WITH_FEEDFORWARD))
+def test_either_wiring_mistake_leaves_what_the_extension_alone_makes_of_it(
+    mistake: str, tmp_path: Path
+) -> None:
+    """The filter then cancels f, and the reference reaches the loop through e alone."""
+    outside = ReferenceFeedforward.OUTSIDE
+    _, rmse = _extended_example(_law_with(MISTAKES_WITH_FEEDFORWARD[mistake], tmp_path), outside)
+    assert rmse > 30.0  # of an amplitude of 100; 0.02 with the right wiring
 
 
 def _law_with(changes: list[tuple[str, str]], folder: Path) -> ModuleType:
@@ -122,18 +139,21 @@ def _law_with(changes: list[tuple[str, str]], folder: Path) -> ModuleType:
     return module
 
 
-def _extended_example(law: ModuleType) -> tuple[float, float]:
+def _extended_example(law: ModuleType, feedforward: ReferenceFeedforward) -> tuple[float, float]:
     """Lag and RMSE over the last two of three periods, the blocks stepped directly as Jacobi would."""
     h, duration = 5e-3, 3.0 * PERIOD
-    p = siso_controller.Parameters(augmentation=siso_controller.l1.Augmentation.NONLINEAR_P)
+    p = siso_controller.Parameters(
+        augmentation=siso_controller.l1.Augmentation.NONLINEAR_P, reference_feedforward=feedforward
+    )
     matrices = siso_controller.calculate(p)
     plant = example_plant.Parameters()
     x, state, count = (0.0, 0.0), law.LawState(), round(duration / h)
     time, outputs = np.arange(count) * h, np.empty(count)
     for i, r in enumerate((100.0 * np.cos(0.2 * time)).tolist()):
+        f = reference_feedforward(r, -20.0 * math.sin(0.2 * i * h), -0.04 * r, matrices)
         outputs[i] = x[0]
         u = law.control(state, p.feedback_gain, p)
-        now = law.Measurement(x, x[0], r)
+        now = law.Measurement(x, x[0], r, f)
         inputs = example_plant.Inputs(control=u.total)
         x = example_plant.step(i * h, h, example_plant.State(x), inputs, plant, None).x  # type: ignore[arg-type]
         state = law.law_step(h, state, now, u, u.total, 0.0, p.feedback_gain, p, matrices)
