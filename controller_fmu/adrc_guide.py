@@ -4,6 +4,7 @@ from controller_fmu.depth_interface_guide import (
     ALLOCATION,
     CONVENTIONS,
     EXPERIMENT,
+    HELD_CONTROL,
     LAGS,
     REFERENCE_RATES,
     TRIED_ON,
@@ -32,6 +33,7 @@ GUIDE = Guide(
         "A step is exact for a measurement that is held, so it is stable for any step and any w_o.",
         "The observer is driven by the force that the thrusters deliver: while they saturate, z_3 is still"
         " the disturbance, and nothing winds up.",
+        HELD_CONTROL,
         REFERENCE_RATES,
         LAGS,
         TRIED_ON,

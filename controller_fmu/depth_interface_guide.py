@@ -31,6 +31,10 @@ LAGS = (
     " the held control delay the loop by about 0.2 s with the start values: gains that make it several times"
     " as fast let it oscillate."
 )
+HELD_CONTROL = (
+    "The controller is told what its own voltages deliver, held from one communication point to the next:"
+    " internal_step should not be shorter than a communication step."
+)
 TRIED_ON = (
     "The gains follow from the vehicle of RovDepthPlant, whose inertia and damping are an estimate and a"
     " guess, and were tried on that plant alone."

@@ -3,6 +3,7 @@
 from controller_fmu.depth_interface_guide import (
     CONVENTIONS,
     EXPERIMENT,
+    HELD_CONTROL,
     LAGS,
     OBSERVER_AND_ALLOCATION,
     OBSERVER_SOURCE,
@@ -38,6 +39,7 @@ GUIDE = Guide(
         "There is no low-pass filter between estimates and control: Gamma trades robustness for speed.",
         "While the thrusters saturate, the reference model is driven by what they deliver, so the estimates"
         " do not learn it.",
+        HELD_CONTROL,
         REFERENCE_RATES,
         LAGS,
         TRIED_ON,

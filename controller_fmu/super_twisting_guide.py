@@ -24,8 +24,9 @@ GUIDE = Guide(
     conventions=CONVENTIONS,
     tuning=(
         "For disturbances that change by L at most, in N/s: root_gain 1.5 sqrt(L M), twisting_gain 1.1 L.",
-        "A loop that is late by T oscillates within |s| of about (k_2 T / k_1)^2, whatever smoothing is:"
-        " smaller gains make it quieter, and slower against disturbances.",
+        "Estimate: a loop that is late by T s oscillates where |s| is below about (k_2 T / k_1)^2, as there"
+        " the damping by k_1 is less than the delay takes. Smaller gains make it quieter, and slower against"
+        " disturbances.",
         "smoothing: of the order of the noise of the depth rate.",
         OBSERVER_TUNING,
     ),

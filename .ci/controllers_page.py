@@ -1,0 +1,106 @@
+"""Prints docs/reference/controllers.md, the depth controllers with equations and gains, from the code."""
+
+from collections import Counter
+from collections.abc import Iterable
+
+from controller_fmu import adrc, mrac, pid, sliding_mode, super_twisting
+from fmus.block import Block, ScalarVariable
+
+_HEAD = """\
+# Depth controllers
+
+The blocks that take the place of `L1DepthController` on the
+[depth control interface](depth-control-interface.md), as in
+`l1-depth run nominal-extended --controller PidDepthController`.
+They share its observer, allocation, limit of the voltages and anti-windup, so that a comparison is one of
+laws. Its own law is in [theory](../explanation/theory.md). `python .ci/controllers_page.py` prints this page
+from the code, and a test compares both.
+
+z is the measured depth, positive down, v its rate, measured or observed, r the reference with its derivatives
+r' and r'' (0 where nothing drives these inputs), u the demanded force in N, positive down, M and D the
+inertia and the linear damping that a design assumes, sat the limit to -1 .. 1. An integrator holds where it
+would widen a saturation of the thrusters; an estimate is driven by the force that they deliver.
+
+The gains are start values with their derivation in the last column. They are not tuned."""
+
+_BLOCKS = (pid.BLOCK, mrac.BLOCK, sliding_mode.BLOCK, super_twisting.BLOCK, adrc.BLOCK)
+
+
+def page() -> str:
+    """The whole page."""
+    return "\n\n".join([_HEAD, *map(_section, _BLOCKS), _what_they_share()]) + "\n"
+
+
+def _section(block: Block) -> str:
+    """What the block has for itself."""
+    shared_names, shared_lines = _shared_names(), _shared_lines()
+    own = [v for v in block.of_causality("parameter") if v.name not in shared_names]
+    guide = block.guide
+    parts = (
+        f"## {block.name}",
+        f"{block.description}.",
+        _code(line for line in guide.equations.splitlines() if line not in shared_lines),
+        _parameters(own),
+        _list(line for line in (*guide.tuning, *guide.limits) if line not in shared_lines),
+        "Sources: " + " ".join(source.text for source in guide.sources if source.text not in shared_lines),
+    )
+    return "\n\n".join(parts)
+
+
+def _what_they_share() -> str:
+    """What stands in the guides of several, and parameters that L1DepthController has too."""
+    lines, names = _shared_lines(), _shared_names()
+    equations = [line for line in pid.BLOCK.guide.equations.splitlines() if line in lines]
+    sentences = [
+        line
+        for line in dict.fromkeys(s for b in _BLOCKS for s in (*b.guide.tuning, *b.guide.limits))
+        if line in lines
+    ]
+    variables = {v.name: v for block in _BLOCKS for v in block.of_causality("parameter") if v.name in names}
+    text = "Of several of these blocks; `L1DepthController` has all of these parameters too."
+    table = _parameters(variables.values())
+    return "\n\n".join(("## What they share", text, _code(equations), table, _list(sentences)))
+
+
+def _shared_lines() -> set[str]:
+    return _several(
+        [
+            *b.guide.equations.splitlines(),
+            *b.guide.tuning,
+            *b.guide.limits,
+            *(s.text for s in b.guide.sources),
+        ]
+        for b in _BLOCKS
+    )
+
+
+def _shared_names() -> set[str]:
+    """Of several blocks, but for error_bandwidth, which is a gain of both sliding modes."""
+    names = _several([v.name for v in block.of_causality("parameter")] for block in _BLOCKS)
+    return names - {"error_bandwidth"}
+
+
+def _several(groups: Iterable[list[str]]) -> set[str]:
+    counts = Counter(text for group in groups for text in set(group))
+    return {text for text, count in counts.items() if count > 1}
+
+
+def _code(lines: Iterable[str]) -> str:
+    return "\n".join(["```text", *lines, "```"])
+
+
+def _parameters(variables: Iterable[ScalarVariable]) -> str:
+    rows = [("parameter", "start", "unit", "meaning", "source"), ("---",) * 5]
+    for v in variables:
+        unit = "" if v.unit in (None, "1") else v.unit
+        start = v.enumeration(v.start).name.lower() if v.enumeration else repr(v.start)
+        rows.append((f"`{v.name}`", start, unit, v.description, v.source))
+    return "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |" for row in rows)
+
+
+def _list(sentences: Iterable[str]) -> str:
+    return "\n".join(f"- {sentence}" for sentence in sentences)
+
+
+if __name__ == "__main__":
+    print(page(), end="")
