@@ -26,7 +26,7 @@ for _panel, _commands in {
     "FMUs": (fmu.new, fmu.build, fmu.check, fmu.inspect),
     "Scenarios": (run.scenarios, run.run, sweep.sweep, run.report),
     "Controllers compared": (score.score, study.tune, margins.margins),
-    "The paper": (paper.reproduce, paper.identify),
+    "The paper": (paper.reproduce, paper.identify, paper.identifiability),
     "Other tools": (exchange.package, exchange.export),
 }.items():
     for _command in _commands:

@@ -7,9 +7,8 @@
 
 F is B - W, c the stiffness of the free surface, A_m = [[0, 1], [-c_1, -c_2]], M_d the inertia that the design
 assumes. Of the sensor there is the mean age a of a sample alone; observer, noise, thruster lag and saturation
-are left out; `l1-depth identifiability` states the error against runs of the FMUs. The equations are written anew,
-from the paper and not from the blocks, and solved in depth_loop_model.c, which `fmus.compiled_library` compiles at its
-first use.
+are left out; `l1-depth identifiability` states the error against runs of the FMUs. The equations are written
+anew, from the paper and not from the blocks, and solved in depth_loop_model.c (compiled at its first use).
 
 Source: Maalouf et al. (2013), (1) to (7) and (10) to (15); Hovakimyan and Cao (2010) for Proj and P.
 """
@@ -67,6 +66,7 @@ class DepthTask:
     window_end: float
 
 
+@cache
 def depth_task(name: str = "nominal-extended", step: float = STEP) -> DepthTask:
     """That of a shipped scenario of the vehicle."""
     loaded = scenario.load(scenario.find(name))

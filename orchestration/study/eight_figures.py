@@ -1,4 +1,4 @@
-"""Fits of the gains to all eight figures of Tables 1 and 2, through the FMUs, and what each predicts of a figure left out.
+"""Fits of the gains to the eight figures of Tables 1 and 2, or to seven of them, through the FMUs.
 
 Every figure is the mean over several seeds of the sensor's noise. A set of gains whose depth does not rest in
 the hold, or whose four runs overshoot, is penalised: a fit to one realisation of the noise can meet all eight

@@ -1,16 +1,18 @@
-"""What would have to be different in the experiment with added buoyancy, if the shipped gains were those of the paper.
+"""What must differ in the experiment with added buoyancy, if the shipped gains are those of the paper.
 
-In the limit of fast adaptation the law holds u_a' = -w (u_a + sigma - k_z r) with sigma = M v' + D v - u, whatever
-the vehicle. On a ramp r' = V the thrust tends to a constant, so that u_a' = k_z V, and the tracking error to V times
+In the limit of fast adaptation the law holds u_a' = -w (u_a + sigma - k_z r) with sigma = M v' + D v - u,
+whatever the vehicle. On a ramp r' = V the thrust tends to a constant, so that u_a' = k_z V, and the tracking
+error to V times
 
-    lag = (k_z / w + D + k_v) / (k_z + K_P)                                                               (K_I = 0)
+    lag = (k_z / w + D + k_v) / (k_z + K_P)        (K_I = 0)
 
-which holds no number of the vehicle: neither inertia nor drag nor thrust nor buoyancy. A constant force dF is
-cancelled once w (k_z + K_P) int dz dt = -dF, so that it changes the RMSE over the time T of the run by about
+which holds no number of the vehicle, neither inertia nor drag nor thrust nor buoyancy: M and D are those of
+the design. A constant force dF is cancelled once w (k_z + K_P) int dz dt = -dF, so that it changes the
+RMSE over the time T of the run by about
 
     d RMSE = lag V dF / (w (k_z + K_P) T RMSE)
 
-`EFFECTS` are then laid over the scenario with added buoyancy, each as large as the published RMSE of plain L1 needs.
+Each of `EFFECTS` is then laid over the scenario with added buoyancy, as large as its published RMSE needs.
 """
 
 from collections.abc import Callable, Mapping
@@ -40,7 +42,7 @@ def change_of_rmse(
 
 @dataclass(frozen=True)
 class Effect:
-    """Something that may differ between the two experiments: what it is, its unit, its range, what it sets."""
+    """Something that may differ between the two experiments: its unit, its range and what it sets."""
 
     name: str
     unit: str
@@ -77,7 +79,7 @@ _TARGET: Figure = ("buoyancy-l1", "rmse")
 
 
 def needed(runs: VehicleRuns, effect: Effect) -> dict[str, Any]:
-    """The size of an effect that gives the published RMSE of plain L1 with added buoyancy, and all that follows.
+    """The size of an effect that gives the published RMSE of plain L1 with added buoyancy, and the figures.
 
     size: not a number if none up to the largest does; figures: with that size, or with the largest
     """

@@ -1,7 +1,7 @@
-"""A walk over the sets of gains that agree with the nominal row: emcee's ensemble, in blocks that can be resumed.
+"""A walk over the sets of gains that agree with the nominal row: emcee's ensemble of walkers.
 
-The ensemble starts at points found by rejection; it moves by differences of its own points (ter Braak 2006), which
-needs no step sizes. Source: Foreman-Mackey et al., emcee, PASP 125 (2013).
+It starts at points found by rejection and moves by differences of its own points (ter Braak 2006), without
+step sizes. Source: Foreman-Mackey et al., emcee, PASP 125 (2013).
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ with imports_of("study", "the posterior"):
 
 @dataclass(frozen=True)
 class Block:
-    """Part of a walk. shares: (steps, walkers, DIMENSIONS); accepted: the share of moves; runs of the model."""
+    """Part of a walk. shares: (steps, walkers, DIMENSIONS); accepted: share of moves; runs: of the model."""
 
     shares: np.ndarray
     accepted: float
@@ -25,24 +25,31 @@ class Block:
 
 
 def walk(variant: Variant, begin: np.ndarray, steps: int, seed: int) -> Block:
-    """So many steps from the points `begin`, shape (walkers, DIMENSIONS), all of which agree."""
+    """So many steps from the points `begin`, shape (walkers, DIMENSIONS), all of which agree.
+
+    It walks in standard normal quantiles of the coordinates, which have no walls.
+    """
+    from scipy.special import ndtr, ndtri
+
     runs = 0
 
-    def log_density(shares: np.ndarray) -> np.ndarray:
+    def log_density(quantiles: np.ndarray) -> np.ndarray:
         nonlocal runs
-        logarithm = np.full(len(shares), -np.inf)
-        inside = np.flatnonzero(((shares > 0.0) & (shares < 1.0)).all(axis=1))
-        if len(inside):
-            points = Points(variant, shares[inside]).agree()
-            logarithm[inside[points.rows]] = np.log(points.density)
-            runs += points.runs
+        points = Points(variant, ndtr(quantiles)).agree()
+        runs += points.runs
+        logarithm = np.full(len(quantiles), -np.inf)
+        logarithm[points.rows] = np.log(points.density) - 0.5 * np.sum(quantiles[points.rows] ** 2, axis=1)
         return logarithm
 
-    moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.1), (emcee.moves.StretchMove(), 0.1)]
+    moves = [
+        (emcee.moves.DEMove(), 0.8),
+        (emcee.moves.DESnookerMove(), 0.1),
+        (emcee.moves.StretchMove(), 0.1),
+    ]
     sampler = emcee.EnsembleSampler(len(begin), DIMENSIONS, log_density, moves=moves, vectorize=True)
     sampler.random_state = np.random.RandomState(seed).get_state()
-    sampler.run_mcmc(begin, steps, skip_initial_state_check=True)
-    return Block(sampler.get_chain(), float(np.mean(sampler.acceptance_fraction)), runs)
+    sampler.run_mcmc(ndtri(begin), steps, skip_initial_state_check=True)
+    return Block(ndtr(sampler.get_chain()), float(np.mean(sampler.acceptance_fraction)), runs)
 
 
 def autocorrelation_time(shares: np.ndarray) -> np.ndarray:
@@ -51,9 +58,11 @@ def autocorrelation_time(shares: np.ndarray) -> np.ndarray:
 
 
 def predicted(variant: Variant, shares: np.ndarray) -> Columns:
-    """Values and figures of points that agree, shape (n, DIMENSIONS): "SCENARIO METRIC" beside the names of `FREE`."""
+    """Values and figures of points that agree: columns named as in `FREE`, and "SCENARIO METRIC"."""
     points = Points(variant, shares).agree()
     columns = points.columns
     for scenario in ("nominal-l1", "nominal-extended", "buoyancy-l1", "buoyancy-extended"):
-        columns = columns | {f"{scenario} {name}": values for name, values in points.measure(scenario).items()}
+        columns = columns | {
+            f"{scenario} {name}": values for name, values in points.measure(scenario).items()
+        }
     return columns

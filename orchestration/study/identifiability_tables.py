@@ -1,0 +1,196 @@
+"""The tables of docs/explanation/identification.md and its figure, made from the results of the study."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orchestration.results.figures import BLUE, GREY, ORANGE, figure_style, panel_grid, write_figure
+from orchestration.results.formats import FigureFormat
+from orchestration.study.eight_figures import SEEDS
+from orchestration.study.posterior import FREE, FREQUENCY, HALF_A_DIGIT, VALUES, Columns
+
+_NAMES = {
+    "nominal-l1": "nominal, L1",
+    "nominal-extended": "nominal, extended",
+    "buoyancy-l1": "+0.2 N, L1",
+    "buoyancy-extended": "+0.2 N, extended",
+}
+_METRICS = {"settling_time": "settling time [s]", "rmse": "RMSE [cm]"}
+
+
+def tables(document: Mapping[str, Any]) -> dict[str, str]:
+    """Markdown tables by name."""
+    return {
+        "predictions": _predictions(document["variants"]),
+        "gains": _gains(document["variants"]),
+        "fits": _fits(document["fits"]),
+        "left out": _left_out(document["fits"]),
+        "one seed": _one_seed(document["one_seed"]),
+        "effects": _effects(document["effects"]),
+    }
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    lines = [head, ["---", *["---:"] * (len(head) - 1)], *rows]
+    return "".join(f"| {' | '.join(map(str, line))} |\n" for line in lines)
+
+
+def _range(five: Sequence[float]) -> str:
+    return f"{five[1]:g} to {five[3]:g}" if five else "none"
+
+
+def _predictions(variants: Mapping[str, Any]) -> str:
+    changes = [(controller, metric) for metric in _METRICS for controller in ("l1", "extended")]
+    head = ["agrees with the nominal row", *(f"{c}, {_METRICS[m]}" for c, m in changes), "fast"]
+    published = [
+        f"{VALUES[f'buoyancy-{c}', m] - VALUES[f'nominal-{c}', m]:+.2f}".rstrip("0").rstrip(".")
+        for c, m in changes
+    ]
+    rows = [["published", *published, ""]]
+    for name, about in variants.items():
+        share = f"{100.0 * about['fast_share']:.3g} %"
+        rows.append([name, *(_range(about["all"][f"change-{c} {m}"]) for c, m in changes), share])
+        if about["fast_share"] > 0.0:
+            rows.append(
+                [
+                    "of these the fast ones",
+                    *(_range(about["fast"][f"change-{c} {m}"]) for c, m in changes),
+                    "",
+                ]
+            )
+    return _table(head, rows)
+
+
+def _gains(variants: Mapping[str, Any]) -> str:
+    about = next(iter(variants.values()))
+    rows = []
+    for free in FREE:
+        if free.name != "plant.buoyancy_change":
+            _, low, median, high, _ = about["all"][free.name]
+            ranges = f"{free.low:g} to {free.high:g}", f"{low:g} to {high:g}"
+            rows.append(
+                [f"`{free.name}` [{free.unit}]", *ranges, f"{median:g}", about["narrowed"][free.name]]
+            )
+    return _table(["number", "range", "95 % of the points", "median", "narrowed to"], rows)
+
+
+def _fits(fits: Mapping[str, Any]) -> str:
+    rows = []
+    for figure, value in VALUES.items():
+        means = [fit["all"]["figures"][" ".join(figure)][0] for fit in fits.values()]
+        rows.append([_label(figure), f"{value:g}", *(f"{mean:.4g}" for mean in means)])
+    rows.append(["half the sum of squares", "", *(f"{fit['all']['cost']:g}" for fit in fits.values())])
+    return _table([f"mean of {len(SEEDS)} seeds", "published", *fits], rows)
+
+
+def _left_out(fits: Mapping[str, Any]) -> str:
+    rows = []
+    for figure, value in VALUES.items():
+        predicted = [
+            fit["left_out"][" ".join(figure)]["figures"][" ".join(figure)][0] for fit in fits.values()
+        ]
+        rows.append(
+            [
+                _label(figure),
+                f"{value:g}",
+                *(f"{x:.4g} ({100.0 * (x / value - 1.0):+.1f} %)" for x in predicted),
+            ]
+        )
+    return _table(["figure left out", "published", *(f"predicted, {name}" for name in fits)], rows)
+
+
+def _one_seed(fits: Mapping[str, Any]) -> str:
+    rows = []
+    for figure, value in VALUES.items():
+        one = fits["seed 1"]["figures"][" ".join(figure)][0]
+        _, low, high = fits["five seeds"]["figures"][" ".join(figure)]
+        rows.append([_label(figure), f"{value:g}", f"{one:.4g}", f"{low:.4g} to {high:.4g}"])
+    for name, label in _NAMES.items():
+        spreads = [fits[seeds]["figures"][f"{name} hold_spread"] for seeds in fits]
+        rows.append(
+            [
+                f"{label}: spread in hold [mm]",
+                "",
+                f"{spreads[0][0]:.3g}",
+                f"{spreads[1][1]:.3g} to {spreads[1][2]:.3g}",
+            ]
+        )
+    return _table(["", "published", "seed 1", f"seeds 1 to {len(SEEDS)}"], rows)
+
+
+def _effects(effects: Sequence[Mapping[str, Any]]) -> str:
+    figures = [figure for figure in VALUES if figure[0].startswith("buoyancy")]
+    rows = [["published", "", *(f"{VALUES[figure]:g}" for figure in figures)]]
+    for effect in effects:
+        size = f"{effect['size']:.3g} {effect['unit']}" + ("" if effect["reached"] else ", not enough")
+        rows.append([effect["effect"], size, *(f"{effect[' '.join(figure)]:.4g}" for figure in figures)])
+    return _table(["in the run with +0.2 N", "needed", *map(_label, figures)], rows)
+
+
+def _label(figure: tuple[str, str]) -> str:
+    return f"{_NAMES[figure[0]]}: {_METRICS[figure[1]]}"
+
+
+def write_points(sets: Mapping[str, Columns], path: Path, formats: Sequence[FigureFormat]) -> list[Path]:
+    """The figure of the points of some variants: what they predict, and what they are."""
+    with figure_style():
+        figure, panels = panel_grid(2, 2, 2.6)
+        for (name, points), colour in zip(sets.items(), (BLUE, ORANGE), strict=True):
+            some = np.random.default_rng(3).permutation(len(points[FREQUENCY]))[:1000]
+            dots: dict[str, Any] = {"s": 3.0, "linewidths": 0.0, "color": colour, "alpha": 0.5, "label": name}
+            for panel, (x, y) in zip(panels, _PANELS, strict=True):
+                panel.scatter(points[x][some], points[y][some], **dots)
+        for panel, (x, y) in zip(panels, _PANELS, strict=True):
+            panel.set_xlabel(_axis(x))
+            panel.set_ylabel(_axis(y))
+            _mark_published(panel, x, y)
+            for logarithmic, scale in (
+                (_is_logarithmic(x), panel.set_xscale),
+                (_is_logarithmic(y), panel.set_yscale),
+            ):
+                if logarithmic:
+                    scale("log")
+        panels[0].legend(loc="upper left", markerscale=3.0)
+        return write_figure(figure, path, formats)
+
+
+_PANELS = (
+    ("buoyancy-l1 rmse", "buoyancy-extended rmse"),
+    ("buoyancy-l1 settling_time", "buoyancy-extended settling_time"),
+    (FREQUENCY, "buoyancy-l1 rmse"),
+    ("controller.filter_bandwidth", "controller.rate_feedback_gain"),
+)
+
+
+def _axis(name: str) -> str:
+    scenario, _, metric = name.partition(" ")
+    if metric:
+        return f"{_NAMES[scenario]}: {_METRICS[metric]}"
+    (free,) = (free for free in FREE if free.name == name)
+    return f"{name.rpartition('.')[2].replace('_', ' ')} [{free.unit}]"
+
+
+def _is_logarithmic(name: str) -> bool:
+    return any(free.logarithmic for free in FREE if free.name == name)
+
+
+def _mark_published(panel: Any, x: str, y: str) -> None:
+    """The printed figures with what rounding can hide, as a point with bars or as a line."""
+    known = [tuple(name.split(" ")) if " " in name else None for name in (x, y)]
+    if known[0] and known[1]:
+        (a, b), (half_a, half_b) = ([table[figure] for figure in known] for table in (VALUES, HALF_A_DIGIT))
+        panel.errorbar(
+            a,
+            b,
+            yerr=half_b,
+            xerr=half_a,
+            fmt="o",
+            color="black",
+            markersize=3.0,
+            capsize=3.0,
+            label="published",
+        )
+    elif known[1]:
+        panel.axhline(VALUES[known[1]], color=GREY, linestyle="--")
