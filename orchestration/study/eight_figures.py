@@ -91,16 +91,15 @@ def residuals(
 ) -> np.ndarray:
     """Deviation of the mean of each figure over its tolerance, then what exceeds the bounds.
 
-    left_out: a figure that is not looked at; bounded: whether the spread in hold is looked at
+    left_out: a figure that is not looked at; bounded: whether overshoot and spread in hold are looked at
     """
     looked_at = [figure for figure in VALUES if figure != left_out]
-    fit = [(np.mean(measured[figure]) - VALUES[figure]) / tolerance(figure) for figure in looked_at]
-    for name in SCENARIOS:
-        excess = np.mean(measured[name, "overshoot"]) - LARGEST_OVERSHOOT_PCT
+    fit = [float(np.mean(measured[figure]) - VALUES[figure]) / tolerance(figure) for figure in looked_at]
+    for name in SCENARIOS if bounded else ():
+        excess = float(np.mean(measured[name, "overshoot"])) - LARGEST_OVERSHOOT_PCT
         fit.append(max(0.0, excess) / OVERSHOOT_TOLERANCE_PCT)
-        if bounded:
-            spread = np.max(measured[name, "hold_spread"]) - LARGEST_SPREAD_MM
-            fit.append(max(0.0, spread) / SPREAD_TOLERANCE_MM)
+        spread = float(np.max(measured[name, "hold_spread"])) - LARGEST_SPREAD_MM
+        fit.append(max(0.0, spread) / SPREAD_TOLERANCE_MM)
     return np.clip(np.nan_to_num(np.array(fit), nan=_NOT_SETTLED), -_NOT_SETTLED, _NOT_SETTLED)
 
 
@@ -152,7 +151,7 @@ class Search:
 
 def rounded(free: Free, scaled: float) -> float:
     """The value at a position 1..2 of the range; what is written is what was run."""
-    return float(f"{float(free.value(np.float64(scaled - 1.0))):.4g}")
+    return float(f"{free.value(scaled - 1.0):.4g}")
 
 
 def scaled(free: Free, value: float) -> float:
@@ -164,8 +163,7 @@ def scaled(free: Free, value: float) -> float:
 
 def variables(values: Mapping[str, float]) -> dict[str, Any]:
     """What the FMUs are given for these values."""
-    columns = {name: np.float64(value) for name, value in values.items()}
-    return {name: float(value) for name, value in with_adaptation_gain(columns).items()}
+    return {name: float(value) for name, value in with_adaptation_gain(values).items()}
 
 
 def fit(search: Search, free: Sequence[Free], start: Mapping[str, float]) -> Fit:

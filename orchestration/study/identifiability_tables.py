@@ -178,19 +178,15 @@ def _is_logarithmic(name: str) -> bool:
 
 def _mark_published(panel: Any, x: str, y: str) -> None:
     """The printed figures with what rounding can hide, as a point with bars or as a line."""
-    known = [tuple(name.split(" ")) if " " in name else None for name in (x, y)]
-    if known[0] and known[1]:
-        (a, b), (half_a, half_b) = ([table[figure] for figure in known] for table in (VALUES, HALF_A_DIGIT))
-        panel.errorbar(
-            a,
-            b,
-            yerr=half_b,
-            xerr=half_a,
-            fmt="o",
-            color="black",
-            markersize=3.0,
-            capsize=3.0,
-            label="published",
-        )
-    elif known[1]:
-        panel.axhline(VALUES[known[1]], color=GREY, linestyle="--")
+    across, up = _figure_named(x), _figure_named(y)
+    if across and up:
+        bars: dict[str, Any] = {"xerr": HALF_A_DIGIT[across], "yerr": HALF_A_DIGIT[up], "capsize": 3.0}
+        point: dict[str, Any] = {"fmt": "o", "color": "black", "markersize": 3.0, "label": "published"}
+        panel.errorbar(VALUES[across], VALUES[up], **bars, **point)
+    elif up:
+        panel.axhline(VALUES[up], color=GREY, linestyle="--")
+
+
+def _figure_named(name: str) -> tuple[str, str] | None:
+    scenario, _, metric = name.partition(" ")
+    return (scenario, metric) if metric else None

@@ -10,6 +10,7 @@ windows are met by construction, and `posterior_chain` walks in the other dimens
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -47,8 +48,8 @@ class Free:
     logarithmic: bool
     reason: str
 
-    def value(self, share: np.ndarray) -> np.ndarray:
-        """The quantile of `share`, 0..1."""
+    def value(self, share: Any) -> Any:
+        """The quantile of a share, 0..1, or of an array of them."""
         if self.logarithmic:
             return self.low * (self.high / self.low) ** share
         return self.low + (self.high - self.low) * share
@@ -103,7 +104,7 @@ VARIANTS = (
 )
 
 
-def with_adaptation_gain(columns: Mapping[str, np.ndarray]) -> Columns:
+def with_adaptation_gain(columns: Mapping[str, Any]) -> dict[str, Any]:
     """The variables of the loop: the adaptation gain in place of the frequency that it gives at phi = 0.
 
     Gamma = frequency^2 / (B_m' P B_m)
@@ -153,11 +154,11 @@ class Points:
     def measure(self, scenario: str, columns: Columns | None = None) -> Columns:
         """The figures of every point in a scenario."""
         variables = with_adaptation_gain(self.columns if columns is None else columns)
-        variables["plant.initial_depth"] = np.float64(self._variant.initial_depth)
+        variables["plant.initial_depth"] = self._variant.initial_depth
         if scenario.endswith("-l1"):
-            variables |= {K_P: np.float64(0.0), K_I: np.float64(0.0)}
+            variables |= {K_P: 0.0, K_I: 0.0}
         if scenario.startswith("nominal"):
-            variables["plant.buoyancy_change"] = np.float64(0.0)
+            variables["plant.buoyancy_change"] = 0.0
         measured = figures(self._task, variables)
         self.runs += len(measured["rmse"])
         return measured

@@ -30,6 +30,7 @@ AT_WORK = {
     "report .": "orchestration.report.found_results",
     "reproduce": "orchestration.scenarios.reproduce.run_all",
     "identify": "orchestration.scenarios.identify.metric_units",
+    "identifiability": "orchestration.study.identifiability.posterior",
     "package nominal-l1": "orchestration.exchange.ssp_write.ramp_sources",
     "export modelica": "orchestration.exchange.modelica.texts",
 }
