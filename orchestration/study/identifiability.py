@@ -54,7 +54,7 @@ LIMIT_CYCLE = {
     "controller.proportional_gain": 8.532,
     "controller.integral_gain": 0.01096,
 }
-"""The end of 1700 evaluations of differential evolution that looked at the eight figures of seed 1 alone, with
+"""The end of 1700 evaluations of differential evolution that looked at the figures of seed 1 alone, with
 a rate feedback of up to 60 N s/m."""
 
 Progress = Callable[[str], None]
@@ -71,6 +71,7 @@ class Stages:
         path = self._folder / f"{name}.npz"
         if not path.exists():
             computed = {key: np.asarray(value) for key, value in compute().items()}
+            path.parent.mkdir(parents=True, exist_ok=True)
             with open_atomically(path) as stream:
                 np.savez(stream, **computed)  # type: ignore[arg-type]
         self._progress(name)
@@ -81,7 +82,9 @@ class Stages:
         """Plain data."""
         path = self._folder / f"{name}.json"
         if not path.exists():
-            write_json_atomically(path, compute())
+            computed = compute()
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_json_atomically(path, computed)
         self._progress(name)
         return json.loads(path.read_text(encoding="utf-8"))
 
@@ -290,7 +293,6 @@ def number_of_stages() -> int:
 
 def study(folder: Path, progress: Progress = lambda name: None) -> tuple[dict[str, Any], dict[str, Columns]]:
     """The whole study as plain data, and the points of the first two variants."""
-    (folder / "stages").mkdir(parents=True, exist_ok=True)
     stages = Stages(folder / "stages", progress)
     document: dict[str, Any] = {"variants": {}}
     sets: dict[str, Columns] = {}
