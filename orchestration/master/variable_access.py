@@ -11,7 +11,7 @@ from typing import Any
 from orchestration.errors import OrchestrationError, SystemDefinitionError
 from orchestration.master.bus import SIGNAL
 from orchestration.master.stepping import RunInProgress
-from orchestration.system.prepared_run import check_changeable
+from orchestration.system.experiment_checks import check_changeable
 from orchestration.system.values import Value, fmi_value, value_range
 
 Reader = Callable[[], Any]

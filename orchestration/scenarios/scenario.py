@@ -22,6 +22,7 @@ from orchestration.scenarios.adapters import adapted, mappings, with_chosen_sign
 from orchestration.scenarios.declarations import fault, signal
 from orchestration.scenarios.file_format import ScenarioFile
 from orchestration.scenarios.file_tables import checked
+from orchestration.scenarios.fitting import without_misfits
 from orchestration.scenarios.layers import TABLES, Layer, merged, with_faulted_constants
 from orchestration.scenarios.read_layers import (
     SHIPPED,
@@ -34,12 +35,7 @@ from orchestration.scenarios.read_layers import (
     shipped,
     values_of_settings,
 )
-from orchestration.scenarios.replaced import (
-    replacements,
-    warn_of_dropped,
-    without_misfits,
-    without_removed,
-)
+from orchestration.scenarios.replaced import replacements, warn_of_dropped, without_removed
 from orchestration.scenarios.toml_file import KeyPath, TomlFile
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.signal_derivatives import with_derivatives

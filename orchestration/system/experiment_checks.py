@@ -1,6 +1,9 @@
-"""Whether an experiment fits a system: its signals, its faults, and what the FMUs are able to do."""
+"""Whether an experiment fits a system: its signals, events and faults, and what FMUs and machine can do."""
 
+import math
+import os
 from collections import Counter
+from collections.abc import Collection
 from typing import Any
 
 from fmus.errors import nearest
@@ -82,3 +85,47 @@ def check_capabilities(system: CheckedSystem, experiment: Experiment) -> None:
             raise SystemDefinitionError(
                 f"{', '.join(copies)}: expected one instance, the FMU can be instantiated only once"
             )
+
+
+def check_events(system: CheckedSystem, experiment: Experiment, driven: set[str]) -> None:
+    """SystemDefinitionError for an event that sets what cannot be set during a run.
+
+    driven: inputs that a connection or a signal drives
+    """
+    for event in experiment.events:
+        purpose = f"event at {event.time} s"
+        for name, value in event.values.items():
+            fmi_value(system.port(name, purpose), value)
+            check_changeable(system, name, purpose, driven)
+
+
+def check_changeable(system: CheckedSystem, name: str, purpose: str, driven: Collection[str]) -> None:
+    """SystemDefinitionError for a variable that cannot be set during a run.
+
+    driven: inputs that a connection or a signal drives
+    """
+    variable = system.port(name, purpose).variable
+    if variable.causality not in ("parameter", "input"):
+        problem = f"does not fit: expected a parameter or an input, got {variable.causality}"
+    elif variable.variability == "fixed":
+        problem = "is fixed: only tunable parameters may change"
+    elif name in driven:
+        problem = "is driven already, by a connection or signal"
+    else:
+        return
+    raise SystemDefinitionError(f"{purpose}: {name} {problem}")
+
+
+def check_memory(system: CheckedSystem, experiment: Experiment) -> None:
+    """SystemDefinitionError for a recording that does not fit into the memory of this machine."""
+    if not hasattr(os, "sysconf"):  # Windows
+        return
+    points = math.ceil((experiment.stop_time - experiment.start_time) / experiment.step_size) + 1
+    outputs = (port for port in system.ports.values() if port.variable.causality == "output")
+    columns = len(experiment.record) or sum(1 for _ in outputs)
+    size, memory = 8 * points * (1 + columns), os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if size > memory:
+        raise SystemDefinitionError(
+            f"{points:.3g} communication points of {columns} variables take {size / 1e9:.3g} GB: expected at "
+            f"most the {memory / 1e9:.3g} GB of this machine; record fewer variables, or take longer steps"
+        )

@@ -1,8 +1,7 @@
 """One run of a system: what follows from the system and the experiment, computed and checked once."""
 
 import math
-import os
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -13,8 +12,14 @@ from fmpy.model_description import ScalarVariable
 from fmus.fmi_types import NUMBERS, FmiValue
 from orchestration.errors import SystemDefinitionError
 from orchestration.fmi.description import start_value
-from orchestration.system.experiment import Event, Experiment
-from orchestration.system.experiment_checks import check_capabilities, check_faults, check_signals
+from orchestration.system.experiment import Experiment
+from orchestration.system.experiment_checks import (
+    check_capabilities,
+    check_events,
+    check_faults,
+    check_memory,
+    check_signals,
+)
 from orchestration.system.faults import Fault, Pattern, compose
 from orchestration.system.open_inputs import OpenInputs
 from orchestration.system.signals import values_at
@@ -103,12 +108,11 @@ def prepare_checked(
 
     external: inputs that the caller sets between the steps
     """
-    _check_memory(system, experiment)
+    check_memory(system, experiment)
     first_values = _external(system, experiment, external)
     driven = {*experiment.signals, *first_values, *(target.name for _, target in system.connections)}
     recorded = _recorded(system, experiment, first_values)
-    for event in experiment.events:
-        _check_event(system, event, driven)
+    check_events(system, experiment, driven)
     check_faults(system, experiment, driven)
     check_capabilities(system, experiment)
     check_signals(system, experiment)
@@ -125,21 +129,6 @@ def prepare_checked(
         retry_obstacle=_retry_obstacle(system, experiment),
         external=first_values,
     )
-
-
-def _check_memory(system: CheckedSystem, experiment: Experiment) -> None:
-    """SystemDefinitionError for a recording that does not fit into the memory of this machine."""
-    if not hasattr(os, "sysconf"):  # Windows
-        return
-    points = math.ceil((experiment.stop_time - experiment.start_time) / experiment.step_size) + 1
-    outputs = (port for port in system.ports.values() if port.variable.causality == "output")
-    columns = len(experiment.record) or sum(1 for _ in outputs)
-    size, memory = 8 * points * (1 + columns), os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    if size > memory:
-        raise SystemDefinitionError(
-            f"{points:.3g} communication points of {columns} variables take {size / 1e9:.3g} GB: expected at "
-            f"most the {memory / 1e9:.3g} GB of this machine; record fewer variables, or take longer steps"
-        )
 
 
 def _external(system: CheckedSystem, experiment: Experiment, names: Sequence[str]) -> dict[str, float]:
@@ -164,30 +153,6 @@ def _recorded(system: CheckedSystem, experiment: Experiment, external: Iterable[
     for name in experiment.record:
         system.port(name, "record")
     return tuple(experiment.record or (*experiment.signals, *external, *outputs))
-
-
-def _check_event(system: CheckedSystem, event: Event, driven: set[str]) -> None:
-    purpose = f"event at {event.time} s"
-    for name, value in event.values.items():
-        fmi_value(system.port(name, purpose), value)
-        check_changeable(system, name, purpose, driven)
-
-
-def check_changeable(system: CheckedSystem, name: str, purpose: str, driven: Collection[str]) -> None:
-    """SystemDefinitionError for a variable that cannot be set during a run.
-
-    driven: inputs that a connection or a signal drives
-    """
-    variable = system.port(name, purpose).variable
-    if variable.causality not in ("parameter", "input"):
-        problem = f"does not fit: expected a parameter or an input, got {variable.causality}"
-    elif variable.variability == "fixed":
-        problem = "is fixed: only tunable parameters may change"
-    elif name in driven:
-        problem = "is driven already, by a connection or signal"
-    else:
-        return
-    raise SystemDefinitionError(f"{purpose}: {name} {problem}")
 
 
 def _communication_points(system: CheckedSystem, experiment: Experiment) -> np.ndarray:
