@@ -11,6 +11,7 @@ from orchestration.cli.changes import MapOption, OpenInputsOption, SetOption
 from orchestration.cli.shared import OutFolder, console, print_table, progress
 
 if TYPE_CHECKING:
+    from orchestration.study.score import ScoreResult
     from orchestration.study.score_document import Score
 
 
@@ -41,7 +42,6 @@ def score(
     workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = os.cpu_count() or 1,
 ) -> None:
     """Score a controller on the simulated vehicle: terminal tables, score.json and an interactive page."""
-    from fmus.files import write_text_atomically
     from orchestration.cli.scored_controllers import scored_controllers
     from orchestration.study import score as scoring
     from orchestration.study.protocol import read_protocol
@@ -54,9 +54,25 @@ def score(
             chosen, protocol, full=full, timeout=timeout, workers=workers, progress=bar.advance
         )
     print_score(result.document)
+    write_score(result, out)
+
+
+def write_score(result: "ScoreResult", out: Path) -> None:
+    """Write score.json and the page, which needs the extra `report`; print their paths."""
+    from fmus.errors import MissingExtraError
+    from fmus.files import write_text_atomically
+
     file = out / "score.json"
     write_text_atomically(file, result.document.model_dump_json(indent=1) + "\n")
     print(file)
+    try:
+        from orchestration.report.score_page import score_page
+    except MissingExtraError as error:
+        print(f"l1-depth: no page: {error}", file=sys.stderr)
+        return
+    page = file.with_suffix(".html")
+    write_text_atomically(page, score_page(result))
+    print(page)
 
 
 def print_score(document: "Score") -> None:

@@ -24,7 +24,7 @@ from orchestration.results.metric_units import shown
 from orchestration.sweep.summary import HEADINGS, categorical
 
 with imports_of("report", "a report"):
-    from jinja2 import Environment, StrictUndefined
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
     from markupsafe import Markup
     from plotly.offline import get_plotlyjs, get_plotlyjs_version
 
@@ -36,10 +36,9 @@ def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
     """A self-contained HTML page of these results; by default titled after them."""
     runs = [result for result in results if isinstance(result, RunResult)]
     swept = [result for result in results if isinstance(result, SweepResult)]
-    environment = Environment(autoescape=True, undefined=StrictUndefined)
-    environment.filters |= {"toml": toml, "number": _number, "breakable": _breakable, "facts": _facts}
-    scripts = [get_plotlyjs(), *(_file(name) for name in _SCRIPTS)]
-    return environment.from_string(_file("page.html")).render(
+    return page(
+        "page.html",
+        _SCRIPTS,
         title=title or _title(runs, swept),
         runs=runs,
         sweeps=swept,
@@ -51,6 +50,19 @@ def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
         distributions=sweeps.distributions,
         correlations=sweeps.correlations,
         data={"runs": [run_data(run) for run in runs], "sweeps": [sweep_data(sweep) for sweep in swept]},
+    )
+
+
+def page(template: str, script_files: Sequence[str], **content: Any) -> str:
+    """A self-contained HTML page of a template of `files/`, which extends `base.html`.
+
+    content: what the template shows, with `title`, and `data` for its scripts
+    """
+    environment = Environment(loader=FileSystemLoader(_FILES), autoescape=True, undefined=StrictUndefined)
+    environment.filters |= {"toml": toml, "number": _number, "breakable": _breakable, "facts": _facts}
+    scripts = [get_plotlyjs(), *(_file(name) for name in script_files)]
+    return environment.get_template(template).render(
+        **content,
         style=Markup(_file("page.css")),
         scripts=[Markup(script) for script in scripts],
         hashes=" ".join(f"'sha256-{_sha256(script)}'" for script in scripts),

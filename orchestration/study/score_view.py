@@ -51,7 +51,8 @@ def overview(score: Score) -> ScoreTable:
     tuned = [name for name, case in score.protocol.cases.items() if case.tuned_on]
     others = [name for name in score.protocol.cases if name not in tuned]
     entries: list[tuple[Column, bool, _Value]] = []
-    for cases, which in ((tuned, "tuned on"), (others, "others")):
+    groups = ((tuned, "tuned on"), (others, "others"))
+    for cases, which in (group for group in groups if group[0]):
         for name in _OVERVIEW:
             figure = score.protocol.figures[name]
             meaning = f"mean over {len(cases)} cases: {', '.join(cases)}; {figure.meaning}"

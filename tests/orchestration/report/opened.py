@@ -12,7 +12,7 @@ from selenium.webdriver.remote.webelement import WebElement
 from selenium.webdriver.support.ui import WebDriverWait
 
 _PATIENCE_S = 30.0
-_OWN = ("file:", "data:", "blob:", "about:")
+_OWN = ("file:", "data:", "blob:", "about:", "chrome:")  # the last of the browser's first tab
 
 
 class OpenedPage:

@@ -1,0 +1,67 @@
+"""A score as one interactive page: tables, tracking, the price of accuracy, plants, and what failed."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from orchestration.report.embedded import packed
+from orchestration.report.render import page
+from orchestration.study import score_view
+from orchestration.study.score import ScoreResult
+from orchestration.study.score_document import OF_A_ROW, Score
+
+_SCRIPTS = ("common.js", "tables.js", "score.js")
+_LINES = ("depth", "u")
+_SCALE = 1e4  # whole numbers compress to a quarter of the room
+
+
+def score_page(result: ScoreResult) -> str:
+    """The page of a score."""
+    score = result.document
+    names = ", ".join(row.title for row in score.scored) or "the built-in controllers"
+    figures = [name for name in score.protocol.figures if name not in OF_A_ROW]
+    tables = {
+        "Means over the cases": {"overview": score_view.overview(score)},
+        "A case": {f"case-{case}": score_view.of_case(score, case) for case in score.protocol.cases},
+        "A figure": {f"figure-{name}": score_view.of_figure(score, name) for name in figures},
+    }
+    plants = score_view.over_plants(score)
+    if plants:
+        tables["Plants"] = {"plants": plants}
+    return page(
+        "score.html",
+        _SCRIPTS,
+        title=f"Score of {names}",
+        score=score,
+        tables=tables,
+        titles={row.name: row.title for row in score.rows},
+        data=_data(result),
+    )
+
+
+def _data(result: ScoreResult) -> dict[str, Any]:
+    """What the scripts draw."""
+    score = result.document
+    document = score.model_dump(mode="json", include={"protocol", "rows"})
+    for row in document["rows"]:
+        traces = result.traces.get(row["name"], {})
+        row["traces"] = {
+            case: {line: _scaled(trace[line]) for line in _LINES} for case, trace in traces.items() if trace
+        }
+    return {**document, "references": _references(result, score), "scale": _SCALE}
+
+
+def _references(result: ScoreResult, score: Score) -> dict[str, dict[str, str]]:
+    """Case -> times and reference, which all controllers have in common."""
+    references: dict[str, dict[str, str]] = {}
+    for case in score.protocol.cases:
+        traces = [rows[case] for rows in result.traces.values() if rows.get(case)]
+        if traces:
+            longest = max(traces, key=lambda trace: len(trace["time"]))
+            references[case] = {name: _scaled(longest[name]) for name in ("time", "reference")}
+    return references
+
+
+def _scaled(values: Sequence[float]) -> str:
+    return packed(np.round(_SCALE * np.array(values)))

@@ -1,0 +1,69 @@
+"""A score whose figures are made up: three controllers, two cases, two plants."""
+
+import math
+
+from orchestration.study.protocol import read_protocol
+from orchestration.study.score import OVER_PLANTS, ScoreResult
+from orchestration.study.score_document import (
+    CaseResult,
+    FigureOverPlants,
+    PairedDifference,
+    PlantsResult,
+    Row,
+    Score,
+    protocol_info,
+)
+from orchestration.study.scored_run import Trace
+
+CASES = ("nominal", "buoyancy")
+MEAN_AND_VARIATION = {"mine": (2.0, 300.0), "pid": (1.0, 400.0), "l1": (3.0, 500.0)}
+
+
+def made_up_score() -> ScoreResult:
+    """ "mine" (scored), "pid" and "l1", whose nominal run failed: it breached the surface."""
+    info = protocol_info(read_protocol())
+    info.cases = {name: info.cases[name] for name in CASES}
+    rows = [_row(name, *values) for name, values in MEAN_AND_VARIATION.items()]
+    difference = PairedDifference(
+        scored="mine",
+        other="pid",
+        figure="rmse",
+        pairs=2,
+        median_difference=1.0,
+        interval=(0.5, 1.5),
+        p=0.5,
+        p_holm=1.0,
+    )
+    document = Score(made_by="test", protocol=info, rows=rows, differences=[difference])
+    traces = {row.name: {case: _trace(row.cases[case].figures["rmse"]) for case in CASES} for row in rows}
+    return ScoreResult(document, traces)
+
+
+def _row(name: str, rmse: float, variation: float) -> Row:
+    def case(factor: float) -> CaseResult:
+        return CaseResult(figures={"rmse": factor * rmse, "total_variation": variation, "lag": math.nan})
+
+    cases = {"nominal": case(1.0), "buoyancy": case(1.5)}
+    cases["nominal"].failed = ["breach 3 s"] if name == "l1" else []
+    over_plants = FigureOverPlants(median=rmse, p95=rmse, cvar=rmse, values=[rmse, 2.0 * rmse])
+    plants = PlantsResult(count=2, failure_rate=0.0, figures=dict.fromkeys(OVER_PLANTS, over_plants))
+    return Row(
+        name=name,
+        title=f"<{name}>",
+        league="position",
+        scored=name == "mine",
+        fmu={"model": name, "guid": "1", "tool": "", "sha256": ""},
+        delay_margin=0.1,
+        cases=cases,
+        plants=plants,
+    )
+
+
+def _trace(error: float) -> Trace:
+    """Late by a constant error [cm]."""
+    return {
+        "time": [0.0, 1.0, 2.0],
+        "reference": [0.0, 0.4, 0.8],
+        "depth": [0.0, 0.4 - 0.01 * error, 0.8 - 0.01 * error],
+        "u": [0.0, 1.0, 1.2],
+    }
