@@ -40,7 +40,10 @@ def block(name: str, description: ModelDescription, step_size: float) -> str:
 
 
 def vectors(variables: Iterable[ScalarVariable]) -> dict[str, list[ScalarVariable]]:
-    """Name without subscript -> its scalars: Modelica has `voltage[2]` where FMI has `voltage[1]` and [2]."""
+    """Name without subscript -> its scalars, row by row.
+
+    Modelica has `voltage[2]` where FMI has `voltage[1]` and [2], `a[2, 2]` where FMI has `a[1,1]` to [2,2].
+    """
     scalars: dict[str, list[ScalarVariable]] = {}
     for variable in variables:
         scalars.setdefault(vector_name(variable.name), []).append(variable)
@@ -65,9 +68,9 @@ def number(variable: ScalarVariable, value: FmiValue) -> str:
 
 
 def value(scalars: list[ScalarVariable], given: Mapping[str, str] = {}) -> str:
-    """The value of a scalar, or of every element of a vector; what is not given is the start value."""
+    """The value of a scalar, or of every element of an array; what is not given is the start value."""
     elements = [given.get(variable.name) or number(variable, start_value(variable)) for variable in scalars]
-    return _array(elements) if _is_vector(scalars) else elements[0]
+    return _rows(scalars, elements) if _is_array(scalars) else elements[0]
 
 
 def _array(elements: list[str], kind: str = "Real") -> str:
@@ -83,12 +86,26 @@ def _references(variables: Iterable[ScalarVariable]) -> str:
     return _array([str(variable.valueReference) for variable in variables], "Integer")
 
 
-def _is_vector(scalars: list[ScalarVariable]) -> bool:
+def _is_array(scalars: list[ScalarVariable]) -> bool:
     return "[" in scalars[0].name
 
 
+def _columns(scalars: list[ScalarVariable]) -> int:
+    """How many columns a matrix has; 0 for a vector."""
+    return sum("[1," in variable.name for variable in scalars)
+
+
+def _rows(scalars: list[ScalarVariable], elements: list[str]) -> str:
+    """{a, b} of a vector, {{a, b}, {c, d}} of a matrix."""
+    columns = _columns(scalars)
+    rows = (
+        [_array(elements[i : i + columns]) for i in range(0, len(elements), columns)] if columns else elements
+    )
+    return _array(rows)
+
+
 def _parameter(name: str, scalars: list[ScalarVariable]) -> str:
-    first, each = scalars[0], "each " if _is_vector(scalars) else ""
+    first, each = scalars[0], "each " if _is_array(scalars) else ""
     limits = {"min": first.min, "max": first.max}
     modifiers = [
         f"{each}{name} = {number(first, limit)}" for name, limit in limits.items() if limit is not None
@@ -109,7 +126,9 @@ def _connector(kind: str, name: str, scalars: list[ScalarVariable]) -> str:
 
 def _declared(name: str, scalars: list[ScalarVariable], modifiers: list[str]) -> str:
     """The name with its size and its modifiers, the unit first."""
-    size = f"[{len(scalars)}]" if _is_vector(scalars) else ""
+    columns = _columns(scalars)
+    shape = f"{len(scalars) // columns}, {columns}" if columns else str(len(scalars))
+    size = f"[{shape}]" if _is_array(scalars) else ""
     modifiers = _unit_modifier(scalars) + modifiers
     return f"{name}{size}({', '.join(modifiers)})" if modifiers else f"{name}{size}"
 
@@ -120,8 +139,8 @@ def _unit_modifier(scalars: list[ScalarVariable]) -> list[str]:
         return []
     units = [json.dumps(variable.unit or "1") for variable in scalars]
     if len(set(units)) > 1:
-        return [f"unit = {{{', '.join(units)}}}"]
-    return [f"{'each ' if _is_vector(scalars) else ''}unit = {units[0]}"]
+        return [f"unit = {_rows(scalars, units)}"]
+    return [f"{'each ' if _is_array(scalars) else ''}unit = {units[0]}"]
 
 
 def identifier(description: ModelDescription) -> str:

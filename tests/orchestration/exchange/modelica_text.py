@@ -24,27 +24,27 @@ class Block:
 
 
 def _elements(text: str) -> list[str]:
-    return [] if text.startswith("fill(") else [element.strip() for element in text.strip("{} ").split(",")]
+    return [] if text.startswith("fill(") else [element.strip("{}") for element in text.split(", ")]
 
 
 def _scalars(name: str, text: str) -> dict[str, float]:
-    """name -> value, or name[i] -> value of a vector."""
+    """name -> value, name[i] -> value of a vector, or name[i,j] -> value of a matrix."""
     values = [{"true": 1.0, "false": 0.0}.get(e) for e in _elements(text)]
     numbers = [float(e) if v is None else v for e, v in zip(_elements(text), values, strict=True)]
-    return (
-        {f"{name}[{i}]": x for i, x in enumerate(numbers, start=1)}
-        if text.startswith("{")
-        else {name: numbers[0]}
-    )
+    columns = len(_elements(text.partition("}")[0])) if text.startswith("{{") else 0
+    if columns:
+        return {f"{name}[{i // columns + 1},{i % columns + 1}]": x for i, x in enumerate(numbers)}
+    if text.startswith("{"):
+        return {f"{name}[{i}]": x for i, x in enumerate(numbers, start=1)}
+    return {name: numbers[0]}
 
 
 def read_block(path: Path, modifiers: dict[str, str]) -> Block:
     """The block with the modifiers of an instance."""
     text = path.read_text(encoding="utf-8")
     values: dict[str, float] = {}
-    for name, value in re.findall(
-        r"^  parameter (?:Real|Integer|Boolean) (\w+)(?:\[\d+\])?(?:\(.*?\))? = (\{.*?\}|\S+)", text, re.M
-    ):
+    declared = r"^  parameter (?:Real|Integer|Boolean) (\w+)(?:\[[\d, ]+\])?(?:\(.*?\))?"
+    for name, value in re.findall(rf"{declared} = (\{{\{{.*?\}}\}}|\{{.*?\}}|\S+)", text, re.M):
         values |= _scalars(name, value)
     for name, value in modifiers.items():
         values |= _scalars(name, value)
@@ -87,7 +87,7 @@ def read_loop(folder: Path) -> Loop:
     text = (folder / f"{modelica.SYSTEM}.mo").read_text(encoding="utf-8")
     blocks = {}
     for kind, name, inside in re.findall(r"^  (\w+) (\w+)\(\n(.*?)\);\n", text, re.S | re.M):
-        modifiers = dict(re.findall(r"(\w+) = (\{.*?\}|[^,\n]+)", inside))
+        modifiers = dict(re.findall(r"(\w+) = (\{\{.*?\}\}|\{.*?\}|[^,\n]+)", inside))
         blocks[name] = read_block(folder / f"{kind}.mo", modifiers)
     table = re.search(r"table = \[(.*?)\]", text)
     experiment = re.search(r"StartTime = (\S+), StopTime = (\S+), Interval = ([\d.e-]+)\)", text)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import rumoca
 
+from fmus import catalogue
 from fmus.export import toolchain
 from orchestration.errors import OrchestrationError
 from orchestration.exchange import modelica
@@ -125,10 +126,15 @@ def test_the_external_functions_compile_for_other_platforms(
 
 
 def _open_only(folder: str, name: str) -> str:
+    """Opens the plant with its first voltage and its depth alone."""
+    variables = catalogue.load_block("RovDepthPlant").variables
+    voltage, depth = (
+        v.value_reference for name in ("voltage[1]", "depth") for v in variables if v.name == name
+    )
     return (
         '#include "modelica_fmu.h"\nint main(void) {\n    double u[9] = {0}, y[7];\n'
         f'    void *it = modelica_fmu_open("{folder}", "{name}", "it", NULL, NULL, 0, NULL, NULL, 0,\n'
-        "        NULL, NULL, 0, (const int[]){28}, 1, (const int[]){37}, 1);\n"
+        f"        NULL, NULL, 0, (const int[]){{{voltage}}}, 1, (const int[]){{{depth}}}, 1);\n"
         "    modelica_fmu_start(it, 0.0, u, y);\n    modelica_fmu_step(it, 0.0, 0.02, 1, u, y);\n"
         "    modelica_fmu_step(it, 0.0, 0.02, 3, u, y);\n    modelica_fmu_close(it);\n    return 0;\n}\n"
     )
