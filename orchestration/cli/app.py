@@ -25,7 +25,7 @@ app = typer.Typer(
 for _panel, _commands in {
     "FMUs": (fmu.new, fmu.build, fmu.check, fmu.inspect),
     "Scenarios": (run.scenarios, run.run, sweep.sweep, run.report),
-    "Controllers compared": (score.score, study.tune, margins.margins),
+    "Controllers compared": (score.score, study.tune, study.compare, margins.margins),
     "The paper": (paper.reproduce, paper.identify, paper.identifiability),
     "Other tools": (exchange.package, exchange.export),
 }.items():

@@ -1,15 +1,20 @@
-"""Command tune: gains for a controller by the same search as for every other one."""
+"""Commands tune and compare: gains by the same search for every controller, and all controllers at once."""
 
+import itertools
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from orchestration.cli.changes import CONTROLLER, Changes, MapOption, OpenInputsOption
+from fmus.errors import nearest
+from orchestration.cli.changes import MapOption, OpenInputsOption, SetOption
 from orchestration.cli.interrupts import INTERRUPTED
 from orchestration.cli.shared import OutFolder, fail, print_table, progress
+from orchestration.errors import ScenarioError
+from orchestration.system.open_inputs import OpenInputs
 
 if TYPE_CHECKING:
     from orchestration.study.loop import Controller
@@ -32,7 +37,7 @@ def tune(
     ] = [],  # noqa: B006  (Typer copies it)
     evaluations: Annotated[
         int, typer.Option(metavar="NUMBER", help="Evaluate so many for each free gain and seed.", min=1)
-    ] = 80,
+    ] = 50,
     seeds: Annotated[int, typer.Option(metavar="NUMBER", help="Search from so many seeds.", min=1)] = 5,
     workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = os.cpu_count() or 1,
     out: OutFolder = Path("results"),
@@ -42,28 +47,27 @@ def tune(
     league: Annotated[
         str, typer.Option(metavar="NAME", help="Of a controller that is not of the protocol.")
     ] = "position",
-    settings: Annotated[
-        list[str],
-        typer.Option("--set", metavar="NAME=VALUE", help="Set this parameter for all evaluations."),
-    ] = [],  # noqa: B006
+    settings: SetOption = [],  # noqa: B006
     mapped: MapOption = [],  # noqa: B006
     open_inputs: OpenInputsOption = None,
 ) -> None:
     """Search the gains of least cost on practice cases of the protocol; an interrupted tuning continues."""
-    from orchestration.scenarios.worker_pool import worker_pool
     from orchestration.study import tune_file, tune_problem, tune_space
     from orchestration.study.protocol import read_protocol
     from orchestration.study.tune import tune as search
+    from orchestration.study.tune_processes import processes
 
     protocol = read_protocol()
-    fixed = [f"{CONTROLLER}.{setting}" for setting in settings]
-    controller = _controller(name, league, Changes.of_options("", fixed, mapped, open_inputs), protocol)
+    controller = _controller(name, league, settings, mapped, open_inputs, protocol)
     problem = tune_problem.problem_of(controller, protocol, [tune_space.parse(text) for text in free])
     journal = out / f"{controller.name}.tune.jsonl"
     if restart:
         journal.unlink(missing_ok=True)
     total, done = evaluations * len(problem.gains) * seeds, 0
-    with progress(f"tune {controller.name}", total) as bar, worker_pool(workers) as submit:
+    with (
+        progress(f"tune {controller.name}", total) as bar,
+        processes(controller, protocol, workers) as evaluate,
+    ):
 
         def advance(count: int, cost: float) -> None:
             nonlocal done
@@ -71,7 +75,7 @@ def tune(
             bar.advance(count, f"best {cost:.4g} cm")
 
         try:
-            tuning = search(problem, range(1, seeds + 1), evaluations, journal, submit, advance)
+            tuning = search(problem, range(1, seeds + 1), evaluations, journal, evaluate, advance)
         except KeyboardInterrupt:
             fail(
                 f"interrupted: {done} of {total} evaluations are done and kept; the same command continues",
@@ -85,23 +89,27 @@ def tune(
     print(path)
 
 
-def _controller(name: str, league: str, changes: Changes, protocol: "Protocol") -> "Controller":
+def _controller(
+    name: str,
+    league: str,
+    settings: Sequence[str],
+    mapped: Sequence[str],
+    open_inputs: OpenInputs | None,
+    protocol: "Protocol",
+) -> "Controller":
     """The controller of the protocol, or of an FMU, with what the options change."""
-    from fmus import catalogue
-    from orchestration.study.loop import Controller, built_in
+    from fmus.registry import block_names
+    from orchestration.cli.scored_controllers import scored_controllers
+    from orchestration.study.loop import built_in
 
-    if name in protocol.controllers:
-        chosen = built_in(protocol, name)
-    else:
-        fmu = str(catalogue.fmu_of_file(Path(name))) if name.endswith(".py") else name
-        chosen = Controller(Path(name).stem, fmu, league)
-    settings = {variable.partition(".")[2]: value for variable, value in changes.settings.items()}
-    return replace(
-        chosen,
-        parameters={**chosen.parameters, **settings},
-        mapping=changes.mapping.get(CONTROLLER, {}),
-        open_inputs=str(changes.open_inputs or chosen.open_inputs),
-    )
+    known = [*protocol.controllers, *block_names()]
+    if name not in known and not name.endswith((".py", ".fmu")):
+        raise ScenarioError(f"no controller {name!r}; {nearest(name, known)}")
+    (chosen,) = scored_controllers([name], league, settings, mapped, open_inputs)
+    if name not in protocol.controllers:
+        return chosen
+    of_protocol = built_in(protocol, name)
+    return replace(of_protocol, parameters={**of_protocol.parameters, **chosen.parameters})
 
 
 def _print_gains(tuning: "Tuning", name: str) -> None:
@@ -117,7 +125,39 @@ def _print_gains(tuning: "Tuning", name: str) -> None:
     print_table(table)
     verdict = "flat" if tuning.is_flat else "not flat: more evaluations may lower it"
     print(
-        f"The cost is {verdict}. In the last quarter of {len(tuning.best.curve)} evaluations it fell by at "
-        f"most {100 * tuning.improvement:.2g} %; the {len(tuning.searches)} seeds differ by "
-        f"{100 * tuning.spread:.2g} %."
+        f"The cost is {verdict}. In the last quarter of {len(tuning.best.curve)} evaluations it fell by "
+        f"{100 * tuning.improvement:.2g} %; the median of {len(tuning.searches)} seeds is "
+        f"{100 * tuning.spread:.2g} % above the lowest."
     )
+
+
+def compare(
+    full: Annotated[
+        bool, typer.Option("--full", help="Run the plants of the protocol too, and compare on each.")
+    ] = False,
+    workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = os.cpu_count() or 1,
+    out: OutFolder = Path("results"),
+) -> None:
+    """Score all controllers of the protocol, each with the gains that it comes with, and tuned."""
+    from fmus.files import write_text_atomically
+    from orchestration.cli.score_tables import score_tables
+    from orchestration.study import compare as comparison
+    from orchestration.study.protocol import read_protocol
+
+    protocol = read_protocol()
+    with progress("compare", comparison.run_count(protocol, full)) as bar:
+        result = comparison.compare(protocol, full, workers, bar.advance)
+    document = result.document
+    for league, which in itertools.product(protocol.tables.leagues, (comparison.TUNED, comparison.START)):
+        table = score_tables(comparison.part(document, which, league))[0]
+        table.title = f"{league}, {which}: {table.title}"
+        print_table(table)
+    written = {
+        "comparison.json": document.model_dump_json(indent=1),
+        "comparison.md": "\n\n".join(
+            f"{name}\n\n{text}" for name, text in comparison.tables(document).items()
+        ),
+    }
+    for name, text in written.items():
+        write_text_atomically(out / name, f"{text}\n")
+        print(out / name)

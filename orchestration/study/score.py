@@ -18,7 +18,7 @@ from orchestration.errors import ScenarioError
 from orchestration.fmi.description import describe
 from orchestration.study import score_cache
 from orchestration.study.isolated_loop import IsolatedLoop, RunError
-from orchestration.study.loop import Controller, Loop, built_in
+from orchestration.study.loop import Controller, Loop
 from orchestration.study.plants import plants
 from orchestration.study.protocol import Case, Protocol, read_protocol
 from orchestration.study.score_document import (
@@ -40,6 +40,7 @@ from orchestration.study.scored_run import (
 )
 from orchestration.study.statistics import compare, distribution, holm
 from orchestration.study.table_seeds import table_seeds
+from orchestration.study.tuned_gains import tuned
 from orchestration.system.prepared_run import prepare
 
 OVER_PLANTS = ("rmse", "peak_error", "settling_time", "overshoot", "total_variation", "breach")
@@ -72,7 +73,7 @@ def score(
 ) -> ScoreResult:
     """Run every case, with `full` every plant too, and compare with the controllers of the protocol.
 
-    beside: the other controllers, by default those of the protocol; their rows are kept in a cache
+    beside: the other controllers, by default those of the protocol, tuned; their rows are kept in a cache
     timeout: longest time [s] of a run, by default that of the protocol
     progress: called with how many more runs are done, of `run_count`
     Each controller runs in a process of its own. One that fails, hangs or crashes has its row with the
@@ -81,7 +82,7 @@ def score(
     protocol = protocol or read_protocol()
     scoring = _Scoring(protocol, full, timeout or protocol.tables.time_limit, progress)
     if beside is None:
-        beside = [built_in(protocol, name) for name in protocol.controllers]
+        beside = [tuned(protocol, name) for name in protocol.controllers]
     taken = {controller.name for controller in beside}
     jobs = [(_named(controller, taken), True) for controller in controllers]
     jobs += [(controller, False) for controller in beside]

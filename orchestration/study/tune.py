@@ -4,20 +4,25 @@ The searches of all seeds go on together, a generation of each at a time, so tha
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from orchestration.errors import OrchestrationError
-from orchestration.scenarios.worker_pool import Submit
 from orchestration.study.tune_journal import Journal
 from orchestration.study.tune_search import Search
 from orchestration.study.tune_space import FreeGain
 
 LAST_PART = 0.25  # of the evaluations of a search: what they still gain shows whether the cost is flat
 LARGEST_IMPROVEMENT = 0.02  # of the cost, in the last part
-LARGEST_SPREAD = 0.05  # of the lowest cost, between the seeds
+LARGEST_SPREAD = 0.05  # of the lowest cost: so near must most of the seeds come to it
+
+
+Evaluate = Callable[[dict[str, float]], Future[Mapping[str, Any]]]
+"""{gain: value} -> in the future, {"cost": a finite number, and what else is of interest}."""
 
 
 @dataclass(frozen=True)
@@ -25,12 +30,10 @@ class Problem:
     """What is tuned.
 
     gains: those that are free
-    cost: a function of a module, {gain: value} -> {"cost": a finite number, and what else is of interest}
     tuned: plain data that says what the cost depends on; a journal of something else is refused
     """
 
     gains: tuple[FreeGain, ...]
-    cost: Callable[[dict[str, float]], Mapping[str, Any]]
     tuned: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -49,12 +52,6 @@ class SearchResult:
     @property
     def cost(self) -> float:
         return self.curve[-1]
-
-    @property
-    def improvement(self) -> float:
-        """How much lower the cost became in the last part of the evaluations, relative to what it was."""
-        before = self.curve[int((1.0 - LAST_PART) * len(self.curve)) - 1]
-        return (before - self.cost) / before if before else 0.0
 
 
 @dataclass(frozen=True)
@@ -77,15 +74,21 @@ class Tuning:
         return sum(len(search.curve) for search in self.searches)
 
     @property
-    def spread(self) -> float:
-        """Between the costs of the seeds, relative to the lowest."""
-        lowest = self.best.cost
-        return (max(search.cost for search in self.searches) - lowest) / lowest if lowest else 0.0
+    def curve(self) -> tuple[float, ...]:
+        """The lowest cost of all seeds after each evaluation of a seed."""
+        return tuple(map(min, zip(*(search.curve for search in self.searches), strict=True)))
 
     @property
     def improvement(self) -> float:
-        """The largest of the searches'."""
-        return max(search.improvement for search in self.searches)
+        """How much lower the cost became in the last part of the evaluations, relative to what it was."""
+        before = self.curve[int((1.0 - LAST_PART) * len(self.curve)) - 1]
+        return (before - self.best.cost) / before if before else 0.0
+
+    @property
+    def spread(self) -> float:
+        """How far the median of the seeds' costs is above the lowest, relative to it."""
+        lowest = self.best.cost
+        return (median(search.cost for search in self.searches) - lowest) / lowest if lowest else 0.0
 
     @property
     def is_flat(self) -> bool:
@@ -98,7 +101,7 @@ def tune(
     seeds: Sequence[int],
     evaluations_per_gain: int,
     path: Path,
-    submit: Submit,
+    evaluate: Evaluate,
     progress: Callable[[int, float], None] = lambda done, cost: None,
 ) -> Tuning:
     """Search the gains of least cost; the same seeds give the same gains, interrupted or not.
@@ -115,7 +118,7 @@ def tune(
     lowest = float("inf")
     while rows := [row for search in searches for row in search.ask()]:
         pending = [
-            (row, None if (row["seed"], row["evaluation"]) in done else submit(problem.cost, row["gains"]))
+            (row, None if (row["seed"], row["evaluation"]) in done else evaluate(row["gains"]))
             for row in rows
         ]
         for row, future in pending:

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from orchestration.errors import SimulationError
-from orchestration.study.loop import Controller, Loop
-from orchestration.study.protocol import Case, Protocol, read_protocol
+from orchestration.study.loop import Loop
+from orchestration.study.protocol import Case, Protocol
 
 LARGEST = 1000.0  # cost of a run that ends early; finite, so that the search goes on
 MARGIN = "delay_margin"
@@ -25,12 +25,11 @@ _HOLD_S = 40.0  # what is judged of a hold, at its end: 100 s to 140 s
 Figures = Mapping[str, float]
 
 
-def cost_of(gains: Mapping[str, float], controller: Controller, every_seed: bool = False) -> dict[str, Any]:
-    """The cost of gains over those of a controller, with the mean figures of each case.
+def cost_of(loop: Loop, gains: Mapping[str, float], every_seed: bool = False) -> dict[str, Any]:
+    """The cost of gains over those of the controller, with the mean figures of each case.
 
     every_seed: each case with every practice seed, not with one
     """
-    loop = _loop(controller)
     table = loop.protocol.tables.cost
     bounds = {name: bound for name, bound in table.bounds.items() if name != MARGIN}
     figures: dict[str, list[Figures]] = {}
@@ -87,13 +86,3 @@ def _mean(runs: Sequence[Figures]) -> dict[str, float]:
     """The mean of each figure that is a number in every run."""
     means = {name: float(np.mean([run[name] for run in runs])) for name in runs[0]}
     return {name: mean for name, mean in means.items() if math.isfinite(mean)}
-
-
-_LOOPS: dict[str, Loop] = {}  # of this process, which stay loaded
-
-
-def _loop(controller: Controller) -> Loop:
-    key = repr(controller)
-    if key not in _LOOPS:
-        _LOOPS[key] = Loop(controller, read_protocol())
-    return _LOOPS[key]

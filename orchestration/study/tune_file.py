@@ -10,9 +10,8 @@ from fmus.files import write_text_atomically
 from orchestration.study.tune import LARGEST_IMPROVEMENT, LARGEST_SPREAD, LAST_PART, SearchResult, Tuning
 
 CRITERION = (
-    f"flat: no seed lowers its cost by more than {100 * LARGEST_IMPROVEMENT:g} % in the last "
-    f"{100 * LAST_PART:g} % of its evaluations, and the costs of the seeds differ by at most "
-    f"{100 * LARGEST_SPREAD:g} % of the lowest"
+    f"flat: the last {100 * LAST_PART:g} % of the evaluations lower the cost by at most "
+    f"{100 * LARGEST_IMPROVEMENT:g} %, and most seeds come within {100 * LARGEST_SPREAD:g} % of the lowest"
 )
 
 
@@ -53,7 +52,7 @@ def document(tuning: Tuning, fixed: Mapping[str, Any], provenance: Mapping[str, 
             "is_flat": tuning.is_flat,
             "criterion": CRITERION,
             "improvement_in_the_last_part": tuning.improvement,
-            "spread_over_seeds": tuning.spread,
+            "median_seed_above_the_lowest": tuning.spread,
             "optimiser": tuning.optimiser,
             "evaluations": tuning.evaluations,
             "figures": dict(best.figures),
@@ -75,7 +74,6 @@ def _seed(search: SearchResult) -> dict[str, Any]:
     return {
         "seed": search.seed,
         "cost": search.cost,
-        "improvement_in_the_last_part": search.improvement,
         "gains": dict(search.gains),
         "curve": [*curve, [len(search.curve), search.cost]],
     }

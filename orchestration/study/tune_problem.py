@@ -1,6 +1,5 @@
 """What is tuned for one controller: its free gains, its cost, and what the cost depends on."""
 
-import functools
 import hashlib
 from collections.abc import Iterable
 from pathlib import Path
@@ -34,7 +33,7 @@ def problem_of(controller: Controller, protocol: Protocol, free: Iterable[FreeGa
         "fmus": {name: _hash(path) for name, path in components.items()},
         "protocol": _what_costs(protocol),
     }
-    return Problem(gains, functools.partial(cost_of, controller=controller), tuned)
+    return Problem(gains, tuned)
 
 
 def _of_protocol(name: str, protocol: Protocol) -> list[FreeGain]:
@@ -69,6 +68,8 @@ def provenance(tuning: Tuning, controller: Controller, protocol: Protocol) -> di
             f"{controller.name}: none of {tuning.evaluations} evaluations ran to its end: expected one that "
             f"does; the last failure: {best.figures.get('failure', 'a cost that is not finite')}"
         )
+    with Loop(controller, protocol) as loop:
+        every_seed = cost_of(loop, best.gains, every_seed=True)
     table = protocol.tables.cost
     return {
         "controller": controller.name,
@@ -77,5 +78,5 @@ def provenance(tuning: Tuning, controller: Controller, protocol: Protocol) -> di
         "protocol": protocol.version,
         "objective": f"mean {table.figure} over {', '.join(table.cases)}, practice seeds",
         "bounds": dict(table.bounds),
-        "cost_of_every_practice_seed": cost_of(best.gains, controller, every_seed=True)["cost"],
+        "cost_of_every_practice_seed": every_seed["cost"],
     }

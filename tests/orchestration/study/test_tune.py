@@ -13,7 +13,7 @@ import pytest
 from orchestration.errors import OrchestrationError
 from orchestration.scenarios import scenario
 from orchestration.study import tune_file
-from orchestration.study.tune import Problem, SearchResult, Tuning, tune
+from orchestration.study.tune import Evaluate, Problem, SearchResult, Tuning, tune
 from orchestration.study.tune_space import FreeGain
 
 GAINS = (FreeGain("kp", 0.1, 100.0, "N/m"), FreeGain("kd", 0.1, 100.0), FreeGain("offset", -2.0, 2.0))
@@ -28,14 +28,19 @@ def known_cost(gains: Mapping[str, float]) -> dict[str, Any]:
     return {"cost": 2.0 + a**2 + 10.0 * (b - a) ** 2 + (c + 0.5 * a) ** 2, "figures": {"nominal": a}}
 
 
-def at_once(function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-    future: Future[Any] = Future()
-    future.set_result(function(*arguments))
-    return future
+def at_once(cost: Callable[..., dict[str, Any]]) -> Evaluate:
+    """The cost as it is asked for, evaluated in this process."""
+
+    def evaluate(gains: dict[str, float]) -> Future[Mapping[str, Any]]:
+        future: Future[Mapping[str, Any]] = Future()
+        future.set_result(cost(gains))
+        return future
+
+    return evaluate
 
 
 def tuned(path: Path, cost: Callable[..., Any] = known_cost, evaluations_per_gain: int = 80) -> Tuning:
-    return tune(Problem(GAINS, cost, {"law": "known"}), SEEDS, evaluations_per_gain, path, at_once)
+    return tune(Problem(GAINS, {"law": "known"}), SEEDS, evaluations_per_gain, path, at_once(cost))
 
 
 class Interrupted:
@@ -73,7 +78,7 @@ def test_every_free_gain_has_the_same_number_of_evaluations(tmp_path: Path, free
         asked.append(gains)
         return {"cost": 1.0}
 
-    tuning = tune(Problem(GAINS[:free], cost), SEEDS, 7, tmp_path / "journal", at_once)
+    tuning = tune(Problem(GAINS[:free]), SEEDS, 7, tmp_path / "journal", at_once(cost))
     assert len(asked) == tuning.evaluations == 7 * free * len(SEEDS)
     assert {len(search.curve) for search in tuning.searches} == {7 * free}
     assert all(list(gains) == [gain.name for gain in GAINS[:free]] for gains in asked)
@@ -126,11 +131,11 @@ def test_a_journal_with_gains_that_the_search_did_not_ask_for_is_refused(tmp_pat
 def test_progress_counts_what_is_done_with_the_lowest_cost(tmp_path: Path) -> None:
     calls: list[tuple[int, float]] = []
     tuning = tune(
-        Problem(GAINS, known_cost),
+        Problem(GAINS),
         SEEDS,
         4,
         tmp_path / "journal",
-        at_once,
+        at_once(known_cost),
         lambda done, cost: calls.append((done, cost)),
     )
     assert sum(done for done, _ in calls) == tuning.evaluations
@@ -139,27 +144,30 @@ def test_progress_counts_what_is_done_with_the_lowest_cost(tmp_path: Path) -> No
     assert costs[-1] == tuning.best.cost
 
 
-def searched(*curve: float) -> SearchResult:
-    return SearchResult(1, {}, {}, curve)
+def ends_at(cost: float, falls_at: int = 50, before: float = 8.0) -> SearchResult:
+    """A search of 100 evaluations whose cost falls once."""
+    return SearchResult(1, {}, {}, (*[before] * falls_at, *[cost] * (100 - falls_at)))
 
 
-def flat_after(share: float, level: float = 5.0, count: int = 100) -> SearchResult:
-    """Falls by 10 % of the level at that share of the evaluations."""
-    return searched(*(level * (1.1 if i < share * count else 1.0) for i in range(count)))
+def tuning_of(*searches: SearchResult) -> Tuning:
+    return Tuning(Problem(GAINS), searches)
 
 
-def test_a_cost_is_flat_if_the_last_quarter_gains_little_and_the_seeds_agree() -> None:
-    def is_flat(*searches: SearchResult) -> bool:
-        return Tuning(Problem(GAINS, known_cost), searches).is_flat
+def test_the_lowest_cost_must_not_fall_in_the_last_quarter() -> None:
+    assert tuning_of(ends_at(5.0, falls_at=74)).is_flat
+    assert not tuning_of(ends_at(5.0, falls_at=75)).is_flat
+    assert tuning_of(ends_at(5.0, falls_at=75)).improvement == pytest.approx(0.375)
+    assert tuning_of(ends_at(5.0, falls_at=90, before=5.1)).is_flat  # by 1.96 %
+    assert not tuning_of(ends_at(5.0, falls_at=90, before=5.11)).is_flat  # by 2.15 %
+    late = ends_at(5.0, falls_at=90)
+    assert tuning_of(ends_at(5.0), ends_at(5.0), late).is_flat  # another seed was there before
 
-    assert is_flat(flat_after(0.5), flat_after(0.74))
-    assert not is_flat(flat_after(0.5), flat_after(0.76))  # 9 % in the last quarter of one seed
-    assert is_flat(flat_after(0.5), flat_after(0.5, level=5.2))
-    assert not is_flat(flat_after(0.5), flat_after(0.5, level=5.3))  # 6 % between the seeds
-    assert flat_after(0.8).improvement == pytest.approx(1.0 - 1.0 / 1.1)
-    assert Tuning(Problem(GAINS, known_cost), (flat_after(0.5), flat_after(0.5, 5.3))).spread == (
-        pytest.approx(0.06)
-    )
+
+def test_most_seeds_must_come_near_the_lowest_cost() -> None:
+    near, far = ends_at(5.24), ends_at(5.26)
+    assert tuning_of(ends_at(5.0), near, far).is_flat
+    assert not tuning_of(ends_at(5.0), far, far).is_flat
+    assert tuning_of(ends_at(5.0), near, ends_at(7.0)).spread == pytest.approx(0.048)
 
 
 def test_the_file_holds_gains_for_scenarios_and_says_how_far_to_trust_them(tmp_path: Path) -> None:

@@ -1,12 +1,13 @@
 """The cost of gains: what it is made of, that it is finite, and which seeds of noise it uses."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
 
-from orchestration.study.loop import Controller, Loop, built_in
-from orchestration.study.protocol import read_protocol
+from orchestration.study.loop import Loop, built_in
+from orchestration.study.protocol import Protocol
 from orchestration.study.tune_cost import LARGEST, cost_of, delayed, practice_cases, run_cost
 from orchestration.study.tune_problem import problem_of
 from orchestration.study.tune_space import FreeGain
@@ -30,8 +31,7 @@ def test_a_run_costs_its_error_and_what_is_beyond_the_bounds(figures: dict[str, 
     assert run_cost(figures, "rmse", BOUNDS) == pytest.approx(cost)
 
 
-def test_tuning_uses_practice_seeds_alone_and_another_one_in_each_case() -> None:
-    protocol = read_protocol()
+def test_tuning_uses_practice_seeds_alone_and_another_one_in_each_case(protocol: Protocol) -> None:
     seeds = [case.values["plant.sensor_seed"] for case in practice_cases(protocol)]
     assert len(set(seeds)) == len(protocol.tables.cost.cases) > 1
     every = practice_cases(protocol, every_seed=True)
@@ -40,48 +40,47 @@ def test_tuning_uses_practice_seeds_alone_and_another_one_in_each_case() -> None
 
 
 @pytest.fixture(scope="module")
-def controller() -> Controller:
-    return built_in(read_protocol(), "l1-pi")
+def loop(protocol: Protocol) -> Iterator[Loop]:
+    with Loop(built_in(protocol, "l1-pi"), protocol) as loop:
+        yield loop
 
 
-def test_the_cost_is_the_mean_error_of_the_cases_where_no_bound_is_reached(controller: Controller) -> None:
+def test_the_cost_is_the_mean_error_of_the_cases_where_no_bound_is_reached(loop: Loop) -> None:
     """At the gains of the block, which are slow: all bounds hold."""
-    evaluated = cost_of({}, controller)
-    protocol = read_protocol()
-    with Loop(controller, protocol) as loop:
-        errors = [loop.figures(case)["rmse"] for case in practice_cases(protocol)]
+    evaluated = cost_of(loop, {})
+    errors = [loop.figures(case)["rmse"] for case in practice_cases(loop.protocol)]
     assert evaluated["cost"] == pytest.approx(sum(errors) / 3)
-    assert cost_of({}, controller) == evaluated
-    assert cost_of({"filter_bandwidth": 0.5}, controller)["cost"] < evaluated["cost"]
+    assert cost_of(loop, {}) == evaluated
+    assert cost_of(loop, {"filter_bandwidth": 0.5})["cost"] < evaluated["cost"]
 
 
-def test_a_loop_that_a_late_measurement_makes_swing_costs_more_than_its_error(controller: Controller) -> None:
+def test_a_loop_that_a_late_measurement_makes_swing_costs_more_than_its_error(loop: Loop) -> None:
     """K_P and K_I of about 20 times those of the block: quiet as it is, not with 0.1 s of delay."""
-    evaluated = cost_of({"proportional_gain": 200.0, "rate_feedback_gain": 60.0}, controller)
+    evaluated = cost_of(loop, {"proportional_gain": 200.0, "rate_feedback_gain": 60.0})
     error = sum(figures["rmse"] for figures in evaluated["figures"].values()) / 3
     assert evaluated["unrest"] > 0.003
     assert evaluated["cost"] > error + 1.0
 
 
-def test_a_case_can_be_delayed_besides_its_own_faults() -> None:
-    nominal = read_protocol().cases["nominal"]
+def test_a_case_can_be_delayed_besides_its_own_faults(protocol: Protocol) -> None:
+    nominal = protocol.cases["nominal"]
     frozen = {"input": "controller.measured_depth", "kind": "freeze", "start": 1.0, "end": 2.0}
     late = delayed(replace(nominal, layer={**nominal.layer, "faults": [frozen]}), 0.1, "controller.y")
     assert late.layer["faults"] == [frozen, {"input": "controller.y", "kind": "delay", "delay": 0.1}]
     assert late.layer["experiment"]["stop_time"] == 140.0  # when the reference leaves 0.8 m
 
 
-def test_gains_that_the_fmu_refuses_have_a_finite_cost_and_the_reason(controller: Controller) -> None:
-    evaluated = cost_of({"observer_period": 0.001}, controller)
+def test_gains_that_the_fmu_refuses_have_a_finite_cost_and_the_reason(loop: Loop) -> None:
+    evaluated = cost_of(loop, {"observer_period": 0.001})
     assert evaluated["cost"] == LARGEST
     assert "internal_step at most observer_period" in evaluated["failure"]
-    assert cost_of({}, controller)["cost"] < LARGEST  # the FMUs run on
+    assert cost_of(loop, {})["cost"] < LARGEST  # the FMUs run on
 
 
 def test_the_gains_of_a_controller_of_the_protocol_are_those_that_it_has_for_it(
-    controller: Controller,
+    loop: Loop,
 ) -> None:
-    protocol = read_protocol()
+    controller, protocol = loop.controller, loop.protocol
     gains = problem_of(controller, protocol).gains
     assert {gain.name: (gain.low, gain.high) for gain in gains} == {
         name: (table.low, table.high) for name, table in protocol.controllers["l1-pi"].gains.items()

@@ -1,0 +1,95 @@
+"""The comparison: every controller of the protocol with the gains that it comes with, and tuned.
+
+Names of rows: "start/l1" has the start values of its FMU, which for L1 are the gains identified from the
+paper; "tuned/l1" has those of gains/l1.toml. The tables are made for docs/explanation/comparison.md.
+"""
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+
+from orchestration.study import score_view
+from orchestration.study.loop import Controller, built_in
+from orchestration.study.protocol import Protocol
+from orchestration.study.score import ScoreResult, score
+from orchestration.study.score_document import OF_A_ROW, CaseResult, Score
+from orchestration.study.score_view import Cell, ScoreTable
+from orchestration.study.tuned_gains import tuned
+
+START, TUNED = "start", "tuned"
+PAPERS = f"{TUNED}/l1-pi"  # the paper's controller, which the others are compared with plant by plant
+
+
+def controllers(protocol: Protocol) -> list[Controller]:
+    """Every controller of the protocol, tuned and with the start values of its FMU."""
+    return [
+        replace(chosen(protocol, name), name=f"{which}/{name}")
+        for which, chosen in ((TUNED, tuned), (START, built_in))
+        for name in protocol.controllers
+    ]
+
+
+def compare(
+    protocol: Protocol,
+    full: bool = False,
+    workers: int = os.cpu_count() or 1,
+    progress: Callable[[int], object] = lambda done: None,
+) -> ScoreResult:
+    """The score of them all; with `full` on every plant, each compared with the paper's controller, tuned."""
+    papers, *others = sorted(controllers(protocol), key=lambda controller: controller.name != PAPERS)
+    return score([papers], protocol, beside=others, full=full, workers=workers, progress=progress)
+
+
+def run_count(protocol: Protocol, full: bool) -> int:
+    """Runs of a comparison."""
+    runs = len(protocol.cases) + (protocol.tables.plants.count if full else 0)
+    return len(controllers(protocol)) * runs
+
+
+def part(document: Score, which: str, league: str) -> Score:
+    """The rows of one kind and league, each table of which marks the best of its columns."""
+    rows = [row for row in document.rows if row.name.startswith(f"{which}/") and row.league == league]
+    return document.model_copy(update={"rows": rows})
+
+
+def tables(document: Score) -> dict[str, str]:
+    """The tables of the page in Markdown, by the name that stands before them there."""
+    made: dict[str, str] = {}
+    for league in document.protocol.leagues:
+        for which in (TUNED, START):
+            rows = part(document, which, league)
+            made[f"{which} {league} overview"] = _markdown(score_view.overview(rows))
+        rows = part(document, TUNED, league)
+        made[f"{TUNED} {league} rmse"] = _markdown(score_view.of_figure(rows, "rmse"))
+    return made
+
+
+def _markdown(table: ScoreTable) -> str:
+    headings = [f"{c.title} [{c.unit}]" if c.unit else c.title for c in table.columns]
+    lines = [["Controller", *headings], [":---", *["---:"] * len(headings)]]
+    lines += [[row.title, *map(_text, cells)] for row, cells in zip(table.rows, table.cells, strict=True)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _text(cell: Cell) -> str:
+    text = f"**{cell.text}**" if cell.is_best else cell.text
+    return f"{text} !" if cell.failed else text
+
+
+def figure(document: Score, key: str) -> float:
+    """The number that the page names by a key such as "tuned/l1.nominal.rmse" or "tuned/l1.delay_margin".
+
+    Raises KeyError for a key of no figure.
+    """
+    name, *path = key.split(".")
+    row = next((row for row in document.rows if row.name == name), None)
+    match path:
+        case [case, figure_name] if row and figure_name in row.cases.get(case, CaseResult()).figures:
+            return row.cases[case].figures[figure_name]
+        case [figure_name] if row and figure_name in OF_A_ROW:
+            return getattr(row, figure_name)
+        case ["plants", "failure_rate"] if row and row.plants:
+            return row.plants.failure_rate
+        case ["plants", figure_name, "median" | "p95" | "cvar" as statistic] if row and row.plants:
+            return getattr(row.plants.figures[figure_name], statistic)
+    raise KeyError(key)
