@@ -111,34 +111,34 @@ def test_the_options_are_those_that_the_cross_check_requires(folder: Path) -> No
         assert steps == pytest.approx(round(steps), rel=1e-12)  # a product of the step size, rounded once
 
 
-def test_the_manifest_describes_every_file_of_the_layered_standard(either: dict[str, Path]) -> None:
-    for path in either.values():
-        with zipfile.ZipFile(path) as archive:
-            files = {m.removeprefix(f"extra/{LS_REF}/") for m in archive.namelist() if m.startswith("extra/")}
-            manifest = ElementTree.fromstring(archive.read(f"extra/{LS_REF}/fmi-ls-manifest.xml"))
-        related = {str(entry.get("source")): str(entry.get("role")) for entry in manifest}
-        assert manifest.tag == "fmiReferences"
-        assert set(related) | {"fmi-ls-manifest.xml"} == files
-        assert sorted(related.values()) == sorted(["experiment", "result", "other"][: len(related)])
-        keys = {key.rpartition("}")[2]: value for key, value in manifest.attrib.items()}
-        assert keys["fmi-ls-name"] == LS_REF
-        assert {key.partition("}")[0] for key in manifest.attrib} == {
-            "{http://fmi-standard.org/fmi-ls-manifest"
-        }
+@pytest.mark.parametrize("name", NAMES)
+def test_the_manifest_describes_every_file_of_the_layered_standard(
+    either: dict[str, Path], name: str
+) -> None:
+    with zipfile.ZipFile(either[name]) as archive:
+        files = {m.removeprefix(f"extra/{LS_REF}/") for m in archive.namelist() if m.startswith("extra/")}
+        manifest = ElementTree.fromstring(archive.read(f"extra/{LS_REF}/fmi-ls-manifest.xml"))
+    related = {str(entry.get("source")): str(entry.get("role")) for entry in manifest}
+    assert manifest.tag == "fmiReferences"
+    assert set(related) | {"fmi-ls-manifest.xml"} == files
+    assert sorted(related.values()) == sorted(["experiment", "result", "other"][: len(related)])
+    keys = {key.rpartition("}")[2]: value for key, value in manifest.attrib.items()}
+    assert keys["fmi-ls-name"] == LS_REF
+    assert {key.partition("}")[0] for key in manifest.attrib} == {"{http://fmi-standard.org/fmi-ls-manifest"}
 
 
-def test_the_experiment_inside_is_the_one_beside(built: Mapping[str, Path], folder: Path) -> None:
-    for name, path in built.items():
-        prefix = f"extra/{LS_REF}/{name}"
-        with zipfile.ZipFile(path) as archive:
-            (experiment,) = ElementTree.fromstring(archive.read(f"{prefix}.exp"))
-            tables = {entry.get("source") for entry in experiment if entry.get("source")}
-            for file in tables:
-                assert archive.read(f"extra/{LS_REF}/{file}") == (folder / str(file)).read_bytes()
-        settings = experiment.find("TransientSimulation")
-        assert settings is not None
-        assert settings.get("stopTime") == options(folder, name)["StopTime"]
-        assert settings.get("stepSize") == options(folder, name)["StepSize"]
+@pytest.mark.parametrize("name", NAMES)
+def test_the_experiment_inside_is_the_one_beside(built: Mapping[str, Path], folder: Path, name: str) -> None:
+    prefix = f"extra/{LS_REF}/{name}"
+    with zipfile.ZipFile(built[name]) as archive:
+        (experiment,) = ElementTree.fromstring(archive.read(f"{prefix}.exp"))
+        tables = {entry.get("source") for entry in experiment if entry.get("source")}
+        for file in tables:
+            assert archive.read(f"extra/{LS_REF}/{file}") == (folder / str(file)).read_bytes()
+    settings = experiment.find("TransientSimulation")
+    assert settings is not None
+    assert settings.get("stopTime") == options(folder, name)["StopTime"]
+    assert settings.get("stepSize") == options(folder, name)["StepSize"]
 
 
 def test_the_same_block_gives_the_same_files() -> None:
