@@ -12,12 +12,13 @@ import pytest
 
 from orchestration.errors import OrchestrationError, ScenarioError
 from orchestration.study import score_document
-from orchestration.study.loop import Controller, Loop, built_in
+from orchestration.study.loop import Controller, Loop
 from orchestration.study.plants import plants
 from orchestration.study.protocol import read_protocol
 from orchestration.study.score import run_count, score
 from orchestration.study.score_document import Row, Score
 from orchestration.study.table_seeds import table_seeds
+from orchestration.study.tuned_gains import tuned
 from tests.foreign_fmus import Misdeed
 from tests.shared_builds import Build
 
@@ -135,7 +136,7 @@ def test_all_controllers_get_the_same_plants(document: Score, path: Path) -> Non
     mine, other = row(document, "mine").plants, row(document, "l1-pi").plants
     assert mine is not None
     assert other is not None
-    with Loop(built_in(protocol, "l1-pi"), protocol) as loop:
+    with Loop(tuned(protocol, "l1-pi"), protocol) as loop:
         cases = plants(protocol, table_seeds().plants_seed)
         assert other.figures["rmse"].values == [loop.figures(case, names=["rmse"])["rmse"] for case in cases]
     (difference,) = [
