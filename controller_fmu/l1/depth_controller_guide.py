@@ -27,6 +27,10 @@ LAW_LIMITS = (
     "While the actuator saturates, the prediction is driven by what it delivers, and the states of the"
     " filter and the integral of the PI are held where their change would demand still more. Noise that"
     " touches the limit all the time therefore slows them: keep the limit some noise above the demand.",
+    "The reference feedforward and the piecewise-constant law are not from the paper. The feedforward is"
+    " exact for the assumed A_m and a reference whose derivatives are given; at a corner of the reference"
+    " its acceleration is an impulse, which is left out. The piecewise-constant law estimates e^(A_s Ts)"
+    " times the disturbance, and has no bounds.",
     "The prediction is driven by the control that this FMU put out, held from one communication point to"
     " the next: internal_step should not be shorter than a communication step. Where the inputs of a step"
     " are those of its end (Gauss-Seidel), set inputs_at_step_end.",
@@ -55,6 +59,13 @@ x            = (z, z'),   A_m = [[0, 1], [-k_m1 / M_z, -(D_z + k_m2) / M_z]],   
         " too fast.",
         "Against the lag, set augmentation to pi: proportional_gain first, then little integral_gain; or"
         " to nonlinear_p, with a_1 = a_2 where the control should not jump at |e| = delta.",
+        "If the derivatives of the reference are known, drive depth_reference_rate and"
+        " depth_reference_acceleration and set reference_feedforward: inside leaves the lag of the filter,"
+        " outside none. It combines with augmentation, which then acts on what error is left.",
+        "adaptation_law piecewise_constant needs no adaptation_gain and no bounds, and has no fast loop, but"
+        " differentiates the depth rate over adaptation_period: its estimates are noisier. A slow"
+        " prediction_error_matrix A_s leaves the smallest offset; a Ts below the period of the depth sensor"
+        " adds noise alone.",
         OBSERVER_TUNING,
     ),
     limits=(

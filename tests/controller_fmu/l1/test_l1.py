@@ -14,6 +14,7 @@ from controller_fmu.l1 import law as l1
 from controller_fmu.l1 import siso_controller
 from controller_fmu.l1.adaptation import Interval, adapt
 from controller_fmu.l1.augmentation import Augmentation
+from controller_fmu.l1.feedforward import ReferenceFeedforward
 from controller_fmu.l1.law import Held, LawState, Measurement
 from controller_fmu.l1.lowpass import FilterOrder, FilterState
 from fmus import catalogue
@@ -48,8 +49,9 @@ def test_either_filter_settles_where_eta_hat_is_k_g_r(order: FilterOrder, at_end
 
 @pytest.mark.parametrize("at_end", [False, True])
 @pytest.mark.parametrize("limit", [1e6, 1.0])
+@pytest.mark.parametrize("feedforward", [ReferenceFeedforward.NONE, ReferenceFeedforward.OUTSIDE])
 def test_the_prediction_is_driven_by_the_control_that_the_plant_received(
-    driver: Any, at_end: bool, limit: float
+    driver: Any, at_end: bool, limit: float, feedforward: ReferenceFeedforward
 ) -> None:
     """A plant that is the model, fed with the held control: no prediction error but that of the step.
 
@@ -57,13 +59,16 @@ def test_the_prediction_is_driven_by_the_control_that_the_plant_received(
     With the other setting the prediction is driven by the control of the step before, or after.
     """
     matched, other = (
-        largest_prediction_error(driver, at_end, setting, limit) for setting in (at_end, not at_end)
+        largest_prediction_error(driver, at_end, setting, limit, feedforward)
+        for setting in (at_end, not at_end)
     )
     assert matched < 1e-4  # h^2 |A_m| |u'| / 8
     assert other > 30.0 * matched
 
 
-def largest_prediction_error(driver: Any, at_end: bool, setting: bool, limit: float) -> float:
+def largest_prediction_error(
+    driver: Any, at_end: bool, setting: bool, limit: float, feedforward: ReferenceFeedforward
+) -> float:
     """Gamma is 0: nothing is learnt. The plant, A = A_m + B_m k_m, is exact; step sizes alternate."""
     lengths, k_m = (0.01, 0.006), np.array([0.5, 0.4])
     a = np.array([[0.0, 1.0], [-1.0, -1.4]]) + np.outer([0.0, 1.0], k_m)
@@ -72,6 +77,7 @@ def largest_prediction_error(driver: Any, at_end: bool, setting: bool, limit: fl
     controller = driver(
         CONTROLLER, adaptation_gain=0.0, filter_bandwidth=5.0, augmentation=Augmentation.PI,
         proportional_gain=2.0, integral_gain=1.0, control_limit=limit, inputs_at_step_end=setting,
+        reference_feedforward=feedforward,
         **{"feedback_gain[1]": k_m[0], "feedback_gain[2]": k_m[1]},
     ).begin()  # fmt: skip
     x, largest = np.zeros(2), 0.0
@@ -110,6 +116,16 @@ def test_the_vehicles_prediction_is_driven_by_the_force_of_its_voltages(driver: 
         x = (step @ [*x, force])[:2]
     assert saturated == (limit < 12.0)
     assert largest < 1e-4  # m/s, of 0.1 m/s
+
+
+def test_omega_hat_learns_from_a_feedforward_outside_as_from_one_inside() -> None:
+    """What precedes the extension is u_a + u_f."""
+    p = parameters(input_gain_uncertainty=0.5, reference_feedforward=ReferenceFeedforward.OUTSIDE)
+    law = LawState(measured=Measurement(f=1.5), filter=FilterState(u_a=4.0))
+    u, matrices = l1.control(law, p.feedback_gain, p), siso_controller.calculate(p)
+    assert (u.u_a, u.u_f, u.total) == (4.0, 1.5, 5.5)
+    after = l1.law_step(0.01, law, SEEN, u, 5.5, 0.0, p.feedback_gain, p, matrices)
+    assert after.held == Held(0.01, 5.5, 5.5)
 
 
 @pytest.mark.parametrize("at_end", [False, True])
