@@ -46,7 +46,7 @@ sensor     s_k = q(z(t_k) + bias + drift (t_k - t_0) + noise n_k) at t_k = t_0 +
         " tether.",
         "At the surface it is a spring of 217 N/m under 5.5 kg, at 6.3 rad/s, and sensor noise in a loop"
         " keeps it bobbing there.",
-        "The controllers of this project take the thrust for a line, with a thruster_gain and a voltage_limit"
+        "The controllers of this project take the thrust for a line, with a gain and a limit of the voltage"
         " of their own: they do not invert the curve, and know of no other limit of the vehicle's thrusters.",
         "Loss of thrust at the surface is a straight line in the propeller's depth: it depends neither on the"
         " load nor on how long the propeller has drawn air.",

@@ -36,6 +36,13 @@ def test_a_gain_that_the_identification_of_l1_fits_is_no_gain_of_another_law(blo
     assert not shared or block is depth_controller.BLOCK
 
 
+@pytest.mark.parametrize("block", OTHERS, ids=named)
+def test_the_acceleration_of_the_reference_is_fed_forward_but_by_the_pid(driver: Any, block: Block) -> None:
+    controller = driver(block, depth_reference_acceleration=0.1).begin()
+    inertia = 0.0 if block is pid.BLOCK else controller["model_inertia"]
+    assert controller["demanded_force"] == pytest.approx(0.1 * inertia)
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("block", [b for b in OTHERS if b not in (mrac.BLOCK, adrc.BLOCK)], ids=named)
 def test_integrators_hold_while_they_would_widen_a_saturation(driver: Any, block: Block, sign: float) -> None:
