@@ -53,6 +53,41 @@ def test_rmse_overshoot_mean_effort() -> None:
     assert metrics.effort(run, "z") == pytest.approx(100.0 * 2.0 / math.pi, rel=1e-3)
 
 
+def test_integrals_of_an_error_are_those_of_its_formula() -> None:
+    """Of e = 2 exp(-t / 10), e^2 and t e from 0 to 100; the trapezoidal rule errs by h^2 / 1200."""
+    run = recording(z=1.0 - 2.0 * np.exp(-TIME / 10.0), r=np.ones_like(TIME))
+    end = math.exp(-10.0)
+    assert metrics.iae(run, "z", "r") == pytest.approx(20.0 * (1.0 - end), rel=1e-6)
+    assert metrics.ise(run, "z", "r") == pytest.approx(20.0 * (1.0 - end**2), rel=1e-6)
+    assert metrics.itae(run, "z", "r") == pytest.approx(200.0 * (1.0 - 11.0 * end), rel=1e-6)
+    assert metrics.peak_error(run, "z", "r", scale=100.0) == 200.0
+
+
+def test_integrals_of_a_window_begin_there() -> None:
+    """e = t - 20 is -5 .. 5 over 15 .. 25: time counts from 15 on, and the rule is exact for lines."""
+    run = recording(z=TIME, r=np.full_like(TIME, 20.0))
+    window = [15.0, 25.0]
+    assert metrics.iae(run, "z", "r", window) == pytest.approx(25.0)
+    assert metrics.ise(run, "z", "r", window) == pytest.approx(250.0 / 3.0, rel=1e-5)  # h^2 / 6 * 10
+    assert metrics.itae(run, "z", "r", window) == pytest.approx(125.0, rel=1e-5)
+    assert metrics.peak_error(run, "z", "r", window) == pytest.approx(5.0)
+    assert metrics.peak(run, "z", window) == 25.0
+    assert metrics.peak(recording(z=-TIME), "z", scale=2.0) == 200.0
+
+
+def test_time_below_counts_from_the_first_crossing_and_between_points() -> None:
+    """1 - |t - 50| / 50 is above 0.5 from 25 s, and below 0.105 from 94.75 s, between two points of 1 s."""
+    every_second = TIME[::100]
+    triangle = 1.0 - np.abs(every_second - 50.0) / 50.0
+    run = Recording(("z",), ("m",), every_second, triangle[:, None])
+    assert metrics.time_below(run, "z", limit=0.105, after=0.5) == pytest.approx(5.25)
+    assert metrics.time_below(run, "z", 0.105, 0.5, [0.0, 97.0]) == pytest.approx(2.25)
+    assert metrics.time_below(run, "z", limit=-1.0, after=0.5) == 0.0
+    assert math.isnan(metrics.time_below(run, "z", limit=0.1, after=2.0))
+    flat = recording(z=np.where(TIME < 50.0, 1.0, 0.0))
+    assert metrics.time_below(flat, "z", limit=0.5, after=0.9) == pytest.approx(50.0, abs=0.01)
+
+
 def test_total_variation_can_be_sampled() -> None:
     run = recording(z=np.sin(TIME * 2 * math.pi))
     assert metrics.total_variation(run, "z") == pytest.approx(400.0)
