@@ -7,7 +7,13 @@ import typer
 
 from fmus.registry import Flavour
 from orchestration.cli.changes import Changes, ControllerOption, MapOption, OpenInputsOption, SetOption
-from orchestration.cli.shared import FlavourOption, ScenarioArgument, print_table, progress
+from orchestration.cli.shared import (
+    FlavourOption,
+    ScenarioArgument,
+    print_table,
+    progress,
+    refuse_without_effect,
+)
 from orchestration.errors import OrchestrationError
 
 if TYPE_CHECKING:
@@ -36,6 +42,9 @@ def margins(
     quiet: Annotated[
         float, typer.Option(help="Largest standard deviation that counts as quiet, in the signal's unit.")
     ] = 3e-3,
+    theory: Annotated[
+        bool, typer.Option("--theory", help="Give what follows from the design alone, without many runs.")
+    ] = False,
     over: Annotated[
         str,
         typer.Option(
@@ -54,10 +63,12 @@ def margins(
     if bool(signal) != bool(window):
         raise OrchestrationError("--signal and --window: expected both, or none of them")
     repeated = _values(over)
+    if theory:
+        refuse_without_effect("--theory", {"--over": over})
     chosen = chosen_scenario.load(name, flavour, changes)
     hold = Hold(signal, *window, quiet) if window else None
     with progress("margins", runs_needed(repeated)) as bar:
-        judged = judge(chosen, hold, quiet=quiet, over=repeated, progress=bar.advance)
+        judged = judge(chosen, hold, quiet=quiet, over=repeated, measured=not theory, progress=bar.advance)
     _print(chosen.title, judged)
     if out:
         path = out / "margins.json"

@@ -26,7 +26,8 @@ class Design:
     frozen_gains: of the nonlinear P, ascending; empty for other extensions. The law has that of small errors
     gain_unit: of K_P
     has_rest: whether the adaptation has a gain at rest, by which the loop without the limit is linear
-    sensor_delay: of the plant's own [s]
+    controller: the component; adaptation_gain: Gamma, not a number of a law that has none
+    largest_parameters: of |theta|^2 + sigma^2 + (omega - omega_0)^2
     """
 
     law: Law
@@ -36,7 +37,9 @@ class Design:
     frozen_gains: tuple[float, ...]
     gain_unit: str
     has_rest: bool
-    sensor_delay: float
+    controller: str
+    adaptation_gain: float
+    largest_parameters: float
 
     @property
     def extension(self) -> Extension:
@@ -66,7 +69,9 @@ def design_of(prepared: PreparedRun, largest_reference: float, rest: float) -> D
         frozen_gains=_frozen_gains(values, largest_reference),
         gain_unit=_unit(prepared, f"{controllers[0]}.proportional_gain"),
         has_rest=is_gradient and math.isfinite(law.kappa),
-        sensor_delay=0.0 if plant.get("sensor_ideal", True) else plant["sensor_delay"],
+        controller=controllers[0],
+        adaptation_gain=values["adaptation_gain"] if is_gradient else math.nan,
+        largest_parameters=_largest_parameters(values, bound),
     )
 
 
@@ -83,6 +88,11 @@ def values_of(prepared: PreparedRun, component: str) -> dict[str, Any]:
             }
             values[variable.name] = items.get(value, value) if variable.type == "Enumeration" else value
     return values
+
+
+def _largest_parameters(values: Values, theta: Pair) -> float:
+    used = theta[:1] if values["regressor"] == "infinity_norm" else theta
+    return sum(x**2 for x in (*used, values["sigma_bound"], values["input_gain_uncertainty"]))
 
 
 def _unit(prepared: PreparedRun, name: str) -> str:

@@ -24,11 +24,35 @@ CONTROL, PLANT_INPUT = "u", "plant input"
 
 @dataclass(frozen=True)
 class Observer:
-    """alpha, beta and the sampling period [s] of the observer of the depth rate."""
+    """alpha, beta and the sampling period [s] of the observer of the depth rate.
+
+    sampled: by the bilinear equivalent of its difference equations, which has their frequency response but
+    for (frequency x period)^2 / 12; else by the differential equations that they approximate
+    """
 
     alpha: float
     beta: float
     period: float
+    sampled: bool = False
+
+    def equations(self) -> list[Equation]:
+        """Of its output m2, the rate, from the depth m1."""
+        alpha, beta, t = self.alpha, self.beta, self.period
+        if self.sampled:
+            # m2 / m1 = (beta / T) q (q - 1) / (q^2 + (alpha + beta - 2) q + 1 - alpha)
+            # with q = (2 + s T) / (2 - s T)
+            square = 0.25 * t * t * (4.0 - 2.0 * alpha - beta)
+            return [
+                Equation({"observer": 1.0}, {"m2": -beta}),
+                Equation(
+                    {"m2": square, "m1": -0.5 * beta * t}, {"observer": 1.0, "m2": -alpha * t, "m1": beta}
+                ),
+            ]
+        first, second = alpha / t, beta / t**2
+        return [
+            Equation({"observer": 1.0}, {"m2": 1.0, "m1": first, "observer": -first}),
+            Equation({"m2": 1.0}, {"m1": second, "observer": -second}),
+        ]
 
 
 @dataclass(frozen=True)
@@ -86,12 +110,7 @@ def _measurement(law: Law) -> list[Equation]:
     rows = [Equation({}, {"m1": -1.0, "x1": 1.0})]
     if law.observer is None:
         return [*rows, Equation({}, {"m2": -1.0, "x2": 1.0})]
-    first, second = law.observer.alpha / law.observer.period, law.observer.beta / law.observer.period**2
-    return [
-        *rows,
-        Equation({"observed x1": 1.0}, {"m2": 1.0, "m1": first, "observed x1": -first}),
-        Equation({"m2": 1.0}, {"m1": second, "observed x1": -second}),
-    ]
+    return [*rows, *law.observer.equations()]
 
 
 def _prediction(law: Law) -> list[Equation]:

@@ -1,7 +1,8 @@
 """Margins of a scenario: what follows from the design of its controller, and what its FMUs show."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,8 +13,9 @@ from orchestration.scenarios.scenario import Scenario
 from orchestration.study.hold import QUIET, Hold, HoldRuns, hold_of
 from orchestration.study.l1_design import Design, design_of
 from orchestration.study.margin_figure import Figure
-from orchestration.study.run_figures import parameter_figures, run_figures
-from orchestration.study.theory_figures import linear_figures, norm_figures
+from orchestration.study.run_figures import ADAPTATION_GAINS, parameter_figures, run_figures
+from orchestration.study.theory_figures import gamma_figures, linear_figures, norm_figures
+from orchestration.study.transient import bound_figure, step_figures
 from orchestration.system.prepared_run import prepare
 from orchestration.system.signals import values_at
 
@@ -44,30 +46,51 @@ def judge(
     *,
     quiet: float = QUIET,
     over: Mapping[str, Sequence[float]] = {},
+    measured: bool = True,
     progress: Callable[[], object] = lambda: None,
 ) -> Margins:
     """All margins of a scenario.
 
     hold: where it is judged through the FMUs; by default `hold_of`, with this largest deviation `quiet`
-    over: parameter -> values, at each of which the delay margins are measured
+    over: parameter -> values, at each of which the delay margins are measured; by default the adaptation gain
+    of an L1 controller
+    measured: whether the figures that take many runs are among them
     """
-    figures, not_judged = list[Figure](), list[str]()
-    runs = None
+    not_judged, runs = list[str](), None
     try:
         runs = HoldRuns(chosen, hold or hold_of(chosen, quiet))
     except ScenarioError as error:
         not_judged.append(f"Margins through the FMUs are not judged: {error}.")
-    design = _design(chosen, runs)
-    if design:
-        figures += [*norm_figures(design), *linear_figures(design)]
-    else:
-        not_judged.append(FOREIGN)
-    if runs:
-        with runs:
+    with runs or nullcontext():
+        if runs:
+            for name in over:
+                runs.prepared.system.port(name, "--over")
+        design = _design(chosen, runs)
+        if not design:
+            not_judged.append(FOREIGN)
+        figures = [*_theory(design)] if design else []
+        if runs and measured:
             figures += run_figures(runs, progress)
-            for parameter, values in over.items():
+            for parameter, values in (over or _adaptation_gains(design)).items():
                 figures += parameter_figures(runs, parameter, values, progress)
+        if design and measured and math.isfinite(design.adaptation_gain):
+            figures += step_figures(chosen, progress)
     return Margins(chosen.name, tuple(figures), tuple(not_judged))
+
+
+def _theory(design: Design) -> Iterator[Figure]:
+    has_gain = math.isfinite(design.adaptation_gain)
+    yield from norm_figures(design)
+    yield from linear_figures(design)
+    if has_gain and design.has_rest:
+        yield from gamma_figures(design, ADAPTATION_GAINS)
+    if has_gain:
+        yield from bound_figure(design)
+
+
+def _adaptation_gains(design: Design | None) -> dict[str, Sequence[float]]:
+    has_gain = design is not None and math.isfinite(design.adaptation_gain)
+    return {f"{design.controller}.adaptation_gain": ADAPTATION_GAINS} if design and has_gain else {}
 
 
 def _design(chosen: Scenario, runs: HoldRuns | None) -> Design | None:

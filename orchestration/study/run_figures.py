@@ -18,6 +18,7 @@ from orchestration.study.hold import HoldRuns, Place
 from orchestration.study.margin_figure import Figure
 
 THROUGH_FMUS = "through the FMUs"
+ADAPTATION_GAINS = (10.0, 100.0, 1e3, 1e4, 1e5)
 _GRADUAL = (
     f"delays interpolated, in steps of {1e3 * DELAY_STEP:g} ms, the loss within {1e3 * DELAY_RESOLUTION:g} ms"
 )
@@ -28,7 +29,7 @@ _RATIOS = (
 
 def runs_needed(over: Mapping[str, Sequence[float]]) -> int:
     """How many runs the figures take, about."""
-    return 2 * 36 + 2 * 30 + sum(2 * 15 * len(values) for values in over.values())
+    return 2 * 36 + 2 * 30 + 2 * 15 * (sum(map(len, over.values())) or len(ADAPTATION_GAINS))
 
 
 def run_figures(runs: HoldRuns, progress: Callable[[], object]) -> Iterator[Figure]:

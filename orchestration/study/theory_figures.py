@@ -1,7 +1,7 @@
 """The figures that follow from the design of an L1 controller: L1-norm condition and linear margins."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -37,14 +37,14 @@ def norm_figures(design: Design) -> Iterator[Figure]:
         value = l1_condition(*common, extension, omegas)
         return Figure(CONDITION, name, value, "1", assumption, source)
 
-    yield condition("|G| L without the extension", NO_EXTENSION, state, _BOOK)
+    yield condition("norm of G times L, without the extension", NO_EXTENSION, state, _BOOK)
     for gain in design.frozen_gains:
         frozen = Extension(law.c, gain)
-        name = f"|G| L, nonlinear P frozen at {gain:.4g}"
+        name = f"norm of G times L, nonlinear P frozen at {gain:.4g}"
         yield condition(name, frozen, f"{state}; a norm at a frozen gain is no guarantee", _EXTENDED)
     is_pi = bool(design.extension.proportional_gain or design.extension.integral_gain)
     if is_pi and not design.frozen_gains:
-        yield condition("|G| L with the extension", design.extension, state, _EXTENDED)
+        yield condition("norm of G times L, with the extension", design.extension, state, _EXTENDED)
     extension = replace(design.extension, proportional_gain=0.0) if is_pi else Extension(law.c)
     lost = largest_proportional_gain(*common, extension, omegas)
     note = "of a linear P in place of the nonlinear one; " if design.frozen_gains else ""
@@ -73,6 +73,9 @@ def linear_figures(design: Design) -> Iterator[Figure]:
         loops["observer"] = law, prompt
     if law.observer and lagging != prompt:
         loops["lag and observer"] = law, lagging
+    if law.observer:
+        sampled = replace(law, observer=replace(law.observer, sampled=True))
+        loops["lag and sampled observer" if lagging != prompt else "sampled observer"] = sampled, lagging
     for label, (chosen, plant) in loops.items():
         yield from _margins(label, chosen, plant, limit, bool(design.frozen_gains))
     if design.has_rest:
@@ -82,11 +85,24 @@ def linear_figures(design: Design) -> Iterator[Figure]:
         )
 
 
+def gamma_figures(design: Design, gains: Sequence[float]) -> Iterator[Figure]:
+    """The delay margin of the linear loop against the adaptation gain."""
+    for gain in gains:
+        law = replace(design.law, kappa=design.law.kappa * gain / design.adaptation_gain)
+        at_rest = f"adaptation_gain = {gain:g}"
+        first, *_ = _margins(at_rest, law, design.plant, "at rest, theta_hat = 0", bool(design.frozen_gains))
+        yield first
+
+
 def _margins(label: str, law: Law, plant: Plant, limit: str, frozen: bool) -> Iterator[Figure]:
     """Of one loop; a delay of the control and one of every measurement give the same poles."""
-    known = "continuous equivalent of the observer" if law.observer else "true state"
+    known = "true state"
+    if law.observer:
+        known = f"{'bilinear' if law.observer.sampled else 'continuous'} equivalent of the observer"
     known += f"; nonlinear P linear about e = 0, gain {law.proportional_gain:.4g}" if frozen else ""
-    assumption = f"{limit}; {known}; linear at rest, without quadratic damping, saturation and sampling"
+    assumption = (
+        f"{limit}; {known}; linear at rest, no quadratic damping, saturation, sampling or delay of the sensor"
+    )
     found = margins(loop(law, plant))
     at = f"lost at {found.frequency:.3g} rad/s" if math.isfinite(found.delay) else ""
     yield Figure(LINEAR, f"delay margin, {label}", found.delay, "s", assumption, _NYQUIST, at)

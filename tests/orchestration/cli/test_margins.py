@@ -1,0 +1,80 @@
+"""The command margins."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+Command = Callable[..., Any]
+HOLD = ("--signal", "plant.depth", "--window", "0.1", "0.2")
+
+
+def written(folder: Path) -> dict[str, dict[str, Any]]:
+    """Group and name -> figure of margins.json."""
+    document = json.loads((folder / "margins.json").read_text())
+    return {f"{figure['group']}: {figure['name']}": figure for figure in document["figures"]}
+
+
+def test_every_figure_has_its_unit_its_assumption_and_its_source(
+    command: Command, short_scenario: Callable[..., Path], tmp_path: Path
+) -> None:
+    short_scenario()
+    done = command("margins", "short.toml", *HOLD, "--over", "controller.adaptation_gain=100", "--out", "out")
+    assert done.stdout.splitlines()[-1] == "out/margins.json"
+    figures = written(tmp_path / "out")
+    assert {figure["group"] for figure in figures.values()} == {
+        "L1-norm condition", "linear loop", "through the FMUs", "prediction error",
+    }  # fmt: skip
+    for name, figure in figures.items():
+        assert figure["assumption"], name
+        assert figure["source"], name
+        assert figure["name"].split(",")[0] in done.stdout
+    # the hold at 0.1 s is the surface, where theta_hat hardly adapts: sigma_hat alone, by Gamma
+    at_rest = figures["linear loop: delay margin, at this adaptation gain"]
+    assert at_rest["assumption"].startswith("kappa = 100.0")
+    assert figures["through the FMUs: delay margin, control"]["value"] == 0.6  # nothing is lost in 0.1 s
+
+
+def test_theory_alone_takes_no_runs_of_other_delays(
+    command: Command, short_scenario: Callable[..., Path], tmp_path: Path
+) -> None:
+    short_scenario()
+    command("margins", "short.toml", "--theory", "--out", "out")
+    assert {figure["group"] for figure in written(tmp_path / "out").values()} == {
+        "L1-norm condition", "linear loop", "prediction error",
+    }  # fmt: skip
+
+
+def test_a_foreign_controller_is_judged_by_runs_alone_and_told_why(
+    command: Command, short_scenario: Callable[..., Path], tmp_path: Path
+) -> None:
+    short_scenario()
+    foreign = ("--controller", "PidDepthController", "--over", "controller.proportional_gain=2")
+    done = command("margins", "short.toml", *foreign, *HOLD, "--out", "out")
+    assert {figure["group"] for figure in written(tmp_path / "out").values()} == {"through the FMUs"}
+    assert "not judged: they follow from the equations of a law" in done.stdout
+
+
+def test_a_scenario_without_a_hold_is_told_so(command: Command, short_scenario: Callable[..., Path]) -> None:
+    short_scenario()
+    done = command("margins", "short.toml", "--theory", "--controller", "PidDepthController")
+    assert "controller.depth_reference is never constant: expected a hold, or --signal" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--signal", "plant.depth"), "--signal and --window: expected both, or none of them"),
+        (("--over", "controller.adaptation_gain=high"), "expected component.parameter=number,number"),
+        (("--theory", "--over", "a.b=1"), "--over: no effect with --theory"),
+        ((*HOLD[:1], "plant.dept", *HOLD[2:]), "no variable 'plant.dept'; nearest is 'plant.depth'"),
+        ((*HOLD, "--over", "controller.gamma=1"), "no variable 'controller.gamma'"),
+    ],
+)
+def test_a_wrong_option_is_one_line(
+    refused: Callable[..., str], short_scenario: Callable[..., Path], options: tuple[str, ...], message: str
+) -> None:
+    short_scenario()
+    assert message in refused("margins", "short.toml", *options)
