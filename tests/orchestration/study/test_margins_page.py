@@ -21,7 +21,7 @@ def figures(name: str, measured: bool) -> dict[str, Figure]:
 def missing(name: str, measured: bool, groups: tuple[str, ...], column: int) -> list[str]:
     """Rows of the page that do not have the figure of the command in their column of values."""
     lines = [line for line in TEXT.splitlines() if line.startswith("| ")]
-    absent = []
+    absent, compared = [], 0
     for key, figure in figures(name, measured).items():
         group, _, own = key.partition(": ")
         cells = [
@@ -29,8 +29,10 @@ def missing(name: str, measured: bool, groups: tuple[str, ...], column: int) -> 
         ]
         # three columns of values and unit are of the vehicle, two of the example
         own_table = [row for row in cells if len(row) == (3 if name.startswith("example") else 4)]
+        compared += bool(group in groups and own_table)
         if group in groups and own_table and own_table[0][column].strip() != figure.shown:
             absent.append(f"{name}: {own} = {figure.shown}, the page has {own_table[0][column]}")
+    assert compared >= 4, "the page has lost its tables"
     return absent
 
 
