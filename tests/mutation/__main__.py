@@ -44,6 +44,12 @@ def main(
     count: Annotated[int, typer.Option(help="Mutants a folder.", min=1)] = 110,
     seed: Annotated[int, typer.Option(help="Which mutants are drawn.")] = 1,
     workers: Annotated[int, typer.Option(help="Mutants at a time.", min=1)] = os.cpu_count() or 1,
+    limit: Annotated[
+        float | None,
+        typer.Option(
+            metavar="S", help="Longest time for a mutant; by default four times that without one.", min=1
+        ),
+    ] = None,
     results: Annotated[Path, typer.Option(help="File of results.")] = Path("mutation.json"),
 ) -> None:
     """Count the mutants that the tests notice, and list the others; `verdict.py` says what counts."""
@@ -55,18 +61,19 @@ def main(
             copies.put(_copy(Path(folder) / str(number)))
         for room in rooms or TESTS:
             bar = progress.add_task(f"{room}: the tests without a mutant", total=None)
-            limit = _TIMES_THE_BASELINE * _baseline(room, copies)
+            baseline = _baseline(room, copies)
+            seconds = limit or _TIMES_THE_BASELINE * baseline
             drawn = _drawn(room, count, seed)
             progress.update(bar, description=room, total=len(drawn))
 
-            def judge(mutant: Mutant, room: str = room, limit: float = limit) -> None:
+            def judge(mutant: Mutant, room: str = room, seconds: float = seconds) -> None:
                 content = mutant.path.read_text()
                 name = mutant.describe(content)
                 if name not in verdicts:
                     copy = copies.get()
                     try:
                         verdicts[name] = verdict(
-                            copy, mutant.path, mutant.source(content), TESTS[room], limit
+                            copy, mutant.path, mutant.source(content), TESTS[room], seconds
                         )
                     finally:
                         copies.put(copy)

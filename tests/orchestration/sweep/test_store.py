@@ -4,6 +4,7 @@ import math
 import subprocess
 import sys
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -137,6 +138,15 @@ def test_another_fmu_is_another_sweep_but_another_place_is_not(
     assert store(with_fmu(copy), tmp_path).begin() == set()
     with pytest.raises(SweepError, match=r"\(fmus differ\)"):
         store(with_fmu(rogue(saves_state=True)), tmp_path).begin()
+
+
+def test_the_same_sweep_may_be_written_otherwise_on_the_command_line(planned: Make, tmp_path: Path) -> None:
+    made = planned(GRID)
+    opened = store(made, tmp_path)
+    opened.begin()
+    add(opened, made, [1, 2])
+    again = replace(made, scenario=replace(made.scenario, arguments=("./mine.toml", "--set", "r.u=2.0")))
+    assert store(again, tmp_path).begin() == {1, 2}
 
 
 def test_the_summary_leaves_failed_samples_out(planned: Make, tmp_path: Path) -> None:
