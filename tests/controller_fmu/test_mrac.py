@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from math import cos, sin
+from typing import Any
 
 import numpy as np
 import pytest
@@ -36,7 +37,8 @@ def test_the_lyapunov_function_falls_whatever_the_thrusters_withhold(numbers: li
     u, phi = control(now, adaptive, p, matrices), regressor((z, v))
     force = u + 5.0 * withheld + true @ [phi, 1.0]
     x_rate = np.array([v, (force - DAMPING * v) / INERTIA])
-    drive = u + (p.depth_gain * z + p.rate_gain * v) + estimates @ [phi, 1.0] + 5.0 * withheld  # f + u_d - u
+    f = INERTIA * acceleration + (DAMPING + p.rate_gain) * rate + p.depth_gain * r
+    drive = f + 5.0 * withheld
     model_rate = (np.array(next_model(H, (depth, speed), drive, matrices)) - model) / H
     after = adapt(H, adaptive, (z, v), p, matrices)
     estimates_rate = (np.array([after.theta_hat, after.sigma_hat]) - estimates) / H
@@ -96,3 +98,18 @@ def test_the_estimates_stay_within_their_bounds() -> None:
     assert max(abs(loop.outputs["sigma_hat"])) == pytest.approx(0.5, rel=0.05)
     assert max(abs(loop.outputs["sigma_hat"])) <= 0.5
     assert max(abs(loop.outputs["theta_hat"])) <= 0.2
+
+
+def test_an_estimate_on_its_bound_does_not_grow_and_a_long_step_ends_on_it() -> None:
+    p, matrices, h = START, calculate(START), 0.02
+    at_bound = adapt(h, Adaptive(sigma_hat=p.sigma_bound), (0.3, 0.0), p, matrices)
+    assert at_bound.sigma_hat == p.sigma_bound
+    assert at_bound.theta_hat > 0.0
+    fast = replace(p, estimate_gain=1e6)
+    beyond = adapt(h, Adaptive(sigma_hat=9.0), (0.3, 0.0), fast, matrices)
+    assert (beyond.sigma_hat, beyond.theta_hat) == (p.sigma_bound, p.theta_bound)
+
+
+def test_the_model_begins_at_the_measured_state(driver: Any) -> None:
+    controller = driver(BLOCK, measured_depth=0.4, measured_depth_rate=0.1, velocity_source=2).begin()
+    assert (controller["model_depth"], controller["model_depth_rate"]) == (0.4, 0.1)
