@@ -100,11 +100,12 @@ def test_the_estimates_stay_within_their_bounds() -> None:
     assert max(abs(loop.outputs["theta_hat"])) <= 0.2
 
 
-def test_an_estimate_on_its_bound_does_not_grow_and_a_long_step_ends_on_it() -> None:
+def test_an_estimate_near_its_bound_grows_less_and_a_long_step_ends_on_it() -> None:
     p, matrices, h = START, calculate(START), 0.02
-    at_bound = adapt(h, Adaptive(sigma_hat=p.sigma_bound), (0.3, 0.0), p, matrices)
-    assert at_bound.sigma_hat == p.sigma_bound
-    assert at_bound.theta_hat > 0.0
+    free, near = (adapt(h, Adaptive(sigma_hat=sigma), (0.3, 0.0), p, matrices) for sigma in (0.0, 9.8))
+    part = 1.0 - (1.1 * 9.8**2 - 100.0) / 10.0  # 1 - f of the projection, for eps = 0.1 and a bound of 10
+    assert near.sigma_hat - 9.8 == pytest.approx(part * free.sigma_hat)
+    assert near.theta_hat == free.theta_hat > 0.0
     fast = replace(p, estimate_gain=1e6)
     beyond = adapt(h, Adaptive(sigma_hat=9.0), (0.3, 0.0), fast, matrices)
     assert (beyond.sigma_hat, beyond.theta_hat) == (p.sigma_bound, p.theta_bound)
