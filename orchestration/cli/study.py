@@ -1,6 +1,5 @@
 """Commands tune and compare: gains by the same search for every controller, and all controllers at once."""
 
-import itertools
 import os
 from collections.abc import Sequence
 from dataclasses import replace
@@ -37,7 +36,7 @@ def tune(
     ] = [],  # noqa: B006  (Typer copies it)
     evaluations: Annotated[
         int, typer.Option(metavar="NUMBER", help="Evaluate so many for each free gain and seed.", min=1)
-    ] = 50,
+    ] = 100,
     seeds: Annotated[int, typer.Option(metavar="NUMBER", help="Search from so many seeds.", min=1)] = 5,
     workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = os.cpu_count() or 1,
     out: OutFolder = Path("results"),
@@ -140,7 +139,6 @@ def compare(
 ) -> None:
     """Score all controllers of the protocol, each with the gains that it comes with, and tuned."""
     from fmus.files import write_text_atomically
-    from orchestration.cli.score_tables import score_tables
     from orchestration.study import compare as comparison
     from orchestration.study.protocol import read_protocol
 
@@ -148,16 +146,9 @@ def compare(
     with progress("compare", comparison.run_count(protocol, full)) as bar:
         result = comparison.compare(protocol, full, workers, bar.advance)
     document = result.document
-    for league, which in itertools.product(protocol.tables.leagues, (comparison.TUNED, comparison.START)):
-        table = score_tables(comparison.part(document, which, league))[0]
-        table.title = f"{league}, {which}: {table.title}"
-        print_table(table)
-    written = {
-        "comparison.json": document.model_dump_json(indent=1),
-        "comparison.md": "\n\n".join(
-            f"{name}\n\n{text}" for name, text in comparison.tables(document).items()
-        ),
-    }
+    tables = "\n\n".join(f"{name}\n\n{text}" for name, text in comparison.tables(document).items())
+    print(tables)
+    written = {"comparison.json": document.model_dump_json(indent=1), "comparison.md": tables}
     for name, text in written.items():
         write_text_atomically(out / name, f"{text}\n")
         print(out / name)
