@@ -11,10 +11,12 @@ import numpy as np
 
 from orchestration.errors import ScenarioError
 from orchestration.system.experiment import Algorithm, Experiment
-from orchestration.system.signals import Constant, Ramps, Signal, Table
+from orchestration.system.signal_sines import Sines
+from orchestration.system.signals import Constant, Cosine, Ramps, Signal, Table
 from orchestration.system.system import CheckedSystem, Port
+from orchestration.system.time_grid import GRID_TOLERANCE
 
-_OTHERS = "a constant or a table of straight lines"  # signals that ramps can give
+_OTHERS = "a constant or a table"  # signals that ramps can give
 
 
 def check_plain_exchange(experiment: Experiment, target: str) -> None:
@@ -52,26 +54,41 @@ def check_types(ports: Iterable[Port], types: tuple[str, ...], target: str) -> N
             )
 
 
-def as_ramps(input_name: str, signal: Signal) -> Ramps:
-    """Ramps, a constant and a table of straight lines as ramps; ScenarioError for any other signal."""
+def as_ramps(input_name: str, signal: Signal, experiment: Experiment) -> Ramps:
+    """Ramps, constants and tables as ramps; ScenarioError for any other signal.
+
+    A table that holds its values becomes ramps of one communication step, which have its values at every
+    communication point of the experiment.
+    """
     if isinstance(signal, Ramps):
         return signal
     if isinstance(signal, Constant):
         return Ramps([(0.0, signal.value)])
-    if isinstance(signal, Table) and not signal.hold:
-        columns = np.column_stack([np.asarray(signal.times), np.asarray(signal.values)])
-        return Ramps([(time, value) for time, value in columns.tolist()])
-    kind = "a table that holds its values" if isinstance(signal, Table) else type(signal).__name__
+    if isinstance(signal, Table):
+        times = _around_changes(signal, experiment) if signal.hold else np.asarray(signal.times)
+        return Ramps(np.column_stack([times, signal.at(times)]).tolist())
+    kind = _kind(signal)
     raise ScenarioError(
         f"signal {input_name}: expected ramps, {_OTHERS}, which a component can give; got {kind}"
     )
 
 
-def straight_points(input_name: str, signal: Signal) -> list[tuple[float, float]]:
+def _around_changes(table: Table, experiment: Experiment) -> np.ndarray:
+    """The communication points at which the values of a table arrive, and those before them [s]."""
+    start, step = experiment.start_time, experiment.step_size
+    arrivals = np.ceil((np.asarray(table.times) - start) / step - GRID_TOLERANCE)
+    return start + step * np.unique([*(arrivals - 1.0), *arrivals])
+
+
+def straight_points(input_name: str, signal: Signal, experiment: Experiment) -> list[tuple[float, float]]:
     """(time [s], value) of straight lines, as a table that is interpolated has them; else ScenarioError."""
     can_be_ramps = isinstance(signal, (Ramps, Constant, Table))
     if not can_be_ramps or (isinstance(signal, Ramps) and signal.smooth):
-        kind = "smooth ramps" if isinstance(signal, Ramps) else type(signal).__name__
         expected = f"expected straight ramps, {_OTHERS}, which an interpolated table gives"
-        raise ScenarioError(f"signal {input_name}: {expected}; got {kind}")
-    return [(float(time), float(value)) for time, value in as_ramps(input_name, signal).points]
+        raise ScenarioError(f"signal {input_name}: {expected}; got {_kind(signal)}")
+    return [(float(time), float(value)) for time, value in as_ramps(input_name, signal, experiment).points]
+
+
+def _kind(signal: Signal) -> str:
+    kinds = {Ramps: "smooth ramps", Cosine: "a cosine", Sines: "sines"}
+    return kinds.get(type(signal), "another function of time")

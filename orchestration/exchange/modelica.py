@@ -34,7 +34,6 @@ from orchestration.exchange.template_files import filled
 from orchestration.fmi.description import describe
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.prepared_run import PreparedRun, Setting, prepare
-from orchestration.system.signals import Signal
 from orchestration.system.system import CheckedSystem
 
 PACKAGE = "L1Depth"
@@ -99,7 +98,7 @@ def _system(title: str, prepared: PreparedRun) -> str:
     equations = [f"  connect({source.name}, {target.name});" for source, target in checked.connections]
     for target, signal in experiment.signals.items():
         name = vector_name(target.partition(".")[2])
-        components.append(_table(name, target, signal))
+        components.append(_table(name, straight_points(target, signal, experiment)))
         equations.append(f"  connect({name}.y[1], {target});")
     return filled(
         f"{SYSTEM}.mo", title=quoted(title), components="\n".join(components),
@@ -116,8 +115,8 @@ def _settings(component: str, description: ModelDescription, settings: tuple[Set
     return [f"{name} = {value(declared[name], given)}" for name in vectors(v for v, _ in own)]
 
 
-def _table(name: str, target: str, signal: Signal) -> str:
-    table = "; ".join(f"{time!r}, {value!r}" for time, value in straight_points(target, signal))
+def _table(name: str, points: list[tuple[float, float]]) -> str:
+    table = "; ".join(f"{time!r}, {value!r}" for time, value in points)
     return (
         f"  Modelica.Blocks.Sources.CombiTimeTable {name}(\n    table = [{table}],\n"
         "    extrapolation = Modelica.Blocks.Types.Extrapolation.HoldLastPoint);"

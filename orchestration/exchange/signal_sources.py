@@ -56,7 +56,8 @@ def ramp_sources(scenarios: Sequence[Scenario]) -> dict[str, RampSource]:
     sources: dict[str, RampSource] = {}
     names = set(checked.components)
     for target in first.experiment.signals:
-        signals = [as_ramps(target, scenario.experiment.signals[target]) for scenario in scenarios]
+        experiments = [scenario.experiment for scenario in scenarios]
+        signals = [as_ramps(target, each.signals[target], each) for each in experiments]
         name = _unused_name(target, names)
         names.add(name)
         points = max(_FEWEST_POINTS, *(len(signal.points) for signal in signals))
@@ -84,7 +85,9 @@ def with_sources(
     """
     system, parameters = scenario.system, dict(scenario.experiment.parameters)
     for target, source in sources.items():
-        parameters |= _parameters(source, as_ramps(target, scenario.experiment.signals[target]))
+        parameters |= _parameters(
+            source, as_ramps(target, scenario.experiment.signals[target], scenario.experiment)
+        )
     components = {**system.components, **{source.name: fmus[target] for target, source in sources.items()}}
     connections = [*system.connections, *((source.output, target) for target, source in sources.items())]
     record = tuple(sources[n].output if n in sources else n for n in scenario.experiment.record)

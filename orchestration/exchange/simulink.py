@@ -21,7 +21,6 @@ from orchestration.exchange.template_files import filled
 from orchestration.fmi.description import of_causality, start_value
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.prepared_run import Setting, prepare
-from orchestration.system.signals import Signal
 from orchestration.system.system import CheckedSystem, Port
 
 SCRIPT = "import_l1_depth"
@@ -47,7 +46,10 @@ def text(scenario: Scenario) -> str:
         for port, value in settings
         if port.variable.causality == "input"
     ]
-    drivers += [_ramps(checked, name, signal) for name, signal in experiment.signals.items()]
+    drivers += [
+        _ramps(checked, name, straight_points(name, signal, experiment))
+        for name, signal in experiment.signals.items()
+    ]
     lines = [
         f"add_line(model, '{_block_port(checked, source)}', '{_block_port(checked, target)}', "
         "'autorouting', 'on');"
@@ -133,8 +135,8 @@ def _drive(checked: CheckedSystem, port: Port, source: str, parameters: str) -> 
     return f"{block}, ...\n    {parameters});"
 
 
-def _ramps(checked: CheckedSystem, name: str, signal: Signal) -> str:
-    table = "; ".join(f"{time!r} {value!r}" for time, value in straight_points(name, signal))
+def _ramps(checked: CheckedSystem, name: str, points: list[tuple[float, float]]) -> str:
+    table = "; ".join(f"{time!r} {value!r}" for time, value in points)
     interpolation = "'Interpolate', 'on', 'OutputAfterFinalValue', 'Holding final value'"
     parameters = f"'VariableName', '[{table}]', ...\n    {interpolation}"
     return _drive(checked, checked.ports[name], "From Workspace", parameters)

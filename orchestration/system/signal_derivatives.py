@@ -76,11 +76,11 @@ def _instead(name: str, of: str, sources: Mapping[str, str]) -> str:
 
 def derivative(signal: Signal, order: int = 1, name: str = "derivative") -> Signal:
     """The derivative of a signal, of order 1 or 2; `name` begins the error about one that has none."""
-    rates: dict[type, Callable[[Any, int], Callable[[np.ndarray], np.ndarray]]] = {
+    rates: dict[type, Callable[[Any, int], Signal]] = {
         Ramps: _of_ramps,
         Cosine: _of_cosine,
         Sines: _of_sines,
-        Constant: lambda signal, order: np.zeros_like,
+        Constant: lambda signal, order: Constant(0.0),
         Table: _of_table,
     }
     if type(signal) not in rates:
@@ -88,46 +88,47 @@ def derivative(signal: Signal, order: int = 1, name: str = "derivative") -> Sign
         raise ScenarioError(
             f'signals."{name}": expected the derivative of {known}, got {type(signal).__name__}'
         )
-    return _Values(rates[type(signal)](signal, order))
+    return rates[type(signal)](signal, order)
 
 
-def _of_ramps(ramps: Ramps, order: int) -> Callable[[np.ndarray], np.ndarray]:
+def _of_ramps(ramps: Ramps, order: int) -> Signal:
+    if not ramps.smooth:
+        times, values = zip(*ramps.points, strict=True)
+        return _of_table(Table(times, values), order)
+
     def at(times: np.ndarray) -> np.ndarray:
         values = np.zeros(times.shape)
         for (t_0, x_0), (t_1, x_1) in pairwise(ramps.points):
             inside = slice(*np.searchsorted(times, (t_0, t_1)))
             s = (times[inside] - t_0) / (t_1 - t_0)
-            values[inside] = (x_1 - x_0) / (t_1 - t_0) ** order * _shape_rate(s, order, ramps.smooth)
+            values[inside] = (x_1 - x_0) / (t_1 - t_0) ** order * _quintic_rate(s, order)
         return values
 
-    return at
+    return _Values(at)
 
 
-def _shape_rate(s: np.ndarray, order: int, smooth: bool) -> np.ndarray:
-    """The derivative by s of s, or of 10 s^3 - 15 s^4 + 6 s^5."""
-    if not smooth:
-        return np.ones_like(s) if order == 1 else np.zeros_like(s)
+def _quintic_rate(s: np.ndarray, order: int) -> np.ndarray:
+    """The derivative by s of 10 s^3 - 15 s^4 + 6 s^5."""
     return 30.0 * (s * (1.0 - s)) ** 2 if order == 1 else 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
 
 
-def _of_cosine(cosine: Cosine, order: int) -> Callable[[np.ndarray], np.ndarray]:
+def _of_cosine(cosine: Cosine, order: int) -> Signal:
     omega = cosine.angular_frequency
-    moved = Cosine(cosine.amplitude * omega**order, omega, cosine.phase + 0.5 * np.pi * order)
-    return moved.at
+    return Cosine(cosine.amplitude * omega**order, omega, cosine.phase + 0.5 * np.pi * order)
 
 
-def _of_sines(sines: Sines, order: int) -> Callable[[np.ndarray], np.ndarray]:
+def _of_sines(sines: Sines, order: int) -> Signal:
     omega = np.asarray(sines.angular_frequencies)
     amplitudes, phases = np.asarray(sines.amplitudes), np.asarray(sines.phases)
-    return Sines(amplitudes * omega**order, omega, phases + 0.5 * np.pi * order).at
+    return Sines(amplitudes * omega**order, omega, phases + 0.5 * np.pi * order)
 
 
-def _of_table(table: Table, order: int) -> Callable[[np.ndarray], np.ndarray]:
+def _of_table(table: Table, order: int) -> Signal:
     times, values = np.asarray(table.times), np.asarray(table.values)
     if table.hold or order == 2 or len(times) == 1:
-        return np.zeros_like
+        return Constant(0.0)
     slopes = [0.0, *(np.diff(values) / np.diff(times)), 0.0]
-    return lambda t: np.asarray(slopes)[np.searchsorted(times, t, side="right")]
+    return Table([times[0] - 1.0, *times], slopes, hold=True)
 
 
 KINDS: dict[str, Callable[..., Signal]] = {

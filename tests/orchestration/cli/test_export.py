@@ -31,7 +31,7 @@ def test_a_scenario_that_cannot_be_expressed_ends_with_one_line(
     refused: Command, tool: Tool, tmp_path: Path
 ) -> None:
     message = refused("export", tool, "example-extended", "--out", "here")
-    assert message.strip().endswith("which an interpolated table gives; got Cosine")
+    assert message.strip().endswith("which an interpolated table gives; got a cosine")
     assert not (tmp_path / "here").exists()
 
 

@@ -139,10 +139,15 @@ def test_one_point_and_many_points_are_handed_on(linear: Build, tmp_path: Path) 
         np.testing.assert_array_equal(packaged(mine, tmp_path, build_ramp_source)["a.y[1]"], own["a.y[1]"])
 
 
-@pytest.mark.parametrize("signal", [Constant(0.7), Table([1.0, 2.0, 3.0], [0.0, 1.0, -1.0])])
-def test_a_constant_and_a_table_of_straight_lines_are_handed_on_as_ramps(
-    linear: Build, tmp_path: Path, signal: Signal
-) -> None:
+@pytest.mark.parametrize(
+    "signal",
+    [
+        Constant(0.7),
+        Table([1.0, 2.0, 3.0], [0.0, 1.0, -1.0]),
+        Table([0.0, 1.0, 1.125, 2.3], [0.0, 1.0, -1.0, 0.5], hold=True),
+    ],
+)
+def test_a_constant_and_a_table_are_handed_on_as_ramps(linear: Build, tmp_path: Path, signal: Signal) -> None:
     experiment = Experiment(4.0, 0.125, signals={"a.u[1]": signal})
     mine = Scenario("mine", "", System({"a": linear()}), experiment, {})
     own, handed_on = simulate(mine.system, mine.experiment), packaged(mine, tmp_path, build_ramp_source)
@@ -152,5 +157,5 @@ def test_a_constant_and_a_table_of_straight_lines_are_handed_on_as_ramps(
 def test_another_signal_is_refused(linear: Build) -> None:
     experiment = Experiment(1.0, 0.125, signals={"a.u[1]": sine(1.0, 0.2)})
     mine = Scenario("mine", "", System({"a": linear()}), experiment, {})
-    with pytest.raises(ScenarioError, match=r"signal a\.u\[1\]: expected ramps, .*; got Sines"):
+    with pytest.raises(ScenarioError, match=r"signal a\.u\[1\]: expected ramps, .*; got sines"):
         ramp_sources([mine])
