@@ -69,4 +69,5 @@ def closed_loop(
         z, v = moved(h, z, v, 0.5 * gain * sum(output.voltage) + disturbance(t))
     names = [name for name, value in vars(rows[0][3]).items() if isinstance(value, float)]
     columns = {name: np.array([getattr(row[3], name) for row in rows]) for name in names}
-    return Loop(*(np.array([row[i] for row in rows]) for i in range(3)), columns)
+    time, depths, rates = (np.array([row[i] for row in rows]) for i in range(3))
+    return Loop(time, depths, rates, columns)
