@@ -8,7 +8,7 @@ figures by a limit cycle.
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -17,18 +17,26 @@ from orchestration.results import metrics
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 from orchestration.scenarios.identify import LARGEST_OVERSHOOT_PCT, OVERSHOOT_TOLERANCE_PCT
-from orchestration.study.posterior import VALUES, Free, with_adaptation_gain
+from orchestration.study.depth_loop_model import depth_task, figures
+from orchestration.study.posterior import K_I, K_P, VALUES, Free, with_adaptation_gain
 
 SEEDS = (1, 2, 3, 4, 5)
 LARGEST_SPREAD_MM = 3.0
 SPREAD_TOLERANCE_MM = 0.5
 HOLD = (100.0, 140.0)  # s, at 0.8 m
 TOLERANCES = {"settling_time": {"l1": 3.0, "extended": 3.0}, "rmse": {"l1": 0.6, "extended": 0.25}}
+_EXTENSION = (K_P, K_I)
 _NOT_SETTLED = 40.0  # tolerances: more than a run that settles can be away
 
 Figure = tuple[str, str]
 """(scenario, metric)"""
 SCENARIOS = tuple(dict.fromkeys(name for name, _ in VALUES))
+
+
+class Runs(Protocol):
+    """What gives the figures of all four scenarios, one value for each seed."""
+
+    def figures(self, values: Mapping[str, float], seeds: Sequence[int]) -> dict[Figure, np.ndarray]: ...
 
 
 class VehicleRuns:
@@ -71,6 +79,25 @@ class VehicleRuns:
             for name in SCENARIOS
             for runs in [[self.one(name, values, seed) for seed in seeds]]
             for metric in runs[0]
+        }
+
+
+class ModelRuns:
+    """The same of the continuous model, which needs no seeds and rests in the hold: for a first approach."""
+
+    def figures(self, values: Mapping[str, float], seeds: Sequence[int] = SEEDS) -> dict[Figure, np.ndarray]:
+        plain = dict.fromkeys(_EXTENSION, 0.0)
+        changes = {name: 0.2 if name.startswith("buoyancy") else 0.0 for name in SCENARIOS}
+        runs = [
+            {**values, "plant.buoyancy_change": changes[name], **(plain if name.endswith("-l1") else {})}
+            for name in SCENARIOS
+        ]
+        measured = figures(depth_task(), {key: np.array([run[key] for run in runs]) for key in runs[0]})
+        measured["hold_spread"] = np.zeros(len(SCENARIOS))
+        return {
+            (name, metric): column[i : i + 1]
+            for i, name in enumerate(SCENARIOS)
+            for metric, column in measured.items()
         }
 
 
@@ -122,7 +149,7 @@ class Search:
 
     def __init__(
         self,
-        runs: VehicleRuns,
+        runs: Runs,
         free: Sequence[Free],
         *,
         left_out: Figure | None = None,
@@ -154,13 +181,6 @@ def rounded(free: Free, scaled: float) -> float:
     return float(f"{free.value(scaled - 1.0):.4g}")
 
 
-def scaled(free: Free, value: float) -> float:
-    """The position 1..2 of a value in its range."""
-    if free.logarithmic:
-        return 1.0 + float(np.log(value / free.low) / np.log(free.high / free.low))
-    return 1.0 + (value - free.low) / (free.high - free.low)
-
-
 def variables(values: Mapping[str, float]) -> dict[str, Any]:
     """What the FMUs are given for these values."""
     return {name: float(value) for name, value in with_adaptation_gain(values).items()}
@@ -170,7 +190,7 @@ def fit(search: Search, free: Sequence[Free], start: Mapping[str, float]) -> Fit
     """Least squares from a start until nothing improves or the evaluations are spent."""
     from scipy.optimize import least_squares
 
-    begin = np.clip([scaled(each, start[each.name]) for each in free], 1.001, 1.999)
+    begin = np.clip([1.0 + each.position(start[each.name]) for each in free], 1.001, 1.999)
     with suppress(_OutOfEvaluationsError):
         least_squares(search, begin, bounds=(1.0, 2.0), diff_step=0.01, ftol=1e-4)
     return search.best

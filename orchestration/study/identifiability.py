@@ -1,6 +1,6 @@
 """What the paper's eight figures determine: the study in stages, each kept in a file when it is done.
 
-1  points by rejection, then a walk over the gains that agree with the nominal row, for each variant
+1  points that agree with the nominal row, for each variant of what the paper does not state
 2  what they predict for the buoyancy row; a random subset of them through the FMUs
 3  fits to all eight figures through the FMUs, and to seven, which predict the eighth
 4  a fit to one realisation of the noise that looks at nothing but the figures
@@ -28,18 +28,16 @@ from orchestration.study.posterior import (
     VARIANTS,
     Columns,
     Free,
-    Variant,
-    first_points,
+    drawn_points,
+    predicted,
 )
 
-DRAWS, DRAWS_OF_THE_EXTENSION = 5000, 40
-WALKERS, STEPS_OF_A_BLOCK = 100, 50
-BATCHES = 4  # of draws
-# blocks of steps: more for the reading that is taken first
-BLOCKS = {variant.name: 8 if variant == VARIANTS[0] else 2 for variant in VARIANTS}
-BURN_IN = 1  # blocks
+DRAWS, DRAWS_OF_THE_EXTENSION = 5000, 40  # of a batch
+# more for the reading that is taken first, with which fewer draws agree
+BATCHES = {variant.name: 20 if variant == VARIANTS[0] else 4 for variant in VARIANTS}
+BATCHES_BEFORE_FITS = 4
 CHECKED = 60  # points through the FMUs
-ITERATIONS = {"all": 8, "left out": 2}  # of least squares
+ITERATIONS = {"model": 40, "FMUs": 2}  # of least squares: the model first, then the FMUs
 FAST_RAD_PER_S, LARGE_BOUND_N = 2.0, 1.5
 
 DAMPING = tuple(BY_NAME[f"plant.{kind}_damping"] for kind in ("linear", "quadratic"))
@@ -90,72 +88,56 @@ class Stages:
 
 
 def posterior(stages: Stages, index: int) -> tuple[Columns, dict[str, Any]]:
-    """Independent enough points of one variant with their figures, and how they came about."""
-    from orchestration.study import posterior_chain as chain
-
-    variant, runs = VARIANTS[index], 0
-    known, of_rejection = rejected(stages, index)
-    runs += of_rejection
-    here = known[np.random.default_rng(1).permutation(len(known))[:WALKERS]]
-    blocks, accepted = [], []
-    for block in range(BLOCKS[variant.name]):
-        walked = stages.arrays(
-            f"walk-{index}-{block}",
-            lambda here=here, block=block: vars(chain.walk(variant, here, STEPS_OF_A_BLOCK, block)),
-        )
-        here = walked["shares"][-1]
-        blocks.append(walked["shares"])
-        accepted.append(float(walked["accepted"]))
-        runs += int(walked["runs"])
-    walk = np.concatenate(blocks[BURN_IN:])
-    time = float(np.max(chain.autocorrelation_time(walk)))
-    every = max(1, round(0.2 * time))
-    thinned = walk[every - 1 :: every].reshape(-1, walk.shape[2])
-    points = stages.arrays(f"points-{index}", lambda: chain.predicted(variant, thinned))
+    """The points of a variant with their figures, and how they came about."""
+    variant = VARIANTS[index]
+    shares, runs = _drawn(stages, index, BATCHES[variant.name])
+    points = stages.arrays(f"points-{index}", lambda: predicted(variant, shares))
+    of_draws = np.bincount(points["draw"], weights=points["density"])
     about = {
         "runs": runs,
-        "points": len(points[FREQUENCY]),
-        "independent": round(walk.shape[0] * walk.shape[1] / time),
-        "steps": walk.shape[0],
-        "autocorrelation_time": round(time),
-        "accepted_moves": round(float(np.mean(accepted)), 3),
-        "by_rejection": len(known),
+        "points": len(points["draw"]),
+        "draws": len(of_draws),
+        "effective_draws": round(float(np.sum(of_draws) ** 2 / np.sum(of_draws**2)), 1),
     }
     return points, about
 
 
-def rejected(stages: Stages, index: int) -> tuple[np.ndarray, int]:
-    """The points of a variant that rejection gives, and the runs that it took."""
-    variant = VARIANTS[index]
-    batches = [
-        stages.arrays(f"rejection-{index}-{seed}", lambda seed=seed: _rejected(variant, seed))
-        for seed in range(1, 1 + BATCHES)
+def _drawn(stages: Stages, index: int, batches: int) -> tuple[np.ndarray, int]:
+    """The points of so many batches of a variant, shape (points, DIMENSIONS), and the runs that they took."""
+
+    def batch(seed: int) -> dict[str, Any]:
+        points = drawn_points(VARIANTS[index], seed, DRAWS, DRAWS_OF_THE_EXTENSION)
+        return {"shares": points.shares, "runs": points.runs}
+
+    done = [
+        stages.arrays(f"rejection-{index}-{seed}", lambda seed=seed: batch(seed))
+        for seed in range(1, 1 + batches)
     ]
-    return np.concatenate([batch["shares"] for batch in batches]), sum(
-        int(batch["runs"]) for batch in batches
-    )
-
-
-def _rejected(variant: Variant, seed: int) -> dict[str, Any]:
-    points = first_points(variant, seed, DRAWS, DRAWS_OF_THE_EXTENSION)
-    return {"shares": points.shares, "runs": points.runs}
+    return np.concatenate([each["shares"] for each in done]), sum(int(each["runs"]) for each in done)
 
 
 def described(points: Columns) -> dict[str, Any]:
     """Least, 2.5 %, median, 97.5 % and largest of every column, and of what added buoyancy changes."""
-    columns = dict(points)
+    columns = {name: column for name, column in points.items() if name not in ("density", "draw")}
     for controller in ("l1", "extended"):
         for metric in ("settling_time", "rmse"):
             change = points[f"buoyancy-{controller} {metric}"] - points[f"nominal-{controller} {metric}"]
             columns[f"change-{controller} {metric}"] = change
-    return {name: _five(column) for name, column in columns.items() if not name.endswith("overshoot")}
+    return {
+        name: _five(column, points["density"])
+        for name, column in columns.items()
+        if not name.endswith("overshoot")
+    }
 
 
-def _five(column: np.ndarray) -> list[float]:
-    settled = column[np.isfinite(column)]
-    if not len(settled):
+def _five(column: np.ndarray, density: np.ndarray) -> list[float]:
+    """Of the runs that settle; nothing if none does."""
+    settled = np.isfinite(column)
+    if not settled.any():
         return []
-    return [float(f"{x:.4g}") for x in np.quantile(settled, (0.0, 0.025, 0.5, 0.975, 1.0))]
+    levels = (0.0, 0.025, 0.5, 0.975, 1.0)
+    quantiles = np.quantile(column[settled], levels, weights=density[settled], method="inverted_cdf")
+    return [float(f"{x:.4g}") for x in quantiles]
 
 
 def is_fast(points: Columns) -> np.ndarray:
@@ -164,32 +146,37 @@ def is_fast(points: Columns) -> np.ndarray:
     return large & (points[FREQUENCY] >= FAST_RAD_PER_S)
 
 
+def share_of(points: Columns, chosen: np.ndarray) -> float:
+    """How much of the density the chosen points have."""
+    return float(np.sum(points["density"][chosen]) / np.sum(points["density"]))
+
+
 def narrowed(points: Columns) -> dict[str, float]:
     """Standard deviation of each number over that of its range, 1 where the nominal row says nothing."""
-    ratios = {}
-    for free in FREE:
-        column = points[free.name]
-        share = np.log(column / free.low) / np.log(free.high / free.low) if free.logarithmic else None
-        share = (column - free.low) / (free.high - free.low) if share is None else share
-        ratios[free.name] = round(float(np.std(share) * np.sqrt(12.0)), 3)
-    return ratios
+    matrix = np.cov(_positions(points), ddof=0, aweights=points["density"])
+    return {free.name: round(float(np.sqrt(12.0 * matrix[i, i])), 3) for i, free in enumerate(FREE)}
 
 
 def correlations(points: Columns, least: float = 0.5) -> list[tuple[str, str, float]]:
-    """The pairs of numbers whose logarithms depend on each other, the strongest first."""
-    logarithms = [np.log(np.abs(points[free.name])) for free in FREE]
-    matrix = np.corrcoef(logarithms)
+    """The pairs of numbers that depend on each other, the strongest first."""
+    matrix = np.cov(_positions(points), ddof=0, aweights=points["density"])
+    deviation = np.sqrt(np.diag(matrix))
     pairs = [
-        (FREE[i].name, FREE[j].name, round(float(matrix[i, j]), 2))
+        (FREE[i].name, FREE[j].name, round(float(matrix[i, j] / deviation[i] / deviation[j]), 2))
         for i in range(len(FREE))
         for j in range(i)
-        if abs(matrix[i, j]) >= least
+        if abs(matrix[i, j]) >= least * deviation[i] * deviation[j]
     ]
     return sorted(pairs, key=lambda pair: -abs(pair[2]))
 
 
+def _positions(points: Columns) -> np.ndarray:
+    """Where the numbers lie in their ranges, 0..1; shape (numbers, points)."""
+    return np.array([free.position(points[free.name]) for free in FREE])
+
+
 def validation(runs: VehicleRuns, points: Columns) -> dict[str, Any]:
-    """The model against the FMUs at random points: the largest and the median difference of each figure."""
+    """The model against the FMUs at random points: the differences of each figure, and the spread in hold."""
     chosen = np.random.default_rng(2).permutation(len(points[FREQUENCY]))[:CHECKED]
     differences: dict[str, list[float]] = {}
     for row in chosen:
@@ -200,28 +187,32 @@ def validation(runs: VehicleRuns, points: Columns) -> dict[str, Any]:
                 difference = abs(measured[metric] - float(points[f"{name} {metric}"][row]))
                 differences.setdefault(metric, []).append(difference)
             differences.setdefault("hold_spread", []).append(measured["hold_spread"])
+    settled = {name: np.array(column)[np.isfinite(column)] for name, column in differences.items()}
     return {
         "points": len(chosen),
-        **{f"{name}, median": round(float(np.median(column)), 4) for name, column in differences.items()},
-        **{f"{name}, largest": round(float(np.max(column)), 4) for name, column in differences.items()},
+        **{f"{name}, median": round(float(np.median(column)), 4) for name, column in settled.items()},
+        **{f"{name}, 95 %": round(float(np.quantile(column, 0.95)), 4) for name, column in settled.items()},
+        "without a settling time": int(np.sum(np.isnan(differences["settling_time"]))),
     }
 
 
 def fits(stages: Stages, name: str, free: tuple[Free, ...], start: Mapping[str, float]) -> dict[str, Any]:
     """A fit to all eight figures, and to each seven of them; the others begin where the first ended."""
 
-    def fitted(
-        left_out: tuple[str, str] | None, begin: Mapping[str, float], iterations: int
-    ) -> dict[str, Any]:
-        with VehicleRuns() as runs:
+    def fitted(left_out: Figure | None, begin: Mapping[str, float]) -> dict[str, Any]:
+        def ended(runs: eight_figures.Runs, iterations: int, begin: Mapping[str, float]) -> Fit:
             search = Search(runs, free, left_out=left_out, evaluations=iterations * (1 + len(free)))
-            return fit_document(eight_figures.fit(search, free, begin))
+            return eight_figures.fit(search, free, begin)
 
-    everything = stages.document(f"fit-{name}", lambda: fitted(None, start, ITERATIONS["all"]))
+        near = ended(eight_figures.ModelRuns(), ITERATIONS["model"], begin)
+        with VehicleRuns() as runs:
+            return fit_document(ended(runs, ITERATIONS["FMUs"], near.values))
+
+    everything = stages.document(f"fit-{name}", lambda: fitted(None, start))
     others = {
         " ".join(figure): stages.document(
             f"fit-{name}-without-{'-'.join(figure)}",
-            lambda figure=figure: fitted(figure, everything["values"], ITERATIONS["left out"]),
+            lambda figure=figure: fitted(figure, everything["values"]),
         )
         for figure in VALUES
     }
@@ -279,16 +270,13 @@ def nearest_to_all(points: Columns) -> dict[str, float]:
 
 
 def start_of_wide(stages: Stages) -> dict[str, float]:
-    """Where the fits in wide ranges begin: the best of the points by rejection."""
-    from orchestration.study.posterior_chain import predicted
-
-    return nearest_to_all(predicted(VARIANTS[0], rejected(stages, 0)[0]))
+    """Where the fits in wide ranges begin: the best of the points of some batches."""
+    return nearest_to_all(predicted(VARIANTS[0], _drawn(stages, 0, BATCHES_BEFORE_FITS)[0]))
 
 
 def number_of_stages() -> int:
     """How often `study` calls `progress`."""
-    of_variants = BATCHES * len(VARIANTS) + sum(BLOCKS.values()) + len(VARIANTS)
-    return of_variants + 2 * (1 + len(VALUES)) + 3 + BATCHES  # the fits read those of the first variant again
+    return sum(BATCHES.values()) + len(VARIANTS) + BATCHES_BEFORE_FITS + 2 * (1 + len(VALUES)) + 3
 
 
 def study(folder: Path, progress: Progress = lambda name: None) -> tuple[dict[str, Any], dict[str, Columns]]:
@@ -304,7 +292,7 @@ def study(folder: Path, progress: Progress = lambda name: None) -> tuple[dict[st
         document["variants"][variant.name] = {
             **about,
             "all": described(its_points),
-            "fast_share": round(float(np.mean(fast)), 4),
+            "fast_share": round(share_of(its_points, fast), 4),
             "fast": described(subset),
             "narrowed": narrowed(its_points),
             "correlations": correlations(its_points),

@@ -38,28 +38,25 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def _range(five: Sequence[float]) -> str:
-    return f"{five[1]:g} to {five[3]:g}" if five else "none"
+    return f"{five[1]:.2g} to {five[3]:.2g}" if five else "none"
 
 
 def _predictions(variants: Mapping[str, Any]) -> str:
     changes = [(controller, metric) for metric in _METRICS for controller in ("l1", "extended")]
-    head = ["agrees with the nominal row", *(f"{c}, {_METRICS[m]}" for c, m in changes), "fast"]
+    head = ["agrees with the nominal row", *(f"{c}, {_METRICS[m]}" for c, m in changes), "fast", "draws"]
     published = [
         f"{VALUES[f'buoyancy-{c}', m] - VALUES[f'nominal-{c}', m]:+.2f}".rstrip("0").rstrip(".")
         for c, m in changes
     ]
-    rows = [["published", *published, ""]]
+    rows = [["published", *published, "", ""]]
     for name, about in variants.items():
         share = f"{100.0 * about['fast_share']:.3g} %"
-        rows.append([name, *(_range(about["all"][f"change-{c} {m}"]) for c, m in changes), share])
-        if about["fast_share"] > 0.0:
-            rows.append(
-                [
-                    "of these the fast ones",
-                    *(_range(about["fast"][f"change-{c} {m}"]) for c, m in changes),
-                    "",
-                ]
-            )
+        for kind, label in (("all", name), ("fast", "of these the fast ones")):
+            ranges = [_range(about[kind][f"change-{c} {m}"]) for c, m in changes]
+            if kind == "all":
+                rows.append([label, *ranges, share, f"{about['effective_draws']:.0f}"])
+            elif about["fast_share"] > 0.0:
+                rows.append([label, *ranges, "", ""])
     return _table(head, rows)
 
 
@@ -146,16 +143,25 @@ def write_points(sets: Mapping[str, Columns], path: Path, formats: Sequence[Figu
             panel.set_xlabel(_axis(x))
             panel.set_ylabel(_axis(y))
             _mark_published(panel, x, y)
+            panel.set_xlim(_LIMITS.get(x))
+            panel.set_ylim(_LIMITS.get(y))
             for logarithmic, scale in (
                 (_is_logarithmic(x), panel.set_xscale),
                 (_is_logarithmic(y), panel.set_yscale),
             ):
                 if logarithmic:
                     scale("log")
-        panels[0].legend(loc="upper left", markerscale=3.0)
+        panels[0].legend(loc="lower right", markerscale=2.0)
         return write_figure(figure, path, formats)
 
 
+# what is beyond does not settle, or hardly
+_LIMITS = {
+    "buoyancy-l1 rmse": (12.0, 18.0),
+    "buoyancy-extended rmse": (4.2, 6.4),
+    "buoyancy-l1 settling_time": (60.0, 90.0),
+    "buoyancy-extended settling_time": (42.0, 50.0),
+}
 _PANELS = (
     ("buoyancy-l1 rmse", "buoyancy-extended rmse"),
     ("buoyancy-l1 settling_time", "buoyancy-extended settling_time"),

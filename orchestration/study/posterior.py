@@ -4,8 +4,8 @@ Every number that the paper leaves open has a range (`FREE`) and, before the fig
 density in it. Two gains are solved for in place of being drawn: the depth feedback such that the RMSE of
 plain L1, then K_P such that the RMSE of the extension is a value drawn within its printed digits. Such a
 point has the density of the ranges times |d ln gain / d ln RMSE| (change of variables). It agrees if both
-settling times lie within their printed digits and no run overshoots by more than 1 %. So the two narrow
-windows are met by construction, and `posterior_chain` walks in the other dimensions.
+settling times lie within their printed digits and no run overshoots by more than 1 %. So this is rejection
+sampling in which the two narrow windows are met by construction, and needs no chain that converges.
 """
 
 from collections.abc import Mapping
@@ -53,6 +53,12 @@ class Free:
         if self.logarithmic:
             return self.low * (self.high / self.low) ** share
         return self.low + (self.high - self.low) * share
+
+    def position(self, value: Any) -> Any:
+        """The share of which a value is the quantile."""
+        if self.logarithmic:
+            return np.log(value / self.low) / np.log(self.high / self.low)
+        return (value - self.low) / (self.high - self.low)
 
 
 FREQUENCY = "adaptation_frequency"
@@ -205,8 +211,8 @@ def within(values: np.ndarray, figure: tuple[str, str], half_width: float | None
     return np.abs(values - VALUES[figure]) <= (HALF_A_DIGIT[figure] if half_width is None else half_width)
 
 
-def first_points(variant: Variant, seed: int, count: int, of_the_extension: int) -> Points:
-    """Points that agree, by rejection: of `count` draws, those that agree with plain L1 so many times."""
+def drawn_points(variant: Variant, seed: int, count: int, of_the_extension: int) -> Points:
+    """The points that agree, of `count` drawn evenly; what agrees with plain L1 gets so many extensions."""
     from scipy.stats import qmc
 
     points = Points(variant, qmc.LatinHypercube(DIMENSIONS, rng=seed).random(count))
@@ -215,3 +221,18 @@ def first_points(variant: Variant, seed: int, count: int, of_the_extension: int)
     points.redraw_extension(again)
     points.agree_with("nominal-extended")
     return points
+
+
+def predicted(variant: Variant, shares: np.ndarray) -> Columns:
+    """Points that agree, as columns: names of `FREE`, "SCENARIO METRIC", density and the number of the draw.
+
+    Points with the same draw differ in K_P and K_I alone.
+    """
+    points = Points(variant, shares).agree()
+    columns = points.columns
+    for scenario in ("nominal-l1", "nominal-extended", "buoyancy-l1", "buoyancy-extended"):
+        columns = columns | {
+            f"{scenario} {name}": values for name, values in points.measure(scenario).items()
+        }
+    _, draw = np.unique(columns[K_Z], return_inverse=True)
+    return columns | {"density": points.density, "draw": draw}

@@ -51,7 +51,7 @@ def test_a_foreign_controller_is_judged_by_runs_alone_and_told_why(
     command: Command, short_scenario: Callable[..., Path], tmp_path: Path
 ) -> None:
     short_scenario()
-    foreign = ("--controller", "PidDepthController", "--over", "controller.proportional_gain=2")
+    foreign = ("--controller", "PidDepthController", "--over", "controller.model_damping=2")
     done = command("margins", "short.toml", *foreign, *HOLD, "--out", "out")
     assert {figure["group"] for figure in written(tmp_path / "out").values()} == {"through the FMUs"}
     assert "not judged: they follow from the equations of a law" in done.stdout

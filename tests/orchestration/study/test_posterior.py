@@ -1,4 +1,4 @@
-"""The gains that agree with the nominal row: windows, change of variables, walk."""
+"""The gains that agree with the nominal row: windows, change of variables, predictions."""
 
 import numpy as np
 import pytest
@@ -17,11 +17,11 @@ from orchestration.study.posterior import (
     VALUES,
     Points,
     Variant,
-    first_points,
+    drawn_points,
+    predicted,
     with_adaptation_gain,
     within,
 )
-from orchestration.study.posterior_chain import predicted, walk
 
 WIDE = Variant("settling times within 5 s", settling=5.0)  # so that few draws suffice
 L1, EXTENDED = "nominal-l1", "nominal-extended"
@@ -29,7 +29,7 @@ L1, EXTENDED = "nominal-l1", "nominal-extended"
 
 @pytest.fixture(scope="module")
 def first() -> Points:
-    return first_points(WIDE, seed=1, count=300, of_the_extension=6)
+    return drawn_points(WIDE, seed=1, count=300, of_the_extension=6)
 
 
 def test_the_windows_are_what_rounds_to_the_printed_figures() -> None:
@@ -101,14 +101,12 @@ def test_a_range_is_even_in_the_logarithm_or_in_the_value() -> None:
     assert BY_NAME["plant.inertia"].value(shares) == pytest.approx([5.0, 6.0, 7.0])
 
 
-def test_one_seed_one_walk_and_all_its_points_agree(first: Points) -> None:
-    begin = first.shares[: 2 * DIMENSIONS]  # as many as the ensemble asks for
-    block, again = (walk(WIDE, begin, steps=2, seed=7) for _ in range(2))
-    assert (block.shares == again.shares).all()
-    assert block.accepted > 0.0
-    assert not np.allclose(block.shares[-1], begin)
-    points = predicted(WIDE, block.shares[-1])
-    assert len(points[FREQUENCY]) == len(begin)
+def test_one_seed_one_set_of_points_with_predictions(first: Points) -> None:
+    again = drawn_points(WIDE, seed=1, count=300, of_the_extension=6)
+    assert (again.shares == first.shares).all()
+    points = predicted(WIDE, first.shares)
+    assert points["density"] == pytest.approx(first.density)
+    assert len(set(points["draw"])) == len(set(first.columns[K_Z])) < len(points["draw"])
     assert within(points[f"{L1} settling_time"], (L1, "settling_time"), 5.0).all()
     assert (points["buoyancy-l1 rmse"] > points["nominal-l1 rmse"]).all()
 
