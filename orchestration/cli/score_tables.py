@@ -9,7 +9,7 @@ from orchestration.study.score_document import Score
 from orchestration.study.score_view import Cell, ScoreTable
 
 BEST, FAILED = "*", "!"
-_COLUMN_WIDTH = 11
+_COLUMN_WIDTH = 12
 
 
 def score_tables(score: Score, width: int) -> list[Table]:

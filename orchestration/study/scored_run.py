@@ -20,7 +20,8 @@ from orchestration.system.system import System
 _TRACED = ("depth", "reference", "u")
 _TRACE_PERIOD_S = 0.5
 _HELD_S = 40.0  # at the end of a hold: the depth is quiet there
-_TIMED_S = 100.0  # of simulation
+_FEW_STEPS, _MANY_STEPS = 5_000, 200_000  # that are timed: many where few take a short time
+_SHORT_S = 0.5
 _REPETITIONS = 3
 _TRUE_RATE = "measured_depth_rate"
 
@@ -80,21 +81,20 @@ def microseconds(loop: Loop, case: Case) -> float:
     """
     loaded = loop.scenario(case)
     fmu = loaded.system.components["controller"]
-    step = loaded.experiment.step_size
     parameters = {n: v for n, v in loop.experiment(case).parameters.items() if n.startswith(OWN)}
     output = next(v.name for v in of_causality(describe(fmu), "output") if v.type != "String")
-    durations = {}
+    step = loaded.experiment.step_size
     with Simulator(System({"controller": fmu})) as simulator:
-        for steps in (round(0.1 * _TIMED_S / step), round(_TIMED_S / step)):
+
+        def duration(steps: int) -> float:
             experiment = Experiment(
                 steps * step, step, parameters=parameters, record=(OWN + output,), open_inputs="start"
             )
-            durations[steps] = min(_duration(simulator, experiment) for _ in range(_REPETITIONS))
-    (few, short), (many, long) = durations.items()
-    return 1e6 * (long - short) / (many - few)
+            start = time.process_time()
+            simulator.run(experiment)
+            return time.process_time() - start
 
-
-def _duration(simulator: Simulator, experiment: Experiment) -> float:
-    start = time.process_time()
-    simulator.run(experiment)
-    return time.process_time() - start
+        many = _MANY_STEPS if duration(_FEW_STEPS) < _SHORT_S else _FEW_STEPS
+        few = many // 10
+        longer, shorter = (min(duration(steps) for _ in range(_REPETITIONS)) for steps in (many, few))
+    return 1e6 * (longer - shorter) / (many - few)

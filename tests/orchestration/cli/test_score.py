@@ -1,0 +1,62 @@
+"""Command score, with a protocol of one case."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import tomli_w
+
+from orchestration.study.protocol import read_protocol
+
+
+@pytest.fixture
+def protocol_file(tmp_path: Path, scenario_fmus: None) -> Path:
+    data = dict(read_protocol().file.data)
+    data["version"] = "of a test"
+    data["cases"] = {"nominal": data["cases"]["nominal"]}
+    data["cost"] = {**data["cost"], "cases": ["nominal"]}
+    data["controllers"] = {}
+    path = tmp_path / "protocol.toml"
+    path.write_text(tomli_w.dumps(data), encoding="utf-8")
+    return path
+
+
+def test_score_prints_tables_and_writes_a_document_and_a_page(
+    command: Callable[..., object], protocol_file: Path, tmp_path: Path
+) -> None:
+    done = command(
+        "score", "L1DepthController", "--set", "controller.augmentation=pi", "--protocol", protocol_file
+    )
+    text = done.stdout  # type: ignore[attr-defined]
+    assert text.startswith("Protocol of a test. The vehicle is simulated;")
+    assert "Nominal" in text
+    document = json.loads((tmp_path / "results" / "score.json").read_text(encoding="utf-8"))
+    assert document["protocol"]["version"] == "of a test"
+    (row,) = document["rows"]
+    assert row["parameters"] == {"augmentation": "pi"}
+    assert row["cases"]["nominal"]["failed"] == []
+    assert row["delay_margin"] > 0.0
+    assert "not on a real vehicle" in (tmp_path / "results" / "score.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["L1DepthController", "--league", "speed"], "no league 'speed'"),
+        (["L1DepthControler"], "no block 'L1DepthControler'"),
+        (
+            ["L1DepthController", "--set", "plant.inertia=9"],
+            "--set plant.inertia: expected controller.VARIABLE",
+        ),
+        (["L1DepthController", "--set", "controller.gain=9"], "controller.gain"),
+        (
+            ["a.fmu", "b.fmu", "--set", "controller.gain=9"],
+            "--set and --map with 2 controllers: expected one",
+        ),
+    ],
+)
+def test_what_cannot_be_scored_is_refused(
+    refused: Callable[..., str], protocol_file: Path, arguments: list[str], complaint: str
+) -> None:
+    assert complaint in refused("score", *arguments, "--protocol", protocol_file)
