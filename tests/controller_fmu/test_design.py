@@ -1,5 +1,7 @@
 """Offline design: SciPy's results, the block's closed forms, and the oracle of the example."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -127,7 +129,8 @@ def test_the_norm_with_the_extension_is_that_of_scipys_impulse_response(
     denominator = np.polymul(closed, [1.0, omega * w])
     norms = []
     for row in ([1.0], [1.0, 0.0]):  # x_1, and x_2 = s x_1
-        residues, poles, _ = signal.residue(np.polymul(np.polymul(row, integral), [-1.0, 0.0]), denominator)
+        fractions: Any = signal.residue(np.polymul(np.polymul(row, integral), [-1.0, 0.0]), denominator)
+        residues, poles, _ = fractions
         t = np.linspace(0.0, 40.0 / -poles.real.max(), 400_001)
         response = sum(
             (residue * np.exp(pole * t)).real for residue, pole in zip(residues, poles, strict=True)
