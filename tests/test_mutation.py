@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.mutation import verdict as of_verdicts
 from tests.mutation.verdict import KILLED_BY, SURVIVED, TIME_LIMIT, BrokenEnvironmentError, verdict
 
 pytestmark = pytest.mark.slow
@@ -44,7 +43,9 @@ TESTS = """
 @pytest.fixture
 def project(tmp_path: Path) -> Path:
     """A project of one file and its tests."""
-    shutil.copytree(Path(str(of_verdicts.__file__)).parent, tmp_path / "tests" / "mutation")
+    own = Path(__file__).parent
+    shutil.copytree(own / "mutation", tmp_path / "tests" / "mutation")
+    shutil.copy(own / "shared_builds.py", tmp_path / "tests")
     (tmp_path / "test_answer.py").write_text(textwrap.dedent(TESTS))
     (tmp_path / "answer.txt").write_text("42")
     (tmp_path / "pytest.ini").write_text("[pytest]\naddopts = -p no:l1_depth -p no:hypothesispytest\n")

@@ -15,6 +15,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.shared_builds import FOREIGN_FMUS
+
 SURVIVED, TIME_LIMIT, KILLED_BY = "survived", "time limit", "killed by "
 _FAILED_FIRST = ("--failed-first",)  # the tests that noticed the mutants before
 _NOT_REMEMBERED = ("-p", "no:cacheprovider")
@@ -38,7 +40,12 @@ def first_failure(
     process = subprocess.Popen(
         [sys.executable, "-m", "pytest", "-q", "-x", "-n", "0", "-p", __name__, *options, *tests],
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"},
+        env={
+            **os.environ,
+            "PYTHONPATH": str(folder),
+            "PYTHONDONTWRITEBYTECODE": "1",
+            FOREIGN_FMUS: str(folder.parent / "foreign FMUs"),  # no mutant is in them
+        },
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,
