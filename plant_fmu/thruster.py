@@ -65,7 +65,7 @@ def force_after(thruster: Thruster, force: float, steady: float, elapsed: float)
     away = force - steady
     limited = where(is_limited, maximum(absolute(away) / rate - lag, 0.0), 0.0)  # s
     begins = where(is_limited, clip(away, -rate * lag, rate * lag), away)
-    lagging = maximum(elapsed - limited, 0.0)  # s
+    lagging = where(elapsed < limited, 0.0, elapsed - limited)  # s; of slope 1 at 0, which a maximum has not
     left = where(lag > _SHORTEST_LAG, exp(-lagging / maximum(lag, _SHORTEST_LAG)), 0.0)
     return where(elapsed < limited, force - sign(away) * rate * elapsed, steady + begins * left)
 

@@ -7,7 +7,7 @@ from fmus.numerics import absolute, cos, cosh, exp, expm1, matmul, maximum, sin,
 Vector = tuple[float, float]
 Matrix = tuple[Vector, Vector]
 
-_SMALL_ANGLE = 1e-8  # rad; below it sin(a) / a is 1 to the last bit
+_SMALL_SQUARE = 1e-16  # rad2; of an angle a for which sin(a) / a is 1 to the last bit
 
 
 def dot(first: Vector, second: Vector) -> float:
@@ -46,7 +46,7 @@ def sampled_system(a: Matrix, period: float) -> tuple[Matrix, Matrix, Matrix]:
     (a_11, a_12), (a_21, a_22) = a
     mean, half_difference, half = 0.5 * (a_11 + a_22), 0.5 * (a_11 - a_22), 0.5 * period
     d = half_difference * half_difference + a_12 * a_21
-    angle = maximum(half * sqrt(absolute(d)), _SMALL_ANGLE)
+    angle = sqrt(maximum(half * half * absolute(d), _SMALL_SQUARE))
     c = where(d > 0.0, lambda: cosh(angle), lambda: cos(angle))
     s = half * where(d > 0.0, lambda: sinh(angle), lambda: sin(angle)) / angle
 

@@ -12,9 +12,16 @@ _ULP = 2.0**-52
 
 
 def drawn(block: Block, causality: str, template: type, changed: float, rng: random.Random) -> Any:
-    """Parameters or inputs, of which a part is not at the start value."""
-    variables = block.of_causality(causality)
-    return unflatten(template, [_draw(v, rng) if rng.random() < changed else v.start for v in variables])
+    """Parameters or inputs, of which a part is not at the start value; of choices, all are drawn.
+
+    Requirements refuse most draws that change many numbers, but few that change choices.
+    """
+
+    def value(v: ScalarVariable) -> Any:
+        is_choice = changed > 0.0 and v.type in ("Boolean", "Enumeration")
+        return _draw(v, rng) if is_choice or rng.random() < changed else v.start
+
+    return unflatten(template, list(map(value, block.of_causality(causality))))
 
 
 def _draw(v: ScalarVariable, rng: random.Random) -> Any:

@@ -20,6 +20,7 @@ from fmus.export.guard import location, own_line
 from fmus.export.symbolic import traced
 
 _POINTS, _STEPS = 60, 3  # draws of parameters; steps from each, with inputs drawn anew
+_DRAWS = 20  # of parameters for a point, until they meet the requirements
 _EQUAL = 1e-12  # relative: a few roundings of elementary functions, which differ between C libraries
 _PERTURBATIONS, _AMPLIFIED = 8, 32.0
 _MOST_AMPLIFIED = (
@@ -43,14 +44,17 @@ def _compare_at_a_point(
     block: Block, compare: dict[str, "_Comparison"], rng: random.Random, at_start: bool
 ) -> None:
     """Draw parameters, inputs and a time; follow the state over a few steps, and disturb it in between."""
-    changed = 0.0 if at_start else rng.choice((0.1, 0.5, 1.0))
-    p = drawn(block, "parameter", block.parameters, changed, rng)
-    c = compare["calculate"](p)
-    required = None if c is None else compare["requirements"](p, c)
-    if required is None or not all(holds for holds, _ in required):
+    for _ in range(_DRAWS):
+        changed = 0.0 if at_start else rng.choice((0.1, 0.5, 1.0))
+        p = drawn(block, "parameter", block.parameters, changed, rng)
+        c = compare["calculate"](p)
+        required = None if c is None else compare["requirements"](p, c)
+        if required is not None and all(holds for holds, _ in required):
+            break
+    else:
         return
     _check_whole(block, "calculate", block.calculated, c)
-    t = 0.0 if at_start else rng.uniform(0.0, block.stop_time)
+    t = 0.0 if at_start else rng.uniform(-0.5, 1.0) * block.stop_time  # a run may begin before 0
     x, h = None, p.internal_step * rng.choice((1.0, rng.uniform(0.1, 1.0)))
     for _ in range(_STEPS):
         u = drawn(block, "input", block.inputs, changed, rng)

@@ -62,24 +62,24 @@ XML_MUTANTS = [
     ("output-derivatives", 'maxOutputDerivativeOrder="1"', 'maxOutputDerivativeOrder="2"'),
     (
         "alias-constants",
-        'name="u_m" valueReference="52" description="State feedback -k_m x" '
+        'name="u_m" valueReference="77" description="State feedback -k_m x" '
         'causality="output" variability="continuous" initial="calculated"',
-        'name="u_m" valueReference="51" causality="output" variability="constant" initial="exact"',
+        'name="u_m" valueReference="76" causality="output" variability="constant" initial="exact"',
     ),
-    ("outputs-are-listed", '<Unknown index="52" dependencies="" />', ""),
-    ("outputs-are-listed", '<Unknown index="52" dependencies="" />', '<Unknown index="1" />'),
-    ("structure-indices", '<Unknown index="52" dependencies="" />', '<Unknown index="999" />'),
-    ("structure-indices", '<Unknown index="52" dependencies="" />', '<Unknown index="53" />'),
-    ("initial-unknowns-are-complete", '<Unknown index="36" dependencies="14" />', ""),
+    ("outputs-are-listed", '<Unknown index="77" dependencies="" />', ""),
+    ("outputs-are-listed", '<Unknown index="77" dependencies="" />', '<Unknown index="1" />'),
+    ("structure-indices", '<Unknown index="77" dependencies="" />', '<Unknown index="999" />'),
+    ("structure-indices", '<Unknown index="77" dependencies="" />', '<Unknown index="78" />'),
+    ("initial-unknowns-are-complete", '<Unknown index="57" dependencies="21" />', ""),
     (
         "initial-unknowns-ascend",
-        '<Unknown index="36" dependencies="14" />\n      <Unknown index="37" dependencies="15" />',
-        '<Unknown index="37" dependencies="15" />\n      <Unknown index="36" dependencies="14" />',
+        '<Unknown index="57" dependencies="21" />\n      <Unknown index="58" dependencies="22" />',
+        '<Unknown index="58" dependencies="22" />\n      <Unknown index="57" dependencies="21" />',
     ),
     (
         "derivatives-are-marked",
         "<InitialUnknowns>",
-        '<Derivatives><Unknown index="52" /></Derivatives><InitialUnknowns>',
+        '<Derivatives><Unknown index="77" /></Derivatives><InitialUnknowns>',
     ),
     ("derivative-is-of-a-variable", '<Real unit="1" />', '<Real unit="1" derivative="999" />'),
     (
