@@ -12,16 +12,20 @@ from orchestration.study.protocol import Protocol
 from orchestration.study.tune import Problem, Tuning
 from orchestration.study.tune_cost import LARGEST, cost_of, practice_cases
 from orchestration.study.tune_space import FreeGain, with_units
+from orchestration.system.prepared_run import prepare
 
 
 def problem_of(controller: Controller, protocol: Protocol, free: Iterable[FreeGain] = ()) -> Problem:
     """The tuning of a controller, by default of the gains that the protocol has for it.
 
-    Raises OrchestrationError for a controller that does not fit the vehicle, a gain that its FMU cannot take,
-    or one that is given a value for all evaluations.
+    Raises OrchestrationError for a controller that does not fit the vehicle, a value or a gain that its FMU
+    cannot take, or a gain that is given a value for all evaluations.
     """
+    case = practice_cases(protocol)[0]
     with Loop(controller, protocol) as loop:
-        components = loop.scenario(practice_cases(protocol)[0]).system.components
+        system = loop.scenario(case).system
+        prepare(system, loop.experiment(case))
+    components = system.components
     gains = with_units(
         list(free) or _of_protocol(controller.name, protocol), describe(components["controller"])
     )

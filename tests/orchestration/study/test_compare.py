@@ -34,6 +34,7 @@ def test_every_controller_stands_twice_tuned_and_as_it_comes(small: Protocol) ->
     assert compare.run_count(small, full=True) == 2 * (2 + 3)
 
 
+@pytest.mark.slow
 def test_the_comparison_is_a_score_of_both(small: Protocol) -> None:
     document = compare.compare(small, workers=1).document
     assert [row.name for row in document.rows] == ["tuned/l1-pi", "start/l1-pi"]
