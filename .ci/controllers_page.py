@@ -13,8 +13,8 @@ The blocks that take the place of `L1DepthController` on the
 [depth control interface](depth-control-interface.md), as in
 `l1-depth run nominal-extended --controller PidDepthController`.
 They share its allocation, limit of the voltages and anti-windup, and all but ADRC its observer, so that a
-comparison is one of laws. The law of `L1DepthController` is in [theory](../explanation/theory.md). `python .ci/controllers_page.py` prints this page
-from the code, and a test compares both.
+comparison is one of laws. The law of `L1DepthController` is in [theory](../explanation/theory.md).
+`python .ci/controllers_page.py` prints this page from the code, and a test compares both.
 
 z is the measured depth, positive down, v its rate, measured or observed, r the reference with its derivatives
 r' and r'' (0 where nothing drives these inputs), u the demanded force in N, positive down, M and D the

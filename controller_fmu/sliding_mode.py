@@ -67,10 +67,10 @@ def sliding_variable(now: DepthMeasurement, error_integral: float, p: Parameters
 def control(now: DepthMeasurement, error_integral: float, p: Parameters) -> float:
     """u [N]."""
     bandwidth = p.error_bandwidth
-    wanted = now.reference_acceleration - 2.0 * bandwidth * now.error_rate - bandwidth**2 * now.error
+    acceleration = now.reference_acceleration - 2.0 * bandwidth * now.error_rate - bandwidth**2 * now.error
     s = sliding_variable(now, error_integral, p)
     return (
-        p.model_inertia * wanted
+        p.model_inertia * acceleration
         + p.model_damping * now.rate
         - p.switching_gain * clip(s / p.boundary_layer, -1.0, 1.0)
     )

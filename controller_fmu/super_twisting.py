@@ -89,9 +89,9 @@ def direction(h: float, s: float, p: Parameters) -> float:
 
 def control(now: DepthMeasurement, g: float, integral_force: float, p: Parameters) -> float:
     """u [N]."""
-    wanted = now.reference_acceleration - p.error_bandwidth * now.error_rate
-    root = _root(sliding_variable(now, p), p)
-    return p.model_inertia * wanted + p.model_damping * now.rate - p.root_gain * root * g + integral_force
+    acceleration = now.reference_acceleration - p.error_bandwidth * now.error_rate
+    equivalent = p.model_inertia * acceleration + p.model_damping * now.rate
+    return equivalent - p.root_gain * _root(sliding_variable(now, p), p) * g + integral_force
 
 
 def _root(s: float, p: Parameters) -> float:

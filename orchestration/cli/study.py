@@ -52,6 +52,7 @@ def tune(
 ) -> None:
     """Search the gains of least cost on practice cases of the protocol; an interrupted tuning continues."""
     from orchestration.study import tune_file, tune_problem, tune_space
+    from orchestration.study.loop import Loop
     from orchestration.study.protocol import read_protocol
     from orchestration.study.tune import tune as search
     from orchestration.study.tune_processes import processes
@@ -82,7 +83,8 @@ def tune(
             )
     provenance = tune_problem.provenance(tuning, controller, protocol)
     path = out / f"{controller.name}.toml"
-    tune_file.write(tuning, controller.parameters, provenance, path)
+    with Loop(controller, protocol) as loop:
+        tune_file.write(tuning, loop.parameters(), provenance, path)
     journal.unlink()
     _print_gains(tuning, controller.name)
     print(path)

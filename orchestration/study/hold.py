@@ -123,7 +123,11 @@ class HoldRuns(AbstractContextManager["HoldRuns"]):
         self.prepared = prepare(chosen.system, self._experiment)
         self._simulator = Simulator(chosen.system)
         self.count = 0
-        unchanged = self._samples((), {})
+        try:
+            unchanged = self._samples((), {})
+        except BaseException:
+            self.close()
+            raise
         self.deviation, self.mean = float(unchanged.std()), float(unchanged.mean())
 
     def is_quiet(
@@ -153,8 +157,8 @@ class HoldRuns(AbstractContextManager["HoldRuns"]):
         recording = self._simulator.run(experiment)
         tolerance = self._experiment.time_resolution()
         samples = recording[self.hold.signal][recording.time >= self.hold.start - tolerance]
-        if not len(samples):
-            raise SimulationError("the run ended before the hold", recording)
+        if not len(samples) or "terminated" in recording.provenance:
+            raise SimulationError("the run ended before the end of the hold", recording)
         return samples
 
     def close(self) -> None:

@@ -54,6 +54,11 @@ class IsolatedLoop:
             raise RunError(error)
         return value
 
+    @property
+    def is_intact(self) -> bool:
+        """Whether no call took too long, and no process ended by itself."""
+        return not self._endings and not self._refusal
+
     def close(self) -> None:
         """End the process at once, also from another thread while a call runs."""
         self._refuse("closed")

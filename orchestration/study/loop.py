@@ -172,6 +172,12 @@ class Loop(AbstractContextManager["Loop"]):
             else:
                 inputs[variable] = 0.0
 
+    def parameters(self) -> dict[str, FmiValue]:
+        """The controller's own values, each of the type that its variable has."""
+        given = self.scenario(self.protocol.nominal).experiment
+        values: dict[str, Any] = {**given.inputs, **given.parameters}
+        return {name: values[f"{OWN}{name}"] for name in self.controller.parameters}
+
     def close(self) -> None:
         """Free the FMUs; the next run loads them again."""
         if self._simulator is not None:

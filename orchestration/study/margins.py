@@ -79,7 +79,7 @@ def judge(
 
 
 def _theory(design: Design) -> Iterator[Figure]:
-    has_gain = math.isfinite(design.adaptation_gain)
+    has_gain = 0.0 < design.adaptation_gain < math.inf
     yield from norm_figures(design)
     yield from linear_figures(design)
     if has_gain and design.has_rest:
@@ -89,7 +89,7 @@ def _theory(design: Design) -> Iterator[Figure]:
 
 
 def _adaptation_gains(design: Design | None) -> dict[str, Sequence[float]]:
-    has_gain = design is not None and math.isfinite(design.adaptation_gain)
+    has_gain = design is not None and 0.0 < design.adaptation_gain < math.inf
     return {f"{design.controller}.adaptation_gain": ADAPTATION_GAINS} if design and has_gain else {}
 
 

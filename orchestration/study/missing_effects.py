@@ -15,6 +15,7 @@ RMSE over the time T of the run by about
 Each of `EFFECTS` is then laid over the scenario with added buoyancy, as large as its published RMSE needs.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -81,7 +82,7 @@ _TARGET: Figure = ("buoyancy-l1", "rmse")
 def needed(runs: VehicleRuns, effect: Effect) -> dict[str, Any]:
     """The size of an effect that gives the published RMSE of plain L1 with added buoyancy, and the figures.
 
-    size: not a number if none up to the largest does; figures: with that size, or with the largest
+    size: the largest if none up to it does, with `reached` False; figures: with that size
     """
     from scipy.optimize import brentq
 
@@ -94,7 +95,7 @@ def needed(runs: VehicleRuns, effect: Effect) -> dict[str, Any]:
         root: Any = brentq(excess, effect.none, effect.largest, xtol=1e-3 * abs(effect.largest - effect.none))
         size = root
     measured = {
-        f"{name} {metric}": value
+        f"{name} {metric}": value if math.isfinite(value) else None
         for name in ("buoyancy-l1", "buoyancy-extended")
         for metric, value in runs.one(name, _with(effect, size)).items()
     }

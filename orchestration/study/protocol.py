@@ -1,6 +1,6 @@
 """The protocol of the score: its cases, figures and controllers, from protocol.toml.
 
-What is kept for the table of a score alone stands in table.toml, which `orchestration.study.table` reads.
+What is kept for the table of a score alone stands in table.toml, which `study.table_seeds` reads.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -98,11 +98,6 @@ class Protocol:
     def nominal(self) -> Case:
         """The case of the paper: the first."""
         return next(iter(self.cases.values()))
-
-    def practice_cases(self) -> list[Case]:
-        """The cases of the cost of `tune`, each with every practice seed."""
-        seeds = self.tables.practice_seeds
-        return [self.cases[name].with_seed(seed) for name in self.tables.cost.cases for seed in seeds]
 
     def _case(self, name: str) -> Case:
         table = self.tables.cases[name]

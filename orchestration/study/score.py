@@ -80,7 +80,9 @@ def score(
     reason; one that does not fit the vehicle raises OrchestrationError before anything runs.
     """
     protocol = protocol or read_protocol()
-    scoring = _Scoring(protocol, full, timeout or protocol.tables.time_limit, progress)
+    if timeout is not None and not timeout > 0.0:
+        raise ScenarioError(f"timeout {timeout!r} s: expected more than 0")
+    scoring = _Scoring(protocol, full, protocol.tables.time_limit if timeout is None else timeout, progress)
     if beside is None:
         beside = [tuned(protocol, name) for name in protocol.controllers]
     taken = {controller.name for controller in beside}
@@ -94,8 +96,8 @@ def score(
         for loop in loops:
             prepare(loop.scenario(protocol.nominal).system, loop.experiment(protocol.nominal))
         pool = stack.enter_context(ThreadPoolExecutor(workers))
-        stack.callback(pool.shutdown, wait=False, cancel_futures=True)
         stack.callback(scoring.close)
+        stack.callback(pool.shutdown, wait=False, cancel_futures=True)  # first: no thread takes another row
         futures = [
             pool.submit(scoring.row, loop, scored) for loop, (_, scored) in zip(loops, jobs, strict=True)
         ]
@@ -146,11 +148,14 @@ class _Scoring:
             return cached.row, cached.traces
         isolated = IsolatedLoop(loop.controller, self.protocol.file.path, self.timeout)
         self.running.append(isolated)
+        if self.closed:
+            isolated.close()
         try:
             row, traces = self._run(loop, isolated, scored)
+            is_intact = isolated.is_intact  # at another load of the machine, the row may be another
         finally:
             isolated.close()
-        if name and not self.closed:
+        if name and is_intact and not self.closed:
             score_cache.write(name, row, traces)
         return row, traces
 
@@ -168,7 +173,7 @@ class _Scoring:
             league=controller.league,
             scored=scored,
             fmu=_fmu(loop),
-            parameters=dict(controller.parameters),
+            parameters=loop.parameters(),
         )
         traces: dict[str, Trace] = {}
         for case in self.cases:

@@ -8,20 +8,20 @@ import hashlib
 import json
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 
 from platformdirs import user_cache_path
 from pydantic import BaseModel
 
 from fmus.files import write_text_atomically
-from orchestration.results import metrics
-from orchestration.scenarios import scenario
-from orchestration.study import table_seeds
 from orchestration.study.loop import Controller, Loop
 from orchestration.study.score_document import Row
 from orchestration.study.scored_run import Trace
 
-_HERE = Path(__file__).parent
+_PROJECT = Path(__file__).parents[1]
+_COMPUTING = ("fmi", "master", "results", "scenarios", "study", "sweep", "system")
+_SOURCES = (".py", ".c", ".h", ".toml")
 
 
 class CachedRow(BaseModel):
@@ -38,15 +38,12 @@ def folder() -> Path:
 def key(controller: Controller, loop: Loop, full: bool) -> str:
     """The name of a row in the cache."""
     loaded = loop.scenario(loop.protocol.nominal)
-    sources = [
-        *sorted(_HERE.glob("*.py")),
-        Path(metrics.__file__),
-        *sorted(scenario.SHIPPED.glob("base/*.toml")),
-    ]
-    files = [loop.protocol.file.path, table_seeds.FILE, *sources, *loaded.system.components.values()]
-    content = [controller.name, controller.title, controller.league, full]
-    content += [sorted(controller.parameters.items()), [_digest(file) for file in files]]
-    return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()
+    sources = sorted(
+        path for name in _COMPUTING for path in (_PROJECT / name).rglob("*") if path.suffix in _SOURCES
+    )
+    files = [loop.protocol.file.path, *sources, *loaded.system.components.values()]
+    content = [asdict(controller), full, [_digest(file) for file in files]]
+    return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()
 
 
 def _digest(file: Path) -> str:

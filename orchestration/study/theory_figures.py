@@ -1,8 +1,9 @@
 """The figures that follow from the design of an L1 controller: L1-norm condition and linear margins."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -34,7 +35,7 @@ def norm_figures(design: Design) -> Iterator[Figure]:
     common = np.array(law.a_m), np.array(law.b), law.filter_order, law.bandwidth, design.lipschitz
 
     def condition(name: str, extension: Extension, assumption: str, source: str) -> Figure:
-        value = l1_condition(*common, extension, omegas)
+        value = _or_none(l1_condition, *common, extension, omegas)
         return Figure(CONDITION, name, value, "1", assumption, source)
 
     yield condition("norm of G times L, without the extension", NO_EXTENSION, state, _BOOK)
@@ -46,7 +47,7 @@ def norm_figures(design: Design) -> Iterator[Figure]:
     if is_pi and not design.frozen_gains:
         yield condition("norm of G times L, with the extension", design.extension, state, _EXTENDED)
     extension = replace(design.extension, proportional_gain=0.0) if is_pi else Extension(law.c)
-    lost = largest_proportional_gain(*common, extension, omegas)
+    lost = _or_none(largest_proportional_gain, *common, extension, omegas)
     note = "of a linear P in place of the nonlinear one; " if design.frozen_gains else ""
     note += "K_I as it is, up to 1e4 k_g" if extension.integral_gain else "K_I = 0, up to 1e4 k_g"
     yield Figure(CONDITION, "K_P up to which it holds", lost, design.gain_unit, state, _EXTENDED, note)
@@ -55,10 +56,18 @@ def norm_figures(design: Design) -> Iterator[Figure]:
     pairs = {"without": NO_EXTENSION, "with": with_extension}
     for label, chosen in pairs.items():
         if label == "without" or chosen is not NO_EXTENSION:
-            least = smallest_bandwidth(a_m, b, order, lipschitz, extension=chosen, omegas=omegas)
+            least = _or_none(smallest_bandwidth, a_m, b, order, lipschitz, extension=chosen, omegas=omegas)
             source = _BOOK if label == "without" else _EXTENDED
             name = f"bandwidth from which it holds, {label} the extension"
             yield Figure(CONDITION, name, least, "rad/s", state, source)
+
+
+def _or_none(function: Callable[..., float], *arguments: Any, **options: Any) -> float:
+    """The value; not a number for an unstable G, or where no bandwidth satisfies the condition."""
+    try:
+        return function(*arguments, **options)
+    except ValueError:
+        return math.nan
 
 
 def linear_figures(design: Design) -> Iterator[Figure]:

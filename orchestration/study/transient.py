@@ -35,7 +35,7 @@ def step_figures(chosen: Scenario, progress: Callable[[], object]) -> Iterator[F
     reference = str(metric.get("reference", ""))
     if not reference.endswith(".reference"):  # that of L1Controller
         return
-    errors = tuple(reference.replace("reference", name) for name in _ERRORS)
+    errors = tuple(reference.removesuffix("reference") + name for name in _ERRORS)
     with Simulator(chosen.system) as simulator:
         for step in STEPS:
             for size in SIZES:

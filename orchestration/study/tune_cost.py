@@ -79,6 +79,8 @@ def _unrest(loop: Loop, gains: Mapping[str, float], delay: float) -> float:
     """Standard deviation [m] of the depth at the end of the nominal hold, the measurement being late."""
     nominal = next(iter(loop.protocol.cases.values()))
     signals = loop.run(delayed(nominal, delay, loop.controller.variable("measured_depth")), gains)
+    if "terminated" in signals.provenance:
+        return math.inf
     return float(np.std(signals["depth"][signals.time >= nominal.target.window[1] - _HOLD_S]))
 
 

@@ -26,9 +26,7 @@ def problem_of(controller: Controller, protocol: Protocol, free: Iterable[FreeGa
         system = loop.scenario(case).system
         prepare(system, loop.experiment(case))
     components = system.components
-    gains = with_units(
-        list(free) or _of_protocol(controller.name, protocol), describe(components["controller"])
-    )
+    gains = with_units(list(free) or _of_protocol(controller, protocol), describe(components["controller"]))
     for gain in gains:
         if gain.name in controller.parameters:
             raise OrchestrationError(f"{gain.name}: it is set, and free: expected one of them")
@@ -40,10 +38,11 @@ def problem_of(controller: Controller, protocol: Protocol, free: Iterable[FreeGa
     return Problem(gains, tuned)
 
 
-def _of_protocol(name: str, protocol: Protocol) -> list[FreeGain]:
-    if name not in protocol.controllers:
+def _of_protocol(controller: Controller, protocol: Protocol) -> list[FreeGain]:
+    table = protocol.controllers.get(controller.name)
+    if table is None or table.fmu != controller.fmu:
         return []
-    return [FreeGain(gain, table.low, table.high) for gain, table in protocol.controllers[name].gains.items()]
+    return [FreeGain(name, gain.low, gain.high) for name, gain in table.gains.items()]
 
 
 def _what_costs(protocol: Protocol) -> dict[str, Any]:

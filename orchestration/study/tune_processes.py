@@ -36,8 +36,8 @@ def processes(controller: Controller, protocol: Protocol, count: int) -> Iterato
             idle.put(loop)
             return evaluated
 
+        threads = stack.enter_context(ThreadPoolExecutor(count))  # waits last, for calls whose process ended
         for _ in range(count):
             start()
-        threads = stack.enter_context(ThreadPoolExecutor(count))
         stack.callback(threads.shutdown, wait=False, cancel_futures=True)
         yield lambda gains: threads.submit(cost, gains)

@@ -24,10 +24,12 @@ opened = []
 sys.addaudithook(lambda event, arguments: opened.append(str(arguments[0])) if event == "open" else None)
 from orchestration.cli import study
 from orchestration.study import tune, tune_file, tune_problem, tune_space
-from orchestration.study.loop import built_in
+from orchestration.study.loop import Loop, built_in
 from orchestration.study.protocol import read_protocol
 from orchestration.study.tune_cost import cost_of
-cost = cost_of({}, built_in(read_protocol(), "l1-pi"), every_seed=True)["cost"]
+protocol = read_protocol()
+with Loop(built_in(protocol, "l1-pi"), protocol) as loop:
+    cost = cost_of(loop, {}, every_seed=True)["cost"]
 tables = [path for path in opened if path.endswith("table.toml")]
 print(json.dumps([cost, tables, "orchestration.study.table_seeds" in sys.modules]))
 """
