@@ -89,7 +89,7 @@ def test_what_crashes_has_its_row_and_the_others_are_scored(document: Score) -> 
 @pytest.mark.parametrize(
     ("misdeed", "reason"),
     [
-        (Misdeed.ERROR, r"controller at t = 1\S* s: fmi2DoStep returned fmi2Error"),
+        (Misdeed.ERROR, r"controller at t = 1\S* s: fmi2DoStep returned error"),
         (Misdeed.NAN_OUTPUT, "expected a finite"),
     ],
 )
