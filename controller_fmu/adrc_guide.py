@@ -25,14 +25,14 @@ GUIDE = Guide(
     tuning=(
         "control_bandwidth first, from the wanted speed of the loop; observer_bandwidth 3 to 5 times that,"
         " as far as noise and lags of the loop allow.",
-        "model_inertia is the b_0 = 1 / M of the literature; nothing else of the vehicle has to be known.",
+        "model_inertia is the b_0 = 1 / M of the literature, the only number of the vehicle's dynamics.",
     ),
     limits=(
         "The extended state observer takes the place of the alpha-beta observer: the law uses the measured"
         " depth alone, not measured_depth_rate. estimated_depth_rate is its z_2.",
         "A step is exact for a measurement that is held, so it is stable for any step and any w_o.",
         "The observer is driven by the force that the thrusters deliver: while they saturate, z_3 is still"
-        " the disturbance, and nothing winds up.",
+        " the disturbance, and the estimate does not wind up.",
         HELD_CONTROL,
         REFERENCE_RATES,
         LAGS,
