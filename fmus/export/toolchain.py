@@ -11,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 
@@ -51,7 +52,8 @@ def zig(arguments: Sequence[str], folder: Path) -> None:
         try:
             output, _ = process.communicate(timeout=_PATIENCE_S)
         except BaseException as error:  # an interrupt too: zig starts processes of its own
-            process.kill() if os.name == "nt" else os.killpg(process.pid, signal.SIGKILL)
+            with suppress(ProcessLookupError):  # it has ended meanwhile
+                process.kill() if os.name == "nt" else os.killpg(process.pid, signal.SIGKILL)
             if isinstance(error, subprocess.TimeoutExpired):
                 message = f"zig {arguments[0]} did not end within {_PATIENCE_S} s; {hint}"
                 raise ExportError(message) from None

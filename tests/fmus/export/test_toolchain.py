@@ -58,6 +58,18 @@ def test_a_compiler_that_does_not_end_is_stopped(tmp_path: Path, monkeypatch: py
         zig(["version"], tmp_path)
 
 
+def test_an_interrupt_while_the_compiler_ends_stays_an_interrupt(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(process: subprocess.Popen[bytes], timeout: float) -> None:
+        process.wait()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(subprocess.Popen, "communicate", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        zig(["version"], tmp_path)
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="a FIFO keeps the compiler waiting")
 def test_an_interrupted_build_leaves_no_process_and_no_file(tmp_path: Path) -> None:
     temporary, endless = tmp_path / "temporary", tmp_path / "endless.h"
