@@ -1,4 +1,4 @@
-"""Rules of the model description as a whole, its types and its CoSimulation element; FMPy's validation."""
+"""Rules of the model description as a whole, its types and its CoSimulation element."""
 
 import re
 from collections.abc import Iterable, Iterator
@@ -38,14 +38,6 @@ def schema(fmu: FmuFile) -> Iterator[str]:
     definition.validate(fmu.root.getroottree())
     for error in definition.error_log:
         yield f"line {error.line}: {error.message}"
-
-
-@rule("2.2 FMI Description Schema, as FMPy reads it", Stage.DESCRIPTION)
-def fmpy_validation(fmu: FmuFile) -> Iterator[str]:
-    """FMPy's validate_fmu finds no problem."""
-    from fmpy.validation import validate_fmu
-
-    yield from validate_fmu(str(fmu.path))
 
 
 @rule(_HEAD, Stage.DESCRIPTION)

@@ -33,10 +33,11 @@ def examine(path: Path, timeout: float = DEFAULT_TIMEOUT_S) -> list[Result]:
     """
     with path.open("rb"):
         fmu = FmuFile(path)
-    return list(_judged(fmu, timeout))
+    return [*static_results(fmu), *behaviour(fmu, timeout)]
 
 
-def _judged(fmu: FmuFile, timeout: float) -> Iterator[Result]:
+def static_results(fmu: FmuFile) -> Iterator[Result]:
+    """One result for every rule of what the file holds: no code of the FMU runs."""
     closed = {
         Stage.FILE: "",
         Stage.DESCRIPTION: fmu.description_problem and "the model description cannot be read",
@@ -44,7 +45,6 @@ def _judged(fmu: FmuFile, timeout: float) -> Iterator[Result]:
     }
     for stage, reason in closed.items():
         yield from (_result(rule, fmu, reason) for rule in registered(stage))
-    yield from behaviour(fmu, timeout)
 
 
 def _result(rule: Rule, fmu: FmuFile, closed: str) -> Result:

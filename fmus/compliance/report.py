@@ -1,4 +1,4 @@
-"""What the check found: lines for people, JSON for programs, and the documentation of the rules."""
+"""What the check found: lines for people, JSON for programs."""
 
 import json
 from collections import Counter
@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from fmus.compliance.rule import Result, Rule
+from fmus.compliance.rule import Result
 
 Findings = Mapping[Path, Sequence[Result]]
 
@@ -58,9 +58,3 @@ def write_json(findings: Findings, file: str) -> None:
         print(text, end="")
     else:
         Path(file).write_text(text, encoding="utf-8")
-
-
-def markdown(rules: Sequence[Rule]) -> str:
-    """The table of rules that stands in docs/reference/compliance.md."""
-    rows = [f"| `{r.name}` | {r.clause} | {r.level} | {r.claim} |" for r in rules]
-    return "\n".join(["| rule | FMI 2.0.5 | if broken | what holds |", "|---|---|---|---|", *rows])

@@ -13,7 +13,7 @@ _RANGE = "2.2.3 Definition of Types (TypeDefinitions)"
 _NAMING = "2.2.9 Variable Naming Conventions"
 LONGEST_NAME = 55
 
-_QUOTED = r"'(?:[^'\"?\\\x00-\x1f]|\\['\"?\\abfnrtv])+'"
+_QUOTED = r"'(?:[^'\"\\\x00-\x1f]|\\['\"?\\abfnrtv])+'"
 _PART = rf"(?:[A-Za-z_][A-Za-z0-9_]*|{_QUOTED})(?:\[[0-9]+(?:,[0-9]+)*\])?"
 _IDENTIFIER = rf"{_PART}(?:\.{_PART})*"
 _STRUCTURED = re.compile(rf"{_IDENTIFIER}|der\({_IDENTIFIER}(?:,[0-9]+)?\)")

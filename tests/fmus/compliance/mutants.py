@@ -90,7 +90,6 @@ XML_MUTANTS = [
     ("variables-have-a-type", 'valueReference="0"', 'valueReference="-1"'),
     ("start-values-are-as-declared", 'start="10.0"', 'start="9.0"'),
     ("variables-can-be-read", 'valueReference="51"', 'valueReference="999"'),
-    ("fmpy-validation", "<LogCategories>", "<Nonsense/><LogCategories>"),
 ]  # fmt: skip
 
 

@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from fmus import catalogue
-from fmus.compliance import report
 from fmus.compliance.examine import all_rules, examine
 
 from .archives import PYTHONFMU_ERRORS, broken_rules
@@ -28,11 +27,6 @@ def test_our_python_fmus_break_what_the_binary_of_pythonfmu_breaks(
     python_built: Mapping[str, Path], name: str
 ) -> None:
     assert broken_rules(python_built[name]) == PYTHONFMU_ERRORS
-
-
-def test_documentation_lists_every_rule() -> None:
-    text = (Path(__file__).parents[3] / "docs" / "reference" / "compliance.md").read_text(encoding="utf-8")
-    assert report.markdown(all_rules()) in text
 
 
 @pytest.mark.parametrize("content", [b"", b"no zip", b"PK\x05\x06" + bytes(18)])

@@ -1,0 +1,74 @@
+"""Prints docs/reference/fmi2.md, which rule checks which sentence of FMI 2.0.5, from the code."""
+
+import re
+from collections.abc import Iterable, Sequence
+
+from fmus.compliance.examine import all_rules
+from fmus.compliance.rule import Rule
+from fmus.compliance.sentences import ADVICE, Sentence, sentences, sentences_of, titles
+
+_HEAD = """\
+# FMI 2.0.5, sentence by sentence
+
+Each sentence of FMI 2.0.5 that binds an FMU, by clause and in our words, with the rules of `l1-depth check`
+that check it ([what the check does](compliance.md)). Where there is none: what cannot be seen from outside,
+with the reason, or what concerns model exchange alone, whose behaviour is not judged. The text of the
+standard is public: repository `modelica/fmi-standard`, tag `v2.0.5`. `python .ci/fmi2_page.py` prints this
+page from the code, and a test compares both. `python -m tests.mutants` breaks the sentences one after the
+other and prints which rules find it."""
+
+
+def page() -> str:
+    """The page with its line end."""
+    rules = all_rules()
+    parts = [_HEAD, _counts(sentences(), rules), *map(_section, titles()), _rules(rules)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _counts(entries: Sequence[Sentence], rules: Sequence[Rule]) -> str:
+    checked = sum(bool(entry.rules) for entry in entries)
+    hidden = sum(bool(entry.not_observable) for entry in entries)
+    return (
+        f"{len(entries)} sentences: {checked} are checked, {hidden} cannot be observed, "
+        f"{len(entries) - checked - hidden} concern model exchange alone. {len(rules)} rules, "
+        f"{sum(rule.clause.startswith(ADVICE) for rule in rules)} of them advice."
+    )
+
+
+def _section(clause: str) -> str:
+    rows = [(entry.text, _checked_by(entry)) for entry in sentences() if entry.clause == clause]
+    return f"## {_heading(clause)}\n\n{_table(('What the text says', 'Checked by'), rows)}"
+
+
+def _heading(clause: str) -> str:
+    return f"{clause} {titles()[clause]}"
+
+
+def _checked_by(entry: Sentence) -> str:
+    if entry.rules:
+        return ", ".join(f"`{name}`" for name in entry.rules)
+    return f"not observable: {entry.not_observable}" if entry.not_observable else "model exchange only"
+
+
+def _rules(rules: Sequence[Rule]) -> str:
+    rows = [(f"`{rule.name}`", _clauses(rule), rule.level, rule.claim) for rule in rules]
+    return f"## Rules\n\n{_table(('Rule', 'Clause', 'If broken', 'What holds'), rows)}"
+
+
+def _clauses(rule: Rule) -> str:
+    """Links to the clauses whose sentences a rule checks, or what kind of advice it is."""
+    clauses = dict.fromkeys(sentence.clause for sentence in sentences_of(rule.name))
+    return ", ".join(f"[{clause}](#{_anchor(_heading(clause))})" for clause in clauses) or rule.clause
+
+
+def _anchor(heading: str) -> str:
+    return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+
+
+def _table(heads: Sequence[str], rows: Iterable[Iterable[str]]) -> str:
+    lines = [list(heads), ["---"] * len(heads), *rows]
+    return "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in lines)
+
+
+if __name__ == "__main__":
+    print(page(), end="")

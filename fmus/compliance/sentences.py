@@ -1,0 +1,61 @@
+"""The sentences of FMI 2.0.5 that bind an FMU, each with the rules that check it or why none does.
+
+The data are the TOML files in `sentences/`, one for each section of the standard, in its order.
+"""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Any
+
+ADVICE = "advice"  # begins the clause of a rule that no sentence of FMI demands
+
+
+@dataclass(frozen=True)
+class Sentence:
+    """One sentence in other words. Exactly one of the last three is not empty.
+
+    not_observable: why no check of an FMU from outside can see it broken.
+    model_exchange: it binds FMUs for model exchange alone, whose behaviour is not judged.
+    """
+
+    clause: str
+    text: str
+    rules: tuple[str, ...] = ()
+    not_observable: str = ""
+    model_exchange: bool = False
+
+    def __post_init__(self) -> None:
+        count = sum(map(bool, (self.rules, self.not_observable, self.model_exchange)))
+        if count != 1:
+            raise ValueError(
+                f"sentence {self.clause}, {self.text!r}: "
+                f"expected one of rules, not_observable and model_exchange, got {count}"
+            )
+
+
+@cache
+def _files() -> tuple[Mapping[str, Any], ...]:
+    folder = resources.files("fmus.compliance") / "sentences"
+    paths = sorted((path for path in folder.iterdir() if path.name.endswith(".toml")), key=lambda p: p.name)
+    return tuple(tomllib.loads(path.read_text(encoding="utf-8")) for path in paths)
+
+
+@cache
+def sentences() -> tuple[Sentence, ...]:
+    """All sentences, in the order of the standard."""
+    entries = [entry for file in _files() for entry in file["sentence"]]
+    return tuple(Sentence(**entry | {"rules": tuple(entry.get("rules", ()))}) for entry in entries)
+
+
+@cache
+def titles() -> dict[str, str]:
+    """Clause -> its title in the standard, of every clause that holds sentences."""
+    return {clause: title for file in _files() for clause, title in file["titles"].items()}
+
+
+def sentences_of(rule_name: str) -> tuple[Sentence, ...]:
+    """The sentences that a rule checks; none for advice."""
+    return tuple(sentence for sentence in sentences() if rule_name in sentence.rules)

@@ -1,0 +1,19 @@
+"""Each sentence of FMI that a file alone can break is found by its rules and no others."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.mutants.base import BASE, co_simulation_only, written
+from tests.mutants.mutant import Mutant, broken_rules, unexpected
+from tests.mutants.static import STATIC_MUTANTS
+
+
+@pytest.mark.parametrize("members", [BASE, co_simulation_only()], ids=["both interfaces", "co-simulation"])
+def test_what_the_mutants_start_from_breaks_no_rule(members: dict[str, bytes], tmp_path: Path) -> None:
+    assert broken_rules(written(members, tmp_path)) == {}
+
+
+@pytest.mark.parametrize("mutant", STATIC_MUTANTS, ids=lambda mutant: mutant.name)
+def test_a_static_mutant_is_found_by_its_rules_and_no_others(mutant: Mutant, tmp_path: Path) -> None:
+    assert list(unexpected(mutant, mutant.broken_rules(tmp_path))) == []

@@ -1,0 +1,44 @@
+"""A legal FMU of sources that uses most of what a model description can hold, and changed copies of it."""
+
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+
+Members = dict[str, bytes]
+XML = "modelDescription.xml"
+_DESCRIPTION = (Path(__file__).parent / "base.xml").read_text(encoding="utf-8")
+_MODEL_EXCHANGE = _DESCRIPTION[_DESCRIPTION.index("  <ModelExchange") : _DESCRIPTION.index("  <CoSimulation")]
+BASE: Members = {XML: _DESCRIPTION.encode(), "sources/base.c": b'#include "fmi2Functions.h"\n'}
+
+
+def replaced(text: str, old: str, new: str) -> str:
+    """The text with its one occurrence of `old` as `new`."""
+    if text.count(old) != 1:
+        raise ValueError(f"{old!r} occurs {text.count(old)} times: expected once")
+    return text.replace(old, new)
+
+
+def changed(*replacements: tuple[str, str]) -> Members:
+    """The base with replacements in its model description, one after the other."""
+    text = _DESCRIPTION
+    for old, new in replacements:
+        text = replaced(text, old, new)
+    return BASE | {XML: text.encode()}
+
+
+def co_simulation_only(*replacements: tuple[str, str]) -> Members:
+    """As `changed`, without model exchange and what only it may hold."""
+    return changed(
+        (_MODEL_EXCHANGE, ""),
+        (' canHandleMultipleSetPerTimeInstant="true"', ""),
+        (' reinit="true"', ""),
+        *replacements,
+    )
+
+
+def written(members: Mapping[str, bytes], folder: Path, name: str = "Base.fmu") -> Path:
+    """An archive of these members, in their order."""
+    with zipfile.ZipFile(folder / name, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path, data in members.items():
+            archive.writestr(path, data)
+    return folder / name
