@@ -33,7 +33,7 @@ def force(voltages: tuple[float, float], j: float, gains: tuple[float, float]) -
     return thrust / where(j < 0.0, minimum(j, -_SMALLEST_J), maximum(j, _SMALLEST_J))
 
 
-def shortfall(
+def saturation_error(
     demanded: tuple[float, float],
     saturated: tuple[float, float],
     j: float,

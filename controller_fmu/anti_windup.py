@@ -1,6 +1,7 @@
 """Anti-windup by conditional integration: an integrator holds where its change would widen a saturation.
 
-The shortfall is the control that is delivered minus the one that is demanded, exactly 0 without saturation.
+The saturation error is the control that is delivered minus the one that is demanded, exactly 0 without
+saturation.
 Source: Astrom and Hagglund, Advanced PID Control (2006), chapter 3 (windup).
 """
 
@@ -9,11 +10,11 @@ from typing import Any
 from fmus.numerics import where
 
 
-def widens(shortfall: float, change: float) -> Any:
-    """Whether a change of the demand would widen the shortfall."""
-    return shortfall * change < 0.0
+def widens(saturation_error: float, change: float) -> Any:
+    """Whether a change of the demand would widen the saturation error."""
+    return saturation_error * change < 0.0
 
 
-def integrate_error(h: float, integral: float, error: float, shortfall: float) -> float:
+def integrate_error(h: float, integral: float, error: float, saturation_error: float) -> float:
     """int e dt after h s with the error held, of a demand that falls as it grows."""
-    return integral + where(widens(shortfall, -error), 0.0, h * error)
+    return integral + where(widens(saturation_error, -error), 0.0, h * error)

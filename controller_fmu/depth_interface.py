@@ -131,7 +131,7 @@ class Delivery:
 
     voltage: Vector
     force: float
-    shortfall: float
+    saturation_error: float
 
 
 def requirements(p: Any, calculated: Any) -> tuple:
@@ -179,7 +179,7 @@ def deliver(force: float, j: float, p: Any) -> Delivery:
     return Delivery(
         voltage=saturated,
         force=allocation.force(saturated, j, p.thruster_gain),
-        shortfall=allocation.shortfall(demanded, saturated, j, p.thruster_gain),
+        saturation_error=allocation.saturation_error(demanded, saturated, j, p.thruster_gain),
     )
 
 

@@ -151,7 +151,7 @@ def step(
     interface = depth_interface.next_state(t, state.interface, inputs, p)
     now = interface.measured
     adapted = adapt(h, adaptive, (now.depth, now.rate), p, matrices)
-    model = next_model(h, adaptive.model, feedforward(before, matrices) + given.shortfall, matrices)
+    model = next_model(h, adaptive.model, feedforward(before, matrices) + given.saturation_error, matrices)
     return State(interface, replace(adapted, model=model))
 
 

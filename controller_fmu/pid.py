@@ -71,9 +71,9 @@ def initial_state(t: float, inputs: DepthInputs, p: Parameters, calculated: NoVa
 
 def step(t: float, h: float, state: State, inputs: DepthInputs, p: Parameters, calculated: NoValues) -> State:
     u = control(state.interface.measured, state.error_integral, p)
-    shortfall = depth_interface.deliver(u, state.interface.j, p).shortfall
+    delivered = depth_interface.deliver(u, state.interface.j, p)
     interface = depth_interface.next_state(t, state.interface, inputs, p)
-    integral = integrate_error(h, state.error_integral, interface.measured.error, shortfall)
+    integral = integrate_error(h, state.error_integral, interface.measured.error, delivered.saturation_error)
     return State(interface, integral)
 
 

@@ -106,11 +106,13 @@ def initial_state(t: float, inputs: DepthInputs, p: Parameters, calculated: NoVa
 
 def step(t: float, h: float, state: State, inputs: DepthInputs, p: Parameters, calculated: NoValues) -> State:
     u = control(state.interface.measured, state.direction, state.integral_force, p)
-    shortfall = depth_interface.deliver(u, state.interface.j, p).shortfall
+    delivered = depth_interface.deliver(u, state.interface.j, p)
     interface = depth_interface.next_state(t, state.interface, inputs, p)
     g = direction(h, sliding_variable(interface.measured, p), p)
     change = -h * p.twisting_gain * g
-    return State(interface, g, state.integral_force + where(widens(shortfall, change), 0.0, change))
+    return State(
+        interface, g, state.integral_force + where(widens(delivered.saturation_error, change), 0.0, change)
+    )
 
 
 def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outputs:

@@ -147,7 +147,7 @@ def step(t: float, h: float, state: State, inputs: DepthInputs, p: Parameters, m
     given = depth_interface.deliver(u.total, state.interface.j, p)
     interface = depth_interface.next_state(t, state.interface, inputs, p)
     now, k_m = _measurement(interface.measured, matrices), _state_feedback(p)
-    law = l1.law_step(h, state.law, now, u, given.force, given.shortfall, k_m, p, matrices)
+    law = l1.law_step(h, state.law, now, u, given.force, given.saturation_error, k_m, p, matrices)
     return State(law, interface)
 
 

@@ -120,7 +120,7 @@ def law_step(
     now: Measurement,
     u: Control,
     delivered: float,
-    shortfall: float,
+    saturation_error: float,
     k_m: Vector,
     parameters: Any,
     matrices: Any,
@@ -129,8 +129,8 @@ def law_step(
 
     u: the control of `law`, demanded during this step
     delivered: what the actuator makes of it, by which the prediction is driven
-    shortfall: delivered minus demanded, exactly 0 unless the actuator saturates; integrators stop where
-        they would demand still more
+    saturation_error: delivered minus demanded, exactly 0 unless the actuator saturates; integrators stop
+        where they would demand still more
 
     The prediction is driven by the control that the plant received between the last measurement and this
     one. `now` is of the step's beginning, so that is the control of the step before; with
@@ -159,8 +159,8 @@ def law_step(
         measured=now,
         estimates=estimates,
         held=given,
-        filter=lowpass.advance(p.filter_order, p.filter_bandwidth, law.filter, 0.5 * h, v, shortfall),
-        error_integral=integrate_error(h, law.error_integral, now.error, shortfall),
+        filter=lowpass.advance(p.filter_order, p.filter_bandwidth, law.filter, 0.5 * h, v, saturation_error),
+        error_integral=integrate_error(h, law.error_integral, now.error, saturation_error),
         sample=sample,
     )
 

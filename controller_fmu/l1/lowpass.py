@@ -44,11 +44,11 @@ def midpoint_response(order: FilterOrder, w: float, filter: FilterState, half: f
 
 
 def advance(
-    order: FilterOrder, w: float, filter: FilterState, half: float, v: float, shortfall: float = 0.0
+    order: FilterOrder, w: float, filter: FilterState, half: float, v: float, saturation_error: float = 0.0
 ) -> FilterState:
     """The filter 2 `half` s later by the implicit midpoint rule, its input being `v` midway.
 
-    shortfall: what the actuator delivers minus what is demanded. While it is not 0, a state whose
+    saturation_error: what the actuator delivers minus what is demanded. While it is not 0, a state whose
     change would widen it is held: u_a grows with every state, so each tells by its own sign.
     """
     free, gain = midpoint_response(order, w, filter, half)
@@ -57,12 +57,12 @@ def advance(
     p_2 = filter.p_2 + half * p_1
     third = order == FilterOrder.THIRD
     return FilterState(
-        u_a=_held(filter.u_a, u_a, shortfall),
-        p_1=where(third, _held(filter.p_1, p_1, shortfall), 0.0),
-        p_2=where(third, _held(filter.p_2, p_2, shortfall), 0.0),
+        u_a=_held(filter.u_a, u_a, saturation_error),
+        p_1=where(third, _held(filter.p_1, p_1, saturation_error), 0.0),
+        p_2=where(third, _held(filter.p_2, p_2, saturation_error), 0.0),
     )
 
 
-def _held(before: float, midway: float, shortfall: float) -> float:
-    """The value after the step, or before it where the change would widen the shortfall."""
-    return where(widens(shortfall, midway - before), before, 2.0 * midway - before)
+def _held(before: float, midway: float, saturation_error: float) -> float:
+    """The value after the step, or before it where the change would widen the saturation error."""
+    return where(widens(saturation_error, midway - before), before, 2.0 * midway - before)

@@ -128,8 +128,8 @@ def initial_state(t: float, inputs: Inputs, p: Parameters, matrices: Matrices) -
 def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, matrices: Matrices) -> State:
     u = l1.control(state.law, p.feedback_gain, p)
     delivered = _saturated(u.total, p)
-    shortfall, now = delivered - u.total, _measurement(inputs, p, matrices)
-    return State(l1.law_step(h, state.law, now, u, delivered, shortfall, p.feedback_gain, p, matrices))
+    saturation_error, now = delivered - u.total, _measurement(inputs, p, matrices)
+    return State(l1.law_step(h, state.law, now, u, delivered, saturation_error, p.feedback_gain, p, matrices))
 
 
 def output(t: float, state: State, p: Parameters, matrices: Matrices) -> Outputs:

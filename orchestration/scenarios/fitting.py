@@ -56,12 +56,12 @@ class _Fitting:
         return result
 
     def _table(self, data: Data, table: str, causalities: Sequence[str], is_value: bool = False) -> Data:
-        kept = {
+        fitting = {
             name: value
             for name, value in data.get(table, {}).items()
             if self._fits(table, name, name, causalities, value if is_value else None)
         }
-        return {table: kept} if table in data else {}
+        return {table: fitting} if table in data else {}
 
     def _list(self, data: Data, key: str, fits: Callable[[Any], bool]) -> Data:
         entries = data.get(key)

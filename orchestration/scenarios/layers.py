@@ -81,8 +81,8 @@ def _connections(below: list[Any], above: Any, layer: Layer) -> list[Any]:
     if not isinstance(above, dict):
         return above
     _check_removed("connections", above, [target for _, target, *_ in below], layer)
-    kept = [connection for connection in below if connection[1] not in above]
-    return [*kept, *(_listed(source, target) for target, source in above.items() if source is not False)]
+    inherited = [connection for connection in below if connection[1] not in above]
+    return [*inherited, *(_listed(source, target) for target, source in above.items() if source is not False)]
 
 
 def _record(below: list[str], above: Any, layer: Layer) -> list[str]:
@@ -144,8 +144,8 @@ def with_faulted_constants(data: Data) -> Data:
     faulted = {fault["input"] for fault in data.get("faults", [])}
     moved = {n: v for n, v in data["inputs"].items() if n in faulted and type(v) in (int, float)}
     signals = {name: {"kind": "constant", "value": value} for name, value in moved.items()}
-    kept = {name: value for name, value in data["inputs"].items() if name not in moved}
-    return {**data, "inputs": kept, "signals": {**data["signals"], **signals}} if moved else data
+    constants = {name: value for name, value in data["inputs"].items() if name not in moved}
+    return {**data, "inputs": constants, "signals": {**data["signals"], **signals}} if moved else data
 
 
 def with_events(events: list[Any], is_kept: Callable[[str, Any], bool]) -> list[Any]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from fmus.fmi_types import FmiValue
 from orchestration.scenarios.scenario import Scenario
-from orchestration.study.hold import Hold, HoldRuns, Place, loop_inputs
+from orchestration.study.hold import Hold, HoldRuns, LoopSignal, loop_inputs
 from orchestration.system.faults import Effect, InterpolatedDelay, Scale
 
 LARGEST_DELAY, DELAY_STEP, DELAY_RESOLUTION = 0.6, 0.02, 1e-3  # s
@@ -42,7 +42,7 @@ class Scan:
 
 def delay_margin(
     chosen: Scenario | HoldRuns,
-    place: Place = Place.MEASUREMENT,
+    loop_signal: LoopSignal = LoopSignal.MEASUREMENT,
     *,
     hold: Hold | None = None,
     largest: float = LARGEST_DELAY,
@@ -64,13 +64,22 @@ def delay_margin(
     """
     grid = step * np.arange(round(largest / step) + 1)
     return _scan(
-        chosen, place, hold, InterpolatedDelay, grid, step, resolution, parameters, only_first_loss, progress
+        chosen,
+        loop_signal,
+        hold,
+        InterpolatedDelay,
+        grid,
+        step,
+        resolution,
+        parameters,
+        only_first_loss,
+        progress,
     )
 
 
 def gain_margin(
     chosen: Scenario | HoldRuns,
-    place: Place = Place.CONTROL,
+    loop_signal: LoopSignal = LoopSignal.CONTROL,
     *,
     hold: Hold | None = None,
     largest: float = LARGEST_GAIN,
@@ -86,12 +95,14 @@ def gain_margin(
     """
     count = math.ceil(abs(math.log(largest)) / math.log(step) - 1e-9)
     grid = np.geomspace(1.0, largest, count + 1)
-    return _scan(chosen, place, hold, Scale, grid, step, resolution, parameters, only_first_loss, progress)
+    return _scan(
+        chosen, loop_signal, hold, Scale, grid, step, resolution, parameters, only_first_loss, progress
+    )
 
 
 def _scan(
     chosen: Scenario | HoldRuns,
-    place: Place,
+    loop_signal: LoopSignal,
     hold: Hold | None,
     effect: Callable[[float], Effect],
     grid: np.ndarray,
@@ -104,9 +115,9 @@ def _scan(
     if isinstance(chosen, Scenario):
         with HoldRuns(chosen, hold) as runs:
             return _scan(
-                runs, place, hold, effect, grid, step, resolution, parameters, only_first_loss, progress
+                runs, loop_signal, hold, effect, grid, step, resolution, parameters, only_first_loss, progress
             )
-    inputs, before = loop_inputs(chosen.prepared, chosen.hold.signal, place), chosen.count
+    inputs, before = loop_inputs(chosen.prepared, chosen.hold.signal, loop_signal), chosen.count
 
     def is_quiet(value: float) -> bool:
         progress()

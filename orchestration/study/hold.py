@@ -22,9 +22,10 @@ _MOVED = (
 _JUDGED = (
     0.4  # of the time for which the reference is constant, its last part: 100 s to 140 s of 40 s to 140 s
 )
+_JUDGED_S = 40.0  # the same of the nominal case, whose vehicle is on its way to the target at first
 
 
-class Place(StrEnum):
+class LoopSignal(StrEnum):
     """Where the loop is changed: on what enters the plant, or on what leaves it."""
 
     CONTROL = "control"
@@ -39,6 +40,11 @@ class Hold:
     start: float
     end: float
     quiet: float = QUIET
+
+
+def last_part(signal: str, end: float) -> Hold:
+    """The 40 s before a target is left at `end` [s], in which a vehicle that came to it is quiet."""
+    return Hold(signal, end - _JUDGED_S, end)
 
 
 def hold_of(chosen: Scenario, quiet: float = QUIET) -> Hold:
@@ -77,8 +83,8 @@ def _constant(chosen: Scenario, reference: str) -> tuple[float, float]:
     return float(times[begins[longest]]), float(times[ends[longest]])
 
 
-def loop_inputs(prepared: PreparedRun, signal: str, place: Place) -> tuple[str, ...]:
-    """The inputs of type Real on the loops through the component of the signal, at the place.
+def loop_inputs(prepared: PreparedRun, signal: str, loop_signal: LoopSignal) -> tuple[str, ...]:
+    """The inputs of type Real on the loops through the component of the signal, of that signal.
 
     Raises ScenarioError if there is none.
     """
@@ -89,7 +95,7 @@ def loop_inputs(prepared: PreparedRun, signal: str, place: Place) -> tuple[str, 
     inputs = tuple(
         target.name
         for source, target in prepared.system.connections
-        if (target if place is Place.CONTROL else source).component == plant
+        if (target if loop_signal is LoopSignal.CONTROL else source).component == plant
         and {source.component, target.component} <= on_loop | {plant}
         and target.variable.type == "Real"
     )

@@ -14,7 +14,7 @@ from orchestration.study.fmu_margins import (
     delay_margin,
     gain_margin,
 )
-from orchestration.study.hold import HoldRuns, Place
+from orchestration.study.hold import HoldRuns, LoopSignal
 from orchestration.study.margin_figure import Figure
 
 THROUGH_FMUS = "through the FMUs"
@@ -34,9 +34,11 @@ def runs_needed(over: Mapping[str, Sequence[float]]) -> int:
 
 def run_figures(runs: HoldRuns, progress: Callable[[], object]) -> Iterator[Figure]:
     """Delay margins on control and measurement, and gain margins."""
-    for place in Place:
-        scan = delay_margin(runs, place, progress=progress)
-        yield _figure(f"delay margin, {place}", scan, "s", f"{_GRADUAL}, up to {LARGEST_DELAY:g} s", runs)
+    for loop_signal in LoopSignal:
+        scan = delay_margin(runs, loop_signal, progress=progress)
+        yield _figure(
+            f"delay margin, {loop_signal}", scan, "s", f"{_GRADUAL}, up to {LARGEST_DELAY:g} s", runs
+        )
     for name, largest in (("largest", LARGEST_GAIN), ("smallest", 1.0 / LARGEST_GAIN)):
         scan = gain_margin(runs, largest=largest, progress=progress)
         yield _figure(f"{name} gain, control", scan, "1", f"{_RATIOS}, up to {largest:g}", runs)
@@ -48,9 +50,11 @@ def parameter_figures(
     """Delay margins on control and measurement at several values of a parameter."""
     for value in values:
         changed: Mapping[str, FmiValue] = {parameter: value}
-        for place in Place:
-            scan = delay_margin(runs, place, parameters=changed, only_first_loss=True, progress=progress)
-            name = f"delay margin, {place}, {parameter} = {value:g}"
+        for loop_signal in LoopSignal:
+            scan = delay_margin(
+                runs, loop_signal, parameters=changed, only_first_loss=True, progress=progress
+            )
+            name = f"delay margin, {loop_signal}, {parameter} = {value:g}"
             yield _figure(name, scan, "s", f"{_GRADUAL}; the first loss alone", runs)
 
 

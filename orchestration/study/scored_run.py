@@ -11,7 +11,7 @@ from orchestration.master.simulator import Simulator
 from orchestration.results.recording import Recording
 from orchestration.study.figures import failures, figures_of
 from orchestration.study.fmu_margins import delay_margin
-from orchestration.study.hold import Hold, Place
+from orchestration.study.hold import LoopSignal, last_part
 from orchestration.study.loop import OWN, Loop
 from orchestration.study.protocol import Case
 from orchestration.system.experiment import Experiment
@@ -19,7 +19,6 @@ from orchestration.system.system import System
 
 _TRACED = ("depth", "reference", "u")
 _TRACE_PERIOD_S = 0.5
-_HELD_S = 40.0  # at the end of a hold: the depth is quiet there
 _FEW_STEPS, _MANY_STEPS = 5_000, 200_000  # that are timed: many where few take a short time
 _SHORT_S = 0.5
 _REPETITIONS = 3
@@ -68,10 +67,9 @@ def measured_delay_margin(loop: Loop, case: Case) -> float:
 
     Of the first loss on a scan, as far as that goes. Not a number if it is not quiet as it is.
     """
-    end = case.target.window[1]
     scenario = replace(loop.scenario(case), experiment=loop.experiment(case))
-    held = Hold("plant.depth", end - _HELD_S, end)
-    return delay_margin(scenario, Place.MEASUREMENT, hold=held, only_first_loss=True).margin
+    hold = last_part("plant.depth", case.target.window[1])
+    return delay_margin(scenario, LoopSignal.MEASUREMENT, hold=hold, only_first_loss=True).margin
 
 
 def microseconds(loop: Loop, case: Case) -> float:

@@ -112,8 +112,8 @@ def _margins(label: str, law: Law, plant: Plant, limit: str, frozen: bool) -> It
     assumption = (
         f"{limit}; {known}; linear at rest, no quadratic damping, saturation, sampling or delay of the sensor"
     )
-    found = margins(loop(law, plant))
-    at = f"lost at {found.frequency:.3g} rad/s" if math.isfinite(found.delay) else ""
-    yield Figure(LINEAR, f"delay margin, {label}", found.delay, "s", assumption, _NYQUIST, at)
-    yield Figure(LINEAR, f"largest gain, {label}", found.high_gain, "1", assumption, _NYQUIST)
-    yield Figure(LINEAR, f"smallest gain, {label}", found.low_gain, "1", assumption, _NYQUIST)
+    loop_margins = margins(loop(law, plant))
+    at = f"lost at {loop_margins.frequency:.3g} rad/s" if math.isfinite(loop_margins.delay) else ""
+    yield Figure(LINEAR, f"delay margin, {label}", loop_margins.delay, "s", assumption, _NYQUIST, at)
+    yield Figure(LINEAR, f"largest gain, {label}", loop_margins.high_gain, "1", assumption, _NYQUIST)
+    yield Figure(LINEAR, f"smallest gain, {label}", loop_margins.low_gain, "1", assumption, _NYQUIST)

@@ -13,14 +13,13 @@ from typing import Any
 import numpy as np
 
 from orchestration.errors import SimulationError
+from orchestration.study.hold import QUIET, last_part
 from orchestration.study.loop import Loop
 from orchestration.study.protocol import Case, Protocol
 
 LARGEST = 1000.0  # cost of a run that ends early; finite, so that the search goes on
 MARGIN = "delay_margin"
 _SLOPE = 10.0
-_QUIET_M = 0.003  # largest standard deviation of the depth in hold of a loop that is quiet
-_HOLD_S = 40.0  # what is judged of a hold, at its end: 100 s to 140 s
 
 Figures = Mapping[str, float]
 
@@ -42,7 +41,7 @@ def cost_of(loop: Loop, gains: Mapping[str, float], every_seed: bool = False) ->
         return {"cost": LARGEST, "failure": str(error)}
     runs = [run_cost(run, table.figure, bounds) for case in figures.values() for run in case]
     return {
-        "cost": min(sum(runs) / len(runs) + _SLOPE * max(0.0, unrest / _QUIET_M - 1.0), LARGEST),
+        "cost": min(sum(runs) / len(runs) + _SLOPE * max(0.0, unrest / QUIET - 1.0), LARGEST),
         "figures": {case: _mean(measured) for case, measured in figures.items()},
         "unrest": unrest,
     }
@@ -81,7 +80,8 @@ def _unrest(loop: Loop, gains: Mapping[str, float], delay: float) -> float:
     signals = loop.run(delayed(nominal, delay, loop.controller.variable("measured_depth")), gains)
     if "terminated" in signals.provenance:
         return math.inf
-    return float(np.std(signals["depth"][signals.time >= nominal.target.window[1] - _HOLD_S]))
+    hold = last_part("depth", nominal.target.window[1])
+    return float(np.std(signals[hold.signal][signals.time >= hold.start]))
 
 
 def _mean(runs: Sequence[Figures]) -> dict[str, float]:

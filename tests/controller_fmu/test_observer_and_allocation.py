@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller_fmu.allocation import allocate, body_to_earth, force, saturate, shortfall
+from controller_fmu.allocation import allocate, body_to_earth, force, saturate, saturation_error
 from controller_fmu.observer import ObserverState, correct, sample_when_due
 from fmus.numerics import Clock
 
@@ -65,7 +65,7 @@ def test_the_thrusters_give_j_times_the_demand(force: float, roll: float, pitch:
     gains = (0.2, 0.3)
     voltages = allocate(force, j, gains)
     assert gains[0] * voltages[0] + gains[1] * voltages[1] == pytest.approx(j * force)
-    assert shortfall(voltages, saturate(voltages, 100.0), j, gains) == 0.0
+    assert saturation_error(voltages, saturate(voltages, 100.0), j, gains) == 0.0
 
 
 def test_the_shortfall_is_what_saturation_takes_away() -> None:
@@ -73,7 +73,7 @@ def test_the_shortfall_is_what_saturation_takes_away() -> None:
     demanded = allocate(10.0, 1.0, gains)
     possible = saturate(demanded, 12.0)
     assert possible == (12.0, 12.0)
-    assert shortfall(demanded, possible, 1.0, gains) == pytest.approx(6.0 - 10.0)
+    assert saturation_error(demanded, possible, 1.0, gains) == pytest.approx(6.0 - 10.0)
 
 
 @given(st.floats(-20.0, 20.0), st.floats(-3.0, 3.0))
@@ -86,7 +86,7 @@ def test_force_delivered_is_force_demanded_and_the_shortfall(demand: float, roll
         delivered = (gains[0] * saturated[0] + gains[1] * saturated[1]) / j
         assert force(saturated, j, gains) == pytest.approx(delivered, abs=1e-9)
         missing = force(saturated, j, gains) - force(demanded, j, gains)
-        assert shortfall(demanded, saturated, j, gains) == pytest.approx(missing, abs=1e-9)
+        assert saturation_error(demanded, saturated, j, gains) == pytest.approx(missing, abs=1e-9)
 
 
 @pytest.mark.parametrize("j", [0.0, 0.05, -0.05])

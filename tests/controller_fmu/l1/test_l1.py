@@ -232,39 +232,51 @@ def test_each_state_of_the_third_order_filter_is_held_by_its_own_rate() -> None:
     p = parameters(filter_order=FilterOrder.THIRD, filter_bandwidth=1.0)
     for side in (1.0, -1.0):
         start = FilterState(u_a=0.0, p_1=5.0 * side, p_2=5.0 * side)
-        after = one_step(p, start, shortfall=-1.0)
+        after = one_step(p, start, saturation_error=-1.0)
         assert (after.filter.u_a == 0.0) == (side > 0.0)
         assert (after.filter.p_1 == start.p_1) == (side < 0.0)  # it decays: from below, that is upwards
         assert (after.filter.p_2 == start.p_2) == (side > 0.0)
 
 
-@pytest.mark.parametrize(("shortfall", "drive"), [(-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (1.0, 1.0)])
+@pytest.mark.parametrize(("saturation_error", "drive"), [(-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (1.0, 1.0)])
 def test_the_first_order_filter_is_held_only_where_it_would_demand_still_more(
-    shortfall: float, drive: float
+    saturation_error: float, drive: float
 ) -> None:
-    """A demand above the limit (shortfall < 0) may fall and not rise; one below it may rise and not fall."""
-    after = one_step(parameters(), FilterState(), shortfall, reference=drive)
-    assert after.filter.u_a == (0.0 if shortfall * drive < 0.0 else pytest.approx(3e-3 * drive, rel=0.01))
+    """A demand above the limit (negative error) may fall and not rise; one below it may rise and not fall."""
+    after = one_step(parameters(), FilterState(), saturation_error, reference=drive)
+    assert after.filter.u_a == (
+        0.0 if saturation_error * drive < 0.0 else pytest.approx(3e-3 * drive, rel=0.01)
+    )
 
 
-@pytest.mark.parametrize(("shortfall", "reference"), [(-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (1.0, 1.0)])
+@pytest.mark.parametrize(
+    ("saturation_error", "reference"), [(-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (1.0, 1.0)]
+)
 def test_the_integral_of_the_pi_is_held_only_where_it_would_demand_still_more(
-    shortfall: float, reference: float
+    saturation_error: float, reference: float
 ) -> None:
-    after = one_step(parameters(), FilterState(), shortfall, reference)
-    grows = shortfall * reference >= 0.0  # e = -r, and -K_I int e is what the control contains
+    after = one_step(parameters(), FilterState(), saturation_error, reference)
+    grows = saturation_error * reference >= 0.0  # e = -r, and -K_I int e is what the control contains
     assert after.error_integral == (-1e-3 * reference if grows else 0.0)
 
 
 def one_step(
-    p: siso_controller.Parameters, start: FilterState, shortfall: float, reference: float = 0.0
+    p: siso_controller.Parameters, start: FilterState, saturation_error: float, reference: float = 0.0
 ) -> LawState:
     """1 ms from rest at x = 0."""
     law = LawState(filter=start)
     control = l1.control(law, p.feedback_gain, p)
     now, matrices = Measurement(r=reference), siso_controller.calculate(p)
     return l1.law_step(
-        1e-3, law, now, control, control.total + shortfall, shortfall, p.feedback_gain, p, matrices
+        1e-3,
+        law,
+        now,
+        control,
+        control.total + saturation_error,
+        saturation_error,
+        p.feedback_gain,
+        p,
+        matrices,
     )
 
 

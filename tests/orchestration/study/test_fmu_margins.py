@@ -11,7 +11,7 @@ from orchestration.errors import ScenarioError
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
 from orchestration.study.fmu_margins import delay_margin, gain_margin
-from orchestration.study.hold import Hold, HoldRuns, Place, hold_of, loop_inputs
+from orchestration.study.hold import Hold, HoldRuns, LoopSignal, hold_of, loop_inputs
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 
@@ -49,15 +49,15 @@ def test_the_gain_margin_of_a_sampled_integrator_is_that_of_its_difference_equat
     assert scan.margin < scan.lost <= 1.001 * scan.margin
 
 
-@pytest.mark.parametrize("place", list(Place))
+@pytest.mark.parametrize("loop_signal", list(LoopSignal))
 def test_the_delay_margin_of_a_sampled_integrator_is_that_of_its_difference_equation(
-    integrator: Scenario, place: Place
+    integrator: Scenario, loop_signal: LoopSignal
 ) -> None:
     """Lost between m and m + 1 steps, where K = h lies between the limits of both, linear in between."""
     steps = next(m for m in range(1, 100) if sampled_gain_limit(m + 1) < GAIN * STEP)
     above, below = sampled_gain_limit(steps), sampled_gain_limit(steps + 1)
     part = (above - GAIN * STEP) / (above - below)
-    scan = delay_margin(integrator, place, hold=HOLD, largest=3.0, step=0.2, resolution=1e-3)
+    scan = delay_margin(integrator, loop_signal, hold=HOLD, largest=3.0, step=0.2, resolution=1e-3)
     assert scan.margin == pytest.approx((steps - 1 + part) * STEP, abs=2e-3)
     assert scan.margin < scan.lost <= scan.margin + 1e-3
     assert scan.margin == pytest.approx(0.5 * math.pi / GAIN - 1.5 * STEP, abs=2e-3)  # continuous, less 1.5 h
@@ -111,11 +111,11 @@ def test_the_hold_of_the_vehicle_is_the_last_part_of_its_longest_constant_refere
 
 def test_control_and_measurement_of_the_vehicle_are_what_enters_and_leaves_it(scenario_fmus: None) -> None:
     with HoldRuns(scenario.load(scenario.find("nominal-extended"))) as runs:
-        assert loop_inputs(runs.prepared, "plant.depth", Place.CONTROL) == (
+        assert loop_inputs(runs.prepared, "plant.depth", LoopSignal.CONTROL) == (
             "plant.voltage[1]",
             "plant.voltage[2]",
         )
-        assert loop_inputs(runs.prepared, "plant.depth", Place.MEASUREMENT) == (
+        assert loop_inputs(runs.prepared, "plant.depth", LoopSignal.MEASUREMENT) == (
             "controller.measured_depth",
             "controller.measured_depth_rate",
         )
@@ -126,5 +126,5 @@ def test_the_vehicle_bears_what_its_linear_loop_does_less_its_sampling(scenario_
 
     The law's own step costs less than another half. docs/explanation/margins.md has the figures.
     """
-    scan = delay_margin(scenario.load(scenario.find("nominal-extended-ideal")), Place.CONTROL)
+    scan = delay_margin(scenario.load(scenario.find("nominal-extended-ideal")), LoopSignal.CONTROL)
     assert 0.4133 - 2.0 * 0.02 < scan.margin < 0.4133 - 1.5 * 0.02
