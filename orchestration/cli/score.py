@@ -8,11 +8,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from orchestration.cli.changes import MapOption, OpenInputsOption, SetOption
-from orchestration.cli.shared import OutFolder, console, print_table, progress
+from orchestration.cli.shared import OutFolder, check_writable, console, print_table, progress
 
 if TYPE_CHECKING:
     from orchestration.study.score import ScoreResult
     from orchestration.study.score_document import Score
+
+ProtocolOption = Annotated[
+    Path | None,
+    typer.Option("--protocol", metavar="FILE", help="Follow this protocol, not the one that ships."),
+]
 
 
 def score(
@@ -31,10 +36,7 @@ def score(
     settings: SetOption = [],  # noqa: B006  (Typer copies it)
     mapped: MapOption = [],  # noqa: B006
     open_inputs: OpenInputsOption = None,
-    protocol_file: Annotated[
-        Path | None,
-        typer.Option("--protocol", metavar="FILE", help="Follow this protocol, not the one that ships."),
-    ] = None,
+    protocol_file: ProtocolOption = None,
     timeout: Annotated[
         float | None,
         typer.Option(metavar="S", help="End a run that takes longer; by default that of the protocol."),
@@ -48,6 +50,7 @@ def score(
 
     protocol = read_protocol(protocol_file) if protocol_file else read_protocol()
     chosen = scored_controllers(controllers, league, settings, mapped, open_inputs)
+    check_writable(out)
     total = scoring.run_count(len(chosen), protocol, full)
     with progress("score", total) as bar:
         result = scoring.score(
@@ -59,19 +62,26 @@ def score(
 
 def write_score(result: "ScoreResult", out: Path) -> None:
     """Write score.json and the page, which needs the extra `report`; print their paths."""
-    from fmus.errors import MissingExtraError
     from fmus.files import write_text_atomically
 
     file = out / "score.json"
     write_text_atomically(file, result.document.model_dump_json(indent=1) + "\n")
     print(file)
+    names = ", ".join(row.title for row in result.document.scored)
+    write_page(result, file.with_suffix(".html"), f"Score of {names}")
+
+
+def write_page(result: "ScoreResult", page: Path, title: str) -> None:
+    """Write the page, or print which extra it needs."""
+    from fmus.errors import MissingExtraError
+    from fmus.files import write_text_atomically
+
     try:
         from orchestration.report.score_page import score_page
     except MissingExtraError as error:
         print(f"l1-depth: no page: {error}", file=sys.stderr)
         return
-    page = file.with_suffix(".html")
-    write_text_atomically(page, score_page(result))
+    write_text_atomically(page, score_page(result, title))
     print(page)
 
 

@@ -34,7 +34,7 @@ def differences_table(score: Score) -> Table | None:
     table = Table(title="Plant by plant: the scored controller minus another one")
     for heading in ("Scored", "Other", "Figure"):
         table.add_column(heading)
-    for heading in ("Median difference", "95 % interval", "p, Holm"):
+    for heading in ("Pairs", "Median difference", "95 % interval", "p, Holm"):
         table.add_column(heading, justify="right")
     titles = {row.name: row.title for row in score.rows}
     for entry in score.differences:
@@ -44,6 +44,7 @@ def differences_table(score: Score) -> Table | None:
             titles[entry.scored],
             titles[entry.other],
             figure.title,
+            str(entry.pairs),
             f"{entry.median_difference:.3g} {figure.unit}",
             f"{low:.3g} to {high:.3g}",
             f"{entry.p_holm:.2g}",

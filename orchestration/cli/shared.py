@@ -1,6 +1,7 @@
 """What the commands share: options, completion, tables, progress, failure."""
 
 import sys
+import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -56,6 +57,17 @@ def figure_formats(names: str) -> list[FigureFormat]:
         if name not in known:
             raise OrchestrationError(f"--formats: no format {name!r}; {nearest(name, known)}")
     return [FigureFormat(name) for name in chosen]
+
+
+def check_writable(folder: Path) -> None:
+    """Refuse a folder in which nothing can be written, before long runs begin; nothing is left behind."""
+    try:
+        existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+        tempfile.TemporaryFile(dir=existing).close()
+    except OSError as error:
+        raise OrchestrationError(
+            f"--out {folder}: {error.strerror}: expected a folder that can be written"
+        ) from error
 
 
 def refuse_without_effect(option: str, others: Mapping[str, object]) -> None:

@@ -11,7 +11,15 @@ import typer
 from fmus.errors import nearest
 from orchestration.cli.changes import MapOption, OpenInputsOption, SetOption
 from orchestration.cli.interrupts import INTERRUPTED
-from orchestration.cli.shared import OutFolder, fail, print_table, progress
+from orchestration.cli.score import ProtocolOption, write_page
+from orchestration.cli.shared import (
+    OutFolder,
+    check_writable,
+    fail,
+    print_table,
+    progress,
+    refuse_without_effect,
+)
 from orchestration.errors import ScenarioError
 from orchestration.system.open_inputs import OpenInputs
 
@@ -44,8 +52,11 @@ def tune(
         bool, typer.Option("--restart", help="Discard the evaluations of an earlier tuning of that name.")
     ] = False,
     league: Annotated[
-        str, typer.Option(metavar="NAME", help="Of a controller that is not of the protocol.")
-    ] = "position",
+        str | None,
+        typer.Option(
+            metavar="NAME", help="Of a controller that is not of the protocol; by default position."
+        ),
+    ] = None,
     settings: SetOption = [],  # noqa: B006
     mapped: MapOption = [],  # noqa: B006
     open_inputs: OpenInputsOption = None,
@@ -60,6 +71,7 @@ def tune(
     protocol = read_protocol()
     controller = _controller(name, league, settings, mapped, open_inputs, protocol)
     problem = tune_problem.problem_of(controller, protocol, [tune_space.parse(text) for text in free])
+    check_writable(out)
     journal = out / f"{controller.name}.tune.jsonl"
     if restart:
         journal.unlink(missing_ok=True)
@@ -92,7 +104,7 @@ def tune(
 
 def _controller(
     name: str,
-    league: str,
+    league: str | None,
     settings: Sequence[str],
     mapped: Sequence[str],
     open_inputs: OpenInputs | None,
@@ -106,7 +118,10 @@ def _controller(
     known = [*protocol.controllers, *block_names()]
     if name not in known and not name.endswith((".py", ".fmu")):
         raise ScenarioError(f"no controller {name!r}; {nearest(name, known)}")
-    (chosen,) = scored_controllers([name], league, settings, mapped, open_inputs)
+    if name in protocol.controllers:
+        options = {"--league": league, "--map": mapped, "--open-inputs": open_inputs}
+        refuse_without_effect(f"{name}, a controller of the protocol", options)
+    (chosen,) = scored_controllers([name], league or "position", settings, mapped, open_inputs)
     if name not in protocol.controllers:
         return chosen
     of_protocol = built_in(protocol, name)
@@ -138,13 +153,18 @@ def compare(
     ] = False,
     workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = os.cpu_count() or 1,
     out: OutFolder = Path("results"),
+    protocol_file: ProtocolOption = None,
 ) -> None:
-    """Score all controllers of the protocol, each with the gains that it comes with, and tuned."""
+    """Score all controllers of the protocol, each with the gains that it comes with, and tuned.
+
+    Writes comparison.json, comparison.md with the tables, and an interactive page.
+    """
     from fmus.files import write_text_atomically
     from orchestration.study import compare as comparison
     from orchestration.study.protocol import read_protocol
 
-    protocol = read_protocol()
+    protocol = read_protocol(protocol_file) if protocol_file else read_protocol()
+    check_writable(out)
     with progress("compare", comparison.run_count(protocol, full)) as bar:
         result = comparison.compare(protocol, full, workers, bar.advance)
     document = result.document
@@ -154,3 +174,4 @@ def compare(
     for name, text in written.items():
         write_text_atomically(out / name, f"{text}\n")
         print(out / name)
+    write_page(comparison.for_page(result), out / "comparison.html", "Comparison of the controllers")

@@ -16,10 +16,9 @@ _LINES = ("depth", "u")
 _SCALE = 1e4  # whole numbers compress to a quarter of the room
 
 
-def score_page(result: ScoreResult) -> str:
-    """The page of a score."""
+def score_page(result: ScoreResult, title: str) -> str:
+    """The page of a score or of a comparison."""
     score = result.document
-    names = ", ".join(row.title for row in score.scored) or "the built-in controllers"
     figures = [name for name in score.protocol.figures if name not in OF_A_ROW]
     tables = {
         "Means over the cases": {"overview": score_view.overview(score)},
@@ -32,7 +31,7 @@ def score_page(result: ScoreResult) -> str:
     return page(
         "score.html",
         _SCRIPTS,
-        title=f"Score of {names}",
+        title=title,
         score=score,
         tables=tables,
         titles={row.name: row.title for row in score.rows},

@@ -147,7 +147,7 @@ def time_below(
     low, high = np.minimum(values[:-1], values[1:]), np.maximum(values[:-1], values[1:])
     span = np.where(high > low, high - low, 1.0)
     share = np.where(high > low, ((limit - low) / span).clip(0.0, 1.0), low < limit)
-    return float(share @ np.diff(time))
+    return float((share * np.diff(time)).sum())  # not BLAS, whose threads wait for each other
 
 
 def total_variation(

@@ -46,6 +46,16 @@ def run_count(protocol: Protocol, full: bool) -> int:
     return len(controllers(protocol)) * runs
 
 
+def for_page(result: ScoreResult) -> ScoreResult:
+    """The same with titles that say which gains a row has, for a page that shows all rows together."""
+    endings = {TUNED: "tuned", START: "as it comes"}
+    rows = [
+        row.model_copy(update={"title": f"{row.title}, {endings[row.name.partition('/')[0]]}"})
+        for row in result.document.rows
+    ]
+    return replace(result, document=result.document.model_copy(update={"rows": rows}))
+
+
 def part(document: Score, which: str, league: str) -> Score:
     """The rows of one kind and league, each table of which marks the best of its columns."""
     rows = [row for row in document.rows if row.name.startswith(f"{which}/") and row.league == league]

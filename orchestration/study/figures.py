@@ -2,17 +2,13 @@
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from orchestration.results import metrics
 from orchestration.results.recording import Recording
-from orchestration.study.protocol import Case, Protocol
-from orchestration.study.protocol_format import FigureTable
-
-SIGNALS = {"depth": "m", "reference": "m", "u": "N", "voltage": "V", "power": "V2", "saturated": "%"}
-"""What figures are computed of -> its unit."""
+from orchestration.study.protocol import Case, Protocol, metric_of
+from orchestration.study.protocol_format import SIGNALS
 
 
 def judged_signals(
@@ -46,22 +42,12 @@ def figures_of(
     """
     tables = {name: table for name, table in protocol.figures.items() if not names or name in names}
     declared = {
-        name: _call(table, case) for name, table in tables.items() if case.target.moves or not table.of_motion
+        name: metric_of(table, case)
+        for name, table in tables.items()
+        if case.target.moves or not table.of_motion
     }
     values = metrics.evaluate(signals, declared)
     return {name: values.get(name, math.nan) for name in tables}
-
-
-def _call(table: FigureTable, case: Case) -> dict[str, Any]:
-    """A figure of a case as a scenario declares a metric."""
-    call: dict[str, Any] = {"function": table.function, **table.arguments}
-    if table.at_target:
-        call |= {"target": case.target.depth, "window": list(case.target.window)}
-        if table.function == "settling_time":
-            call["band"] = case.target.band
-    elif not table.whole_run:
-        call["window"] = list(case.judged)
-    return call
 
 
 def failures(figures: Mapping[str, float], protocol: Protocol) -> list[str]:

@@ -3,28 +3,39 @@
 What is kept for the table of a score alone stands in table.toml, which `study.table_seeds` reads.
 """
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import TypeAdapter
 
 from fmus.errors import nearest
 from fmus.fmi_types import FmiValue
+from fmus.registry import block_names
 from orchestration.errors import ScenarioError
 from orchestration.results.metrics import FUNCTIONS
-from orchestration.scenarios.file_tables import checked
+from orchestration.scenarios.file_format import METRIC
+from orchestration.scenarios.file_tables import Table, checked
+from orchestration.scenarios.read_layers import shipped_bases
 from orchestration.scenarios.toml_file import KeyPath, TomlFile, read_toml
-from orchestration.study.protocol_format import ControllerTable, FigureTable, ProtocolFile
+from orchestration.study.protocol_format import (
+    COMPARED,
+    DELAY_MARGIN,
+    SIGNALS,
+    ControllerTable,
+    FigureTable,
+    ProtocolFile,
+)
 
 FILE = Path(__file__).with_name("protocol.toml")
 REFERENCE = "controller.depth_reference"
 SENSOR_SEED = "plant.sensor_seed"
 _BAND = 0.05  # of the target: the paper's settling band
 _FILE = TypeAdapter(ProtocolFile)
+_METRIC: TypeAdapter[Any] = TypeAdapter(Annotated[Table, METRIC])
 
 
 @dataclass(frozen=True)
@@ -119,6 +130,18 @@ class Protocol:
 _LAYER_KEYS = ("parameters", "inputs", "signals", "faults")
 
 
+def metric_of(table: FigureTable, case: Case) -> dict[str, Any]:
+    """A figure of a case as a scenario declares a metric."""
+    call: dict[str, Any] = {"function": table.function, **table.arguments}
+    if table.at_target:
+        call |= {"target": case.target.depth, "window": list(case.target.window)}
+        if table.function == "settling_time":
+            call["band"] = case.target.band
+    elif not table.whole_run:
+        call["window"] = list(case.judged)
+    return call
+
+
 def first_target(points: Iterable[Sequence[float]]) -> Target:
     """The first depth that a trajectory holds; ScenarioError if it holds none."""
     listed = list(points)
@@ -131,19 +154,33 @@ def first_target(points: Iterable[Sequence[float]]) -> Target:
 def read_protocol(path: Path = FILE) -> Protocol:
     """The protocol of a file, by default of the one that ships; ScenarioError names file and line."""
     file = read_toml(path)
-    tables = checked(_FILE, file.data, file.at)
-    names = (
-        *((("cost", "cases"), name, tables.cases) for name in tables.cost.cases),
-        (("cost", "figure"), tables.cost.figure, tables.figures),
-        *((("failure", name), name, tables.figures) for name in tables.failure),
-        *((("figures", name, "function"), f.function, FUNCTIONS) for name, f in tables.figures.items()),
-        *((("controllers", n, "league"), c.league, tables.leagues) for n, c in tables.controllers.items()),
-    )
-    for keys, name, known in names:
-        _check_known(file, keys, name, known)
-    return Protocol(file, tables)
+    protocol = Protocol(file, checked(_FILE, file.data, file.at))
+    for keys, name, known in _names(protocol.tables):
+        if name not in known:
+            shown = ".".join(map(str, keys))
+            raise ScenarioError(f"{file.at(keys)}: {shown} = {name!r}; {nearest(name, known)}")
+    for name in (name for name in COMPARED if name not in protocol.figures):
+        raise ScenarioError(f"{file.at(('figures',))}: figures.{name} is missing: tables show it")
+    for name, table in protocol.figures.items():
+        keys = ("figures", name, "arguments")
+        checked(_METRIC, metric_of(table, protocol.nominal), lambda key, keys=keys: file.at((*keys, *key)))
+    return protocol
 
 
-def _check_known(file: TomlFile, keys: KeyPath, name: str, known: Collection[str]) -> None:
-    if name not in known:
-        raise ScenarioError(f"{file.at(keys)}: {'.'.join(map(str, keys))} = {name!r}; {nearest(name, known)}")
+def _names(tables: ProtocolFile) -> Iterator[tuple[KeyPath, str, Collection[str]]]:
+    """Keys, the name that stands there, and the names that may."""
+    yield ("base",), tables.base, shipped_bases()
+    for name, table in tables.figures.items():
+        yield ("figures", name, "function"), table.function, FUNCTIONS
+        for argument in sorted({"signal", "reference"} & table.arguments.keys()):
+            yield ("figures", name, "arguments", argument), table.arguments[argument], SIGNALS
+    for name in tables.failure:
+        yield ("failure", name), name, tables.figures
+    for name in tables.cost.cases:
+        yield ("cost", "cases"), name, tables.cases
+    yield ("cost", "figure"), tables.cost.figure, tables.figures
+    for name in tables.cost.bounds:
+        yield ("cost", "bounds", name), name, [*tables.figures, DELAY_MARGIN]
+    for name, controller in tables.controllers.items():
+        yield ("controllers", name, "league"), controller.league, tables.leagues
+        yield ("controllers", name, "fmu"), controller.fmu, block_names()

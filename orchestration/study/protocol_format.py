@@ -11,6 +11,12 @@ from orchestration.sweep.distributions import FUNCTIONS
 
 CONTINUOUS = {name: function for name, function in FUNCTIONS.items() if name not in ("seed", "choice")}
 """Distributions of numbers by name."""
+SIGNALS = {"depth": "m", "reference": "m", "u": "N", "voltage": "V", "power": "V2", "saturated": "%"}
+"""What figures are computed of -> its unit."""
+COMPARED = ("rmse", "peak_error", "total_variation")
+"""Figures that every protocol has: tables show their means, and controllers are compared in them."""
+DELAY_MARGIN = "delay_margin"
+"""Name of the bound of the cost that is no figure of a run."""
 
 
 class FigureTable(Table, use_attribute_docstrings=True):
@@ -21,7 +27,7 @@ class FigureTable(Table, use_attribute_docstrings=True):
     meaning: str
     """Its definition, for readers."""
     function: str
-    """Of `orchestration.results.metrics`."""
+    """A metric of scenarios."""
     arguments: dict[str, Any]
     """Of the function, over the signals of a run."""
     at_target: bool = False

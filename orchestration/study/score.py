@@ -21,6 +21,7 @@ from orchestration.study.isolated_loop import IsolatedLoop, RunError
 from orchestration.study.loop import Controller, Loop
 from orchestration.study.plants import plants
 from orchestration.study.protocol import Case, Protocol, read_protocol
+from orchestration.study.protocol_format import COMPARED
 from orchestration.study.score_document import (
     CaseResult,
     FigureOverPlants,
@@ -43,10 +44,8 @@ from orchestration.study.table_seeds import table_seeds
 from orchestration.study.tuned_gains import tuned
 from orchestration.system.prepared_run import prepare
 
-OVER_PLANTS = ("rmse", "peak_error", "settling_time", "overshoot", "total_variation", "breach")
+OVER_PLANTS = (*COMPARED, "settling_time", "overshoot", "breach")
 """Figures of the runs over plants."""
-COMPARED = ("rmse", "peak_error", "total_variation")
-"""Those that are compared plant by plant."""
 
 _MOST_RUNS = 40  # of a delay margin
 

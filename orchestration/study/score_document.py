@@ -12,6 +12,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainSerializer, WithJsonSchema
 
 from orchestration.study.protocol import Protocol
+from orchestration.study.protocol_format import DELAY_MARGIN
 
 SCHEMA = Path(__file__).with_name("score.schema.json")
 
@@ -146,7 +147,7 @@ class Score(Part):
         return row.cases[case].figures.get(name, math.nan) if case in row.cases else math.nan
 
 
-DELAY_MARGIN, MICROSECONDS = "delay_margin", "microseconds"
+MICROSECONDS = "microseconds"
 OF_A_ROW: Mapping[str, Figure] = {
     DELAY_MARGIN: Figure(
         title="Delay margin",

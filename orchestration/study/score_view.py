@@ -7,7 +7,8 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from orchestration.study.score_document import DELAY_MARGIN, MICROSECONDS, CaseResult, Figure, Row, Score
+from orchestration.study.protocol_format import COMPARED, DELAY_MARGIN
+from orchestration.study.score_document import MICROSECONDS, CaseResult, Figure, Row, Score
 
 
 @dataclass(frozen=True)
@@ -94,10 +95,9 @@ def over_plants(score: Score) -> ScoreTable | None:
     """Statistics over the plants; None if there are none."""
     if not all(row.plants for row in score.rows):
         return None
-    names = ("rmse", "peak_error", "total_variation")
     column = Column("Failed", "%", "share of the plants on which the run failed")
     entries: list[tuple[Column, bool, _Value]] = [(column, False, _failure_rate)]
-    for name in names:
+    for name in COMPARED:
         figure = score.protocol.figures[name]
         for statistic in ("median", "p95", "cvar"):
             column = Column(

@@ -16,9 +16,9 @@ from orchestration.errors import SimulationError
 from orchestration.study.hold import QUIET, last_part
 from orchestration.study.loop import Loop
 from orchestration.study.protocol import Case, Protocol
+from orchestration.study.protocol_format import DELAY_MARGIN
 
 LARGEST = 1000.0  # cost of a run that ends early; finite, so that the search goes on
-MARGIN = "delay_margin"
 _SLOPE = 10.0
 
 Figures = Mapping[str, float]
@@ -30,13 +30,13 @@ def cost_of(loop: Loop, gains: Mapping[str, float], every_seed: bool = False) ->
     every_seed: each case with every practice seed, not with one
     """
     table = loop.protocol.tables.cost
-    bounds = {name: bound for name, bound in table.bounds.items() if name != MARGIN}
+    bounds = {name: bound for name, bound in table.bounds.items() if name != DELAY_MARGIN}
     figures: dict[str, list[Figures]] = {}
     try:
         for case in practice_cases(loop.protocol, every_seed):
             measured = loop.figures(case, gains, {table.figure, *bounds})
             figures.setdefault(case.name, []).append(measured)
-        unrest = _unrest(loop, gains, table.bounds[MARGIN]) if MARGIN in table.bounds else 0.0
+        unrest = _unrest(loop, gains, table.bounds[DELAY_MARGIN]) if DELAY_MARGIN in table.bounds else 0.0
     except SimulationError as error:
         return {"cost": LARGEST, "failure": str(error)}
     runs = [run_cost(run, table.figure, bounds) for case in figures.values() for run in case]

@@ -50,6 +50,7 @@ def test_score_prints_tables_and_writes_a_document_and_a_page(
             "--set plant.inertia: expected controller.VARIABLE",
         ),
         (["L1DepthController", "--set", "controller.gain=9"], "controller.gain"),
+        (["L1DepthController", "--out", f"{__file__}/results"], "Not a directory: expected a folder"),
         (
             ["a.fmu", "b.fmu", "--set", "controller.gain=9"],
             "--set and --map with 2 controllers: expected one",
@@ -60,3 +61,27 @@ def test_what_cannot_be_scored_is_refused(
     refused: Callable[..., str], protocol_file: Path, arguments: list[str], complaint: str
 ) -> None:
     assert complaint in refused("score", *arguments, "--protocol", protocol_file)
+
+
+def test_a_comparison_that_cannot_be_written_is_refused_before_it_runs(refused: Callable[..., str]) -> None:
+    """With the protocol that ships: its runs take minutes."""
+    complaint = refused("compare", "--out", f"{__file__}/results")
+    assert "Not a directory: expected a folder that can be written" in complaint
+
+
+@pytest.mark.slow
+def test_compare_writes_a_document_tables_and_a_page_of_all_rows(
+    command: Callable[..., object], protocol_file: Path, tmp_path: Path
+) -> None:
+    text = protocol_file.read_text(encoding="utf-8").replace("[controllers]", "")
+    l1 = {"title": "L1", "fmu": "L1DepthController", "league": "position"}
+    protocol_file.write_text(text + tomli_w.dumps({"controllers": {"l1-pi": l1}}), encoding="utf-8")
+    done = command("compare", "--protocol", protocol_file)
+    written = [f"results/comparison.{ending}" for ending in ("json", "md", "html")]
+    assert done.stdout.splitlines()[-3:] == written  # type: ignore[attr-defined]
+    document = json.loads((tmp_path / written[0]).read_text(encoding="utf-8"))
+    assert [row["name"] for row in document["rows"]] == ["tuned/l1-pi", "start/l1-pi"]
+    page = (tmp_path / written[2]).read_text(encoding="utf-8")
+    assert "<h1>Comparison of the controllers</h1>" in page
+    assert "L1, tuned</th>" in page
+    assert "L1, as it comes</th>" in page

@@ -14,7 +14,7 @@ from .opened import OpenedPage
 
 @pytest.fixture(scope="module")
 def html() -> str:
-    return score_page(made_up_score())
+    return score_page(made_up_score(), "Score of <mine>")
 
 
 @pytest.fixture

@@ -84,6 +84,16 @@ def test_a_target_is_the_first_depth_that_is_held() -> None:
         ("overshoot = 5.0\nbreach", "oversoot = 5.0\nbreach", r":\d+: failure.oversoot = 'oversoot'"),
         ('kind = "freeze"', 'kind = "freze"', r":\d+: cases.frozen.faults\[0\]: unknown kind 'freze'"),
         ("hold = 1.0", "holds = 1.0", r":\d+: cases.hold-step: unknown key 'holds'; nearest is 'hold'"),
+        ('base = "vehicle"', 'base = "vehicel"', r":\d+: base = 'vehicel'; nearest is 'vehicle'"),
+        ("[figures.peak_error]", "[figures.peak]", r"wrong.toml: figures.peak_error is missing"),
+        (
+            "total_variation = 1000.0",
+            "total_variatoin = 1e3",
+            r":\d+: cost.bounds.total_variatoin = .*nearest",
+        ),
+        ('fmu = "PidDepthController"', 'fmu = "PidControler"', r":\d+: controllers.pid.fmu = .*; nearest is"),
+        ("largest = 30.0", "lagest = 30.0", r":\d+: unknown key 'lagest'; nearest is 'largest'"),
+        ('signal = "power"', 'signal = "pover"', r":\d+: figures.energy.arguments.signal = 'pover'; nearest"),
         ("low = 0.2", "lowest = 0.2", r":\d+: plants.vary.thrust: unknown key 'lowest'"),
     ],
 )

@@ -28,6 +28,10 @@ OPTIONS = ("--evaluations", "3", "--seeds", "2", "--workers", "2")
         (["l1", "--free", "integral_gain"], "expected NAME=LOW:HIGH"),
         (["l1", "--set", "controller.filter_bandwidth=1"], "filter_bandwidth: it is set, and free"),
         (["l1", "--set", "controller.augmentation=pie"], "augmentation"),
+        (["l1", "--map", "measured_depth=z"], "--map: no effect with l1, a controller of the protocol"),
+        (["l1", "--open-inputs", "start"], "--open-inputs: no effect with l1"),
+        (["l1", "--league", "reference-rates"], "--league: no effect with l1"),
+        (["l1", "--out", f"{__file__}/results"], "Not a directory: expected a folder that can be written"),
     ],
 )
 def test_what_cannot_be_tuned_is_refused(refused: Command, arguments: list[str], message: str) -> None:
