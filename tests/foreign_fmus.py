@@ -1,9 +1,12 @@
 """FMUs of C that know nothing of the blocks: linear ones, functions, and one that misbehaves on demand.
 
-Their sources stand in `test_fmus`; here are their model descriptions and archives.
+Their sources stand in `foreign_c`; here are their model descriptions and archives. A model is compiled once;
+what differs between its FMUs is written into the compiled library.
 """
 
-from collections.abc import Callable, Sequence
+import hashlib
+import struct
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from importlib import resources
@@ -17,9 +20,11 @@ from fmus.export import archive
 from fmus.export.toolchain import compile_library
 from fmus.files import write_archive
 from fmus.platforms import host_platform, library_name
+from tests.shared_builds import built_once
 
 _SOURCES = Path(__file__).parent / "foreign_c"
 _HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
+_CONFIG_MARK, _GUID_SIZE = b"the configuration goes here", 64  # of `Config` in slave.h
 _STATUSES = ("Warning", "Discard", "Error", "Fatal")
 
 
@@ -73,14 +78,15 @@ class Capabilities:
             "canHandleVariableCommunicationStepSize": _text(self.varies_step_size),
         }
 
-    def macros(self) -> dict[str, str]:
-        return {
-            "CAN_INTERPOLATE_INPUTS": str(int(self.interpolates_inputs)),
-            "OUTPUT_DERIVATIVE_ORDER": str(self.output_derivative_order),
-            "CAN_SAVE_STATE": str(int(self.saves_state)),
-            "CAN_SERIALISE_STATE": str(int(self.serialises_state)),
-            "CAN_VARY_STEP_SIZE": str(int(self.varies_step_size)),
-        }
+    def numbers(self) -> list[float]:
+        """In the order of `Config` in slave.h."""
+        return [
+            float(self.interpolates_inputs),
+            float(self.output_derivative_order),
+            float(self.saves_state),
+            float(self.serialises_state),
+            float(self.varies_step_size),
+        ]
 
 
 @dataclass(frozen=True)
@@ -145,16 +151,10 @@ def linear(
         *outputs,
         *discrete,
     ]
-    macros = {
-        "N_U": str(len(b)),
-        "N_Y": str(len(c)),
-        "N_DISCRETE": str(int(passes_discrete)),
-        "REFUSES_BOOLEAN_FROM": repr(refuses_boolean_from),
-        "B_VALUES": _array(b or (0.0,)),
-        "C_VALUES": _array(c),
-        "D_VALUES": "{" + ", ".join(_array(row or (0.0,)) for row in d) + "}",
-    }
-    return _write(path, "linear", variables, macros, Capabilities(**capabilities), declares_dependencies)
+    shape = {"N_U": len(b), "N_Y": len(c), "N_DISCRETE": int(passes_discrete)}
+    numbers = [refuses_boolean_from, *b, *c, *(gain for row in d for gain in row)]
+    claims = Capabilities(**capabilities)
+    return _write(path, "linear", variables, claims, shape, numbers, declares_dependencies)
 
 
 def function(path: Path, expression: str, start: float = 0.0, nominal: float | None = None) -> Path:
@@ -163,7 +163,7 @@ def function(path: Path, expression: str, start: float = 0.0, nominal: float | N
         Variable("u", "input", "continuous", start=start, nominal=nominal),
         Variable("y", "output", "continuous", follows=("u",), initially_follows=("u",), nominal=nominal),
     ]
-    return _write(path, "function", variables, {"EXPRESSION(u)": f"({expression})"}, Capabilities())
+    return _write(path, "function", variables, Capabilities(), {"EXPRESSION(u)": f"({expression})"})
 
 
 def rogue(path: Path, **capabilities: Any) -> Path:
@@ -175,36 +175,49 @@ def rogue(path: Path, **capabilities: Any) -> Path:
         Variable("u", "input", "continuous"),
         Variable("y", "output", "continuous"),
     ]
-    return _write(path, "rogue", variables, {}, Capabilities(**capabilities))
+    return _write(path, "rogue", variables, Capabilities(**capabilities))
 
 
 def stair(path: Path, **capabilities: Any) -> Path:
     """Counts the seconds in the Integer output `counter`, from 1, and terminates the simulation at 10."""
     counter = Variable("counter", "output", "discrete", start=1, kind="Integer", initial="exact")
-    return _write(path, "stair", [counter], {}, Capabilities(**capabilities))
+    return _write(path, "stair", [counter], Capabilities(**capabilities))
 
 
 def _write(
     path: Path,
     model: str,
     variables: Sequence[Variable],
-    macros: dict[str, str],
     capabilities: Capabilities,
+    macros: Mapping[str, object] = {},
+    numbers: Sequence[float] = (),
     declares_dependencies: bool = True,
 ) -> Path:
+    """macros: what the library is compiled for; numbers: of the model, behind the others of `Config`."""
+    library = _compiled(path.parent, model, "".join(f"#define {name} {macros[name]}\n" for name in macros))
+    content = [*capabilities.numbers(), *(v.start for v in variables), *numbers]
+    config = struct.pack(f"{len(content)}d", *content)
+    xml = _description(model, archive.GUID, variables, capabilities, declares_dependencies)
+    recipe = hashlib.sha256(library + config).hexdigest()
+    guid, members = archive.with_guid({"modelDescription.xml": xml}, recipe)
+    place = _CONFIG_MARK.ljust(_GUID_SIZE + len(config), b"\0")
+    assert library.count(place) == 1
+    configured = library.replace(place, guid.encode().ljust(_GUID_SIZE, b"\0") + config)
+    return write_archive(path, members | {library_name(model, host_platform()): configured})
+
+
+def _compiled(folder: Path, model: str, config: str) -> bytes:
+    """The library of a model, compiled once for all who use the folder."""
     headers = resources.files(fmpy) / "c-code"
     sources = {name: (headers / name).read_text("utf-8") for name in _HEADERS}
     sources |= {name: (_SOURCES / name).read_text("utf-8") for name in (f"{model}.c", "slave.h")}
-    macros = {**macros, "START_VALUES": _array([v.start for v in variables]), **capabilities.macros()}
+    sources["config.h"] = config
+    key = hashlib.sha256(repr(sorted(sources.items())).encode()).hexdigest()[:16]
 
-    config = {"MODEL_GUID": f'"{archive.GUID}"', **macros}
-    text = "".join(f"#define {name} {value}\n" for name, value in config.items())
-    xml = _description(model, archive.GUID, variables, capabilities, declares_dependencies)
-    described = {"config.h": text.encode(), "modelDescription.xml": xml}
-    _, members = archive.with_guid(described, recipe=repr(sorted(sources.items())))
-    sources["config.h"] = members.pop("config.h").decode()
-    library = compile_library(model, sources, [f"{model}.c"], host_platform())
-    return write_archive(path, members | {library_name(model, host_platform()): library})
+    def compile_to(path: Path) -> None:
+        path.write_bytes(compile_library(model, sources, [f"{model}.c"], host_platform()))
+
+    return built_once(folder / f"{model}-{key}.library", compile_to).read_bytes()
 
 
 def _description(
@@ -269,10 +282,6 @@ def _structure(structure: Any, variables: Sequence[Variable], declares_dependenc
 
 def _add(parent: Any, tag: str, **attributes: str) -> Any:
     return ElementTree.SubElement(parent, tag, attributes)
-
-
-def _array(values: Sequence[float]) -> str:
-    return "{" + ", ".join(repr(float(value)) for value in values) + "}"
 
 
 def _text(value: float | bool) -> str:

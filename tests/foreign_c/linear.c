@@ -4,7 +4,8 @@
  *     x(t + h) = exp(a h) x + h phi_1(a h) b u + h^2 phi_2(a h) b u'
  *     phi_1(z) = (exp(z) - 1) / z,  phi_2(z) = (exp(z) - 1 - z) / z^2
  * The outputs are those at the end of the step, with the inputs that the step ends with.
- * With N_DISCRETE = 1, an Integer and a Boolean are passed through as well; the Boolean until REFUSES_BOOLEAN_FROM.
+ * With N_DISCRETE = 1, an Integer and a Boolean are passed through as well; the Boolean until `refuses_boolean_from`.
+ * config.h has N_U, N_Y and N_DISCRETE.
  */
 
 #include "config.h"
@@ -21,12 +22,13 @@ enum {
     N_VARIABLES = BOOLEAN_OUT + N_DISCRETE
 };
 
+#define MODEL_CONFIG double refuses_boolean_from, b[N_U], c[N_Y], d[N_Y][N_U];
 #define MODEL_REFUSES
 #include "slave.h"
 
 static fmi2Status model_accepts(Slave *s, fmi2ValueReference reference) {
     const int is_boolean = N_DISCRETE && reference == BOOLEAN_IN && s->data.mode == STEPPING;
-    return is_boolean && s->data.time >= REFUSES_BOOLEAN_FROM ? refuse(s, fmi2Discard, "no Boolean is taken any more")
+    return is_boolean && s->data.time >= config.refuses_boolean_from ? refuse(s, fmi2Discard, "no Boolean is taken any more")
                                                               : fmi2OK;
 }
 
@@ -39,8 +41,6 @@ static fmi2Status model_tells_time(Slave *s) {
     (void)s;
     return fmi2OK;
 }
-
-static const double B[] = B_VALUES, C[] = C_VALUES, D[][N_U ? N_U : 1] = D_VALUES;
 
 static double phi_1(double z) { return fabs(z) < 1e-8 ? 1 + z / 2 : expm1(z) / z; }
 
@@ -56,13 +56,13 @@ static double phi_2(double z) {
 
 static double driven(const double u[]) {
     double sum = 0;
-    for (int j = 0; j < N_U; j++) sum += B[j] * u[j];
+    for (int j = 0; j < N_U; j++) sum += config.b[j] * u[j];
     return sum;
 }
 
 static double output(int i, double x, const double u[]) {
-    double sum = C[i] * x;
-    for (int j = 0; j < N_U; j++) sum += D[i][j] * u[j];
+    double sum = config.c[i] * x;
+    for (int j = 0; j < N_U; j++) sum += config.d[i][j] * u[j];
     return sum;
 }
 

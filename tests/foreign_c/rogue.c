@@ -10,8 +10,6 @@
 #include <signal.h>
 #include <unistd.h>
 
-#include "config.h"
-
 enum { MISDEED, MISDEED_TIME, LONGEST_STEP, U, Y, N_VARIABLES };
 
 enum { /* the items of the enumeration Misdeed */

@@ -1,7 +1,7 @@
 /* What the test FMUs share: a slave of FMI 2.0 for co-simulation whose variables are numbers by value reference.
  *
  * A model lists its value references up to N_VARIABLES, includes this file and defines the functions `model_...`.
- * config.h is written with the model description: MODEL_GUID, START_VALUES and the capabilities CAN_....
+ * What differs between FMUs of one model, `config`, is written into its compiled library: `tests/foreign_fmus.py`.
  *
  * It is strict with the master: a call in the wrong mode, a communication point that is not its own time or a
  * capability that it does not claim is an error, and what FMI forbids after fmi2Error or fmi2Fatal ends the process.
@@ -17,6 +17,20 @@
 #include <string.h>
 
 #include "fmi2Functions.h"
+
+#ifndef MODEL_CONFIG
+#define MODEL_CONFIG
+#endif
+
+typedef struct {
+    char guid[64];
+    double interpolates_inputs, output_derivative_order, saves_state, serialises_state, varies_step_size;
+    double start[N_VARIABLES];
+    MODEL_CONFIG
+} Config;
+
+/* Weak, so that the compiler takes no value of it for granted. */
+__attribute__((weak)) const Config config = {"the configuration goes here"};
 
 enum Mode {
     INSTANTIATED = 1,
@@ -62,7 +76,6 @@ static fmi2Status model_tells_time(Slave *s);
 #define model_tells_time(s) fmi2OK
 #endif
 
-static const double START[N_VARIABLES] = START_VALUES;
 static const char *const CATEGORIES[] = {"logStatusOk",    "logStatusWarning", "logStatusDiscard",
                                          "logStatusError", "logStatusFatal",   "logStatusPending"};
 
@@ -135,7 +148,7 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference
                                        const fmi2Integer order[], const fmi2Real value[]) {
     Slave *s = c;
     MUST_BE(WRITABLE, "fmi2SetRealInputDerivatives");
-    if (!CAN_INTERPOLATE_INPUTS) return refuse(s, fmi2Error, "fmi2SetRealInputDerivatives: not claimed");
+    if (!config.interpolates_inputs) return refuse(s, fmi2Error, "fmi2SetRealInputDerivatives: not claimed");
     for (size_t i = 0; i < n; i++) {
         if (order[i] != 1) return refuse(s, fmi2Error, "fmi2SetRealInputDerivatives: order %d: expected 1", order[i]);
         s->data.input_rate[vr[i]] = value[i];
@@ -148,7 +161,7 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
     Slave *s = c;
     MUST_BE(STEPPING | TERMINATED, "fmi2GetRealOutputDerivatives");
     for (size_t i = 0; i < n; i++) {
-        if (order[i] < 1 || order[i] > OUTPUT_DERIVATIVE_ORDER)
+        if (order[i] < 1 || order[i] > config.output_derivative_order)
             return refuse(s, fmi2Error, "fmi2GetRealOutputDerivatives: order %d: not claimed", order[i]);
         value[i] = s->data.output_rate[vr[i]];
     }
@@ -169,14 +182,14 @@ const char *fmi2GetVersion(void) { return fmi2Version; }
 
 static void reset(Data *d) {
     memset(d, 0, sizeof *d);
-    memcpy(d->value, START, sizeof START);
+    memcpy(d->value, config.start, sizeof config.start);
     d->mode = INSTANTIATED;
 }
 
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
                               const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging) {
     (void)resources, (void)visible, (void)logging;
-    if (type != fmi2CoSimulation || strcmp(guid, MODEL_GUID)) return NULL;
+    if (type != fmi2CoSimulation || strcmp(guid, config.guid)) return NULL;
     Slave *s = functions->allocateMemory(1, sizeof *s + strlen(name) + 1);
     if (!s) return NULL;
     s->name = strcpy((char *)(s + 1), name);
@@ -246,7 +259,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_ea
     if (!(h > 0)) return refuse(s, fmi2Error, "fmi2DoStep: step of %.17g s: expected more than 0", h);
     if (!(fabs(t - d->time) <= 1e-9 * fmax(1, fabs(t))))
         return refuse(s, fmi2Error, "fmi2DoStep: communication point %.17g s: expected %.17g s", t, d->time);
-    if (!CAN_VARY_STEP_SIZE && d->step_size && fabs(h - d->step_size) > 1e-9 * h)
+    if (!config.varies_step_size && d->step_size && fabs(h - d->step_size) > 1e-9 * h)
         return refuse(s, fmi2Error, "fmi2DoStep: step of %.17g s: expected %.17g s, always", h, d->step_size);
     d->step_size = h;
     const fmi2Status status = model_step(s, h);
@@ -298,7 +311,7 @@ fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2S
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) {
     Slave *s = c;
     MUST_BE(~FATAL, "fmi2GetFMUstate");
-    MUST_CLAIM(CAN_SAVE_STATE, "fmi2GetFMUstate");
+    MUST_CLAIM(config.saves_state, "fmi2GetFMUstate");
     const fmi2Status status = model_saves(s);
     if (status != fmi2OK) return status;
     if (!*state) *state = s->allocate(1, sizeof(Data));
@@ -309,7 +322,7 @@ fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) {
 fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) {
     Slave *s = c;
     MUST_BE(~FATAL, "fmi2SetFMUstate");
-    MUST_CLAIM(CAN_SAVE_STATE, "fmi2SetFMUstate");
+    MUST_CLAIM(config.saves_state, "fmi2SetFMUstate");
     memcpy(&s->data, state, sizeof(Data));
     return fmi2OK;
 }
@@ -317,7 +330,7 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) {
 fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state) {
     Slave *s = c;
     MUST_BE(~FATAL, "fmi2FreeFMUstate");
-    MUST_CLAIM(CAN_SAVE_STATE, "fmi2FreeFMUstate");
+    MUST_CLAIM(config.saves_state, "fmi2FreeFMUstate");
     if (*state) s->release(*state);
     *state = NULL;
     return fmi2OK;
@@ -326,14 +339,14 @@ fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state) {
 fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t *size) {
     Slave *s = c;
     (void)state;
-    MUST_CLAIM(CAN_SERIALISE_STATE, "fmi2SerializedFMUstateSize");
+    MUST_CLAIM(config.serialises_state, "fmi2SerializedFMUstateSize");
     *size = sizeof(Data);
     return fmi2OK;
 }
 
 fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size) {
     Slave *s = c;
-    MUST_CLAIM(CAN_SERIALISE_STATE, "fmi2SerializeFMUstate");
+    MUST_CLAIM(config.serialises_state, "fmi2SerializeFMUstate");
     if (size != sizeof(Data)) return refuse(s, fmi2Error, "fmi2SerializeFMUstate: %zu bytes", size);
     memcpy(bytes, state, size);
     return fmi2OK;
@@ -341,7 +354,7 @@ fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte b
 
 fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state) {
     Slave *s = c;
-    MUST_CLAIM(CAN_SERIALISE_STATE, "fmi2DeSerializeFMUstate");
+    MUST_CLAIM(config.serialises_state, "fmi2DeSerializeFMUstate");
     if (size != sizeof(Data)) return refuse(s, fmi2Error, "fmi2DeSerializeFMUstate: %zu bytes", size);
     if (!*state) *state = s->allocate(1, sizeof(Data));
     memcpy(*state, bytes, size);

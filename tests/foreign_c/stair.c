@@ -4,8 +4,6 @@
  * is discarded, fmi2Terminated is true, and the last successful time is that time. `counter` has initial = "exact".
  */
 
-#include "config.h"
-
 enum { COUNTER, N_VARIABLES };
 
 enum { LAST_COUNT = 10 };

@@ -50,8 +50,10 @@ def _restored(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("_restored")
-@pytest.mark.parametrize("number", SIGNALS)
-@pytest.mark.parametrize("words", AT_WORK)
+@pytest.mark.parametrize(
+    ("words", "number"),
+    [(words, signal.SIGINT) for words in AT_WORK] + [("scenarios", number) for number in SIGNALS[1:]],
+)
 def test_an_interrupt_of_a_command_at_work_is_status_130_and_one_line(
     words: str,
     number: signal.Signals,
@@ -186,7 +188,10 @@ def interrupted(*arguments):
     _check_end(started(interrupted + code, "check", "any.fmu"), tmp_path)
 
 
-@pytest.mark.parametrize(("words", "number"), [("reproduce", signal.SIGTERM), ("identify", signal.SIGHUP)])
+@pytest.mark.parametrize(
+    ("words", "number"),
+    [pytest.param("reproduce", signal.SIGTERM, marks=pytest.mark.slow), ("identify", signal.SIGHUP)],
+)
 def test_the_worker_processes_end_with_the_command_and_write_nothing(
     words: str, number: signal.Signals, started: Callable[..., subprocess.Popen[str]], tmp_path: Path
 ) -> None:

@@ -129,28 +129,32 @@ def test_the_source_has_the_name_and_the_unit_of_the_input(
     assert units == {"newton.u[1]": "N", "angular.u[1]": "rad/s", "furlong.u[1]": None, "unitless.u[1]": None}
 
 
-def test_one_point_and_many_points_are_handed_on(linear: Build, tmp_path: Path) -> None:
+def test_one_point_and_many_points_are_handed_on(
+    linear: Build, tmp_path: Path, build_once: BuildSource
+) -> None:
     through = linear()
-    many = Ramps([[0.125 * i, 0.1 * (-1) ** i] for i in range(30)])
+    many = Ramps([[0.125 * i, 0.1 * (-1) ** i] for i in range(7)])  # as many as the signals below have
     for signal in (Ramps([[1.0, 0.7]]), many):
         experiment = Experiment(4.0, 0.125, signals={"a.u[1]": signal})
         mine = Scenario("mine", "", System({"a": through}), experiment, {})
         own = simulate(mine.system, mine.experiment)
-        np.testing.assert_array_equal(packaged(mine, tmp_path, build_ramp_source)["a.y[1]"], own["a.y[1]"])
+        np.testing.assert_array_equal(packaged(mine, tmp_path, build_once)["a.y[1]"], own["a.y[1]"])
 
 
 @pytest.mark.parametrize(
     "signal",
     [
         Constant(0.7),
-        Table([1.0, 2.0, 3.0], [0.0, 1.0, -1.0]),
+        Table([1.0, 2.0, 3.0, 3.5, 3.6, 3.7, 3.8], [0.0, 1.0, -1.0, 0.0, 0.1, 0.2, 0.3]),
         Table([0.0, 1.0, 1.125, 2.3], [0.0, 1.0, -1.0, 0.5], hold=True),
     ],
 )
-def test_a_constant_and_a_table_are_handed_on_as_ramps(linear: Build, tmp_path: Path, signal: Signal) -> None:
+def test_a_constant_and_a_table_are_handed_on_as_ramps(
+    linear: Build, tmp_path: Path, build_once: BuildSource, signal: Signal
+) -> None:
     experiment = Experiment(4.0, 0.125, signals={"a.u[1]": signal})
     mine = Scenario("mine", "", System({"a": linear()}), experiment, {})
-    own, handed_on = simulate(mine.system, mine.experiment), packaged(mine, tmp_path, build_ramp_source)
+    own, handed_on = simulate(mine.system, mine.experiment), packaged(mine, tmp_path, build_once)
     np.testing.assert_allclose(handed_on["a.y[1]"], own["a.y[1]"], atol=1e-14)  # rounding of values below 1
 
 
