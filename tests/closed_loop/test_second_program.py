@@ -6,16 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from orchestration.fmi.description import describe
 from orchestration.master import simulate
 from orchestration.results import metrics
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
-from tests.closed_loop.second_program import Case, LawStep, continuous, sampled
+from tests.closed_loop.same_experiment import SMOOTH, component_values
+from tests.closed_loop.second_program import L1Case, LawStep, continuous, sampled
 
-# of the sensor, what no other program can repeat: noise, and rounding to a resolution
-SMOOTH = {"plant.sensor_noise": 0.0, "plant.sensor_resolution": 0.0}
 IDEAL = {"plant.sensor_ideal": True, "controller.velocity_source": "measured"}
 
 
@@ -29,16 +27,11 @@ def chosen(name: str, step: float = 0.02, stop: float | None = None, **parameter
     )
 
 
-def case_of(loaded: Scenario) -> Case:
+def case_of(loaded: Scenario) -> L1Case:
     """The same experiment for the second program: numbers of the model descriptions and of the scenario."""
     experiment = loaded.experiment
-    given: dict[str, Any] = {**experiment.parameters, **experiment.inputs}
-    values: dict[str, dict[str, float]] = {}
-    for component, fmu in loaded.system.components.items():
-        starts: dict[str, Any] = {v.name: v.start for v in describe(fmu).modelVariables if v.type == "Real"}
-        own = {name: given.get(f"{component}.{name}", start) for name, start in starts.items()}
-        values[component] = {name: float(value) for name, value in own.items() if value is not None}
-    return Case(
+    values, given = component_values(loaded), experiment.parameters
+    return L1Case(
         plant=values["plant"],
         law=values["controller"],
         extended=given.get("controller.augmentation") == "pi",
@@ -70,25 +63,16 @@ def test_the_first_seconds_are_those_of_a_second_program(scenario_fmus: None, na
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "rel"),
-    [
-        ("nominal-l1", 5e-3),
-        ("nominal-extended", 5e-3),
-        ("buoyancy-extended", 5e-3),
-        ("hold-force-step", 12e-3),
-        ("hold-force-sine", 12e-3),
-    ],
+    "name", ["nominal-l1", "nominal-extended", "buoyancy-extended", "hold-force-step", "hold-force-sine"]
 )
-def test_a_second_program_gives_the_figures_of_the_scenario(
-    scenario_fmus: None, name: str, rel: float
-) -> None:
-    """rel: of a program that holds the measurement; at most what exchanging at steps makes of a force."""
+def test_a_second_program_gives_the_figures_of_the_scenario(scenario_fmus: None, name: str) -> None:
+    """Within 0.5 % and 0.05 s, whatever second order makes of a held measurement."""
     loaded = chosen(name)
     own, second = compare(loaded)
     held = sampled(case_of(loaded), loaded.experiment.step_size, LawStep.HELD)
     ours = figures(loaded, own)
     assert len(ours) > 1
-    for other, tolerance in ((second, 5e-4), (held, rel)):
+    for other, tolerance in ((second, 5e-4), (held, 5e-3)):
         for metric, theirs in figures(loaded, recording(other)).items():
             if metric in ("settling_time", "recovery_time"):
                 assert theirs == pytest.approx(ours[metric], abs=0.05), metric
@@ -105,7 +89,7 @@ def test_the_figures_tend_to_those_of_the_continuous_system_with_first_order(
 ) -> None:
     """With an ideal sensor, whose sampling would be part of the system."""
     loaded = [chosen(name, step, **IDEAL) for step in (0.02, 0.01)]
-    own = [simulate(each.system, each.experiment) for each in loaded]
+    own = [simulate(one.system, one.experiment) for one in loaded]
     exact = deviation(continuous(case_of(loaded[0]), own[0].time), own[0].time)
     errors = [deviation(run["plant.depth"], run.time) / exact - 1.0 for run in own]
     assert 0.0 < errors[0] < 0.03

@@ -1,0 +1,20 @@
+"""The numbers of an experiment, for programs that run it without our FMUs."""
+
+from typing import Any
+
+from orchestration.fmi.description import describe
+from orchestration.scenarios.scenario import Scenario
+
+# of the sensor, what no other program can repeat: noise, and rounding to a resolution
+SMOOTH = {"plant.sensor_noise": 0.0, "plant.sensor_resolution": 0.0}
+
+
+def component_values(loaded: Scenario) -> dict[str, dict[str, float]]:
+    """Component -> name -> number, of the scenario and else of its model description."""
+    given: dict[str, Any] = {**loaded.experiment.parameters, **loaded.experiment.inputs}
+    values: dict[str, dict[str, float]] = {}
+    for component, fmu in loaded.system.components.items():
+        starts: dict[str, Any] = {v.name: v.start for v in describe(fmu).modelVariables if v.type == "Real"}
+        own = {name: given.get(f"{component}.{name}", start) for name, start in starts.items()}
+        values[component] = {name: float(value) for name, value in own.items() if value is not None}
+    return values

@@ -1,0 +1,121 @@
+"""A loop of vehicle, depth sensor, observer and law once more, from the equations alone.
+
+Nothing of `controller_fmu`, `plant_fmu` or `fmus.numerics` is used. Depth and force are positive down.
+
+    vehicle   M w' = F + w_d + W - B(z) - D w - D_q |w| w,   z' = w,   F' = (sat(u) - F) / T
+    sensor    z every 40 ms, rounded to its resolution and held, without noise; ideal: z and w at every time
+    observer  z_p = z_hat + T_o v,   z_hat = z_p + alpha (y - z_p),   v = v + beta / T_o (y - z_p)
+
+Vehicle and law exchange at communication points, both at once (Jacobi), and hold in between what they
+receive: what a law puts out depends on the measurement of the point before.
+Source: Maalouf et al. (2013), (10) and section 4.1, with the errata of docs/fidelity.md.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+_GRAVITY = 9.81  # m/s2
+State = tuple[float, ...]
+Pair = tuple[float, float]
+Values = Mapping[str, float]
+
+
+class Law(Protocol):
+    """A law between communication points."""
+
+    def control(self) -> float:
+        """u [N]."""
+        ...
+
+    def advance(self, t: float, x: Pair, u: float) -> None:
+        """One step from t [s] on, which begins with the measured depth and its rate x while u is demanded."""
+        ...
+
+
+@dataclass(frozen=True)
+class Case:
+    """plant, law: values by the names of the parameters; ideal: sensor and velocity.
+
+    reference [m], force [N]: of time [s]
+    """
+
+    plant: Values
+    law: Values
+    ideal: bool
+    reference: Callable[[float], float]
+    force: Callable[[float], float]
+    duration: float
+
+
+def largest_force(plant: Values) -> float:
+    """Of both thrusters together [N]."""
+    return 2.0 * plant["thruster_gain[1]"] * plant["thruster_voltage_limit[1]"]
+
+
+def vehicle(p: Values, state: State, demanded: float, disturbance: float) -> State:
+    """Rates of z, w and F."""
+    z, w, force = state
+    limit = largest_force(p)
+    submerged = p["weight"] - p["net_weight"] + p["buoyancy_change"]
+    lost = p["water_density"] * _GRAVITY * p["waterplane_area"] * max(0.0, -z)
+    net_weight = p["weight"] - max(0.0, submerged - lost)
+    drag = p["linear_damping"] * w + p["quadratic_damping"] * abs(w) * w
+    acceleration = (force + disturbance + net_weight - drag) / p["inertia"]
+    return w, acceleration, (max(-limit, min(limit, demanded)) - force) / p["thruster_lag[1]"]
+
+
+def run(case: Case, step: float, law: Law) -> dict[str, np.ndarray]:
+    """Time, depth, reference and demanded force at communication points `step` s apart."""
+    plant, z = case.plant, case.plant["initial_depth"]
+    period = round(case.law["observer_period"] / step)
+    state, measured, observer = (z, 0.0, 0.0), (z, 0.0), (z, 0.0)
+    rows = []
+    for i in range(round(case.duration / step) + 1):
+        t = i * step
+        if case.ideal:
+            measured = state[0], state[1]
+        elif i % period == 0:
+            reading = rounded(state[0], plant["sensor_resolution"])
+            observer = observed(case.law, observer, reading) if i else observer
+            measured = reading, observer[1]
+        u = law.control()
+        rows.append((t, state[0], case.reference(t), u))
+        force = case.force(t)
+        state = advanced(lambda x, u=u, force=force: vehicle(plant, x, u, force), state, step)
+        law.advance(t, measured, u)
+    return dict(zip(("time", "depth", "reference", "u"), np.array(rows).T, strict=True))
+
+
+def rounded(depth: float, resolution: float) -> float:
+    """The nearest multiple of the resolution; the depth itself for 0."""
+    return resolution * math.floor(depth / resolution + 0.5) if resolution else depth
+
+
+def observed(p: Values, estimate: Pair, measured: float) -> Pair:
+    """Depth and its rate after a reading."""
+    predicted = estimate[0] + p["observer_period"] * estimate[1]
+    innovation = measured - predicted
+    return (
+        predicted + p["observer_alpha"] * innovation,
+        estimate[1] + p["observer_beta"] / p["observer_period"] * innovation,
+    )
+
+
+def advanced(rates: Callable[[State], State], x: State, h: float) -> State:
+    """x after h seconds: one step of the classical Runge-Kutta method."""
+    a = rates(x)
+    b = rates(tuple(p + 0.5 * h * q for p, q in zip(x, a, strict=True)))
+    c = rates(tuple(p + 0.5 * h * q for p, q in zip(x, b, strict=True)))
+    d = rates(tuple(p + h * q for p, q in zip(x, c, strict=True)))
+    steps = zip(x, a, b, c, d, strict=True)
+    return tuple(p + h / 6.0 * (k + 2.0 * m + 2.0 * n + q) for p, k, m, n, q in steps)
+
+
+def projected(estimate: float, rate: float, bound: float, eps: float) -> float:
+    """Proj(estimate, rate): the rate that keeps an estimate within its bound."""
+    f = ((1.0 + eps) * estimate * estimate - bound * bound) / (eps * bound * bound)
+    return rate * (1.0 - f) if f > 0.0 and estimate * rate > 0.0 else rate
