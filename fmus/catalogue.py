@@ -15,6 +15,7 @@ from fmus.block_file import blocks_in
 from fmus.documentation import reference_files
 from fmus.documentation.icon import icon
 from fmus.documentation.reference_results import ReferenceRun, reference_run
+from fmus.documentation.terminals import terminals
 from fmus.errors import ExportError, nearest
 from fmus.export import native as native_flavour
 from fmus.export import python as python_flavour
@@ -88,16 +89,25 @@ def build(
     folder: Path | None = None,
     flavour: Flavour = Flavour.NATIVE,
     platforms: Sequence[str] = (),
+    *,
+    with_terminals: bool = False,
 ) -> Path:
     """Write `folder/NAME.fmu`, whatever stands there; by default where scenarios find it.
 
     platforms: of the libraries in a native FMU, by default this one; those in a python one are PythonFMU's.
+    with_terminals: with terminalsAndIcons.xml, which some importers of FMI 2.0 cannot read
     """
-    return build_block(load_block(name), folder or fmu_folder(flavour), flavour, platforms)
+    target = folder or fmu_folder(flavour)
+    return build_block(load_block(name), target, flavour, platforms, with_terminals=with_terminals)
 
 
 def build_block(
-    block: Block, folder: Path, flavour: Flavour = Flavour.NATIVE, platforms: Sequence[str] = ()
+    block: Block,
+    folder: Path,
+    flavour: Flavour = Flavour.NATIVE,
+    platforms: Sequence[str] = (),
+    *,
+    with_terminals: bool = False,
 ) -> Path:
     """As `build`, of a block that no entry point names."""
     export = _EXPORTS[flavour]
@@ -105,6 +115,7 @@ def build_block(
     check_faithful(block)
     libraries = export.libraries(block.name, members, platforms)
     shown = {"model.png": icon(block)} | reference_files.members(_reference_run(block), block.name)
+    shown |= terminals(block) if with_terminals else {}
     return write_archive(folder / f"{block.name}.fmu", members | libraries | shown)
 
 

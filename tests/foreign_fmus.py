@@ -9,12 +9,9 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from importlib import resources
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
-
-import fmpy
 
 from fmus.export import archive
 from fmus.export.toolchain import compile_library
@@ -23,7 +20,6 @@ from fmus.platforms import host_platform, library_name
 from tests.shared_builds import built_once
 
 _SOURCES = Path(__file__).parent / "foreign_c"
-_HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
 _CONFIG_MARK, _GUID_SIZE = b"the configuration goes here", 64  # of `Config` in slave.h
 _STATUSES = ("Warning", "Discard", "Error", "Fatal")
 
@@ -208,9 +204,7 @@ def _write(
 
 def _compiled(folder: Path, model: str, config: str) -> bytes:
     """The library of a model, compiled once for all who use the folder."""
-    headers = resources.files(fmpy) / "c-code"
-    sources = {name: (headers / name).read_text("utf-8") for name in _HEADERS}
-    sources |= {name: (_SOURCES / name).read_text("utf-8") for name in (f"{model}.c", "slave.h")}
+    sources = {name: (_SOURCES / name).read_text("utf-8") for name in (f"{model}.c", "slave.h")}
     sources["config.h"] = config
     key = hashlib.sha256(repr(sorted(sources.items())).encode()).hexdigest()[:16]
 

@@ -15,11 +15,18 @@ _TABLES = (
     ("parameter", "Parameters"),
     ("calculatedParameter", "Calculated parameters, which follow from the parameters"),
 )
+_BUILDING = """<li>For another platform compile sources/{file} with the headers of FMI 2.0, which belong to
+the importer; FMI2_OVERRIDE_FUNCTION_PREFIX gives functions the names that a shared library has:
+<code>cc -std=c99 -O2 -shared -fPIC -DFMI2_OVERRIDE_FUNCTION_PREFIX -I HEADERS -o {name}.so
+sources/{file} -lm</code></li>"""
 _HEADINGS = ("Name", "Unit", "Start", "Permitted", "Variability", "Meaning", "Source")
 
 
-def documentation(block: Block) -> dict[str, bytes]:
-    """Path inside the FMU -> content of the page and of the note on the reference results."""
+def documentation(block: Block, compiled: str = "") -> dict[str, bytes]:
+    """Path inside the FMU -> content of the page and of the note on the reference results.
+
+    compiled: the file of the folder sources that an importer compiles, if there is one
+    """
     templates, experiment = resources.files("fmus.documentation"), block.guide.experiment
     files = {"index.html": "page.html", "fmi-ls-ref.txt": "fmi-ls-ref.txt"}
     values = {
@@ -29,6 +36,7 @@ def documentation(block: Block) -> dict[str, bytes]:
         "stop_time": block.stop_time,
         "step_size": block.step_size,
         "guide": _guide(block),
+        "building": _BUILDING.format(file=compiled, name=block.name) if compiled else "",
         "variables": "\n".join(_tables(block)),
         "reference_stop_time": experiment.stop_time or block.stop_time,
         "reference_step_size": experiment.step_size or block.step_size,

@@ -19,7 +19,7 @@ _LICENSES = {
         "LICENSE",
         "what makes an FMU of the model and its documentation, and models that come with l1-depth",
     ),
-    "fmi-headers": ("fmpy", "", "sources/fmi2*.h, of the Modelica Association"),
+    "fmi-headers": ("fmpy", "", "headers that the libraries are compiled with, of the Modelica Association"),
     "zig": (COMPILER[0], "ziglang/LICENSE", "what its compiler adds to the libraries"),
     "mingw-w64": (COMPILER[0], "ziglang/lib/libc/mingw/COPYING", "what it adds to the library for Windows"),
     "pythonfmu": ("pythonfmu", "LICENSE", "the libraries, and the package of that name in resources"),

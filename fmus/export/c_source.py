@@ -8,27 +8,24 @@ import sys
 from importlib import resources
 from string import Template
 
-import fmpy
-
 from fmus.block import Block, ScalarVariable
 from fmus.errors import ExportError
 from fmus.export.symbolic import Traced, traced
 from fmus.fmi_types import TRANSFER_TYPE
 
 COMPILED = ("fmi2.c",)
-_FMI_HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
 _WORD = 32  # bits of the set of items
 _LARGEST_INTEGER = 2**31 - 1
 
 
 def c_sources(block: Block, guid: str) -> dict[str, str]:
-    """File name -> text of everything in the folder `sources` of the FMU.
+    """File name -> text of everything in the folder `sources` of the FMU: all but FMI's own headers (2.3).
 
     Raises ExportError for a block that cannot be traced.
     """
-    layer, headers = resources.files("fmus") / "native", resources.files(fmpy) / "c-code"
+    layer = resources.files("fmus") / "native"
     files = [file for file in layer.iterdir() if file.name.endswith((".c", ".h"))]
-    texts = {file.name: file.read_text("utf-8") for file in (*files, *map(headers.joinpath, _FMI_HEADERS))}
+    texts = {file.name: file.read_text("utf-8") for file in files}
     template = Template((layer / "model.h.in").read_text("utf-8"))
     functions = traced(block)
     model = template.substitute(_tables(functions), guid=guid)

@@ -10,7 +10,6 @@ from xml.etree import ElementTree
 
 from fmus.block import Block
 from fmus.documentation.page import documentation
-from fmus.documentation.terminals import terminals
 from fmus.export.archive import GUID, licenses, with_guid
 from fmus.export.c_source import COMPILED, c_sources
 from fmus.export.model_description import model_description
@@ -21,7 +20,7 @@ from fmus.platforms import check_platforms, host_platform, library_name
 _CAPABILITIES = {
     "canInterpolateInputs": "true",
     "maxOutputDerivativeOrder": "1",
-    "canNotUseMemoryManagementFunctions": "false",
+    "canNotUseMemoryManagementFunctions": "true",
     "providesDirectionalDerivative": "true",
 }
 
@@ -30,8 +29,7 @@ def content(block: Block) -> tuple[str, dict[str, bytes]]:
     """(GUID, path -> content) of the FMU without its libraries."""
     members = {
         **{f"sources/{name}": text.encode() for name, text in c_sources(block, GUID).items()},
-        **documentation(block),
-        **terminals(block),
+        **documentation(block, *COMPILED),
         **licenses("l1-depth", "fmi-headers", "zig", "mingw-w64"),
         "sources/buildDescription.xml": _build_description(block.name),
         "modelDescription.xml": model_description(block, GUID, _CAPABILITIES, COMPILED),
@@ -45,6 +43,9 @@ def _build_description(name: str) -> bytes:
     files = ElementTree.SubElement(configuration, "SourceFileSet", language="C99")
     for file in COMPILED:
         ElementTree.SubElement(files, "SourceFile", name=file)
+    unprefixed = {"name": "FMI2_OVERRIDE_FUNCTION_PREFIX", "optional": "true"}
+    unprefixed["description"] = "for a shared library: functions without the prefix of a static one"
+    ElementTree.SubElement(files, "PreprocessorDefinition", unprefixed)
     return xml_document(root)
 
 

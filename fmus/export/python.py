@@ -9,7 +9,6 @@ from importlib import resources
 
 from fmus.block import Block
 from fmus.documentation.page import documentation
-from fmus.documentation.terminals import terminals
 from fmus.errors import ExportError
 from fmus.export.archive import GUID, GUID_IN_NAMES, licenses, with_guid
 from fmus.export.model_description import model_description
@@ -56,7 +55,6 @@ def content(block: Block) -> tuple[str, dict[str, bytes]]:
         **_binaries(block.name),
         **licenses("l1-depth", "pythonfmu"),
         **documentation(block),
-        **terminals(block),
         "documentation/externalDependencies.txt": dependencies.read_bytes(),
         "modelDescription.xml": model_description(block, GUID, _CAPABILITIES),
     }

@@ -15,10 +15,22 @@ from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 
+import fmpy
+
 from fmus.errors import ExportError
 from fmus.platforms import TARGETS
 
-FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden", "-g0", "-s")
+FLAGS = (
+    "-DFMI2_OVERRIDE_FUNCTION_PREFIX",
+    "-std=c99",
+    "-O2",
+    "-ffp-contract=off",
+    "-fno-math-errno",
+    "-fvisibility=hidden",
+    "-g0",
+    "-s",
+)
+FMI_HEADERS = Path(fmpy.__file__).parent / "c-code"  # of FMI 2.0, which no FMU carries
 _PATIENCE_S = 600  # the first build for Windows takes a minute: its C library is compiled too
 COMPILER = ("ziglang", version("ziglang"))
 
@@ -35,7 +47,7 @@ def compile_library(model: str, sources: dict[str, str], compiled: Sequence[str]
 
 
 def _compile(folder: Path, compiled: Sequence[str], target: str, library: str) -> bytes:
-    options = ["-target", target, "-shared", *FLAGS]
+    options = ["-target", target, "-shared", *FLAGS, "-I", str(FMI_HEADERS)]
     if "macos" in target:
         options.append(f"-Wl,-install_name,@rpath/{library}")
     zig(["cc", *options, "-o", library, *compiled], folder)

@@ -1,10 +1,20 @@
 /* FMI 2.0.5 for co-simulation: checks of calls and arguments around an instance of the model.
  *
- *   discard   a value or a step that is refused; nothing has changed, another one can be tried
- *   error     an illegal call; nothing has changed, but FMI allows only to read, restore, reset or free then
+ * Statuses (2.1.3):
+ *   ok        done
+ *   warning   done but for a part that the message names: an unknown log category, a derivative of higher order
+ *   discard   fmi2SetXXX with a value out of range, fmi2DoStep that reaches no finite end (4.2.2: a shorter step
+ *             can be tried), fmi2GetXXXStatus without that status (4.2.3); nothing has changed. No other function
+ *             of co-simulation may return it
+ *   error     every other refusal; nothing has changed, but only to read, restore, reset or free is allowed then
  *   fatal     never: no call can damage an instance
+ *   pending   never: steps are synchronous (4.3.1, canRunAsynchronuously is false)
  *
- * An instance is one block of the importer's memory. There are no globals.
+ * States (4.2.4, table of allowed calls): each function names those in which it is allowed. Two are wider than the
+ * table, which binds the importer: values can be read and inputs set also in 'instantiated', as some importers do;
+ * and 'step failed' is 'step complete', because a step that is discarded has changed nothing.
+ *
+ * 2.1: an instance is one block of memory, there are no globals, no setting of the process or thread is changed.
  */
 
 #include "instance.h"
@@ -15,13 +25,12 @@ typedef struct {
     Data data;
     double stop_time; /* of the setup: no saved state changes it */
     Log log;
-    fmi2CallbackAllocateMemory allocate;
-    fmi2CallbackFreeMemory release;
+    fmi2StepFinished step_finished;
 } Instance;
 
 static const char *const TYPE_NAMES[] = {"Real", "Integer or Enumeration", "Boolean"};
 
-/* Refusals. After `fmi2Error` FMI allows little until the instance is restored or reset. */
+/* Refusals. 2.1.3: after fmi2Error the simulation cannot go on until the instance is restored or reset. */
 
 static fmi2Status refuse(Instance *instance, fmi2Status status, const char *format, ...) {
     va_list arguments;
@@ -51,27 +60,30 @@ static fmi2Status missing(Instance *instance, const char *function, const char *
     return refuse(instance, fmi2Error, "%s: %s is NULL", function, argument);
 }
 
-static fmi2Status no_item(Instance *instance, int reference, const char *function) {
+static fmi2Status no_item(Instance *instance, fmi2Status status, int reference, const char *function) {
     const Variable *v = VARIABLES + reference;
-    return refuse(instance, fmi2Discard, "%s: %s is another number: expected %s", function, v->name, v->expected);
+    return refuse(instance, status, "%s: %s is another number: expected %s", function, v->name, v->expected);
 }
 
 static fmi2Status contradictory(Instance *instance, int broken, const char *function) {
-    if (broken >= N_REQUIREMENTS) return no_item(instance, FIRST_CALCULATED + broken - N_REQUIREMENTS, function);
-    return refuse(instance, fmi2Discard, "%s: parameters of " MODEL_NAME ": expected %s", function, REQUIRED[broken]);
+    if (broken >= N_REQUIREMENTS)
+        return no_item(instance, fmi2Error, FIRST_CALCULATED + broken - N_REQUIREMENTS, function);
+    return refuse(instance, fmi2Error, "%s: parameters of " MODEL_NAME ": expected %s", function, REQUIRED[broken]);
 }
 
-/* broken: a pointer, because the outcome, which sets it, may be evaluated after the other arguments. */
+/* 4.2.2: a step that cannot begin is an error, one that does not reach its end is discarded.
+ * broken: a pointer, because the outcome, which sets it, may be evaluated after the other arguments. */
 static fmi2Status report(Instance *instance, Outcome outcome, const int *broken, const char *function, double h) {
+    const int is_stepping = instance->data.mode == STEPPING;
     if (outcome == DONE) return fmi2OK;
     if (outcome == CONTRADICTORY) return contradictory(instance, *broken, function);
-    if (outcome == NO_ITEM) return no_item(instance, *broken, function);
+    if (outcome == NO_ITEM) return no_item(instance, is_stepping ? fmi2Discard : fmi2Error, *broken, function);
     if (outcome == TOO_MANY_STEPS)
-        return refuse(instance, fmi2Discard,
+        return refuse(instance, fmi2Error,
                       "%s: communication step size %s s: expected at most %s internal steps", function,
                       DECIMAL(h), DECIMAL(MOST_INTERNAL_STEPS));
-    if (instance->data.mode != STEPPING)
-        return refuse(instance, fmi2Discard,
+    if (!is_stepping)
+        return refuse(instance, fmi2Error,
                       "%s: parameters and inputs of " MODEL_NAME ": state or outputs are not finite at the start",
                       function);
     return refuse(instance, fmi2Discard,
@@ -81,7 +93,12 @@ static fmi2Status report(Instance *instance, Outcome outcome, const int *broken,
 
 /* Values */
 
-enum { READABLE = INITIALIZATION | STEPPING | TERMINATED | IN_ERROR | INSTANTIATED };
+/* 4.2.4: what can be inquired; after an error for debugging only. */
+enum {
+    HAS_STEPPED = STEPPING | TERMINATED | IN_ERROR,
+    IS_INITIALIZED = INITIALIZATION | HAS_STEPPED,
+    READABLE = INSTANTIATED | IS_INITIALIZED
+};
 
 static int has_type(fmi2ValueReference reference, Type type) {
     return reference < N_VARIABLES && VARIABLES[reference].type == type;
@@ -118,8 +135,8 @@ static int are_allowed(Instance *instance, int modes, Type type, const fmi2Value
            are_of_type(instance, type, references, count, function);
 }
 
-/* Until stepping begins, calculated values follow the values that are set, also after an error; later they are
- * those of the last step, and nothing is stale. */
+/* 2.1.7: until stepping begins, calculated values follow the values that are set, also after an error; later they
+ * are those of the last step, and nothing is stale (4.2.4: no fmi2GetXXX after fmi2SetXXX without a step). */
 static fmi2Status refreshed(Instance *instance, const fmi2ValueReference references[], size_t count,
                             const char *function) {
     int broken = 0;
@@ -135,7 +152,8 @@ static int can_be_set(const Data *d, fmi2ValueReference reference, Type type, do
            is_acceptable((int)reference, value);
 }
 
-/* Refuses the first wrong type, or else the value at `place`, which is the first refused value. */
+/* Refuses the first wrong type, or else the value at `place`, which is the first refused value.
+ * 2.1.2: a value reference that cannot be set is an error; 2.1.7: a value out of range may be discarded. */
 static fmi2Status cannot_be_set(Instance *instance, Type type, const fmi2ValueReference references[], size_t count,
                                 size_t place, double value, const char *function) {
     if (!are_of_type(instance, type, references, count, function)) return fmi2Error;
@@ -158,7 +176,8 @@ static fmi2Status cannot_be_set(Instance *instance, Type type, const fmi2ValueRe
         return fmi2OK;                                                                                           \
     }
 
-/* Sets all values or none: a refused value leaves every variable as it was. */
+/* Sets all values or none: a refused value leaves every variable as it was. 4.2.4: in 'step complete' only inputs
+ * and tunable parameters, which `settable` of a variable says. */
 #define DEFINE_SET(Name, CType, TYPE)                                                                            \
     fmi2Status fmi2Set##Name(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const CType value[]) {  \
         Instance *instance = c;                                                                                        \
@@ -199,21 +218,24 @@ const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
 
 const char *fmi2GetVersion(void) { return fmi2Version; }
 
+/* 2.1.5: the named categories are switched on, and no others; or off; without names all. The warning of an unknown
+ * one is sent before that. */
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nCategories,
                                const fmi2String categories[]) {
     Instance *instance = c;
-    unsigned enabled = 0;
+    fmi2Status status = fmi2OK;
+    unsigned named = 0;
     if (!instance) return fmi2Error;
-    if (loggingOn && nCategories && !categories) return missing(instance, "fmi2SetDebugLogging", "categories");
-    for (size_t i = 0; loggingOn && i < nCategories; i++) {
+    if (nCategories && !categories) return missing(instance, "fmi2SetDebugLogging", "categories");
+    for (size_t i = 0; i < nCategories; i++) {
+        named |= log_category(categories[i]);
         if (!log_category(categories[i]))
-            return refuse(instance, fmi2Discard,
-                          "fmi2SetDebugLogging: log category '%s': expected one of the model description",
-                          categories[i] ? categories[i] : "NULL");
-        enabled |= log_category(categories[i]);
+            status = refuse(instance, fmi2Warning,
+                            "fmi2SetDebugLogging: log category '%s': expected one of the model description",
+                            categories[i] ? categories[i] : "NULL");
     }
-    instance->log.enabled = loggingOn && nCategories ? enabled : log_mask(loggingOn);
-    return fmi2OK;
+    instance->log.enabled = !nCategories ? log_mask(loggingOn) : loggingOn ? named : instance->log.enabled & ~named;
+    return status;
 }
 
 static void cannot_instantiate(const fmi2CallbackFunctions *functions, fmi2String name, const char *format, ...) {
@@ -229,7 +251,8 @@ static void instance_reset(Instance *instance) {
     instance->stop_time = DBL_MAX;
 }
 
-/* The resource location is not used: the model needs no file. */
+/* 2.1.5. The resource location is not used: the model needs no file. What the pointers point to is copied: it is valid
+ * during the call only. canNotUseMemoryManagementFunctions is true: the importer's memory functions are not used. */
 fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID,
                               fmi2String fmuResourceLocation, const fmi2CallbackFunctions *functions,
                               fmi2Boolean visible, fmi2Boolean loggingOn) {
@@ -237,9 +260,7 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
     char *name;
     (void)fmuResourceLocation, (void)visible;
     if (!functions) return NULL;
-    const int has_memory = functions->allocateMemory && functions->freeMemory; /* some importers give none */
-    const fmi2CallbackAllocateMemory allocate = has_memory ? functions->allocateMemory : calloc;
-    if (!instanceName || !*instanceName) {
+    if (!instanceName || !instanceName[strspn(instanceName, " \t\n\v\f\r")]) {
         cannot_instantiate(functions, instanceName, "fmi2Instantiate: expected an instance name");
         return NULL;
     }
@@ -252,30 +273,27 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
                            MODEL_GUID);
         return NULL;
     }
-    instance = allocate(1, sizeof *instance + strlen(instanceName) + 1);
+    instance = calloc(1, sizeof *instance + strlen(instanceName) + 1);
     if (!instance) {
         cannot_instantiate(functions, instanceName, "fmi2Instantiate: no memory");
         return NULL;
     }
     name = strcpy((char *)(instance + 1), instanceName);
     instance->log = (Log){functions->logger, functions->componentEnvironment, name, log_mask(loggingOn)};
-    instance->allocate = allocate;
-    instance->release = has_memory ? functions->freeMemory : free;
+    instance->step_finished = functions->stepFinished;
     instance_reset(instance);
     return instance;
 }
 
-void fmi2FreeInstance(fmi2Component c) {
-    Instance *instance = c;
-    if (instance) instance->release(instance);
-}
+/* 2.1.5: NULL is ignored. */
+void fmi2FreeInstance(fmi2Component c) { free(c); }
 
-/* Modes */
+/* Modes (2.1.6) */
 
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fmi2Real tolerance, fmi2Real startTime,
                                fmi2Boolean stopTimeDefined, fmi2Real stopTime) {
     Instance *instance = c;
-    (void)toleranceDefined, (void)tolerance; /* no solver with error control inside */
+    (void)toleranceDefined, (void)tolerance; /* may be ignored: no solver with error control inside */
     if (!is_allowed(instance, INSTANTIATED, "fmi2SetupExperiment")) return fmi2Error;
     if (!isfinite(startTime))
         return refuse(instance, fmi2Error, "fmi2SetupExperiment: start time %s s: expected a finite number",
@@ -290,6 +308,7 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fm
     return fmi2OK;
 }
 
+/* Without a setup before, the start time is 0. */
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
     Instance *instance = c;
     if (!is_allowed(instance, INSTANTIATED, "fmi2EnterInitializationMode")) return fmi2Error;
@@ -297,6 +316,7 @@ fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
     return fmi2OK;
 }
 
+/* 4.1.2: the state and outputs of the start are computed here at the latest. */
 fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
     Instance *instance = c;
     fmi2Status status;
@@ -314,6 +334,7 @@ fmi2Status fmi2Terminate(fmi2Component c) {
     return fmi2OK;
 }
 
+/* As after fmi2Instantiate, also from an error; the log categories stay. */
 fmi2Status fmi2Reset(fmi2Component c) {
     Instance *instance = c;
     if (!instance) return fmi2Error;
@@ -321,13 +342,15 @@ fmi2Status fmi2Reset(fmi2Component c) {
     return fmi2OK;
 }
 
-/* Steps */
+/* Steps (4.2.1, 4.2.2) */
 
 /* The tolerance of a communication point: far less than a step, but more than the rounding of the importer. */
 static double tolerance_at(double t, double h) {
     return fmin(1e-9 * fmax(1, fabs(t)), 1e-3 * h) + 8 * DBL_EPSILON * fabs(t);
 }
 
+/* Exactly to the current communication point plus the step size, which is greater than 0; 2.1.6: past the stop time is
+ * an error; 2.1.5: stepFinished, if it is given, is called after a completed step. */
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2Real communicationStepSize,
                       fmi2Boolean noSetFMUStatePriorToCurrentPoint) {
     Instance *instance = c;
@@ -345,7 +368,9 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2R
         return refuse(instance, fmi2Error, "fmi2DoStep: step to %s s: expected at most the stop time %s s",
                       DECIMAL(t + h), DECIMAL(instance->stop_time));
     const Outcome outcome = data_step(&instance->data, t, h, &broken);
-    return outcome == DONE ? fmi2OK : report(instance, outcome, &broken, "fmi2DoStep", h);
+    if (outcome != DONE) return report(instance, outcome, &broken, "fmi2DoStep", h);
+    if (instance->step_finished) instance->step_finished(instance->log.environment, fmi2OK);
+    return fmi2OK;
 }
 
 fmi2Status fmi2CancelStep(fmi2Component c) {
@@ -353,27 +378,46 @@ fmi2Status fmi2CancelStep(fmi2Component c) {
              : fmi2Error;
 }
 
+/* 4.2.1: order 0 is not allowed. */
+static int are_orders(Instance *instance, const fmi2ValueReference references[], const fmi2Integer order[],
+                      size_t count, const char *function) {
+    if (count && !order) return missing(instance, function, "order"), 0;
+    for (size_t i = 0; i < count; i++) {
+        if (order[i] >= 1) continue;
+        refuse(instance, fmi2Error, "%s: %s: order %d: expected at least 1", function, VARIABLES[references[i]].name,
+               order[i]);
+        return 0;
+    }
+    return 1;
+}
+
+/* 4.2.1: allowed when fmi2SetReal is, valid for the next step. Inputs move in straight lines: a derivative of higher
+ * order is left out, with a warning. */
 fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
                                        const fmi2Integer order[], const fmi2Real value[]) {
     static const char *const function = "fmi2SetRealInputDerivatives";
     Instance *instance = c;
+    fmi2Status status = fmi2OK;
     if (!are_allowed(instance, ALWAYS, REAL, vr, nvr, value, function)) return fmi2Error;
-    if (nvr && !order) return missing(instance, function, "order");
+    if (!are_orders(instance, vr, order, nvr, function)) return fmi2Error;
     for (size_t i = 0; i < nvr; i++) {
         const char *name = VARIABLES[vr[i]].name;
-        if (!is_input(vr[i]))
-            return refuse(instance, fmi2Error, "%s: %s: expected an input", function, name);
-        if (order[i] != 1)
-            return refuse(instance, fmi2Error, "%s: %s: order %d: expected 1", function, name, order[i]);
+        if (!is_input(vr[i])) return refuse(instance, fmi2Error, "%s: %s: expected an input", function, name);
         if (!isfinite(value[i]))
-            return refuse(instance, fmi2Discard, "%s: %s: derivative %s: expected a finite number", function, name,
+            return refuse(instance, fmi2Error, "%s: %s: derivative %s: expected a finite number", function, name,
                           DECIMAL(value[i]));
     }
-    for (size_t i = 0; i < nvr; i++) instance->data.input_rate[vr[i] - FIRST_INPUT] = value[i];
-    if (nvr) instance->data.inputs_have_rates = 1;
-    return fmi2OK;
+    for (size_t i = 0; i < nvr; i++) {
+        if (order[i] == 1)
+            instance->data.input_rate[vr[i] - FIRST_INPUT] = value[i], instance->data.inputs_have_rates = 1;
+        else
+            status = refuse(instance, fmi2Warning, "%s: %s: order %d is left out: expected 1", function,
+                            VARIABLES[vr[i]].name, order[i]);
+    }
+    return status;
 }
 
+/* 4.2.1: at the current time of the instance; a derivative of an order above maxOutputDerivativeOrder is 0. */
 fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
                                         const fmi2Integer order[], fmi2Real value[]) {
     static const char *const function = "fmi2GetRealOutputDerivatives";
@@ -381,24 +425,20 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
     const double *v, *calculated;
     double fresh[N_CALCULATED + 1], rate[N_OUTPUTS + 1];
     int broken = 0;
-    if (!are_allowed(instance, STEPPING | TERMINATED, REAL, vr, nvr, value, function)) return fmi2Error;
-    if (nvr && !order) return missing(instance, function, "order");
-    for (size_t i = 0; i < nvr; i++) {
+    if (!are_allowed(instance, HAS_STEPPED, REAL, vr, nvr, value, function)) return fmi2Error;
+    if (!are_orders(instance, vr, order, nvr, function)) return fmi2Error;
+    for (size_t i = 0; i < nvr; i++)
         if (vr[i] < FIRST_OUTPUT)
             return refuse(instance, fmi2Error, "%s: %s: expected an output", function, VARIABLES[vr[i]].name);
-        if (order[i] != 1)
-            return refuse(instance, fmi2Error,
-                          "%s: %s: order %d: expected 1", function, VARIABLES[vr[i]].name, order[i]);
-    }
     v = instance->data.value;
     calculated = data_calculated(&instance->data, fresh, &broken);
     if (!calculated) return contradictory(instance, broken, function);
     model_output_rate(instance->data.time, instance->data.state, v + FIRST_INPUT, v, calculated, rate);
-    for (size_t i = 0; i < nvr; i++) value[i] = rate[vr[i] - FIRST_OUTPUT];
+    for (size_t i = 0; i < nvr; i++) value[i] = order[i] == 1 ? rate[vr[i] - FIRST_OUTPUT] : 0;
     return fmi2OK;
 }
 
-/* In initialization mode of what is calculated by parameters and inputs; later, the state held, by
+/* 2.1.9. In initialization mode of what is calculated by parameters and inputs; later, the state held, by
  * parameters alone: at a communication point no output depends directly on an input. */
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference vUnknown_ref[], size_t nUnknown,
                                         const fmi2ValueReference vKnown_ref[], size_t nKnown, const fmi2Real dvKnown[],
@@ -406,9 +446,8 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
     static const char *const function = "fmi2GetDirectionalDerivative";
     Instance *instance = c;
     double seed[N_PARAMETERS + N_INPUTS + 1] = {0}, along[N_CALCULATED + N_OUTPUTS + 1];
-    const int modes = INITIALIZATION | STEPPING | TERMINATED;
-    if (!are_allowed(instance, modes, REAL, vUnknown_ref, nUnknown, dvUnknown, function)) return fmi2Error;
-    if (!are_allowed(instance, modes, REAL, vKnown_ref, nKnown, dvKnown, function)) return fmi2Error;
+    if (!are_allowed(instance, IS_INITIALIZED, REAL, vUnknown_ref, nUnknown, dvUnknown, function)) return fmi2Error;
+    if (!are_allowed(instance, IS_INITIALIZED, REAL, vKnown_ref, nKnown, dvKnown, function)) return fmi2Error;
     for (size_t i = 0; i < nUnknown; i++)
         if (is_settable((int)vUnknown_ref[i]))
             return refuse(instance, fmi2Error, "%s: unknown %s: expected an output or a calculated parameter", function,
@@ -437,7 +476,8 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
     return fmi2OK;
 }
 
-/* Status of a step. No step is ever pending: only the last successful time and the end are available. */
+/* 4.2.3. No step is ever pending: only the last successful time and the end are available; a status that cannot be
+ * given is discarded. */
 
 static fmi2Status no_status(Instance *instance, fmi2StatusKind kind, const char *function) {
     if (!is_allowed(instance, STEPPING | TERMINATED, function)) return fmi2Error;
@@ -478,7 +518,7 @@ fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind s, fmi2Stri
     return no_status(c, s, "fmi2GetStringStatus");
 }
 
-/* Saved states */
+/* Saved states (2.1.8), in every state of the instance */
 
 static const Snapshot *own_snapshot(Instance *instance, fmi2FMUstate FMUstate, const char *function) {
     const Snapshot *snapshot = FMUstate;
@@ -494,7 +534,7 @@ fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
     if (!instance) return fmi2Error;
     if (!FMUstate) return missing(instance, "fmi2GetFMUstate", "FMUstate");
     if (*FMUstate && !own_snapshot(instance, *FMUstate, "fmi2GetFMUstate")) return fmi2Error;
-    snapshot = *FMUstate ? *FMUstate : instance->allocate(1, sizeof *snapshot);
+    snapshot = *FMUstate ? *FMUstate : calloc(1, sizeof *snapshot);
     if (!snapshot) return refuse(instance, fmi2Error, "fmi2GetFMUstate: no memory");
     memcpy(snapshot->guid, MODEL_GUID, sizeof snapshot->guid);
     snapshot->data = instance->data;
@@ -512,8 +552,8 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate FMUstate) {
 fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
     Instance *instance = c;
     if (!instance) return fmi2Error;
-    if (!FMUstate || !*FMUstate) return fmi2OK; /* nothing to free, as FMI has it */
-    instance->release(*FMUstate);
+    if (!FMUstate || !*FMUstate) return fmi2OK; /* 2.1.8: ignored */
+    free(*FMUstate);
     *FMUstate = NULL;
     return fmi2OK;
 }
@@ -547,7 +587,7 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedSta
     if (*FMUstate && !own_snapshot(instance, *FMUstate, "fmi2DeSerializeFMUstate")) return fmi2Error;
     reason = deserialize((const unsigned char *)serializedState, size, &restored);
     if (reason) return refuse(instance, fmi2Error, "fmi2DeSerializeFMUstate: %s", reason);
-    if (!*FMUstate) *FMUstate = instance->allocate(1, sizeof restored);
+    if (!*FMUstate) *FMUstate = calloc(1, sizeof restored);
     if (!*FMUstate) return refuse(instance, fmi2Error, "fmi2DeSerializeFMUstate: no memory");
     *(Snapshot *)*FMUstate = restored;
     return fmi2OK;

@@ -67,6 +67,12 @@ def build(
             "--with-reference", help="Write the files of the FMI cross-check beside each FMU as well."
         ),
     ] = False,
+    terminals: Annotated[
+        bool,
+        typer.Option(
+            "--terminals", help="Add terminalsAndIcons.xml of FMI 3.0, which FMI Library cannot read."
+        ),
+    ] = False,
 ) -> None:
     """Build the FMU of each block, NAME.fmu."""
     if all_platforms:
@@ -84,7 +90,7 @@ def build(
         for name in chosen:
             with catalogue.loaded(name) as blocks:
                 for block in blocks:
-                    path = catalogue.build_block(block, folder, flavour, platforms)
+                    path = catalogue.build_block(block, folder, flavour, platforms, with_terminals=terminals)
                     print(path)
                     for file in catalogue.write_cross_check(block, path.parent) if with_reference else ():
                         print(file)

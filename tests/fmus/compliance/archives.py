@@ -55,7 +55,9 @@ def patched(patch: dict[str, str], folder: Path, with_references: bool = False) 
     _, content = native_flavour.content(block)
     for old, new in patch.items():
         (path,) = [
-            path for path, text in content.items() if path.endswith((".c", ".h")) and old.encode() in text
+            path
+            for path, text in content.items()
+            if path.endswith((".c", ".h", "modelDescription.xml")) and old.encode() in text
         ]
         assert content[path].count(old.encode()) == 1
         content[path] = content[path].replace(old.encode(), new.encode())

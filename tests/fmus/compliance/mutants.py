@@ -126,8 +126,10 @@ STEP = 'if (!is_allowed(instance, STEPPING, "fmi2DoStep")) return fmi2Error;'
 GLOBALS = "static const char *const TYPE_NAMES[]"
 LAST_OF_BECOME = "d->parameters_are_stale = d->outputs_are_stale = 0;"
 RESET = "if (!instance) return fmi2Error;\n    instance_reset(instance);"
-ALLOCATE = "instance = allocate(1, sizeof *instance"
-FREE = "if (instance) instance->release(instance);"
+ALLOCATE = "instance = calloc(1, sizeof *instance"
+FREE = "{ free(c); }"
+OWN_MEMORY = 'canNotUseMemoryManagementFunctions="true"'
+NO_OWN_MEMORY = {OWN_MEMORY: OWN_MEMORY.replace("true", "false")}
 RESTORE = "((Instance *)c)->data = snapshot->data;"
 
 C_MUTANTS: dict[str, tuple[str, Patch]] = {
@@ -170,7 +172,7 @@ C_MUTANTS: dict[str, tuple[str, Patch]] = {
         {
             GLOBALS: "static int live;\n" + GLOBALS,
             ALLOCATE: "if (live++) return NULL;\n    " + ALLOCATE,
-            FREE: "live = 0;\n    " + FREE,
+            FREE: "{ live = 0; free(c); }",
         },
     ),
     "instances that share a count": (
@@ -181,20 +183,18 @@ C_MUTANTS: dict[str, tuple[str, Patch]] = {
         "variable-step-size",
         {STEP: STEP + " static double first; if (!first) first = h; if (h != first) return fmi2Discard;"},
     ),
-    "memory leaked": ("memory-is-given-back", {FREE: "(void)instance;"}),
-    "memory freed twice": (
+    "memory leaked": (
         "memory-is-given-back",
-        {
-            FREE: (
-                "const fmi2CallbackFreeMemory release = instance->release;\n"
-                "    release(instance), release(instance);"
-            )
-        },
+        {ALLOCATE: "functions->allocateMemory(1, 1);\n    " + ALLOCATE} | NO_OWN_MEMORY,
+    ),
+    "memory freed that was not given": (
+        "memory-is-given-back",
+        {ALLOCATE: "functions->freeMemory(&instance);\n    " + ALLOCATE} | NO_OWN_MEMORY,
     ),
     "inputs without derivatives": ("input-derivatives", {"if (!is_input(vr[i]))": "if (is_input(vr[i]))"}),
     "an infinite derivative": (
         "output-derivatives",
-        {"value[i] = rate[vr[i] - FIRST_OUTPUT]": "value[i] = INFINITY"},
+        {"? rate[vr[i] - FIRST_OUTPUT] : 0": "? INFINITY : 0"},
     ),
     "a step that moves one per cent less": (
         "reference-results-are-reproduced",
@@ -219,7 +219,7 @@ C_MUTANTS: dict[str, tuple[str, Patch]] = {
         "state-can-be-saved-often",
         {
             GLOBALS: "static Snapshot only;\n" + GLOBALS,
-            "*FMUstate ? *FMUstate : instance->allocate(1, sizeof *snapshot);": "&only;",
+            "*FMUstate ? *FMUstate : calloc(1, sizeof *snapshot);": "&only;",
         },
     ),
     "a state that is not written over": (

@@ -1,4 +1,4 @@
-"""Terminals are what FMI 3.0's schema says, and name what exists."""
+"""Terminals are what FMI 3.0's schema says, name what exists, and are written on request."""
 
 import zipfile
 from collections.abc import Mapping
@@ -9,42 +9,45 @@ import fmpy
 import pytest
 from fmu_manipulation_toolbox.terminals import Terminals
 from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
+from typer.testing import CliRunner
 
 from fmus import catalogue
 from fmus.documentation.terminals import PATH, terminals
+from orchestration.cli.app import app
 
 SCHEMA = Path(fmpy.__file__).parent / "schema" / "fmi3" / "fmi3TerminalsAndIcons.xsd"
-
-
 REFERENCE = {"depth_reference", "depth_reference_rate", "depth_reference_acceleration"}
-
-
 NAMES = catalogue.block_names()
 
 
-def root_of(path: Path) -> Any:
-    with zipfile.ZipFile(path) as archive:
-        return etree.fromstring(archive.read(PATH))
+def written(name: str) -> bytes:
+    return terminals(catalogue.load_block(name))[PATH]
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_file_is_valid_against_the_schema_of_fmi_3(built: Mapping[str, Path], name: str) -> None:
-    etree.XMLSchema(etree.parse(SCHEMA)).assertValid(root_of(built[name]))
+def test_the_file_is_valid_against_the_schema_of_fmi_3(name: str) -> None:
+    etree.XMLSchema(etree.parse(SCHEMA)).assertValid(etree.fromstring(written(name)))
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_every_port_is_a_member_once_and_nothing_else_is(built: Mapping[str, Path], name: str) -> None:
-    variables = fmpy.read_model_description(str(built[name])).modelVariables
+def test_every_port_is_a_member_once_and_nothing_else_is(name: str) -> None:
+    root: Any = etree.fromstring(written(name))
     for terminal, causality in (("inputs", "input"), ("outputs", "output")):
-        members = root_of(built[name]).iterfind(f".//*[@name='{terminal}']/*")
-        listed = [member.get("variableName") for member in members]
-        assert listed == [v.name for v in variables if v.causality == causality]
+        listed = [member.get("variableName") for member in root.iterfind(f".//*[@name='{terminal}']/*")]
+        assert listed == [v.name for v in catalogue.load_block(name).of_causality(causality)]
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_both_flavours_have_the_same_terminals(either: dict[str, Path], name: str) -> None:
-    with zipfile.ZipFile(either[name]) as archive:
-        assert archive.read(PATH) == terminals(catalogue.load_block(name))[PATH]
+def test_an_fmu_has_terminals_only_on_request(tmp_path: Path, built: Mapping[str, Path]) -> None:
+    """FMI Library takes them for a mistake in an FMU of FMI 2.0."""
+    command = ["build", "ExamplePlant", "--flavour", "python", "--out", str(tmp_path), "--terminals"]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.output
+    with (
+        zipfile.ZipFile(tmp_path / "ExamplePlant.fmu") as requested,
+        zipfile.ZipFile(built["L1Controller"]) as plain,
+    ):
+        assert requested.read(PATH) == written("ExamplePlant")
+        assert not [name for name in plain.namelist() if name.startswith("terminals")]
 
 
 @pytest.mark.parametrize(
@@ -57,11 +60,13 @@ def test_both_flavours_have_the_same_terminals(either: dict[str, Path], name: st
     ],
 )
 def test_outputs_plug_into_inputs_in_another_tool(
-    built: Mapping[str, Path], tmp_path: Path, source: str, target: str, links: set[str]
+    tmp_path: Path, source: str, target: str, links: set[str]
 ) -> None:
     ends = []
     for name in (source, target):
-        fmpy.extract(str(built[name]), str(tmp_path / name))
+        file = tmp_path / name / PATH
+        file.parent.mkdir(parents=True)
+        file.write_bytes(written(name))
         ends.append(Terminals(tmp_path / name))
     connected = ends[0]["outputs"].connect(ends[1]["inputs"])
     assert {a for a, b in connected if a == b} == links

@@ -16,7 +16,7 @@ from fmus.block import Block
 from fmus.export.symbolic import Traced
 from fmus.fmi_types import TRANSFER_TYPE
 
-OK, DISCARD, ERROR = 0, 2, 3
+OK, WARNING, DISCARD, ERROR = 0, 1, 2, 3
 INSTANTIATED, INITIALIZATION, STEPPING, TERMINATED, FAILED = [
     "instantiated",
     "initialization",
@@ -66,12 +66,14 @@ class Model:
         self.calculated = slice(count["parameter"], count["parameter"] + count["calculatedParameter"])
         self.inputs = slice(self.calculated.stop, self.calculated.stop + count["input"])
         self.outputs = slice(self.inputs.stop, len(block.variables))
-        self.log = set(ALL) if logging else set(ALL) - {"logStatusDiscard"}
+        self.log: set[str] = set(ALL) if logging else set(ALL) - {"logStatusDiscard"}
+        self._n_states = self._traced.step.numel_out(0)
         self.reset()
 
     def reset(self) -> tuple[int, None]:
         starts = [float(v.start) for v in self.block.variables]
-        self.data = Data(starts, [0.0] * (self.inputs.stop - self.inputs.start))
+        rates = [0.0] * (self.inputs.stop - self.inputs.start)
+        self.data = Data(starts, rates, state=[0.0] * self._n_states)
         self.stop = _HIGHEST  # of the setup, whichever state is restored
         return OK, None
 
@@ -81,7 +83,7 @@ class Model:
         if self._is_malformed(kind, references, out):
             return self._error()
         if any(not self.is_settable(r) for r in references) and not self._refresh():
-            return DISCARD, None
+            return self._error()
         return OK, [self.data.values[r] for r in references]
 
     def set(self, kind: str, references: list[int] | Null, values: list | Null) -> tuple[int, None]:
@@ -170,7 +172,7 @@ class Model:
 
     def leave(self) -> tuple[int, None]:
         if self.data.mode == INITIALIZATION and not self._refresh():
-            return DISCARD, None
+            return self._error()
         answer = self._go(INITIALIZATION, STEPPING)
         self.data.is_held = self.data.is_held or answer[0] == OK
         return answer
@@ -197,7 +199,7 @@ class Model:
             return self._error()
         calculated, ratio = self._prepared(), h / self.internal_step * (1 - 1e-9)
         if calculated is None or not ratio <= 1e9:
-            return DISCARD, None
+            return self._error()
         state, count = d.state, max(1, math.ceil(ratio))
         p, internal = d.values[: self.calculated.start], h / count
         for i in range(count):
@@ -234,29 +236,30 @@ class Model:
         if references and isinstance(orders, Null):
             return self._error()
         for reference, order, value in zip(references, orders, values, strict=False):
-            if not self.inputs.start <= reference < self.inputs.stop or order != 1:
+            is_input = self.inputs.start <= reference < self.inputs.stop
+            if not is_input or order < 1 or not math.isfinite(value):
                 return self._error()
-            if not math.isfinite(value):
-                return DISCARD, None
-        for reference, value in zip(references, values, strict=False):
-            self.data.rates[reference - self.inputs.start] = value
-        return OK, None
+        for reference, order, value in zip(references, orders, values, strict=False):
+            if order == 1:
+                self.data.rates[reference - self.inputs.start] = value
+        return (WARNING if any(order > 1 for order in orders) else OK), None
 
     def get_output_derivatives(
         self, references: list[int] | Null, orders: list[int] | Null, out: bool
     ) -> tuple[int, list[float] | None]:
-        if self.data.mode not in (STEPPING, TERMINATED) or self._is_malformed("R", references, out):
+        if self.data.mode not in (STEPPING, TERMINATED, FAILED) or self._is_malformed("R", references, out):
             return self._error()
-        if references and (isinstance(orders, Null) or any(order != 1 for order in orders)):
+        if references and (isinstance(orders, Null) or any(order < 1 for order in orders)):
             return self._error()
         if any(r < self.outputs.start for r in references):
             return self._error()
         d, v, c = self.data, self.data.values, self._prepared()
         if c is None:
-            return DISCARD, None
+            return self._error()
         p = v[: self.calculated.start]
         rates = self._calculate("output_rate", d.time, d.state, v[self.inputs], p, c)
-        return OK, [rates[r - self.outputs.start] for r in references]
+        pairs = zip(references, orders, strict=False)
+        return OK, [rates[r - self.outputs.start] if order == 1 else 0.0 for r, order in pairs]
 
     def directional_derivative(
         self, unknown: list[int] | Null, known: list[int] | Null, seed: list[float] | Null, out: bool
@@ -264,7 +267,7 @@ class Model:
         malformed = self._is_malformed("R", unknown, out) or self._is_malformed(
             "R", known, not isinstance(seed, Null)
         )
-        if self.data.mode not in (INITIALIZATION, STEPPING, TERMINATED) or malformed:
+        if self.data.mode == INSTANTIATED or malformed:
             return self._error()
         if any(map(self.is_settable, unknown)) or not all(map(self.is_settable, known)):
             return self._error()
@@ -274,7 +277,7 @@ class Model:
             shift = 0 if reference < len(p) else self.inputs.start - len(p)
             along[reference - shift] += value
         if d.mode == INITIALIZATION and not self._refresh():
-            return DISCARD, None
+            return self._error()
         if d.mode == INITIALIZATION:
             result = self._calculate("initial_derivative", d.time, p, u, along)
         else:
@@ -293,17 +296,13 @@ class Model:
         return OK, [self.data.time if kind == "R" else 0]
 
     def set_debug_logging(self, on: bool, categories: list[str | None] | Null) -> tuple[int, None]:
-        if on and isinstance(categories, Null) and categories.count:
+        if isinstance(categories, Null) and categories:
             return self._error()
-        if on and any(category not in (*ALL, "logAll") for category in categories):
-            return DISCARD, None
-        chosen = (
-            set(ALL)
-            if not categories or "logAll" in categories
-            else {category for category in categories if category}
-        )
-        self.log = chosen if on else set(ALL) - {"logStatusDiscard"}
-        return OK, None
+        unknown = any(category not in (*ALL, "logAll") for category in categories)
+        named: set[str] = set(ALL) if "logAll" in categories else set(ALL) & set(categories)
+        usual: set[str] = set(ALL) if on else set(ALL) - {"logStatusDiscard"}
+        self.log = usual if not categories else named if on else self.log - named
+        return (WARNING if unknown else OK), None
 
     def saved(self) -> Data:
         return copy.deepcopy(self.data)

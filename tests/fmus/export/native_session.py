@@ -24,6 +24,12 @@ _FLAGS = (
     "-ffp-contract=off",
 )
 GUID = "{a-guid-%n-of-#tests#}"
+_COUNTED = """#include <stdlib.h>
+void *counted_calloc(size_t, size_t);
+void counted_free(void *);
+#define calloc counted_calloc
+#define free counted_free
+"""
 
 
 class Message(NamedTuple):
@@ -44,18 +50,20 @@ def compiled(sources: dict[str, str], folder: Path, sanitized: bool = True) -> P
     if sanitized and not shutil.which("gcc"):
         pytest.fail("gcc is not installed: .ci/run installs it")
     for name, text in sources.items():
-        (folder / name).write_text(text, encoding="utf-8")
+        (folder / name).write_text(_COUNTED * (name == "fmi2.c") + text, encoding="utf-8")
+    headers = str(toolchain.FMI_HEADERS)
     program = folder / "session"
     if not sanitized:
         toolchain.zig(
-            ["cc", *toolchain.FLAGS, "-I.", "-o", "session", "fmi2.c", str(_PROGRAM), "-lm"], folder
+            ["cc", *toolchain.FLAGS, "-I", headers, "-o", "session", "fmi2.c", str(_PROGRAM), "-lm"], folder
         )
         return program
     command = [
         "gcc",
         *_FLAGS,
+        "-DFMI2_OVERRIDE_FUNCTION_PREFIX",
         "-I",
-        str(folder),
+        headers,
         "-o",
         str(program),
         str(folder / "fmi2.c"),

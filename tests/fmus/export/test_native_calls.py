@@ -85,7 +85,7 @@ MUTANTS = {
         "    data_reset(&instance->data);\n    instance->stop_time = DBL_MAX;",
         "    if (instance->stop_time == 0) instance->stop_time = DBL_MAX;\n    data_reset(&instance->data);",
     ),
-    "a saved state is never freed": ("instance->release(*FMUstate);", ""),
+    "a saved state is never freed": ("free(*FMUstate);", ""),
 }
 
 

@@ -8,7 +8,7 @@ import pytest
 from fmus.instance import BlockError, Instance
 
 from .native_block import ITEMS
-from .native_model import DISCARD, OK
+from .native_model import DISCARD, ERROR, OK
 from .native_session import Session, begin, saved, told
 
 REFERENCES = {v.name: v.value_reference for v in ITEMS.variables}
@@ -79,9 +79,11 @@ def test_a_calculated_parameter_that_is_no_item_ends_the_initialisation(
     assert session("set", 0, "R", [PARAMETER], [1001.0]).status == OK
     instance.set(PARAMETER, 1001.0)
     answer = session("leave", 0)
-    assert answer.status == DISCARD
+    assert answer.status == ERROR
     assert told(answer).endswith("chosen is another number: expected one of 0 (rest), 3 (run)")
     with pytest.raises(BlockError, match=f"chosen = 1.0: {NAMES_OF_MODE}"):
         instance.exit_initialization_mode()
+    session("free", 0)
+    begin(session)
     assert session("set", 0, "R", [PARAMETER], [1003.0]).status == OK
     assert session("leave", 0).status == OK

@@ -47,7 +47,6 @@ class Lifecycle:
             timeout=120,
         )
         assert done.returncode == 0, done.stderr
-        assert int(done.stdout) == ALLOCATIONS * count
         return done
 
 
@@ -64,10 +63,10 @@ def lifecycle(
 
 
 def test_a_thousand_instances_leave_nothing_behind(lifecycle: Lifecycle, tool: Callable[[str], str]) -> None:
-    """The program also checks that each restored state gives the same step, and when memory is asked for."""
+    """The program also checks that each restored state gives the same step. No step asks for memory."""
     memcheck = (tool("valgrind"), *MEMCHECK)
     one, thousand = (_blocks(lifecycle.run("instances", n, steps=20, under=memcheck)) for n in (1, 1000))
-    # what the program and the loader need is the same: the FMU asks for none but the importer's memory
+    # what the program and the loader need is the same
     assert thousand - one == ALLOCATIONS * 999
 
 

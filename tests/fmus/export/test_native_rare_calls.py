@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from .native_block import EVERYTHING, block_named
-from .native_model import DISCARD, ENDED, ERROR, OK, Null
+from .native_model import DISCARD, ENDED, ERROR, OK, WARNING, Null
 from .native_session import GUID, Session, begin, saved, stepping, told, with_checksum
 
 Open = Callable[[str], Session]
@@ -51,7 +51,7 @@ def test_a_call_without_an_instance_is_an_error_that_nobody_hears(open_session: 
     assert session("free", -1).status == OK
 
 
-@pytest.mark.parametrize("kind", ["no_logger", "no_memory", "no_release"])
+@pytest.mark.parametrize("kind", ["no_logger", "no_memory"])
 def test_an_importer_may_give_no_logger_and_no_memory(open_session: Open, kind: str) -> None:
     session = open_session("ExamplePlant")
     assert session("instantiate", 0, "it", 1, GUID, kind, True).status == OK
@@ -79,6 +79,7 @@ def test_a_refused_instance_is_explained_whatever_its_name_and_guid(open_session
         ("it", 7, GUID, "expected fmi2CoSimulation"),
         (None, 1, GUID, "expected an instance name"),
         ("", 1, GUID, "expected an instance name"),
+        ("\v\f", 1, GUID, "expected an instance name"),
     ):
         answer = session("instantiate", 0, name, kind, guid, "all", True)
         assert answer.status == ERROR
@@ -128,36 +129,57 @@ def test_strings_there_are_none(open_session: Open) -> None:
     assert "no String" in told(session("get", 0, "S", [2**32 - 1], "+"))
 
 
-def test_contradictory_parameters_are_discarded_until_they_are_put_right(open_session: Open) -> None:
+def test_contradictory_parameters_are_an_error_until_the_instance_is_restored(open_session: Open) -> None:
+    """FMI 2.0.5, 2.1.3: neither fmi2ExitInitializationMode nor fmi2GetXXX may discard."""
     session, r = begin(open_session("RovDepthPlant")), _references("RovDepthPlant")
-    assert session("set", 0, "R", [r["sensor_delay"]], [0.3]).status == OK
+    assert session("get_state", 0, 0).status == OK
     for call in (("leave", 0), ("get", 0, "R", [r["depth"]], "+")):
+        assert session("set", 0, "R", [r["sensor_delay"]], [0.3]).status == OK
         answer = session(*call)
-        assert answer.status == DISCARD
+        assert answer.status == ERROR
         assert "expected sensor_delay at most 7 times sensor_period" in told(answer)
-    assert session("get", 0, "R", [r["sensor_delay"]], "+").status == OK
+        assert session("get", 0, "R", [r["sensor_delay"]], "+").values == [(0.3).hex()]
+        assert session("set_state", 0, 0).status == OK
     assert session("set", 0, "R", [r["sensor_delay"]], [0.28]).status == OK
     assert session("leave", 0).status == OK
+    assert session("free_state", 0, 0).status == OK
 
 
-def test_an_initial_state_that_is_not_finite_is_discarded(open_session: Open) -> None:
+def test_step_finished_is_called_after_each_completed_step_and_no_other(open_session: Open) -> None:
+    """FMI 2.0.5, 2.1.5: if a pointer to a function is provided, it must be called."""
+    session = open_session("ExamplePlant")
+    assert session("instantiate", 0, "it", 1, GUID, "step_finished", True).status == OK
+    for call in (("setup", 0, 0.0, True, 2.0), ("enter", 0), ("leave", 0)):
+        assert session(*call) == (OK, [], [])
+    for step in range(2):
+        (signal,) = session("step", 0, float(step), 1.0).messages
+        assert (signal.status, signal.category) == (OK, "stepFinished")
+    assert [m.category for m in session("step", 0, 2.0, 1.0).messages] == ["logStatusError"]
+
+
+def test_an_initial_state_that_is_not_finite_is_an_error(open_session: Open) -> None:
     """It could not be saved as bytes, and no step would lead out of it."""
     session, r = begin(open_session("RovDepthPlant")), _references("RovDepthPlant")
     assert session("set", 0, "R", [r["initial_depth"]], [1e308]).status == OK
-    assert "state or outputs are not finite at the start" in told(session("leave", 0))
-    assert session("set", 0, "R", [r["initial_depth"]], [1.0]).status == OK
-    assert session("leave", 0).status == OK
+    answer = session("leave", 0)
+    assert answer.status == ERROR
+    assert "state or outputs are not finite at the start" in told(answer)
 
 
-def test_a_diverging_step_and_an_endless_one_are_discarded(open_session: Open) -> None:
+def test_a_diverging_step_is_discarded_and_an_endless_one_is_an_error(open_session: Open) -> None:
+    """FMI 2.0.5, 4.2.2: discard for a step computed in part, error for one that cannot be carried out."""
     session, r = stepping(open_session("ExamplePlant")), _references("ExamplePlant")
     wild = [r["omega"], r["control"]]
     session("set", 0, "R", wild, [1e300, 1e300])
-    assert "not finite any more" in told(session("step", 0, 0.0, 1.0))
-    assert "expected at most 1e+09 internal steps" in told(session("step", 0, 0.0, 1e7))
+    answer = session("step", 0, 0.0, 1.0)
+    assert answer.status == DISCARD
+    assert "not finite any more" in told(answer)
     session("set", 0, "R", wild, [1.0, 0.0])
     assert session("step", 0, 0.0, 1.0).status == OK
     assert session("get", 0, "R", [r["output"]], "+").values == ["0x0p+0"]
+    answer = session("step", 0, 1.0, 1e7)
+    assert answer.status == ERROR
+    assert "expected at most 1e+09 internal steps" in told(answer)
 
 
 def test_the_bytes_of_another_fmu_are_refused(open_session: Open) -> None:
@@ -225,11 +247,22 @@ def test_only_inputs_have_derivatives_to_be_set(open_session: Open, name: str) -
 
 
 @pytest.mark.parametrize(
-    ("category", "status"), [("logStatusError", OK), ("logNothing", DISCARD), ("", DISCARD)]
+    ("category", "status"), [("logStatusError", OK), ("logNothing", WARNING), ("", WARNING)]
 )
-def test_an_unknown_category_of_messages_is_discarded(open_session: Open, category: str, status: int) -> None:
+def test_an_unknown_category_of_messages_is_a_warning(open_session: Open, category: str, status: int) -> None:
     session = stepping(open_session("ExamplePlant"))
-    assert session("set_debug_logging", 0, True, [category]).status == status
+    answer = session("set_debug_logging", 0, True, [category])
+    assert answer.status == status
+    assert [m.category for m in answer.messages] == ["logStatusWarning"] * (status == WARNING)
+
+
+def test_categories_that_are_switched_off_are_those_that_are_named(open_session: Open) -> None:
+    session, r = stepping(open_session("ExamplePlant")), _references("ExamplePlant")
+    assert session("set_debug_logging", 0, False, ["logStatusDiscard"]).status == OK
+    assert session("set", 0, "R", [r["control"]], [math.nan]) == (DISCARD, [], [])
+    assert len(session("cancel", 0).messages) == 1
+    assert session("set_debug_logging", 0, False, ["logAll"]).status == OK
+    assert session("cancel", 0) == (ERROR, [], [])
 
 
 def test_a_derivative_by_nothing_that_exists_is_an_error(open_session: Open) -> None:

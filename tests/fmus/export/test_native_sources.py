@@ -23,6 +23,7 @@ BLOCKS = catalogue.block_names()
 REBUILT = ("L1DepthController", "RovDepthPlant")
 # CasADi generates helpers and arguments whether or not a model has use for them
 GENERATED = ("-Wno-unused-function", "-Wno-unused-parameter")
+HEADERS = ("-isystem", str(toolchain.FMI_HEADERS))
 OUR_OWN = ("fmi2.c", "instance.h", "log.h", "model.h", "model_functions.h", "snapshot.h")
 
 
@@ -133,7 +134,8 @@ def _schema(name: str) -> Path:
 def test_the_sources_compile_without_a_warning(extracted: Path, target: str) -> None:
     warnings = ("-Wall", "-Wextra", "-Wpedantic", "-Werror", *GENERATED)
     toolchain.zig(
-        ["cc", "-target", target, "-std=c99", *warnings, "-c", "fmi2.c", "-o", "it.o"], extracted / "sources"
+        ["cc", "-target", target, "-std=c99", *warnings, *HEADERS, "-c", "fmi2.c", "-o", "it.o"],
+        extracted / "sources",
     )
 
 
@@ -145,6 +147,7 @@ def test_our_own_sources_need_no_warning_switched_off(extracted: Path) -> None:
     (sources / "model_code.h").rename(sources / "generated" / "model_code.h")
     warnings = ("-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wstrict-prototypes", "-Werror")
     toolchain.zig(
-        ["cc", "-std=c99", *warnings, "-isystem", "generated", "-c", "fmi2.c", "-o", "it.o"], sources
+        ["cc", "-std=c99", *warnings, "-isystem", "generated", *HEADERS, "-c", "fmi2.c", "-o", "it.o"],
+        sources,
     )
     assert all((sources / name).is_file() for name in OUR_OWN)
