@@ -1,6 +1,7 @@
 """Commands on scenarios: run, report, scenarios."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -22,6 +23,7 @@ from orchestration.results.formats import RecordingFormat
 
 if TYPE_CHECKING:
     from orchestration.results.recording import Recording
+    from orchestration.scenarios.scenario import Scenario
 
 
 def run(
@@ -65,6 +67,9 @@ def run(
     resume: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Continue from this checkpoint.")
     ] = None,
+    error_estimate: Annotated[
+        bool, typer.Option("--error-estimate", help="Run again at twice the step to estimate the error.")
+    ] = False,
 ) -> None:
     """Run one scenario, and write its recording (CSV or Parquet), its metrics (JSON) and a figure."""
     from orchestration.cli import chosen_scenario
@@ -82,7 +87,7 @@ def run(
         progress(chosen.name, 1) as bar,
     ):
         result = reproduce.run(
-            chosen,
+            _with_error_estimate(chosen) if error_estimate else chosen,
             out,
             bar.update,
             file_format,
@@ -94,9 +99,29 @@ def run(
     figures = run_figure(chosen.title, result.recording, out / chosen.name, written_formats)
     if result.metrics:
         print_table(metrics_table(chosen.title, result.metrics, result.metric_units, chosen.metrics))
+    _print_error_estimate(result.recording)
     _print_end(result.recording)
     _print_pace(result.recording)
     print(out / f"{chosen.name}.{file_format}", out / f"{chosen.name}.json", *figures, sep="\n")
+
+
+def _with_error_estimate(chosen: "Scenario") -> "Scenario":
+    settings = {**chosen.resolved.get("experiment", {}), "error_estimate": True}
+    return replace(
+        chosen,
+        experiment=replace(chosen.experiment, error_estimate=True),
+        resolved={**chosen.resolved, "experiment": settings},
+    )
+
+
+def _print_error_estimate(recording: "Recording") -> None:
+    """The estimated errors of exchanging at communication points, if they were asked for."""
+    from orchestration.results.tables import error_table
+
+    estimate = recording.provenance.get("error_estimate")
+    if estimate:
+        units = dict(zip(recording.names, recording.units, strict=True))
+        print_table(error_table(estimate["quantities"], units))
 
 
 def _print_end(recording: "Recording") -> None:

@@ -46,6 +46,7 @@ def simulate(
     initialisation: InitialisationName = "automatic",
     faults: Sequence[Fault] = (),
     open_inputs: OpenInputsName = "error",
+    error_estimate: bool = False,
     timeout: float | None = None,
     real_time: float | None = None,
     checkpoints: Checkpoints | None = None,
@@ -56,7 +57,7 @@ def simulate(
 
         simulate(system, stop_time=10.0, step_size=0.01)
 
-    experiment: in place of the settings stop_time .. open_inputs, which are those of `Experiment`
+    experiment: in place of the settings stop_time .. error_estimate, which are those of `Experiment`
     stop_time, step_size, start_time: [s], by default as the FMUs suggest
     timeout: longest time [s] that a call of an FMU may take, a step for instance; the FMUs then run in a
     process of their own, so that one that hangs or crashes does no harm to this process

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from orchestration.errors import OrchestrationError, SimulationError
+from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.fmi.description import describe
 from orchestration.fmi.instance import FmuInstance
 from orchestration.master.checkpoint import Checkpoint, Checkpoints, check_can_save, restore
 from orchestration.master.compiled_loop import compiled_loop
+from orchestration.master.error_estimate import with_error_estimate
 from orchestration.master.failure import reason_of
 from orchestration.master.initialisation import ConnectionGroup, connection_groups, initialise
 from orchestration.master.interrupt import deferred_interrupt
@@ -79,7 +80,11 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
             run = RunInProgress(wired, self._loop(wired.wiring), guard)
             recording = _run_to_end(run, groups, progress, pacing, checkpoints, resume)
             self._must_reload = False
-            return recording
+        return (
+            with_error_estimate(recording, wired.prepared, self.run)
+            if experiment.error_estimate
+            else recording
+        )
 
     def start(self, experiment: Experiment, external: Sequence[str] = ()) -> None:
         """Initialise the system for an experiment, at its start time, to be led step by step.
@@ -89,6 +94,11 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
 
         Raises what `run` raises.
         """
+        if experiment.error_estimate:
+            raise SystemDefinitionError(
+                "error_estimate: a run that is led step by step cannot be made a second time by itself: "
+                "expected `run`, or a second run at twice the step of your own"
+            )
         with self._begin_run():
             wired, groups, guard = self._prepare_run(experiment, tuple(external))
             run = SteppedRun(wired, self._loop(wired.wiring), guard)

@@ -5,6 +5,8 @@ import math
 import time
 import warnings
 from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import cloudpickle
@@ -12,6 +14,7 @@ import numpy as np
 
 from fmus.process import ProcessEndedError, WorkerProcess
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
+from orchestration.master.error_estimate import with_error_estimate
 from orchestration.master.interrupt import kept_interrupts
 from orchestration.master.loop_data import Report
 from orchestration.master.run_recording import make_recording
@@ -44,7 +47,8 @@ def simulate_in_subprocess(
     if not timeout > 0.0:
         raise SystemDefinitionError(f"timeout {timeout!r} s: expected more than 0")
     prepared = prepare(system, experiment)
-    task = _packed(Task(system, experiment, dict(options or {}), prepared.shape))
+    alone = replace(experiment, error_estimate=False)
+    task = _packed(Task(system, alone, dict(options or {}), prepared.shape))
     with (
         contextlib.closing(WorkerProcess(run_task)) as process,
         contextlib.closing(SharedRecord(process.folder, prepared.shape, is_new=True)) as record,
@@ -58,7 +62,11 @@ def simulate_in_subprocess(
     outcome, stopped = _with_warnings(watch.warnings, outcome), watch.stopped
     if stopped is None and isinstance(outcome, Recording):
         stopped = _call_progress(progress, len(outcome.time) - 1, len(outcome.time) - 1)
-    return _unwrapped(outcome, stopped)
+    recording = _unwrapped(outcome, stopped)
+    if experiment.error_estimate:
+        second = partial(simulate_in_subprocess, system, timeout=timeout)
+        return with_error_estimate(recording, prepared, second)
+    return recording
 
 
 def _packed(task: Task) -> bytes:

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from fmus.files import open_atomically
 from orchestration.results.formats import FigureFormat
-from orchestration.results.recording import Recording, points_down
+from orchestration.results.recording import ERROR_ESTIMATE, Recording, points_down
 
 BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#666666"  # told apart by colour-blind readers
 _COLOURS = (BLUE, ORANGE, GREEN, "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -106,13 +106,14 @@ def write_figure(figure: Figure, path: Path, formats: Sequence[FigureFormat]) ->
 def run_figure(
     title: str, recording: Recording, path: Path, formats: Sequence[FigureFormat] = (FigureFormat.PNG,)
 ) -> list[Path]:
-    """Every signal of any run that is a number, one panel for each unit."""
-    units = list(dict.fromkeys(map(recording.unit, recording.numbers)))
+    """Every signal of any run that is a number, one panel for each unit; without estimates of errors."""
+    signals = [name for name in recording.numbers if not name.startswith(ERROR_ESTIMATE)]
+    units = list(dict.fromkeys(map(recording.unit, signals)))
     with figure_style():
         figure, panels = stacked_panels([1.5] * len(units), "Time [s]")
         figure.suptitle(title)
         for unit, panel in zip(units, panels, strict=True):
-            names = [name for name in recording.numbers if recording.unit(name) == unit]
+            names = [name for name in signals if recording.unit(name) == unit]
             for index, name in enumerate(sorted(names, key=lambda name: -_roughness(recording[name]))):
                 draw_curve(
                     panel,

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
 TIME = files.TIME
+ERROR_ESTIMATE = "error_estimate."
+"""Prefix of the column that holds the estimated error of a signal."""
 
 
 def points_down(name: str, unit: str) -> bool:

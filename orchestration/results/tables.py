@@ -30,3 +30,16 @@ def values_table(title: str, heading: str, values: Mapping[str, object], units: 
     for name, value in values.items():
         table.add_row(escape(name), escape(str(value)), escape(units.get(name, "")))
     return table
+
+
+def error_table(errors: Mapping[str, Mapping[str, float | None]], units: Mapping[str, str]) -> Table:
+    """Estimated errors of exchanging at communication points, as the provenance of a recording has them."""
+    table = Table(title="Estimated error", title_justify="left")
+    table.add_column("Signal")
+    table.add_column("Largest", justify="right")
+    table.add_column("At the end", justify="right")
+    table.add_column("Unit")
+    for name, error in errors.items():
+        values = ("not known" if value is None else f"{value:.2g}" for value in error.values())
+        table.add_row(escape(name), *values, escape(units.get(name, "")))
+    return table

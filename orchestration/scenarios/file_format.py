@@ -97,6 +97,8 @@ class ExperimentTable(Table, use_attribute_docstrings=True):
     """How loops of initial values are solved."""
     open_inputs: Annotated[OpenInputs, Strict(False)] = _OPTIONAL
     """Inputs that nothing drives are an error, or keep the start values of their FMUs; error by default."""
+    error_estimate: bool = _OPTIONAL
+    """Whether a second run at twice the step follows, and estimates the error of exchanging at steps."""
 
 
 class EventTable(Table, use_attribute_docstrings=True):

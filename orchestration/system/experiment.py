@@ -71,6 +71,7 @@ class Experiment:
     initialisation: how algebraic loops of initial values are solved
     faults: on inputs that a connection or a signal drives; several faults on one input act in their order
     open_inputs: inputs that nothing drives are an error, or keep their FMU's start value
+    error_estimate: whether a second run at twice the step follows, and estimates the error of this one
 
     Raises SystemDefinitionError for values that do not fit together.
     """
@@ -90,6 +91,7 @@ class Experiment:
     initialisation: InitialisationName = Initialisation.AUTOMATIC
     faults: Sequence[Fault] = ()
     open_inputs: OpenInputsName = OpenInputs.ERROR
+    error_estimate: bool = False
 
     def __post_init__(self) -> None:
         self._convert_types()

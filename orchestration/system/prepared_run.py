@@ -12,6 +12,7 @@ from fmpy.model_description import ScalarVariable
 from fmus.fmi_types import NUMBERS, FmiValue
 from orchestration.errors import SystemDefinitionError
 from orchestration.fmi.description import start_value
+from orchestration.system.coarser import coarser
 from orchestration.system.experiment import Experiment
 from orchestration.system.experiment_checks import (
     check_capabilities,
@@ -116,6 +117,8 @@ def prepare_checked(
     check_faults(system, experiment, driven)
     check_capabilities(system, experiment)
     check_signals(system, experiment)
+    if experiment.error_estimate:
+        coarser(experiment)
     points = _communication_points(system, experiment)
     return PreparedRun(
         system=system,

@@ -120,6 +120,18 @@ def test_run_writes_recording_metrics_provenance_and_figure(
     assert set(document["metrics"]) >= {"rmse", "holding_thrust"}
 
 
+def test_run_estimates_its_error_if_asked(command: Command, short_scenario: Command, tmp_path: Path) -> None:
+    printed = command("run", short_scenario(), "--out", "out", "--error-estimate").stdout
+    document = json.loads((tmp_path / "out" / "short.json").read_text())
+    assert document["scenario"]["experiment"]["error_estimate"] is True
+    estimated = document["run"]["error_estimate"]["quantities"]
+    recording = Recording.read(tmp_path / "out" / "short.csv")
+    assert recording.unit("error_estimate.plant.depth") == "m"
+    assert recording["error_estimate.plant.depth"][-1] == estimated["plant.depth"]["at_end"]
+    (row,) = [line for line in printed.splitlines() if "plant.depth " in line]
+    assert f"{estimated['plant.depth']['maximum']:.2g}" in row
+
+
 def test_run_writes_parquet_with_the_provenance_inside(
     command: Command, short_scenario: Command, tmp_path: Path
 ) -> None:
