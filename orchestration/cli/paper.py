@@ -77,7 +77,7 @@ def identifiability(
 
     written_formats = figure_formats(formats)
     build_missing_fmus([scenario.load(path) for path in scenario.shipped().values()])
-    with progress("identifiability", identifiability_study.number_of_stages()) as bar:
+    with progress("identifiability", identifiability_study.FULL.stages) as bar:
         document, points = identifiability_study.study(out, lambda name: bar.advance(note=name))
     tables = identifiability_tables.tables(document)
     write_json_atomically(out / "identification.json", document)

@@ -13,7 +13,7 @@ typedef float Lanes[LANES];
 #define SURFACE_STIFFNESS (1000.0f * 9.81f * 0.022192f) /* N/m, rho g A of the vehicle */
 #define SAMPLE_AGE 0.02f                               /* s, the mean over a sampling period of 40 ms */
 
-/* in the order of VARIABLES, then what follows from them */
+/* in the order of VARIABLES, without the net weight, then what follows from them */
 typedef struct {
     Lanes inertia, linear_damping, quadratic_damping, lift, initial_depth;
     Lanes model_inertia, model_damping, depth_gain, rate_gain, bandwidth, adaptation_gain;

@@ -24,6 +24,8 @@ from platformdirs import user_cache_path
 
 from fmus import compiled_library
 from orchestration.scenarios import scenario
+from orchestration.study.l1_design import values_of
+from orchestration.system.prepared_run import prepare
 from orchestration.system.signals import values_at
 
 Values = Mapping[str, np.ndarray | float]
@@ -31,25 +33,40 @@ Values = Mapping[str, np.ndarray | float]
 
 STEP = 0.2  # s, for modes below 10 rad/s
 
-SHIPPED: Values = {
-    "plant.inertia": 5.5,
-    "plant.linear_damping": 2.5,
-    "plant.quadratic_damping": 7.0,
-    "plant.net_weight": -1.2,
-    "plant.buoyancy_change": 0.0,
-    "plant.initial_depth": 0.0,
-    "controller.model_inertia": 5.5,
-    "controller.model_damping": 2.5,
-    "controller.depth_feedback_gain": 1.895,
-    "controller.rate_feedback_gain": 20.23,
-    "controller.filter_bandwidth": 0.3017,
-    "controller.adaptation_gain": 100.0,
-    "controller.sigma_bound": 10.0,
-    "controller.theta_bound[1]": 5.0,
-    "controller.proportional_gain": 0.0,
-    "controller.integral_gain": 0.0,
-}
-"""Every variable of the model with the value of the shipped scenarios, without the extension."""
+VARIABLES = (
+    "plant.inertia",
+    "plant.linear_damping",
+    "plant.quadratic_damping",
+    "plant.net_weight",
+    "plant.buoyancy_change",
+    "plant.initial_depth",
+    "controller.model_inertia",
+    "controller.model_damping",
+    "controller.depth_feedback_gain",
+    "controller.rate_feedback_gain",
+    "controller.filter_bandwidth",
+    "controller.adaptation_gain",
+    "controller.sigma_bound",
+    "controller.theta_bound[1]",
+    "controller.proportional_gain",
+    "controller.integral_gain",
+)
+"""Every variable of the model, in the order of depth_loop_model.c."""
+
+
+@cache
+def shipped_values(name: str = "nominal-l1") -> Mapping[str, float]:
+    """The variables of plant and controller in a shipped scenario; without the extension the PI is 0."""
+    loaded = scenario.load(scenario.find(name))
+    prepared = prepare(loaded.system, loaded.experiment)
+    values = {
+        f"{component}.{variable}": value
+        for component in ("plant", "controller")
+        for variable, value in values_of(prepared, component).items()
+    }
+    if values["controller.augmentation"] != "pi":
+        values |= {"controller.proportional_gain": 0.0, "controller.integral_gain": 0.0}
+    return values
 
 
 @dataclass(frozen=True)
@@ -88,11 +105,12 @@ def adaptation_vector(values: Values) -> tuple[np.ndarray, np.ndarray]:
 def figures(task: DepthTask, values: Values) -> dict[str, np.ndarray]:
     """Settling time [s], RMSE [cm] and overshoot [%] of every run, as the scenarios define them.
 
+    values: what differs from the shipped scenario of plain L1
     A run that does not settle has not a number there; one that diverges has it everywhere.
     """
-    given = {**SHIPPED, **values}
-    columns = np.broadcast_arrays(*(np.atleast_1d(np.asarray(given[name], np.float32)) for name in SHIPPED))
-    table = dict(zip(SHIPPED, columns, strict=True))
+    given = {**shipped_values(), **values}
+    columns = np.broadcast_arrays(*(np.atleast_1d(np.asarray(given[name], np.float32)) for name in VARIABLES))
+    table = dict(zip(VARIABLES, columns, strict=True))
     table["plant.buoyancy_change"] = table["plant.buoyancy_change"] - table.pop("plant.net_weight")
     rows = np.ascontiguousarray(list(table.values()), np.float32)
     measured = np.empty((3, rows.shape[1]))

@@ -8,103 +8,18 @@ figures by a limit cycle.
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from orchestration.master import Simulator
-from orchestration.results import metrics
-from orchestration.results.recording import Recording
-from orchestration.scenarios import scenario
 from orchestration.scenarios.identify import LARGEST_OVERSHOOT_PCT, OVERSHOOT_TOLERANCE_PCT
-from orchestration.study.depth_loop_model import depth_task, figures
-from orchestration.study.posterior import K_I, K_P, VALUES, Free, with_adaptation_gain
+from orchestration.study.open_numbers import VALUES, Free, with_adaptation_gain
+from orchestration.study.vehicle_runs import SCENARIOS, SEEDS, Figure, Runs
 
-SEEDS = (1, 2, 3, 4, 5)
 LARGEST_SPREAD_MM = 3.0
 SPREAD_TOLERANCE_MM = 0.5
-HOLD = (100.0, 140.0)  # s, at 0.8 m
 TOLERANCES = {"settling_time": {"l1": 3.0, "extended": 3.0}, "rmse": {"l1": 0.6, "extended": 0.25}}
-_EXTENSION = (K_P, K_I)
 _NOT_SETTLED = 40.0  # tolerances: more than a run that settles can be away
-
-Figure = tuple[str, str]
-"""(scenario, metric)"""
-SCENARIOS = tuple(dict.fromkeys(name for name, _ in VALUES))
-
-
-class Runs(Protocol):
-    """What gives the figures of all four scenarios, one value for each seed."""
-
-    def figures(self, values: Mapping[str, float], seeds: Sequence[int]) -> dict[Figure, np.ndarray]: ...
-
-
-class VehicleRuns:
-    """The four scenarios of the tables on FMUs that stay loaded; a context manager."""
-
-    def __init__(self) -> None:
-        loaded = {name: scenario.load(scenario.find(name)) for name in SCENARIOS}
-        declared = loaded[SCENARIOS[0]].metrics
-        self._metrics = {name: declared[name] for name in ("settling_time", "rmse", "overshoot")}
-        self._experiments = {
-            name: replace(each.experiment, record=("plant.depth", "controller.depth_reference"))
-            for name, each in loaded.items()
-        }
-        self._simulator = Simulator(loaded[SCENARIOS[0]].system)
-
-    def __enter__(self) -> "VehicleRuns":
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._simulator.close()
-
-    def one(self, name: str, values: Mapping[str, float], seed: int = 1) -> dict[str, float]:
-        """Settling time, RMSE, overshoot and spread of depth in hold [mm] of one run.
-
-        values: of parameters, and of the buoyancy change, which counts in the scenarios of that name
-        """
-        before, values = self._experiments[name], dict(values)
-        change = values.pop("plant.buoyancy_change", 0.2)
-        inputs = dict(before.inputs)
-        if name.startswith("buoyancy"):
-            inputs["plant.buoyancy_change"] = float(change)
-        parameters = {**before.parameters, **values, "plant.sensor_seed": seed}
-        recording = self._simulator.run(replace(before, inputs=inputs, parameters=parameters))
-        return metrics.evaluate(recording, self._metrics) | {"hold_spread": hold_spread(recording)}
-
-    def figures(self, values: Mapping[str, float], seeds: Sequence[int] = SEEDS) -> dict[Figure, np.ndarray]:
-        """The same of all four scenarios, one value for each seed."""
-        return {
-            (name, metric): np.array([run[metric] for run in runs])
-            for name in SCENARIOS
-            for runs in [[self.one(name, values, seed) for seed in seeds]]
-            for metric in runs[0]
-        }
-
-
-class ModelRuns:
-    """The same of the continuous model, which needs no seeds and rests in the hold: for a first approach."""
-
-    def figures(self, values: Mapping[str, float], seeds: Sequence[int] = SEEDS) -> dict[Figure, np.ndarray]:
-        plain = dict.fromkeys(_EXTENSION, 0.0)
-        changes = {name: 0.2 if name.startswith("buoyancy") else 0.0 for name in SCENARIOS}
-        runs = [
-            {**values, "plant.buoyancy_change": changes[name], **(plain if name.endswith("-l1") else {})}
-            for name in SCENARIOS
-        ]
-        measured = figures(depth_task(), {key: np.array([run[key] for run in runs]) for key in runs[0]})
-        measured["hold_spread"] = np.zeros(len(SCENARIOS))
-        return {
-            (name, metric): column[i : i + 1]
-            for i, name in enumerate(SCENARIOS)
-            for metric, column in measured.items()
-        }
-
-
-def hold_spread(recording: Recording) -> float:
-    """Standard deviation of the depth in the hold at 0.8 m [mm]."""
-    held = (recording.time >= HOLD[0]) & (recording.time <= HOLD[1])
-    return 1e3 * float(np.std(recording["plant.depth"][held]))
 
 
 def tolerance(figure: Figure) -> float:
@@ -190,7 +105,7 @@ def fit(search: Search, free: Sequence[Free], start: Mapping[str, float]) -> Fit
     """Least squares from a start until nothing improves or the evaluations are spent."""
     from scipy.optimize import least_squares
 
-    begin = np.clip([1.0 + each.position(start[each.name]) for each in free], 1.001, 1.999)
+    begin = np.clip([1.0 + number.position(start[number.name]) for number in free], 1.001, 1.999)
     with suppress(_OutOfEvaluationsError):
         least_squares(search, begin, bounds=(1.0, 2.0), diff_step=0.01, ftol=1e-4)
     return search.best

@@ -8,8 +8,8 @@ import numpy as np
 
 from orchestration.results.figures import BLUE, GREY, ORANGE, figure_style, panel_grid, write_figure
 from orchestration.results.formats import FigureFormat
-from orchestration.study.eight_figures import SEEDS
-from orchestration.study.posterior import FREE, FREQUENCY, HALF_A_DIGIT, VALUES, Columns
+from orchestration.study.open_numbers import FREE, FREQUENCY, HALF_A_DIGIT, VALUES, Columns
+from orchestration.study.vehicle_runs import SEEDS
 
 _NAMES = {
     "nominal-l1": "nominal, L1",

@@ -16,67 +16,74 @@ Each of `EFFECTS` is then laid over the scenario with added buoyancy, as large a
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from orchestration.study.eight_figures import Figure, VehicleRuns
-from orchestration.study.posterior import VALUES
+from orchestration.study.depth_loop_model import shipped_values
+from orchestration.study.open_numbers import VALUES
+from orchestration.study.vehicle_runs import Figure, VehicleRuns
 
-Sized = Callable[[float], dict[str, float]]
+RAMP_M_PER_S, DURATION_S = 0.02, 310.0  # 0.8 m in 40 s: section 5.2
+_TARGET: Figure = ("buoyancy-l1", "rmse")
 
 
-def ramp_lag(k_z: float, k_v: float, w: float, k_p: float = 0.0, damping: float = 2.5) -> float:
+def ramp_lag(k_z: float, k_v: float, w: float, damping: float, k_p: float = 0.0) -> float:
     """The time [s] by which the depth follows a ramp, in the limit of fast adaptation and K_I = 0."""
     return (k_z / w + damping + k_v) / (k_z + k_p)
 
 
-def change_of_rmse(
-    force: float, k_z: float, k_v: float, w: float, rmse: float, k_p: float = 0.0, ramp: float = 0.02
-) -> float:
-    """By how much [cm] a constant force [N], there from the start, raises an RMSE [cm], to first order."""
-    lost = ramp_lag(k_z, k_v, w, k_p) * ramp * force / (w * (k_z + k_p))  # m2.s, half the change of int e^2
-    return 100.0 * lost / (310.0 * rmse / 100.0)
+def change_of_rmse(force: float, rmse: float, lag: float, w: float, stiffness: float) -> float:
+    """By how much [cm] a constant force [N], there from the start, raises an RMSE [cm], to first order.
+
+    lag: that of `ramp_lag`; stiffness: k_z + K_P
+    """
+    lost = lag * RAMP_M_PER_S * force / (w * stiffness)  # m2.s, half the change of int e^2
+    return 100.0 * lost / (DURATION_S * rmse / 100.0)
 
 
 @dataclass(frozen=True)
 class Effect:
-    """Something that may differ between the two experiments: its unit, its range and what it sets."""
+    """Something that may differ between the two experiments.
+
+    variables: that it changes; is_loss: they lose its size [%], else they have it, up to the largest
+    """
 
     name: str
     unit: str
-    none: float
     largest: float
-    sets: Sized
+    variables: tuple[str, ...]
+    is_loss: bool = False
+
+    @property
+    def none(self) -> float:
+        """The size that leaves the shipped scenario as it is."""
+        return 0.0 if self.is_loss else shipped_values(_TARGET[0])[self.variables[0]]
+
+    def sets(self, size: float) -> dict[str, float]:
+        """The values of the variables."""
+        left = 1.0 - size / 100.0
+        shipped = shipped_values(_TARGET[0])
+        return {name: shipped[name] * left if self.is_loss else size for name in self.variables}
 
 
-def _thrusters(name: str, value: float) -> dict[str, float]:
-    return {f"plant.thruster_{name}[{i}]": value for i in (1, 2)}
+def _thrusters(name: str) -> tuple[str, ...]:
+    return tuple(f"plant.thruster_{name}[{i}]" for i in (1, 2))
 
 
 EFFECTS = (
-    Effect("added buoyancy", "N", 0.2, 2.0, lambda size: {"plant.buoyancy_change": size}),
-    Effect("thrust lost", "%", 0.0, 70.0, lambda size: _thrusters("gain", 0.25 * (1.0 - size / 100.0))),
-    Effect("dead zone of the thrusters", "V", 0.0, 4.0, lambda size: _thrusters("dead_zone", size)),
-    Effect("inertia", "kg", 5.5, 100.0, lambda size: {"plant.inertia": size}),
-    Effect("linear damping", "N.s/m", 2.5, 60.0, lambda size: {"plant.linear_damping": size}),
-    Effect("quadratic damping", "N.s2/m2", 7.0, 2000.0, lambda size: {"plant.quadratic_damping": size}),
-    Effect(
-        "depth feedback lost", "%", 0.0, 40.0,
-        lambda size: {"controller.depth_feedback_gain": 1.895 * (1.0 - size / 100.0)},
-    ),
-    Effect(
-        "filter bandwidth lost", "%", 0.0, 80.0,
-        lambda size: {"controller.filter_bandwidth": 0.3017 * (1.0 - size / 100.0)},
-    ),
-    Effect(
-        "bound of sigma_hat", "N", 10.0, 0.6,
-        lambda size: {"controller.sigma_bound": size},
-    ),
-)  # fmt: skip
-_TARGET: Figure = ("buoyancy-l1", "rmse")
+    Effect("added buoyancy", "N", 2.0, ("plant.buoyancy_change",)),
+    Effect("thrust lost", "%", 70.0, _thrusters("gain"), is_loss=True),
+    Effect("dead zone of the thrusters", "V", 4.0, _thrusters("dead_zone")),
+    Effect("inertia", "kg", 100.0, ("plant.inertia",)),
+    Effect("linear damping", "N.s/m", 60.0, ("plant.linear_damping",)),
+    Effect("quadratic damping", "N.s2/m2", 2000.0, ("plant.quadratic_damping",)),
+    Effect("depth feedback lost", "%", 40.0, ("controller.depth_feedback_gain",), is_loss=True),
+    Effect("filter bandwidth lost", "%", 80.0, ("controller.filter_bandwidth",), is_loss=True),
+    Effect("bound of sigma_hat", "N", 0.6, ("controller.sigma_bound",)),
+)
 
 
 def needed(runs: VehicleRuns, effect: Effect) -> dict[str, Any]:
@@ -103,4 +110,5 @@ def needed(runs: VehicleRuns, effect: Effect) -> dict[str, Any]:
 
 
 def _with(effect: Effect, size: float) -> Mapping[str, float]:
-    return {"plant.buoyancy_change": 0.2} | effect.sets(size)
+    change = "plant.buoyancy_change"
+    return {change: shipped_values(_TARGET[0])[change]} | effect.sets(size)

@@ -6,85 +6,42 @@ plain L1, then K_P such that the RMSE of the extension is a value drawn within i
 point has the density of the ranges times |d ln gain / d ln RMSE| (change of variables). It agrees if both
 settling times lie within their printed digits and no run overshoots by more than 1 %. So this is rejection
 sampling in which the two narrow windows are met by construction, and needs no chain that converges.
+
+Few even draws agree. So a pilot of even draws, whose settling times may be 2 s away, and two of ever narrower
+ones give a `Proposal` for the two numbers that the row narrows most; the points are drawn from that, and each
+has its density divided by that of the proposal (importance sampling).
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from orchestration.scenarios.identify import LARGEST_OVERSHOOT_PCT
-from orchestration.scenarios.published import PUBLISHED
-from orchestration.study.depth_loop_model import SHIPPED, adaptation_vector, depth_task, figures
-
-HALF_A_DIGIT = {
-    ("nominal-l1", "settling_time"): 0.5,
-    ("nominal-l1", "rmse"): 0.05,
-    ("nominal-extended", "settling_time"): 0.5,
-    ("nominal-extended", "rmse"): 0.005,
-    ("buoyancy-l1", "settling_time"): 0.5,
-    ("buoyancy-l1", "rmse"): 0.05,
-    ("buoyancy-extended", "settling_time"): 0.5,
-    ("buoyancy-extended", "rmse"): 0.005,
-}
-"""What rounding to the printed digits can hide: of 65 s, 0.5 s."""
-VALUES = {
-    (figure.scenario, figure.metric): figure.value
-    for figure in PUBLISHED
-    if (figure.scenario, figure.metric) in HALF_A_DIGIT
-}
-"""The eight figures of Tables 1 and 2."""
-
-
-@dataclass(frozen=True)
-class Free:
-    """A number that the paper leaves open: its range, uniform in the logarithm or in the value, and why."""
-
-    name: str
-    unit: str
-    low: float
-    high: float
-    logarithmic: bool
-    reason: str
-
-    def value(self, share: Any) -> Any:
-        """The quantile of a share, 0..1, or of an array of them."""
-        if self.logarithmic:
-            return self.low * (self.high / self.low) ** share
-        return self.low + (self.high - self.low) * share
-
-    def position(self, value: Any) -> Any:
-        """The share of which a value is the quantile."""
-        if self.logarithmic:
-            return np.log(value / self.low) / np.log(self.high / self.low)
-        return (value - self.low) / (self.high - self.low)
-
-
-FREQUENCY = "adaptation_frequency"
-FREE = (
-    Free("plant.inertia", "kg", 5.0, 7.0, False, "3 kg and the added mass of a box"),
-    Free("plant.linear_damping", "N.s/m", 1.0, 10.0, True, "guess"),
-    Free("plant.quadratic_damping", "N.s2/m2", 5.0, 20.0, True, "0.5 rho C_d A"),
-    Free("plant.net_weight", "N", -1.25, -1.15, False, "published: -1.2"),
-    Free("plant.buoyancy_change", "N", 0.15, 0.25, False, "published: +0.2"),
-    Free("controller.depth_feedback_gain", "N/m", 0.05, 20.0, True, "solved for"),
-    Free("controller.rate_feedback_gain", "N.s/m", 0.5, 30.0, True, "A_m below 6 rad/s"),
-    Free("controller.filter_bandwidth", "rad/s", 0.05, 2.0, True, "not published"),
-    Free(FREQUENCY, "rad/s", 0.1, 6.0, True, "of the adaptation loop at phi = 0"),
-    Free("controller.sigma_bound", "N", 0.3, 10.0, True, "not published"),
-    Free("controller.theta_bound[1]", "N", 0.3, 10.0, True, "not published"),
-    Free("controller.proportional_gain", "N/m", 0.05, 50.0, True, "solved for"),
-    Free("controller.integral_gain", "N/(m.s)", 1e-4, 0.1, True, "not published"),
+from orchestration.study.depth_loop_model import depth_task, figures
+from orchestration.study.open_numbers import (
+    BY_NAME,
+    FREE,
+    FREQUENCY,
+    HALF_A_DIGIT,
+    K_I,
+    K_P,
+    K_Z,
+    VALUES,
+    Columns,
+    with_adaptation_gain,
 )
-K_Z, K_P, K_I = (f"controller.{name}_gain" for name in ("depth_feedback", "proportional", "integral"))
-BY_NAME = {free.name: free for free in FREE}
+from orchestration.study.proposal import Proposal
+
 DRAWN = tuple(free for free in FREE if free.name not in (K_Z, K_P))
 """What a point gives; its last two coordinates are shares of the RMSE windows of plain and extended L1."""
 DIMENSIONS = len(DRAWN) + 2
 _OF_THE_EXTENSION = [*(i for i, free in enumerate(DRAWN) if free.name == K_I), DIMENSIONS - 1]
-
-Columns = dict[str, np.ndarray]
+_GUIDED = [
+    i for i, free in enumerate(DRAWN) if free.name in (FREQUENCY, "controller.filter_bandwidth")
+]  # what the row narrows most; more coordinates would make the weights uneven
+_PILOT_SETTLING = (2.0, 1.0, 0.0, 0.0)  # s, or that of the variant if it is more
+_PILOT_EXTENSIONS = 10
 
 
 @dataclass(frozen=True)
@@ -110,29 +67,18 @@ VARIANTS = (
 )
 
 
-def with_adaptation_gain(columns: Mapping[str, Any]) -> dict[str, Any]:
-    """The variables of the loop: the adaptation gain in place of the frequency that it gives at phi = 0.
-
-    Gamma = frequency^2 / (B_m' P B_m)
-    """
-    variables = {name: column for name, column in columns.items() if name != FREQUENCY}
-    if FREQUENCY in columns:
-        square = columns[FREQUENCY] ** 2
-        design = {name: SHIPPED[name] for name in ("controller.model_inertia", "controller.model_damping")}
-        p_b = adaptation_vector({**design, **variables})[1]
-        variables["controller.adaptation_gain"] = square * design["controller.model_inertia"] / p_b
-    return variables
-
-
 class Points:
     """Points of the unit cube, shape (n, DIMENSIONS); those that disagree with a window are dropped.
 
     rows: which of the points given are left; columns: their values; density: of each, relative
+    proposal: that the points were drawn from; None: evenly
     """
 
-    def __init__(self, variant: Variant, shares: np.ndarray) -> None:
+    def __init__(self, variant: Variant, shares: np.ndarray, proposal: Proposal | None = None) -> None:
         self._variant, self._task, self.runs = variant, depth_task(variant.scenario), 0
         self.shares, self.rows, self.density = shares, np.arange(len(shares)), np.ones(len(shares))
+        if proposal:
+            self.density /= proposal.density(shares[:, _GUIDED])
         self.columns = self._columns()
 
     def agree(self) -> "Points":
@@ -211,24 +157,45 @@ def within(values: np.ndarray, figure: tuple[str, str], half_width: float | None
     return np.abs(values - VALUES[figure]) <= (HALF_A_DIGIT[figure] if half_width is None else half_width)
 
 
-def drawn_points(variant: Variant, seed: int, count: int, of_the_extension: int) -> Points:
-    """The points that agree, of `count` drawn evenly; what agrees with plain L1 gets so many extensions."""
-    from scipy.stats import qmc
+def drawn_points(
+    variant: Variant, seed: int, count: int, of_the_extension: int, proposal: Proposal | None = None
+) -> Points:
+    """The points that agree, of `count` drawn; what agrees with plain L1 gets so many extensions."""
+    from scipy.stats import qmc  # takes a second to import
 
-    points = Points(variant, qmc.LatinHypercube(DIMENSIONS, rng=seed).random(count))
+    generator = np.random.default_rng(seed)
+    shares = qmc.LatinHypercube(DIMENSIONS, rng=seed).random(count)
+    if proposal:
+        shares[:, _GUIDED] = proposal.draw(count, generator)
+    points = Points(variant, shares, proposal)
     points.agree_with("nominal-l1")
-    again = np.random.default_rng(seed).random((len(points.rows), of_the_extension, 2))
-    points.redraw_extension(again)
+    points.redraw_extension(generator.random((len(points.rows), of_the_extension, 2)))
     points.agree_with("nominal-extended")
     return points
 
 
-def predicted(variant: Variant, shares: np.ndarray) -> Columns:
+def pilot(variant: Variant, count: int) -> dict[str, Any]:
+    """Where draws agree: positions, one a draw, their weights, and the runs that it took.
+
+    `count` even draws with wide settling times first, then as many that these guide with narrower ones.
+    """
+    runs, proposal, guide = 0, None, {}
+    for seed, settling in enumerate(_PILOT_SETTLING, start=1):
+        wide = replace(variant, settling=max(variant.settling, settling))
+        points = drawn_points(wide, seed, count, _PILOT_EXTENSIONS, proposal)
+        _, first, draw = np.unique(points.columns[K_Z], return_index=True, return_inverse=True)
+        weights = np.bincount(draw, weights=points.density, minlength=len(first))
+        guide = {"positions": points.shares[first][:, _GUIDED], "weights": weights}
+        proposal, runs = Proposal(**guide), runs + points.runs
+    return guide | {"runs": runs}
+
+
+def predicted(variant: Variant, shares: np.ndarray, proposal: Proposal | None = None) -> Columns:
     """Points that agree, as columns: names of `FREE`, "SCENARIO METRIC", density and the number of the draw.
 
     Points with the same draw differ in K_P and K_I alone.
     """
-    points = Points(variant, shares).agree()
+    points = Points(variant, shares, proposal).agree()
     columns = points.columns
     for scenario in ("nominal-l1", "nominal-extended", "buoyancy-l1", "buoyancy-extended"):
         columns = columns | {
@@ -236,3 +203,9 @@ def predicted(variant: Variant, shares: np.ndarray) -> Columns:
         }
     _, draw = np.unique(columns[K_Z], return_inverse=True)
     return columns | {"density": points.density, "draw": draw}
+
+
+def effective_draws(points: Columns) -> float:
+    """The number of draws of equal density that would be worth as much: (sum w)^2 / sum w^2."""
+    of_draws = np.bincount(points["draw"], weights=points["density"])
+    return float(np.sum(of_draws) ** 2 / np.sum(of_draws**2))

@@ -6,12 +6,24 @@ import numpy as np
 import pytest
 
 from controller_fmu.design import lyapunov_matrix
-from orchestration.scenarios import identify
-from orchestration.study.depth_loop_model import SHIPPED, DepthTask, adaptation_vector, depth_task, figures
-from orchestration.study.eight_figures import VehicleRuns
+from orchestration.scenarios import identify, scenario
+from orchestration.scenarios.read_layers import parameter_values
+from orchestration.study.depth_loop_model import (
+    DepthTask,
+    adaptation_vector,
+    depth_task,
+    figures,
+    shipped_values,
+)
 from orchestration.study.missing_effects import ramp_lag
+from orchestration.study.vehicle_runs import VehicleRuns
 
-EXTENSION = {"controller.proportional_gain": 3.967, "controller.integral_gain": 0.00499}
+IDENTIFIED = {
+    name: float(str(value))
+    for name, value in parameter_values(scenario.SHIPPED / "parameters" / "identified.toml").items()
+}
+K_Z, K_V, W, K_P, K_I = (IDENTIFIED[gain.name] for gain in identify.GAINS)
+EXTENSION = {"controller.proportional_gain": K_P, "controller.integral_gain": K_I}
 # adaptation at 0.3 rad/s, sigma_hat at its bound: what the shipped gains leave unused
 SLOW = {
     "plant.inertia": 6.7,
@@ -57,14 +69,14 @@ def test_half_the_step_changes_the_figures_by_a_tenth_of_the_error_against_the_f
     assert coarse["settling_time"] == pytest.approx(fine["settling_time"], abs=0.02)
 
 
-@pytest.mark.parametrize("k_p", [0.0, 3.967])
+@pytest.mark.parametrize("k_p", [0.0, K_P])
 @pytest.mark.parametrize("inertia", [5.5, 11.0])
 def test_on_a_long_ramp_the_error_is_the_analytic_lag(k_p: float, inertia: float) -> None:
     """Whatever the vehicle. It has no buoyancy, and its first 30 s of 4000 s leave 1 %."""
     task = DepthTask(5e-4 * 0.1 * np.arange(2 * 20_000 + 1), step=0.2, target=1.0, band=0.1, window_end=10.0)
     values = {"controller.proportional_gain": k_p, "plant.inertia": inertia, "plant.net_weight": 0.0}
     error = figures(task, values)["rmse"][0] / 100.0
-    assert error / 5e-4 == pytest.approx(ramp_lag(1.895, 20.23, 0.3017, k_p), rel=0.01)
+    assert error / 5e-4 == pytest.approx(ramp_lag(K_Z, K_V, W, 2.5, k_p), rel=0.01)
 
 
 def test_many_runs_are_those_that_one_run_at_a_time_gives() -> None:
@@ -90,13 +102,16 @@ def test_the_start_depth_counts() -> None:
 
 
 def test_the_adaptation_vector_solves_the_lyapunov_equation() -> None:
-    values = {**SHIPPED, "controller.model_inertia": 5.5}
-    a_m = np.array([[0.0, 1.0], [-1.895 / 5.5, -(2.5 + 20.23) / 5.5]])
+    a_m = np.array([[0.0, 1.0], [-K_Z / 5.5, -(2.5 + K_V) / 5.5]])
     expected = lyapunov_matrix(a_m, np.eye(2)) @ [0.0, 1.0 / 5.5]
-    assert np.ravel(adaptation_vector(values)) == pytest.approx(expected)
+    assert np.ravel(adaptation_vector(shipped_values())) == pytest.approx(expected)
 
 
-def test_the_model_has_the_shipped_gains() -> None:
-    shipped = {name: SHIPPED[name] for name in SHIPPED if name.startswith("controller.")}
-    for gain in identify.GAINS[:3]:  # the others are of the extension, which the model has off
-        assert gain.low <= shipped[gain.name] <= gain.high
+@pytest.mark.parametrize(("name", "is_on"), [("nominal-l1", 0.0), ("nominal-extended", 1.0)])
+def test_the_model_has_the_values_of_the_shipped_scenario(name: str, is_on: float) -> None:
+    shipped = shipped_values(name)
+    gains = {gain.name: shipped[gain.name] for gain in identify.GAINS}
+    extension = {gain: is_on * value for gain, value in EXTENSION.items()}
+    assert gains == IDENTIFIED | extension
+    assert shipped["plant.inertia"] == shipped["controller.model_inertia"] == 5.5
+    assert shipped_values(name.replace("nominal", "buoyancy"))["plant.buoyancy_change"] == 0.2

@@ -1,29 +1,28 @@
 """Fits to the eight figures: what is looked at, what is left out, the bound that excludes a limit cycle."""
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from orchestration.results.recording import Recording
+from orchestration.study.depth_loop_model import shipped_values
 from orchestration.study.eight_figures import (
     LARGEST_SPREAD_MM,
-    SCENARIOS,
-    SEEDS,
-    Figure,
-    ModelRuns,
     Search,
-    VehicleRuns,
     fit,
-    hold_spread,
     residuals,
     rounded,
     tolerance,
     variables,
 )
-from orchestration.study.identifiability import LIMIT_CYCLE
-from orchestration.study.posterior import BY_NAME, VALUES, Free
+from orchestration.study.open_numbers import BY_NAME, K_I, K_P, VALUES, Free
+from orchestration.study.vehicle_runs import SCENARIOS, SEEDS, Figure, ModelRuns, VehicleRuns, hold_spread
+
+DOCUMENT = Path(__file__).parents[3] / "docs" / "explanation" / "identification.json"
 
 GAINS = (Free("first", "1", 1.0, 100.0, True, ""), Free("second", "1", -1.0, 1.0, False, ""))
 Measured = dict[Figure, np.ndarray]
@@ -80,7 +79,7 @@ def test_the_spread_is_that_of_the_hold_alone() -> None:
 
 def test_the_model_is_near_the_runs(runs: VehicleRuns) -> None:
     """As near as the tests of the model say."""
-    gains = {"controller.proportional_gain": 3.967, "controller.integral_gain": 0.00499}
+    gains = {name: shipped_values("nominal-extended")[name] for name in (K_P, K_I)}
     near, measured = ModelRuns().figures(gains), runs.figures(gains, seeds=(1,))
     assert set(near) == set(measured)
     for figure in VALUES:
@@ -130,13 +129,14 @@ def test_buoyancy_changes_where_the_name_says_so_and_seeds_differ(runs: VehicleR
 
 
 def test_the_bound_excludes_the_limit_cycle_that_one_seed_likes(runs: VehicleRuns) -> None:
-    """All figures within 6 %, and a depth that swings in hold."""
-    measured = runs.figures(LIMIT_CYCLE, seeds=(1,))
+    """All figures within 6 %, and a depth that swings in hold: the end of the search on the page."""
+    ended = json.loads(DOCUMENT.read_text(encoding="utf-8"))["one_seed"]["seed 1"]["values"]
+    measured = runs.figures(ended, seeds=(1,))
     for figure, value in VALUES.items():
         assert measured[figure][0] == pytest.approx(value, rel=0.06)
-    assert measured["nominal-extended", "hold_spread"][0] > 2.0 * LARGEST_SPREAD_MM
+    assert measured["nominal-extended", "hold_spread"][0] > 1.5 * LARGEST_SPREAD_MM
     free, bounded = (float(np.sum(residuals(measured, bounded=bounded) ** 2)) for bounded in (False, True))
-    assert bounded > 50.0 * free
+    assert bounded > 10.0 * free
 
 
 def test_a_frequency_becomes_the_gain_of_the_controller() -> None:

@@ -10,11 +10,13 @@ from scipy.stats import qmc
 
 from orchestration.results.formats import FigureFormat
 from orchestration.scenarios import scenario
-from orchestration.study import identifiability
+from orchestration.study import figure_fits, identifiability, posterior_summary
 from orchestration.study.eight_figures import Fit
-from orchestration.study.identifiability import Stages
 from orchestration.study.identifiability_tables import tables, write_points
-from orchestration.study.posterior import FREE, FREQUENCY, VALUES
+from orchestration.study.open_numbers import FREE, FREQUENCY, VALUES
+from orchestration.study.posterior import VARIANTS
+from orchestration.study.stages import Stages, content_key, imported_sources
+from orchestration.study.vehicle_runs import VehicleRuns
 
 ROOT = Path(__file__).parents[3]
 EXPLANATION = ROOT / "docs" / "explanation"
@@ -38,14 +40,14 @@ def test_the_page_has_the_tables_of_the_study(name: str) -> None:
 
 def test_the_study_holds_what_the_code_asks_for() -> None:
     """So that a figure, a range or a reading that is added does not leave the page behind."""
-    assert list(DOCUMENT["variants"]) == [variant.name for variant in identifiability.VARIANTS]
-    ranges = {"shipped ranges": identifiability.SHIPPED_RANGES, "wide ranges": identifiability.WIDE}
+    assert list(DOCUMENT["variants"]) == [variant.name for variant in VARIANTS]
+    ranges = {"shipped ranges": figure_fits.SHIPPED_RANGES, "wide ranges": figure_fits.WIDE}
     for name, free in ranges.items():
         fit = DOCUMENT["fits"][name]
         assert list(fit["left_out"]) == [" ".join(figure) for figure in VALUES]
-        assert set(fit["all"]["values"]) == {each.name for each in free}
-        for each in free:
-            assert each.low <= fit["all"]["values"][each.name] <= each.high
+        assert set(fit["all"]["values"]) == {number.name for number in free}
+        for number in free:
+            assert number.low <= fit["all"]["values"][number.name] <= number.high
 
 
 def test_the_shipped_parameter_file_is_the_fit_in_wide_ranges(tmp_path: Path) -> None:
@@ -61,7 +63,7 @@ def test_a_scenario_takes_the_shipped_parameter_file(name: str) -> None:
     """Its figures are those that the study found with seed 1, to the four digits of the file."""
     path = scenario.SHIPPED / "parameters" / "all-figures.toml"
     values = {key: float(str(value)) for key, value in scenario.parameter_values(path).items()}
-    with identifiability.VehicleRuns() as runs:
+    with VehicleRuns() as runs:
         measured = runs.one(name, values)
     figures = DOCUMENT["fits"]["wide ranges"]["all"]["figures"]
     for metric, tolerance in (("settling_time", 0.1), ("rmse", 0.01)):
@@ -78,67 +80,81 @@ def test_a_stage_that_is_done_is_not_done_again(tmp_path: Path) -> None:
 
     names: list[str] = []
     for _ in range(2):
-        stages = Stages(tmp_path, names.append)
+        stages = Stages(tmp_path, "key", names.append)
         assert stages.document("plain", compute) == {"values": [1.0, 2.0]}
         assert stages.arrays("columns", compute)["values"].tolist() == [1.0, 2.0]
     assert done == ["computed", "computed"]
     assert names == ["plain", "columns"] * 2
 
 
+def test_a_stage_of_other_content_is_done_again(tmp_path: Path) -> None:
+    file, computed = tmp_path / "source.py", list[str]()
+    for text in ("a = 1\n", "a = 1\n", "a = 2\n"):
+        file.write_text(text, encoding="utf-8")
+        Stages(tmp_path, content_key([file])).document("plain", lambda text=text: computed.append(text))
+    assert computed == ["a = 1\n", "a = 2\n"]
+
+
+def test_the_key_is_of_what_the_study_imports() -> None:
+    """Also what a function imports, and what is imported by what is imported; nothing of the score."""
+    sources = {path.relative_to(ROOT).as_posix() for path in imported_sources(Path(identifiability.__file__))}
+    study = {path.rpartition("/")[2] for path in sources if path.startswith("orchestration/study/")}
+    assert {"posterior.py", "depth_loop_model.py", "missing_effects.py", "eight_figures.py"} <= study
+    assert {"orchestration/master/simulator.py", "fmus/compiled_library.py"} <= sources
+    assert not {"score.py", "identifiability_tables.py"} & study
+
+
 def test_the_summary_of_a_column_and_of_a_change(points: dict[str, np.ndarray]) -> None:
-    described = identifiability.described(points)
-    assert described["nominal-l1 rmse"] == pytest.approx([12.1, 12.12, 12.6, 13.07, 13.1], abs=0.01)
-    assert described["change-l1 rmse"] == pytest.approx([1.7] * 5)
+    ranges = posterior_summary.ranges(points)
+    assert ranges["nominal-l1 rmse"] == pytest.approx([12.1, 12.12, 12.6, 13.07, 13.1], abs=0.01)
+    assert ranges["change-l1 rmse"] == pytest.approx([1.7] * 5)
     assert (
-        identifiability.described({name: column[:0] for name, column in points.items()})["plant.inertia"]
-        == []
+        posterior_summary.ranges({name: column[:0] for name, column in points.items()})["plant.inertia"] == []
     )
 
 
 def test_a_point_counts_by_its_density(points: dict[str, np.ndarray]) -> None:
     half = np.arange(100) < 50
     uneven = {**points, "density": np.where(half, 3.0, 1.0)}
-    assert identifiability.share_of(uneven, half) == pytest.approx(0.75)
-    assert identifiability.described(uneven)["nominal-l1 rmse"][2] == pytest.approx(
-        12.1 + 1.0 / 3.0, abs=0.01
-    )
+    assert posterior_summary.share_of(uneven, half) == pytest.approx(0.75)
+    assert posterior_summary.ranges(uneven)["nominal-l1 rmse"][2] == pytest.approx(12.1 + 1.0 / 3.0, abs=0.01)
     alone = {**points, "density": np.where(np.arange(100) < 1, 1.0, 1e-12)}
-    assert max(identifiability.narrowed(alone).values()) < 0.01
+    assert max(posterior_summary.narrowed(alone).values()) < 0.01
 
 
 def test_fast_is_what_adapts_fast_and_may_adapt_far() -> None:
     bounds = {"controller.sigma_bound": np.array([2.0, 2.0, 1.0, 2.0])}
     bounds["controller.theta_bound[1]"] = np.array([2.0, 2.0, 2.0, 1.0])
-    fast = identifiability.is_fast({FREQUENCY: np.array([3.0, 1.0, 3.0, 3.0]), **bounds})
+    fast = posterior_summary.is_fast({FREQUENCY: np.array([3.0, 1.0, 3.0, 3.0]), **bounds})
     assert fast.tolist() == [True, False, False, False]
 
 
 def test_what_the_figures_do_not_narrow_is_one(points: dict[str, np.ndarray]) -> None:
     """The points of a hypercube are at random within their cells of 1 %."""
-    assert list(identifiability.narrowed(points).values()) == pytest.approx([1.0] * len(FREE), rel=0.03)
+    assert list(posterior_summary.narrowed(points).values()) == pytest.approx([1.0] * len(FREE), rel=0.03)
     half = {free.name: free.value(np.linspace(0.25, 0.75, 100)) for free in FREE}
     half["density"] = np.ones(100)
-    assert list(identifiability.narrowed(half).values()) == pytest.approx([0.5] * len(FREE), rel=0.03)
+    assert list(posterior_summary.narrowed(half).values()) == pytest.approx([0.5] * len(FREE), rel=0.03)
 
 
-def test_numbers_that_depend_on_each_other_are_told(points: dict[str, np.ndarray]) -> None:
+def test_numbers_that_depend_on_each_other_are_named(points: dict[str, np.ndarray]) -> None:
     product = {**points, "plant.inertia": 20.0 / points["plant.quadratic_damping"]}
-    (pair,) = identifiability.correlations(product)
+    (pair,) = posterior_summary.correlations(product)
     assert pair[:2] == ("plant.quadratic_damping", "plant.inertia")
     assert (
         pair[2] < -0.95
     )  # the logarithm of the one is the negative logarithm of the other, seen over its range
-    assert not identifiability.correlations(points)
+    assert not posterior_summary.correlations(points)
 
 
 def test_the_fits_begin_at_the_point_with_the_nearest_figures(points: dict[str, np.ndarray]) -> None:
-    start = identifiability.nearest_to_all(points)
-    assert start == {free.name: points[free.name][0] for free in identifiability.WIDE}
+    start = figure_fits.nearest_to_all(points)
+    assert start == {free.name: points[free.name][0] for free in figure_fits.WIDE}
 
 
 def test_a_fit_is_written_as_mean_and_range() -> None:
     fit = Fit({"gain": 2.0}, {("nominal-l1", "rmse"): np.array([12.0, 12.3])}, cost=0.123456)
-    document = identifiability.fit_document(fit)
+    document = figure_fits.fit_document(fit)
     assert document == {
         "values": {"gain": 2.0}, "cost": 0.1235, "figures": {"nominal-l1 rmse": [12.15, 12.0, 12.3]},
     }  # fmt: skip

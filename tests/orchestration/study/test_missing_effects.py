@@ -4,10 +4,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from orchestration.study.eight_figures import VehicleRuns
+from orchestration.study.depth_loop_model import shipped_values
 from orchestration.study.missing_effects import EFFECTS, change_of_rmse, needed, ramp_lag
+from orchestration.study.vehicle_runs import VehicleRuns
 
-GAINS = {"k_z": 1.895, "k_v": 20.23, "w": 0.3017}
 BY_NAME = {effect.name: effect for effect in EFFECTS}
 
 
@@ -17,21 +17,31 @@ def runs() -> Iterator[VehicleRuns]:
         yield loaded
 
 
-def test_the_lag_of_the_shipped_gains() -> None:
+def lag_bandwidth_and_stiffness(controller: str) -> tuple[float, float, float]:
+    shipped = shipped_values(f"nominal-{controller}")
+    k_z, k_v, w, k_p = (
+        shipped[f"controller.{name}"]
+        for name in ("depth_feedback_gain", "rate_feedback_gain", "filter_bandwidth", "proportional_gain")
+    )
+    return ramp_lag(k_z, k_v, w, shipped["controller.model_damping"], k_p), w, k_z + k_p
+
+
+@pytest.mark.parametrize(("controller", "lag"), [("l1", 15.31), ("extended", 4.949)])
+def test_the_lag_of_the_shipped_gains(controller: str, lag: float) -> None:
     """The metric `lag` of the shipped runs is 16.1 s and 4.99 s: it counts the start too."""
-    assert ramp_lag(**GAINS) == pytest.approx(15.31, abs=0.01)
-    assert ramp_lag(**GAINS, k_p=3.967) == pytest.approx(4.949, abs=0.001)
+    assert lag_bandwidth_and_stiffness(controller)[0] == pytest.approx(lag, rel=1e-3)
 
 
 @pytest.mark.parametrize(
-    ("controller", "k_p", "relative"),
-    [("l1", 0.0, 0.05), ("extended", 3.967, 0.30)],  # the extension is still on its way to the ramp then
+    ("controller", "relative"),
+    [("l1", 0.05), ("extended", 0.30)],  # the extension is still on its way to the ramp then
 )
 def test_the_first_order_change_is_that_of_the_runs(
-    runs: VehicleRuns, controller: str, k_p: float, relative: float
+    runs: VehicleRuns, controller: str, relative: float
 ) -> None:
     before, after = (runs.one(f"{case}-{controller}", {})["rmse"] for case in ("nominal", "buoyancy"))
-    assert change_of_rmse(0.2, **GAINS, rmse=before, k_p=k_p) == pytest.approx(after - before, rel=relative)
+    change = change_of_rmse(0.2, before, *lag_bandwidth_and_stiffness(controller))
+    assert change == pytest.approx(after - before, rel=relative)
 
 
 def test_an_effect_is_as_large_as_the_published_rmse_asks(runs: VehicleRuns) -> None:
@@ -41,7 +51,7 @@ def test_an_effect_is_as_large_as_the_published_rmse_asks(runs: VehicleRuns) -> 
     assert result["size"] > 1.0  # six times the 0.2 N that the vehicle was given
 
 
-def test_an_effect_that_is_never_large_enough_is_told_with_its_largest(runs: VehicleRuns) -> None:
+def test_an_effect_that_is_never_large_enough_is_given_with_its_largest(runs: VehicleRuns) -> None:
     result = needed(runs, BY_NAME["inertia"])
     assert not result["reached"]
     assert result["size"] == BY_NAME["inertia"].largest

@@ -6,22 +6,27 @@ import pytest
 from orchestration.scenarios.published import PUBLISHED
 from orchestration.study import posterior
 from orchestration.study.depth_loop_model import adaptation_vector
-from orchestration.study.posterior import (
+from orchestration.study.open_numbers import (
     BY_NAME,
-    DIMENSIONS,
     FREQUENCY,
     HALF_A_DIGIT,
     K_I,
     K_P,
     K_Z,
     VALUES,
+    with_adaptation_gain,
+)
+from orchestration.study.posterior import (
+    DIMENSIONS,
     Points,
     Variant,
     drawn_points,
+    effective_draws,
+    pilot,
     predicted,
-    with_adaptation_gain,
     within,
 )
+from orchestration.study.proposal import EVEN_SHARE, Proposal
 
 WIDE = Variant("settling times within 5 s", settling=5.0)  # so that few draws suffice
 L1, EXTENDED = "nominal-l1", "nominal-extended"
@@ -111,8 +116,65 @@ def test_one_seed_one_set_of_points_with_predictions(first: Points) -> None:
     assert (points["buoyancy-l1 rmse"] > points["nominal-l1 rmse"]).all()
 
 
+@pytest.fixture(scope="module")
+def corner() -> Proposal:
+    """As a pilot has it whose points lie in a corner of the square, and count more towards an edge."""
+    positions = np.random.default_rng(1).random((50, 2)) * [0.3, 0.5]
+    return Proposal(positions, 1.0 - positions[:, 0])
+
+
+def test_the_density_of_a_proposal_is_that_of_its_draws(corner: Proposal) -> None:
+    """With it the mean of 1 / q is the square, and of x / q the middle; 20000 draws leave 2 %."""
+    positions = corner.draw(20_000, np.random.default_rng(2))
+    assert positions.min() >= 0.0
+    assert positions.max() <= 1.0
+    weights = 1.0 / corner.density(positions)
+    assert weights.max() <= 1.0 / EVEN_SHARE
+    assert np.mean(weights) == pytest.approx(1.0, rel=0.02)
+    assert np.mean(weights[:, None] * positions, axis=0) == pytest.approx([0.5, 0.5], rel=0.03)
+    is_in_corner = (positions < [0.3, 0.5]).all(axis=1)
+    assert np.mean(is_in_corner) > 0.5
+
+
+def test_a_point_of_a_proposal_counts_by_its_density(corner: Proposal) -> None:
+    """So that points from a proposal have the posterior that even draws have."""
+    shares = np.random.default_rng(3).random((20, DIMENSIONS))
+    even, guided = (Points(WIDE, shares, proposal) for proposal in (None, corner))
+    names = ("controller.filter_bandwidth", FREQUENCY)
+    positions = np.column_stack([BY_NAME[name].position(guided.columns[name]) for name in names])
+    assert guided.density == pytest.approx(even.density / corner.density(positions))
+    points = drawn_points(WIDE, seed=1, count=100, of_the_extension=2, proposal=corner)
+    assert (predicted(WIDE, points.shares, corner)["density"] == points.density).all()
+
+
+def test_the_effective_draws_are_those_of_equal_density() -> None:
+    """Two draws of two points each, which count alike; then one that counts nine times as much."""
+    draw = np.array([0, 0, 1, 1])
+    assert effective_draws({"density": np.array([1.0, 1.0, 0.5, 1.5]), "draw": draw}) == pytest.approx(2.0)
+    assert effective_draws({"density": np.array([9.0, 9.0, 1.0, 1.0]), "draw": draw}) == pytest.approx(
+        20.0**2 / (18.0**2 + 2.0**2)
+    )
+
+
+@pytest.mark.slow
+def test_a_proposal_leaves_the_posterior_as_it_is() -> None:
+    """Mean and deviation of the guided numbers, with and without, from 200 draws each: 10 % of the range."""
+    even = drawn_points(WIDE, seed=4, count=4000, of_the_extension=4)
+    guide = pilot(WIDE, count=1000)
+    proposal = Proposal(guide["positions"], guide["weights"])
+    guided = drawn_points(WIDE, seed=5, count=1500, of_the_extension=4, proposal=proposal)
+    for name in (FREQUENCY, "controller.filter_bandwidth", K_Z):
+        moments = []
+        for points in (even, guided):
+            position = BY_NAME[name].position(points.columns[name])
+            mean = np.average(position, weights=points.density)
+            deviation = np.sqrt(np.average((position - mean) ** 2, weights=points.density))
+            moments.append([mean, deviation])
+        assert moments[1] == pytest.approx(moments[0], abs=0.05)
+
+
 def test_every_variant_is_another_task() -> None:
-    columns = {K_Z: np.array([1.895])}
+    columns = {K_Z: np.array([2.0])}
     figures = [
         Points(variant, np.full((1, DIMENSIONS), 0.5)).measure(L1, columns)["rmse"][0]
         for variant in posterior.VARIANTS
