@@ -3,7 +3,9 @@
 A figure stands before a comment with the expression that gives it: 1.02<!-- {tuned/l1.nominal.rmse} -->.
 """
 
+import math
 import re
+from dataclasses import astuple
 from pathlib import Path
 
 import pytest
@@ -11,6 +13,8 @@ import pytest
 from orchestration.study import compare
 from orchestration.study.protocol import read_protocol
 from orchestration.study.score_document import Score
+from orchestration.study.statistics import compare as paired
+from orchestration.study.statistics import distribution
 from orchestration.study.tuned_gains import tuned_gains
 
 EXPLANATION = Path(__file__).parent.parent / "docs" / "explanation"
@@ -48,6 +52,32 @@ def test_no_figure_of_the_claims_stands_without_what_gives_it() -> None:
 def test_the_tables_are_those_of_the_run(document: Score) -> None:
     shown = dict(re.findall(r"<!-- table: (.+?) -->\n+((?:\|.*\n)+)", PAGE))
     assert {name: text.rstrip("\n") for name, text in shown.items()} == compare.tables(document)
+
+
+def test_the_statistics_are_those_of_the_plants(document: Score) -> None:
+    count = read_protocol().tables.plants.count
+    for plants in (row.plants for row in document.rows):
+        assert plants is not None
+        assert plants.count == count
+        assert plants.failure_rate == len(plants.failed) / count
+        for figure in plants.figures.values():
+            assert len(figure.values) == count
+            expected = [x if math.isfinite(x) else math.nan for x in astuple(distribution(figure.values))]
+            assert [figure.median, figure.p95, figure.cvar] == pytest.approx(expected, nan_ok=True)
+
+
+def test_the_differences_are_of_the_same_plants(document: Score) -> None:
+    papers, pid = (
+        next(row.plants for row in document.rows if row.name == name)
+        for name in (compare.PAPERS, "tuned/pid")
+    )
+    assert papers is not None
+    assert pid is not None
+    expected = paired(papers.figures["rmse"].values, pid.figures["rmse"].values)
+    given = [
+        compare.figure(document, f"tuned/pid.difference.rmse.{part}") for part in ("median", "low", "high")
+    ]
+    assert given == pytest.approx([expected.median_difference, expected.low, expected.high])
 
 
 def test_the_run_is_of_the_protocol_and_the_gains_that_ship(document: Score) -> None:

@@ -5,7 +5,7 @@ paper; "tuned/l1" has those of gains/l1.toml. The tables are made for docs/expla
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 from orchestration.study import score_view
@@ -71,13 +71,44 @@ def tables(document: Score) -> dict[str, str]:
             made[f"{which} {league} overview"] = _markdown(score_view.overview(rows))
         rows = part(document, TUNED, league)
         made[f"{TUNED} {league} rmse"] = _markdown(score_view.of_figure(rows, "rmse"))
+        plants = score_view.over_plants(rows)
+        if plants:
+            made[f"{TUNED} {league} plants"] = _markdown(plants)
+    if document.differences:
+        made[f"{TUNED} differences"] = _differences(document)
     return made
 
 
 def _markdown(table: ScoreTable) -> str:
     headings = [f"{c.title} [{c.unit}]" if c.unit else c.title for c in table.columns]
-    lines = [["Controller", *headings], [":---", *["---:"] * len(headings)]]
-    lines += [[row.title, *map(_text, cells)] for row, cells in zip(table.rows, table.cells, strict=True)]
+    return _lines(
+        headings,
+        ([row.title, *map(_text, cells)] for row, cells in zip(table.rows, table.cells, strict=True)),
+    )
+
+
+def _differences(document: Score) -> str:
+    """The paper's controller minus each other tuned one, in RMSE."""
+    titles = {row.name: row.title for row in document.rows if row.name.startswith(f"{TUNED}/")}
+    entries = [entry for entry in document.differences if entry.other in titles and entry.figure == "rmse"]
+    return _lines(
+        ["Plants", "Median difference [cm]", "95 % interval [cm]", "p, Holm"],
+        (
+            [
+                titles[entry.other],
+                str(entry.pairs),
+                f"{entry.median_difference:.3g}",
+                f"{entry.interval[0]:.3g} to {entry.interval[1]:.3g}",
+                f"{entry.p_holm:.1g}",
+            ]
+            for entry in entries
+        ),
+    )
+
+
+def _lines(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table of Markdown, of controllers."""
+    lines = [["Controller", *headings], [":---", *["---:"] * len(headings)], *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
@@ -87,7 +118,10 @@ def _text(cell: Cell) -> str:
 
 
 def figure(document: Score, key: str) -> float:
-    """The number that the page names by a key such as "tuned/l1.nominal.rmse" or "tuned/l1.delay_margin".
+    """The number that the page names by a key.
+
+    Such as "tuned/l1.nominal.rmse", "tuned/l1.delay_margin", "tuned/l1.plants.rmse.p95", or, of the paper's
+    controller minus this one over the plants, "tuned/l1.difference.rmse.high".
 
     Raises KeyError for a key of no figure.
     """
@@ -102,4 +136,14 @@ def figure(document: Score, key: str) -> float:
             return row.plants.failure_rate
         case ["plants", figure_name, "median" | "p95" | "cvar" as statistic] if row and row.plants:
             return getattr(row.plants.figures[figure_name], statistic)
+        case ["difference", figure_name, statistic] if row:
+            return _difference(document, name, figure_name, statistic)
     raise KeyError(key)
+
+
+def _difference(document: Score, other: str, figure_name: str, statistic: str) -> float:
+    for entry in document.differences:
+        if (entry.other, entry.figure) == (other, figure_name):
+            low, high = entry.interval
+            return {"median": entry.median_difference, "low": low, "high": high, "p": entry.p_holm}[statistic]
+    raise KeyError(f"{other}.difference.{figure_name}")

@@ -93,7 +93,8 @@ def of_figure(score: Score, name: str) -> ScoreTable:
 
 def over_plants(score: Score) -> ScoreTable | None:
     """Statistics over the plants; None if there are none."""
-    if not all(row.plants for row in score.rows):
+    counts = [row.plants.count for row in score.rows if row.plants]
+    if not counts or len(counts) < len(score.rows):
         return None
     column = Column("Failed", "%", "share of the plants on which the run failed")
     entries: list[tuple[Column, bool, _Value]] = [(column, False, _failure_rate)]
@@ -104,8 +105,7 @@ def over_plants(score: Score) -> ScoreTable | None:
                 f"{figure.title} {_STATISTICS[statistic][0]}", figure.unit, _STATISTICS[statistic][1]
             )
             entries.append((column, False, _statistic(name, statistic)))
-    count = next(row.plants.count for row in score.rows if row.plants)
-    return _table(score, f"{count} plants, each with a trajectory of its own", entries)
+    return _table(score, f"{counts[0]} plants, each with a trajectory of its own", entries)
 
 
 _STATISTICS = {
