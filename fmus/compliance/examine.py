@@ -7,8 +7,12 @@ from fmus.compliance import (
     alias_rules,
     archive_rules,
     description_rules,
+    documentation_rules,
+    implementation_rules,
     library_rules,
+    name_rules,
     structure_rules,
+    type_rules,
     unit_rules,
     variable_rules,
 )
@@ -17,8 +21,8 @@ from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.rule import Result, Rule, Stage, messages_of, registered
 
 MODULES = (
-    archive_rules, description_rules, variable_rules, alias_rules, unit_rules, structure_rules,
-    library_rules,
+    archive_rules, implementation_rules, documentation_rules, description_rules, unit_rules, type_rules,
+    name_rules, variable_rules, alias_rules, structure_rules, library_rules,
 )  # fmt: skip
 
 
@@ -38,11 +42,9 @@ def examine(path: Path, timeout: float = DEFAULT_TIMEOUT_S) -> list[Result]:
 
 def static_results(fmu: FmuFile) -> Iterator[Result]:
     """One result for every rule of what the file holds: no code of the FMU runs."""
-    closed = {
-        Stage.FILE: "",
-        Stage.DESCRIPTION: fmu.description_problem and "the model description cannot be read",
-        Stage.LIBRARY: fmu.description_problem and "the model description cannot be read",
-    }
+    unread = fmu.description_problem and "the model description cannot be read"
+    unread = unread or (fmu.other_version and "it is no FMU of FMI 2.0")
+    closed = {Stage.FILE: "", Stage.DESCRIPTION: unread, Stage.LIBRARY: unread}
     for stage, reason in closed.items():
         yield from (_result(rule, fmu, reason) for rule in registered(stage))
 

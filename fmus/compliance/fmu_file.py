@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any
 
 from fmus.binding import library_member
-from fmus.compliance.variable import Variable, integer
+from fmus.compliance.variable import Variable, integer, is_true
 from fmus.extras import require
 from fmus.files import extract_archive, too_large
 from fmus.fmi_types import TYPES
@@ -40,6 +40,8 @@ def parsed_xml(content: bytes) -> Any:
 class FmuFile:
     """A file said to be an FMU; `archive_problem` and `description_problem` are empty if it can be read."""
 
+    NO_DESCRIPTION = f"there is no {DESCRIPTION} at the top of the archive"
+
     def __init__(self, path: Path) -> None:
         self.path = path
         self.members: list[zipfile.ZipInfo] = []
@@ -56,7 +58,7 @@ class FmuFile:
 
     def _read_description(self, archive: zipfile.ZipFile) -> None:
         if DESCRIPTION not in self.names:
-            self.description_problem = f"there is no {DESCRIPTION} at the top of the archive"
+            self.description_problem = self.NO_DESCRIPTION
             return
         size = archive.getinfo(DESCRIPTION).file_size
         if size > _LARGEST_DESCRIPTION:
@@ -95,6 +97,12 @@ class FmuFile:
         return too_large(self.members, self.path.stat().st_size)
 
     @property
+    def other_version(self) -> str:
+        """Why it is no FMU of FMI 2.0, if so."""
+        version = self.root.get("fmiVersion")
+        return "" if version == "2.0" else f"fmiVersion {version!r}: expected '2.0'"
+
+    @property
     def guid(self) -> str:
         return self.root.get("guid", "")
 
@@ -113,7 +121,7 @@ class FmuFile:
 
     def claims(self, capability: str) -> bool:
         """Whether a capability flag of co-simulation is true."""
-        return (self.co_simulation or {}).get(capability) in ("true", "1")
+        return is_true((self.co_simulation or {}).get(capability))
 
     @property
     def output_derivative_order(self) -> int:
@@ -141,9 +149,19 @@ class FmuFile:
         return Variable(index, dict(element.attrib), typed.tag, dict(typed.attrib), inherited)
 
     @cached_property
-    def states(self) -> frozenset[int | None]:
-        """Indices of the variables that have a derivative."""
-        return frozenset(integer(v.typed.get("derivative")) for v in self.variables)
+    def state_derivatives(self) -> dict[int, int]:
+        """Index of each variable in Derivatives that has the attribute derivative -> index of its state."""
+        states = {}
+        for index, _ in self.unknowns("Derivatives"):
+            state = integer(self.variables[index - 1].typed.get("derivative")) if index is not None else None
+            if index is not None and state is not None and 1 <= state <= len(self.variables):
+                states[index] = state
+        return states
+
+    @cached_property
+    def states(self) -> frozenset[int]:
+        """Indices of the continuous-time states: those whose derivatives stand in Derivatives."""
+        return frozenset(self.state_derivatives.values())
 
     def unknowns(self, section: str) -> Iterator[tuple[int | None, Any]]:
         """(index or nothing if it is none of a variable, element) of a section of ModelStructure."""
@@ -153,16 +171,23 @@ class FmuFile:
             yield (index if exists else None), element
 
     def platforms(self) -> list[str]:
-        """Names of the folders below binaries."""
-        return sorted({path.split("/")[1] for path in self.names if re.match("binaries/[^/]+/", path)})
+        """Names of the folders below binaries that hold a file."""
+        return sorted({path.split("/")[1] for path in self.names if re.match("binaries/[^/]+/.*[^/]$", path)})
 
     def libraries(self) -> dict[str, str]:
-        """Path inside the archive -> folder below binaries, of what looks like a shared library."""
+        """Path inside the archive -> folder below binaries, of shared libraries called as a modelIdentifier.
+
+        Others in the same folder are libraries that these need.
+        """
+        identifiers = {kind.get("modelIdentifier", "") for kind in self.interfaces.values()}
         split = {name: name.split("/") for name in self.names}
         return {
             name: parts[1]
             for name, parts in split.items()
-            if parts[0] == "binaries" and len(parts) == 3 and name.endswith((".so", ".dll", ".dylib"))
+            if parts[0] == "binaries"
+            and len(parts) == 3
+            and parts[2].rpartition(".")[0] in identifiers
+            and name.endswith((".so", ".dll", ".dylib"))
         }
 
     @property

@@ -1,6 +1,8 @@
 """Rules of the shared libraries of all platforms, read with LIEF without loading them."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 from fmus.binding import platform_name
@@ -10,6 +12,7 @@ from fmus.extras import require
 
 lief: Any = require("lief", "check", "a check of FMUs")
 lief.logging.disable()
+_BINARIES = "2.3 FMU Distribution (binaries)"
 _MACHINES = {
     "linux64": ("ELF", "X86_64"),
     "linux32": ("ELF", "I386"),
@@ -49,19 +52,66 @@ def no_library(fmu: FmuFile) -> str:
     return "" if fmu.libraries() else "there is no library"
 
 
+@dataclass(frozen=True)
+class _Library:
+    """What LIEF reads of one library, or of one architecture's slice of a macOS one.
+
+    needed: libraries that it needs but the system's. search_paths: RPATH and RUNPATH of a library for Linux.
+    """
+
+    path: str
+    folder: str
+    machine: tuple[str, str]
+    exports: frozenset[str]
+    needed: tuple[str, ...]
+    search_paths: tuple[str, ...]
+
+    @property
+    def directory(self) -> str:
+        return self.path.rpartition("/")[0]
+
+
+# what every Linux of a distribution has, by the beginning of its name
+_SYSTEM = (
+    "libc.so", "libm.so", "libdl.so", "libpthread.so", "librt.so", "libutil.so", "ld-linux", "libgcc_s.so",
+    "libstdc++.so", "libresolv.so", "libnsl.so", "libcrypt.so", "linux-vdso.so",
+)  # fmt: skip
+_MACH_O = (b"\xcf\xfa\xed\xfe", b"\xce\xfa\xed\xfe", b"\xca\xfe\xba\xbe", b"\xca\xfe\xba\xbf")
+
+
+@lru_cache(maxsize=1)
+def _libraries(fmu: FmuFile) -> tuple[_Library, ...]:
+    """Every library that LIEF can read, parsed once for all rules."""
+    return tuple(
+        _facts(path, folder, parsed)
+        for path, folder in fmu.libraries().items()
+        for parsed in _slices(fmu.read(path))
+    )
+
+
 def _slices(content: bytes) -> Iterator[Any]:
     """The library, or each architecture's of a macOS one; none if it is no library.
 
     A slice is used before the next is asked for: it lives no longer than what LIEF read it from.
     """
-    data = list(content)
-    if lief.is_macho(data):
-        universal: Any = lief.MachO.parse(data) or ()
+    if content.startswith(_MACH_O):
+        universal: Any = lief.MachO.parse(list(content)) or ()
         yield from (universal.at(i) for i in range(len(universal)))
         return
     parsed = lief.parse(content)
     if parsed is not None:
         yield parsed
+
+
+def _facts(path: str, folder: str, parsed: Any) -> _Library:
+    symbols = [*parsed.exported_functions, *getattr(parsed, "exported_symbols", ())]
+    exports = frozenset(str(symbol.name).removeprefix("_") for symbol in symbols)
+    needed, search_paths = [], []
+    if parsed.format.name == "ELF":
+        needed = [str(name) for name in parsed.libraries if not str(name).startswith(_SYSTEM)]
+        entries = [entry for entry in parsed.dynamic_entries if hasattr(entry, "paths")]
+        search_paths = [str(one) for entry in entries for one in entry.paths]
+    return _Library(path, folder, _machine(parsed), exports, tuple(needed), tuple(search_paths))
 
 
 def _machine(parsed: Any) -> tuple[str, str]:
@@ -70,44 +120,61 @@ def _machine(parsed: Any) -> tuple[str, str]:
     return parsed.format.name, getattr(kind, "name", str(kind))  # a number that LIEF does not know
 
 
-@rule("2.3 FMU Distribution (binaries)", Stage.LIBRARY, condition=no_library)
+@rule(_BINARIES, Stage.LIBRARY, condition=no_library)
 def library_format(fmu: FmuFile) -> Iterator[str]:
     """Each library has the format and the processor that its folder names."""
     for path, folder in fmu.libraries().items():
         expected = _MACHINES.get(folder)
-        got = [_machine(parsed) for parsed in _slices(fmu.read(path))]
-        if not got:
+        got = [library.machine for library in _libraries(fmu) if library.path == path]
+        if not got and expected:
             yield f"{path} is not a shared library: expected one for {folder}"
         elif expected and expected not in got:
             machines = ", ".join(" ".join(machine) for machine in got)
             yield f"{path} is {machines}: expected {' '.join(expected)}"
 
 
-@rule("2.1.1 Header Files and Naming of Functions", Stage.LIBRARY, condition=no_library)
+@rule("2.3 FMU Distribution, 2.1.1 Header Files and Naming of Functions", Stage.LIBRARY, condition=no_library)
 def library_exports(fmu: FmuFile) -> Iterator[str]:
     """Each library exports every function of the interfaces that the description names."""
-    expected = _functions(fmu)
-    for path in fmu.libraries():
-        for parsed in _slices(fmu.read(path)):
-            exported = {str(function.name).removeprefix("_") for function in parsed.exported_functions}
-            exported |= {
-                str(function.name).removeprefix("_") for function in getattr(parsed, "exported_symbols", ())
-            }
-            missing = sorted(expected - exported)
-            if missing:
-                yield f"{path} does not export {', '.join(missing)}"
+    for library in _libraries(fmu):
+        missing = sorted(_functions(fmu, library.path) - library.exports)
+        if missing:
+            yield f"{library.path} does not export {', '.join(missing)}"
 
 
-def _functions(fmu: FmuFile) -> set[str]:
-    names = " ".join([_OF_EVERY_INTERFACE, *(_FUNCTIONS[kind] for kind in fmu.interfaces)])
+def _functions(fmu: FmuFile, path: str) -> set[str]:
+    """Of the interfaces whose modelIdentifier the library has as its name."""
+    identifier = path.rpartition("/")[2].rpartition(".")[0]
+    kinds = [kind for kind, stated in fmu.interfaces.items() if stated.get("modelIdentifier") == identifier]
+    names = " ".join([_OF_EVERY_INTERFACE, *(_FUNCTIONS[kind] for kind in kinds)])
     return {f"fmi2{name}" for name in names.split()}
+
+
+@rule(_BINARIES, Stage.LIBRARY, Level.WARNING, condition=no_library)
+def libraries_bring_what_they_need(fmu: FmuFile) -> Iterator[str]:
+    """Libraries for Linux need those of the FMU and of the system alone, or externalDependencies tells."""
+    documented = any(path.startswith("documentation/externalDependencies.") for path in fmu.names)
+    for library in _libraries(fmu):
+        missing = [name for name in library.needed if f"{library.directory}/{name}" not in fmu.paths]
+        if missing and not documented:
+            expected = "it in the FMU, or documentation/externalDependencies.txt"
+            yield f"{library.path} needs {', '.join(missing)}: expected {expected}"
+
+
+@rule(_BINARIES, Stage.LIBRARY, Level.WARNING, condition=no_library)
+def libraries_are_sought_beside(fmu: FmuFile) -> Iterator[str]:
+    """Libraries for Linux that need others of the FMU have the RPATH $ORIGIN."""
+    for library in _libraries(fmu):
+        inside = [name for name in library.needed if f"{library.directory}/{name}" in fmu.paths]
+        if inside and not any(path.startswith(("$ORIGIN", "${ORIGIN}")) for path in library.search_paths):
+            yield f"{library.path} needs {', '.join(inside)}, without RPATH: expected $ORIGIN"
 
 
 def no_co_simulation(fmu: FmuFile) -> str:
     return "" if fmu.co_simulation is not None else "it has no co-simulation interface"
 
 
-@rule("2.3 FMU Distribution (binaries)", Stage.LIBRARY, Level.WARNING, condition=no_co_simulation)
+@rule("advice: behaviour is judged where the library runs", Stage.LIBRARY, Level.WARNING, no_co_simulation)
 def runs_on_this_platform(fmu: FmuFile) -> Iterator[str]:
     """There is a library for the platform of this check, or its behaviour is not judged."""
     if not fmu.host_library:

@@ -2,14 +2,16 @@
 
 import itertools
 from collections.abc import Iterator
+from typing import Any
 
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.rule import Stage, repeated, rule
-from fmus.compliance.variable import integer
+from fmus.compliance.rule import Level, Stage, repeated, rule
+from fmus.compliance.variable import Variable, integer
 
 _CLAUSE = "2.2.8 Definition of the Model Structure (ModelStructure)"
 _SECTIONS = ("Outputs", "Derivatives", "InitialUnknowns")
-_KINDS = ("dependent", "constant", "fixed", "tunable", "discrete")
+_FACTORS = {"constant", "fixed", "tunable", "discrete"}
+_COMPUTED = ("approx", "calculated")
 
 
 def _indices(fmu: FmuFile, section: str) -> list[int]:
@@ -18,6 +20,11 @@ def _indices(fmu: FmuFile, section: str) -> list[int]:
 
 def _listed(fmu: FmuFile, indices: set[int]) -> str:
     return ", ".join(f"{fmu.variables[index - 1].name} ({index})" for index in sorted(indices))
+
+
+def _derivatives_are_ignored(fmu: FmuFile) -> bool:
+    """Derivatives without directional derivatives mean nothing in an FMU for co-simulation alone."""
+    return set(fmu.interfaces) == {"CoSimulation"} and not fmu.claims("providesDirectionalDerivative")
 
 
 @rule(_CLAUSE, Stage.DESCRIPTION)
@@ -35,90 +42,183 @@ def structure_indices(fmu: FmuFile) -> Iterator[str]:
 def outputs_are_listed(fmu: FmuFile) -> Iterator[str]:
     """Outputs lists exactly the variables of causality output."""
     got, expected = set(_indices(fmu, "Outputs")), {v.index for v in fmu.variables if v.causality == "output"}
-    yield from _difference(fmu, "Outputs", got, expected)
+    yield from _difference(fmu, "Outputs", got, expected, expected)
 
 
-def _difference(fmu: FmuFile, section: str, got: set[int], expected: set[int]) -> Iterator[str]:
+def _difference(
+    fmu: FmuFile, section: str, got: set[int], expected: set[int], allowed: set[int]
+) -> Iterator[str]:
     if expected - got:
         yield f"{section} lacks {_listed(fmu, expected - got)}"
-    if got - expected:
-        yield f"{section} lists {_listed(fmu, got - expected)}: expected it not to"
+    if got - allowed:
+        yield f"{section} lists {_listed(fmu, got - allowed)}: expected it not to"
 
 
 @rule(_CLAUSE, Stage.DESCRIPTION)
 def derivatives_are_marked(fmu: FmuFile) -> Iterator[str]:
-    """What Derivatives lists has the attribute derivative."""
-    marked = {v.index for v in fmu.variables if "derivative" in v.typed}
-    yield from _difference(fmu, "Derivatives", set(_indices(fmu, "Derivatives")) - marked, set())
+    """What Derivatives lists has the attribute derivative, each of a state of its own."""
+    for index in _indices(fmu, "Derivatives"):
+        v = fmu.variables[index - 1]
+        if "derivative" not in v.typed:
+            yield f"Derivatives lists {v.name} ({index}): expected a variable with the attribute derivative"
+    for state, count in repeated(fmu.state_derivatives.values()).items():
+        if len(set(_indices(fmu, "Derivatives"))) == len(_indices(fmu, "Derivatives")):
+            yield f"Derivatives lists {count} derivatives of {_listed(fmu, {state})}: expected one"
+
+
+def no_model_exchange(fmu: FmuFile) -> str:
+    return "" if "ModelExchange" in fmu.interfaces else "it has no interface for model exchange"
+
+
+@rule(_CLAUSE, Stage.DESCRIPTION, Level.WARNING, condition=no_model_exchange)
+def state_derivatives_are_listed(fmu: FmuFile) -> Iterator[str]:
+    """For model exchange, Derivatives lists the derivatives of local variables, as a rule states."""
+    listed = set(_indices(fmu, "Derivatives"))
+    for v in fmu.variables:
+        index = integer(v.typed.get("derivative"))
+        if index is None or not 1 <= index <= len(fmu.variables) or index == v.index:
+            continue
+        if v.index in listed or index in fmu.states:
+            continue
+        if fmu.variables[index - 1].causality == "local" and index not in listed:
+            yield f"Derivatives lacks {v.name} ({v.index}), the derivative of {fmu.variables[index - 1].name}"
 
 
 @rule(_CLAUSE, Stage.DESCRIPTION)
 def initial_unknowns_are_complete(fmu: FmuFile) -> Iterator[str]:
-    """InitialUnknowns lists calculated parameters; outputs and states with initial approx or calculated."""
+    """InitialUnknowns lists outputs, states and their derivatives with initial approx or calculated, and all
+    calculated parameters; no others."""
     expected = {
         v.index
         for v in fmu.variables
-        if v.causality == "calculatedParameter"
-        or (v.causality == "output" and v.initial in ("approx", "calculated"))
+        if v.causality == "calculatedParameter" or (v.causality == "output" and v.initial in _COMPUTED)
     }
-    for derivative in _indices(fmu, "Derivatives"):
-        state = integer(fmu.variables[derivative - 1].typed.get("derivative"))
-        for index in (derivative, state):
-            if index is None or not 1 <= index <= len(fmu.variables):
-                continue
-            if fmu.variables[index - 1].initial in ("approx", "calculated"):
-                expected.add(index)
-    yield from _difference(fmu, "InitialUnknowns", set(_indices(fmu, "InitialUnknowns")), expected)
+    of_states = {
+        index
+        for index in fmu.states | set(fmu.state_derivatives)
+        if fmu.variables[index - 1].initial in _COMPUTED
+    }
+    unclear = {v.index for v in fmu.variables if v.causality == "output" and not v.is_legal_pair}
+    allowed = expected | of_states | unclear
+    if not _derivatives_are_ignored(fmu):
+        expected |= of_states
+    yield from _difference(fmu, "InitialUnknowns", set(_indices(fmu, "InitialUnknowns")), expected, allowed)
 
 
 @rule(_CLAUSE, Stage.DESCRIPTION)
 def initial_unknowns_ascend(fmu: FmuFile) -> Iterator[str]:
     """InitialUnknowns are in ascending order of their indices."""
-    indices = _indices(fmu, "InitialUnknowns")
-    for before, after in itertools.pairwise(indices):
+    for before, after in itertools.pairwise(_indices(fmu, "InitialUnknowns")):
         if after < before:
             yield f"InitialUnknowns: {after} follows {before}: expected ascending indices"
 
 
-@rule(_CLAUSE, Stage.DESCRIPTION)
-def dependencies_are_legal(fmu: FmuFile) -> Iterator[str]:
-    """Dependencies are indices of other variables that are known: no output, no calculated parameter."""
+def _dependencies(fmu: FmuFile) -> Iterator[tuple[str, str, Variable | None, list[str], Any]]:
+    """(section, text that names the unknown, unknown, its dependencies, element)."""
     for section in _SECTIONS:
-        for unknown, element in fmu.unknowns(section):
-            listed = element.get("dependencies", "").split()
-            where = f"{section}, unknown {element.get('index')}"
-            for text in listed:
-                yield from (f"{where}: {message}" for message in _illegal(fmu, unknown, text, section))
-            for text, count in repeated(listed).items():
-                yield f"{where}: dependency {text} is listed {count} times: expected once"
+        for index, element in fmu.unknowns(section):
+            unknown = fmu.variables[index - 1] if index is not None else None
+            where = f"{section}, unknown {unknown.name if unknown else ''} ({element.get('index')})"
+            yield section, where, unknown, element.get("dependencies", "").split(), element
 
 
-def _illegal(fmu: FmuFile, unknown: int | None, text: str, section: str) -> Iterator[str]:
-    index = integer(text)
-    if index is None or not 1 <= index <= len(fmu.variables):
-        yield f"dependency {text}: expected 1..{len(fmu.variables)}"
+@rule(_CLAUSE, Stage.DESCRIPTION)
+def dependencies_are_indices(fmu: FmuFile) -> Iterator[str]:
+    """Dependencies are indices of variables, each once."""
+    for _, where, _, listed, _ in _dependencies(fmu):
+        for text in listed:
+            index = integer(text)
+            if index is not None and not 1 <= index <= len(fmu.variables):
+                yield f"{where}: dependency {text}: expected 1..{len(fmu.variables)}"
+        for text, count in repeated(listed).items():
+            yield f"{where}: dependency {text} is listed {count} times: expected once"
+
+
+@rule(_CLAUSE, Stage.DESCRIPTION)
+def dependencies_ascend(fmu: FmuFile) -> Iterator[str]:
+    """Dependencies are in ascending order."""
+    for _, where, _, listed, _ in _dependencies(fmu):
+        indices = [index for index in map(integer, listed) if index is not None]
+        for before, after in itertools.pairwise(indices):
+            if after < before:
+                yield f"{where}: dependency {after} follows {before}: expected ascending indices"
+
+
+@rule(_CLAUSE, Stage.DESCRIPTION)
+def dependencies_are_known(fmu: FmuFile) -> Iterator[str]:
+    """Outputs and Derivatives depend on inputs, continuous-time states and the independent variable;
+    InitialUnknowns on inputs, the independent variable and what has initial exact."""
+    for known, where, expected in _knowns(fmu):
+        if known.causality not in _PARAMETERS or expected == _AT_START:
+            yield f"{where} depends on {known.name} ({known.causality}): expected {expected}"
+
+
+@rule(_CLAUSE, Stage.DESCRIPTION, Level.WARNING)
+def dependencies_on_parameters(fmu: FmuFile) -> Iterator[str]:
+    """Outputs and Derivatives name no parameter among their dependencies."""
+    for known, where, expected in _knowns(fmu):
+        if known.causality in _PARAMETERS and expected != _AT_START:
+            yield f"{where} depends on {known.name}, a parameter: expected {expected}"
+
+
+_PARAMETERS = ("parameter", "calculatedParameter")
+_AT_START = "an input or what has initial exact"
+_LATER = "an input, a continuous-time state or the independent variable"
+
+
+def _knowns(fmu: FmuFile) -> Iterator[tuple[Variable, str, str]]:
+    """(dependency that is none of the Knowns, its unknown, what is expected)."""
+    for section, where, _, listed, _ in _dependencies(fmu):
+        for index in map(integer, listed):
+            if index is None or not 1 <= index <= len(fmu.variables):
+                continue
+            known, is_at_start = fmu.variables[index - 1], section == "InitialUnknowns"
+            is_given = known.initial == "exact" or known.causality == "parameter" or not known.is_legal_pair
+            known_otherwise = is_given if is_at_start else index in _possible_states(fmu)
+            if known.causality not in ("input", "independent") and not known_otherwise:
+                yield known, where, _AT_START if is_at_start else _LATER
+
+
+def _possible_states(fmu: FmuFile) -> frozenset[int]:
+    """States, and in an FMU that need not list Derivatives whatever another variable is the derivative of."""
+    if "ModelExchange" in fmu.interfaces:
+        return fmu.states
+    marked = (integer(v.typed.get("derivative")) for v in fmu.variables)
+    return fmu.states | {index for index in marked if index is not None}
+
+
+@rule(_CLAUSE, Stage.DESCRIPTION, Level.WARNING)
+def dependencies_on_states_are_provided(fmu: FmuFile) -> Iterator[str]:
+    """For co-simulation alone, dependencies name states if providesDirectionalDerivative is true."""
+    if not _derivatives_are_ignored(fmu):
         return
-    known = fmu.variables[index - 1]
-    if index == unknown:
-        yield f"dependency {text} is the unknown itself: expected another variable"
-    elif index in fmu.states or known.causality in ("input", "independent", "parameter"):
-        return
-    elif section != "InitialUnknowns" or known.initial != "exact":
-        yield f"dependency {text} is {known.name} ({known.causality}): expected an input or what is given"
+    for section, where, _, listed, _ in _dependencies(fmu):
+        for index in map(integer, listed):
+            if section != "InitialUnknowns" and index in _possible_states(fmu):
+                name = fmu.variables[index - 1].name if 1 <= index <= len(fmu.variables) else ""
+                yield f"{where} depends on the state {name}: expected providesDirectionalDerivative"
 
 
 @rule(_CLAUSE, Stage.DESCRIPTION)
 def dependencies_kind(fmu: FmuFile) -> Iterator[str]:
-    """dependenciesKind has one legal word for each dependency; for initial unknowns dependent or constant."""
-    for section in _SECTIONS:
-        legal = _KINDS[:2] if section == "InitialUnknowns" else _KINDS
-        for _, element in fmu.unknowns(section):
-            kinds = element.get("dependenciesKind")
-            if kinds is None:
-                continue
-            where, count = f"{section}, unknown {element.get('index')}", len(kinds.split())
-            expected = len(element.get("dependencies", "").split())
-            if count != expected:
-                yield f"{where}: {count} kinds of dependency: expected {expected}, one each"
-            for kind in sorted(set(kinds.split()) - set(legal)):
-                yield f"{where}: kind {kind!r}: expected one of {', '.join(legal)}"
+    """dependenciesKind has one word for each dependency; in InitialUnknowns dependent or constant."""
+    for section, where, _, listed, element in _dependencies(fmu):
+        kinds = element.get("dependenciesKind")
+        if kinds is None:
+            continue
+        if element.get("dependencies") is None:
+            yield f"{where} has dependenciesKind: expected dependencies too"
+        elif len(kinds.split()) != len(listed):
+            yield f"{where}: {len(kinds.split())} kinds of dependency: expected {len(listed)}, one each"
+        for kind in sorted(set(kinds.split()) & _FACTORS) if section == "InitialUnknowns" else ():
+            if kind != "constant":
+                yield f"{where}: kind {kind!r}: expected dependent or constant"
+
+
+@rule(_CLAUSE, Stage.DESCRIPTION, Level.WARNING)
+def dependencies_of_reals_have_factors(fmu: FmuFile) -> Iterator[str]:
+    """Kinds of dependency with a factor, all but dependent, are of Real unknowns."""
+    for _, where, unknown, _, element in _dependencies(fmu):
+        factors = sorted(set(element.get("dependenciesKind", "").split()) & _FACTORS)
+        if factors and unknown is not None and unknown.kind not in ("Real", ""):
+            yield f"{where} is {unknown.kind} and has kind {factors[0]!r}: expected dependent"

@@ -42,6 +42,11 @@ class Variable:
         return self.attributes.get("name", f"<variable {self.index} without a name>")
 
     @property
+    def is_legal_pair(self) -> bool:
+        """Whether causality and variability are a pair that FMI allows."""
+        return (self.causality, self.variability) in INITIAL
+
+    @property
     def causality(self) -> str:
         return self.attributes.get("causality", "local")
 
@@ -100,3 +105,8 @@ def integer(text: str | None) -> int | None:
         return int(text) if text is not None else None
     except ValueError:
         return None
+
+
+def is_true(text: str | None) -> bool:
+    """Whether a Boolean attribute is true; blanks around it do not count."""
+    return (text or "").strip() in ("true", "1")

@@ -8,7 +8,8 @@ Members = dict[str, bytes]
 XML = "modelDescription.xml"
 _DESCRIPTION = (Path(__file__).parent / "base.xml").read_text(encoding="utf-8")
 _MODEL_EXCHANGE = _DESCRIPTION[_DESCRIPTION.index("  <ModelExchange") : _DESCRIPTION.index("  <CoSimulation")]
-BASE: Members = {XML: _DESCRIPTION.encode(), "sources/base.c": b'#include "fmi2Functions.h"\n'}
+_SOURCE = b'#include "fmi2Functions.h"\n'
+BASE: Members = {XML: _DESCRIPTION.encode(), "sources/base.c": _SOURCE, "sources/exchange.c": _SOURCE}
 
 
 def replaced(text: str, old: str, new: str) -> str:
@@ -26,14 +27,12 @@ def changed(*replacements: tuple[str, str]) -> Members:
     return BASE | {XML: text.encode()}
 
 
-def co_simulation_only(*replacements: tuple[str, str]) -> Members:
-    """As `changed`, without model exchange and what only it may hold."""
-    return changed(
-        (_MODEL_EXCHANGE, ""),
-        (' canHandleMultipleSetPerTimeInstant="true"', ""),
-        (' reinit="true"', ""),
-        *replacements,
-    )
+# what makes the base an FMU for co-simulation alone
+CO_SIMULATION_ONLY = (
+    (_MODEL_EXCHANGE, ""),
+    (' canHandleMultipleSetPerTimeInstant="true"', ""),
+    (' reinit="true"', ""),
+)
 
 
 def written(members: Mapping[str, bytes], folder: Path, name: str = "Base.fmu") -> Path:

@@ -1,5 +1,7 @@
 """All mutants."""
 
-from tests.mutants.static import STATIC_MUTANTS
+from tests.mutants.archive import ARCHIVE_MUTANTS
+from tests.mutants.listed import LISTED_MUTANTS
 
+STATIC_MUTANTS = (*LISTED_MUTANTS, *ARCHIVE_MUTANTS)
 MUTANTS = STATIC_MUTANTS

@@ -4,12 +4,14 @@ from pathlib import Path
 
 import pytest
 
-from tests.mutants.base import BASE, co_simulation_only, written
+from tests.mutants.base import BASE, CO_SIMULATION_ONLY, changed, written
 from tests.mutants.mutant import Mutant, broken_rules, unexpected
-from tests.mutants.static import STATIC_MUTANTS
+from tests.mutants.table import STATIC_MUTANTS
 
 
-@pytest.mark.parametrize("members", [BASE, co_simulation_only()], ids=["both interfaces", "co-simulation"])
+@pytest.mark.parametrize(
+    "members", [BASE, changed(*CO_SIMULATION_ONLY)], ids=["both interfaces", "co-simulation"]
+)
 def test_what_the_mutants_start_from_breaks_no_rule(members: dict[str, bytes], tmp_path: Path) -> None:
     assert broken_rules(written(members, tmp_path)) == {}
 

@@ -1,0 +1,43 @@
+"""XML files beside the model description, whose formats are those of FMI 3.0."""
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import fmpy
+
+from fmus.compliance.fmu_file import FmuFile, etree, parsed_xml
+
+BUILD_DESCRIPTION = "sources/buildDescription.xml"
+TERMINALS = "terminalsAndIcons/terminalsAndIcons.xml"
+SCHEMAS = Path(fmpy.__file__).parent / "schema"
+_LARGEST = 100_000_000  # bytes
+
+
+@cache
+def schema_of(path: Path) -> Any:
+    """An XML schema, read once in a process."""
+    return etree.XMLSchema(etree.parse(path))
+
+
+def schema_errors(root: Any, path: Path) -> list[Any]:
+    """Entries with `line`, `path` and `message`."""
+    definition = schema_of(path)
+    definition.validate(root.getroottree())
+    return list(definition.error_log)
+
+
+def fmi3_schema_errors(root: Any, name: str) -> list[str]:
+    """By a schema of FMI 3.0; any version of FMI may be stated, as FMI 2.0 does not say which."""
+    stated = root.attrib.pop("fmiVersion", None)
+    root.set("fmiVersion", "3.0")
+    errors = [f"line {error.line}: {error.message}" for error in schema_errors(root, SCHEMAS / "fmi3" / name)]
+    return errors if stated is not None else [*errors, "fmiVersion is missing: expected one"]
+
+
+def parsed_member(fmu: FmuFile, path: str) -> tuple[Any, str]:
+    """(root element, what is wrong): the root is nothing if the file cannot be read."""
+    try:
+        return parsed_xml(fmu.read(path, _LARGEST)), ""
+    except Exception as error:  # also of a damaged archive
+        return None, str(error)

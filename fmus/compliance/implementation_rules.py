@@ -1,0 +1,167 @@
+"""Rules of binaries and sources in the archive: FMI 2.0.5, 2.3 FMU Distribution."""
+
+import re
+from collections.abc import Iterator
+
+from fmus.compliance.archive_rules import CLAUSE, unreadable
+from fmus.compliance.contents import BUILD_DESCRIPTION, fmi3_schema_errors, parsed_member
+from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.rule import Level, Stage, rule
+from fmus.compliance.variable import is_true
+
+_EXTENSIONS = {"win": ".dll", "windows": ".dll", "linux": ".so", "darwin": ".dylib"}
+_PLATFORM = re.compile(
+    r"(?:(?P<old>win|linux|darwin)(?:32|64)"
+    r"|(?:aarch|riscv|ppc|x86_)(?:32|64)-(?P<new>windows|linux|darwin)(?:-\w+)?"
+    r"|x86-(?P<x86>windows|linux|darwin)(?:-\w+)?)"
+)
+_HEADERS = ("fmi2TypesPlatform.h", "fmi2FunctionTypes.h", "fmi2Functions.h")
+_TO_COMPILE = (".c", ".cc", ".cpp", ".cxx")
+_INCLUDE = re.compile(rb"^[ \t]*#[ \t]*include[ \t]*<([^>\n]+)>", re.MULTILINE)
+_SOURCES = "sources/"
+
+
+def _extension(folder: str) -> str:
+    """Of shared libraries of a platform; empty for one that FMI does not name."""
+    match = _PLATFORM.fullmatch(folder)
+    system = next((name for name in match.groups() if name), "") if match else ""
+    return _EXTENSIONS.get(system, "")
+
+
+def _identifiers(fmu: FmuFile) -> list[str]:
+    return sorted({kind.get("modelIdentifier", "") for kind in fmu.interfaces.values()})
+
+
+def _is_binary_of(path: str, identifier: str) -> bool:
+    """Whether it is a library of this name below binaries, shared or static."""
+    name = path.rpartition("/")[2]
+    return path.startswith("binaries/") and name.rpartition(".")[0] in (identifier, f"lib{identifier}")
+
+
+@rule(CLAUSE, Stage.FILE, Level.WARNING, condition=unreadable)
+def platform_names(fmu: FmuFile) -> Iterator[str]:
+    """Folders below binaries are named as FMI 2.0 (linux64) or FMI 3.0 (aarch64-linux) does."""
+    for folder in fmu.platforms():
+        if not _PLATFORM.fullmatch(folder):
+            yield f"binaries/{folder}: expected win64, linux64, darwin64, aarch64-linux or the like"
+
+
+@rule(CLAUSE, Stage.DESCRIPTION)
+def library_names(fmu: FmuFile) -> Iterator[str]:
+    """A platform's folder holds a library that is called as a modelIdentifier, with its extension."""
+    for folder in fmu.platforms():
+        extension, top = _extension(folder), f"binaries/{folder}/"
+        identifiers = _identifiers(fmu)
+        shared = any(f"{top}{identifier}{extension}" in fmu.paths for identifier in identifiers)
+        static = any(
+            _is_binary_of(path, identifier)
+            for path in fmu.names
+            for identifier in identifiers
+            if path.startswith(top) and path.count("/") > top.count("/")
+        )
+        if extension and not shared and not static:
+            expected = " or ".join(f"{identifier}{extension}" for identifier in identifiers)
+            yield f"{top}: expected {expected}, as the folder exists"
+
+
+@rule(CLAUSE, Stage.DESCRIPTION)
+def has_an_implementation(fmu: FmuFile) -> Iterator[str]:
+    """There is a binary for some platform, or sources, of each interface."""
+    has_sources = any(path.startswith(_SOURCES) and path.endswith(_TO_COMPILE) for path in fmu.names)
+    for kind, attributes in fmu.interfaces.items():
+        identifier = attributes.get("modelIdentifier", "")
+        if not has_sources and not any(_is_binary_of(path, identifier) for path in fmu.names):
+            yield f"{kind}: no library {identifier} below binaries and no C file below sources: expected one"
+
+
+@rule(CLAUSE, Stage.DESCRIPTION)
+def tool_wrapper_is_a_binary(fmu: FmuFile) -> Iterator[str]:
+    """With needsExecutionTool there is a binary, which talks to the tool."""
+    for kind, attributes in fmu.interfaces.items():
+        identifier = attributes.get("modelIdentifier", "")
+        needs = is_true(attributes.get("needsExecutionTool"))
+        if needs and not any(_is_binary_of(path, identifier) for path in fmu.names):
+            yield f"{kind} has needsExecutionTool: expected a library {identifier} that talks to the tool"
+
+
+@rule(CLAUSE, Stage.DESCRIPTION, Level.WARNING)
+def tool_is_documented(fmu: FmuFile) -> Iterator[str]:
+    """With needsExecutionTool, documentation/externalDependencies.txt or .html exists."""
+    files = {f"documentation/externalDependencies.{extension}" for extension in ("txt", "html")}
+    for kind, attributes in fmu.interfaces.items():
+        if is_true(attributes.get("needsExecutionTool")) and not files & fmu.paths:
+            yield f"{kind} has needsExecutionTool: expected documentation/externalDependencies.txt or .html"
+
+
+@rule(CLAUSE, Stage.FILE, Level.WARNING, condition=unreadable)
+def headers_of_fmi_are_left_out(fmu: FmuFile) -> Iterator[str]:
+    """Below sources and binaries there are no header files of FMI: they are the importer's."""
+    for path in fmu.names:
+        if path.startswith((_SOURCES, "binaries/")) and path.rpartition("/")[2] in _HEADERS:
+            yield f"{path}: expected it to be left out, the importer has it"
+
+
+def _listed_sources(fmu: FmuFile) -> dict[str, list[str]]:
+    """Interface -> names of SourceFiles."""
+    return {
+        kind: [file.get("name", "") for file in fmu.root.iterfind(f"{kind}/SourceFiles/File")]
+        for kind in fmu.interfaces
+    }
+
+
+@rule(CLAUSE, Stage.DESCRIPTION)
+def sources_are_listed(fmu: FmuFile) -> Iterator[str]:
+    """SourceFiles, or buildDescription.xml, lists the C files below sources that are to be compiled."""
+    files = [path for path in fmu.names if path.startswith(_SOURCES) and path.endswith(_TO_COMPILE)]
+    if (
+        files
+        and fmu.interfaces
+        and not any(_listed_sources(fmu).values())
+        and BUILD_DESCRIPTION not in fmu.paths
+    ):
+        yield f"{', '.join(files[:3])}: expected SourceFiles that lists what is to be compiled"
+
+
+@rule("2.3 FMU Distribution, 3.3.1 and 4.3.1 (SourceFiles)", Stage.DESCRIPTION)
+def source_files_exist(fmu: FmuFile) -> Iterator[str]:
+    """Every file that SourceFiles lists is below sources, its path with forward slashes."""
+    for kind, names in _listed_sources(fmu).items():
+        for name in names:
+            if "\\" in name:
+                yield f"{kind}: SourceFiles lists {name}: expected forward slashes"
+            elif f"{_SOURCES}{name}" not in fmu.paths:
+                yield f"{kind}: SourceFiles lists {name}: expected sources/{name} in the archive"
+
+
+@rule(CLAUSE, Stage.FILE, Level.WARNING, condition=unreadable)
+def includes_have_quotes(fmu: FmuFile) -> Iterator[str]:
+    """Sources include the header files that the FMU holds by quotes, not by angle brackets."""
+    sources = [
+        path for path in fmu.names if path.startswith(_SOURCES) and path.endswith((*_TO_COMPILE, ".h"))
+    ]
+    headers = {path.removeprefix(_SOURCES) for path in sources}
+    for path in sources:
+        included = {name.decode("utf-8", "replace").strip() for name in _INCLUDE.findall(fmu.read(path))}
+        for name in sorted(included & headers):
+            yield f'{path}: #include <{name}>: expected "{name}", as it is in the FMU'
+
+
+def _no_build_description(fmu: FmuFile) -> str:
+    return "" if BUILD_DESCRIPTION in fmu.paths else f"there is no {BUILD_DESCRIPTION}"
+
+
+@rule(CLAUSE, Stage.DESCRIPTION, condition=_no_build_description)
+def build_description(fmu: FmuFile) -> Iterator[str]:
+    """buildDescription.xml is valid by FMI 3.0, of this model, and names files below sources."""
+    root, problem = parsed_member(fmu, BUILD_DESCRIPTION)
+    if problem:
+        yield f"{BUILD_DESCRIPTION}: {problem}"
+        return
+    yield from (f"{BUILD_DESCRIPTION}, {e}" for e in fmi3_schema_errors(root, "fmi3BuildDescription.xsd"))
+    for configuration in root.iterfind("BuildConfiguration"):
+        identifier, expected = configuration.get("modelIdentifier"), _identifiers(fmu)
+        if identifier not in expected:
+            yield f"{BUILD_DESCRIPTION}: modelIdentifier {identifier!r}: expected {' or '.join(expected)}"
+        for file in configuration.iterfind("SourceFileSet/SourceFile"):
+            if f"{_SOURCES}{file.get('name')}" not in fmu.paths:
+                yield f"{BUILD_DESCRIPTION} lists {file.get('name')}: expected it below sources"
