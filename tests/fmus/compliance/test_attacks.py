@@ -127,7 +127,8 @@ def test_a_message_moves_no_cursor_and_is_one_line(built: Mapping[str, Path], tm
     forged = xml.replace('name="internal_step"', 'name="&#155;2K&#10;out.fmu: 72 passed"', 1)
     broken = broken_rules(write(content | {XML: forged.encode()}, tmp_path / "forged.fmu"))
     text = " ".join(message for messages in broken.values() for message in messages)
-    assert r"\x9b2K out.fmu: 72 passed" in text
+    assert r"\x9b2K" in text
+    assert "out.fmu: 72 passed" in text
     assert text.isprintable()
 
 
