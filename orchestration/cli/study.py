@@ -14,6 +14,7 @@ from orchestration.cli.interrupts import INTERRUPTED
 from orchestration.cli.score import ProtocolOption, write_page
 from orchestration.cli.shared import (
     OutFolder,
+    ProgressBar,
     check_writable,
     fail,
     print_table,
@@ -26,7 +27,7 @@ from orchestration.system.open_inputs import OpenInputs
 if TYPE_CHECKING:
     from orchestration.study.loop import Controller
     from orchestration.study.protocol import Protocol
-    from orchestration.study.tune import Tuning
+    from orchestration.study.tune import Evaluate, Problem, Tuning
 
 
 def tune(
@@ -65,7 +66,6 @@ def tune(
     from orchestration.study import tune_file, tune_problem, tune_space
     from orchestration.study.loop import Loop
     from orchestration.study.protocol import read_protocol
-    from orchestration.study.tune import tune as search
     from orchestration.study.tune_processes import processes
 
     protocol = read_protocol()
@@ -75,24 +75,12 @@ def tune(
     journal = out / f"{controller.name}.tune.jsonl"
     if restart:
         journal.unlink(missing_ok=True)
-    total, done = evaluations * len(problem.gains) * seeds, 0
+    total = evaluations * len(problem.gains) * seeds
     with (
         progress(f"tune {controller.name}", total) as bar,
         processes(controller, protocol, workers) as evaluate,
     ):
-
-        def advance(count: int, cost: float) -> None:
-            nonlocal done
-            done += count
-            bar.advance(count, f"best {cost:.4g} cm")
-
-        try:
-            tuning = search(problem, range(1, seeds + 1), evaluations, journal, evaluate, advance)
-        except KeyboardInterrupt:
-            fail(
-                f"interrupted: {done} of {total} evaluations are done and kept; the same command continues",
-                INTERRUPTED,
-            )
+        tuning = _search(problem, range(1, seeds + 1), evaluations, journal, evaluate, bar)
     provenance = tune_problem.provenance(tuning, controller, protocol)
     path = out / f"{controller.name}.toml"
     with Loop(controller, protocol) as loop:
@@ -100,6 +88,33 @@ def tune(
     journal.unlink()
     _print_gains(tuning, controller.name)
     print(path)
+
+
+def _search(
+    problem: "Problem",
+    seeds: Sequence[int],
+    evaluations: int,
+    journal: Path,
+    evaluate: "Evaluate",
+    bar: ProgressBar,
+) -> "Tuning":
+    """The tuning; an interruption ends the command with a message that says what is done."""
+    from orchestration.study.tune import tune as search
+
+    total, done = evaluations * len(problem.gains) * len(seeds), 0
+
+    def advance(count: int, cost: float) -> None:
+        nonlocal done
+        done += count
+        bar.advance(count, f"best {cost:.4g} cm")
+
+    try:
+        return search(problem, seeds, evaluations, journal, evaluate, advance)
+    except KeyboardInterrupt:
+        fail(
+            f"interrupted: {done} of {total} evaluations are done and kept; the same command continues",
+            INTERRUPTED,
+        )
 
 
 def _controller(

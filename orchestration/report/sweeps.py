@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import rankdata
 
 from fmus.extras import imports_of
 from orchestration.errors import OrchestrationError
@@ -86,6 +85,8 @@ def correlations(sweep: SweepResult) -> list[dict[str, Any]]:
 
 
 def _rank_correlation(values: Sequence[Any], metric: np.ndarray) -> float | None:
+    from scipy.stats import rankdata  # takes longer to import than a page without a sweep takes
+
     good = np.isfinite(metric)
     chosen, ranks = np.array(values)[good], rankdata(metric[good])
     if len(np.unique(chosen)) < 2 or len(np.unique(ranks)) < 2:

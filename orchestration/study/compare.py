@@ -11,7 +11,7 @@ from dataclasses import replace
 from orchestration.study import score_view
 from orchestration.study.loop import Controller, built_in
 from orchestration.study.protocol import Protocol
-from orchestration.study.score import ScoreResult, score
+from orchestration.study.score import ScoreResult, runs_each, score
 from orchestration.study.score_document import OF_A_ROW, CaseResult, Score
 from orchestration.study.score_view import Cell, ScoreTable
 from orchestration.study.tuned_gains import tuned
@@ -42,8 +42,7 @@ def compare(
 
 def run_count(protocol: Protocol, full: bool) -> int:
     """Runs of a comparison."""
-    runs = len(protocol.cases) + (protocol.tables.plants.count if full else 0)
-    return len(controllers(protocol)) * runs
+    return len(controllers(protocol)) * runs_each(protocol, full)
 
 
 def for_page(result: ScoreResult) -> ScoreResult:

@@ -7,6 +7,7 @@ the step of the scan may be missed. So a result is the first loss that was measu
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import groupby
 
@@ -112,33 +113,38 @@ def _scan(
     only_first_loss: bool,
     progress: Callable[[], object],
 ) -> Scan:
-    if isinstance(chosen, Scenario):
-        with HoldRuns(chosen, hold) as runs:
-            return _scan(
-                runs, loop_signal, hold, effect, grid, step, resolution, parameters, only_first_loss, progress
-            )
-    inputs, before = loop_inputs(chosen.prepared, chosen.hold.signal, loop_signal), chosen.count
+    with ExitStack() as stack:
+        runs = stack.enter_context(HoldRuns(chosen, hold)) if isinstance(chosen, Scenario) else chosen
+        inputs, before = loop_inputs(runs.prepared, runs.hold.signal, loop_signal), runs.count
 
-    def is_quiet(value: float) -> bool:
-        progress()
-        return chosen.is_quiet(inputs, effect(value), parameters)
+        def is_quiet(value: float) -> bool:
+            progress()
+            return runs.is_quiet(inputs, effect(value), parameters)
 
-    values, quiet = grid.tolist(), list[bool]()
-    for value in values:
-        quiet.append(is_quiet(value))
-        if only_first_loss and not quiet[-1]:
-            break
+        values, quiet = grid.tolist(), list[bool]()
+        for value in values:
+            quiet.append(is_quiet(value))
+            if only_first_loss and not quiet[-1]:
+                break
+        margin, lost = _first_loss(is_quiet, values, quiet, resolution, is_ratio=effect is Scale)
+        again = _intervals(values, quiet) if not math.isnan(margin) else ()
+        return Scan(margin, lost, again[1:], values[-1], step, resolution, runs.count - before)
+
+
+def _first_loss(
+    is_quiet: Callable[[float], bool],
+    values: list[float],
+    quiet: list[bool],
+    resolution: float,
+    is_ratio: bool,
+) -> tuple[float, float]:
+    """The last quiet value before the first that is not, and that one; nan or inf where there is none."""
     if not quiet[0]:
-        margin, lost = math.nan, values[0]
-    elif all(quiet):
-        margin, lost = values[-1], math.inf
-    else:
-        first = quiet.index(False)
-        is_ratio = effect is Scale
-        margin, lost = _enclosed(is_quiet, values[first - 1], values[first], resolution, is_ratio)
-    again = _intervals(values, quiet) if not math.isnan(margin) else ()
-    largest, count = values[-1], chosen.count - before
-    return Scan(margin, lost, again[1:], largest, step, resolution, count)
+        return math.nan, values[0]
+    if all(quiet):
+        return values[-1], math.inf
+    first = quiet.index(False)
+    return _enclosed(is_quiet, values[first - 1], values[first], resolution, is_ratio)
 
 
 def _enclosed(

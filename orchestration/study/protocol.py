@@ -181,6 +181,7 @@ def _names(tables: ProtocolFile) -> Iterator[tuple[KeyPath, str, Collection[str]
     yield ("cost", "figure"), tables.cost.figure, tables.figures
     for name in tables.cost.bounds:
         yield ("cost", "bounds", name), name, [*tables.figures, DELAY_MARGIN]
+    blocks = block_names()
     for name, controller in tables.controllers.items():
         yield ("controllers", name, "league"), controller.league, tables.leagues
-        yield ("controllers", name, "fmu"), controller.fmu, block_names()
+        yield ("controllers", name, "fmu"), controller.fmu, blocks

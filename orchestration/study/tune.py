@@ -3,7 +3,7 @@
 The searches of all seeds go on together, a generation of each at a time, so that several processes have work.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from importlib.metadata import version
@@ -12,7 +12,7 @@ from statistics import median
 from typing import Any
 
 from orchestration.errors import OrchestrationError
-from orchestration.study.tune_journal import Journal
+from orchestration.study.tune_journal import Journal, Key
 from orchestration.study.tune_search import Search
 from orchestration.study.tune_space import FreeGain
 
@@ -117,23 +117,33 @@ def tune(
     searches = [_SeedSearch(problem, seed, evaluations) for seed in seeds]
     lowest = float("inf")
     while rows := [row for search in searches for row in search.ask()]:
-        pending = [
-            (row, None if (row["seed"], row["evaluation"]) in done else evaluate(row["gains"]))
-            for row in rows
-        ]
-        for row, future in pending:
-            if future is None:
-                finished = done[row["seed"], row["evaluation"]]
-                _check_same(row, finished, path)
-            else:
-                finished = {**row, **future.result()}
-                journal.add(finished)
-            row.update(finished)
+        for row in _evaluated(rows, done, evaluate, journal):
             lowest = min(lowest, row["cost"])
             progress(1, lowest)
         for search in searches:
             search.tell()
     return Tuning(problem, tuple(search.result() for search in searches))
+
+
+def _evaluated(
+    rows: Sequence[dict[str, Any]],
+    done: Mapping[Key, dict[str, Any]],
+    evaluate: Evaluate,
+    journal: Journal,
+) -> Iterator[dict[str, Any]]:
+    """The rows in their order, each completed with its cost, of the journal or evaluated and added there."""
+    pending = [
+        (row, None if (row["seed"], row["evaluation"]) in done else evaluate(row["gains"])) for row in rows
+    ]
+    for row, future in pending:
+        if future is None:
+            finished = done[row["seed"], row["evaluation"]]
+            _check_same(row, finished, journal.path)
+        else:
+            finished = {**row, **future.result()}
+            journal.add(finished)
+        row.update(finished)
+        yield row
 
 
 def _what_is_searched(problem: Problem, evaluations: int) -> dict[str, Any]:

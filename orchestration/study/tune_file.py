@@ -27,20 +27,6 @@ def write(tuning: Tuning, fixed: Mapping[str, Any], provenance: Mapping[str, Any
 def document(tuning: Tuning, fixed: Mapping[str, Any], provenance: Mapping[str, Any]) -> dict[str, Any]:
     """What the file contains."""
     best = tuning.best
-    source = (
-        f"tuned: cost {best.cost:.4g} cm of protocol {provenance.get('protocol')}, seed {best.seed}, "
-        f"{len(best.curve)} evaluations of each of {len(tuning.searches)} seeds; not a published value"
-    )
-    chosen = {
-        f"controller.{gain.name}": {
-            "value": best.gains[gain.name],
-            "unit": gain.unit,
-            "limits": [gain.low, gain.high],
-            "at_a_limit": gain.is_at_a_limit(best.gains[gain.name]),
-            "source": source,
-        }
-        for gain in tuning.problem.gains
-    }
     unchanged = {
         f"controller.{name}": {"value": value, "source": "fixed: what the law is, not tuned"}
         for name, value in fixed.items()
@@ -58,7 +44,26 @@ def document(tuning: Tuning, fixed: Mapping[str, Any], provenance: Mapping[str, 
             "figures": dict(best.figures),
             "seeds": [_seed(search) for search in tuning.searches],
         },
-        "parameters": {**unchanged, **chosen},
+        "parameters": {**unchanged, **_tuned_gains(tuning, str(provenance.get("protocol")))},
+    }
+
+
+def _tuned_gains(tuning: Tuning, protocol: str) -> dict[str, Any]:
+    """A table for each gain that was free."""
+    best = tuning.best
+    source = (
+        f"tuned: cost {best.cost:.4g} cm of protocol {protocol}, seed {best.seed}, "
+        f"{len(best.curve)} evaluations of each of {len(tuning.searches)} seeds; not a published value"
+    )
+    return {
+        f"controller.{gain.name}": {
+            "value": best.gains[gain.name],
+            "unit": gain.unit,
+            "limits": [gain.low, gain.high],
+            "at_a_limit": gain.is_at_a_limit(best.gains[gain.name]),
+            "source": source,
+        }
+        for gain in tuning.problem.gains
     }
 
 

@@ -3,7 +3,7 @@
 import math
 
 from orchestration.study.protocol import read_protocol
-from orchestration.study.score import OVER_PLANTS, ScoreResult
+from orchestration.study.score import ScoreResult
 from orchestration.study.score_document import (
     CaseResult,
     FigureOverPlants,
@@ -13,6 +13,7 @@ from orchestration.study.score_document import (
     Score,
     protocol_info,
 )
+from orchestration.study.score_rows import OVER_PLANTS
 from orchestration.study.scored_run import Trace
 
 CASES = ("nominal", "buoyancy")
