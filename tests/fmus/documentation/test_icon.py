@@ -4,6 +4,7 @@ import io
 import struct
 import zipfile
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,6 +14,11 @@ from PIL import Image
 from fmus import catalogue
 from fmus.block import NoValues, variable
 from fmus.documentation.icon import SIZE, icon
+
+
+@cache
+def icon_of(name: str) -> bytes:
+    return icon(catalogue.load_block(name))
 
 
 def shown(data: bytes) -> Image.Image:
@@ -31,7 +37,7 @@ def chunks(data: bytes) -> list[str]:
 
 @pytest.mark.parametrize("name", catalogue.block_names())
 def test_the_picture_is_a_square_that_shows_something(name: str) -> None:
-    picture = shown(icon(catalogue.load_block(name)))
+    picture = shown(icon_of(name))
     assert picture.size == (SIZE, SIZE)
     assert picture.getpixel((0, 0))[3] == 0, "expected a transparent corner"  # type: ignore[index]
     colours = picture.getcolors(SIZE * SIZE)
@@ -47,7 +53,7 @@ def test_the_same_block_gives_the_same_bytes_without_a_date() -> None:
 
 def test_different_blocks_look_different() -> None:
     names = catalogue.block_names()
-    assert len({icon(catalogue.load_block(name)) for name in names}) == len(names)
+    assert len(set(map(icon_of, names))) == len(names)
 
 
 def test_each_declared_port_has_its_triangle() -> None:
@@ -76,4 +82,4 @@ def test_a_long_name_and_many_ports_stay_inside_the_picture() -> None:
 @pytest.mark.parametrize("name", catalogue.block_names())
 def test_it_is_inside_every_fmu(either: dict[str, Path], name: str) -> None:
     with zipfile.ZipFile(either[name]) as archive:
-        assert archive.read("model.png") == icon(catalogue.load_block(name))
+        assert archive.read("model.png") == icon_of(name)

@@ -30,8 +30,16 @@ def fmu(request: pytest.FixtureRequest, either: dict[str, Path]) -> Path:
     return either[request.param]
 
 
-def test_fmpy_finds_no_problem(fmu: Path) -> None:
-    assert validate_fmu(str(fmu)) == []
+@pytest.mark.parametrize("name", NAMES)
+def test_fmpy_finds_no_problem(built: Mapping[str, Path], name: str) -> None:
+    assert validate_fmu(str(built[name])) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_fmpy_finds_no_problem_in_the_python_flavour(python_built: Mapping[str, Path], name: str) -> None:
+    """Its model description is written by the same function."""
+    assert validate_fmu(str(python_built[name])) == []
 
 
 def test_everything_is_explicit(fmu: Path) -> None:

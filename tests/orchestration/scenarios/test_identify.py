@@ -1,6 +1,9 @@
 """The identification: what it minimises, and that one seed gives one fit."""
 
 import tomllib
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +12,7 @@ import pytest
 from orchestration.scenarios import identify as identification
 from orchestration.scenarios import scenario
 from orchestration.scenarios.identify import GAINS, SCENARIOS, TARGETS, identify, residuals
+from orchestration.scenarios.worker_pool import Submit
 
 ON_TARGET: dict[str, dict[str, Any]] = {
     name: {t.metric: t.value for t in TARGETS if t.scenario == name} | {"overshoot": 0.5}
@@ -28,7 +32,22 @@ def test_only_the_nominal_row_is_looked_at() -> None:
     assert all(name.startswith("nominal") for name in SCENARIOS)
 
 
-def test_one_seed_one_fit_and_the_file_is_what_scenarios_read(tmp_path: Path) -> None:
+@contextmanager
+def here(count: int) -> Iterator[Submit]:
+    """As `worker_pool`, in this process: an interrupt of the command has its own test, with processes."""
+
+    def submit(function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        future.set_result(function(*arguments))
+        return future
+
+    yield submit
+
+
+def test_one_seed_one_fit_and_the_file_is_what_scenarios_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(identification, "worker_pool", here)
     seen: list[float] = []
     first = identify(seed=3, evaluations=2, starts=1, progress=seen.append)
     second = identify(seed=3, evaluations=2, starts=1)
