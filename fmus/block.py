@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import KW_ONLY, Field, dataclass, field, fields, is_dataclass, make_dataclass
 from enum import IntEnum
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 from fmus.guide import NO_GUIDE, Guide
@@ -254,11 +254,28 @@ def _at(value: Any, index: tuple[int, ...]) -> Any:
 
 def flatten(value: Any) -> list[Any]:
     """The scalars of a dataclass instance or nested tuple, in the order of declaration."""
+    scalars: list[Any] = []
+    _collect(value, scalars)
+    return scalars
+
+
+def _collect(value: Any, scalars: list[Any]) -> None:
     if isinstance(value, tuple):
-        return [scalar for element in value for scalar in flatten(element)]
-    if is_dataclass(value):
-        return [s for member in fields(value) for s in flatten(getattr(value, member.name))]
-    return [value]
+        for element in value:
+            _collect(element, scalars)
+        return
+    names = _member_names(value if isinstance(value, type) else type(value))
+    if names is None:
+        scalars.append(value)
+    else:
+        for name in names:
+            _collect(getattr(value, name), scalars)
+
+
+@cache
+def _member_names(cls: type) -> tuple[str, ...] | None:
+    """Of a dataclass; of any other class None."""
+    return tuple(member.name for member in fields(cls)) if is_dataclass(cls) else None
 
 
 def unflatten(template: Any, scalars: list[Any]) -> Any:
