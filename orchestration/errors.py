@@ -40,7 +40,7 @@ class FmuWarning(UserWarning):
 
 
 class ScenarioWarning(UserWarning):
-    """What a scenario inherits and cannot use is dropped."""
+    """What a scenario inherits and cannot use is dropped, or cut to what it can use."""
 
 
 class SimulationError(OrchestrationError):

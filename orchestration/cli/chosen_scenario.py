@@ -39,6 +39,8 @@ def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHA
         finally:  # an error may follow from what a warning tells
             for warning in (w for w in caught if issubclass(w.category, ScenarioWarning)):
                 print(f"l1-depth: warning: {warning.message}", file=sys.stderr)
+    for warning in (w for w in caught if not issubclass(w.category, ScenarioWarning)):
+        warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
     chosen = replace(chosen, name=changes.name(chosen.name), arguments=arguments)
     build_missing_fmus([chosen])
     try:

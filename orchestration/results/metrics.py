@@ -5,13 +5,14 @@ the function and its arguments. Windows are [start, end] in seconds and default 
 """
 
 import math
+import warnings
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import numpy as np
 
 from fmus.errors import nearest
-from orchestration.errors import OrchestrationError, ScenarioError
+from orchestration.errors import OrchestrationError, ScenarioError, ScenarioWarning
 from orchestration.results.recording import Recording
 
 _LAG_ERROR_S = 1e-4  # of the search for a delay
@@ -273,7 +274,10 @@ def _ended_too_early(recording: Recording, call: Mapping[str, Any]) -> bool:
 def check_run(
     declared: Mapping[str, Mapping[str, Any]], start: float, stop: float, record: Collection[str]
 ) -> None:
-    """Refuse a window outside the run, or a signal that is not recorded (an empty record is all)."""
+    """Refuse a window outside the run, or a signal that is not recorded (an empty record is all).
+
+    Warns (ScenarioWarning) of windows of which the run has a part.
+    """
     for name, call in declared.items():
         window = call.get("window", [start, stop])
         if not window[0] <= window[1]:
@@ -286,3 +290,12 @@ def check_run(
         for signal in (call[key] for key in ("signal", "reference") if record and key in call):
             if signal not in record:
                 raise ScenarioError(f"metric {name}: {signal!r} is not recorded; {nearest(signal, record)}")
+    windows = {name: call["window"] for name, call in declared.items() if "window" in call}
+    rounding = 1e-9 * max(1.0, abs(start), abs(stop))
+    if cut := [n for n, (a, b) in windows.items() if a < start - rounding or b > stop + rounding]:
+        told = ", ".join(f"{name} {windows[name]}" for name in cut)
+        warnings.warn(
+            f"windows of metrics reach beyond the run, {start:g}..{stop:g} s, and are cut to it: {told}",
+            ScenarioWarning,
+            stacklevel=3,
+        )

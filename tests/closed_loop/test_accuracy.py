@@ -79,7 +79,7 @@ def co_simulated(h: float, algorithm: Algorithm) -> Recording:
                 "points": [[0.0, DEPTH], [100.0, reference(100.0)]],
             }
         },
-        "metrics": {"holding_thrust": False},  # measured at the end of the full run
+        "metrics": dict.fromkeys(("settling_time", "overshoot", "holding_thrust"), False),  # of the full run
         "experiment": {"stop_time": DURATION, "step_size": h, "algorithm": str(algorithm)},
     }
     chosen = scenario.load(scenario.find("nominal-extended-ideal"), overrides)

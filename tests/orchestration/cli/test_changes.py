@@ -3,6 +3,7 @@
 import json
 import shlex
 import shutil
+import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -62,6 +63,21 @@ def test_what_is_dropped_is_told_also_if_the_scenario_is_refused(
     dropped, refusal = error.splitlines()
     assert dropped.startswith("l1-depth: warning: controller is my.fmu; dropped, as it lacks them: ")
     assert "step size of plant, 0.03 s: expected a multiple" in refusal
+
+
+def test_a_warning_that_is_not_of_the_scenario_stays_a_warning(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    load = chosen_scenario.scenario.load
+
+    def warning_load(*arguments: Any, **options: Any) -> Any:
+        warnings.warn("a library is old", DeprecationWarning, stacklevel=1)
+        return load(*arguments, **options)
+
+    monkeypatch.setattr(chosen_scenario.scenario, "load", warning_load)
+    with pytest.warns(DeprecationWarning, match="a library is old"):
+        chosen_scenario.load("nominal-l1")
+    assert not capsys.readouterr().err
 
 
 def test_set_changes_parameters_and_inputs(

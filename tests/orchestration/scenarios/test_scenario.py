@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from orchestration.errors import ScenarioError
+from orchestration.errors import ScenarioError, ScenarioWarning
 from orchestration.scenarios import scenario
 from orchestration.system.experiment import Algorithm, Initialisation
 from orchestration.system.faults import Delay, Fault
@@ -72,7 +72,10 @@ def test_a_window_beyond_the_run_is_refused_before_it(tmp_path: Path) -> None:
     text = 'base = "nominal-extended"\n[experiment]\nstop_time = 60.0\nstep_size = 0.02\n'
     with pytest.raises(ScenarioError, match=r"metric holding_thrust: window \[290.0, 310.0\]: .*0..60 s"):
         scenario.load(write(tmp_path, text))
-    assert scenario.load(write(tmp_path, text + "[metrics]\nholding_thrust = false\n"))
+    with pytest.warns(
+        ScenarioWarning, match=r"beyond the run, 0..60 s, .*: settling_time \[0.0, 140.0\], ov"
+    ):
+        assert scenario.load(write(tmp_path, text + "[metrics]\nholding_thrust = false\n"))
 
 
 def test_a_metric_of_the_base_can_be_dropped(tmp_path: Path) -> None:
