@@ -184,7 +184,7 @@ def test_the_shipped_monte_carlo_draws_what_it_says() -> None:
         ("plant.quadratic_damping", 0.0, 20.0),
         ("plant.buoyancy_change", -0.3, 0.3),
     ]:
-        values = [sample[name] for sample in samples]
+        values: list[Any] = [sample[name] for sample in samples]
         assert low <= min(values) < max(values) <= high
         assert len(set(values)) == 1000
 
