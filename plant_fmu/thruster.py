@@ -66,8 +66,13 @@ def force_after(thruster: Thruster, force: float, steady: float, elapsed: float)
     limited = where(is_limited, maximum(absolute(away) / rate - lag, 0.0), 0.0)  # s
     begins = where(is_limited, clip(away, -rate * lag, rate * lag), away)
     lagging = where(elapsed < limited, 0.0, elapsed - limited)  # s; of slope 1 at 0, which a maximum has not
-    left = where(lag > _SHORTEST_LAG, exp(-lagging / maximum(lag, _SHORTEST_LAG)), 0.0)
+    left = where(is_limited, _left(lag, lagging), _left(lag, elapsed))
     return where(elapsed < limited, force - sign(away) * rate * elapsed, steady + begins * left)
+
+
+def _left(lag: float, elapsed: float) -> float:
+    """What is left of a difference after some time [s], 1 at its start."""
+    return where(lag > _SHORTEST_LAG, exp(-elapsed / maximum(lag, _SHORTEST_LAG)), 0.0)
 
 
 def submerged_share(depth: float, full_depth: float, ideal: bool) -> float:

@@ -48,7 +48,6 @@ def _tables(functions: Traced) -> dict[str, object]:
         "whole": ", ".join(map(str, (*whole, 0))),  # never empty, which C99 has not
         "requirements": len(functions.required),
         "internal_step": next(v.value_reference for v in block.variables if v.name == "internal_step"),
-        "work": max(function.sz_w() for function in functions.functions()),
         "variables": ",\n".join(map(_row, block.variables)),
         "required": ",\n".join(f"    {_string(text)}" for text in (*functions.required, "")),
     }

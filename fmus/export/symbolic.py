@@ -13,6 +13,7 @@ import casadi
 from fmus.block import Block, flatten, unflatten
 from fmus.errors import ExportError
 from fmus.export import guard
+from fmus.export.c_functions import c_function, c_functions
 from fmus.export.declaration import check_declaration, check_requirements, check_result
 
 
@@ -47,24 +48,28 @@ class Traced:
         check_result(block, "step", stepped)
         check_result(block, "output", call(block.output, t, x, p, c))
         self.required = tuple(text for _, text in conditions)
-        self.calculate = self._function("calculate", [ps], calculated)
-        self.requirements = self._function("requirements", [ps, cs], tuple(holds for holds, _ in conditions))
-        self.initial_state = self._function("initial_state", [t, us, ps, cs], initial)
-        self.step = self._function("step", [t, h, xs, us, ps, cs], stepped)
-        self.output = self._function("output", [t, xs, ps, cs], call(block.output, t, x, p, c))
+        self.calculate = self._function("calculate", "p", [ps], "c", calculated)
+        self.requirements = self._function(
+            "requirements", "p c", [ps, cs], "holds", tuple(holds for holds, _ in conditions)
+        )
+        self.initial_state = self._function("initial_state", "t u p c", [t, us, ps, cs], "x", initial)
+        self.step = self._function("step", "t h x u p c", [t, h, xs, us, ps, cs], "next", stepped)
+        self.output = self._function(
+            "output", "t x p c", [t, xs, ps, cs], "y", call(block.output, t, x, p, c)
+        )
         for name in ("calculate", "step", "output"):
             self._check_constants(name)
 
         reached = casadi.jacobian(_column(call(block.output, t + h, stepped, p, c)), h)
         rate = casadi.substitute(reached, h, 0.0)
-        self.output_rate = self._function("output_rate", [t, xs, us, ps, cs], rate)
+        self.output_rate = self._function("output_rate", "t x u p c", [t, xs, us, ps, cs], "rate", rate)
 
         first = call(block.output, t, call(block.initial_state, t, u, p, calculated), p, calculated)
         unknowns, knowns = _column((calculated, first)), casadi.vertcat(ps, us)
         self.initial_sparsity = casadi.jacobian_sparsity(unknowns, knowns)
-        self.initial_derivative = self._along("initial_derivative", [t, ps, us], unknowns, knowns)
+        self.initial_derivative = self._along("initial_derivative", "t p u", [t, ps, us], unknowns, knowns)
         held = _column((calculated, call(block.output, t, x, p, calculated)))
-        self.output_derivative = self._along("output_derivative", [t, xs, ps], held, ps)
+        self.output_derivative = self._along("output_derivative", "t x p", [t, xs, ps], held, ps)
 
     def _check_constants(self, name: str) -> None:
         """ExportError for a function with a constant that is NaN."""
@@ -77,24 +82,32 @@ class Traced:
                     f"block {self.block.name!r}: {where}{name} holds a constant that is not a number"
                 )
 
-    def functions(self) -> list[casadi.Function]:
-        """Everything that an FMU needs."""
-        return [value for value in vars(self).values() if isinstance(value, casadi.Function)]
+    def functions(self) -> dict[str, casadi.Function]:
+        """Everything that an FMU needs, by name."""
+        return {name: value for name, value in vars(self).items() if isinstance(value, casadi.Function)}
 
     def c_code(self) -> str:
-        """All functions as static C99 functions called MODEL_FUNCTION, after CasADi's convention."""
-        generator = casadi.CodeGenerator(self.block.name)
-        for function in self.functions():
-            generator.add(function)
-        return generator.dump()
+        """All functions as static C99 functions called model_FUNCTION, with the arguments of this class.
 
-    def _along(self, name: str, arguments: list, result: casadi.SX, known: casadi.SX) -> casadi.Function:
+        What a step needs of its length and the parameters alone is computed apart, by model_step_constants.
+        """
+        step, constants = c_functions(self.step, "model_step", held=("h", "p", "c"))
+        others = {name: function for name, function in self.functions().items() if name != "step"}
+        codes = [c_function(function, f"model_{name}") for name, function in others.items()]
+        return "\n".join([f"enum {{ N_STEP_CONSTANTS = {constants} }};\n", step, *codes])
+
+    def _along(
+        self, name: str, names: str, arguments: list, result: casadi.SX, known: casadi.SX
+    ) -> casadi.Function:
         seed = casadi.SX.sym("v", known.numel())
-        return self._function(name, [*arguments, seed], casadi.jtimes(result, known, seed))
+        along = casadi.jtimes(result, known, seed)
+        return self._function(name, f"{names} v", [*arguments, seed], "along", along)
 
-    def _function(self, name: str, arguments: list, result: Any) -> casadi.Function:
+    def _function(
+        self, name: str, names: str, arguments: list, result_name: str, result: Any
+    ) -> casadi.Function:
         column = casadi.cse(casadi.densify(result if isinstance(result, casadi.SX) else _column(result)))
-        return casadi.Function(f"{self.block.name}_{name}", arguments, [column])
+        return casadi.Function(name, arguments, [column], names.split(), [result_name])
 
 
 @cache

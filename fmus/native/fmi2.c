@@ -23,6 +23,7 @@
 
 typedef struct {
     Data data;
+    StepConstants step_constants;
     double stop_time; /* of the setup: no saved state changes it */
     Log log;
     fmi2StepFinished step_finished;
@@ -186,7 +187,8 @@ static fmi2Status cannot_be_set(Instance *instance, Type type, const fmi2ValueRe
         for (size_t i = 0; i < nvr; i++)                                                                         \
             if (!can_be_set(&instance->data, vr[i], TYPE, (double)value[i]))                                           \
                 return cannot_be_set(instance, TYPE, vr, nvr, i, (double)value[i], "fmi2Set" #Name);                   \
-        for (size_t i = 0; i < nvr; i++) data_set(&instance->data, (int)vr[i], (double)value[i]);                      \
+        for (size_t i = 0; i < nvr; i++)                                                                         \
+            data_set(&instance->data, &instance->step_constants, (int)vr[i], (double)value[i]);                  \
         return fmi2OK;                                                                                           \
     }
 
@@ -248,6 +250,7 @@ static void cannot_instantiate(const fmi2CallbackFunctions *functions, fmi2Strin
 
 static void instance_reset(Instance *instance) {
     data_reset(&instance->data);
+    instance->step_constants.are_stale = 1;
     instance->stop_time = DBL_MAX;
 }
 
@@ -367,7 +370,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2R
     if (!(t + h <= instance->stop_time + tolerance_at(t, h)))
         return refuse(instance, fmi2Error, "fmi2DoStep: step to %s s: expected at most the stop time %s s",
                       DECIMAL(t + h), DECIMAL(instance->stop_time));
-    const Outcome outcome = data_step(&instance->data, t, h, &broken);
+    const Outcome outcome = data_step(&instance->data, &instance->step_constants, t, h, &broken);
     if (outcome != DONE) return report(instance, outcome, &broken, "fmi2DoStep", h);
     if (instance->step_finished) instance->step_finished(instance->log.environment, fmi2OK);
     return fmi2OK;
@@ -546,6 +549,7 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate FMUstate) {
     const Snapshot *snapshot = own_snapshot(c, FMUstate, "fmi2SetFMUstate");
     if (!snapshot) return fmi2Error;
     ((Instance *)c)->data = snapshot->data;
+    ((Instance *)c)->step_constants.are_stale = 1;
     return fmi2OK;
 }
 

@@ -13,7 +13,9 @@
 
 #include "variables.h"
 
-#include "model_functions.h"
+#include "model.h"
+
+#include "model_code.h"
 
 /* Everything that a saved state holds: words of 64 bits, integers and doubles. */
 typedef struct {
@@ -23,6 +25,12 @@ typedef struct {
     double input_rate[N_INPUTS + 1];
     double state[N_STATES + 1];
 } Data;
+
+/* What an internal step needs of its length h and the parameters alone. Stale once a parameter changes. */
+typedef struct {
+    int are_stale;
+    double h, number[N_STEP_CONSTANTS + 1];
+} StepConstants;
 
 typedef enum { DONE, CONTRADICTORY, TOO_MANY_STEPS, NOT_FINITE, NO_ITEM } Outcome;
 
@@ -35,10 +43,10 @@ static void data_reset(Data *d) {
     for (int i = 0; i < N_VARIABLES; i++) d->value[i] = VARIABLES[i].start;
 }
 
-static void data_set(Data *d, int reference, double value) {
+static void data_set(Data *d, StepConstants *constants, int reference, double value) {
     if (d->value[reference] == value) return;
     d->value[reference] = value;
-    if (reference < FIRST_CALCULATED) d->parameters_are_stale = 1;
+    if (reference < FIRST_CALCULATED) d->parameters_are_stale = constants->are_stale = 1;
     if (d->mode != STEPPING) d->outputs_are_stale = 1;
 }
 
@@ -124,7 +132,7 @@ static void data_inputs_at(const Data *d, double elapsed, double *inputs) {
 /* From t to t + h in equal internal steps. Inputs are held over an internal step; those with a rate
  * at what they are in its middle. Outputs follow the last step at once, so that a compiler computes once what
  * both need. */
-static Outcome data_step(Data *d, double t, double h, int *broken) {
+static Outcome data_step(Data *d, StepConstants *constants, double t, double h, int *broken) {
     double fresh[N_CALCULATED + 1], moving[N_INPUTS + 1], reached[N_STATES + 1], next[N_STATES + 1];
     double outputs[N_OUTPUTS + 1];
     const double *p = d->value, *u = d->value + FIRST_INPUT, *x = d->state;
@@ -134,12 +142,17 @@ static Outcome data_step(Data *d, double t, double h, int *broken) {
     if (!(steps <= MOST_INTERNAL_STEPS)) return TOO_MANY_STEPS;
     const int count = steps <= 1 ? 1 : (int)ceil(steps);
     const double internal = h / count;
+    if (constants->are_stale || constants->h != internal) {
+        model_step_constants(internal, p, c, constants->number);
+        constants->h = internal;
+        constants->are_stale = 0;
+    }
     for (int i = 0;; i++) {
         if (d->inputs_have_rates) {
             data_inputs_at(d, (i + 0.5) * internal, moving);
             u = moving;
         }
-        model_step(t + i * internal, internal, x, u, p, c, next);
+        model_step(t + i * internal, internal, x, u, p, c, constants->number, next);
         if (i + 1 == count) break;
         x = memcpy(reached, next, N_STATES * sizeof *next);
     }

@@ -59,7 +59,7 @@ def requirements(p: Parameters, c: Calculated) -> tuple:
 
 def step(t: float, h: float, s: State, u: Inputs, p: Parameters, c: Calculated) -> State:
     force = where(p.enabled, u.force * u.valve, 0.0) + u.level * where(p.mode == Mode.RUN, 1.0, 0.0)
-    return State(s.x + h * (force - c.ratio * s.x + t), s.steps + 1.0)
+    return State((1.0 - h * c.ratio) * s.x + h * (force + t), s.steps + 1.0)
 
 
 def output(t: float, s: State, p: Parameters, c: Calculated) -> Outputs:

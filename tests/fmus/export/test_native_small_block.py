@@ -130,6 +130,35 @@ def test_time_goes_on_from_the_importers_communication_point(session: Session) -
     assert square == (y / 8.0) ** 2 + point + 0.1
 
 
+def test_a_step_follows_the_parameters_that_are_set_restored_and_reset(session: Session) -> None:
+    """x' = (1 while the mode is RUN) - gain / limit x + t. A step needs what is kept of them."""
+
+    def reached(t: float, rests: bool, h: float = 0.1) -> float:
+        x = read(session, "y")[0] / 8.0
+        assert step(session, t, 0.1) == OK
+        assert read(session, "y")[0] == pytest.approx(
+            8.0 * (x + 0.1 * (1.0 - rests - 0.5 * x + t)), rel=1e-14
+        )
+        return read(session, "y")[0]
+
+    stepping(session)
+    first, second = reached(0.0, False), reached(0.1, False)
+    assert session("get_state", 0, 1).status == OK
+    third = reached(0.2, False)
+    assert session("set", 0, "I", [REFERENCES["mode"]], [0]).status == OK
+    reached(0.3, True)
+    assert session("set_state", 0, 1).status == session("free_state", 0, 1).status == OK
+    assert read(session, "y") == [second]
+    assert reached(0.2, False) == third
+    assert session("set", 0, "I", [REFERENCES["mode"]], [0]).status == OK
+    reached(0.3, True)
+    assert session("reset", 0).status == OK
+    for call in ("enter", "leave"):
+        assert session(call, 0).status == OK
+    assert reached(0.0, False) == first
+    reached(0.1, False, h=0.05)
+
+
 def test_output_derivatives_follow_parameters_and_inputs_that_have_just_been_set(session: Session) -> None:
     """y = gain limit x, so y' = gain limit (force valve + 1 - gain / limit x + t), of the present values."""
     stepping(session)

@@ -21,10 +21,10 @@ from fmus.export import toolchain
 
 BLOCKS = catalogue.block_names()
 REBUILT = ("L1DepthController", "RovDepthPlant")
-# CasADi generates helpers and arguments whether or not a model has use for them
+# what is generated has all arguments and functions whether or not a model has use for them
 GENERATED = ("-Wno-unused-function", "-Wno-unused-parameter")
 HEADERS = ("-isystem", str(toolchain.FMI_HEADERS))
-OUR_OWN = ("fmi2.c", "instance.h", "log.h", "model.h", "model_functions.h", "snapshot.h")
+OUR_OWN = ("fmi2.c", "instance.h", "log.h", "model.h", "snapshot.h")
 
 
 @pytest.fixture(scope="session")
