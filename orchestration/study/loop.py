@@ -23,7 +23,7 @@ from orchestration.scenarios import scenario
 from orchestration.scenarios.read_layers import file_layers, shipped_bases
 from orchestration.scenarios.scenario import Scenario
 from orchestration.study.figures import figures_of, judged_signals
-from orchestration.study.protocol import REFERENCE, Case, Protocol
+from orchestration.study.protocol import REFERENCE, Case, Protocol, check_vehicle
 from orchestration.system.experiment import Experiment
 from orchestration.system.signal_derivatives import derivative
 from orchestration.system.signals import Ramps, Signal
@@ -134,6 +134,7 @@ class Loop(AbstractContextManager["Loop"]):
             )
         for fmu in loaded.system.components.values():
             build_missing(Path(fmu))
+        check_vehicle(self.protocol, _start_values(loaded.system.components["plant"]))
         inherited = {
             name: value
             for name, value in loaded.experiment.parameters.items()

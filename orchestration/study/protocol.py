@@ -33,6 +33,7 @@ from orchestration.study.protocol_format import (
 FILE = Path(__file__).with_name("protocol.toml")
 REFERENCE = "controller.depth_reference"
 SENSOR_SEED = "plant.sensor_seed"
+_VEHICLE = "plant."
 _BAND = 0.05  # of the target: the paper's settling band
 _FILE = TypeAdapter(ProtocolFile)
 _METRIC: TypeAdapter[Any] = TypeAdapter(Annotated[Table, METRIC])
@@ -165,6 +166,21 @@ def read_protocol(path: Path = FILE) -> Protocol:
         keys = ("figures", name, "arguments")
         checked(_METRIC, metric_of(table, protocol.nominal), lambda key, keys=keys: file.at((*keys, *key)))
     return protocol
+
+
+def check_vehicle(protocol: Protocol, variables: Collection[str]) -> None:
+    """Refuse a case or a plant that names a variable which the vehicle does not have."""
+    tables, known = protocol.tables, [f"{_VEHICLE}{variable}" for variable in variables]
+    names: list[tuple[KeyPath, str]] = []
+    for case, table in tables.cases.items():
+        for part in ("parameters", "inputs", "signals"):
+            names += [(("cases", case, part, name), name) for name in getattr(table, part)]
+    for drawn, entry in tables.plants.vary.items():
+        keys = ("plants", "vary", drawn, "variables")
+        names += [(keys, name) for name in entry.variables]  # type: ignore[attr-defined]
+    for keys, name in names:
+        if name.startswith(_VEHICLE) and name not in known:
+            raise ScenarioError(f"{protocol.file.at(keys)}: no variable {name}; {nearest(name, known)}")
 
 
 def _names(tables: ProtocolFile) -> Iterator[tuple[KeyPath, str, Collection[str]]]:

@@ -1,6 +1,7 @@
 """A controller in the loop of the protocol gives the figures of the scenarios that it is made of."""
 
 import math
+from pathlib import Path
 
 import pytest
 
@@ -9,7 +10,7 @@ from orchestration.master import simulate
 from orchestration.results import metrics
 from orchestration.scenarios import scenario
 from orchestration.study.loop import Controller, Loop, built_in
-from orchestration.study.protocol import Protocol
+from orchestration.study.protocol import FILE, Protocol, read_protocol
 
 
 @pytest.mark.parametrize(
@@ -48,3 +49,25 @@ def test_unknown_names_offer_the_nearest(protocol: Protocol) -> None:
         built_in(protocol, "l2")
     with pytest.raises(ScenarioError, match=r"no league 'positon'; .*'position'"):
         Loop(Controller("mine", "L1DepthController", league="positon"), protocol)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "nearest"),
+    [
+        ('"plant.inertia" = 7.0', '"plant.intertia" = 7.0', "plant.inertia"),
+        ('"plant.buoyancy_change" = 0.2', '"plant.bouyancy_change" = 0.2', "plant.buoyancy_change"),
+        ('variables = ["plant.sensor_delay"]', 'variables = ["plant.sensor_dely"]', "plant.sensor_delay"),
+    ],
+)
+def test_a_variable_that_the_vehicle_lacks_is_refused_before_any_run(
+    tmp_path: Path, old: str, new: str, nearest: str
+) -> None:
+    """Also of a case that is not run yet."""
+    text = FILE.read_text(encoding="utf-8")
+    assert old in text
+    path = tmp_path / "wrong.toml"
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    protocol = read_protocol(path)
+    complaint = rf"wrong.toml:\d+: no variable plant\.\w+; nearest is '{nearest}'"
+    with Loop(built_in(protocol, "pid"), protocol) as loop, pytest.raises(ScenarioError, match=complaint):
+        loop.scenario(protocol.nominal)
