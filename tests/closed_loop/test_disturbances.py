@@ -44,12 +44,12 @@ def test_the_page_shows_the_figures_of_the_scenarios(
     scenario_fmus: None, name: str, augmentation: str, first: int
 ) -> None:
     loaded = scenario.load(scenario.find(name), settings={"controller.augmentation": augmentation})
-    found = metrics.evaluate(simulate(loaded.system, loaded.experiment), loaded.metrics)
+    measured = metrics.evaluate(simulate(loaded.system, loaded.experiment), loaded.metrics)
     shown = rows()[name][first : first + 3]
     for metric, cell in zip(("rmse", "peak_error", "recovery_time"), shown, strict=False):
-        assert (metric in found) == bool(cell.strip())
-        if metric in found:
-            assert float(cell) == pytest.approx(found[metric], rel=6e-3), metric  # three digits
+        assert (metric in measured) == bool(cell.strip())
+        if metric in measured:
+            assert float(cell) == pytest.approx(measured[metric], rel=6e-3), metric  # three digits
 
 
 def disturbed(

@@ -121,7 +121,7 @@ def test_the_norm_with_the_extension_is_that_of_scipys_impulse_response(
     det(s I - A_x) = s^2 + 1.4 s + 1 + omega K(s); C_omega - 1 = -s / (s + omega w).
     """
     w = 20.0
-    found = design.l1_norm(
+    norm = design.l1_norm(
         design.uncompensated(A_M, B, FilterOrder.FIRST, w, design.Extension((1.0, 0.0), k_p, k_i), omega)
     )
     integral = [1.0, 0.0] if k_i else [1.0]
@@ -136,7 +136,7 @@ def test_the_norm_with_the_extension_is_that_of_scipys_impulse_response(
             (residue * np.exp(pole * t)).real for residue, pole in zip(residues, poles, strict=True)
         )
         norms.append(np.trapezoid(np.abs(response), t))
-    assert found == pytest.approx(max(norms), rel=2e-4)  # both rules are of second order
+    assert norm == pytest.approx(max(norms), rel=2e-4)  # both rules are of second order
 
 
 def test_the_condition_takes_the_worst_input_gain_of_the_box() -> None:

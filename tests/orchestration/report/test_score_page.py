@@ -76,6 +76,6 @@ def test_plants_have_a_box_for_each_controller(opened_score: OpenedPage) -> None
 
 
 def test_what_failed_is_told_with_its_reason(opened_score: OpenedPage) -> None:
-    told = opened_score.one("#failed").text
-    assert "<l1>\nNominal\nbreach 3 s" in told
-    assert "<pid>" not in told
+    text = opened_score.one("#failed").text
+    assert "<l1>\nNominal\nbreach 3 s" in text
+    assert "<pid>" not in text

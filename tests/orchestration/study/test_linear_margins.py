@@ -31,10 +31,10 @@ def integrator(gain: float) -> LinearLoop:
 
 
 def test_an_integrator_bears_a_quarter_of_a_turn() -> None:
-    found = margins(integrator(4.0))
-    assert found.delay == pytest.approx(0.5 * math.pi / 4.0, rel=1e-9)
-    assert found.frequency == pytest.approx(4.0, rel=1e-9)
-    assert (found.low_gain, found.high_gain) == (0.0, math.inf)
+    loop_margins = margins(integrator(4.0))
+    assert loop_margins.delay == pytest.approx(0.5 * math.pi / 4.0, rel=1e-9)
+    assert loop_margins.frequency == pytest.approx(4.0, rel=1e-9)
+    assert (loop_margins.low_gain, loop_margins.high_gain) == (0.0, math.inf)
 
 
 def test_three_lags_bear_a_gain_of_eight() -> None:
@@ -45,14 +45,14 @@ def test_three_lags_bear_a_gain_of_eight() -> None:
         Equation({"c": 1.0}, {"c": -1.0, "b": 1.0}),
         Equation({}, {"u": -1.0, "c": -1.0}),
     )
-    found = margins(LinearLoop(rows, "input", "u"))
-    assert found.high_gain == pytest.approx(8.0, rel=1e-9)
-    assert found.delay == math.inf  # |L| < 1 everywhere
+    loop_margins = margins(LinearLoop(rows, "input", "u"))
+    assert loop_margins.high_gain == pytest.approx(8.0, rel=1e-9)
+    assert loop_margins.delay == math.inf  # |L| < 1 everywhere
 
 
 def test_a_loop_that_is_unstable_has_no_margins() -> None:
-    found = margins(integrator(-1.0))
-    assert all(math.isnan(value) for value in vars(found).values())
+    loop_margins = margins(integrator(-1.0))
+    assert all(math.isnan(value) for value in vars(loop_margins).values())
 
 
 def test_a_missing_equation_is_refused() -> None:
@@ -95,10 +95,10 @@ def by_transfer_functions(k_d: tuple[list[float], list[float]], lag: float) -> L
 def test_the_limit_of_fast_adaptation_is_the_linear_controller_derived_by_hand(
     order: FilterOrder, k_d: tuple[list[float], list[float]], lag: float
 ) -> None:
-    found = margins(loop(replace(LAW, filter_order=order), replace(IDEAL, lags=(lag,))))
+    loop_margins = margins(loop(replace(LAW, filter_order=order), replace(IDEAL, lags=(lag,))))
     expected = by_transfer_functions(k_d, lag)
-    assert found.delay == pytest.approx(expected.delay, rel=1e-4)  # a step of its grid
-    assert found.frequency == pytest.approx(expected.frequency, rel=1e-4)
+    assert loop_margins.delay == pytest.approx(expected.delay, rel=1e-4)  # a step of its grid
+    assert loop_margins.frequency == pytest.approx(expected.frequency, rel=1e-4)
 
 
 @pytest.mark.parametrize("observer", [None, OBSERVER])
@@ -132,9 +132,9 @@ def test_the_limit_with_the_observer_is_that_of_its_frequency_response(sampled: 
     response = k / (M * s**2 + D * s) / (LAG * s + 1.0)
     (i,) = np.flatnonzero(np.diff(np.sign(np.abs(response) - 1.0)))
     expected = (math.pi + np.angle(response[i])) % (2.0 * math.pi) / w[i]
-    found = margins(loop(replace(LAW, observer=replace(OBSERVER, sampled=sampled)), LAGGING)).delay
+    delay = margins(loop(replace(LAW, observer=replace(OBSERVER, sampled=sampled)), LAGGING)).delay
     # the bilinear equivalent has every frequency wrong by (w T)^2 / 12 = 0.2 %
-    assert found == pytest.approx(expected, rel=7e-3 if sampled else 1e-4)
+    assert delay == pytest.approx(expected, rel=7e-3 if sampled else 1e-4)
 
 
 def simulated_growth(kappa: float, delay: float) -> float:
@@ -180,15 +180,18 @@ def simulated_growth(kappa: float, delay: float) -> float:
 @pytest.mark.parametrize("kappa", [164.59, 1e6])
 def test_a_simulation_with_a_delay_is_stable_below_the_margin_and_unstable_above(kappa: float) -> None:
     """At 98 % and 102 % of it, over 45 s."""
-    found = margins(loop(replace(LAW, kappa=kappa, observer=OBSERVER), LAGGING))
-    assert simulated_growth(kappa, 0.98 * found.delay) < -0.5
-    assert simulated_growth(kappa, 1.02 * found.delay) > 0.5
+    loop_margins = margins(loop(replace(LAW, kappa=kappa, observer=OBSERVER), LAGGING))
+    assert simulated_growth(kappa, 0.98 * loop_margins.delay) < -0.5
+    assert simulated_growth(kappa, 1.02 * loop_margins.delay) > 0.5
 
 
 def test_the_poles_leave_the_left_half_plane_at_the_gain_margin() -> None:
-    law, found = replace(LAW, observer=OBSERVER), margins(loop(replace(LAW, observer=OBSERVER), LAGGING))
+    law, loop_margins = (
+        replace(LAW, observer=OBSERVER),
+        margins(loop(replace(LAW, observer=OBSERVER), LAGGING)),
+    )
     for factor, is_stable in ((0.98, True), (1.02, False)):
-        plant = replace(LAGGING, gains=(factor * found.high_gain,))
+        plant = replace(LAGGING, gains=(factor * loop_margins.high_gain,))
         assert bool(loop(law, plant).poles().real.max() < 0.0) is is_stable
 
 

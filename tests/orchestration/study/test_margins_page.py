@@ -14,8 +14,8 @@ TEXT = (Path(__file__).parents[3] / "docs" / "explanation" / "margins.md").read_
 
 @cache
 def figures(name: str, measured: bool) -> dict[str, Figure]:
-    found = judge(scenario.load(scenario.find(name)), measured=measured).figures
-    return {f"{figure.group}: {figure.name}": figure for figure in found}
+    judged = judge(scenario.load(scenario.find(name)), measured=measured).figures
+    return {f"{figure.group}: {figure.name}": figure for figure in judged}
 
 
 def missing(name: str, measured: bool, groups: tuple[str, ...], column: int) -> list[str]:
@@ -49,9 +49,9 @@ def test_the_page_has_the_figures_that_follow_from_theory(
 
 
 def test_the_table_of_adaptation_gains_is_that_of_the_linear_loop(scenario_fmus: None) -> None:
-    found = figures("nominal-extended", False)
+    shown_figures = figures("nominal-extended", False)
     for gain in (10, 100, 1000, 10000, 100000):
-        shown = found[f"linear loop: delay margin, adaptation_gain = {gain}"].shown
+        shown = shown_figures[f"linear loop: delay margin, adaptation_gain = {gain}"].shown
         assert f"| {gain} | {shown} |" in TEXT
 
 
@@ -63,12 +63,12 @@ def test_the_page_has_the_figures_that_are_measured(scenario_fmus: None, name: s
 
 @pytest.mark.slow
 def test_the_tables_of_adaptation_gains_and_of_steps_are_measured(scenario_fmus: None) -> None:
-    found = figures("nominal-extended", True)
+    shown_figures = figures("nominal-extended", True)
     for gain in (10, 100, 1000, 10000, 100000):
         names = [
             f"delay margin, {p}, controller.adaptation_gain = {gain}" for p in ("control", "measurement")
         ]
-        cells = " | ".join(found[f"through the FMUs: {name}"].shown for name in names)
+        cells = " | ".join(shown_figures[f"through the FMUs: {name}"].shown for name in names)
         assert f"| {cells} | s |" in TEXT
     example = figures("example-extended", True)
     for step in (1, 0.2, 0.02):

@@ -99,8 +99,8 @@ def test_an_interrupted_tuning_continues_to_the_same_result(tmp_path: Path, cut_
     path = tmp_path / "journal"
     with pytest.raises(KeyboardInterrupt):
         tuned(path, Interrupted(40), 10)
-    kept = path.read_text()
-    path.write_text(kept[: len(kept) - cut_off])  # as after a power failure
+    text = path.read_text()
+    path.write_text(text[: len(text) - cut_off])  # as after a power failure
     done = len(path.read_text().split("\n")) - 1 - (cut_off > 0)
     rest = Interrupted(10 * len(GAINS) * len(SEEDS) - done)  # not one evaluation is made twice
     assert done > 10
