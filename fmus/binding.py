@@ -128,7 +128,10 @@ class Log(list[tuple[int, str]]):
         super().__init__()
         self.error_logged = np.zeros(1, np.int64)
 
-    def add(self, status: int, message: str) -> None:
+    def add(
+        self, status: int, message: str, instance: str | None = None, category: str | None = None
+    ) -> None:
+        """Add a message. instance, category: as the FMU gave them, for a log that keeps these too."""
         entry = status, " ".join(message.split())
         if not self or self[-1] != entry:
             self.append(entry)
@@ -177,7 +180,12 @@ def _log_message(
 ) -> None:
     log = _logs.get(environment or 0)
     if log is not None:
-        log.add(status, (message or b"").decode("utf-8", "replace"))
+        instance_name, category_name = (None if x is None else _text(x) for x in (instance, category))
+        log.add(status, _text(message or b""), instance_name, category_name)
+
+
+def _text(content: bytes) -> str:
+    return content.decode("utf-8", "replace")
 
 
 _python_logger = fmi2.fmi2CallbackLoggerTYPE(_log_message)
@@ -206,12 +214,19 @@ def _logger() -> Any:
 class Callbacks:
     """The callbacks of one instance, and the log that they fill until `close`.
 
-    allocator: FMPy's by default; asynchronous: whether a step may return pending
+    allocator: FMPy's by default; asynchronous: whether a step may return pending; log: a new one by default;
+    environment: of the callbacks, by which messages find their log
     """
 
-    def __init__(self, allocator: CountingAllocator | None = None, asynchronous: bool = False) -> None:
-        self._environment = next(_environments)
-        self.log = _logs[self._environment] = Log()
+    def __init__(
+        self,
+        allocator: CountingAllocator | None = None,
+        asynchronous: bool = False,
+        log: Log | None = None,
+        environment: int | None = None,
+    ) -> None:
+        self._environment = next(_environments) if environment is None else environment
+        self.log = _logs[self._environment] = Log() if log is None else log
         self.structure = fmi2.fmi2CallbackFunctions(
             logger=_logger(),
             allocateMemory=allocator.allocate if allocator else fmi2.defaultCallbacks.allocateMemory,

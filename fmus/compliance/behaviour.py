@@ -3,47 +3,77 @@
 import errno
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from fmus.binding import platform_name
-from fmus.compliance import derivative_rules, lifecycle_rules, reference_rules, state_rules
+from fmus.compliance import (
+    call_rules,
+    callback_rules,
+    dependency_rules,
+    derivative_rules,
+    lifecycle_rules,
+    log_rules,
+    process_rules,
+    reference_rules,
+    state_rules,
+    step_rules,
+    value_rules,
+)  # fmt: skip
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.library_rules import no_co_simulation
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Result, Rule, Stage, messages_of, registered
+from fmus.compliance.rule import Level, NotJudgedError, Result, Rule, Stage, messages_of, registered
 from fmus.errors import HostError
 from fmus.process import ProcessEndedError
 
-MODULES = (lifecycle_rules, state_rules, derivative_rules, reference_rules)
+MODULES = (
+    lifecycle_rules, call_rules, value_rules, step_rules, callback_rules, log_rules, process_rules,
+    state_rules, derivative_rules, dependency_rules, reference_rules,
+)  # fmt: skip
+FUNDAMENTAL = ("library-loads", "instantiates-and-frees", "steps-and-terminates")
+"""Without these no behaviour is judged: what else would be found has the same cause."""
 DEFAULT_TIMEOUT_S = 30.0
 _OF_THE_HOST = ("ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EMFILE", "ENFILE", "EIO", "ENOMEM", "EAGAIN")
 _START_S = 60.0  # for the interpreter, whatever the rules take
 
 
-def behaviour(fmu: FmuFile, timeout: float) -> Iterator[Result]:
-    """One result for each behaviour rule. timeout: seconds for one rule."""
+def behaviour(fmu: FmuFile, timeout: float, earlier: Sequence[Result] = ()) -> Iterator[Result]:
+    """One result for each behaviour rule.
+
+    timeout: seconds for one rule; earlier: what the rules of the other stages said
+    """
     rules = registered(Stage.BEHAVIOUR)
-    obstacle = _obstacle(fmu)
-    reasons = {rule.name: obstacle or rule.condition(fmu) for rule in rules}
-    messages = _messages(fmu, [name for name, reason in reasons.items() if not reason], timeout)
-    for rule in rules:
-        yield Result(rule, messages.get(rule.name, ()), reasons[rule.name])
+    obstacle = _obstacle(fmu) or _broken_library(fmu, earlier)
+    if obstacle:
+        yield from (Result(rule, not_judged=obstacle) for rule in rules)
+        return
+    results = {rule.name: Result(rule, not_applicable=rule.condition(fmu)) for rule in rules}
+    names = [name for name, result in results.items() if not result.not_applicable]
+    yield from {**results, **_judged(fmu, names, timeout)}.values()
 
 
 def _obstacle(fmu: FmuFile) -> str:
     """The reason why no behaviour can be judged, if there is one."""
     if fmu.archive_problem or fmu.too_large or fmu.description_problem:
         return "the FMU cannot be read"
+    if fmu.other_version:
+        return "it is no FMU of FMI 2.0"
     return no_co_simulation(fmu) or ("" if fmu.host_library else f"no library for {platform_name()}")
 
 
-def _messages(fmu: FmuFile, names: Sequence[str], timeout: float) -> dict[str, tuple[str, ...]]:
-    """Rule name -> messages. After a crash or a hang a new process goes on with the next rule."""
-    messages: dict[str, tuple[str, ...]] = {}
-    if not names:
-        return messages
+def _broken_library(fmu: FmuFile, earlier: Sequence[Result]) -> str:
+    """The rule of libraries that the library of this platform breaks, if any."""
+    broken = (r.rule.name for r in earlier if any(m.startswith(f"{fmu.host_library} ") for m in r.messages))
+    return next((f"{name} is broken" for name in broken if name in ("library-format", "library-exports")), "")
+
+
+def _judged(fmu: FmuFile, names: Sequence[str], timeout: float) -> dict[str, Result]:
+    """Rule name -> result. After a crash or a hang a new process goes on with the next rule."""
+    results: dict[str, Result] = {}
+    rules = {rule.name: rule for rule in registered(Stage.BEHAVIOUR)}
     with host_errors(), _temporary_folder() as temporary:
         folder = Path(temporary, "unpacked")
         try:
@@ -51,11 +81,13 @@ def _messages(fmu: FmuFile, names: Sequence[str], timeout: float) -> dict[str, t
                 fmu.extract(folder)
         except HostError:
             raise
-        except Exception as error:  # an archive that is damaged anywhere
-            return dict.fromkeys(names, (f"the archive cannot be unpacked: {error}",))
-        while remaining := [name for name in names if name not in messages]:
-            messages.update(_judged_by_one_process(fmu, folder, remaining, timeout))
-    return messages
+        except Exception as error:  # an archive that is damaged anywhere: `archive-is-zip` tells more
+            return {name: Result(rules[name], not_judged=f"it cannot be unpacked: {error}") for name in names}
+        shared: dict[str, Any] = {}
+        while remaining := [rules[name] for name in names if name not in results]:
+            for result in _judged_by_one_process(fmu, folder, remaining, results, timeout, shared):
+                results[result.rule.name] = result
+    return results
 
 
 def _temporary_folder() -> tempfile.TemporaryDirectory[str]:
@@ -77,30 +109,46 @@ def host_errors() -> Iterator[None]:
 
 
 def _judged_by_one_process(
-    fmu: FmuFile, folder: Path, names: Sequence[str], timeout: float
-) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Rule name and messages, up to the first rule that the process does not survive, but one at least."""
-    rules = {rule.name: rule for rule in registered(Stage.BEHAVIOUR)}
-    probe = Probe(fmu, folder, time.monotonic() + _START_S)
-    name, limit = names[0], _START_S
+    fmu: FmuFile,
+    folder: Path,
+    rules: Sequence[Rule],
+    results: Mapping[str, Result],
+    timeout: float,
+    shared: dict[str, Any],
+) -> Iterator[Result]:
+    """Results, up to the first rule that the process does not survive, but one at least.
+
+    results: of the rules before; it grows with what this yields
+    """
+    probe = Probe(fmu, folder, time.monotonic() + _START_S, shared)
+    rule, limit = rules[0], _START_S
     try:
         probe.process.calls([])  # it has started
         limit = timeout
-        for name in names:
+        for rule in rules:
             probe.process.deadline = time.monotonic() + limit
-            yield name, _judge(rules[name], probe)
+            yield _judge(rule, probe, results)
     except TimeoutError:
-        yield name, (f"the FMU took more than {limit:g} s",)
+        yield Result(rule, (f"the FMU took more than {limit:g} s",))
     except ProcessEndedError as ended:
-        yield name, (f"the FMU ended the process with {ended}",)
+        yield Result(rule, (f"the FMU ended the process with {ended}",))
     finally:
         probe.process.close()
 
 
-def _judge(rule: Rule, probe: Probe) -> tuple[str, ...]:
+def _judge(rule: Rule, probe: Probe, results: Mapping[str, Result]) -> Result:
+    broken = [
+        name
+        for name in (*FUNDAMENTAL, *rule.needs)
+        if name in results and results[name].messages and results[name].rule.level is Level.ERROR
+    ]
+    if broken:
+        return Result(rule, not_judged=f"{broken[0]} is broken")
     try:
-        return messages_of(rule.check(probe))
+        return Result(rule, messages_of(rule.check(probe)))
     except (TimeoutError, ProcessEndedError):
         raise
+    except NotJudgedError as reason:
+        return Result(rule, not_judged=str(reason))
     except Exception as error:  # whatever an FMU answers is a finding
-        return messages_of([str(error) or type(error).__name__])
+        return Result(rule, messages_of([str(error) or type(error).__name__]))

@@ -1,64 +1,171 @@
 """Behaviour of derivatives: of inputs, of outputs, and directional ones, as far as the FMU claims them."""
 
+import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.instance import CallError
-from fmus.compliance.lifecycle_rules import unless_claimed
-from fmus.compliance.probe import Instance, Probe
-from fmus.compliance.rule import Stage, rule
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import NotJudgedError, Stage, rule
+from fmus.compliance.script import Reading, Script
+from fmus.compliance.values import (
+    differing,
+    other_value,
+    settable_in_initialization,
+    start_value,
+    texts,
+    unless_claimed,
+)
 from fmus.compliance.variable import Variable, integer
 
 _TRANSFER = "4.2.1 Transfer of Input / Output Values and Parameters"
 _DIRECTIONAL = "2.1.9 Getting Partial Derivatives"
+_INTERPOLATES, _PROVIDES = "canInterpolateInputs", "providesDirectionalDerivative"
 _MOST_KNOWNS = 40  # of one FMU: each costs four evaluations
 _DIFFERENCE = 1e-6  # relative change for a difference quotient: half the digits for truncation and rounding
 _AGREEMENT = 1e-4  # relative; a wrong derivative is wrong by much more
+_ROUGH = 0.1  # relative: of slopes over a step, which is no limit
+_LINEAR = 1e-6  # relative: derivatives may be difference quotients
+_RESTARTED = 1e-6  # relative: a solver may begin anew where a derivative is set
 
 
 def _orders(fmu: FmuFile) -> str:
     return "" if fmu.output_derivative_order > 0 else "maxOutputDerivativeOrder is 0"
 
 
-@rule(_TRANSFER, Stage.BEHAVIOUR, condition=unless_claimed("canInterpolateInputs"))
+def _continuous(probe: Probe, causality: str) -> list[Variable]:
+    return [v for v in probe.real(causality) if v.variability == "continuous"]
+
+
+def _references(variables: Sequence[Variable]) -> list[int]:
+    return [v.reference or 0 for v in variables]
+
+
+def _derive(script: Script, v: Variable, value: float) -> None:
+    script.call("set_input_derivatives", _references([v]), [1], [value])
+
+
+@rule(_TRANSFER, Stage.BEHAVIOUR, condition=unless_claimed(_INTERPOLATES))
 def input_derivatives(probe: Probe) -> Iterator[str]:
-    """The first derivative of every continuous Real input can be set before a step, which then succeeds."""
-    with probe.instance() as instance:
-        instance.enter_step_mode(probe.start_time)
-        for v in probe.real("input"):
-            if v.variability == "continuous":
-                instance.set_input_derivative(v, 1, 0.0)
-        probe.run(instance, 2)
-    yield from ()
+    """The first derivative of every continuous Real input can be set before a step; zero changes nothing."""
+    usual, script = probe.script().begin(), probe.script(logging=True).begin()
+    expected = usual.run(2)
+    for v in _continuous(probe, "input"):
+        _derive(script, v, 0.0)
+    got = script.run(2)
+    usual.play()
+    script.play()
+    yield from differing(expected, got, "where derivatives of inputs were set to 0", _RESTARTED)
+
+
+@rule(_TRANSFER, Stage.BEHAVIOUR, condition=unless_claimed(_INTERPOLATES), needs=["input-derivatives"])
+def input_derivatives_have_an_effect(probe: Probe) -> Iterator[str]:
+    """The derivative of an input that outputs follow moves them, in the direction of the input itself."""
+    wrong, right = [], False
+    for v in _continuous(probe, "input"):
+        value = other_value(v)
+        if value is None:
+            continue
+        change, held = value - start_value(v), probe.script().begin().step()
+        raised, moving = probe.script().begin().step(), probe.script().begin().step()
+        for script in (held, raised, moving):
+            script.set(v, value if script is raised else start_value(v))
+        _derive(moving, v, change / probe.step_size)
+        readings = [script.step().read(probe.outputs) for script in (held, raised, moving)]
+        for script in (held, raised, moving):
+            script.play(keep_going=True)
+        if held.failure or raised.failure or moving.failure:
+            continue
+        verdict = _moved(*readings)
+        right = right or verdict == "right"
+        if verdict in ("not", "backwards"):
+            wrong.append((v.name, verdict))
+    if (wrong and not right) or any(verdict == "backwards" for _, verdict in wrong):
+        name, verdict = next(((n, w) for n, w in wrong if w == "backwards"), wrong[0])
+        how = "has no effect" if verdict == "not" else "moves outputs against the input"
+        yield f"the derivative of {name} {how} in a step, as canInterpolateInputs says it has"
+
+
+def _moved(held: Reading, raised: Reading, moving: Reading) -> str:
+    """Whether outputs that follow an input follow its derivative: right, not, backwards, or unknown."""
+    pairs = [
+        (raised.values[name] - value, moving.values[name] - value)
+        for name, value in held.values.items()
+        if isinstance(value, float) and raised.values[name] != value
+    ]
+    if not pairs:
+        return "unknown"
+    if all(moved == 0.0 for _, moved in pairs):
+        return "not"
+    largest = max(pairs, key=lambda pair: abs(pair[0]))
+    return (
+        "backwards"
+        if largest[0] * largest[1] < 0.0 and abs(largest[1]) > _ROUGH * abs(largest[0])
+        else "right"
+    )
 
 
 @rule(_TRANSFER, Stage.BEHAVIOUR, condition=_orders)
 def output_derivatives(probe: Probe) -> Iterator[str]:
     """After a step every continuous Real output has a finite derivative of each order that is claimed."""
-    chosen = [v for v in probe.real("output") if v.variability == "continuous"]
-    with probe.instance() as instance:
-        instance.enter_step_mode(probe.start_time)
-        probe.run(instance, 2)
-        for order in range(1, probe.fmu.output_derivative_order + 1) if chosen else ():
-            for v, value in zip(chosen, instance.output_derivatives(chosen, order), strict=True):
-                if not math.isfinite(value):
-                    yield f"{v.name}: derivative of order {order} is {value}: expected a finite number"
+    chosen = _continuous(probe, "output")
+    script = probe.script(logging=True).begin().step(2)
+    replies = [
+        script.call("output_derivatives", _references(chosen), order)
+        for order in range(1, probe.fmu.output_derivative_order + 1)
+        if chosen
+    ]
+    script.play()
+    for order, reply in enumerate(replies, 1):
+        for v, value in zip(chosen, reply.value, strict=True):
+            if not math.isfinite(value):
+                yield f"{v.name}: derivative of order {order} is {value}: expected a finite number"
 
 
-@rule(_DIRECTIONAL, Stage.BEHAVIOUR, condition=unless_claimed("providesDirectionalDerivative"))
+@rule(_TRANSFER, Stage.BEHAVIOUR, condition=_orders, needs=["output-derivatives"])
+def output_derivatives_are_right(probe: Probe) -> Iterator[str]:
+    """The first derivative of an output is its slope: near the difference quotients before and after it."""
+    chosen = _continuous(probe, "output")
+    script = probe.script().begin()
+    readings, replies = [], []
+    for _ in range(8):
+        script.step()
+        readings.append(script.read(chosen))
+        if chosen:
+            replies.append(script.call("output_derivatives", _references(chosen), 1))
+    script.play()
+    for index, v in enumerate(chosen):
+        values = [reading.values[v.name] for reading in readings]
+        slopes = [(b - a) / probe.step_size for a, b in itertools.pairwise(values)]
+        wrong = [
+            i
+            for i in range(1, len(slopes))
+            if _is_wrong(
+                replies[i].value[index], slopes[i - 1], slopes[i], max(map(abs, values)) / probe.step_size
+            )
+        ]
+        if len(wrong) > len(slopes) // 2:  # a jump or an event is not a wrong derivative
+            i = wrong[0]
+            shown = texts(replies[i].value[index], slopes[i - 1], slopes[i])
+            yield f"{v.name}: its derivative is {shown[0]}: expected about {shown[1]}..{shown[2]}, its slopes"
+
+
+def _is_wrong(derivative: float, before: float, after: float, scale: float) -> bool:
+    margin = 2 * abs(after - before) + _ROUGH * max(abs(before), abs(after)) + 1e-9 * scale
+    return not min(before, after) - margin <= derivative <= max(before, after) + margin
+
+
+@rule(_DIRECTIONAL, Stage.BEHAVIOUR, condition=unless_claimed(_PROVIDES))
 def directional_derivatives(probe: Probe) -> Iterator[str]:
     """In initialization mode, derivatives of outputs lie between difference quotients of both sides."""
-    with probe.instance() as instance:
-        instance.initialise(probe.start_time)
-        for known, unknowns in list(_pairs(probe.fmu).items())[:_MOST_KNOWNS]:
-            yield from _compared(instance, probe.fmu.variables[known - 1], unknowns)
+    for known, unknowns in list(_pairs(probe.fmu).items())[:_MOST_KNOWNS]:
+        yield from _compared(probe, probe.fmu.variables[known - 1], unknowns)
 
 
 def _pairs(fmu: FmuFile) -> dict[int, list[Variable]]:
     """Index of a continuous Real known that can be set -> the Real outputs that depend on it at first."""
     dependents: dict[int, list[Variable]] = {}
-    settable = [v.index for v in fmu.variables if v.kind == "Real" and v.is_settable]
+    settable = [v.index for v in settable_in_initialization(fmu) if v.kind == "Real"]
     for index, element in fmu.unknowns("InitialUnknowns"):
         unknown = fmu.variables[(index or 1) - 1]
         stated = element.get("dependencies")
@@ -69,16 +176,17 @@ def _pairs(fmu: FmuFile) -> dict[int, list[Variable]]:
     return dependents
 
 
-def _compared(instance: Instance, known: Variable, unknowns: list[Variable]) -> Iterator[str]:
-    derivatives = instance.directional_derivatives(unknowns, known)
-    before = instance.get([known])[known.name]
-    width = _DIFFERENCE * max(1.0, abs(before))
-    middle = instance.get(unknowns)
-    sides = [_quotients(instance, known, unknowns, before, h) for h in (-width, width)]
-    sides = [side for side in sides if side]
-    for v, derivative in zip(unknowns, derivatives, strict=True):
+def _compared(probe: Probe, known: Variable, unknowns: list[Variable]) -> Iterator[str]:
+    script = probe.script(logging=True).initialise()
+    middle, at = script.read(unknowns), script.read([known])
+    reply = script.call("directional_derivatives", _references(unknowns), _references([known]), [1.0])
+    script.play()
+    before = at.values[known.name]
+    sides = [side for sign in (-1, 1) if (side := _quotients(probe, known, unknowns, before, sign, middle))]
+    for v, derivative in zip(unknowns, reply.value, strict=True):
         quotients = [side[v.name] for side in sides]
-        rounding = 1e-13 * abs(middle[v.name]) / width  # some hundred roundings of the output
+        width = _DIFFERENCE * max(1.0, abs(before))
+        rounding = 1e-13 * abs(middle.values[v.name]) / width  # some hundred roundings of the output
         tolerance = _AGREEMENT * max([abs(derivative), *map(abs, quotients)]) + rounding
         low, high = min(quotients, default=-math.inf), max(quotients, default=math.inf)
         if not low - tolerance <= derivative <= high + tolerance:
@@ -86,19 +194,70 @@ def _compared(instance: Instance, known: Variable, unknowns: list[Variable]) -> 
 
 
 def _quotients(
-    instance: Instance, known: Variable, unknowns: list[Variable], before: float, h: float
+    probe: Probe, known: Variable, unknowns: list[Variable], before: float, sign: int, middle: Reading
 ) -> dict[str, float]:
     """Difference quotients of all unknowns on one side; none where the FMU refuses the value."""
     low, high = known.number("min"), known.number("max")
-    value = before + h
+    value = before + sign * _DIFFERENCE * max(1.0, abs(before))
     if (low is not None and value < low) or (high is not None and value > high):
         return {}
-    middle = instance.get(unknowns)
-    try:
-        instance.set(known, value)
-        after = instance.get(unknowns)
-    except CallError:
+    script = probe.script().initialise()
+    script.set(known, value)
+    after = script.read(unknowns)
+    script.play(keep_going=True)
+    if script.failure:
         return {}
-    finally:
-        instance.set(known, before)
-    return {name: (after[name] - middle[name]) / (value - before) for name in middle}
+    return {name: (after.values[name] - x) / (value - before) for name, x in middle.values.items()}
+
+
+@rule(_DIRECTIONAL, Stage.BEHAVIOUR, condition=unless_claimed(_PROVIDES), needs=["directional-derivatives"])
+def directional_derivatives_are_linear(probe: Probe) -> Iterator[str]:
+    """A directional derivative is the sum of the partial derivatives, each times its seed, in every mode."""
+    unknowns, knowns = _continuous(probe, "output"), _continuous(probe, "input")[:_MOST_KNOWNS]
+    if not unknowns or not knowns:
+        raise NotJudgedError("there is no continuous input or output")
+    seed = [1.0 + 0.5 * i for i in range(len(knowns))]
+    for stepping in (False, True):
+        script = probe.script(logging=True)
+        script = script.begin().step() if stepping else script.initialise()
+        alone = [
+            script.call("directional_derivatives", _references(unknowns), _references([known]), [1.0])
+            for known in knowns
+        ]
+        together = script.call("directional_derivatives", _references(unknowns), _references(knowns), seed)
+        script.play()
+        for i, v in enumerate(unknowns):
+            parts = [s * reply.value[i] for s, reply in zip(seed, alone, strict=True)]
+            got, expected = together.value[i], sum(parts)
+            if not abs(got - expected) <= _LINEAR * max([1e-300, abs(got), *map(abs, parts)]):
+                shown = texts(got, expected)
+                yield (
+                    f"the directional derivative of {v.name} is {shown[0]} in the state "
+                    f"{script.state!r}: expected {shown[1]}, the sum of its parts"
+                )
+
+
+@rule(_DIRECTIONAL, Stage.BEHAVIOUR, condition=unless_claimed(_PROVIDES), needs=["directional-derivatives"])
+def directional_derivatives_are_zero_without_dependency(probe: Probe) -> Iterator[str]:
+    """The derivative with respect to an input that is not among the dependencies of an output is zero."""
+    knowns = _continuous(probe, "input")
+    for section, stepping in (("InitialUnknowns", False), ("Outputs", True)):
+        for index, element in probe.fmu.unknowns(section):
+            unknown, stated = probe.fmu.variables[(index or 1) - 1], element.get("dependencies")
+            if stated is None or unknown.kind != "Real" or unknown.causality != "output":
+                continue
+            listed = {integer(i) for i in stated.split()}
+            others = [v for v in knowns if v.index not in listed][:_MOST_KNOWNS]
+            script = probe.script(logging=True)
+            script = script.begin().step() if stepping else script.initialise()
+            replies = [
+                script.call("directional_derivatives", _references([unknown]), _references([known]), [1.0])
+                for known in others
+            ]
+            script.play(keep_going=True)
+            for known, reply in zip(others, replies, strict=True):
+                if reply.ok and reply.value[0] != 0.0:
+                    yield (
+                        f"d {unknown.name} / d {known.name} is {reply.value[0]:.9g} in the state "
+                        f"{script.state!r}: expected 0, as {section} lists no such dependency"
+                    )

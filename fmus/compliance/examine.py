@@ -37,7 +37,8 @@ def examine(path: Path, timeout: float = DEFAULT_TIMEOUT_S) -> list[Result]:
     """
     with path.open("rb"):
         fmu = FmuFile(path)
-    return [*static_results(fmu), *behaviour(fmu, timeout)]
+    earlier = list(static_results(fmu))
+    return [*earlier, *behaviour(fmu, timeout, earlier)]
 
 
 def static_results(fmu: FmuFile) -> Iterator[Result]:
@@ -51,7 +52,9 @@ def static_results(fmu: FmuFile) -> Iterator[Result]:
 
 def _result(rule: Rule, fmu: FmuFile, closed: str) -> Result:
     try:
-        reason = closed or rule.condition(fmu)
-        return Result(rule, (), reason) if reason else Result(rule, messages_of(rule.check(fmu)))
+        if closed:
+            return Result(rule, not_judged=closed)
+        reason = rule.condition(fmu)
+        return Result(rule, not_applicable=reason) if reason else Result(rule, messages_of(rule.check(fmu)))
     except Exception as error:  # a validator that fails on what it reads has found something
         return Result(rule, messages_of([f"could not be judged, {type(error).__name__}: {error}"]))

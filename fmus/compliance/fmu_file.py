@@ -145,8 +145,13 @@ class FmuFile:
         if typed is None:
             return Variable(index, dict(element.attrib), "", _NOTHING, _NOTHING)
         declared = self.types.get(typed.get("declaredType", ""))
-        inherited = dict(declared.attrib) if declared is not None and declared.tag == typed.tag else _NOTHING
-        return Variable(index, dict(element.attrib), typed.tag, dict(typed.attrib), inherited)
+        if declared is None or declared.tag != typed.tag:
+            return Variable(index, dict(element.attrib), typed.tag, dict(typed.attrib), _NOTHING)
+        values = (integer(item.get("value")) for item in declared.iterfind("Item"))
+        items = frozenset(value for value in values if value is not None)
+        return Variable(
+            index, dict(element.attrib), typed.tag, dict(typed.attrib), dict(declared.attrib), items
+        )
 
     @cached_property
     def state_derivatives(self) -> dict[int, int]:

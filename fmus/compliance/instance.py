@@ -1,134 +1,147 @@
-"""The process that loads an FMU and calls it: each status is checked, memory is counted.
+"""The process that loads an FMU and plays calls on its instances: statuses, messages, memory, settings.
 
 It judges nothing, and what it sends is not trusted: the FMU can do to it whatever it likes.
 """
 
-import ctypes
 import os
-import time
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from fmpy.fmi2 import fmi2DoStepStatus, fmi2Integer, fmi2Real, fmi2Status
-
-from fmus.binding import (
-    ELEMENTS,
-    PENDING,
-    WARNING,
-    BoundInstance,
-    Callbacks,
-    CountingAllocator,
-    Library,
-    reference_array,
-    status_name,
-)
+from fmus.binding import DISCARD, ERROR, FATAL, WARNING, CountingAllocator, Library
+from fmus.compliance.called_instance import CalledInstance
+from fmus.compliance.process_settings import ProcessSettings
 from fmus.process import Parent
 
 MOST_MEMORY = 4 << 30  # bytes
 MOST_OF_A_FILE = 1 << 30  # bytes
+_NO_STATUS = -1  # of a call that failed in another way
+_AFTER_A_FAILURE = {  # status -> methods of `CalledInstance` that FMI allows then
+    DISCARD: ("status_of", "forget", "set_debug_logging"),
+    ERROR: ("forget", "set_debug_logging"),
+}
 
 
-class CallError(Exception):
-    """A call that did not succeed; names the call, its status and the messages that the FMU logged."""
-
-
-class CheckedInstance(BoundInstance):
-    """An instance between `instantiate` and `free`; a call that does not succeed raises CallError.
-
-    Variables are given by their value references, and by the type in the names of the functions.
-    """
-
-    def check_status(self, function: str, status: int) -> None:
-        messages = "; ".join(message for _, message in self.log) or "it logged nothing"
-        self.log.clear()
-        if status == PENDING and function == "fmi2DoStep":
-            self._wait()
-        elif status > WARNING:
-            raise CallError(f"{function} returned {status_name(status)}: expected ok; {messages}")
-
-    def _wait(self) -> None:
-        """Wait until a pending step has ended; the time limit of the rule ends a wait without end."""
-        status = fmi2Status(PENDING)
-        while status.value == PENDING:
-            time.sleep(0.001)
-            self.call("fmi2GetStatus", fmi2DoStepStatus, ctypes.byref(status))
-        if status.value > WARNING:
-            raise CallError(f"the pending step ended with {status_name(status.value)}: expected ok")
-
-    def get(self, kind: str, references: Sequence[int]) -> list[Any]:
-        values = (ELEMENTS[kind] * len(references))()
-        self.call(f"fmi2Get{kind}", reference_array(references), len(references), values)
-        return list(values)
-
-    def set(self, kind: str, references: Sequence[int], values: Sequence[float]) -> None:
-        content = (ELEMENTS[kind] * len(references))(*values)
-        self.call(f"fmi2Set{kind}", reference_array(references), len(references), content)
-
-    def do_step(self, t: float, h: float) -> None:
-        """Advance from t to t + h seconds."""
-        self.call("fmi2DoStep", t, h, 0)
-
-    def directional_derivatives(self, unknowns: Sequence[int], known: int) -> list[float]:
-        """Derivatives of the unknowns with respect to one known."""
-        result, seed = (fmi2Real * len(unknowns))(), (fmi2Real * 1)(1.0)
-        arguments = (reference_array(unknowns), len(unknowns), reference_array([known]), 1, seed, result)
-        self.call("fmi2GetDirectionalDerivative", *arguments)
-        return list(result)
-
-    def set_input_derivative(self, reference: int, order: int, value: float) -> None:
-        arguments = (reference_array([reference]), 1, (fmi2Integer * 1)(order), (fmi2Real * 1)(value))
-        self.call("fmi2SetRealInputDerivatives", *arguments)
-
-    def output_derivatives(self, references: Sequence[int], order: int) -> list[float]:
-        count = len(references)
-        result, orders = (fmi2Real * count)(), (fmi2Integer * count)(*[order] * count)
-        self.call("fmi2GetRealOutputDerivatives", reference_array(references), count, orders, result)
-        return list(result)
-
-    def freed_fmu_state(self, state: int) -> int | None:
-        """The address that fmi2FreeFMUstate leaves: it frees a saved state."""
-        pointer = ctypes.c_void_p(state)
-        self.call("fmi2FreeFMUstate", ctypes.byref(pointer))
-        return pointer.value
-
-    def free(self) -> None:
-        if self.handle is not None:
-            self.status("fmi2FreeInstance")
-            self.handle = None
-        self.callbacks.close()
+def _failed(method: str, status: int) -> int:
+    """The status that ends a run, if it is one."""
+    ends = status in (ERROR, FATAL) or (status == DISCARD and method in ("do_step", "begin_step"))
+    return status if ends else 0
 
 
 class LoadedFmu:
-    """A loaded library with its instances by number."""
+    """A loaded library with its instances by number.
 
-    def __init__(self, library: Path, resources: Path) -> None:
-        self._library, self._resources = Library(library), resources
+    printed: the file that holds what the process prints
+    """
+
+    def __init__(self, library: Path, resources: Path, printed: Path) -> None:
+        self._library, self._resources, self._printed = Library(library), resources, printed
         self._memory = CountingAllocator()
-        self._instances: dict[int, CheckedInstance] = {}
+        self._settings = ProcessSettings()
+        self._instances: dict[int, CalledInstance] = {}
+
+    def load(self) -> None:
+        """Nothing: the library is loaded by now."""
 
     def text(self, function: str) -> str:
         """What a function without arguments returns."""
         return getattr(self._library, function)().decode("utf-8", "replace")
 
-    def memory(self) -> tuple[int, int]:
-        """Blocks that instances hold, and how often an unknown address was freed."""
-        return len(self._memory.held), self._memory.foreign_frees
+    def held_blocks(self) -> int:
+        """How many blocks of memory of `allocateMemory` are in use."""
+        return len(self._memory.held)
+
+    def foreign_frees(self) -> int:
+        """How often an address was freed that is not in use."""
+        return self._memory.foreign_frees
+
+    def resources_in_use(self) -> dict[str, int]:
+        """Open files and threads of the process, and bytes of its heap; what the system does not tell
+        is 0.
+        """
+        return self._settings.resources_in_use()
 
     def set_search_path(self, path: str) -> str:
         """Set the search path for programs; returns the one before."""
         before, os.environ["PATH"] = os.environ.get("PATH", ""), path
         return before
 
-    def create(self, number: int, guid: str) -> bool:
-        """Create an instance; False if the FMU returns NULL."""
-        instance = CheckedInstance(self._library, Callbacks(self._memory, asynchronous=True))
-        self._instances[number] = instance
-        return instance.instantiate(f"instance {number}", guid, self._resources, logging_on=False)
+    def link(self, name: str) -> str:
+        """The location of the resources, as a URI, through a link of that name."""
+        link = self._printed.parent / name
+        if not link.exists():
+            link.symlink_to(self._resources.parent, target_is_directory=True)
+        return (link / self._resources.name).as_uri()
 
-    def of(self, number: int, method: str, *arguments: Any) -> Any:
-        """Call a method of an instance."""
-        return getattr(self._instances[number], method)(*arguments)
+    def resource_location(self) -> str:
+        return self._resources.as_uri()
+
+    def free_of_null(self) -> None:
+        self._library.fmi2FreeInstance(None)
+
+    def create(self, number: int, options: dict[str, Any]) -> list[Any]:
+        """Create an instance: whether the FMU returned one, and the messages meanwhile.
+
+        options: see `CalledInstance`
+        """
+        options = {"location": self._resources.as_uri(), **options}
+        instance = CalledInstance(self._library, self._memory, self._settings, options)
+        self._instances[number] = instance
+        created = instance.create()
+        return [created, instance.new_messages()]
+
+    def play(self, number: int, calls: Sequence[Sequence[Any]], keep_going: bool) -> list[list[Any]]:
+        """[status, value, messages, changed settings, bytes printed] of each call, up to one that fails.
+
+        keep_going: also after a call that fails; what FMI forbids then is not called, and has no answer
+        """
+        answers: list[list[Any]] = []
+        if self._instances[number].handle is None:
+            return answers
+        failed = 0
+        for method, *arguments in calls:
+            recovers = method == "restore" or arguments == ["fmi2Reset"]
+            if failed and not recovers and method not in _AFTER_A_FAILURE.get(failed, ()):
+                answers.append([])
+                continue
+            answer = self._answer(self._instances[number], method, arguments)
+            answers.append(answer)
+            if not keep_going and not 0 <= answer[0] <= WARNING:
+                break
+            failed = _failed(method, answer[0]) or (0 if recovers else failed)
+            if failed == FATAL:
+                break
+        return answers
+
+    def _answer(self, instance: CalledInstance, method: str, arguments: Sequence[Any]) -> list[Any]:
+        value, instance.last_status, changed, printed = None, 0, [], 0
+        if instance.watched:
+            self._settings.flush()
+            printed = self._printed.stat().st_size
+        try:
+            value = getattr(instance, method)(*arguments)
+            status = instance.last_status
+        except ArithmeticError as error:  # what ctypes makes of some statuses
+            value, status = str(error), _NO_STATUS
+        if instance.watched:
+            changed = instance.changed_settings()
+            self._settings.flush()
+            printed = self._printed.stat().st_size - printed
+        return [status, value, instance.new_messages(), changed, printed]
+
+    def traps(self, number: int) -> list[str]:
+        """What the FMU used that was valid during fmi2Instantiate only."""
+        return self._instances[number].traps
+
+    def finished_steps(self, number: int) -> list[int]:
+        """How many steps were pending, and how often the FMU called `stepFinished`."""
+        instance = self._instances[number]
+        return [instance.pending_steps, len(instance.finished_steps)]
+
+    def free(self, number: int) -> None:
+        """Free an instance, unless there is none or it is fatal."""
+        self._instances.pop(number).free()
 
 
 def call_fmu(parent: Parent) -> None:
@@ -136,22 +149,28 @@ def call_fmu(parent: Parent) -> None:
 
     Sends [number, results, error]: results of the calls up to the first error, and that error, or null.
     """
-    folder, *paths = parent.receive()
+    folder, library, resources = parent.receive()
     os.chdir(folder)  # where the FMU writes files
     _limit_resources()
+    printed = _print_to(Path(folder, "printed"))
     fmu = None
     while True:
         number, calls = parent.receive()
         results, error = [], None
         try:
             if calls and fmu is None:
-                fmu = LoadedFmu(*paths)
-            for method, *arguments in calls:
-                result = getattr(fmu, method)(*arguments)
-                results.append(result.hex() if isinstance(result, bytes) else result)
+                fmu = LoadedFmu(library, resources, printed)
+            results.extend(getattr(fmu, method)(*arguments) for method, *arguments in calls)
         except Exception as exception:  # whatever a foreign library makes of a call is a finding
             error = str(exception) or type(exception).__name__
         parent.send_json([number, results, error])
+
+
+def _print_to(file: Path) -> Path:
+    """Let standard output go to a file."""
+    with file.open("wb") as stream:
+        os.dup2(stream.fileno(), sys.stdout.fileno())
+    return file
 
 
 def _limit_resources() -> None:

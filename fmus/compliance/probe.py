@@ -1,19 +1,22 @@
-"""The FMU that behaviour rules examine: its instances are created and stepped, in a process of its own."""
+"""The FMU that behaviour rules examine: scripts of calls are played on its instances, in a process of
+its own.
+"""
 
 import itertools
 import time
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from fmus.binding import ELEMENTS
+from fmus.binding import DISCARD, TERMINATED, WARNING
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.instance import CallError, call_fmu
+from fmus.compliance.rule import NotJudgedError
+from fmus.compliance.script import CallError, Message, Script
 from fmus.compliance.variable import Variable, number
 from fmus.process import WorkerProcess
 
-Call = tuple[Any, ...]  # a method and its arguments
+Call = tuple[Any, ...]  # a method of `LoadedFmu` and its arguments
+T = TypeVar("T")
 
 
 class FmuProcess:
@@ -23,6 +26,8 @@ class FmuProcess:
     """
 
     def __init__(self, library: Path, resources: Path, deadline: float) -> None:
+        from fmus.compliance.instance import call_fmu
+
         self.deadline = deadline
         self._numbers = itertools.count()
         self._process = WorkerProcess(call_fmu, trusted=False)
@@ -44,133 +49,127 @@ class FmuProcess:
         self._process.close()
 
 
-class Instance:
-    """An instance in the process of the FMU; a call that does not succeed raises CallError."""
-
-    def __init__(self, process: FmuProcess, number: int) -> None:
-        self._process, self._number = process, number
-
-    def _ask(self, method: str, *arguments: Any) -> Any:
-        return self._process.calls([("of", self._number, method, *arguments)])[0]
-
-    def values_after(
-        self, actions: Sequence[Sequence[Call]], variables: Iterable[Variable]
-    ) -> list[dict[str, Any]]:
-        """Name -> value of numbers and Booleans, after each of several sequences of calls."""
-        groups = _grouped(variables)
-        reads = [("get", kind, _references(members)) for kind, members in groups.items()]
-        calls = [("of", self._number, *call) for action in actions for call in (*action, *reads)]
-        results = iter(self._process.calls(calls))
-        rows = []
-        for action in actions:
-            for _ in action:
-                next(results)
-            read = [(members, next(results)) for members in groups.values()]
-            rows.append({v.name: x for members, values in read for v, x in zip(members, values, strict=True)})
-        return rows
-
-    def get(self, variables: Iterable[Variable]) -> dict[str, Any]:
-        """Name -> value, of numbers and Booleans."""
-        (row,) = self.values_after([()], variables)
-        return row
-
-    def set(self, variable: Variable, value: float) -> None:
-        self._ask(*set_call(variable, value))
-
-    def call(self, function: str) -> None:
-        """Call a function of FMI that has no argument but the instance."""
-        self._ask("call", function)
-
-    def initialise(self, start: float = 0.0) -> None:
-        """Set the experiment up and enter initialization mode."""
-        self._ask("set_up_experiment", start)
-        self._ask("enter_initialization_mode")
-
-    def exit_initialization_mode(self) -> None:
-        self._ask("exit_initialization_mode")
-
-    def enter_step_mode(self, start: float = 0.0) -> None:
-        """Initialise, up to where steps are allowed."""
-        self.initialise(start)
-        self.exit_initialization_mode()
-
-    def do_step(self, t: float, h: float) -> None:
-        """Advance from t to t + h seconds."""
-        self._ask("do_step", t, h)
-
-    def directional_derivatives(self, unknowns: Sequence[Variable], known: Variable) -> list[float]:
-        """Derivatives of the unknowns with respect to one known."""
-        return self._ask("directional_derivatives", _references(unknowns), known.reference or 0)
-
-    def set_input_derivative(self, variable: Variable, order: int, value: float) -> None:
-        self._ask("set_input_derivative", variable.reference or 0, order, value)
-
-    def output_derivatives(self, variables: Sequence[Variable], order: int) -> list[float]:
-        return self._ask("output_derivatives", _references(variables), order)
-
-    def get_fmu_state(self, state: int | None = None) -> int:
-        """The FMU's state as it is now; the saved state that is given, if any, is overwritten."""
-        return self._ask("get_fmu_state", state)
-
-    def set_fmu_state(self, state: int) -> None:
-        self._ask("set_fmu_state", state)
-
-    def free_fmu_state(self, state: int) -> int | None:
-        """Free a saved state; returns the address that is left."""
-        return self._ask("freed_fmu_state", state)
-
-    def serialize_fmu_state(self, state: int) -> bytes:
-        return bytes.fromhex(self._ask("serialize_fmu_state", state))
-
-    def deserialize_fmu_state(self, content: bytes) -> int:
-        return self._ask("deserialize_fmu_state", content)
-
-    def free(self) -> None:
-        self._ask("free")
-
-
 class Probe:
     """An unpacked FMU in a process of its own.
 
-    start_time, step_size: of the default experiment [s]
+    start_time, step_size: of the default experiment [s]; states_step_size: whether it has one
     """
 
-    def __init__(self, fmu: FmuFile, folder: Path, deadline: float) -> None:
+    def __init__(self, fmu: FmuFile, folder: Path, deadline: float, shared: dict[str, Any]) -> None:
         self.fmu = fmu
         self.process = FmuProcess(folder / fmu.host_library, folder / "resources", deadline)
         self._instances = itertools.count(1)
+        self._shared = shared
         experiment = fmu.root.find("DefaultExperiment")
         get = experiment.get if experiment is not None else {}.get
         self.start_time = number(get("startTime")) or 0.0
         span = (number(get("stopTime")) or self.start_time + 1.0) - self.start_time
+        self.states_step_size = bool(number(get("stepSize")))
         self.step_size = number(get("stepSize")) or span / 1000
 
     def ask(self, method: str, *arguments: Any) -> Any:
         """The result of a method of `LoadedFmu`."""
         return self.process.calls([(method, *arguments)])[0]
 
-    @contextmanager
-    def instance(self) -> Iterator[Instance]:
-        """An instance that is freed afterwards; CallError if the FMU returns none."""
-        instance = Instance(self.process, number := next(self._instances))
-        try:
-            if not self.ask("create", number, self.fmu.guid):
-                raise CallError("fmi2Instantiate returned NULL: expected an instance")
-            yield instance
-        finally:
-            instance.free()
+    def script(self, **options: Any) -> Script:
+        """Calls to be made on a new instance. options: of `CalledInstance`, but for the GUID of the
+        description.
+        """
+        return Script(self, {"guid": self.fmu.guid, **options})
 
-    def accepts(self, guid: str) -> bool:
-        """Whether the FMU creates an instance for a GUID."""
-        instance = Instance(self.process, number := next(self._instances))
-        accepted = self.ask("create", number, guid)
-        instance.free()
-        return accepted
+    def play(self, *scripts: Script, keep_going: bool = False) -> None:
+        """Create an instance for each script, play the scripts part by part in turn, then free the instances.
 
-    def run(self, instance: Instance, steps: int, first: int = 0) -> list[dict[str, Any]]:
-        """Outputs after each of some steps from communication point number `first`."""
-        points = [self.start_time + i * self.step_size for i in range(first, first + steps)]
-        return instance.values_after([[("do_step", t, self.step_size)] for t in points], self.outputs)
+        Raises CallError for a call that fails, unless `keep_going`, and where the FMU returns no instance;
+        NotJudgedError where it terminates the simulation by itself.
+        """
+        numbers = [next(self._instances) for _ in scripts]
+        calls: list[Call] = [
+            ("create", number, script.options) for number, script in zip(numbers, scripts, strict=True)
+        ]
+        created = self.process.calls(calls)
+        freed: list[Call] = [("free", number) for number in numbers]
+        if not all(answer[0] for answer in created):
+            self.process.calls(freed)
+            raise CallError(refusal([Message(*m) for _, messages in created for m in messages]))
+        for instance, script in zip(numbers, scripts, strict=True):
+            script.number = instance
+        for part in range(max(len(script.parts) for script in scripts)):
+            for script in scripts:
+                calls = script.part(part)
+                if calls:
+                    (answers,) = self.process.calls([("play", script.number, calls, keep_going)])
+                    script.fill(part, answers)
+                if not keep_going and script.failure:
+                    self._fail(script, freed)
+        self.process.calls(freed)
+
+    def play_each(self, scripts: Sequence[Script]) -> None:
+        """Play scripts one after the other in one message; an instance is freed before the next is created.
+
+        A call that fails ends nothing; a script without an instance is not played.
+        """
+        calls: list[Call] = []
+        for script in scripts:
+            script.number = next(self._instances)
+            calls += [
+                ("create", script.number, script.options),
+                ("play", script.number, script.calls, True),
+                ("free", script.number),
+            ]
+        results = self.process.calls(calls)
+        for script, answers in zip(scripts, results[1::3], strict=True):
+            script.fill(0, answers)
+
+    def hold(self, script: Script) -> int:
+        """Play a script to its end, whatever fails, and leave its instance alive: its number, for
+        `let_go`.
+        """
+        number = next(self._instances)
+        ((created, messages),) = self.process.calls([("create", number, script.options)])
+        if not created:
+            self.let_go(number)
+            raise CallError(refusal([Message(*message) for message in messages]))
+        (answers,) = self.process.calls([("play", number, script.calls, True)])
+        script.fill(0, answers)
+        return number
+
+    def let_go(self, number: int) -> None:
+        self.process.calls([("free", number)])
+
+    def _fail(self, script: Script, freed: list[Call]) -> None:
+        failure = script.failure
+        assert failure is not None
+        if failure.function == "fmi2DoStep" and failure.status == DISCARD and script.number:
+            ((reply,),) = self.process.calls(
+                [("play", script.number, [("status_of", "Boolean", TERMINATED)], True)]
+            )
+            if reply[0] <= WARNING and reply[1]:
+                self.process.calls(freed)
+                raise NotJudgedError("the FMU terminates the simulation by itself")
+        self.process.calls(freed)
+        raise CallError(failure.problem, failure.status)
+
+    def creates(self, **options: Any) -> tuple[bool, list[Message]]:
+        """Whether the FMU creates an instance, which is freed again, and its messages."""
+        number = next(self._instances)
+        (created, messages), _ = self.process.calls(
+            [("create", number, {"guid": self.fmu.guid, **options}), ("free", number)]
+        )
+        return created, [Message(*message) for message in messages]
+
+    def once(self, name: str, make: Callable[[], T]) -> T:
+        """What `make` returns, made once for all rules. NotJudgedError for the second rule if that failed."""
+        if name not in self._shared:
+            self._shared[name] = NotJudgedError(f"the {name} fails, which another rule tells")
+            self._shared[name] = make()
+        if isinstance(self._shared[name], NotJudgedError):
+            raise self._shared[name]
+        return self._shared[name]
+
+    def point(self, i: int) -> float:
+        """Time of communication point number i [s]."""
+        return self.start_time + i * self.step_size
 
     @property
     def outputs(self) -> list[Variable]:
@@ -181,18 +180,9 @@ class Probe:
         return [v for v in self.fmu.variables if v.causality == causality and v.kind == "Real"]
 
 
-def set_call(variable: Variable, value: float) -> Call:
-    """The call that sets a variable."""
-    return "set", variable.base_kind, _references([variable]), [value]
-
-
-def _references(variables: Sequence[Variable]) -> list[int]:
-    return [v.reference or 0 for v in variables]
-
-
-def _grouped(variables: Iterable[Variable]) -> dict[str, list[Variable]]:
-    groups: dict[str, list[Variable]] = {}
-    for v in variables:
-        if v.base_kind in ELEMENTS and v.reference is not None:
-            groups.setdefault(v.base_kind, []).append(v)
-    return groups
+def refusal(messages: Sequence[Message]) -> str:
+    """Why fmi2Instantiate returned NULL, in the FMU's own words."""
+    text = "; ".join(message.text for message in messages)
+    cause = "the GUID of the library is another one" if "guid" in text.lower() else ""
+    logged = f"the FMU logged: {text}" if text else "it logged nothing"
+    return "; ".join(filter(None, ["fmi2Instantiate returned NULL: expected an instance", cause, logged]))

@@ -68,8 +68,8 @@ class RuleTest(pytest.Item):
         parent = self.parent
         assert isinstance(parent, FmuTests)
         result = parent.result(self.name)
-        if result.not_applicable:
-            pytest.skip(result.not_applicable)
+        if reason := result.not_applicable or result.not_judged:
+            pytest.skip(reason)
         text = f"{self.name} ({result.rule.clause}): " + "; ".join(result.messages)
         if result.outcome == "warning":
             warnings.warn(BrokenRuleWarning(f"{parent.path.name}: {text}"), stacklevel=1)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fmus.compliance.fmu_file import FmuFile, parsed_xml
-from fmus.compliance.probe import Call, Probe, set_call
+from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Stage, rule
 from fmus.compliance.variable import Variable, number
 from fmus.documentation.reference_files import LS_REF
@@ -117,23 +117,22 @@ def _replayed(
         (chosen[name], _at(points, experiment.inputs, chosen[name])) for name in list(experiment.inputs)[1:]
     ]
 
-    def inputs_at(i: int) -> list[Call]:
-        return [set_call(v, values[i]) for v, values in columns if i == 0 or values[i] != values[i - 1]]
-
-    def steps(first: int, last: int) -> list[Call]:
-        h = experiment.step_size
-        return [
-            call for i in range(first, last) for call in (*inputs_at(i), ("do_step", float(points[i]), h))
-        ]
-
-    with probe.instance() as instance:
-        instance.initialise(experiment.start)
-        instance.values_after([inputs_at(0)], [])
-        instance.exit_initialization_mode()
-        pairs = list(itertools.pairwise([0, *indices]))
-        for begin in range(0, len(pairs), _ROWS_AT_ONCE):
-            actions = [steps(*pair) for pair in pairs[begin : begin + _ROWS_AT_ONCE]]
-            yield from instance.values_after(actions, outputs)
+    script = probe.script().initialise(experiment.start)
+    for v, values in columns:
+        script.set(v, values[0])
+    script.exit_initialization_mode()
+    readings = []
+    for first, last in itertools.pairwise([0, *indices]):
+        for i in range(first, last):
+            for v, values in columns:
+                if i == 0 or values[i] != values[i - 1]:
+                    script.set(v, values[i])
+            script.call("do_step", float(points[i]), experiment.step_size)
+        readings.append(script.read(outputs))
+        if len(readings) % _ROWS_AT_ONCE == 0:
+            script.pause()
+    script.play()
+    yield from (reading.values for reading in readings)
 
 
 def _indices(experiment: _Experiment) -> list[int]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from fmus.compliance.rule import Result
+from fmus.compliance.rule import OUTCOMES, Result
 
 Findings = Mapping[Path, Sequence[Result]]
 
@@ -19,8 +19,7 @@ def count(findings: Findings, outcome: str) -> int:
 def summary(results: Sequence[Result]) -> str:
     """One line: how many rules passed, and so on."""
     counts = Counter(result.outcome for result in results)
-    known = ("passed", "not applicable", "warning", "error")
-    return ", ".join(f"{counts[outcome]} {outcome}" for outcome in known if counts[outcome])
+    return ", ".join(f"{counts[outcome]} {outcome}" for outcome in OUTCOMES if counts[outcome])
 
 
 def lines(results: Sequence[Result], every: bool = False) -> list[str]:
@@ -28,7 +27,8 @@ def lines(results: Sequence[Result], every: bool = False) -> list[str]:
     return [
         f"{result.outcome}: {result.rule.name} ({result.rule.clause}): {message}"
         for result in results
-        for message in result.messages or [result.not_applicable or result.rule.claim] * every
+        for message in result.messages
+        or [result.not_judged or result.not_applicable or result.rule.claim] * every
     ]
 
 
@@ -47,7 +47,11 @@ def _rule(result: Result) -> dict[str, Any]:
     rule = result.rule
     return {
         **{"rule": rule.name, "clause": rule.clause, "claim": rule.claim, "outcome": result.outcome},
-        **{"messages": list(result.messages), "not_applicable": result.not_applicable},
+        **{
+            "messages": list(result.messages),
+            "not_applicable": result.not_applicable,
+            "not_judged": result.not_judged,
+        },
     }
 
 

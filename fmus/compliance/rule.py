@@ -2,7 +2,7 @@
 
 import inspect
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
@@ -38,22 +38,33 @@ class Rule:
     stage: Stage
     check: Check
     condition: Condition
+    needs: tuple[str, ...] = ()
+
+
+class NotJudgedError(Exception):
+    """A rule that cannot be judged; the message says why."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """What one rule said of one FMU: nothing, messages, or why it does not apply."""
+    """What one rule said of one FMU: nothing, messages, or why it does not apply or could not be judged."""
 
     rule: Rule
     messages: tuple[str, ...] = ()
     not_applicable: str = ""
+    not_judged: str = ""
 
     @property
     def outcome(self) -> str:
-        """ "passed", "not applicable", "warning" or "error"."""
+        """One of `OUTCOMES`."""
         if self.messages:
             return self.rule.level.value
+        if self.not_judged:
+            return "not judged"
         return "not applicable" if self.not_applicable else "passed"
+
+
+OUTCOMES = ("passed", "not applicable", "not judged", "warning", "error")
 
 
 _MOST_MESSAGES, _LONGEST_MESSAGE = 100, 2000
@@ -65,11 +76,16 @@ def _always(_: Any) -> str:
 
 
 def rule(
-    clause: str, stage: Stage, level: Level = Level.ERROR, condition: Condition = _always
+    clause: str,
+    stage: Stage,
+    level: Level = Level.ERROR,
+    condition: Condition = _always,
+    needs: Sequence[str] = (),
 ) -> Callable[[Check], Check]:
     """Make a function a rule: its name with dashes is the rule's, its docstring what the rule claims.
 
     clause: section of FMI 2.0.5 with its title's words, or who else demands it.
+    needs: names of rules; if one of these has an error, this one is not judged: it would find the same.
     """
 
     def register(check: Check) -> Check:
@@ -77,7 +93,7 @@ def rule(
         claim = " ".join((inspect.getdoc(check) or "").split())
         if name in _RULES:
             raise ValueError(f"rule {name}: expected one function of that name, got a second")
-        _RULES[name] = Rule(name, clause, claim, level, stage, check, condition)
+        _RULES[name] = Rule(name, clause, claim, level, stage, check, condition, tuple(needs))
         return check
 
     return register

@@ -29,13 +29,14 @@ INITIAL = {
 
 @dataclass(frozen=True)
 class Variable:
-    """index: place in the list from 1, as ModelStructure counts."""
+    """index: place in the list from 1, as ModelStructure counts; items: values of its enumeration."""
 
     index: int
     attributes: Mapping[str, str]
     kind: str
     typed: Mapping[str, str]
     declared: Mapping[str, str]
+    items: frozenset[int] = frozenset()
 
     @property
     def name(self) -> str:

@@ -60,6 +60,7 @@ typedef struct {
     fmi2ComponentEnvironment environment;
     fmi2CallbackFreeMemory release;
     fmi2CallbackAllocateMemory allocate;
+    double stop_time;
     char *name;
 } Slave;
 
@@ -110,18 +111,24 @@ static int is_allowed(Slave *s, int modes, const char *call) {
 enum { READABLE = INSTANTIATED | INITIALIZATION | STEPPING | TERMINATED | STEP_FAILED | IN_ERROR };
 enum { WRITABLE = INSTANTIATED | INITIALIZATION | STEPPING };
 
+#define MUST_EXIST(call)          \
+    for (size_t i = 0; i < n; i++) \
+        if (vr[i] >= N_VARIABLES) return refuse(s, fmi2Error, "%s: value reference %u", call, vr[i])
+
 #define DEFINE_VALUES(Name, Type)                                                                               \
     fmi2Status fmi2Get##Name(fmi2Component c, const fmi2ValueReference vr[], size_t n, Type value[]) {          \
         Slave *s = c;                                                                                           \
         MUST_BE(READABLE, "fmi2Get" #Name);                                                                     \
         const int follows = s->data.mode & (INSTANTIATED | INITIALIZATION);                                     \
         const fmi2Status status = follows ? model_initialise(s) : fmi2OK;                                       \
+        MUST_EXIST("fmi2Get" #Name);                                                                            \
         for (size_t i = 0; i < n && status == fmi2OK; i++) value[i] = (Type)s->data.value[vr[i]];               \
         return status;                                                                                          \
     }                                                                                                           \
     fmi2Status fmi2Set##Name(fmi2Component c, const fmi2ValueReference vr[], size_t n, const Type value[]) {    \
         Slave *s = c;                                                                                           \
         MUST_BE(WRITABLE, "fmi2Set" #Name);                                                                     \
+        MUST_EXIST("fmi2Set" #Name);                                                                            \
         for (size_t i = 0; i < n; i++) {                                                                        \
             const fmi2Status status = model_accepts(s, vr[i]);                                                  \
             if (status > fmi2Warning) return status;                                                            \
@@ -189,7 +196,10 @@ static void reset(Data *d) {
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
                               const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging) {
     (void)resources, (void)visible, (void)logging;
-    if (type != fmi2CoSimulation || strcmp(guid, config.guid)) return NULL;
+    if (type != fmi2CoSimulation || strcmp(guid, config.guid)) {
+        functions->logger(functions->componentEnvironment, name, fmi2Error, CATEGORIES[fmi2Error], "GUID %s", guid);
+        return NULL;
+    }
     Slave *s = functions->allocateMemory(1, sizeof *s + strlen(name) + 1);
     if (!s) return NULL;
     s->name = strcpy((char *)(s + 1), name);
@@ -214,9 +224,10 @@ fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const 
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2Real tolerance, fmi2Real start,
                                fmi2Boolean has_stop, fmi2Real stop) {
     Slave *s = c;
-    (void)has_tolerance, (void)tolerance, (void)has_stop, (void)stop;
+    (void)has_tolerance, (void)tolerance;
     MUST_BE(INSTANTIATED, "fmi2SetupExperiment");
     s->data.time = s->data.last_successful_time = start;
+    s->stop_time = has_stop ? stop : INFINITY;
     return fmi2OK;
 }
 
@@ -261,6 +272,8 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_ea
         return refuse(s, fmi2Error, "fmi2DoStep: communication point %.17g s: expected %.17g s", t, d->time);
     if (!config.varies_step_size && d->step_size && fabs(h - d->step_size) > 1e-9 * h)
         return refuse(s, fmi2Error, "fmi2DoStep: step of %.17g s: expected %.17g s, always", h, d->step_size);
+    if (t + h > s->stop_time + 1e-9 * fmax(1, fabs(t)))
+        return refuse(s, fmi2Error, "fmi2DoStep: step to %.17g s: expected at most %.17g s", t + h, s->stop_time);
     d->step_size = h;
     const fmi2Status status = model_step(s, h);
     memset(d->input_rate, 0, sizeof d->input_rate);

@@ -11,6 +11,7 @@ import pytest
 
 from fmus.compliance.check import main
 from fmus.compliance.examine import all_rules
+from fmus.compliance.rule import OUTCOMES
 
 from .archives import members, write
 
@@ -37,7 +38,7 @@ def assert_complete(document: dict[str, Any], path: Path, name: str, outcome: st
     assert [rule["clause"] for rule in fmu["rules"]] == [rule.clause for rule in all_rules()]
     rules_with_messages = {rule["rule"]: rule for rule in fmu["rules"] if rule["messages"]}
     assert rules_with_messages[name]["outcome"] == outcome
-    assert {rule["outcome"] for rule in fmu["rules"]} <= {"passed", "not applicable", "warning", "error"}
+    assert {rule["outcome"] for rule in fmu["rules"]} <= set(OUTCOMES)
     assert all(isinstance(message, str) for rule in fmu["rules"] for message in rule["messages"])
 
 

@@ -1,0 +1,94 @@
+"""Callbacks, and arguments that are valid during a call only."""
+
+from collections.abc import Iterator
+
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import Level, Stage, rule
+from fmus.compliance.script import CallError
+from fmus.compliance.values import differing, unless_claimed
+
+_CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
+_OWN_MEMORY = "canNotUseMemoryManagementFunctions"
+_NAME = "instance with a name of its own"
+
+
+@rule(_CREATION, Stage.BEHAVIOUR)
+def arguments_of_instantiation_are_copied(probe: Probe) -> Iterator[str]:
+    """Name, GUID, resource location and the structure of callbacks are not used after fmi2Instantiate
+    returned.
+    """
+    usual = probe.script().begin()
+    expected = usual.run(2)
+    usual.play()
+    script = probe.script(name=_NAME, overwritten=True, logging=True)
+    script.call("set_debug_logging", True, [])
+    script.begin()
+    got = script.run(2)
+    script.reset()
+    script.begin().step()
+    number = probe.hold(script)
+    traps = probe.ask("traps", number)
+    probe.let_go(number)
+    for callback in sorted(set(traps)):
+        yield f"{callback} was taken from the structure after fmi2Instantiate: expected a copy of it"
+    if script.failure:
+        yield f"after the arguments of fmi2Instantiate were overwritten: {script.failure.problem}"
+        return
+    yield from differing(expected, got, "after the arguments of fmi2Instantiate were overwritten")
+    names = {m.instance for reply in script.replies for m in reply.messages} - {_NAME}
+    if any(name is not None and name.strip("#") == "" for name in names):
+        yield "messages carry the overwritten instance name: expected a copy of it"
+
+
+@rule(_CREATION, Stage.BEHAVIOUR)
+def fewest_callbacks_suffice(probe: Probe) -> Iterator[str]:
+    """stepFinished and componentEnvironment may be NULL."""
+    usual, fewest = probe.script().begin(), probe.script(callbacks="fewest", logging=True).begin()
+    expected, got = usual.run(2), fewest.run(2)
+    fewest.terminate()
+    usual.play()
+    try:
+        fewest.play()
+    except CallError as error:
+        yield f"without stepFinished and environment: {error}"
+        return
+    yield from differing(expected, got, "without stepFinished and environment")
+
+
+@rule(
+    "4.3.1 Co-Simulation FMU (CoSimulation): canNotUseMemoryManagementFunctions",
+    Stage.BEHAVIOUR,
+    condition=unless_claimed(_OWN_MEMORY),
+)
+def memory_functions_may_be_null(probe: Probe) -> Iterator[str]:
+    """With canNotUseMemoryManagementFunctions, allocateMemory and freeMemory may be NULL, and are not
+    called.
+    """
+    held = probe.ask("held_blocks")
+    number = probe.hold(probe.script().begin().step())
+    if probe.ask("held_blocks") != held:
+        yield "allocateMemory was called: expected no call, as canNotUseMemoryManagementFunctions is claimed"
+    probe.let_go(number)
+    script = probe.script(callbacks="no memory", logging=True).begin().step()
+    if probe.fmu.claims("canGetAndSetFMUstate"):
+        script.call("save", 0)
+        script.call("forget", 0)
+    script.terminate()
+    try:
+        script.play()
+    except CallError as error:
+        yield f"without memory functions: {error}"
+
+
+@rule("advice: 2.1.5, allocateMemory returns NULL if memory is used up", Stage.BEHAVIOUR, Level.WARNING)
+def refused_memory_is_survived(probe: Probe) -> Iterator[str]:
+    """Where allocateMemory returns NULL, fmi2Instantiate returns NULL, or an instance that needs no
+    such memory.
+    """
+    script = probe.script(callbacks="refused memory").begin().step()
+    try:
+        script.play(keep_going=True)
+    except CallError:
+        return  # no instance
+    if script.failure:
+        yield f"where allocateMemory returns NULL: {script.failure.problem}"

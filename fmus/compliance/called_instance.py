@@ -1,0 +1,317 @@
+"""One instance of an FMU under examination: every call is made as asked for, also one that FMI forbids."""
+
+import ctypes
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from fmpy import fmi2
+from fmpy.fmi2 import fmi2DoStepStatus, fmi2Integer, fmi2Real, fmi2Status
+
+from fmus.binding import (
+    FATAL,
+    PENDING,
+    BoundInstance,
+    Callbacks,
+    CountingAllocator,
+    Library,
+    Log,
+    reference_array,
+)  # fmt: skip
+from fmus.compliance.process_settings import ProcessSettings
+
+_MOST_MESSAGES = 1000
+_GUARD = 64  # bytes behind a serialised state
+_GUARD_BYTE = b"\xa5"
+_STATUS_TYPES = {
+    "": fmi2Status, "Real": fmi2Real, "Integer": fmi2Integer, "Boolean": fmi2.fmi2Boolean,
+    "String": fmi2.fmi2String,
+}  # fmt: skip
+
+
+class MessageLog(Log):
+    """Messages with the instance and the category that the FMU gave, and the floating-point settings."""
+
+    def __init__(self, settings: ProcessSettings, known_environment: bool = True) -> None:
+        super().__init__()
+        self._known_environment = known_environment
+        self.messages: list[list[Any]] = []
+        self.changed_in_callback = False
+        self._settings, self._before = settings, settings.floating_point()
+
+    def add(
+        self, status: int, message: str, instance: str | None = None, category: str | None = None
+    ) -> None:
+        if self._settings.floating_point() != self._before:
+            self.changed_in_callback = True
+        if len(self.messages) < _MOST_MESSAGES:
+            self.messages.append([status, message, instance, category, self._known_environment])
+
+
+class RefusingAllocator(CountingAllocator):
+    """Memory that is used up."""
+
+    def _allocate(self, count: int, size: int) -> None:  # type: ignore[override]
+        return None
+
+
+class CalledInstance(BoundInstance):
+    """An instance of which each call may fail: `last_status` is its status.
+
+    options: name, guid, location of the resources, logging (bool), visible (bool), and
+      callbacks: "usual"; "fewest" without stepFinished and environment; "no memory" without memory functions;
+        "refused memory" with an allocator that returns NULL
+      overwritten: whether all arguments of fmi2Instantiate are overwritten after the call
+      watched: whether settings of the process are compared before and after each call
+    """
+
+    def __init__(
+        self,
+        library: Library,
+        memory: CountingAllocator,
+        settings: ProcessSettings,
+        options: dict[str, Any],
+    ) -> None:
+        self._options, self._settings = options, settings
+        self._kept: list[Any] = []
+        self._saved: dict[int, ctypes.c_void_p] = {}
+        self.traps: list[str] = []
+        self.finished_steps: list[int] = []
+        self.last_status = self.pending_steps = 0
+        self.watched = bool(options.get("watched"))
+        kind = options.get("callbacks", "usual")
+        allocator = RefusingAllocator() if kind == "refused memory" else memory
+        log = MessageLog(settings)
+        super().__init__(library, Callbacks(allocator, log=log, environment=0 if kind == "fewest" else None))
+        self.messages, self._unknown = log, MessageLog(settings, False)
+        if kind != "fewest":
+            Callbacks(environment=0, log=self._unknown)
+        self._kept += [allocator]
+        self._fill(self.callbacks.structure, kind)
+
+    def _fill(self, structure: Any, kind: str) -> None:
+        if kind == "fewest":
+            structure.componentEnvironment = None
+        else:
+            structure.stepFinished = fmi2.fmi2StepFinishedTYPE(
+                lambda _, status: self.finished_steps.append(status)
+            )
+        if kind == "no memory":
+            structure.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE()
+            structure.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE()
+
+    def create(self) -> bool:
+        """Call fmi2Instantiate; False if it returns NULL."""
+        options = self._options
+        strings = [
+            ctypes.create_string_buffer(options.get(key, default).encode())
+            for key, default in (("name", "instance"), ("guid", ""), ("location", ""))
+        ]
+        structure = type(self.callbacks.structure).from_buffer_copy(self.callbacks.structure)
+        name, guid, location = strings
+        if self.watched:
+            self._before = self._settings.process(), self._settings.floating_point()
+        address = self.library.fmi2Instantiate(
+            name, fmi2.fmi2CoSimulation, guid, location, ctypes.byref(structure),
+            int(options.get("visible", False)), int(options.get("logging", False)),
+        )  # fmt: skip
+        self.handle = ctypes.c_void_p(address) if address else None
+        self._kept += [*strings, structure]
+        if options.get("overwritten"):
+            for buffer in strings:
+                ctypes.memset(buffer, ord("#"), len(buffer) - 1)
+            self._set_traps(structure)
+        return self.handle is not None
+
+    def _set_traps(self, structure: Any) -> None:
+        """Replace the callbacks of the structure, which the FMU may not look at any more."""
+        usual = self.callbacks.structure
+
+        def log(*_: Any) -> None:
+            self.traps.append("logger")
+
+        def allocate(count: int, size: int) -> Any:
+            self.traps.append("allocateMemory")
+            return usual.allocateMemory(count, size)
+
+        def free(address: Any) -> None:
+            self.traps.append("freeMemory")
+            usual.freeMemory(address)
+
+        structure.logger = fmi2.fmi2CallbackLoggerTYPE(log)
+        structure.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(allocate)
+        structure.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
+        self._kept += [structure.logger, structure.allocateMemory, structure.freeMemory]
+
+    def check_status(self, function: str, status: int) -> None:
+        self.last_status = status
+
+    def new_messages(self) -> list[list[Any]]:
+        """[status, message, instance, category, whether the environment is right] of each new message."""
+        messages = self.messages.messages + self._unknown.messages
+        self.messages.messages, self._unknown.messages = [], []
+        return messages
+
+    def changed_settings(self) -> list[list[str]]:
+        """[setting, before, after] of those that differ from those before fmi2Instantiate; they are set
+        back.
+        """
+        process, floating_point = self._before
+        changed = []
+        now = self._settings.floating_point()
+        self._settings.restore_floating_point(floating_point)
+        if now != floating_point:
+            changed.append(["floating-point control", str(floating_point), str(now)])
+        if self.messages.changed_in_callback:
+            self.messages.changed_in_callback = False
+            changed.append(["floating-point control in a callback", "", ""])
+        after = self._settings.process()
+        different = [
+            [name, value, after[name]] for name, value in process.items() if after.get(name) != value
+        ]
+        if different:
+            self._settings.restore_process(process)
+            self._before = self._settings.process(), floating_point
+        return changed + different
+
+    # calls
+
+    def set_up_experiment_with(
+        self, tolerance: list[float], start: float, stop: list[float], undefined: float = 0.0
+    ) -> None:
+        """fmi2SetupExperiment. tolerance, stop: empty if not defined, and then `undefined`."""
+        self.call(
+            "fmi2SetupExperiment", int(bool(tolerance)), *(tolerance or [undefined]), start,
+            int(bool(stop)), *(stop or [undefined]),
+        )  # fmt: skip
+
+    def get(self, kind: str, references: Sequence[int]) -> list[Any]:
+        """Values; Strings as hexadecimal bytes, or nothing for NULL."""
+        values = self.get_values(kind, references)
+        return values if kind != "String" else [None if x is None else bytes(x).hex() for x in values]
+
+    def set(self, kind: str, references: Sequence[int], values: Sequence[Any]) -> None:
+        """Set values. Strings are hexadecimal bytes; their memory is overwritten after the call."""
+        if kind != "String":
+            self.set_values(kind, references, values)
+            return
+        buffers = [ctypes.create_string_buffer(bytes.fromhex(value)) for value in values]
+        self._kept += buffers
+        self.set_values(kind, references, [ctypes.cast(b, ctypes.c_char_p) for b in buffers])
+        for buffer in buffers:
+            ctypes.memset(buffer, ord("#"), len(buffer) - 1)
+
+    def transfer_nothing(self, function: str) -> None:
+        """Get or set no values, with NULL for both arrays."""
+        self.call(function, None, 0, None)
+
+    def set_debug_logging(self, on: bool, categories: Sequence[str]) -> None:
+        names = [category.encode() for category in categories]
+        array = (ctypes.c_char_p * len(names))(*names) if names else None
+        self._kept.append(array)
+        self.call("fmi2SetDebugLogging", int(on), len(names), array)
+
+    def do_step(self, t: float, h: float, no_going_back: bool = False) -> None:
+        """Advance from t to t + h seconds; a pending step is waited for."""
+        self.call("fmi2DoStep", t, h, int(no_going_back))
+        if self.last_status == PENDING:
+            self.pending_steps += 1
+            self.wait()
+
+    def wait(self) -> None:
+        """Wait until a pending step has ended; the time limit of the rule ends a wait without end."""
+        status = fmi2Status(PENDING)
+        while status.value == PENDING:
+            time.sleep(0.001)
+            self.call("fmi2GetStatus", fmi2DoStepStatus, ctypes.byref(status))
+            if self.last_status:
+                return
+        self.last_status = status.value
+
+    def begin_step(self, t: float, h: float) -> bool:
+        """Call fmi2DoStep; whether the step is pending, which is no failure."""
+        self.call("fmi2DoStep", t, h, 0)
+        pending = self.last_status == PENDING
+        self.last_status = 0 if pending else self.last_status
+        return pending
+
+    def call_plain(self, function: str) -> None:
+        """Call a function of FMI that has no argument but the instance."""
+        self.call(function)
+
+    def status_of(self, kind: str, status_kind: int) -> Any:
+        """The value of fmi2GetXXXStatus; XXX is the type `kind`."""
+        value = _STATUS_TYPES[kind]()
+        self.call(f"fmi2Get{kind}Status", status_kind, ctypes.byref(value))
+        return value.value.hex() if isinstance(value.value, bytes) else value.value
+
+    def directional_derivatives(
+        self, unknowns: Sequence[int], knowns: Sequence[int], seed: Sequence[float]
+    ) -> list[float]:
+        result = (fmi2Real * len(unknowns))()
+        arguments = (
+            reference_array(unknowns), len(unknowns), reference_array(knowns), len(knowns),
+            (fmi2Real * len(seed))(*seed), result,
+        )  # fmt: skip
+        self.call("fmi2GetDirectionalDerivative", *arguments)
+        return list(result)
+
+    def set_input_derivatives(
+        self, references: Sequence[int], orders: Sequence[int], values: Sequence[float]
+    ) -> None:
+        count = len(references)
+        arrays = (fmi2Integer * count)(*orders), (fmi2Real * count)(*values)
+        self.call("fmi2SetRealInputDerivatives", reference_array(references), count, *arrays)
+
+    def output_derivatives(self, references: Sequence[int], order: int) -> list[float]:
+        count = len(references)
+        result, orders = (fmi2Real * count)(), (fmi2Integer * count)(*[order] * count)
+        self.call("fmi2GetRealOutputDerivatives", reference_array(references), count, orders, result)
+        return list(result)
+
+    # saved states, by a number of the script that asks for them
+
+    def save(self, slot: int) -> bool:
+        """Get the state into a slot, over the state that is there; whether the FMU gave an address."""
+        states = self._saved
+        pointer = states.setdefault(slot, ctypes.c_void_p())
+        self.call("fmi2GetFMUstate", ctypes.byref(pointer))
+        return bool(pointer.value)
+
+    def restore(self, slot: int) -> None:
+        self.call("fmi2SetFMUstate", self._saved[slot])
+
+    def forget(self, slot: int) -> bool:
+        """Free a saved state, or an empty slot; whether the FMU left NULL."""
+        pointer = self._saved.pop(slot, ctypes.c_void_p())
+        self.call("fmi2FreeFMUstate", ctypes.byref(pointer))
+        return not pointer.value
+
+    def serialised_size(self, slot: int) -> int:
+        size = ctypes.c_size_t()
+        self.call("fmi2SerializedFMUstateSize", self._saved[slot], ctypes.byref(size))
+        return size.value
+
+    def serialise(self, slot: int) -> list[Any]:
+        """[the state as hexadecimal bytes, whether nothing was written behind its size]."""
+        size = self.serialised_size(slot)
+        if self.last_status:
+            return ["", True]
+        content = ctypes.create_string_buffer(_GUARD_BYTE * (size + _GUARD), size + _GUARD)
+        self.call("fmi2SerializeFMUstate", self._saved[slot], content, size)
+        return [content.raw[:size].hex(), content.raw[size:] == _GUARD_BYTE * _GUARD]
+
+    def deserialise(self, slot: int, content: str) -> bool:
+        """Make a saved state of bytes, which are overwritten after the call."""
+        data = bytes.fromhex(content)
+        buffer, pointer = ctypes.create_string_buffer(data, len(data)), ctypes.c_void_p()
+        self.call("fmi2DeSerializeFMUstate", buffer, len(data), ctypes.byref(pointer))
+        ctypes.memset(buffer, ord("#"), len(data))
+        self._saved[slot] = pointer
+        return bool(pointer.value)
+
+    def free(self) -> None:
+        if self.handle is not None and self.last_status != FATAL:
+            self.status("fmi2FreeInstance")
+        self.handle = None
+        self.callbacks.close()

@@ -1,0 +1,103 @@
+"""Dependencies: what ModelStructure declares of initial values, against what a change shows."""
+
+import random
+from collections.abc import Iterator
+from typing import Any
+
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import Level, Stage, rule
+from fmus.compliance.values import other_value, random_value, same, settable_in_initialization, start_value
+from fmus.compliance.variable import Variable, integer
+
+_STRUCTURE = "2.2.8 Definition of the Model Structure (ModelStructure)"
+_MOST_KNOWNS = 100
+_MOST_TESTED = 40  # knowns without an effect at the start values, each of which costs two instances a point
+_PARTS = (0.05, 0.1, 0.3, 1.0)  # of the other knowns that are changed: many FMUs refuse most sets
+_MOST_SWITCHED = 20  # items of parameters that choose something
+_NOISE = 1e-9  # relative: an iteration may stop elsewhere
+Point = list[tuple[Variable, Any]]
+
+
+def _unknowns(probe: Probe) -> list[Variable]:
+    return [probe.fmu.variables[(i or 1) - 1] for i, _ in probe.fmu.unknowns("InitialUnknowns")]
+
+
+def _declared(probe: Probe) -> dict[str, set[int | None]]:
+    """Initial unknown -> indices of the knowns that it declares; without a declaration it is left out."""
+    return {
+        probe.fmu.variables[(index or 1) - 1].name: {integer(i) for i in element.get("dependencies").split()}
+        for index, element in probe.fmu.unknowns("InitialUnknowns")
+        if element.get("dependencies") is not None
+    }
+
+
+def _changed(probe: Probe, pairs: list[tuple[Point, Variable, Any]]) -> list[tuple[Variable, set[str]]]:
+    """Known -> the unknowns that change when it has another value, at each point that the FMU accepts."""
+    tried = []
+    for point, known, value in pairs:
+        scripts = [probe.script().initialise() for _ in range(2)]
+        for script in scripts:
+            for v, x in point:
+                if v is not known:
+                    script.set(v, x)
+        scripts[1].set(known, value)
+        tried.append((known, scripts, [script.read(_unknowns(probe)) for script in scripts]))
+    probe.play_each([script for _, scripts, _ in tried for script in scripts])
+    results = []
+    for known, scripts, readings in tried:
+        if all(script.succeeded for script in scripts):
+            before, after = (reading.values for reading in readings)
+            results.append((known, {name for name, x in before.items() if not same(x, after[name], _NOISE)}))
+    return results
+
+
+def _influences(probe: Probe) -> list[tuple[Variable, set[str]]]:
+    """Known -> the initial unknowns that it changes, at the start values."""
+    knowns = settable_in_initialization(probe.fmu)[:_MOST_KNOWNS]
+    pairs: list[tuple[Point, Variable, Any]] = [
+        ([], known, value) for known in knowns if (value := other_value(known)) is not None
+    ]
+    return probe.once("change of what initial values depend on", lambda: _changed(probe, pairs))
+
+
+@rule(_STRUCTURE, Stage.BEHAVIOUR)
+def initial_dependencies_are_declared(probe: Probe) -> Iterator[str]:
+    """An initial unknown changes only with the knowns that its dependencies list."""
+    declared = _declared(probe)
+    for known, changes in _influences(probe):
+        for name in sorted(changes):
+            if name in declared and name != known.name and known.index not in declared[name]:
+                expected = "expected that among its dependencies"
+                yield f"{name} changes with {known.name} in initialization mode: {expected}"
+
+
+@rule("advice: 2.2.8, dependencies may list more", Stage.BEHAVIOUR, Level.WARNING)
+def initial_dependencies_exist(probe: Probe) -> Iterator[str]:
+    """An initial unknown that lists Real inputs changes with one of these, at some point of several."""
+    knowns, chance = settable_in_initialization(probe.fmu), random.Random(0)
+    real = {known.index for known in knowns if known.kind == "Real" and known.causality == "input"}
+    alone = {name: listed & real for name, listed in _declared(probe).items() if listed & real}
+    for _, changes in _influences(probe):
+        alone = {name: listed for name, listed in alone.items() if name not in changes}
+    for point in _points(knowns, chance) if alone else ():
+        indices = set().union(*alone.values())
+        tested = [known for known in knowns if known.index in indices][:_MOST_TESTED]
+        pairs = [(point, known, x) for known in tested if (x := random_value(known, chance)) is not None]
+        for _, changes in _changed(probe, pairs):
+            alone = {name: listed for name, listed in alone.items() if name not in changes}
+    for name in alone:
+        yield f"{name} changes with none of the inputs that it lists as dependencies in initialization mode"
+
+
+def _points(knowns: list[Variable], chance: random.Random) -> Iterator[Point]:
+    """Values of inputs anywhere, with each other item of each choice, then with some other knowns changed."""
+    switches = [v for v in knowns if v.base_kind not in {"Real", "String"}]
+    chosen: list[list[tuple[Variable, Any]]] = [
+        [(v, x)] for v in switches for x in sorted(v.items or {0, 1}) if x != start_value(v)
+    ][:_MOST_SWITCHED]
+    for fixed in [[], *chosen]:
+        inputs = [v for v in knowns if v.causality == "input"]
+        yield fixed + [(v, x) for v in inputs if (x := random_value(v, chance)) is not None]
+    for part in _PARTS:
+        moved = [v for v in knowns if v.causality == "input" or chance.random() < part]
+        yield [(v, x) for v in moved if (x := random_value(v, chance)) is not None]

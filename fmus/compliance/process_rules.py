@@ -1,0 +1,46 @@
+"""What an FMU leaves as it is: settings of its process."""
+
+from collections.abc import Iterator
+
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import Level, Stage, rule
+from fmus.compliance.session import session
+
+_GENERAL = "2.1 FMI Application Programming Interface"
+_FLOATING_POINT = "floating-point control"
+
+
+@rule(_GENERAL, Stage.BEHAVIOUR)
+def floating_point_control_is_restored(probe: Probe) -> Iterator[str]:
+    """Rounding mode, traps and flushing to zero are as before when a function returns or calls back."""
+    named = set()
+    for reply in session(probe).script.replies:
+        for setting, before, after in reply.changed:
+            if setting.startswith(_FLOATING_POINT) and reply.function not in named:
+                named.add(reply.function)
+                where = setting.removeprefix(_FLOATING_POINT)
+                values = f" ({before} before, {after} after)" if before else ""
+                yield (
+                    f"{reply.function} changes the floating-point control{where}{values}: expected "
+                    "it restored"
+                )
+
+
+@rule("advice: 2.1, settings that other parts of the process share", Stage.BEHAVIOUR, Level.WARNING)
+def process_is_left_as_it_is(probe: Probe) -> Iterator[str]:
+    """Working directory, locale, file mode mask and signal handlers are not changed."""
+    named = set()
+    for reply in session(probe).script.replies:
+        for setting, before, after in reply.changed:
+            if not setting.startswith(_FLOATING_POINT) and setting not in named:
+                named.add(setting)
+                yield f"{reply.function} changes the {setting}: {after}, expected {before}"
+
+
+@rule("advice: messages belong to the logger", Stage.BEHAVIOUR, Level.WARNING)
+def nothing_is_printed(probe: Probe) -> Iterator[str]:
+    """Nothing is printed to standard output."""
+    printing = {reply.function: reply.printed for reply in session(probe).script.replies if reply.printed}
+    for function, count in printing.items():
+        yield f"{function} prints {count} bytes to standard output: expected none"
+        return

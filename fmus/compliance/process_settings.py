@@ -1,0 +1,107 @@
+"""Settings and resources of this process that an FMU could change: read around its calls, and set back."""
+
+import ctypes
+import gc
+import os
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+_LC_ALL = 6  # of glibc, musl; other C libraries have another number, and then no locale is compared
+_SIGNAL_LINES = ("SigIgn", "SigCgt")
+_SELF = Path("/proc/self")
+
+
+class MallocInformation(ctypes.Structure):
+    """`struct mallinfo2` of glibc."""
+
+    _fields_ = tuple(
+        (name, ctypes.c_size_t)
+        for name in [
+            "arena",
+            "ordblks",
+            "smblks",
+            "hblks",
+            "hblkhd",
+            "usmblks",
+            "fsmblks",
+            "uordblks",
+            "fordblks",
+            "keepcost",
+        ]
+    )
+
+
+def _function(library: Any, name: str, result: Any = ctypes.c_int, *arguments: Any) -> Any:
+    function = getattr(library, name, None)
+    if function is not None:
+        function.restype, function.argtypes = result, list(arguments)
+    return function
+
+
+class ProcessSettings:
+    """What the C library and the operating system say of this process."""
+
+    def __init__(self) -> None:
+        linux = _SELF.is_dir()
+        library: Any = ctypes.CDLL(None) if os.name == "posix" else None
+        mathematics: Any = None
+        with suppress(OSError):
+            mathematics = ctypes.CDLL("libm.so.6") if linux else library
+        self._flush = _function(library, "fflush", ctypes.c_int, ctypes.c_void_p)
+        self._locale = _function(library, "setlocale", ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p)
+        self._locale = self._locale if linux else None
+        self._rounding = _function(mathematics, "fegetround")
+        self._set_rounding = _function(mathematics, "fesetround", ctypes.c_int, ctypes.c_int)
+        self._traps = _function(mathematics, "fegetexcept") if linux else None
+        self._set_traps = _function(mathematics, "fedisableexcept", ctypes.c_int, ctypes.c_int)
+        self._heap = _function(library, "mallinfo2", MallocInformation) if linux else None
+
+    def flush(self) -> None:
+        """Let what was printed leave the buffers of the C library."""
+        if self._flush is not None:
+            self._flush(None)
+
+    def floating_point(self) -> tuple[int, int, bool]:
+        """Rounding mode, exceptions that trap, and whether numbers near zero are kept."""
+        rounding = self._rounding() if self._rounding is not None else 0
+        traps = self._traps() if self._traps is not None else 0
+        return rounding, traps, float.fromhex("0x1p-1022") / _TWO != 0.0
+
+    def restore_floating_point(self, before: tuple[int, int, bool]) -> None:
+        rounding, traps, _ = before
+        if self._set_rounding is not None:
+            self._set_rounding(rounding)
+        if self._set_traps is not None:
+            self._set_traps(~traps & 0x3D)
+
+    def process(self) -> dict[str, str]:
+        """Settings by name."""
+        settings = {"working directory": str(Path.cwd())}
+        umask = os.umask(0)
+        os.umask(umask)
+        settings["file mode mask"] = oct(umask)
+        if self._locale is not None:
+            settings["locale"] = (self._locale(_LC_ALL, None) or b"").decode("utf-8", "replace")
+        with suppress(OSError):
+            lines = dict(line.split(":", 1) for line in (_SELF / "status").read_text().splitlines())
+            settings["signal handlers"] = " ".join(lines[name].strip() for name in _SIGNAL_LINES)
+        return settings
+
+    def restore_process(self, before: dict[str, str]) -> None:
+        """Set back what can be; signal handlers stay."""
+        os.chdir(before["working directory"])
+        os.umask(int(before["file mode mask"], 8))
+        if self._locale is not None:
+            self._locale(_LC_ALL, before["locale"].encode())
+
+    def resources_in_use(self) -> dict[str, int]:
+        gc.collect()
+        counts = {"heap": int(self._heap().uordblks) if self._heap is not None else 0}
+        for name, folder in (("open files", "fd"), ("threads", "task")):
+            with suppress(OSError):
+                counts[name] = len(list((_SELF / folder).iterdir()))
+        return counts
+
+
+_TWO = 2.0

@@ -1,0 +1,241 @@
+"""Calls on one instance of an FMU, written down first and played in one message."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from fmus.binding import WARNING, status_name
+from fmus.compliance.variable import Variable
+
+KINDS = ("Real", "Integer", "Boolean", "String")
+_FUNCTIONS = {  # method of `CalledInstance` -> function of FMI, where the arguments do not name it
+    "set_up_experiment": "fmi2SetupExperiment", "set_up_experiment_with": "fmi2SetupExperiment",
+    "enter_initialization_mode": "fmi2EnterInitializationMode",
+    "exit_initialization_mode": "fmi2ExitInitializationMode", "set_debug_logging": "fmi2SetDebugLogging",
+    "do_step": "fmi2DoStep", "begin_step": "fmi2DoStep", "wait": "fmi2DoStep",
+    "directional_derivatives": "fmi2GetDirectionalDerivative",
+    "set_input_derivatives": "fmi2SetRealInputDerivatives",
+    "output_derivatives": "fmi2GetRealOutputDerivatives", "save": "fmi2GetFMUstate",
+    "restore": "fmi2SetFMUstate", "forget": "fmi2FreeFMUstate", "serialise": "fmi2SerializeFMUstate",
+    "serialised_size": "fmi2SerializedFMUstateSize", "deserialise": "fmi2DeSerializeFMUstate",
+}  # fmt: skip
+
+
+class CallError(Exception):
+    """A call that did not succeed; names the call, its status and the messages that the FMU logged."""
+
+    def __init__(self, message: str, status: int | None = None) -> None:
+        super().__init__(message)
+        self.status = status
+
+
+@dataclass(frozen=True)
+class Message:
+    """A message of the FMU. right_environment: whether it came with the environment of its instance."""
+
+    status: int
+    text: str
+    instance: str | None
+    category: str | None
+    right_environment: bool = True
+
+
+@dataclass
+class Reply:
+    """What came of a call; `status` is None until it was made."""
+
+    function: str
+    state: str
+    status: int | None = None
+    value: Any = None
+    messages: list[Message] = field(default_factory=list)
+    changed: list[list[str]] = field(default_factory=list)
+    printed: int = 0
+
+    @property
+    def ok(self) -> bool:
+        return self.status is not None and 0 <= self.status <= WARNING
+
+    @property
+    def status_name(self) -> str:
+        return "was not called" if self.status is None else f"returned {status_name(self.status)}"
+
+    @property
+    def logged(self) -> str:
+        return (
+            "; ".join(dict.fromkeys(" ".join(m.text.split()) for m in self.messages)) or "it logged nothing"
+        )
+
+    @property
+    def problem(self) -> str:
+        """What went wrong, in words."""
+        return f"{self.function} {self.status_name}: expected ok; {self.logged}"
+
+
+class Reading:
+    """Values of variables at a place of a script; `values` after it was played."""
+
+    def __init__(self, groups: dict[str, list[Variable]], replies: dict[str, Reply]) -> None:
+        self.groups, self.replies = groups, replies
+
+    @property
+    def ok(self) -> bool:
+        return all(reply.ok for reply in self.replies.values())
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """Name -> value of each variable; Strings as bytes, None for NULL."""
+        result = {}
+        for kind, members in self.groups.items():
+            for variable, value in zip(members, self.replies[kind].value, strict=True):
+                is_text = kind == "String" and isinstance(value, str)
+                result[variable.name] = bytes.fromhex(value) if is_text else value
+        return result
+
+
+class Examined(Protocol):
+    """What a script knows of the FMU. start_time, step_size: of the default experiment [s]."""
+
+    start_time: float
+    step_size: float
+
+    @property
+    def outputs(self) -> list[Variable]: ...
+
+    def point(self, i: int) -> float: ...
+
+    def play(self, *scripts: "Script", keep_going: bool = False) -> None: ...
+
+
+class Script:
+    """Calls on a new instance, in the order in which they are written down.
+
+    number: of the instance, after it was played; failure: the first call that failed
+    """
+
+    def __init__(self, probe: Examined, options: dict[str, Any]) -> None:
+        self._probe, self.options = probe, options
+        self.calls: list[tuple[Any, ...]] = []
+        self.replies: list[Reply] = []
+        self.number = 0
+        self.state = "instantiated"
+        self.parts = [0]
+        self._step = 0
+
+    # writing
+
+    def pause(self) -> "Script":
+        """End a part: scripts that are played together take turns."""
+        self.parts.append(len(self.calls))
+        return self
+
+    def part(self, index: int) -> list[tuple[Any, ...]]:
+        """The calls of a part; none if there are fewer parts."""
+        ends = [*self.parts[1:], len(self.calls)]
+        return self.calls[self.parts[index] : ends[index]] if index < len(self.parts) else []
+
+    def call(self, method: str, *arguments: Any) -> Reply:
+        """A call of a method of `CalledInstance`."""
+        function = _FUNCTIONS.get(method)
+        if function is None and method in ("get", "set"):
+            function = f"fmi2{method.title()}{arguments[0]}"
+        elif method == "status_of":
+            function = f"fmi2Get{arguments[0]}Status"
+        reply = Reply(function or str(arguments[0]), self.state)
+        self.calls.append((method, *arguments))
+        self.replies.append(reply)
+        return reply
+
+    def plain(self, function: str) -> Reply:
+        """A function of FMI without arguments."""
+        return self.call("call_plain", function)
+
+    def set_up(self, start: float | None = None, stop: float | None = None) -> "Script":
+        self.call("set_up_experiment", self._probe.start_time if start is None else start, stop)
+        return self
+
+    def enter_initialization_mode(self) -> "Script":
+        self.call("enter_initialization_mode")
+        self.state = "initialization mode"
+        return self
+
+    def exit_initialization_mode(self) -> "Script":
+        self.call("exit_initialization_mode")
+        self.state = "step complete"
+        return self
+
+    def initialise(self, start: float | None = None) -> "Script":
+        """Set the experiment up and enter initialization mode."""
+        return self.set_up(start).enter_initialization_mode()
+
+    def begin(self, start: float | None = None) -> "Script":
+        """Initialise, up to where steps are allowed."""
+        self._step = 0
+        return self.initialise(start).exit_initialization_mode()
+
+    def step(self, count: int = 1, no_going_back: bool = False) -> "Script":
+        """Steps of the default experiment's size, from where the script is."""
+        for _ in range(count):
+            t = self._probe.point(self._step)
+            self.call("do_step", t, self._probe.step_size, no_going_back)
+            self._step += 1
+        return self
+
+    def go_to(self, step: int) -> "Script":
+        """The next step is number `step`."""
+        self._step = step
+        return self
+
+    def terminate(self) -> Reply:
+        reply = self.plain("fmi2Terminate")
+        self.state = "terminated"
+        return reply
+
+    def reset(self) -> Reply:
+        reply = self.plain("fmi2Reset")
+        self.state, self._step = "instantiated", 0
+        return reply
+
+    def set(self, variable: Variable, value: Any) -> Reply:
+        content = value.encode().hex() if isinstance(value, str) else value
+        return self.call("set", variable.base_kind, [variable.reference or 0], [content])
+
+    def read(self, variables: Iterable[Variable]) -> Reading:
+        groups: dict[str, list[Variable]] = {}
+        for v in variables:
+            if v.base_kind in KINDS and v.reference is not None:
+                groups.setdefault(v.base_kind, []).append(v)
+        replies = {
+            kind: self.call("get", kind, [v.reference for v in members]) for kind, members in groups.items()
+        }
+        return Reading(groups, replies)
+
+    def run(self, steps: int) -> list[Reading]:
+        """Readings of the outputs after each of some steps."""
+        return [self.step().read(self._probe.outputs) for _ in range(steps)]
+
+    # playing
+
+    def play(self, keep_going: bool = False) -> "Script":
+        """Play it alone; raises as `Probe.play` does."""
+        self._probe.play(self, keep_going=keep_going)
+        return self
+
+    def fill(self, part: int, answers: Sequence[Sequence[Any]]) -> None:
+        """Give each call of a part its reply."""
+        end = len(self.part(part))
+        for reply, answer in zip(self.replies[self.parts[part] :][:end], answers, strict=False):
+            if not answer:
+                continue
+            status, reply.value, messages, changed, printed = answer
+            reply.status, reply.changed, reply.printed = int(status), changed, int(printed)
+            reply.messages = [Message(*message) for message in messages]
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether every call was made and none failed."""
+        return all(reply.ok for reply in self.replies)
+
+    @property
+    def failure(self) -> Reply | None:
+        return next((reply for reply in self.replies if reply.status is not None and not reply.ok), None)

@@ -1,0 +1,112 @@
+"""One complete session with an FMU: every function that it supports, each in the states that allow it."""
+
+from fmus.compliance.probe import Probe
+from fmus.compliance.script import Reading, Script
+from fmus.compliance.values import (
+    readable_in_initialization,
+    settable_before,
+    settable_in_initialization,
+    settable_while_stepping,
+    start_value,
+)  # fmt: skip
+from fmus.compliance.variable import Variable
+
+NAME = "instance of the session"
+
+
+class Session:
+    """The played session with its replies and readings."""
+
+    def __init__(self, probe: Probe, **options: object) -> None:
+        self.probe, self.fmu = probe, probe.fmu
+        self.readings: list[Reading] = []
+        self.script = probe.script(name=NAME, **options)
+        self._write()
+        self.script.play(keep_going=True)
+
+    def _write(self) -> None:
+        script = self.script
+        self._log()
+        self._states(0)
+        self._set(script, settable_before(self.fmu))
+        self._input_derivatives()
+        script.set_up(stop=self.probe.point(1000))
+        script.enter_initialization_mode()
+        self._log()
+        self._states(1)
+        self._set(script, settable_in_initialization(self.fmu))
+        self._input_derivatives()
+        self.readings.append(script.read(readable_in_initialization(self.fmu)))
+        self._derivatives("InitialUnknowns")
+        script.exit_initialization_mode()
+        for _ in range(2):
+            self._set(script, settable_while_stepping(self.fmu))
+            self._input_derivatives()
+            script.step()
+            self.readings.append(script.read(self.fmu.variables))
+            self._output_derivatives()
+        self._derivatives("Outputs")
+        self._states(2)
+        self._log()
+        script.terminate()
+        self._log()
+        self.readings.append(script.read(self.fmu.variables))
+        self._output_derivatives()
+        self._derivatives("Outputs")
+        self._states(3)
+        script.reset()
+        script.begin().step()
+        self.readings.append(script.read(self.fmu.variables))
+
+    def _set(self, script: Script, variables: list[Variable]) -> None:
+        for v in variables:
+            if (value := start_value(v)) is not None:
+                script.set(v, value)
+
+    def _log(self) -> None:
+        categories = [c.get("name", "") for c in self.fmu.root.iterfind("LogCategories/Category")]
+        self.script.call("set_debug_logging", False, [])
+        if categories:
+            self.script.call("set_debug_logging", True, categories)
+        self.script.call("set_debug_logging", True, [])
+
+    def _input_derivatives(self) -> None:
+        inputs = [v for v in self.probe.real("input") if v.variability == "continuous"]
+        if inputs and self.fmu.claims("canInterpolateInputs"):
+            count = len(inputs)
+            references = [v.reference or 0 for v in inputs]
+            self.script.call("set_input_derivatives", references, [1] * count, [0.0] * count)
+
+    def _output_derivatives(self) -> None:
+        outputs = [v for v in self.probe.real("output") if v.variability == "continuous"]
+        for order in range(1, self.fmu.output_derivative_order + 1) if outputs else ():
+            self.script.call("output_derivatives", [v.reference or 0 for v in outputs], order)
+
+    def _derivatives(self, section: str) -> None:
+        if not self.fmu.claims("providesDirectionalDerivative"):
+            return
+        unknowns = [self.fmu.variables[(index or 1) - 1] for index, _ in self.fmu.unknowns(section)]
+        unknowns = [v for v in unknowns if v.kind == "Real"]
+        inputs = [v for v in self.probe.real("input") if v.variability == "continuous"]
+        if unknowns and inputs:
+            self.script.call(
+                "directional_derivatives",
+                [v.reference or 0 for v in unknowns],
+                [v.reference or 0 for v in inputs],
+                [1.0] * len(inputs),
+            )
+
+    def _states(self, slot: int) -> None:
+        script = self.script
+        if self.fmu.claims("canGetAndSetFMUstate"):
+            script.call("save", slot)
+            if self.fmu.claims("canSerializeFMUstate"):
+                script.call("serialised_size", slot)
+                script.call("serialise", slot)
+            script.call("restore", slot)
+            script.call("forget", slot)
+
+
+def session(probe: Probe) -> Session:
+    """The session, played once for all rules, with logging and with the settings of the process watched."""
+    return probe.once("complete session", lambda: Session(probe, logging=True, watched=True))

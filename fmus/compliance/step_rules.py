@@ -1,0 +1,238 @@
+"""Steps: their times, their sizes, the stop time, and what a step does."""
+
+from collections.abc import Iterator
+
+from fmus.binding import DISCARD
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
+from fmus.compliance.script import Reading, Reply, Script
+from fmus.compliance.values import differing, if_not_claimed, texts, unless_claimed
+
+_SETUP = "2.1.6 Initialization, Termination, and Resetting an FMU (fmi2SetupExperiment)"
+_COMPUTATION = "4.2.2 Computation (fmi2DoStep)"
+_FLAGS = "4.3.1 Co-Simulation FMU (CoSimulation)"
+_ANY_STEP = "canHandleVariableCommunicationStepSize"
+_ASYNCHRONOUS = "canRunAsynchronuously"
+_ERROR = 3
+_SOLVER = 1e-3  # relative: what a solver with error control may change
+_HALVES = 0.5  # of the change over two steps: a rough solver, but not half a step
+
+
+@rule(_SETUP, Stage.BEHAVIOUR)
+def step_beyond_the_stop_time_is_an_error(probe: Probe) -> Iterator[str]:
+    """If a stop time is defined, steps up to it succeed and a step past it returns error."""
+    script = probe.script(logging=True).set_up(stop=probe.point(3))
+    script.enter_initialization_mode().exit_initialization_mode().step(3)
+    beyond = script.call("do_step", probe.point(3), probe.step_size)
+    script.play(keep_going=True)
+    if script.failure not in (None, beyond):
+        yield f"with the stop time {probe.point(3):g} s, before it: {script.failure.problem}"
+    elif beyond.status != _ERROR:
+        yield (
+            f"fmi2DoStep to {probe.point(4):g} s {beyond.status_name}: expected error beyond the "
+            f"stop time {probe.point(3):g} s"
+        )
+
+
+@rule(_SETUP, Stage.BEHAVIOUR)
+def undefined_arguments_are_ignored(probe: Probe) -> Iterator[str]:
+    """A tolerance or a stop time that is not defined is not looked at."""
+    usual, other = probe.script().begin(), probe.script(logging=True)
+    expected = usual.run(2)
+    for undefined in (-1.0,):
+        other.call("set_up_experiment_with", [], probe.start_time, [], undefined + probe.start_time)
+    other.enter_initialization_mode().exit_initialization_mode()
+    got = other.run(2)
+    usual.play()
+    other.play(keep_going=True)
+    if other.failure:
+        yield f"with neither tolerance nor stop time defined: {other.failure.problem}"
+    else:
+        yield from differing(expected, got, "where an undefined stop time lies before the start time")
+
+
+@rule(_SETUP, Stage.BEHAVIOUR)
+def tolerance_is_accepted(probe: Probe) -> Iterator[str]:
+    """A tolerance that is defined is accepted."""
+    script = probe.script(logging=True)
+    script.call("set_up_experiment_with", [1e-5], probe.start_time, [probe.point(1000)])
+    script.enter_initialization_mode().exit_initialization_mode().step(2).play(keep_going=True)
+    if script.failure:
+        yield f"with the tolerance 1e-05: {script.failure.problem}"
+
+
+@rule("2.2.7 Definition of Model Variables (ModelVariables), independent", Stage.BEHAVIOUR)
+def time_is_the_communication_point(probe: Probe) -> Iterator[str]:
+    """The independent variable is the start time in initialization mode, and then the end of the last
+    step.
+    """
+    independent = [v for v in probe.fmu.variables if v.causality == "independent"]
+    if not independent:
+        raise NotJudgedError("no variable is independent")
+    if not probe.states_step_size:
+        raise NotJudgedError("no step size is stated, and an internal step may be longer than others")
+    for start in (probe.start_time, probe.start_time + 3 * probe.step_size):
+        script = probe.script().begin(start)
+        readings, expected = [script.read(independent)], [start]
+        for i in range(3):
+            script.call("do_step", start + i * probe.step_size, probe.step_size)
+            readings.append(script.read(independent))
+            expected.append(start + (i + 1) * probe.step_size)
+        script.play(keep_going=True)
+        if script.failure and start != probe.start_time:
+            return  # a model need not be valid at another start time
+        for reading, t in zip(readings, expected, strict=True):
+            (got,) = reading.values.values()
+            if not abs(got - t) <= 1e-3 * probe.step_size + 1e-9 * abs(t):
+                yield (
+                    f"{independent[0].name} is {texts(got, t)[0]} at the communication point "
+                    f"{texts(got, t)[1]} s"
+                )
+                return
+
+
+@rule(_COMPUTATION, Stage.BEHAVIOUR)
+def communication_points_may_be_rounded(probe: Probe) -> Iterator[str]:
+    """Communication points may be sums of step sizes or multiples of one: their rounding is no error."""
+    script = probe.script(logging=True).begin()
+    t, h = probe.start_time, probe.step_size
+    for i in range(30):
+        script.call("do_step", t if i % 2 else probe.point(i), h)
+        t += h
+    script.play(keep_going=True)
+    if script.failure and script.failure.status != DISCARD:
+        yield script.failure.problem
+
+
+@rule(_COMPUTATION, Stage.BEHAVIOUR)
+def flag_of_no_return_changes_nothing(probe: Probe) -> Iterator[str]:
+    """noSetFMUStatePriorToCurrentPoint = fmi2True is accepted, and the outputs are the same."""
+    usual, other = probe.script().begin(), probe.script(logging=True).begin()
+    expected = usual.run(3)
+    got = [other.step(1, no_going_back=True).read(probe.outputs) for _ in range(3)]
+    usual.play()
+    other.play(keep_going=True)
+    if other.failure:
+        yield other.failure.problem
+    else:
+        yield from differing(expected, got, "with noSetFMUStatePriorToCurrentPoint")
+
+
+@rule(_COMPUTATION, Stage.BEHAVIOUR)
+def runs_are_repeatable(probe: Probe) -> Iterator[str]:
+    """The same calls give the same outputs in every instance."""
+    one, other = probe.script().begin(), probe.script(visible=False).begin()
+    first, second = one.run(5), other.run(5)
+    one.play()
+    other.play()
+    yield from differing(first, second, "in a second instance")
+
+
+@rule(f"{_FLAGS}: {_ANY_STEP}", Stage.BEHAVIOUR, condition=unless_claimed(_ANY_STEP))
+def variable_step_size(probe: Probe) -> Iterator[str]:
+    """Steps of different sizes succeed one after the other; one that is discarded says how far it came."""
+    script = probe.script(logging=True).begin()
+    t, ends = probe.start_time, []
+    for factor in (1.0, 0.5, 2.0, 0.25, 1.5):
+        ends.append((t, t + factor * probe.step_size))
+        script.call("do_step", t, factor * probe.step_size)
+        t = ends[-1][1]
+    script.play(keep_going=True)
+    failure = script.failure
+    if failure and failure.status != DISCARD:
+        yield failure.problem
+    elif failure:
+        yield from _discarded(probe, script, failure, ends)
+
+
+def _discarded(
+    probe: Probe, script: Script, failure: Reply, ends: list[tuple[float, float]]
+) -> Iterator[str]:
+    """What is wrong with a step that was discarded: the master cannot know where it ended."""
+    steps = [reply for reply in script.replies if reply.function == "fmi2DoStep"]
+    number = steps.index(failure)
+    again = probe.script(logging=True).begin()
+    for t, end in ends[: number + 1]:
+        again.call("do_step", t, end - t)
+    last = again.call("status_of", "Real", 2)
+    again.play(keep_going=True)
+    t, end = ends[number]
+    if last.ok and not t - 1e-9 * abs(t) <= last.value < end:
+        yield f"a step from {t:g} to {end:g} s is discarded, and fmi2LastSuccessfulTime is {last.value:g} s"
+
+
+@rule(f"{_FLAGS}: {_ANY_STEP}", Stage.BEHAVIOUR, Level.WARNING, condition=unless_claimed(_ANY_STEP))
+def two_steps_are_one_of_twice_the_size(probe: Probe) -> Iterator[str]:
+    """A step reaches its end: two steps bring continuous outputs about as far as one of twice the size."""
+    chosen = [v for v in probe.real("output") if v.variability == "continuous"]
+    small, large = probe.script().begin(), probe.script().begin()
+    before = small.read(chosen)
+    two = small.step(2).read(chosen)
+    large.call("do_step", probe.start_time, 2 * probe.step_size)
+    one = large.read(chosen)
+    small.play()
+    large.play(keep_going=True)
+    if large.failure or not chosen:
+        raise NotJudgedError("there is no continuous output, or no step of twice the size")
+    names = [v.name for v in chosen if abs(_change(before, two, v.name)) > 1e-9 * abs(two.values[v.name])]
+    wrong = [
+        name
+        for name in names
+        if abs(one.values[name] - two.values[name]) > _HALVES * 0.8 * abs(_change(before, two, name))
+    ]
+    if wrong and len(wrong) == len(names):
+        name = wrong[0]
+        shown = texts(one.values[name], two.values[name])
+        yield (
+            f"{name} is {shown[0]} after one step of {2 * probe.step_size:g} s: expected about "
+            f"{shown[1]}, as after two steps"
+        )
+
+
+def _change(before: Reading, after: Reading, name: str) -> float:
+    return after.values[name] - before.values[name]
+
+
+@rule(_COMPUTATION, Stage.BEHAVIOUR, condition=if_not_claimed(_ASYNCHRONOUS))
+def steps_are_not_pending(probe: Probe) -> Iterator[str]:
+    """Without canRunAsynchronuously, fmi2DoStep does not return pending."""
+    script = probe.script(logging=True).begin()
+    pending = script.call("begin_step", probe.start_time, probe.step_size)
+    script.play(keep_going=True)
+    if pending.value:
+        yield "fmi2DoStep returned pending: expected that only with canRunAsynchronuously"
+
+
+@rule(
+    "2.1.5 Creation, Destruction and Logging of FMU Instances",
+    Stage.BEHAVIOUR,
+    condition=unless_claimed(_ASYNCHRONOUS),
+)
+def step_finished_is_called(probe: Probe) -> Iterator[str]:
+    """After a pending step the callback stepFinished is called once; without the callback fmi2GetStatus
+    tells its end.
+    """
+    script = probe.script(logging=True).begin().step(3)
+    number = probe.hold(script)
+    pending, finished = probe.ask("finished_steps", number)
+    probe.let_go(number)
+    if script.failure:
+        yield script.failure.problem
+    elif pending != finished and pending:
+        yield f"stepFinished was called {finished} times for {pending} pending steps: expected once for each"
+    fewest = probe.script(callbacks="fewest").begin().step(3)
+    fewest.play(keep_going=True)
+    if fewest.failure:
+        yield f"without stepFinished: {fewest.failure.problem}"
+
+
+@rule(_COMPUTATION, Stage.BEHAVIOUR, condition=unless_claimed(_ASYNCHRONOUS))
+def cancelled_step_can_be_left(probe: Probe) -> Iterator[str]:
+    """A pending step can be cancelled; fmi2Reset is allowed then."""
+    script = probe.script(logging=True).begin()
+    pending = script.call("begin_step", probe.start_time, probe.step_size)
+    script.plain("fmi2CancelStep")
+    script.reset()
+    script.begin().step().play(keep_going=True)
+    if pending.value and script.failure:
+        yield script.failure.problem

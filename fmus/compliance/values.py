@@ -1,0 +1,149 @@
+"""Values of variables for the rules: start values, other legal values, differences between runs."""
+
+import math
+import random
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.rule import Condition
+from fmus.compliance.script import Reading
+from fmus.compliance.variable import Variable
+
+Row = dict[str, Any]
+_TRUE = {"true": 1, "1": 1, "false": 0, "0": 0}
+_STAYS = 0.3  # how often a random value is the start value
+_PART = 0.01  # of a value or its nominal value: a change that is felt, and seldom refused
+
+
+def unless_claimed(capability: str) -> Condition:
+    """The condition of rules about a capability."""
+    return lambda fmu: "" if fmu.claims(capability) else f"{capability} is not claimed"
+
+
+def if_not_claimed(flag: str) -> Condition:
+    """The condition of rules that a flag takes back."""
+    return lambda fmu: f"{flag} is claimed" if fmu.claims(flag) else ""
+
+
+def start_value(v: Variable) -> Any:
+    """The start value as the setter takes it; None if there is none, or none that can be read."""
+    text = v.start
+    if text is None or v.base_kind == "String":
+        return text
+    if v.base_kind == "Boolean":
+        return _TRUE.get(text)
+    value = v.number("start") if v.typed.get("start") == text else None
+    return int(value) if value is not None and v.base_kind == "Integer" else value
+
+
+def other_value(v: Variable) -> Any:
+    """A legal value near the start value but another one; None if there is none. Strings have none."""
+    start = start_value(v)
+    if start is None or v.base_kind == "String":
+        return None
+    if v.base_kind == "Boolean":
+        return 1 - start
+    if v.base_kind == "Integer":
+        return next((x for x in (start + 1, start - 1) if _within(v, x)), None)
+    change = _PART * max(abs(start), v.number("nominal") or 1.0)
+    span = [x for x in (v.number("max"), v.number("min")) if x is not None]
+    change = min([change, *(abs(x - start) / 2 for x in span if x != start)])
+    return next((x for x in (start + change, start - change) if _within(v, x) and x != start), None)
+
+
+def random_value(v: Variable, chance: random.Random) -> Any:
+    """A legal value anywhere in the range, or the start value; None for a String, or without a start
+    value.
+    """
+    start = start_value(v)
+    if start is None or v.base_kind == "String" or chance.random() < _STAYS:
+        return None if v.base_kind == "String" else start
+    if v.base_kind == "Boolean":
+        return chance.randrange(2)
+    low, high = v.number("min"), v.number("max")
+    if v.base_kind == "Integer":
+        return chance.choice([x for x in v.items or range(start - 3, start + 4) if _within(v, x)] or [start])
+    width = abs(start) + (v.number("nominal") or 1.0)
+    low = max(start - width, -math.inf if low is None else low)
+    high = min(start + width, math.inf if high is None else high)
+    return chance.uniform(low, high)
+
+
+def _within(v: Variable, value: float) -> bool:
+    low, high = v.number("min"), v.number("max")
+    items = v.items
+    return (low is None or value >= low) and (high is None or value <= high) and (not items or value in items)
+
+
+def settable_before(fmu: FmuFile) -> list[Variable]:
+    """Variables that can be set when instantiated: initial exact or approx, not constant."""
+    return [v for v in fmu.variables if v.variability != "constant" and v.initial in ("exact", "approx")]
+
+
+def settable_in_initialization(fmu: FmuFile) -> list[Variable]:
+    """Variables that can be set in initialization mode: initial exact, not constant, and inputs."""
+    return [
+        v
+        for v in fmu.variables
+        if v.causality == "input" or (v.variability != "constant" and v.initial == "exact")
+    ]
+
+
+def settable_while_stepping(fmu: FmuFile) -> list[Variable]:
+    """Variables that can be set at communication points: inputs and tunable parameters."""
+    return [
+        v
+        for v in fmu.variables
+        if v.causality == "input" or (v.causality == "parameter" and v.variability == "tunable")
+    ]
+
+
+def readable_in_initialization(fmu: FmuFile) -> list[Variable]:
+    """Outputs and initial unknowns."""
+    indices = {index for index, _ in fmu.unknowns("InitialUnknowns")}
+    return [v for v in fmu.variables if v.causality == "output" or v.index in indices]
+
+
+def texts(*values: Any) -> list[str]:
+    """Numbers with as few digits as show that they differ, six at least."""
+    if not all(isinstance(value, (int, float)) for value in values):
+        return [repr(value) for value in values]
+    for digits in (6, 9, 12, 15):
+        shown = [f"{value:.{digits}g}" for value in values]
+        if len(set(shown)) == len({repr(value) for value in values}):
+            return shown
+    return [repr(value) for value in values]
+
+
+def same(a: Any, b: Any, tolerance: float = 0.0, scale: float = 0.0) -> bool:
+    """Whether two values are equal; numbers up to a tolerance relative to the larger and the scale."""
+    if a == b:
+        return True
+    if not isinstance(a, float) or not isinstance(b, (int, float)):
+        return False
+    if math.isnan(a) and math.isnan(b):
+        return True
+    return abs(a - b) <= tolerance * max(abs(a), abs(b), scale)
+
+
+def rows(readings: Iterable[Reading]) -> list[Row]:
+    return [reading.values for reading in readings]
+
+
+def differing(
+    expected: Sequence[Reading], got: Sequence[Reading], when: str, tolerance: float = 0.0
+) -> Iterator[str]:
+    """The first value of each output that is not the same; numbers up to a tolerance, relative."""
+    before, after = rows(expected), rows(got)
+    largest = {
+        name: max((abs(row[name]) for row in before if isinstance(row[name], (int, float))), default=0.0)
+        for name in (before[0] if before else ())
+    }
+    named = set()
+    for i, (row, other) in enumerate(zip(before, after, strict=True), 1):
+        for name, value in row.items():
+            if name not in named and not same(value, other[name], tolerance, largest[name]):
+                named.add(name)
+                new, old = texts(other[name], value)
+                yield f"{name} is {new} {when}, step {i}: expected {old} again"
