@@ -1,10 +1,11 @@
 """Rules of the model description as a whole and of its elements but for variables: FMI 2.0.5, 2.2 and 4.3."""
 
+import itertools
 import re
 from collections.abc import Iterable, Iterator
 
 from fmus.compliance.archive_rules import unreadable
-from fmus.compliance.contents import SCHEMAS, schema_errors
+from fmus.compliance.contents import BUILD_DESCRIPTION, SCHEMAS, TERMINALS, schema_errors
 from fmus.compliance.fmu_file import C_IDENTIFIER, FmuFile
 from fmus.compliance.rule import Level, Stage, repeated, rule
 from fmus.compliance.variable import is_true, number
@@ -20,10 +21,10 @@ _UTF_8 = re.compile(
     rb"(\xef\xbb\xbf)?<\?xml[^>\r\n]*[ \t]encoding[ \t]*=[ \t]*[\"']utf-8[\"']", re.IGNORECASE
 )
 _NO_NUMBER = re.compile(r"\s*[+-]?(?:inf|infinity|nan)\s*", re.IGNORECASE)
-_NUMBERS = {  # element -> attributes of type xs:double
-    "Real": ("start", "min", "max", "nominal"),
-    "BaseUnit": ("factor", "offset"),
-    "DisplayUnit": ("factor", "offset"),
+_NUMBERS = {  # elements -> attributes of type xs:double
+    "TypeDefinitions/SimpleType/Real": ("min", "max", "nominal"),
+    "ModelVariables/ScalarVariable/Real": ("start", "min", "max", "nominal"),
+    "UnitDefinitions/Unit/*": ("factor", "offset"),
     "DefaultExperiment": ("startTime", "stopTime", "tolerance", "stepSize"),
 }
 _STANDARD_CATEGORIES = (
@@ -53,6 +54,14 @@ def description_is_utf_8(fmu: FmuFile) -> Iterator[str]:
         yield f'it begins {fmu.xml[:40]!r}: expected <?xml version="1.0" encoding="UTF-8"?>'
 
 
+@rule(_DESCRIPTION, Stage.FILE, Level.WARNING, condition=unreadable)
+def other_xml_is_utf_8(fmu: FmuFile) -> Iterator[str]:
+    """The first line of buildDescription.xml and of terminalsAndIcons.xml states the encoding UTF-8."""
+    for path in {BUILD_DESCRIPTION, TERMINALS} & fmu.paths:
+        if not _UTF_8.match(content := fmu.read(path)):
+            yield f'{path} begins {content[:40]!r}: expected <?xml version="1.0" encoding="UTF-8"?>'
+
+
 @rule(_DESCRIPTION, Stage.DESCRIPTION)
 def schema(fmu: FmuFile) -> Iterator[str]:
     """The model description is valid by the XML schema of FMI 2.0."""
@@ -63,8 +72,8 @@ def schema(fmu: FmuFile) -> Iterator[str]:
 @rule(_DESCRIPTION, Stage.DESCRIPTION)
 def numbers_are_finite(fmu: FmuFile) -> Iterator[str]:
     """No number is infinite or NaN."""
-    for element in fmu.root.iter(*_NUMBERS):
-        for attribute in _NUMBERS[element.tag]:
+    for path, attributes in _NUMBERS.items():
+        for element, attribute in itertools.product(fmu.root.iterfind(path), attributes):
             if _NO_NUMBER.fullmatch(element.get(attribute, "")):
                 text = f"{attribute}={element.get(attribute)!r}"
                 yield f"line {element.sourceline}: {element.tag} has {text}: expected a finite number"

@@ -1,5 +1,6 @@
 """Rules of binaries and sources in the archive: FMI 2.0.5, 2.3 FMU Distribution."""
 
+import posixpath
 import re
 from collections.abc import Iterator
 
@@ -18,6 +19,7 @@ _PLATFORM = re.compile(
 _HEADERS = ("fmi2TypesPlatform.h", "fmi2FunctionTypes.h", "fmi2Functions.h")
 _TO_COMPILE = (".c", ".cc", ".cpp", ".cxx")
 _INCLUDE = re.compile(rb"^[ \t]*#[ \t]*include[ \t]*<([^>\n]+)>", re.MULTILINE)
+_QUOTED_INCLUDE = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*"([^"\n]+)"', re.MULTILINE)
 _SOURCES = "sources/"
 
 
@@ -32,10 +34,21 @@ def _identifiers(fmu: FmuFile) -> list[str]:
     return sorted({kind.get("modelIdentifier", "") for kind in fmu.interfaces.values()})
 
 
-def _is_binary_of(path: str, identifier: str) -> bool:
-    """Whether it is a library of this name below binaries, shared or static."""
-    name = path.rpartition("/")[2]
-    return path.startswith("binaries/") and name.rpartition(".")[0] in (identifier, f"lib{identifier}")
+def _is_shared(path: str, identifier: str) -> bool:
+    """Whether it is a shared library of this name in a platform's folder."""
+    extensions = set(_EXTENSIONS.values())
+    return (
+        path.count("/") == 2
+        and path.startswith("binaries/")
+        and any(path.endswith(f"/{identifier}{extension}") for extension in extensions)
+    )
+
+
+def _is_static(path: str, identifier: str) -> bool:
+    """Whether it is a static library of this name in a compiler's folder below a platform's."""
+    folders, _, name = path.rpartition("/")
+    names = (f"{identifier}.lib", f"{identifier}.a", f"lib{identifier}.a")
+    return folders.startswith("binaries/") and folders.count("/") > 1 and name in names
 
 
 @rule(CLAUSE, Stage.FILE, Level.WARNING, condition=unreadable)
@@ -54,10 +67,9 @@ def library_names(fmu: FmuFile) -> Iterator[str]:
         identifiers = _identifiers(fmu)
         shared = any(f"{top}{identifier}{extension}" in fmu.paths for identifier in identifiers)
         static = any(
-            _is_binary_of(path, identifier)
+            path.startswith(top) and _is_static(path, identifier)
             for path in fmu.names
             for identifier in identifiers
-            if path.startswith(top) and path.count("/") > top.count("/")
         )
         if extension and not shared and not static:
             expected = " or ".join(f"{identifier}{extension}" for identifier in identifiers)
@@ -67,10 +79,12 @@ def library_names(fmu: FmuFile) -> Iterator[str]:
 @rule(CLAUSE, Stage.DESCRIPTION)
 def has_an_implementation(fmu: FmuFile) -> Iterator[str]:
     """There is a binary for some platform, or sources, of each interface."""
-    has_sources = any(path.startswith(_SOURCES) and path.endswith(_TO_COMPILE) for path in fmu.names)
     for kind, attributes in fmu.interfaces.items():
         identifier = attributes.get("modelIdentifier", "")
-        if not has_sources and not any(_is_binary_of(path, identifier) for path in fmu.names):
+        binaries = (
+            path for path in fmu.names if _is_shared(path, identifier) or _is_static(path, identifier)
+        )
+        if not _has_sources(fmu) and not any(binaries):
             yield f"{kind}: no library {identifier} below binaries and no C file below sources: expected one"
 
 
@@ -80,7 +94,7 @@ def tool_wrapper_is_a_binary(fmu: FmuFile) -> Iterator[str]:
     for kind, attributes in fmu.interfaces.items():
         identifier = attributes.get("modelIdentifier", "")
         needs = is_true(attributes.get("needsExecutionTool"))
-        if needs and not any(_is_binary_of(path, identifier) for path in fmu.names):
+        if needs and not any(_is_shared(path, identifier) for path in fmu.names):
             yield f"{kind} has needsExecutionTool: expected a library {identifier} that talks to the tool"
 
 
@@ -99,6 +113,15 @@ def headers_of_fmi_are_left_out(fmu: FmuFile) -> Iterator[str]:
     for path in fmu.names:
         if path.startswith((_SOURCES, "binaries/")) and path.rpartition("/")[2] in _HEADERS:
             yield f"{path}: expected it to be left out, the importer has it"
+
+
+def _has_sources(fmu: FmuFile) -> bool:
+    return any(path.startswith(_SOURCES) and path.endswith(_TO_COMPILE) for path in fmu.names)
+
+
+def _source_path(name: str) -> str:
+    """The path in the archive of a file that is listed relative to the directory sources."""
+    return posixpath.normpath(f"{_SOURCES}{name}")
 
 
 def _listed_sources(fmu: FmuFile) -> dict[str, list[str]]:
@@ -129,8 +152,31 @@ def source_files_exist(fmu: FmuFile) -> Iterator[str]:
         for name in names:
             if "\\" in name:
                 yield f"{kind}: SourceFiles lists {name}: expected forward slashes"
-            elif f"{_SOURCES}{name}" not in fmu.paths:
+            elif _source_path(name) not in fmu.paths and (_has_sources(fmu) or not fmu.libraries()):
                 yield f"{kind}: SourceFiles lists {name}: expected sources/{name} in the archive"
+
+
+@rule(CLAUSE, Stage.DESCRIPTION, Level.WARNING)
+def source_files_are_distributed(fmu: FmuFile) -> Iterator[str]:
+    """SourceFiles, which is meaningful for sources alone, is left out where the FMU holds no sources."""
+    for kind, names in _listed_sources(fmu).items():
+        if names and not _has_sources(fmu) and fmu.libraries():
+            yield f"{kind}: SourceFiles lists {', '.join(names[:3])}: expected none, as there are no sources"
+
+
+@rule(CLAUSE, Stage.DESCRIPTION, Level.WARNING)
+def source_files_are_compiled(fmu: FmuFile) -> Iterator[str]:
+    """SourceFiles lists no header, and no file that another one of them includes."""
+    for kind, names in _listed_sources(fmu).items():
+        paths = {path: name for name in names if (path := _source_path(name)) in fmu.paths}
+        included = {
+            posixpath.normpath(posixpath.join(posixpath.dirname(path), other.decode("utf-8", "replace")))
+            for path in paths
+            for other in _QUOTED_INCLUDE.findall(fmu.read(path))
+        }
+        for path, name in paths.items():
+            if path.endswith((".h", ".hpp")) or path in included:
+                yield f"{kind}: SourceFiles lists {name}, which others include: expected files to compile"
 
 
 @rule(CLAUSE, Stage.FILE, Level.WARNING, condition=unreadable)
@@ -163,5 +209,5 @@ def build_description(fmu: FmuFile) -> Iterator[str]:
         if identifier not in expected:
             yield f"{BUILD_DESCRIPTION}: modelIdentifier {identifier!r}: expected {' or '.join(expected)}"
         for file in configuration.iterfind("SourceFileSet/SourceFile"):
-            if f"{_SOURCES}{file.get('name')}" not in fmu.paths:
+            if _source_path(file.get("name", "")) not in fmu.paths:
                 yield f"{BUILD_DESCRIPTION} lists {file.get('name')}: expected it below sources"

@@ -1,8 +1,8 @@
 """Rules of names: FMI 2.0.5, 2.2.9 Variable Naming Conventions (variableNamingConvention)."""
 
-import itertools
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.rule import Level, Stage, repeated, rule
@@ -18,7 +18,6 @@ _IDENTIFIER = rf"{_PART}(?:\.{_PART})*"
 _STRUCTURED = re.compile(rf"{_IDENTIFIER}|der\({_IDENTIFIER}(?:,[0-9]+)?\)")
 _OUTSIDE_OF_Q_CHAR = re.compile(r"""[^A-Za-z0-9_!#$%&()*+,\-./:;<>=?@\[\]^{}|~ ]""")
 _QUOTED_NAME, _QUOTED_ESCAPE = re.compile(_QUOTED), re.compile(_ESCAPE)
-_DERIVATIVE = re.compile(r"^der\((.*)$")
 _INDEXED = re.compile(rf"{_QUOTED}|({_INDICES})")
 
 
@@ -77,40 +76,54 @@ def variable_names_are_short(fmu: FmuFile) -> Iterator[str]:
             yield f"{v.name} has {len(v.name)} characters: expected at most {LONGEST_NAME}"
 
 
-def _elements(fmu: FmuFile) -> Iterator[tuple[int, str, str, tuple[int, ...]]]:
-    """(position, array, array of the last part alone, if that has an index, indices) of elements."""
+@dataclass(frozen=True)
+class _Element:
+    """An element of an array, at a position of ModelVariables.
+
+    every_level: its name with no index of any level. own: its name without the indices at its end, empty if
+    there are none. of: the same of the variable that it is a derivative of.
+    """
+
+    position: int
+    every_level: str
+    own: str
+    of: str
+    indices: tuple[int, ...]
+
+
+def _elements(fmu: FmuFile) -> Iterator[_Element]:
     for v in fmu.variables:
         spans = [match.span(1) for match in _INDEXED.finditer(v.name) if match.group(1)]
         if spans and _STRUCTURED.fullmatch(v.name):
             indices = tuple(int(text) for a, b in spans for text in v.name[a + 1 : b - 1].split(","))
-            (a, b) = spans[-1]
-            is_last = v.name[b:].rstrip(")").partition(",")[0] == ""
-            of = _DERIVATIVE.sub(r"\1", v.name[:a]) if is_last else ""  # der(x[1]) may follow x[1]
-            yield v.index, _INDEXED.sub(lambda m: "[]" if m.group(1) else m.group(), v.name), of, indices
+            every_level = _INDEXED.sub(lambda match: "[]" if match.group(1) else match.group(), v.name)
+            before, after = v.name[: spans[-1][0]], v.name[spans[-1][1] :]
+            is_at_end = after == "" or re.fullmatch(r"(,\d+)?\)", after) is not None
+            own = f"{before}[]{after}" if is_at_end else ""
+            yield _Element(v.index, every_level, own, before.removeprefix("der(") if own else "", indices)
 
 
 @rule(_CLAUSE, Stage.DESCRIPTION, condition=not_structured)
 def arrays_are_consecutive(fmu: FmuFile) -> Iterator[str]:
     """Elements of an array follow one another; only derivatives of elements may stand between them."""
-    positions: dict[str, list[int]] = {}
-    for position, _, own, _ in _elements(fmu):
-        if own:
-            positions.setdefault(own, []).append(position)
-    for own, members in positions.items():
-        for before, after in itertools.pairwise(members):
-            if after != before + 1:
-                between = fmu.variables[before].name
-                yield f"{between} stands between elements of {own}[]: expected consecutive elements"
-                break
+    elements = {element.position: element for element in _elements(fmu)}
+    last: dict[str, int] = {}
+    for position, element in elements.items():
+        between = range(last.get(element.own, position), position)[1:]
+        strangers = [i for i in between if i not in elements or elements[i].of != element.of]
+        if element.own and strangers:
+            name = fmu.variables[strangers[0] - 1].name
+            yield f"{name} stands between elements of {element.own}: expected consecutive elements"
+        last[element.own] = position
 
 
 @rule(_CLAUSE, Stage.DESCRIPTION, condition=not_structured)
 def arrays_are_row_major(fmu: FmuFile) -> Iterator[str]:
     """Elements of an array are in row-major order: the last index runs fastest."""
     last: dict[str, tuple[tuple[int, ...], int]] = {}
-    for position, array, _, indices in _elements(fmu):
-        before, earlier = last.get(array, ((), 0))
-        if before and indices < before:
-            names = fmu.variables[position - 1].name, fmu.variables[earlier - 1].name
+    for element in _elements(fmu):
+        before, earlier = last.get(element.every_level, ((), 0))
+        if element.indices < before:
+            names = [fmu.variables[position - 1].name for position in (element.position, earlier)]
             yield f"{names[0]} comes after {names[1]}: expected the last index to run fastest"
-        last[array] = (indices, position)
+        last[element.every_level] = (element.indices, element.position)

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.rule import Stage, rule
+from fmus.compliance.rule import Level, Stage, rule
 from fmus.compliance.variable import INITIAL, Variable, integer
 
 _CLAUSE = "2.2.7 Definition of Model Variables (ModelVariables)"
@@ -66,6 +66,14 @@ def one_independent_variable(fmu: FmuFile) -> Iterator[str]:
     for v in independent:
         if v.kind not in ("Real", ""):
             yield f"{v.name} is independent and {v.kind}: expected Real"
+
+
+@rule(_CLAUSE, Stage.DESCRIPTION, Level.WARNING)
+def time_is_independent(fmu: FmuFile) -> Iterator[str]:
+    """Without an independent variable no other is called time, as FMI calls the one that is implied."""
+    names = {v.name: v.causality for v in fmu.variables}
+    if "time" in names and "independent" not in names.values():
+        yield f"time is {names['time']} and no variable is independent: expected another name"
 
 
 @rule(_CLAUSE, Stage.DESCRIPTION)

@@ -1,26 +1,34 @@
-"""Mutants of files that `description.toml` and `archive.toml` list."""
+"""Changed copies of the base that TOML files list: mutants, and unusual FMUs that are legal."""
 
 import tomllib
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tests.mutants.base import CO_SIMULATION_ONLY, changed, written
+from tests.mutants.base import CO_SIMULATION_ONLY, Members, changed, written
 from tests.mutants.mutant import Mutant
 
 
-def _mutant(entry: dict[str, Any]) -> Mutant:
+def _entries(name: str, key: str) -> list[dict[str, Any]]:
+    return tomllib.loads(Path(__file__).with_name(name).read_text(encoding="utf-8"))[key]
+
+
+def _members(entry: dict[str, Any]) -> Members:
     only = CO_SIMULATION_ONLY if entry.get("co_simulation_only") else ()
-    replaced = [(entry["old"], entry["new"])] if "old" in entry else []
+    replaced = [(old, new) for old, new in entry.get("replaced", ())]
+    replaced += [(entry["old"], entry["new"])] if "old" in entry else []
     members = changed(*only, *replaced)
     kept = {path: data for path, data in members.items() if path not in entry.get("without", ())}
-    added = {path: text.encode() for path, text in entry.get("members", {}).items()}
-    rules = frozenset(entry["rules"].split())
-    return Mutant(entry["name"], entry["clause"], rules, partial(written, kept | added))
+    return kept | {path: text.encode() for path, text in entry.get("members", {}).items()}
 
 
 LISTED_MUTANTS = tuple(
-    _mutant(entry)
+    Mutant(m["name"], m["clause"], frozenset(m["rules"].split()), partial(written, _members(m)))
     for name in ("description.toml", "archive.toml")
-    for entry in tomllib.loads(Path(__file__).with_name(name).read_text(encoding="utf-8"))["mutant"]
+    for m in _entries(name, "mutant")
 )
+# name -> (members, rules that warn)
+LEGAL_FMUS = {
+    fmu["name"]: (_members(fmu), set(fmu.get("warnings", "").split()))
+    for fmu in _entries("legal.toml", "fmu")
+}

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from tests.mutants.base import BASE, CO_SIMULATION_ONLY, changed, written
+from tests.mutants.listed import LEGAL_FMUS
 from tests.mutants.mutant import Mutant, broken_rules, unexpected
 from tests.mutants.table import STATIC_MUTANTS
 
@@ -19,3 +20,10 @@ def test_what_the_mutants_start_from_breaks_no_rule(members: dict[str, bytes], t
 @pytest.mark.parametrize("mutant", STATIC_MUTANTS, ids=lambda mutant: mutant.name)
 def test_a_static_mutant_is_found_by_its_rules_and_no_others(mutant: Mutant, tmp_path: Path) -> None:
     assert list(unexpected(mutant, mutant.broken_rules(tmp_path))) == []
+
+
+@pytest.mark.parametrize("name", LEGAL_FMUS)
+def test_what_a_sentence_allows_is_no_error(name: str, tmp_path: Path) -> None:
+    """The sentence stands beside each FMU in `tests/mutants/legal.toml`."""
+    members, warnings = LEGAL_FMUS[name]
+    assert set(broken_rules(written(members, tmp_path))) == warnings
