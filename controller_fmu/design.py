@@ -5,7 +5,7 @@ The L1 adaptive controller is stable with any fast adaptation if
     |G|_L1 L < 1,    G(s) = (s I - A_m)^-1 B_m (C(s) - 1)
 
 where |.|_L1 is the largest row sum of integrals of |impulse response|, C(s) the low-pass filter and L a
-Lipschitz constant of the uncertainty in |x|_inf. Source: Hovakimyan and Cao (2010), section 2.1.
+Lipschitz constant of the uncertainty in |x|_inf. Source: Hovakimyan and Cao (2010).
 
 With the extension u_p = -K (y - r), K = K_P + K_I / s, and the input gain omega the same argument gives
 
@@ -29,6 +29,7 @@ _STEPS_PER_TIME_CONSTANT = 20  # of the fastest mode: a change of sign is found 
 _TIME_CONSTANTS = 30  # of a mode: e^-30 of its part of the impulse response is left out
 _CHUNK = 4096
 _LARGEST_GAIN = 1e4  # times k_g: where the search for the largest proportional gain ends
+_UNSTABLE = 1e3  # in place of the norm of a system that is not stable, which is infinite
 
 
 @dataclass(frozen=True)
@@ -156,7 +157,7 @@ def l1_condition(
     return max(map(l1_norm, systems)) * lipschitz
 
 
-def largest_proportional_gain(
+def proportional_gain_range(
     a_m: np.ndarray,
     b: np.ndarray,
     order: FilterOrder,
@@ -164,27 +165,34 @@ def largest_proportional_gain(
     lipschitz: float,
     extension: Extension,
     omegas: Sequence[float] = (1.0,),
-) -> float:
-    """The K_P up to which the L1-norm condition holds from K_P = 0 on, with K_I as in the extension.
+) -> tuple[float, float]:
+    """The K_P from which and up to which the L1-norm condition holds, with K_I as in the extension.
 
-    Searched on 5 gains a decade, then to 0.01 %. Not a number if it does not hold with K_P = 0 and K_I = 0,
-    infinite if it holds up to 1e4 k_g.
+    The lowest such range, searched at 0 (K_I is 0 there too) and on 5 gains a decade, its ends to 0.01 %.
+    Not numbers if it holds nowhere; the upper one is infinite if it holds up to 1e4 k_g.
     """
 
     def excess(gain: float) -> float:
         changed = replace(extension, proportional_gain=gain) if gain else NO_EXTENSION
-        return l1_condition(a_m, b, order, w, lipschitz, changed, omegas) - 1.0
+        try:
+            return l1_condition(a_m, b, order, w, lipschitz, changed, omegas) - 1.0
+        except ValueError:
+            return _UNSTABLE
 
-    if excess(0.0) >= 0.0:
-        return float("nan")
+    def edge(below: float, above: float) -> float:
+        root: Any = brentq(excess, below, above, xtol=1e-4 * above)
+        return float(root)
+
     k_g = abs(feedforward_gain(a_m, b, np.asarray(extension.output)))
-    held = 0.0
-    for gain in k_g * np.geomspace(1e-3, _LARGEST_GAIN, 36):
-        if excess(gain) >= 0.0:
-            root: Any = brentq(excess, held, gain, xtol=1e-4 * gain)
-            return float(root)
-        held = gain
-    return float("inf")
+    low, before = None, 0.0
+    for gain in (0.0, *(k_g * np.geomspace(1e-3, _LARGEST_GAIN, 36))):
+        holds = excess(gain) < 0.0
+        if holds and low is None:
+            low = edge(before, gain) if gain else 0.0
+        elif low is not None and not holds:
+            return low, edge(before, gain)
+        before = gain
+    return (float("nan"), float("nan")) if low is None else (low, float("inf"))
 
 
 def smallest_bandwidth(

@@ -88,7 +88,8 @@ def one_seed(generations: int, population: int = 10) -> dict[str, Any]:
     from scipy.optimize import differential_evolution  # takes a second to import
 
     with VehicleRuns() as runs:
-        search = Search(runs, FAST_RATE_FEEDBACK, seeds=(1,), bounded=False)
+        count = (1 + generations) * population * len(FAST_RATE_FEEDBACK)
+        search = Search(runs, FAST_RATE_FEEDBACK, seeds=(1,), bounded=False, evaluations=count)
 
         def cost(scaled: np.ndarray) -> float:
             return 0.5 * float(np.sum(search(scaled) ** 2))

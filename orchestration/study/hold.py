@@ -16,9 +16,7 @@ from orchestration.system.prepared_run import PreparedRun, prepare
 from orchestration.system.signals import values_at
 
 QUIET = 3e-3  # m; largest standard deviation while holding, docs/fidelity.md
-_MOVED = (
-    0.04  # m; a mean that a change moves farther holds something else. The band of the paper's settling time
-)
+MOVED = 0.04  # m, the band of the paper's settling time; a mean farther away holds something else
 _JUDGED = (
     0.4  # of the time for which the reference is constant, its last part: 100 s to 140 s of 40 s to 140 s
 )
@@ -150,7 +148,7 @@ class HoldRuns(AbstractContextManager["HoldRuns"]):
             samples = self._samples([Fault(name, effect) for name in inputs if effect], parameters)
         except SimulationError:
             return False
-        return bool(samples.std() < self.hold.quiet and abs(samples.mean() - self.mean) < _MOVED)
+        return bool(samples.std() < self.hold.quiet and abs(samples.mean() - self.mean) < MOVED)
 
     def _samples(self, faults: Sequence[Fault], parameters: Mapping[str, FmiValue]) -> np.ndarray:
         """The signal in the hold, shape (n,)."""

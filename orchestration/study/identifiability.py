@@ -28,7 +28,7 @@ from orchestration.study.figure_fits import (
     shipped_start,
 )
 from orchestration.study.open_numbers import FREE, FREQUENCY, VALUES, Columns
-from orchestration.study.posterior import VARIANTS, drawn_points, effective_draws, pilot, predicted
+from orchestration.study.posterior import VARIANTS, drawn_points, effective_draws, joined, pilot, predicted
 from orchestration.study.posterior_summary import summary
 from orchestration.study.proposal import Proposal
 from orchestration.study.stages import Progress, Stages, content_key, imported_sources
@@ -39,16 +39,18 @@ from orchestration.study.vehicle_runs import SCENARIOS, SEEDS, VehicleRuns
 class Effort:
     """How much is computed.
 
-    batches: of `draws` points each, `extensions` of each that agrees with plain L1, for every variant; pilot:
-    draws of each of its rounds
+    pilot: draws of each round of a variant's pilot
+    batches: the most of a variant, of `draws` points each, `extensions` of each that agrees with plain L1;
+    no more of them are drawn once the points are worth `enough` draws of equal density
     start: batches of even draws, of which the fits in wide ranges begin at the best
     checked: points through the FMUs; iterations: of least squares; generations: of differential evolution
     """
 
-    batches: int = 24
-    draws: int = 5000
+    pilot: int = 6000
+    batches: int = 40
+    draws: int = 4000
     extensions: int = 10
-    pilot: int = 8000
+    enough: float = 250.0
     start: int = 4
     checked: int = 60
     iterations: Mapping[str, int] = field(default_factory=lambda: {"model": 40, "FMUs": 2})
@@ -56,8 +58,8 @@ class Effort:
 
     @property
     def stages(self) -> int:
-        """How often `study` calls `progress`."""
-        return len(VARIANTS) * (self.batches + 2) + self.start + 2 * (1 + len(VALUES)) + 3
+        """How often `study` calls `progress` at most."""
+        return len(VARIANTS) * (1 + self.batches) + self.start + 2 * (1 + len(VALUES)) + 3
 
 
 FULL = Effort()
@@ -106,16 +108,19 @@ def posterior(stages: Stages, index: int, effort: Effort) -> tuple[Columns, dict
     guide = stages.arrays(f"pilot-{index}", lambda: pilot(variant, effort.pilot))
     proposal = Proposal(guide["positions"], guide["weights"])
 
-    def batch(seed: int) -> dict[str, Any]:
-        points = drawn_points(variant, seed, effort.draws, effort.extensions, proposal)
-        return {"shares": points.shares, "runs": points.runs}
+    def batch(seed: int) -> Columns:
+        drawn = drawn_points(variant, seed, effort.draws, effort.extensions, proposal)
+        return predicted(variant, drawn.shares, proposal) | {"runs": np.array(drawn.runs)}
 
-    seeds = range(101, 101 + effort.batches)  # not those of the pilot
-    batches = [stages.arrays(f"draws-{index}-{seed}", lambda seed=seed: batch(seed)) for seed in seeds]
-    shares = np.concatenate([arrays["shares"] for arrays in batches])
-    points = stages.arrays(f"points-{index}", lambda: predicted(variant, shares, proposal))
+    points, runs = dict[str, np.ndarray](), int(guide["runs"])
+    for seed in range(101, 101 + effort.batches):  # not those of the pilot
+        more = stages.arrays(f"draws-{index}-{seed}", lambda seed=seed: batch(seed))
+        runs += int(more.pop("runs"))
+        points = joined(points, more) if points else more
+        if effective_draws(points) >= effort.enough:
+            break
     about = {
-        "runs": int(guide["runs"]) + sum(int(arrays["runs"]) for arrays in batches),
+        "runs": runs,
         "points": len(points["draw"]),
         "draws": len(np.unique(points["draw"])),
         "effective_draws": round(effective_draws(points), 1),

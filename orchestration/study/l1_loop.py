@@ -7,7 +7,7 @@ The law, all of it linear but for projection, saturation and the nonlinear P:
 
 eta stands for theta_hat phi + sigma_hat, kappa for Gamma (|phi|^2 + 1) with phi the regressor at rest and
 theta_hat taken as 0 there. In the limit of fast adaptation 1 / kappa is 0: (x_hat - x)' P b = 0.
-Sources: Hovakimyan and Cao (2010), section 2.2; Maalouf et al. (2013), (3) to (7).
+Sources: Hovakimyan and Cao (2010); Maalouf et al. (2013), (3) to (7).
 """
 
 import math

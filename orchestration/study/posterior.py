@@ -205,7 +205,18 @@ def predicted(variant: Variant, shares: np.ndarray, proposal: Proposal | None = 
     return columns | {"density": points.density, "draw": draw}
 
 
+def joined(points: Columns, more: Columns) -> Columns:
+    """The points of two sets, whose draws are different ones."""
+    offset = 1 + points["draw"].max(initial=-1)
+    return {
+        name: np.concatenate([column, more[name] + offset if name == "draw" else more[name]])
+        for name, column in points.items()
+    }
+
+
 def effective_draws(points: Columns) -> float:
     """The number of draws of equal density that would be worth as much: (sum w)^2 / sum w^2."""
     of_draws = np.bincount(points["draw"], weights=points["density"])
+    if not of_draws.any():
+        return 0.0
     return float(np.sum(of_draws) ** 2 / np.sum(of_draws**2))

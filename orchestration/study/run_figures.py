@@ -14,7 +14,7 @@ from orchestration.study.fmu_margins import (
     delay_margin,
     gain_margin,
 )
-from orchestration.study.hold import HoldRuns, LoopSignal
+from orchestration.study.hold import MOVED, HoldRuns, LoopSignal
 from orchestration.study.margin_figure import Figure
 
 THROUGH_FMUS = "through the FMUs"
@@ -63,6 +63,7 @@ def _figure(name: str, scan: Scan, unit: str, how: str, runs: HoldRuns) -> Figur
     again = ", ".join(f"quiet again at {low:.4g}..{high:.4g} {unit}" for low, high in scan.quiet_again)
     assumption = (
         f"quiet: standard deviation of {hold.signal} below {hold.quiet:g} {signal_unit} from "
-        f"{hold.start:g} s to {hold.end:g} s; {how}"
+        f"{hold.start:g} s to {hold.end:g} s, mean within {MOVED:g} {signal_unit} of that without a change; "
+        f"{how}"
     )
     return Figure(THROUGH_FMUS, name, scan.margin, unit, assumption, "measured", again)

@@ -11,7 +11,7 @@ from controller_fmu.design import (
     NO_EXTENSION,
     Extension,
     l1_condition,
-    largest_proportional_gain,
+    proportional_gain_range,
     smallest_bandwidth,
 )
 from orchestration.study.l1_design import Design
@@ -20,9 +20,9 @@ from orchestration.study.linear_margins import margins
 from orchestration.study.margin_figure import Figure
 
 CONDITION, LINEAR = "L1-norm condition", "linear loop"
-_BOOK = "Hovakimyan and Cao (2010), section 2.1"
+_BOOK = "Hovakimyan and Cao (2010)"
 _EXTENDED = "derived in docs/explanation/margins.md; not in the paper"
-_NYQUIST = "frequency response of the linear loop; limit after Hovakimyan and Cao (2010), section 2.2"
+_NYQUIST = "frequency response of the linear loop; limit after Hovakimyan and Cao (2010)"
 _OMEGAS = 9  # input gains tried over their box: the norm need not be monotonic in omega
 
 
@@ -47,10 +47,12 @@ def norm_figures(design: Design) -> Iterator[Figure]:
     if is_pi and not design.frozen_gains:
         yield condition("norm of G times L, with the extension", design.extension, state, _EXTENDED)
     extension = replace(design.extension, proportional_gain=0.0) if is_pi else Extension(law.c)
-    lost = _or_none(largest_proportional_gain, *common, extension, omegas)
+    least, largest = proportional_gain_range(*common, extension, omegas)
     note = "of a linear P in place of the nonlinear one; " if design.frozen_gains else ""
     note += "K_I as it is, up to 1e4 k_g" if extension.integral_gain else "K_I = 0, up to 1e4 k_g"
-    yield Figure(CONDITION, "K_P up to which it holds", lost, design.gain_unit, state, _EXTENDED, note)
+    if least > 0.0:
+        yield Figure(CONDITION, "K_P from which it holds", least, design.gain_unit, state, _EXTENDED, note)
+    yield Figure(CONDITION, "K_P up to which it holds", largest, design.gain_unit, state, _EXTENDED, note)
     a_m, b, order, _, lipschitz = common
     with_extension = design.extension if is_pi and not design.frozen_gains else NO_EXTENSION
     pairs = {"without": NO_EXTENSION, "with": with_extension}

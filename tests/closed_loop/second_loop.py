@@ -2,7 +2,8 @@
 
 Nothing of `controller_fmu`, `plant_fmu` or `fmus.numerics` is used. Depth and force are positive down.
 
-    vehicle   M w' = F + w_d + W - B(z) - D w - D_q |w| w,   z' = w,   F' = (sat(u) - F) / T
+    vehicle   M w' = F + w_d + W - B(z) - D w_r - D_q |w_r| w_r,   z' = w,   w_r = w - v_c
+              F' = (efficiency sat(u) - F) / T
     sensor    z every 40 ms, rounded to its resolution and held, without noise; ideal: z and w at every time
     observer  z_p = z_hat + T_o v,   z_hat = z_p + alpha (y - z_p),   v = v + beta / T_o (y - z_p)
 
@@ -40,7 +41,7 @@ class Law(Protocol):
 class Case:
     """plant, law: values by the names of the parameters; ideal: sensor and velocity.
 
-    reference [m], force [N]: of time [s]
+    reference [m], force [N], current v_c [m/s], efficiency of both thrusters together, 0..1: of time [s]
     """
 
     plant: Values
@@ -49,6 +50,8 @@ class Case:
     reference: Callable[[float], float]
     force: Callable[[float], float]
     duration: float
+    current: Callable[[float], float] = lambda t: 0.0
+    efficiency: Callable[[float], float] = lambda t: 1.0
 
 
 def largest_force(plant: Values) -> float:
@@ -56,16 +59,25 @@ def largest_force(plant: Values) -> float:
     return 2.0 * plant["thruster_gain[1]"] * plant["thruster_voltage_limit[1]"]
 
 
-def vehicle(p: Values, state: State, demanded: float, disturbance: float) -> State:
+def vehicle(
+    p: Values,
+    state: State,
+    demanded: float,
+    disturbance: float,
+    current: float = 0.0,
+    efficiency: float = 1.0,
+) -> State:
     """Rates of z, w and F."""
     z, w, force = state
     limit = largest_force(p)
     submerged = p["weight"] - p["net_weight"] + p["buoyancy_change"]
     lost = p["water_density"] * _GRAVITY * p["waterplane_area"] * max(0.0, -z)
     net_weight = p["weight"] - max(0.0, submerged - lost)
-    drag = p["linear_damping"] * w + p["quadratic_damping"] * abs(w) * w
+    through = w - current
+    drag = p["linear_damping"] * through + p["quadratic_damping"] * abs(through) * through
     acceleration = (force + disturbance + net_weight - drag) / p["inertia"]
-    return w, acceleration, (max(-limit, min(limit, demanded)) - force) / p["thruster_lag[1]"]
+    steady = efficiency * max(-limit, min(limit, demanded))
+    return w, acceleration, (steady - force) / p["thruster_lag[1]"]
 
 
 def run(case: Case, step: float, law: Law) -> dict[str, np.ndarray]:
@@ -84,8 +96,8 @@ def run(case: Case, step: float, law: Law) -> dict[str, np.ndarray]:
             measured = reading, observer[1]
         u = law.control()
         rows.append((t, state[0], case.reference(t), u))
-        force = case.force(t)
-        state = advanced(lambda x, u=u, force=force: vehicle(plant, x, u, force), state, step)
+        held = u, case.force(t), case.current(t), case.efficiency(t)
+        state = advanced(lambda x, held=held: vehicle(plant, x, *held), state, step)
         law.advance(t, measured, u)
     return dict(zip(("time", "depth", "reference", "u"), np.array(rows).T, strict=True))
 

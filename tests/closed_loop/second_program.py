@@ -32,7 +32,7 @@ class LawStep(Enum):
     BETWEEN_MEASUREMENTS = 2
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class L1Case(Case):
     """extended: with the PI."""
 

@@ -30,24 +30,30 @@ def chosen(name: str, step: float = 0.02, stop: float | None = None, **parameter
 def case_of(loaded: Scenario) -> L1Case:
     """The same experiment for the second program: numbers of the model descriptions and of the scenario."""
     experiment = loaded.experiment
-    values, given = component_values(loaded), experiment.parameters
+    values, given, signals = component_values(loaded), experiment.parameters, experiment.signals
+    second = signals.get("plant.thruster_efficiency[2]", lambda t: 1.0)
     return L1Case(
         plant=values["plant"],
         law=values["controller"],
         extended=given.get("controller.augmentation") == "pi",
         ideal=bool(given.get("plant.sensor_ideal", False)),
-        reference=experiment.signals["controller.depth_reference"],
-        force=experiment.signals.get("plant.external_force", lambda t: 0.0),
+        reference=signals["controller.depth_reference"],
+        force=signals.get("plant.external_force", lambda t: 0.0),
+        current=signals.get("plant.current_velocity", lambda t: 0.0),
+        efficiency=lambda t: 0.5 * (1.0 + second(t)),
         duration=experiment.stop_time,
     )
 
 
 def compare(loaded: Scenario) -> tuple[Recording, dict[str, np.ndarray]]:
     """The depths of both differ by less than 5 um: the closed form of the adaptation holds its projection and
-    regressor over an interval, and is of second order in its 0.02 s (3 um at most of 20 cm were measured)."""
+    regressor over an interval, and is of second order in its 0.02 s (4 um at most of 20 cm were measured).
+    In waves theta_hat comes into the layer of its projection, where it is of first order (33 um)."""
     own = simulate(loaded.system, loaded.experiment)
     second = sampled(case_of(loaded), loaded.experiment.step_size, LawStep.BETWEEN_MEASUREMENTS)
-    np.testing.assert_allclose(own["plant.depth"], second["depth"], rtol=0.0, atol=5e-6)
+    layer = 4.77  # N: theta_bound / sqrt(1 + eps)
+    tolerance = 5e-5 if np.abs(own["controller.theta_hat[1]"]).max() > layer else 5e-6
+    np.testing.assert_allclose(own["plant.depth"], second["depth"], rtol=0.0, atol=tolerance)
     return own, second
 
 
@@ -63,7 +69,13 @@ def test_the_first_seconds_are_those_of_a_second_program(scenario_fmus: None, na
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name", ["nominal-l1", "nominal-extended", "buoyancy-extended", "hold-force-step", "hold-force-sine"]
+    "name",
+    [
+        "nominal-l1",
+        "nominal-extended",
+        "buoyancy-extended",
+        *(name for name in scenario.shipped() if name.startswith("hold-")),
+    ],
 )
 def test_a_second_program_gives_the_figures_of_the_scenario(scenario_fmus: None, name: str) -> None:
     """Within 0.5 % and 0.05 s, whatever second order makes of a held measurement."""

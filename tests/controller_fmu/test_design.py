@@ -1,5 +1,6 @@
 """Offline design: SciPy's results, the block's closed forms, and the oracle of the example."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -148,17 +149,33 @@ def test_the_condition_takes_the_worst_input_gain_of_the_box() -> None:
     assert box == max(values) > min(values)
 
 
-def test_the_largest_proportional_gain_is_on_the_edge_of_the_condition() -> None:
+def test_the_proportional_gain_is_bounded_on_the_edge_of_the_condition() -> None:
     common = A_M, B, FilterOrder.FIRST, 160.0, 20.0
-    largest = design.largest_proportional_gain(*common, design.Extension((1.0, 0.0)))
+    least, largest = design.proportional_gain_range(*common, design.Extension((1.0, 0.0)))
     below, above = (
         design.l1_condition(*common, design.Extension((1.0, 0.0), factor * largest))
         for factor in (0.99, 1.01)
     )
+    assert least == 0.0
     assert below < 1.0 < above
-    assert np.isnan(
-        design.largest_proportional_gain(A_M, B, FilterOrder.FIRST, 10.0, 20.0, EXTENDED)
-    )  # not held without
+
+
+def test_an_extension_may_be_needed_for_the_condition() -> None:
+    """The vehicle with omega = 0.7: the condition is lost without the PI, and holds from a K_P on."""
+    a_m, b = np.array([[0.0, 1.0], [-1.895 / 5.5, -22.73 / 5.5]]), np.array([0.0, 1.0 / 5.5])
+    common, omegas = (a_m, b, FilterOrder.FIRST, 0.3017, 5.0), (0.7,)
+    least, largest = design.proportional_gain_range(*common, EXTENDED, omegas)
+    below, above = (
+        design.l1_condition(*common, replace(EXTENDED, proportional_gain=factor * least), omegas)
+        for factor in (0.99, 1.01)
+    )
+    assert above < 1.0 < below
+    assert largest == np.inf
+
+
+def test_a_condition_that_holds_with_no_proportional_gain_has_no_range() -> None:
+    extension = design.Extension((1.0, 0.0))
+    assert np.isnan(design.proportional_gain_range(A_M, B, FilterOrder.FIRST, 10.0, 50.0, extension)).all()
 
 
 def test_the_extension_of_the_vehicle_lets_a_smaller_bandwidth_do() -> None:
