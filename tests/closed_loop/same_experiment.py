@@ -18,3 +18,9 @@ def component_values(loaded: Scenario) -> dict[str, dict[str, float]]:
         own = {name: given.get(f"{component}.{name}", start) for name, start in starts.items()}
         values[component] = {name: float(value) for name, value in own.items() if value is not None}
     return values
+
+
+def slope(t: float) -> float:
+    """r' [m/s] of the paper's trajectory, from t on."""
+    ramps = ((0.0, 40.0, 0.8 / 40.0), (140.0, 180.0, -0.4 / 40.0), (250.0, 310.0, 0.2 / 60.0))
+    return next((rate for start, end, rate in ramps if start - 1e-9 <= t < end - 1e-9), 0.0)

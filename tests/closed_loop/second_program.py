@@ -3,7 +3,11 @@
     law       u = -k_m x + u_a + u_p,   x = (y, v),   u_p = -K_P e - K_I int e,   e = y - r
               x_hat' = A_m x_hat + B (u_d + k_m x + theta |x|_inf + sigma)
               theta' = G Proj(theta, -(x_tilde' P B) |x|_inf),   sigma' = G Proj(sigma, -(x_tilde' P B))
-              u_a'   = -w (u_a + theta |x|_inf + sigma - k_g r)
+              u_a'   = -w (u_a + theta |x|_inf + sigma - v)
+    or        u_p = -a_1 |e|^alpha sgn(e) if |e| > delta, else -a_2 e / delta^(1 - alpha)
+    v         k_g r; with the feedforward f inside f; with f outside 0, and u = ... + f
+    or        x_hat' = A_m x + A_s x_tilde + B (u_d + k_m x) + s,   x_tilde = x_hat - x
+              s = -Phi^-1 e^(A_s Ts) x_tilde every Ts,   Phi = A_s^-1 (e^(A_s Ts) - I),   sigma = s_2 / B_2
 
 u_d is the control that the vehicle receives. Source: Maalouf et al. (2013), (4)-(7), (10), (11), (13), with
 the errata of docs/fidelity.md.
@@ -15,6 +19,8 @@ docs/explanation/theory.md describes the step of the FMU (`BETWEEN_MEASUREMENTS`
 the interval between the last two measurements, x on a line, and the filter then takes their mean.
 """
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
@@ -34,9 +40,16 @@ class LawStep(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class L1Case(Case):
-    """extended: with the PI."""
+    """augmentation: none, pi or nonlinear_p; feedforward: none, inside or outside the filter.
 
-    extended: bool
+    piecewise: A_s [1/s] times the identity and Ts [s] of the piecewise-constant law, if that adapts
+    reference_rate: r' [m/s] of time [s]
+    """
+
+    augmentation: str
+    feedforward: str
+    piecewise: Pair | None
+    reference_rate: Callable[[float], float]
 
 
 class Equations:
@@ -52,9 +65,32 @@ class Equations:
         self.pb = (solve_continuous_lyapunov(a_m.T, -q) @ b).tolist()
         self.k_g = float(-1.0 / np.linalg.solve(a_m, b)[0])
 
-    def control(self, x: Pair, e: float, u_a: float, integral: float) -> float:
-        p, u = self.case.law, u_a - self.k_m[0] * x[0] - self.k_m[1] * x[1]
-        return u - p["proportional_gain"] * e - p["integral_gain"] * integral if self.case.extended else u
+    def control(self, x: Pair, e: float, u_a: float, integral: float, f: float) -> float:
+        """f: of the reference of the measurement."""
+        u = u_a - self.k_m[0] * x[0] - self.k_m[1] * x[1] + self.extension(e, integral)
+        return u + f if self.case.feedforward == "outside" else u
+
+    def extension(self, e: float, integral: float) -> float:
+        """u_p."""
+        p = self.case.law
+        if self.case.augmentation == "pi":
+            return -p["proportional_gain"] * e - p["integral_gain"] * integral
+        if self.case.augmentation == "none":
+            return 0.0
+        alpha, delta = p["nonlinear_exponent"], p["nonlinear_threshold"]
+        if abs(e) > delta:
+            return -p["large_error_gain"] * math.copysign(abs(e) ** alpha, e)
+        return -p["small_error_gain"] * e / delta ** (1.0 - alpha)
+
+    def feedforward(self, t: float) -> float:
+        """f = M r'' + (D + k_m2) r' + k_m1 r, r'' = 0."""
+        damping = self.case.law["model_damping"] + self.k_m[1]
+        return damping * self.case.reference_rate(t) + self.k_m[0] * self.case.reference(t)
+
+    def demand(self, t: float) -> float:
+        """What the filter drives eta_hat to."""
+        demands = {"none": self.k_g * self.case.reference(t), "inside": self.feedforward(t), "outside": 0.0}
+        return demands[self.case.feedforward]
 
     def predictor(self, state: State, x: Pair, u: float) -> State:
         """Rates of (x_hat, theta, sigma) while the vehicle receives u."""
@@ -69,9 +105,9 @@ class Equations:
             p["adaptation_gain"] * projected(sigma, -s, p["sigma_bound"], eps),
         )
 
-    def filter(self, u_a: float, known: float, r: float) -> float:
+    def filter(self, u_a: float, known: float, demand: float) -> float:
         """u_a', known = theta |x|_inf + sigma."""
-        return -self.case.law["filter_bandwidth"] * (u_a + known - self.k_g * r)
+        return -self.case.law["filter_bandwidth"] * (u_a + known - demand)
 
 
 def continuous(case: L1Case, times: np.ndarray) -> np.ndarray:
@@ -81,11 +117,11 @@ def continuous(case: L1Case, times: np.ndarray) -> np.ndarray:
     def rates(t: float, state: np.ndarray) -> State:
         values = tuple(state.tolist())
         x, r, (theta, sigma, u_a) = values[:2], case.reference(t), values[5:8]
-        u = equations.control(x, x[0] - r, u_a, values[8])
+        u = equations.control(x, x[0] - r, u_a, values[8], equations.feedforward(t))
         known = theta * max(abs(x[0]), abs(x[1])) + sigma
         body = vehicle(case.plant, values[:3], u, case.force(t))
         law = equations.predictor(values[3:7], x, u)
-        return *body, *law, equations.filter(u_a, known, r), x[0] - r
+        return *body, *law, equations.filter(u_a, known, equations.demand(t)), x[0] - r
 
     z = case.plant["initial_depth"]
     start = [z, 0.0, 0.0, z, 0.0, 0.0, 0.0, 0.0, 0.0]
@@ -97,7 +133,8 @@ def continuous(case: L1Case, times: np.ndarray) -> np.ndarray:
 
 def sampled(case: L1Case, step: float, law_step: LawStep) -> dict[str, np.ndarray]:
     """Time, depth, reference and demanded force at communication points `step` s apart."""
-    return run(case, step, _Law(Equations(case), step, law_step))
+    law = _PiecewiseLaw if case.piecewise else _Law
+    return run(case, step, law(Equations(case), step, law_step))
 
 
 class _Law:
@@ -106,33 +143,39 @@ class _Law:
     def __init__(self, equations: Equations, step: float, kind: LawStep) -> None:
         self.equations, self.step, self.kind = equations, step, kind
         measured = equations.case.plant["initial_depth"], 0.0
-        self.x, self.e, self.u_before = measured, 0.0, 0.0
+        self.x, self.e, self.u_before = measured, measured[0] - equations.case.reference(0.0), 0.0
+        self.f = equations.feedforward(0.0)
         self.estimates: State = (*measured, 0.0, 0.0)
         self.u_a = self.integral = 0.0
         self.is_first = True
 
     def control(self) -> float:
-        return self.equations.control(self.x, self.e, self.u_a, self.integral)
+        return self.equations.control(self.x, self.e, self.u_a, self.integral, self.f)
 
     def advance(self, t: float, x: Pair, u: float) -> None:
         r = self.equations.case.reference(t)
-        self.u_a = self._held(x, r) if self.kind is LawStep.HELD else self._between(x, r)
+        self.u_a = self.adapted(x, self.equations.demand(t))
         self.integral += self.step * (x[0] - r)
         self.x, self.e, self.u_before, self.is_first = x, x[0] - r, u, False
+        self.f = self.equations.feedforward(t)
 
-    def _held(self, x: Pair, r: float) -> float:
+    def adapted(self, x: Pair, demand: float) -> float:
+        """u_a after the step."""
+        return self._held(x, demand) if self.kind is LawStep.HELD else self._between(x, demand)
+
+    def _held(self, x: Pair, demand: float) -> float:
         """u_a after the step; the estimates go with it, under the control that led to the measurement."""
         norm = max(abs(x[0]), abs(x[1]))
 
         def rates(state: State) -> State:
             estimates = self.equations.predictor(state[:4], x, self.u_before)
-            return *estimates, self.equations.filter(state[4], state[2] * norm + state[3], r)
+            return *estimates, self.equations.filter(state[4], state[2] * norm + state[3], demand)
 
         *estimates, u_a = advanced(rates, (*self.estimates, self.u_a), self.step)
         self.estimates = tuple(estimates)
         return u_a
 
-    def _between(self, x: Pair, r: float) -> float:
+    def _between(self, x: Pair, demand: float) -> float:
         """u_a after the step; the estimates go to its beginning."""
         before, theta, sigma = self.x, 0.0, 0.0
 
@@ -146,4 +189,34 @@ class _Law:
             self.estimates = tuple(estimates)
             theta, sigma = theta / self.step, sigma / self.step
         known = theta * max(abs(x[0]), abs(x[1])) + sigma
-        return advanced(lambda u: (self.equations.filter(u[0], known, r),), (self.u_a,), self.step)[0]
+        return advanced(lambda u: (self.equations.filter(u[0], known, demand),), (self.u_a,), self.step)[0]
+
+
+class _PiecewiseLaw(_Law):
+    """With the piecewise-constant law: the matched part of s goes through the filter, all of it into x_hat.
+
+    x is held from one measurement to the next.
+    """
+
+    def adapted(self, x: Pair, demand: float) -> float:
+        equations, (rate, period) = self.equations, self.equations.case.piecewise or (0.0, 0.0)
+        if self.is_first:
+            self.x_hat, self.s, self.due = x, (0.0, 0.0), round(period / self.step)
+        else:
+            u = self.u_before + equations.k_m[0] * self.x[0] + equations.k_m[1] * self.x[1]
+            self.x_hat = advanced(lambda x_hat: self._rates(x_hat, u, rate), self.x_hat, self.step)
+            self.due -= 1
+        if not self.due:
+            gain = -math.exp(rate * period) * rate / (math.exp(rate * period) - 1.0)
+            self.s = (gain * (self.x_hat[0] - x[0]), gain * (self.x_hat[1] - x[1]))
+            self.due = round(period / self.step)
+        sigma = self.s[1] / equations.b
+        return advanced(lambda u: (equations.filter(u[0], sigma, demand),), (self.u_a,), self.step)[0]
+
+    def _rates(self, x_hat: State, u: float, rate: float) -> State:
+        a, x = self.equations.a, self.x
+        error = x_hat[0] - x[0], x_hat[1] - x[1]
+        return (
+            x[1] + rate * error[0] + self.s[0],
+            a[0] * x[0] + a[1] * x[1] + rate * error[1] + self.equations.b * u + self.s[1],
+        )

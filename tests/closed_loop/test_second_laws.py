@@ -18,7 +18,7 @@ from orchestration import simulate
 from orchestration.errors import ScenarioWarning
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
-from tests.closed_loop.same_experiment import SMOOTH, component_values
+from tests.closed_loop.same_experiment import SMOOTH, component_values, slope
 from tests.closed_loop.second_laws import Adrc, HeldLaw, Mrac, Pid, SlidingMode, SuperTwisting
 from tests.closed_loop.second_loop import Case, run
 
@@ -64,12 +64,6 @@ def loop_of(fmu: Path, settings: Mapping[str, Any], stop: float) -> Scenario:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ScenarioWarning)  # of entries that only our L1 controller has
         return scenario.load(shipped, changes, settings={"controller": str(fmu), **settings})
-
-
-def slope(t: float) -> float:
-    """r' [m/s] of that trajectory, from t on."""
-    ramps = ((0.0, 40.0, 0.8 / 40.0), (140.0, 180.0, -0.4 / 40.0), (250.0, 310.0, 0.2 / 60.0))
-    return next((rate for start, end, rate in ramps if start - 1e-9 <= t < end - 1e-9), 0.0)
 
 
 def both_figures(
