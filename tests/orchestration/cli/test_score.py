@@ -7,7 +7,9 @@ from pathlib import Path
 import pytest
 import tomli_w
 
+from orchestration.cli.score_tables import differences_table
 from orchestration.study.protocol import read_protocol
+from tests.orchestration.report.made_up_score import made_up_score
 
 
 @pytest.fixture
@@ -38,6 +40,14 @@ def test_score_prints_tables_and_writes_a_document_and_a_page(
     assert row["cases"]["nominal"]["failed"] == []
     assert row["delay_margin"] > 0.0
     assert "not on a real vehicle" in (tmp_path / "results" / "score.html").read_text(encoding="utf-8")
+
+
+def test_the_table_of_differences_says_on_how_many_plants_both_have_a_value() -> None:
+    table = differences_table(made_up_score().document)
+    assert table is not None
+    headings = [column.header for column in table.columns]
+    cells = [str(next(iter(column.cells))) for column in table.columns]
+    assert dict(zip(headings, cells, strict=True))["Pairs"] == "2"
 
 
 @pytest.mark.parametrize(
