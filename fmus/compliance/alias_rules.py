@@ -1,6 +1,7 @@
 """Rules of variables that share a value reference: alias sets, FMI 2.0.5, 2.2.7."""
 
 from collections.abc import Iterator
+from functools import lru_cache
 
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.rule import Level, Stage, rule
@@ -9,13 +10,14 @@ from fmus.compliance.variable import Variable, integer, is_true
 _CLAUSE = "2.2.7 Definition of Model Variables (ModelVariables), alias variables"
 
 
-def _sets(fmu: FmuFile) -> Iterator[list[Variable]]:
+@lru_cache(maxsize=1)
+def _sets(fmu: FmuFile) -> tuple[list[Variable], ...]:
     """Variables of one base type with one value reference, where there are several."""
     sets: dict[tuple[str, int | None], list[Variable]] = {}
     for v in fmu.variables:
         if v.reference is not None and v.kind:
             sets.setdefault((v.base_kind, v.reference), []).append(v)
-    yield from (members for members in sets.values() if len(members) > 1)
+    return tuple(members for members in sets.values() if len(members) > 1)
 
 
 def _names(members: list[Variable]) -> str:

@@ -145,7 +145,7 @@ def archive_paths_are_portable(fmu: FmuFile) -> Iterator[str]:
 @rule(CLAUSE, Stage.FILE, condition=unreadable)
 def archive_paths_are_unique(fmu: FmuFile) -> Iterator[str]:
     """No two members have the same path."""
-    for name, count in repeated(fmu.names).items():
+    for name, count in repeated(name for name in fmu.names if not name.endswith("/")).items():
         yield f"{count} members are called {name!r}: expected one"
 
 

@@ -27,6 +27,7 @@ _NUMBERS = {  # elements -> attributes of type xs:double
     "UnitDefinitions/Unit/*": ("factor", "offset"),
     "DefaultExperiment": ("startTime", "stopTime", "tolerance", "stepSize"),
 }
+_TIMES = ("startTime", "stopTime", "stepSize")
 _STANDARD_CATEGORIES = (
     "logEvents", "logSingularLinearSystems", "logNonlinearSystems", "logDynamicStateSelection",
     "logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal", "logStatusPending", "logAll",
@@ -143,10 +144,14 @@ def default_experiment(fmu: FmuFile) -> Iterator[str]:
 
 @rule(_EXPERIMENT, Stage.DESCRIPTION, Level.WARNING)
 def default_experiment_is_meaningful(fmu: FmuFile) -> Iterator[str]:
-    """The default experiment stops later than it starts; step size and tolerance are not 0."""
+    """The default experiment takes a step at least; its step size and tolerance are not 0."""
     for limit, text in _experiment(fmu):
         if limit == 0:
             yield text
+    element = fmu.root.find("DefaultExperiment")
+    begin, end, step = (number(element.get(name)) if element is not None else None for name in _TIMES)
+    if end is not None and step is not None and 0 < end - (begin or 0.0) < step:
+        yield f"stepSize {step:g}: expected at most the time from start to stop, {end - (begin or 0.0):g} s"
 
 
 def _experiment(fmu: FmuFile) -> Iterator[tuple[float, str]]:

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.rule import Level, Stage, repeated, rule
@@ -49,12 +50,14 @@ def variable_names_are_legal(fmu: FmuFile) -> Iterator[str]:
             yield f"{v.name!r}: expected a structured name such as tank.level[1] or der(x)"
 
 
-@rule("2.2.1 Definition of an FMU (fmiModelDescription)", Stage.DESCRIPTION, condition=not_structured)
+@rule("2.2.1 Definition of an FMU (fmiModelDescription)", Stage.DESCRIPTION)
 def type_names_are_legal(fmu: FmuFile) -> Iterator[str]:
-    """With the structured convention, names of types follow its grammar too."""
-    for element in fmu.root.iterfind("TypeDefinitions/SimpleType"):
-        name = element.get("name", "")
-        if not _STRUCTURED.fullmatch(name):
+    """Names of types are as those of variables: not empty, on one line, and structured if these are."""
+    for element in fmu.root.iterfind("TypeDefinitions/SimpleType[@name]"):
+        name = element.get("name")
+        if not name or re.search(r"[\r\n\t]", name):
+            yield f"type {name!r}: expected a name without tab or line break"
+        elif is_structured(fmu) and not _STRUCTURED.fullmatch(name):
             yield f"type {name!r}: expected a structured name such as Units.Length"
 
 
@@ -91,8 +94,15 @@ class _Element:
     indices: tuple[int, ...]
 
 
-def _elements(fmu: FmuFile) -> Iterator[_Element]:
+@lru_cache(maxsize=1)
+def _elements(fmu: FmuFile) -> tuple[_Element, ...]:
+    return tuple(_read_elements(fmu))
+
+
+def _read_elements(fmu: FmuFile) -> Iterator[_Element]:
     for v in fmu.variables:
+        if "[" not in v.name:
+            continue
         spans = [match.span(1) for match in _INDEXED.finditer(v.name) if match.group(1)]
         if spans and _STRUCTURED.fullmatch(v.name):
             indices = tuple(int(text) for a, b in spans for text in v.name[a + 1 : b - 1].split(","))

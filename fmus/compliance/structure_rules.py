@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Iterator
+from functools import lru_cache
 from typing import Any
 
 from fmus.compliance.fmu_file import FmuFile
@@ -70,18 +71,34 @@ def no_model_exchange(fmu: FmuFile) -> str:
     return "" if "ModelExchange" in fmu.interfaces else "it has no interface for model exchange"
 
 
+@rule(_CLAUSE, Stage.DESCRIPTION, condition=no_model_exchange)
+def derivatives_are_there(fmu: FmuFile) -> Iterator[str]:
+    """For model exchange there are Derivatives if a variable with initial exact has a derivative."""
+    for derivative, state in _unlisted_derivatives(fmu):
+        if fmu.root.find("ModelStructure/Derivatives") is None and state.initial == "exact":
+            yield f"no Derivatives: expected {derivative.name} there, the derivative of {state.name}"
+
+
 @rule(_CLAUSE, Stage.DESCRIPTION, Level.WARNING, condition=no_model_exchange)
 def state_derivatives_are_listed(fmu: FmuFile) -> Iterator[str]:
-    """For model exchange, Derivatives lists the derivatives of local variables, as a rule states."""
+    """For model exchange, Derivatives lists the derivatives of local variables, which may be states."""
+    for derivative, state in _unlisted_derivatives(fmu):
+        if state.causality == "local":
+            yield f"Derivatives lacks {derivative.name} ({derivative.index}), the derivative of {state.name}"
+
+
+def _unlisted_derivatives(fmu: FmuFile) -> Iterator[tuple[Variable, Variable]]:
+    """(derivative that Derivatives lacks, its variable): neither a state, nor its alias, nor a derivative."""
     listed = set(_indices(fmu, "Derivatives"))
+    states = {(v.base_kind, v.reference) for v in (fmu.variables[i - 1] for i in fmu.states | listed)}
     for v in fmu.variables:
         index = integer(v.typed.get("derivative"))
-        if index is None or not 1 <= index <= len(fmu.variables) or index == v.index:
+        if index is None or not 1 <= index <= len(fmu.variables) or v.index in listed or index == v.index:
             continue
-        if v.index in listed or index in fmu.states:
-            continue
-        if fmu.variables[index - 1].causality == "local" and index not in listed:
-            yield f"Derivatives lacks {v.name} ({v.index}), the derivative of {fmu.variables[index - 1].name}"
+        state = fmu.variables[index - 1]
+        is_possible = state.causality in ("local", "output") and state.variability == "continuous"
+        if is_possible and (state.base_kind, state.reference) not in states:
+            yield v, state
 
 
 @rule(_CLAUSE, Stage.DESCRIPTION)
@@ -113,8 +130,16 @@ def initial_unknowns_ascend(fmu: FmuFile) -> Iterator[str]:
             yield f"InitialUnknowns: {after} follows {before}: expected ascending indices"
 
 
-def _dependencies(fmu: FmuFile) -> Iterator[tuple[str, str, Variable | None, list[str], Any]]:
+_Dependencies = tuple[str, str, Variable | None, list[str], Any]
+
+
+@lru_cache(maxsize=1)
+def _dependencies(fmu: FmuFile) -> tuple[_Dependencies, ...]:
     """(section, text that names the unknown, unknown, its dependencies, element)."""
+    return tuple(_of_unknowns(fmu))
+
+
+def _of_unknowns(fmu: FmuFile) -> Iterator[_Dependencies]:
     for section in _SECTIONS:
         for index, element in fmu.unknowns(section):
             unknown = fmu.variables[index - 1] if index is not None else None
@@ -168,13 +193,14 @@ _LATER = "an input, a continuous-time state or the independent variable"
 
 def _knowns(fmu: FmuFile) -> Iterator[tuple[Variable, str, str]]:
     """(dependency that is none of the Knowns, its unknown, what is expected)."""
+    states = _possible_states(fmu)
     for section, where, _, listed, _ in _dependencies(fmu):
         for index in map(integer, listed):
             if index is None or not 1 <= index <= len(fmu.variables):
                 continue
             known, is_at_start = fmu.variables[index - 1], section == "InitialUnknowns"
             is_given = known.initial == "exact" or known.causality == "parameter" or not known.is_legal_pair
-            known_otherwise = is_given if is_at_start else index in _possible_states(fmu)
+            known_otherwise = is_given if is_at_start else index in states
             if known.causality not in ("input", "independent") and not known_otherwise:
                 yield known, where, _AT_START if is_at_start else _LATER
 
@@ -192,9 +218,10 @@ def dependencies_on_states_are_provided(fmu: FmuFile) -> Iterator[str]:
     """For co-simulation alone, dependencies name states if providesDirectionalDerivative is true."""
     if not _derivatives_are_ignored(fmu):
         return
+    states = _possible_states(fmu)
     for section, where, _, listed, _ in _dependencies(fmu):
         for index in map(integer, listed):
-            if section != "InitialUnknowns" and index in _possible_states(fmu):
+            if section != "InitialUnknowns" and index in states:
                 name = fmu.variables[index - 1].name if 1 <= index <= len(fmu.variables) else ""
                 yield f"{where} depends on the state {name}: expected providesDirectionalDerivative"
 

@@ -38,7 +38,7 @@ class Variable:
     declared: Mapping[str, str]
     items: frozenset[int] = frozenset()
 
-    @property
+    @cached_property
     def name(self) -> str:
         return self.attributes.get("name", f"<variable {self.index} without a name>")
 
