@@ -111,6 +111,8 @@ def linear(
     refuses_boolean_from: float = 1e300,
     nominal: float | None = None,
     declares_dependencies: bool = True,
+    solver_error: float = 0.0,
+    solver_step: float = 1e-6,
     **capabilities: Any,
 ) -> Path:
     """x' = a x + b u, y = c x + d u: parameters `a` (tunable) and `initial_state`, inputs u[j], outputs y[i].
@@ -119,6 +121,7 @@ def linear(
     refuses_boolean_from: time [s] from which on boolean_in is discarded in a step.
     nominal: of inputs and outputs.
     declares_dependencies: whether the model description tells which outputs follow which inputs.
+    solver_error: largest error of the state that each step of at least `solver_step` [s] leaves.
     """
     inputs = [Variable(f"u[{j + 1}]", "input", "continuous", nominal=nominal) for j in range(len(b))]
     outputs = []
@@ -148,7 +151,7 @@ def linear(
         *discrete,
     ]
     shape = {"N_U": len(b), "N_Y": len(c), "N_DISCRETE": int(passes_discrete)}
-    numbers = [refuses_boolean_from, *b, *c, *(gain for row in d for gain in row)]
+    numbers = [refuses_boolean_from, solver_error, solver_step, *b, *c, *(gain for row in d for gain in row)]
     claims = Capabilities(**capabilities)
     return _write(path, "linear", variables, claims, shape, numbers, declares_dependencies)
 

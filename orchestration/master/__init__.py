@@ -15,7 +15,7 @@ Inputs are held over a step, first order in h, or extrapolated with their last s
     loop.py            the communication loop over these arrays, compiled
     stepping.py        from the first point to the last, with events and progress, and its recording
     step_by_step.py, stepped_run.py, variable_access.py, saved_state.py  a run led by the caller's own loop
-    step_control.py    shorter steps: after a discard, and to meet a tolerance
+    step_control.py, tolerance.py, split_step.py  shorter steps: after a discard, and to meet a tolerance
     error_estimate.py  how far exchanging at communication points leads astray, by a second run
     snapshot.py, checkpoint.py  the system at one point, in memory and as a file
     subprocess_run.py  a run whose FMUs are in a process of their own

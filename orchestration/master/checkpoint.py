@@ -22,8 +22,8 @@ from orchestration.master.loop_data import CHANGING, CHANGING_OF_CONNECTIONS, Re
 from orchestration.master.stepping import MOST_STEPS, RunInProgress
 from orchestration.system.system import CheckedSystem
 
-_VERSION = 3
-_HEAD = ("position", "time", "step_size", "past", "texts")  # members of a checkpoint that are plain data
+_VERSION = 4
+_HEAD = ("position", "time", "step_control", "past", "texts")  # members of a checkpoint that are plain data
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Checkpoint:
     """A saved system.
 
     position, time: index and time [s] of the communication point
-    step_size: next step size of the step control [s]
+    step_control: `StepControl.state`
     past: part of the run -> digest of its data until then
     texts: of Strings, whose numbers are in the arrays
     states: component -> serialised state of its FMU; arrays: those of the loop, by name
@@ -39,7 +39,7 @@ class Checkpoint:
 
     position: int
     time: float
-    step_size: float
+    step_control: list[float]
     past: Mapping[str, str]
     texts: list[str]
     states: Mapping[str, bytes]
@@ -103,7 +103,7 @@ def capture(run: RunInProgress) -> Checkpoint:
     return Checkpoint(
         position=position,
         time=float(wiring.points[position]),
-        step_size=run.step_control.step_size if run.step_control else 0.0,
+        step_control=run.step_control.state if run.step_control else [],
         past=_past(run, position),
         texts=run.wired.texts.table,
         states=states,
@@ -137,7 +137,7 @@ def restore(checkpoint: Checkpoint, run: RunInProgress) -> None:
         instance.free_fmu_state(state)
     run.position = position
     if run.step_control:
-        run.step_control.step_size = checkpoint.step_size
+        run.step_control.state = checkpoint.step_control
 
 
 def _saved_arrays(run: RunInProgress, position: int) -> dict[str, np.ndarray]:

@@ -64,17 +64,17 @@ class SavedState:
     unused: where the run finds memory for its next saved states; this one's returns there when it is deleted
     """
 
-    __slots__ = ("memory", "position", "segment", "step_size", "unused")
+    __slots__ = ("memory", "position", "segment", "step_control", "unused")
 
     def __init__(
         self,
         memory: SavedMemory,
         position: int,
-        step_size: float,
+        step_control: list[float],
         segment: Segment,
         unused: list[SavedMemory],
     ) -> None:
-        self.memory, self.position, self.step_size = memory, position, step_size
+        self.memory, self.position, self.step_control = memory, position, step_control
         self.segment, self.unused = segment, unused
 
     def __del__(self) -> None:

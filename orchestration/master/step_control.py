@@ -4,24 +4,30 @@ Step doubling: a step of size h is taken once as a whole and once as two halves.
 divided by 2^p - 1, estimates the error of the halves, where p is the order of the exchange: 1, or 2 with
 extrapolation. A step may contribute the share h / T of the tolerance, where T is the duration of the run:
 the sum over all steps stays below the tolerance.
+
+Where the error does not fall with the step, the FMUs' own solvers may have left it (`split_step.py`). Such an
+error is permitted: the step stays as long as it is, and the recording holds what the run reaches instead.
 """
 
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
-from orchestration.errors import OrchestrationError
-from orchestration.fmi.description import of_causality
+from orchestration.errors import FmuWarning, OrchestrationError
 from orchestration.fmi.instance import FmuInstance
 from orchestration.master.failure import failure_error, is_discarded_step
 from orchestration.master.loop_data import LoopFunctions, Report
 from orchestration.master.snapshot import Snapshot
+from orchestration.master.split_step import step_together_and_split
+from orchestration.master.tolerance import Tolerance
 from orchestration.master.wiring import WiredRun
-from orchestration.system.system import CheckedSystem, Port
 
 _SHORTEST = 1e-9  # of a communication step
 _SAFETY, _LARGEST_REDUCTION, _LARGEST_GROWTH = 0.9, 0.2, 5.0  # the usual factors of step-size control
 _GROWTH_AFTER_DISCARD = 2.0
+_LEAST_ORDER = 0.5  # in which the error ratio falls with the step; of the exchange it is 1 or 2
 
 
 class StepControl:
@@ -29,7 +35,8 @@ class StepControl:
 
     step_size: the next to try [s]
     statistics: numbers of steps between communication points, discarded ones (by an FMU) and inexact ones (of
-    too large an estimated error), under their names in the provenance
+    too large an estimated error)
+    solver_error: where and how often the error of an FMU's own solver was permitted; empty if it never was
     """
 
     def __init__(self, run: WiredRun, loop: LoopFunctions) -> None:
@@ -46,7 +53,27 @@ class StepControl:
         self._terminated = 0
         self.tolerance = Tolerance(run) if experiment.tolerance else None
         self.step_size = experiment.step_size
+        self.solver_error: dict[str, Any] = {}
+        self._rejected = 0.0, 0.0  # size [s] and error ratio of the last inexact step
+        self._estimated_error = 0.0  # of all accepted steps, in permitted errors times s
         self.statistics = dict.fromkeys(("steps_between_points", "discarded_steps", "inexact_steps"), 0)
+
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """What the recording tells of the steps; empty if none was divided."""
+        solver_error = {"solver_error": dict(self.solver_error)} if self.solver_error else {}
+        return {**self.statistics, **solver_error} if any(self.statistics.values()) else {}
+
+    @property
+    def state(self) -> list[float]:
+        """What the steps behind a communication point depend on, as plain data."""
+        return [self.step_size, *(self.tolerance.solver_error.tolist() if self.tolerance else ())]
+
+    @state.setter
+    def state(self, state: Sequence[float]) -> None:
+        self.step_size, *solver_error = state
+        if self.tolerance:
+            self.tolerance.solver_error = np.array(solver_error)
 
     def advance_to(self, point: int, check_interrupt: Callable[[], None]) -> float:
         """Advance from the communication point before `point`, where the exchange is done, to `point`.
@@ -55,7 +82,10 @@ class StepControl:
         """
         time, stop = float(self._wiring.points[point - 1]), float(self._wiring.points[point])
         self._shortest = _SHORTEST * (stop - time)
-        if not self.tolerance:
+        if self.tolerance:
+            self.tolerance.forget_solver_error()
+            self._rejected = 0.0, 0.0
+        else:
             self.step_size = stop - time
         while time < stop:
             check_interrupt()
@@ -87,7 +117,30 @@ class StepControl:
             return False
         if not self.tolerance:
             return True
-        coarse = self._wiring.bus[self.tolerance.bus_index]
+        tolerance, size = self.tolerance, end - start
+        coarse = self._wiring.bus[tolerance.bus_index]
+        if not self._try_halves(point, start, end):
+            return False
+        fine = self._wiring.bus[tolerance.bus_index]
+        ratios = tolerance.error_ratios(coarse, fine, size)
+        ratio = float(np.max(tolerance.beyond_solvers(ratios, fine, size), initial=0.0))
+        if not ratio <= 1.0 and (self._hardly_fell(size, ratio) or tolerance.is_below_solvers(fine, size)):
+            self._learn_solver_error(point, start, end)
+            ratio = float(np.max(tolerance.beyond_solvers(ratios, fine, size), initial=0.0))
+            if ratio <= 1.0 and not self._try_halves(point, start, end):
+                return False
+        # the error of a step is of order p + 1 in its size, the permitted error of order 1
+        factor = _SAFETY * ratio ** (-1.0 / tolerance.order) if ratio > 0.0 else _LARGEST_GROWTH
+        if ratio <= 1.0:
+            self._note_accepted(start, size, ratios)
+        else:
+            self.statistics["inexact_steps"] += 1
+            self._check_can_be_shorter(start, size)
+        self.step_size = size * max(_LARGEST_REDUCTION, min(factor, _LARGEST_GROWTH))
+        return ratio <= 1.0
+
+    def _try_halves(self, point: int, start: float, end: float) -> bool:
+        """Step from `start` to `end` in two halves; False if a step was discarded, or ends the simulation."""
         self._before.restore()
         middle = start + 0.5 * (end - start)
         if not self.try_step(point, start, middle):
@@ -95,17 +148,43 @@ class StepControl:
         if self._wiring.report[Report.TERMINATED]:
             self.step_size = middle - start
             return False
-        if not self.try_step(point, middle, end):
-            return False
-        fine, size = self._wiring.bus[self.tolerance.bus_index], end - start
-        ratio = self.tolerance.error_ratio(coarse, fine, size)
-        # the error of a step is of order p + 1 in its size, the permitted error of order 1
-        factor = _SAFETY * ratio ** (-1.0 / self.tolerance.order) if ratio > 0.0 else _LARGEST_GROWTH
-        if not ratio <= 1.0:
-            self.statistics["inexact_steps"] += 1
-            self._check_can_be_shorter(start, size)
-        self.step_size = size * max(_LARGEST_REDUCTION, min(factor, _LARGEST_GROWTH))
-        return ratio <= 1.0
+        return self.try_step(point, middle, end)
+
+    def _hardly_fell(self, size: float, ratio: float) -> bool:
+        """Whether the error ratio hardly fell from the last inexact step to this shorter one."""
+        (last_size, last_ratio), self._rejected = self._rejected, (size, ratio)
+        return size < last_size and ratio > last_ratio * (size / last_size) ** _LEAST_ORDER
+
+    def _learn_solver_error(self, point: int, start: float, end: float) -> None:
+        assert self.tolerance
+        outcome = step_together_and_split(self._run, self._loop, self._before, point, start, end)
+        if outcome:
+            self.tolerance.learn_solver_error(*(bus[self.tolerance.bus_index] for bus in outcome))
+
+    def _note_accepted(self, start: float, size: float, ratios: np.ndarray) -> None:
+        """Add up the errors of a step; where they are permitted as those of solvers alone, note and warn."""
+        assert self.tolerance
+        worst = int(np.argmax(ratios)) if len(ratios) else 0
+        ratio = float(np.max(ratios, initial=0.0))
+        is_of_solvers = ratio > 1.0  # it then is the whole difference, not a part that follows from the order
+        self._estimated_error += ratio * size * (2.0**self.tolerance.order - 1.0 if is_of_solvers else 1.0)
+        if is_of_solvers:
+            if not self.solver_error:
+                self.solver_error = {"from_time_s": start, "output": self.tolerance.names[worst], "steps": 0}
+                warnings.warn(self._solver_warning(size), FmuWarning, stacklevel=2)
+            self.solver_error["steps"] += 1
+        if self.solver_error:
+            reached = self.tolerance.relative * self._estimated_error / self.tolerance.duration
+            self.solver_error["estimated_error"] = reached
+
+    def _solver_warning(self, size: float) -> str:
+        assert self.tolerance
+        output, time = self.solver_error["output"], self.solver_error["from_time_s"]
+        return (
+            f"tolerance = {self.tolerance.relative:g} is not met: at t = {time:.9g} s the error of {output} "
+            f"does not fall with the step, here {size:.3g} s, as its FMU's own solver leaves it; the step "
+            "stays as long, and the recording holds the error that is reached (provenance: solver_error)"
+        )
 
     def _check_can_be_shorter(self, start: float, size: float) -> None:
         if size <= 2.0 * self._shortest:
@@ -155,53 +234,3 @@ class StepControl:
     def free(self) -> None:
         """Free the saved states."""
         self._before.free()
-
-
-class Tolerance:
-    """The permitted error, relative to max(|value|, nominal), of all Real outputs exchanged or recorded.
-
-    order: of the exchange in the step size
-    bus_index: of the outputs, shape (m,)
-    """
-
-    def __init__(self, run: WiredRun) -> None:
-        experiment, ports = run.prepared.experiment, run.prepared.system.ports
-        read = [name for group in run.bus.outputs if group.type == "Real" for name in group.names]
-        names = [name for name in read if ports[name].variable.causality == "output"]
-        driven = {ports[target] for _, target in run.bus.connections}
-        self.order = 1 + experiment.extrapolation
-        self.bus_index = np.array([run.bus.index[name] for name in names], np.int64)
-        self._relative = experiment.tolerance
-        self._duration = experiment.stop_time - experiment.start_time
-        self._nominal = np.array([abs(float(ports[name].variable.nominal or 1.0)) for name in names])
-        # The error of an output that may depend directly on an input in step mode does not add up from step
-        # to step: it is compared with the whole tolerance.
-        feedthrough = outputs_with_feedthrough(run.prepared.system, driven)
-        self._has_feedthrough = np.array([name in feedthrough for name in names], bool)
-
-    def error_ratio(self, coarse: np.ndarray, fine: np.ndarray, size: float) -> float:
-        """Estimated error of the fine values over the permitted error of a step of `size` [s].
-
-        A step is accepted up to a ratio of 1. A value that is not finite in both is left out.
-        """
-        share = np.where(self._has_feedthrough, 1.0, size / self._duration)
-        scale = self._relative * np.maximum(np.abs(fine), self._nominal) * share
-        with np.errstate(invalid="ignore"):
-            ratio = np.abs(fine - coarse) / (2.0**self.order - 1.0) / scale
-        ratio[~(np.isfinite(coarse) | np.isfinite(fine))] = 0.0
-        ratio[np.isnan(ratio)] = np.inf
-        return float(np.max(ratio, initial=0.0))
-
-
-def outputs_with_feedthrough(system: CheckedSystem, driven: set[Port]) -> set[str]:
-    """Names of the outputs that may depend directly on a driven input in step mode; all if not declared."""
-    own = {id(port.variable) for port in driven}
-    components = {port.component for port in driven}
-    names = set()
-    for component, description in system.descriptions.items():
-        declared = {id(unknown.variable): unknown.dependencies for unknown in description.outputs}
-        for variable in of_causality(description, "output"):
-            dependencies = declared.get(id(variable))
-            if component in components if dependencies is None else any(id(v) in own for v in dependencies):
-                names.add(f"{component}.{variable.name}")
-    return names

@@ -192,8 +192,8 @@ class SteppedRun(RunInProgress):
         if not self._loop.save(memory):
             raise self._failure()
         point = self._report[_POSITION]
-        step_size = self.step_control.step_size if self.step_control else 0.0
-        return SavedState(memory, point, step_size, self._record.keep(point), self._unused)
+        step_control = self.step_control.state if self.step_control else []
+        return SavedState(memory, point, step_control, self._record.keep(point), self._unused)
 
     def restore(self, state: SavedState) -> None:
         """Set the whole system, and its record, back to a state of this run."""
@@ -207,7 +207,7 @@ class SteppedRun(RunInProgress):
             self._record.return_to(state.segment)
         self._report[_POSITION] = self._report[_RECORDED] = state.position
         if self.step_control:
-            self.step_control.step_size = state.step_size
+            self.step_control.state = state.step_control
 
     def _recover(self, state: SavedState) -> None:
         """Set the system back after a failure; no call of an FMU is allowed after a fatal one."""

@@ -240,11 +240,10 @@ class RunInProgress:
     def recording(self, pacing: Pacing | None = None) -> Recording:
         """The values recorded until now."""
         count = int(self.wiring.report[Report.RECORDED])
-        statistics = self.step_control.statistics if self.step_control else {}
-        more = dict(statistics) if any(statistics.values()) else {}
+        more = self.step_control.provenance if self.step_control else {}
         more |= {"terminated": self._termination} if self._termination else {}
-        pace = {"real_time": pacing.report()} if pacing else {}
-        return make_recording(self.prepared, self.wiring.rows, count, self.wired.texts.table, more | pace)
+        more |= {"real_time": pacing.report()} if pacing else {}
+        return make_recording(self.prepared, self.wiring.rows, count, self.wired.texts.table, more)
 
     def free(self) -> None:
         """Free the states that were saved in the FMUs."""
