@@ -47,8 +47,9 @@ class Tolerance:
 
     def beyond_solvers(self, ratios: np.ndarray, fine: np.ndarray, size: float) -> np.ndarray:
         """`error_ratios` where the solvers' own errors are permitted too."""
-        permitted = self._permitted(fine, size)
-        return ratios * (permitted / np.maximum(permitted, _OF_TWO_RESULTS * self.solver_error))
+        permitted, of_solvers = self._permitted(fine, size), _OF_TWO_RESULTS * self.solver_error
+        is_below = of_solvers > permitted  # False where the value is not finite
+        return np.where(is_below, ratios * permitted / np.where(is_below, of_solvers, 1.0), ratios)
 
     def is_below_solvers(self, fine: np.ndarray, size: float) -> bool:
         """Whether a solver's own error, as far as it is known, is larger than what is permitted."""
