@@ -29,12 +29,13 @@ def package(
 ) -> None:
     """Write a scenario as an SSP 1.0 package, with a parameter set for each scenario of its system."""
     from orchestration.cli import chosen_scenario
-    from orchestration.cli.ramp_sources import build_ramp_source
+    from orchestration.cli.package_fmus import build_ramp_source, build_started
     from orchestration.exchange import ssp_write
 
     changes = Changes.of_options(controller, settings, mapped, open_inputs)
     chosen = chosen_scenario.load(name, changes=changes)
-    print(ssp_write.package(chosen, out or Path(f"{chosen.name}.ssp"), build_ramp_source))
+    path = out or Path(f"{chosen.name}.ssp")
+    print(ssp_write.package(chosen, path, build_ramp_source, build_started))
 
 
 def export(

@@ -6,7 +6,7 @@ built when it is needed; whoever calls this room hands it the function that buil
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from orchestration.errors import ScenarioError
@@ -29,12 +29,14 @@ class RampSource:
     unit: of the output as FMI names it, "" if the driven input has none
     points: how many; parameters point_time[i] [s], point_value[i] [unit] and smooth
     driven: FMU that it drives; the source is to run on the same platforms
+    starts: parameter -> value that it is to start with: those of the first scenario
     """
 
     name: str
     unit: str
     points: int
     driven: Path
+    starts: Mapping[str, float | bool] = field(default_factory=dict, compare=False)
 
     @property
     def output(self) -> str:
@@ -63,7 +65,9 @@ def ramp_sources(scenarios: Sequence[Scenario]) -> dict[str, RampSource]:
         points = max(_FEWEST_POINTS, *(len(signal.points) for signal in signals))
         driven = checked.ports[target]
         fmu = checked.components[driven.component]
-        sources[target] = RampSource(name, driven.variable.unit or "", points, fmu)
+        source = RampSource(name, driven.variable.unit or "", points, fmu)
+        starts = {n.partition(".")[2]: value for n, value in _parameters(source, signals[0]).items()}
+        sources[target] = replace(source, starts=starts)
     return sources
 
 

@@ -1,29 +1,30 @@
 """A scenario -> an SSP 1.0 package: FMUs, connections, units, default experiment, parameter sets.
 
     SystemStructure.ssd     the scenario that was packaged
-    NAME.ssd                the same system as each scenario of its family has it
+    NAME.ssd                the same system as each other scenario of its family has it
     parameters/NAME.ssv     the values of each, named "component.variable"
-    resources/*.fmu
+    resources/*.fmu         with the values of the packaged scenario as start values, where they can be built
 
-Only what libcosim, Ecos, fmucontainer and FMPy all understand: no connector of the system itself, values
-inline at each component, enumeration items as integers.
+Only what OMSimulator, libcosim, Ecos, fmucontainer and FMPy all understand: no connector of the system
+itself, no two structures of one name, values inline at each component, enumeration items as integers. Ecos
+and FMPy apply no values unless they are told a set, fmucontainer none at all: therefore FMUs start with them.
 """
 
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
 
 from fmus.files import write_archive
 from fmus.fmi_types import FmiValue
-from orchestration.errors import SystemDefinitionError
 from orchestration.exchange import ssp_xml
 from orchestration.exchange.integer_enumerations import without_enumerations
 from orchestration.exchange.limits import check_plain_exchange
 from orchestration.exchange.signal_sources import BuildSource, RampSource, ramp_sources, with_sources
 from orchestration.exchange.ssp_xml import STRUCTURE, add, add_value
+from orchestration.fmi.description import start_value
 from orchestration.scenarios.scenario import Scenario, load, shipped
 from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_run import PreparedRun, prepare
@@ -37,6 +38,7 @@ class _Variant:
     name: str
     title: str
     prepared: PreparedRun
+    settings: Mapping[str, FmiValue]  # "component.variable" -> value, of every variable that a scenario sets
 
     @property
     def connectors(self) -> list[Port]:
@@ -49,16 +51,31 @@ class _Variant:
     @property
     def values(self) -> list[tuple[Port, FmiValue]]:
         """Parameters and constant inputs; the value of a Real is a float."""
+        ports = self.prepared.system.ports
         return [
-            (port, float(value) if port.variable.type == "Real" else value)
-            for port, value in self.prepared.settings
+            (ports[name], float(value) if ports[name].variable.type == "Real" else value)
+            for name, value in self.settings.items()
         ]
 
+    def values_of(self, component: str) -> dict[str, FmiValue]:
+        """Variable -> value."""
+        return {port.variable.name: value for port, value in self.values if port.component == component}
 
-def package(scenario: Scenario, path: Path, build_source: BuildSource) -> Path:
+
+BuildStarted = Callable[[Path, Mapping[str, FmiValue], Path], Path]
+"""(FMU, variable -> start value, folder) -> the FMU that starts with them; as it is if none can be built."""
+
+
+def package(
+    scenario: Scenario,
+    path: Path,
+    build_source: BuildSource,
+    build_started: BuildStarted = lambda fmu, starts, folder: fmu,
+) -> Path:
     """Write the scenario, and every shipped one of the same system as a variant, to `path`.
 
     build_source: makes the FMU that gives a signal; called once for every driven input
+    build_started: makes the FMU of a component that starts with the values of the scenario
     Raises ScenarioError for a scenario with more than `check_plain_exchange` allows, or another signal than
     ramps.
     """
@@ -68,23 +85,37 @@ def package(scenario: Scenario, path: Path, build_source: BuildSource) -> Path:
     sources = ramp_sources(scenarios)
     with tempfile.TemporaryDirectory(prefix="l1-depth-sources-") as folder:
         fmus = {target: build_source(source, Path(folder)) for target, source in sources.items()}
-        return write_archive(path, _members(scenarios, sources, fmus))
+        variants = _with_all_settings([_variant(chosen, sources, fmus) for chosen in scenarios])
+        packed = {
+            name: build_started(fmu, variants[0].values_of(name), Path(folder, name))
+            for name, fmu in variants[0].prepared.system.components.items()
+        }
+        return write_archive(path, _members(variants, packed))
 
 
-def _members(
-    scenarios: Sequence[Scenario], sources: Mapping[str, RampSource], fmus: Mapping[str, Path]
-) -> dict[str, bytes]:
-    """Path inside the package -> content; the first scenario is the one that importers open."""
-    variants = [_variant(scenario, sources, fmus) for scenario in scenarios]
-    members = {STRUCTURE: _structure(variants[0])}
-    for variant in variants:
-        members[f"{variant.name}.ssd"] = _structure(variant)
-        members[f"parameters/{variant.name}.ssv"] = ssp_xml.document(_parameter_set(variant))
-    for component, fmu in variants[0].prepared.system.components.items():
+def _members(variants: Sequence[_Variant], fmus: Mapping[str, Path]) -> dict[str, bytes]:
+    """Path inside the package -> content; the first scenario is the one that importers open.
+
+    fmus: of each component
+    """
+    members, resources = {}, {}
+    for component, fmu in fmus.items():
         content = without_enumerations(fmu.read_bytes())
-        if members.setdefault(f"resources/{fmu.name}", content) != content:
-            raise SystemDefinitionError(f"{component}: {fmu}: expected different names of different FMUs")
-    return members
+        resources[component] = f"resources/{fmu.name}"
+        if members.setdefault(resources[component], content) != content:
+            resources[component] = f"resources/{component}.fmu"
+            members[resources[component]] = content
+    structures = {f"{variant.name}.ssd": _structure(variant, resources) for variant in variants}
+    parameters = {f"parameters/{v.name}.ssv": ssp_xml.document(_parameter_set(v)) for v in variants}
+    members[STRUCTURE] = structures.pop(f"{variants[0].name}.ssd")
+    return members | structures | parameters
+
+
+def _with_all_settings(variants: Sequence[_Variant]) -> list[_Variant]:
+    """Each sets what any of them sets, to the start value of the FMU where it has none of its own."""
+    ports = {name: variant.prepared.system.ports[name] for variant in variants for name in variant.settings}
+    starts = {name: start_value(port.variable) for name, port in ports.items()}
+    return [replace(variant, settings={**starts, **variant.settings}) for variant in variants]
 
 
 def family(scenario: Scenario) -> list[Scenario]:
@@ -100,16 +131,18 @@ def _structure_of(scenario: Scenario) -> tuple[dict[str, Path], tuple[Any, ...],
 
 def _variant(scenario: Scenario, sources: Mapping[str, RampSource], fmus: Mapping[str, Path]) -> _Variant:
     system, experiment = with_sources(scenario, sources, fmus)
-    return _Variant(scenario.name, scenario.title, prepare(system, experiment))
+    prepared = prepare(system, experiment)
+    settings = {port.name: value for port, value in prepared.settings}
+    return _Variant(scenario.name, scenario.title, prepared, settings)
 
 
-def _structure(variant: _Variant) -> bytes:
+def _structure(variant: _Variant, resources: Mapping[str, str]) -> bytes:
     root = ssp_xml.root("ssd:SystemStructureDescription", version="1.0", name=variant.name)
     root.set("generationTool", "l1-depth")
     system = add(root, "ssd:System", name="system", description=variant.title)
     elements = add(system, "ssd:Elements")
-    for name, fmu in variant.prepared.system.components.items():
-        _component(elements, name, fmu, variant)
+    for name, source in resources.items():
+        _component(elements, name, source, variant)
     connections = add(system, "ssd:Connections")
     for source, target in variant.prepared.system.connections:
         ends = {"startElement": source.component, "startConnector": source.variable.name}
@@ -120,20 +153,21 @@ def _structure(variant: _Variant) -> bytes:
             connection.set("suppressUnitConversion", "true")  # the factor is between the values as they are
             values = {"factor": repr(transformation.factor), "offset": repr(transformation.offset)}
             add(connection, "ssc:LinearTransformation", **values)
+    _master(system, variant.prepared.experiment)
     _units(root, "ssd:Units", variant.prepared.system, variant.connectors)
     _default_experiment(root, variant.prepared.experiment)
     return ssp_xml.document(root)
 
 
-def _component(parent: Element, name: str, fmu: Path, variant: _Variant) -> None:
-    kind = {"type": "application/x-fmu-sharedlibrary", "source": f"resources/{fmu.name}"}
-    component = add(parent, "ssd:Component", name=name, **kind)
+def _component(parent: Element, name: str, source: str, variant: _Variant) -> None:
+    kind = {"type": "application/x-fmu-sharedlibrary", "implementation": "CoSimulation"}
+    component = add(parent, "ssd:Component", name=name, source=source, **kind)
     connectors = add(component, "ssd:Connectors")
     for variable in (port.variable for port in variant.connectors if port.component == name):
         connector = add(connectors, "ssd:Connector", name=variable.name, kind=variable.causality or "")
         unit = {"unit": variable.unit} if variable.type == "Real" and variable.unit else {}
         add(connector, f"ssc:{variable.type}", **unit)
-    own = [(port.variable.name, value) for port, value in variant.values if port.component == name]
+    own = variant.values_of(name).items()
     if own:
         binding = add(add(component, "ssd:ParameterBindings"), "ssd:ParameterBinding")
         values = add(
@@ -177,6 +211,17 @@ def _units(parent: Element, name: str, checked: CheckedSystem, ports: Iterable[P
             k: repr(v) for k, v in (("factor", base.factor), ("offset", base.offset)) if v != (k == "factor")
         }
         add(add(units, "ssc:Unit", name=unit), "ssc:BaseUnit", **stated, **scale)
+
+
+def _master(system: Element, experiment: Experiment) -> None:
+    """The step size as OMSimulator looks for it: version 3 in attributes, version 2 in a child."""
+    annotation = add(add(system, "ssd:Annotations"), "ssc:Annotation", type=ssp_xml.OMS)
+    step = repr(experiment.step_size)
+    # the solver of this name is the one of components that name none
+    solver = {"name": "oms_ma_default", "method": "oms_ma", "fixedStepSize": step}
+    information = add(add(annotation, "oms:Annotations"), "oms:SimulationInformation", **solver)
+    master = {"description": "oms-ma", "stepSize": step, "relativeTolerance": "0.0001"}
+    add(information, "oms:FixedStepMaster", **master)
 
 
 def _default_experiment(parent: Element, experiment: Experiment) -> None:

@@ -12,9 +12,10 @@ NAMESPACES = {
     "ssc": f"{_STANDARD}Common",
     "ssv": f"{_STANDARD}ParameterValues",
     "osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
+    "oms": "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd",
 }
 STRUCTURE = "SystemStructure.ssd"  # the file that every importer opens
-OSP = "com.opensimulationplatform"
+OSP, OMS = "com.opensimulationplatform", "org.openmodelica"  # types of annotations
 
 for _prefix, _uri in NAMESPACES.items():
     ElementTree.register_namespace(_prefix, _uri)  # importers look for these prefixes by their letters

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from orchestration.cli.ramp_sources import build_ramp_source
+from orchestration.cli.package_fmus import build_ramp_source, build_started
 from orchestration.exchange import ssp_write
 from orchestration.results.recording import Recording
 from orchestration.scenarios.scenario import Scenario
@@ -36,10 +36,11 @@ class Outcome:
 
 def packaged(scenario: Scenario, folder: Path) -> ImporterJob:
     """What importers do with a scenario, whose package is written to `folder`."""
-    package = ssp_write.package(scenario, folder / f"{scenario.name}.ssp", build_ramp_source)
+    path = folder / f"{scenario.name}.ssp"
+    package = ssp_write.package(scenario, path, build_ramp_source, build_started)
     experiment = scenario.experiment
     times = experiment.start_time, experiment.stop_time, experiment.step_size
-    return ImporterJob(package, scenario.name, OUTPUT, *times)
+    return ImporterJob(package, OUTPUT, *times)
 
 
 def run_isolated(importer: str, job: ImporterJob) -> Trajectory | str:
@@ -49,7 +50,7 @@ def run_isolated(importer: str, job: ImporterJob) -> Trajectory | str:
 
 def outcome(importer: str, job: ImporterJob, ours: Recording) -> Outcome:
     """One importer on one package."""
-    blank = Outcome(importer, job.parameter_set)
+    blank = Outcome(importer, job.package.stem)
     answer = run_isolated(importer, job)
     if isinstance(answer, str):
         return replace(blank, problem=answer)

@@ -3,13 +3,14 @@
 A function for each, which imports its importer when it is called: in a process of its own, by `run_job`.
 """
 
-import json
 import shutil
 import tempfile
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import fmpy
 import numpy as np
@@ -17,7 +18,7 @@ from fmpy.fmi2 import FMU2Slave
 from numpy.typing import ArrayLike
 
 from fmus.process import Parent
-from orchestration.exchange.ssp_read import opened
+from orchestration.exchange.ssp_xml import STRUCTURE, tag
 
 _NANOSECOND = 1e-9
 
@@ -26,18 +27,18 @@ _NANOSECOND = 1e-9
 class ImporterJob:
     """Run a package from its start to its stop time and report one output.
 
-    parameter_set: name of the set that the package binds
+    parameter_set: name of the set that the importer is told to apply; by default none
     output: "component.variable"
     start_time, stop_time, step_size: s
     report_every: steps from one reported value to the next
     """
 
     package: Path
-    parameter_set: str
     output: str
     start_time: float
     stop_time: float
     step_size: float
+    parameter_set: str = ""
     report_every: int = 1
 
     @property
@@ -59,14 +60,14 @@ Reports = tuple[ArrayLike, ArrayLike]  # times and values
 def ecos(job: ImporterJob) -> Reports:
     """Ecos through `ecospy`: Jacobi, initial exchange, times by adding up steps.
 
-    It knows no enumerations, and applies a parameter set only when it is named.
+    It knows no enumerations, and applies a parameter set only when it is named: without, start values hold.
     """
     from ecospy.EcosSimulation import EcosSimulation
 
     output = job.output.replace(".", "::", 1)
     with EcosSimulation(ssp_path=str(job.package), step_size=job.step_size) as simulation:
         start: Any = job.start_time  # declared as int, handed on as double
-        if not simulation.init(start, job.parameter_set):
+        if not simulation.init(start, *filter(None, [job.parameter_set])):
             raise RuntimeError("the initialisation failed")
         time, values = [job.start_time], [simulation.get_real(output)]
         for _ in range(job.reports):
@@ -78,16 +79,19 @@ def ecos(job: ImporterJob) -> Reports:
 def fmpy_ssp(job: ImporterJob) -> Reports:
     """FMPy's own SSP master, `fmpy.ssp`, which reports every step.
 
-    It reads components and connections, ignores parameter bindings, starts every connector at zero without
-    initial exchange, and labels a row with the time before the step whose result it holds.
+    It reads components and connections, ignores parameter bindings (start values hold), starts every
+    connector at zero without initial exchange, and labels a row with the time before the step whose result it
+    holds.
     """
     from fmpy.ssp.simulation import simulate_ssp
     from fmpy.ssp.ssd import read_ssv
 
-    parameter_set = read_ssv(str(job.package), f"parameters/{job.parameter_set}.ssv")
-    for parameter in parameter_set.parameters:
-        if parameter.type == "Boolean":  # FMPy takes every text but a number for true
-            parameter.value = parameter.value in ("true", "1")
+    parameter_set = None
+    if job.parameter_set:
+        parameter_set = read_ssv(str(job.package), f"parameters/{job.parameter_set}.ssv")
+        for parameter in parameter_set.parameters:
+            if parameter.type == "Boolean":  # FMPy takes every text but a number for true
+                parameter.value = parameter.value in ("true", "1")
     times = job.start_time, job.stop_time, job.step_size
     result = simulate_ssp(str(job.package), *times, parameter_set=parameter_set)
     return result["time"], result[job.output]
@@ -121,32 +125,20 @@ def libcosim(job: ImporterJob) -> Reports:
 def fmucontainer(job: ImporterJob) -> Reports:
     """`fmucontainer` of the FMU manipulation toolbox: all FMUs in one container FMU, which FMPy then runs.
 
-    It reads SSP packages itself, but not their parameters; here everything is given in its own format.
+    It reads components and connections, and no values (start values hold). A package gives its container no
+    output: the one that is reported is added.
     """
     from fmu_manipulation_toolbox.assembly import Assembly
 
     interval = job.report_every * job.step_size
-    with opened(job.package) as loop, tempfile.TemporaryDirectory() as folder:
-        components = loop.system.components
-
-        def split(name: str) -> list[str]:
-            component, _, variable = name.partition(".")
-            return [components[component].name, variable]
-
-        for fmu in components.values():
-            shutil.copy(fmu, folder)
-        values = {**loop.experiment.parameters, **loop.experiment.inputs}
-        description = {
-            "name": "loop.fmu",
-            "step_size": job.step_size,
-            **dict.fromkeys(("auto_link", "auto_input", "auto_output"), False),
-            "fmu": [fmu.name for fmu in components.values()],
-            "link": [[*split(source), *split(target)] for source, target, *_ in loop.system.connections],
-            "start": [[*split(name), value] for name, value in values.items()],
-            "output": [[*split(job.output), "output"]],
-        }
-        Path(folder, "loop.json").write_text(json.dumps(description))
-        Assembly("loop.json", fmu_directory=Path(folder)).make_fmu()
+    component, _, variable = job.output.partition(".")
+    with tempfile.TemporaryDirectory() as folder:
+        package = Path(shutil.copy(job.package, Path(folder, "loop.ssp")))
+        assembly = Assembly(package.name, default_step_size=job.step_size, fmu_directory=Path(folder))
+        assert assembly.root is not None
+        fmu = next(source for name, source in _sources(package).items() if name == component)
+        assembly.root.add_output(f"loop.dir/{Path(fmu).name}", variable, "output")
+        assembly.make_fmu()
         result = fmpy.simulate_fmu(
             str(Path(folder, "loop.fmu")),
             start_time=job.start_time,
@@ -156,6 +148,13 @@ def fmucontainer(job: ImporterJob) -> Reports:
             output=["output"],
         )
     return result["time"], result["output"]
+
+
+def _sources(package: Path) -> dict[str, str]:
+    """Component -> its FMU in the package."""
+    with zipfile.ZipFile(package) as archive:
+        root = ElementTree.fromstring(archive.read(STRUCTURE))
+    return {c.get("name", ""): c.get("source", "") for c in root.iter(tag("ssd:Component"))}
 
 
 def loaded_by_fmpy(fmu: Path, folder: Path) -> FMU2Slave:

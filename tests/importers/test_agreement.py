@@ -36,6 +36,16 @@ def test_the_depth_is_that_of_this_master(
     assert shift == STEP_SHIFT[importer]
 
 
+def test_fmpy_applies_the_parameter_set_of_another_scenario_when_it_is_named(
+    jobs: dict[str, ImporterJob], ours: dict[str, Recording]
+) -> None:
+    """Each set has every value that one of them has, as the FMUs start with those of the packaged one."""
+    job = replace(jobs["nominal-extended"], parameter_set="nominal-l1")
+    answer = run_isolated("fmpy_ssp", job)
+    assert isinstance(answer, Trajectory), answer
+    assert least_difference(answer, ours["nominal-l1"], job)[1] < ROUNDING_OF_TIME
+
+
 def test_adding_up_steps_explains_the_difference(
     ours: dict[str, Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:

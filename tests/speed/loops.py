@@ -20,7 +20,7 @@ from fmpy.fmi2 import FMU2Slave
 from fmus.process import Parent
 from orchestration.master import Simulator
 from tests.importers.importers import IMPORTERS, ImporterJob, loaded_by_fmpy
-from tests.speed.pair import LEVEL, PACKAGE, SIGNAL, STEP_SIZE, Pair
+from tests.speed.pair import LEVEL, SIGNAL, STEP_SIZE, Pair
 
 _MOST_STEPS = 1 << 18
 _GROWTH = 4
@@ -42,7 +42,7 @@ def by_package(importer: str) -> Callable[[Pair, int], float]:
 
     def run(pair: Pair, steps: int) -> float:
         times = 0.0, steps * STEP_SIZE, STEP_SIZE
-        job = ImporterJob(pair.package, PACKAGE, f"first.{LEVEL}", *times, report_every=steps)
+        job = ImporterJob(pair.package, f"first.{LEVEL}", *times, report_every=steps)
         _, values = IMPORTERS[importer].run(job)
         return float(values[-1])  # pyright: ignore[reportIndexIssue, reportArgumentType]
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from fmus.block import Block, NoValues, variable
 from fmus.export import native as native_flavour
 from fmus.files import write_archive
-from orchestration.cli.ramp_sources import build_ramp_source
+from orchestration.cli.package_fmus import build_ramp_source
 from orchestration.exchange import ssp_write
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Experiment

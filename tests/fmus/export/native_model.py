@@ -25,7 +25,7 @@ INSTANTIATED, INITIALIZATION, STEPPING, TERMINATED, FAILED = [
     "error",
 ]
 WRITABLE = (INSTANTIATED, INITIALIZATION, STEPPING)
-ALL = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
+ALL: tuple[str, ...] = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
 TYPES = {name: transferred[0] for name, transferred in TRANSFER_TYPE.items()}
 LAST_TIME, ENDED = 2, 3  # fmi2LastSuccessfulTime, fmi2Terminated
 _HIGHEST = sys.float_info.max

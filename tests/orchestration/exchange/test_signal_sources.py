@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from orchestration.cli.ramp_sources import build_ramp_source
+from orchestration.cli.package_fmus import build_ramp_source
 from orchestration.errors import ScenarioError
 from orchestration.exchange import ssp_read, ssp_write
 from orchestration.exchange.signal_sources import RampSource, ramp_sources, with_sources

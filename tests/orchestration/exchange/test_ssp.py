@@ -13,21 +13,37 @@ import pytest
 from fmpy.ssp.ssd import read_ssd, read_ssv
 from fmpy.validation import validate_fmu
 
-from orchestration.cli.ramp_sources import build_ramp_source
+from orchestration.cli.package_fmus import build_ramp_source
 from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.exchange import ssp_read, ssp_write
 from orchestration.exchange.ssp_xml import STRUCTURE, tag
 from orchestration.master import simulate
 from orchestration.scenarios import scenario
+from tests.described_fmus import described
 
 SAME_SYSTEM = ("nominal-l1", "nominal-extended", "buoyancy", "monte-carlo")
 VEHICLE = [name for name in scenario.shipped() if name.startswith(SAME_SYSTEM)]
 
 
 @pytest.fixture(scope="module")
-def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    chosen = scenario.load(scenario.find("nominal-extended"))
-    return ssp_write.package(chosen, tmp_path_factory.mktemp("ssp") / "loop.ssp", build_ramp_source)
+def asked_starts() -> dict[str, dict]:
+    """Component -> start values that its FMU was to be built with."""
+    return {}
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory: pytest.TempPathFactory, asked_starts: dict[str, dict]) -> Path:
+    """With FMUs as they are: those with other start values are what `tests/importers` runs."""
+
+    def build_started(fmu: Path, starts: Mapping, folder: Path) -> Path:
+        asked_starts[folder.name] = dict(starts)
+        return fmu
+
+    chosen, path = (
+        scenario.load(scenario.find("nominal-extended")),
+        tmp_path_factory.mktemp("ssp") / "loop.ssp",
+    )
+    return ssp_write.package(chosen, path, build_ramp_source, build_started)
 
 
 @pytest.fixture
@@ -54,7 +70,8 @@ def test_it_holds_a_structure_and_a_parameter_set_for_each_scenario_of_the_syste
     fmus = {
         f"resources/{name}.fmu" for name in ("Ramps_depth_reference", "L1DepthController", "RovDepthPlant")
     }
-    expected = {f"{name}.ssd" for name in VEHICLE} | {f"parameters/{name}.ssv" for name in VEHICLE}
+    others = {name for name in VEHICLE if name != "nominal-extended"}
+    expected = {f"{name}.ssd" for name in others} | {f"parameters/{name}.ssv" for name in VEHICLE}
     assert names == expected | fmus | {STRUCTURE}
 
 
@@ -64,7 +81,7 @@ def test_every_file_follows_the_schemas_of_ssp(package: Path, tmp_path: Path, na
     assert read_ssd(str(package)).name == "nominal-extended"
     assert read_ssv(str(package), f"parameters/{name}.ssv").name == name
     with zipfile.ZipFile(package) as source, zipfile.ZipFile(tmp_path / "variant.ssp", "w") as variant:
-        variant.writestr(STRUCTURE, source.read(f"{name}.ssd"))
+        variant.writestr(STRUCTURE, source.read(STRUCTURE if name == "nominal-extended" else f"{name}.ssd"))
     assert read_ssd(str(tmp_path / "variant.ssp")).name == name
 
 
@@ -109,6 +126,62 @@ def test_a_package_runs_as_its_scenario_bit_by_bit(package: Path, name: str) -> 
     for signal in chosen.experiment.record:
         given = signal.replace("controller.depth_reference", "depth_reference.depth_reference")
         np.testing.assert_array_equal(recording[given], own[signal], err_msg=signal)
+
+
+def test_no_two_structures_have_one_name(package: Path) -> None:
+    """OMSimulator refuses them: names are those of its variants."""
+    with zipfile.ZipFile(package) as archive:
+        structures = [name for name in archive.namelist() if name.endswith(".ssd")]
+        names = [ElementTree.fromstring(archive.read(name)).get("name") for name in structures]
+    assert sorted(map(str, names)) == sorted(VEHICLE)
+
+
+def test_omsimulator_finds_the_step_size_where_both_of_its_versions_look_for_it(package: Path) -> None:
+    """First among the annotations of the system, in an element of its own and as attributes."""
+    with zipfile.ZipFile(package) as archive:
+        (system,) = ElementTree.fromstring(archive.read(STRUCTURE)).findall(tag("ssd:System"))
+    (annotation,) = system.findall(f"{tag('ssd:Annotations')}/{tag('ssc:Annotation')}")
+    assert annotation.get("type") == "org.openmodelica"
+    (information,) = annotation.findall(f"{tag('oms:Annotations')}/{tag('oms:SimulationInformation')}")
+    (master,) = information
+    assert (master.tag, master.get("stepSize")) == (tag("oms:FixedStepMaster"), "0.02")
+    assert (information.get("method"), information.get("fixedStepSize")) == ("oms_ma", "0.02")
+
+
+def test_every_parameter_set_has_the_same_names(package: Path) -> None:
+    """So that each replaces the start values of the packaged scenario, which FMUs in the package have."""
+    sets = [read_ssv(str(package), f"parameters/{name}.ssv") for name in VEHICLE]
+    names = [{p.name for p in parameter_set.parameters} for parameter_set in sets]
+    assert all(own == names[0] for own in names)
+    (plain,) = (s for s in sets if s.name == "nominal-l1")
+    assert {p.name: p.value for p in plain.parameters}["controller.augmentation"] == "1"
+
+
+def test_components_are_to_start_with_the_values_of_the_packaged_scenario(
+    package: Path, asked_starts: dict[str, dict]
+) -> None:
+    """As importers need them that apply no values; which are those of its parameter set."""
+    bound = {p.name: p.value for p in read_ssv(str(package), "parameters/nominal-extended.ssv").parameters}
+    asked = {f"{component}.{name}": x for component, own in asked_starts.items() for name, x in own.items()}
+    assert {name: str(value).lower() for name, value in asked.items()} == bound
+    assert asked["controller.augmentation"] == 2
+
+
+def test_fmus_of_one_name_and_different_content_have_a_file_each(tmp_path: Path) -> None:
+    for folder, unit in (("one", "m"), ("other", "mm")):
+        (tmp_path / folder).mkdir()
+        described(tmp_path / folder / "f.fmu", inputs=["u"], outputs=["y"], units={"y": unit})
+    text = """
+connections = [["a.y", "b.u"], ["b.y", "c.u"], ["c.y", "a.u"]]
+components = { a = "one/f.fmu", b = "other/f.fmu", c = "one/f.fmu" }
+experiment = { stop_time = 1.0, step_size = 0.1 }
+"""
+    (tmp_path / "mine.toml").write_text(text)
+    path = ssp_write.package(scenario.load(tmp_path / "mine.toml"), tmp_path / "mine.ssp", build_ramp_source)
+    with ssp_read.opened(path) as loaded:
+        assert {name: fmu.name for name, fmu in loaded.system.components.items()} == {
+            "a": "f.fmu", "b": "b.fmu", "c": "f.fmu"
+        }  # fmt: skip
 
 
 def test_a_variant_has_the_values_of_its_parameter_set(package: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from orchestration.cli.ramp_sources import build_ramp_source
+from orchestration.cli.package_fmus import build_ramp_source
 from orchestration.errors import OrchestrationError, SystemDefinitionError
 from orchestration.exchange import modelica, simulink, ssp_write
 from orchestration.master import simulate

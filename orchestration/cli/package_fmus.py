@@ -1,0 +1,43 @@
+"""FMUs that are built for a package: those of signals, and those that start with the values of a scenario."""
+
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from fmus import catalogue
+from fmus.fmi_types import FmiValue
+from fmus.platforms import PLATFORMS
+from fmus.ramp_source import ramp_source
+from fmus.registry import Flavour, block_fmus
+from fmus.start_values import with_start_values
+from fmus.units import BASE_UNITS
+from orchestration.exchange.signal_sources import RampSource
+
+
+def build_ramp_source(source: RampSource, folder: Path) -> Path:
+    """Write the FMU of a source to a folder, for the platforms of the FMU that it drives.
+
+    Its output has no unit where `fmus.units` does not know the input's: its values are then in that unit too.
+    """
+    unit = source.unit if source.unit in BASE_UNITS else None
+    block = ramp_source(f"Ramps_{source.name}", source.name, unit, source.points)
+    block = with_start_values(block, source.starts)
+    return catalogue.build_block(block, folder, platforms=_platforms(source.driven))
+
+
+def build_started(fmu: Path, starts: Mapping[str, FmiValue], folder: Path) -> Path:
+    """The FMU with other start values, written to a folder; as it is if it is not an installed block's."""
+    known = block_fmus([fmu])
+    numbers = {name: value for name, value in starts.items() if not isinstance(value, str)}
+    if not known or not numbers:
+        return fmu
+    ((name, flavour),) = known
+    block = with_start_values(catalogue.load_block(name), numbers)
+    platforms = _platforms(fmu) if flavour is Flavour.NATIVE else ()
+    return catalogue.build_block(block, folder, flavour, platforms)
+
+
+def _platforms(fmu: Path) -> Sequence[str]:
+    with zipfile.ZipFile(fmu) as archive:
+        names = archive.namelist()
+    return [p for p in PLATFORMS if any(name.startswith(f"binaries/{p}/") for name in names)]
