@@ -33,7 +33,7 @@ MODULES = (
     lifecycle_rules, call_rules, value_rules, step_rules, callback_rules, log_rules, process_rules,
     state_rules, derivative_rules, dependency_rules, reference_rules,
 )  # fmt: skip
-FUNDAMENTAL = ("library-loads", "instantiates-and-frees", "steps-and-terminates")
+FUNDAMENTAL = ("library-loads", "instantiates-and-frees", "steps-and-terminates", "runs-are-repeatable")
 """Without these no behaviour is judged: what else would be found has the same cause."""
 DEFAULT_TIMEOUT_S = 30.0
 _OF_THE_HOST = ("ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EMFILE", "ENFILE", "EIO", "ENOMEM", "EAGAIN")

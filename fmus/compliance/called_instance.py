@@ -37,12 +37,12 @@ class MessageLog(Log):
         self._known_environment = known_environment
         self.messages: list[list[Any]] = []
         self.changed_in_callback = False
-        self._settings, self._before = settings, settings.floating_point()
+        self._settings = settings
 
     def add(
         self, status: int, message: str, instance: str | None = None, category: str | None = None
     ) -> None:
-        if self._settings.floating_point() != self._before:
+        if self._settings.floating_point_differs():
             self.changed_in_callback = True
         if len(self.messages) < _MOST_MESSAGES:
             self.messages.append([status, message, instance, category, self._known_environment])
@@ -109,8 +109,6 @@ class CalledInstance(BoundInstance):
         ]
         structure = type(self.callbacks.structure).from_buffer_copy(self.callbacks.structure)
         name, guid, location = strings
-        if self.watched:
-            self._before = self._settings.process(), self._settings.floating_point()
         address = self.library.fmi2Instantiate(
             name, fmi2.fmi2CoSimulation, guid, location, ctypes.byref(structure),
             int(options.get("visible", False)), int(options.get("logging", False)),
@@ -153,26 +151,13 @@ class CalledInstance(BoundInstance):
         return messages
 
     def changed_settings(self) -> list[list[str]]:
-        """[setting, before, after] of those that differ from those before fmi2Instantiate; they are set
-        back.
-        """
-        process, floating_point = self._before
-        changed = []
-        now = self._settings.floating_point()
-        self._settings.restore_floating_point(floating_point)
-        if now != floating_point:
-            changed.append(["floating-point control", str(floating_point), str(now)])
+        """[setting, before, after] of those that differ from when the FMU was loaded; they are set back."""
+        changed = self._settings.changed()
         if self.messages.changed_in_callback:
             self.messages.changed_in_callback = False
             changed.append(["floating-point control in a callback", "", ""])
-        after = self._settings.process()
-        different = [
-            [name, value, after[name]] for name, value in process.items() if after.get(name) != value
-        ]
-        if different:
-            self._settings.restore_process(process)
-            self._before = self._settings.process(), floating_point
-        return changed + different
+        self._settings.restore()
+        return changed
 
     # calls
 

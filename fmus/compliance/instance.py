@@ -5,7 +5,7 @@ It judges nothing, and what it sends is not trusted: the FMU can do to it whatev
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,6 @@ from fmus.process import Parent
 
 MOST_MEMORY = 4 << 30  # bytes
 MOST_OF_A_FILE = 1 << 30  # bytes
-_NO_STATUS = -1  # of a call that failed in another way
 _AFTER_A_FAILURE = {  # status -> methods of `CalledInstance` that FMI allows then
     DISCARD: ("status_of", "forget", "set_debug_logging"),
     ERROR: ("forget", "set_debug_logging"),
@@ -81,15 +80,14 @@ class LoadedFmu:
         self._library.fmi2FreeInstance(None)
 
     def create(self, number: int, options: dict[str, Any]) -> list[Any]:
-        """Create an instance: whether the FMU returned one, and the messages meanwhile.
+        """Create an instance: whether the FMU returned one, messages, changed settings, bytes printed.
 
         options: see `CalledInstance`
         """
         options = {"location": self._resources.as_uri(), **options}
         instance = CalledInstance(self._library, self._memory, self._settings, options)
         self._instances[number] = instance
-        created = instance.create()
-        return [created, instance.new_messages()]
+        return self._observed(instance, instance.create)
 
     def play(self, number: int, calls: Sequence[Sequence[Any]], keep_going: bool) -> list[list[Any]]:
         """[status, value, messages, changed settings, bytes printed] of each call, up to one that fails.
@@ -115,20 +113,25 @@ class LoadedFmu:
         return answers
 
     def _answer(self, instance: CalledInstance, method: str, arguments: Sequence[Any]) -> list[Any]:
-        value, instance.last_status, changed, printed = None, 0, [], 0
+        def call() -> Any:
+            return getattr(instance, method)(*arguments)
+
+        instance.last_status = 0
+        observed = self._observed(instance, call)
+        return [instance.last_status, *observed]
+
+    def _observed(self, instance: CalledInstance, action: Callable[[], Any]) -> list[Any]:
+        """What an action returns, the messages meanwhile, changed settings and bytes printed, if watched."""
+        changed, printed = [], 0
         if instance.watched:
             self._settings.flush()
             printed = self._printed.stat().st_size
-        try:
-            value = getattr(instance, method)(*arguments)
-            status = instance.last_status
-        except ArithmeticError as error:  # what ctypes makes of some statuses
-            value, status = str(error), _NO_STATUS
+        value = action()
         if instance.watched:
             changed = instance.changed_settings()
             self._settings.flush()
             printed = self._printed.stat().st_size - printed
-        return [status, value, instance.new_messages(), changed, printed]
+        return [value, instance.new_messages(), changed, printed]
 
     def traps(self, number: int) -> list[str]:
         """What the FMU used that was valid during fmi2Instantiate only."""
@@ -139,9 +142,12 @@ class LoadedFmu:
         instance = self._instances[number]
         return [instance.pending_steps, len(instance.finished_steps)]
 
-    def free(self, number: int) -> None:
-        """Free an instance, unless there is none or it is fatal."""
-        self._instances.pop(number).free()
+    def free(self, number: int) -> list[Any]:
+        """Free an instance, unless there is none or it is fatal: as `create`, without a value."""
+        instance = self._instances.pop(number)
+        observed = self._observed(instance, instance.free)
+        self._settings.restore()
+        return observed
 
 
 def call_fmu(parent: Parent) -> None:

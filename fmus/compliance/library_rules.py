@@ -63,6 +63,7 @@ class _Library:
     folder: str
     machine: tuple[str, str]
     exports: frozenset[str]
+    imports: frozenset[str]
     needed: tuple[str, ...]
     search_paths: tuple[str, ...]
 
@@ -111,7 +112,8 @@ def _facts(path: str, folder: str, parsed: Any) -> _Library:
         needed = [str(name) for name in parsed.libraries if not str(name).startswith(_SYSTEM)]
         entries = [entry for entry in parsed.dynamic_entries if hasattr(entry, "paths")]
         search_paths = [str(one) for entry in entries for one in entry.paths]
-    return _Library(path, folder, _machine(parsed), exports, tuple(needed), tuple(search_paths))
+    imports = frozenset(str(symbol.name).removeprefix("_") for symbol in parsed.imported_functions)
+    return _Library(path, folder, _machine(parsed), exports, imports, tuple(needed), tuple(search_paths))
 
 
 def _machine(parsed: Any) -> tuple[str, str]:
@@ -180,3 +182,19 @@ def runs_on_this_platform(fmu: FmuFile) -> Iterator[str]:
     if not fmu.host_library:
         platforms = ", ".join(sorted(set(fmu.libraries().values()))) or "none"
         yield f"libraries for {platforms}: without one for {platform_name()} the behaviour is not judged"
+
+
+def _own_memory(fmu: FmuFile) -> str:
+    if no_library(fmu):
+        return no_library(fmu)
+    claimed = fmu.claims("canNotUseMemoryManagementFunctions")
+    return "canNotUseMemoryManagementFunctions is claimed" if claimed else no_co_simulation(fmu)
+
+
+@rule("2.1.5 Creation, Destruction and Logging of FMU Instances", Stage.LIBRARY, Level.WARNING, _own_memory)
+def memory_functions_are_the_importers(fmu: FmuFile) -> Iterator[str]:
+    """Without canNotUseMemoryManagementFunctions, a library does not import malloc, calloc or realloc."""
+    for library in _libraries(fmu):
+        if used := sorted(library.imports & {"malloc", "calloc", "realloc"}):
+            expected = "expected canNotUseMemoryManagementFunctions, or allocateMemory alone"
+            yield f"{library.path} uses {', '.join(used)}: {expected}"

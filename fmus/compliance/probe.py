@@ -91,7 +91,7 @@ class Probe:
         freed: list[Call] = [("free", number) for number in numbers]
         if not all(answer[0] for answer in created):
             self.process.calls(freed)
-            raise CallError(refusal([Message(*m) for _, messages in created for m in messages]))
+            raise CallError(refusal([Message(*m) for _, messages, *_ in created for m in messages]))
         for instance, script in zip(numbers, scripts, strict=True):
             script.number = instance
         for part in range(max(len(script.parts) for script in scripts)):
@@ -102,7 +102,9 @@ class Probe:
                     script.fill(part, answers)
                 if not keep_going and script.failure:
                     self._fail(script, freed)
-        self.process.calls(freed)
+        ends = self.process.calls(freed)
+        for script, creation, end in zip(scripts, created, ends, strict=True):
+            script.fill_ends(creation, end)
 
     def play_each(self, scripts: Sequence[Script]) -> None:
         """Play scripts one after the other in one message; an instance is freed before the next is created.
@@ -126,7 +128,7 @@ class Probe:
         `let_go`.
         """
         number = next(self._instances)
-        ((created, messages),) = self.process.calls([("create", number, script.options)])
+        ((created, messages, *_),) = self.process.calls([("create", number, script.options)])
         if not created:
             self.let_go(number)
             raise CallError(refusal([Message(*message) for message in messages]))
@@ -153,7 +155,7 @@ class Probe:
     def creates(self, **options: Any) -> tuple[bool, list[Message]]:
         """Whether the FMU creates an instance, which is freed again, and its messages."""
         number = next(self._instances)
-        (created, messages), _ = self.process.calls(
+        (created, messages, *_), _ = self.process.calls(
             [("create", number, {"guid": self.fmu.guid, **options}), ("free", number)]
         )
         return created, [Message(*message) for message in messages]

@@ -14,7 +14,7 @@ _FLOATING_POINT = "floating-point control"
 def floating_point_control_is_restored(probe: Probe) -> Iterator[str]:
     """Rounding mode, traps and flushing to zero are as before when a function returns or calls back."""
     named = set()
-    for reply in session(probe).script.replies:
+    for reply in session(probe).script.everything:
         for setting, before, after in reply.changed:
             if setting.startswith(_FLOATING_POINT) and reply.function not in named:
                 named.add(reply.function)
@@ -30,7 +30,7 @@ def floating_point_control_is_restored(probe: Probe) -> Iterator[str]:
 def process_is_left_as_it_is(probe: Probe) -> Iterator[str]:
     """Working directory, locale, file mode mask and signal handlers are not changed."""
     named = set()
-    for reply in session(probe).script.replies:
+    for reply in session(probe).script.everything:
         for setting, before, after in reply.changed:
             if not setting.startswith(_FLOATING_POINT) and setting not in named:
                 named.add(setting)
@@ -40,7 +40,7 @@ def process_is_left_as_it_is(probe: Probe) -> Iterator[str]:
 @rule("advice: messages belong to the logger", Stage.BEHAVIOUR, Level.WARNING)
 def nothing_is_printed(probe: Probe) -> Iterator[str]:
     """Nothing is printed to standard output."""
-    printing = {reply.function: reply.printed for reply in session(probe).script.replies if reply.printed}
+    printing = {reply.function: reply.printed for reply in session(probe).script.everything if reply.printed}
     for function, count in printing.items():
         yield f"{function} prints {count} bytes to standard output: expected none"
         return

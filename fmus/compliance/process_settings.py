@@ -40,7 +40,7 @@ def _function(library: Any, name: str, result: Any = ctypes.c_int, *arguments: A
 
 
 class ProcessSettings:
-    """What the C library and the operating system say of this process."""
+    """What the C library and the operating system say of this process, against what they said at first."""
 
     def __init__(self) -> None:
         linux = _SELF.is_dir()
@@ -56,28 +56,49 @@ class ProcessSettings:
         self._traps = _function(mathematics, "fegetexcept") if linux else None
         self._set_traps = _function(mathematics, "fedisableexcept", ctypes.c_int, ctypes.c_int)
         self._heap = _function(library, "mallinfo2", MallocInformation) if linux else None
+        self._process, self._floating_point = self._process_now(), self._floating_point_now()
 
     def flush(self) -> None:
         """Let what was printed leave the buffers of the C library."""
         if self._flush is not None:
             self._flush(None)
 
-    def floating_point(self) -> tuple[int, int, bool]:
+    def _floating_point_now(self) -> tuple[int, int, bool]:
         """Rounding mode, exceptions that trap, and whether numbers near zero are kept."""
         rounding = self._rounding() if self._rounding is not None else 0
         traps = self._traps() if self._traps is not None else 0
         return rounding, traps, float.fromhex("0x1p-1022") / _TWO != 0.0
 
-    def restore_floating_point(self, before: tuple[int, int, bool]) -> None:
-        rounding, traps, _ = before
+    def floating_point_differs(self) -> bool:
+        """Whether the control of floating point is another than when this was made."""
+        return self._floating_point_now() != self._floating_point
+
+    def changed(self) -> list[list[str]]:
+        """[setting, before, after] of those that are others than when this was made, or noticed last."""
+        now, rows = self._floating_point_now(), []
+        self._restore_floating_point()
+        if now != self._floating_point:
+            rows.append(["floating-point control", str(self._floating_point), str(now)])
+        after = self._process_now()
+        rows += [[name, value, after[name]] for name, value in self._process.items() if after[name] != value]
+        self._process["signal handlers"] = after["signal handlers"]  # which stay as they are
+        return rows
+
+    def restore(self) -> None:
+        """Set back what can be."""
+        self._restore_floating_point()
+        self._restore_process()
+
+    def _restore_floating_point(self) -> None:
+        rounding, traps, _ = self._floating_point
         if self._set_rounding is not None:
             self._set_rounding(rounding)
         if self._set_traps is not None:
             self._set_traps(~traps & 0x3D)
 
-    def process(self) -> dict[str, str]:
+    def _process_now(self) -> dict[str, str]:
         """Settings by name."""
-        settings = {"working directory": str(Path.cwd())}
+        settings = {"working directory": str(Path.cwd()), "signal handlers": ""}
         umask = os.umask(0)
         os.umask(umask)
         settings["file mode mask"] = oct(umask)
@@ -88,8 +109,8 @@ class ProcessSettings:
             settings["signal handlers"] = " ".join(lines[name].strip() for name in _SIGNAL_LINES)
         return settings
 
-    def restore_process(self, before: dict[str, str]) -> None:
-        """Set back what can be; signal handlers stay."""
+    def _restore_process(self) -> None:
+        before = self._process
         os.chdir(before["working directory"])
         os.umask(int(before["file mode mask"], 8))
         if self._locale is not None:

@@ -110,13 +110,14 @@ class Examined(Protocol):
 class Script:
     """Calls on a new instance, in the order in which they are written down.
 
-    number: of the instance, after it was played; failure: the first call that failed
+    number: of the instance, after it was played; creation, end: of the instance
     """
 
     def __init__(self, probe: Examined, options: dict[str, Any]) -> None:
         self._probe, self.options = probe, options
         self.calls: list[tuple[Any, ...]] = []
         self.replies: list[Reply] = []
+        self.creation, self.end = Reply("fmi2Instantiate", ""), Reply("fmi2FreeInstance", "")
         self.number = 0
         self.state = "instantiated"
         self.parts = [0]
@@ -221,6 +222,12 @@ class Script:
         self._probe.play(self, keep_going=keep_going)
         return self
 
+    def fill_ends(self, creation: Sequence[Any], end: Sequence[Any]) -> None:
+        """What was observed while the instance was created and freed."""
+        for reply, (_, messages, changed, printed) in ((self.creation, creation), (self.end, end)):
+            reply.changed, reply.printed = changed, printed
+            reply.messages = [Message(*message) for message in messages]
+
     def fill(self, part: int, answers: Sequence[Sequence[Any]]) -> None:
         """Give each call of a part its reply."""
         end = len(self.part(part))
@@ -230,6 +237,11 @@ class Script:
             status, reply.value, messages, changed, printed = answer
             reply.status, reply.changed, reply.printed = int(status), changed, int(printed)
             reply.messages = [Message(*message) for message in messages]
+
+    @property
+    def everything(self) -> list[Reply]:
+        """All replies, from the creation of the instance to its end."""
+        return [self.creation, *self.replies, self.end]
 
     @property
     def succeeded(self) -> bool:

@@ -79,7 +79,7 @@ def state_holds_inputs_and_parameters(probe: Probe) -> Iterator[str]:
     got = script.run(_STEPS)
     reference = probe.script().begin().step(2)
     values_before = reference.read(chosen)
-    probe.play(usual, script, reference, keep_going=True)
+    probe.play_each([usual, script, reference])
     if script.failure or not chosen:
         raise NotJudgedError("no input or tunable parameter takes another value")
     yield from differing([values_before], [values], "in the state that was set back", _ROUNDING)

@@ -118,16 +118,6 @@ def flag_of_no_return_changes_nothing(probe: Probe) -> Iterator[str]:
         yield from differing(expected, got, "with noSetFMUStatePriorToCurrentPoint")
 
 
-@rule(_COMPUTATION, Stage.BEHAVIOUR)
-def runs_are_repeatable(probe: Probe) -> Iterator[str]:
-    """The same calls give the same outputs in every instance."""
-    one, other = probe.script().begin(), probe.script(visible=False).begin()
-    first, second = one.run(5), other.run(5)
-    one.play()
-    other.play()
-    yield from differing(first, second, "in a second instance")
-
-
 @rule(f"{_FLAGS}: {_ANY_STEP}", Stage.BEHAVIOUR, condition=unless_claimed(_ANY_STEP))
 def variable_step_size(probe: Probe) -> Iterator[str]:
     """Steps of different sizes succeed one after the other; one that is discarded says how far it came."""

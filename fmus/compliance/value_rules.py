@@ -351,3 +351,14 @@ def inputs_that_are_set_are_read(probe: Probe) -> Iterator[str]:
             shown = texts(reading.values[v.name], value)
             when = "at a communication point: expected that"
             yield f"{v.name} is {shown[0]} after it was set to {shown[1]} {when}"
+
+
+@rule(_INITIALIZATION, Stage.BEHAVIOUR, needs=["allowed-calls-succeed", "statuses-are-legal"])
+def final_values_after_terminate(probe: Probe) -> Iterator[str]:
+    """After fmi2Terminate the final values can be read: those of the last step."""
+    script = probe.script(logging=True).begin().step(2)
+    before = script.read(probe.fmu.variables)
+    script.terminate()
+    after = script.read(probe.fmu.variables)
+    script.play()
+    yield from differing([before], [after], "after fmi2Terminate")

@@ -134,16 +134,14 @@ def rows(readings: Iterable[Reading]) -> list[Row]:
 def differing(
     expected: Sequence[Reading], got: Sequence[Reading], when: str, tolerance: float = 0.0
 ) -> Iterator[str]:
-    """The first value of each output that is not the same; numbers up to a tolerance, relative."""
+    """The first value of each output that is not the same; a tolerance is relative to the largest number."""
     before, after = rows(expected), rows(got)
-    largest = {
-        name: max((abs(row[name]) for row in before if isinstance(row[name], (int, float))), default=0.0)
-        for name in (before[0] if before else ())
-    }
+    numbers = (abs(value) for row in before for value in row.values() if isinstance(value, float))
+    largest = max((number for number in numbers if math.isfinite(number)), default=0.0)
     named = set()
     for i, (row, other) in enumerate(zip(before, after, strict=True), 1):
         for name, value in row.items():
-            if name not in named and not same(value, other[name], tolerance, largest[name]):
+            if name not in named and not same(value, other[name], tolerance, largest):
                 named.add(name)
                 new, old = texts(other[name], value)
                 yield f"{name} is {new} {when}, step {i}: expected {old} again"

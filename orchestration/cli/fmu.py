@@ -127,23 +127,48 @@ def _loadable(names: list[str] | None) -> tuple[list[str], list[str]]:
 
 
 def check(
-    fmus: Annotated[list[Path], typer.Argument(metavar="FMU...", help="FMUs of any origin.")],
+    fmus: Annotated[
+        list[Path] | None, typer.Argument(metavar="FMU...", help="FMUs of any origin.", show_default=False)
+    ] = None,
     json_file: Annotated[
         str, typer.Option("--json", metavar="FILE", help="Write the results as JSON; - prints them.")
     ] = "",
     every: Annotated[bool, typer.Option("--all", help="Show every rule, not only broken ones.")] = False,
+    format_name: Annotated[
+        str, typer.Option("--format", help="Print text, json, sarif, junit or github (annotations).")
+    ] = "text",
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="FILE", help="Write that format to a file, and print text."),
+    ] = None,
+    rule: Annotated[
+        str,
+        typer.Option(
+            "--explain", metavar="RULE", help="Show what a rule claims and which sentences it checks."
+        ),
+    ] = "",
 ) -> None:
     """Check FMUs against the rules of FMI 2.0.5; the command fails if one has an error."""
-    from fmus.compliance.check import NO_VERDICT
+    from fmus.compliance.check import FORMATS, NO_VERDICT, explain
     from fmus.compliance.check import check as count_errors
     from fmus.errors import HostError
     from orchestration.fmi.description import describe
 
+    if rule:
+        try:
+            print(explain(rule), end="")
+        except ValueError as error:
+            fail(str(error))
+        return
+    if not fmus:
+        fail("expected FMUs, or --explain RULE", 2)
+    if format_name not in FORMATS:
+        fail(f"--format {format_name}: expected one of {', '.join(FORMATS)}", 2)
     for path in fmus:
         if not path.is_file():
             describe(path)  # the error names the nearest FMU
     try:
-        count = count_errors(fmus, json_file or None, every=every)
+        count = count_errors(fmus, json_file or None, every=every, format_name=format_name, out=out)
     except HostError as error:
         fail(str(error), NO_VERDICT)
     if count:

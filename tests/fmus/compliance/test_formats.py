@@ -1,0 +1,94 @@
+"""What the check writes for programs: SARIF, JUnit, annotations of GitHub; and what it explains."""
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from fmus.compliance.check import main
+from fmus.compliance.examine import all_rules, static_results
+from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.report import FORMATS, Findings
+from fmus.compliance.rule import OUTCOMES
+
+from .archives import members, write
+
+NAME = "DepthReference"
+
+
+@pytest.fixture(scope="module")
+def findings(built: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Findings:
+    """Of an FMU with an error and a warning, judged without being run."""
+    content = members(built[NAME]) | {"../escape": b"", "readme.txt": b""}
+    path = write(content, tmp_path_factory.mktemp("wrong") / "a, b.fmu")
+    return {path: list(static_results(FmuFile(path)))}
+
+
+@pytest.fixture
+def document(findings: Findings) -> Callable[[str], str]:
+    return lambda name: FORMATS[name](findings)
+
+
+def test_sarif_holds_each_message_with_its_rule_and_file(
+    document: Callable[[str], str], findings: Findings
+) -> None:
+    (run,) = json.loads(document("sarif"))["runs"]
+    ((path, results),) = findings.items()
+    messages = [(r.rule.name, r.outcome, message) for r in results for message in r.messages]
+    assert [(r["ruleId"], r["level"], r["message"]["text"]) for r in run["results"]] == messages
+    assert {rule["id"] for rule in run["tool"]["driver"]["rules"]} == {name for name, *_ in messages}
+    location = run["results"][0]["locations"][0]["physicalLocation"]["artifactLocation"]["uri"]
+    assert location == path.as_posix()
+
+
+def test_junit_is_a_test_for_each_rule_and_fails_for_errors_alone(
+    document: Callable[[str], str], findings: Findings
+) -> None:
+    (suite,) = ElementTree.fromstring(document("junit"))
+    (results,) = findings.values()
+    assert [case.get("name") for case in suite] == [result.rule.name for result in results]
+    failed = {case.get("name") for case in suite if case.find("failure") is not None}
+    assert failed == {result.rule.name for result in results if result.outcome == "error"}
+    assert suite.get("failures") == str(len(failed))
+    skipped = {case.get("name") for case in suite if case.find("skipped") is not None}
+    assert skipped == {r.rule.name for r in results if r.outcome in ("not applicable", "not judged")}
+
+
+def test_annotations_of_github_name_file_and_rule_and_end_with_a_summary(
+    document: Callable[[str], str], findings: Findings
+) -> None:
+    *commands, last = document("github").splitlines()
+    assert any(c.startswith("::error file=") and "title=archive-paths-are-portable::" in c for c in commands)
+    assert any(c.startswith("::warning file=") and "title=archive-layout::" in c for c in commands)
+    assert all(c.split(",title=")[0].endswith("/a%2C b.fmu") for c in commands)
+    assert last.startswith("1 FMUs, 1 with errors: ")
+
+
+def test_every_outcome_has_its_place_in_the_summary(document: Callable[[str], str]) -> None:
+    first = document("text").splitlines()[0]
+    assert all(part.split(" ", 1)[1] in OUTCOMES for part in first.split("a, b.fmu: ")[1].split(", "))
+
+
+def test_a_format_goes_to_a_file_and_text_is_printed(
+    built: Mapping[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "found.xml"
+    path = str(built[NAME])
+    assert main([path, path, "--format", "junit", "--out", str(out)]) == 0
+    assert ElementTree.parse(out).getroot().tag == "testsuites"
+    assert capsys.readouterr().out.startswith(path)
+
+
+def test_explain_tells_claim_clause_and_sentences(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--explain", "step-beyond-the-stop-time-is-an-error"]) == 0
+    shown = capsys.readouterr().out
+    (rule,) = [r for r in all_rules() if r.name == "step-beyond-the-stop-time-is-an-error"]
+    assert rule.claim in shown
+    assert "2.1.6: If stopTimeDefined, computing past stopTime returns error." in shown
+
+
+def test_an_unknown_rule_is_refused_with_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--explain", "variable-step-sizes"]) == 1
+    assert "variable-step-size" in capsys.readouterr().err
