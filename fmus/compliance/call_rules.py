@@ -22,7 +22,7 @@ def _may_discard(reply: Reply) -> bool:
     return setter or reply.function == "fmi2DoStep" or reply.function.endswith("Status")
 
 
-@rule(_STATES, Stage.BEHAVIOUR)
+@rule(_STATES, Stage.BEHAVIOUR, needs=["reset-in-every-state"])
 def allowed_calls_succeed(probe: Probe) -> Iterator[str]:
     """Every function succeeds in every state in which the state machine allows it."""
     named = set()

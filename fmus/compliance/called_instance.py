@@ -263,6 +263,10 @@ class CalledInstance(BoundInstance):
         self.call("fmi2GetFMUstate", ctypes.byref(pointer))
         return bool(pointer.value)
 
+    def holds(self, slot: int) -> bool:
+        """Whether a state was saved in a slot."""
+        return bool(self._saved.get(slot, ctypes.c_void_p()).value)
+
     def restore(self, slot: int) -> None:
         self.call("fmi2SetFMUstate", self._saved[slot])
 

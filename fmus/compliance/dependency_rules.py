@@ -71,7 +71,12 @@ def initial_dependencies_are_declared(probe: Probe) -> Iterator[str]:
                 yield f"{name} changes with {known.name} in initialization mode: {expected}"
 
 
-@rule("advice: 2.2.8, dependencies may list more", Stage.BEHAVIOUR, Level.WARNING)
+@rule(
+    "advice: 2.2.8, dependencies may list more",
+    Stage.BEHAVIOUR,
+    Level.WARNING,
+    needs=["variables-can-be-read"],
+)
 def initial_dependencies_exist(probe: Probe) -> Iterator[str]:
     """An initial unknown that lists Real inputs changes with one of these, at some point of several."""
     knowns, chance = settable_in_initialization(probe.fmu), random.Random(0)

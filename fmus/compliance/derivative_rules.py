@@ -122,7 +122,7 @@ def output_derivatives(probe: Probe) -> Iterator[str]:
                 yield f"{v.name}: derivative of order {order} is {value}: expected a finite number"
 
 
-@rule(_TRANSFER, Stage.BEHAVIOUR, condition=_orders, needs=["output-derivatives"])
+@rule(_TRANSFER, Stage.BEHAVIOUR, condition=_orders, needs=["output-derivatives", "variables-can-be-read"])
 def output_derivatives_are_right(probe: Probe) -> Iterator[str]:
     """The first derivative of an output is its slope: near the difference quotients before and after it."""
     chosen = _continuous(probe, "output")
@@ -155,7 +155,7 @@ def _is_wrong(derivative: float, before: float, after: float, scale: float) -> b
     return not min(before, after) - margin <= derivative <= max(before, after) + margin
 
 
-@rule(_DIRECTIONAL, Stage.BEHAVIOUR, condition=unless_claimed(_PROVIDES))
+@rule(_DIRECTIONAL, Stage.BEHAVIOUR, condition=unless_claimed(_PROVIDES), needs=["variables-can-be-read"])
 def directional_derivatives(probe: Probe) -> Iterator[str]:
     """In initialization mode, derivatives of outputs lie between difference quotients of both sides."""
     for known, unknowns in list(_pairs(probe.fmu).items())[:_MOST_KNOWNS]:

@@ -213,6 +213,7 @@ def build_description(fmu: FmuFile) -> Iterator[str]:
                 yield f"{BUILD_DESCRIPTION} lists {file.get('name')}: expected it below sources"
 
 
+_COMMENT = re.compile(rb"/\*.*?\*/", re.DOTALL)
 _PREFIX = re.compile(rb"^[ \t]*#[ \t]*define[ \t]+FMI2_FUNCTION_PREFIX[ \t]+(\w+)[ \t]*$", re.MULTILINE)
 
 
@@ -221,7 +222,8 @@ def source_prefix(fmu: FmuFile) -> Iterator[str]:
     """Sources that define FMI2_FUNCTION_PREFIX as a word define it as modelIdentifier with an underscore."""
     expected = {f"{attributes.get('modelIdentifier', '')}_" for attributes in fmu.interfaces.values()}
     for path in fmu.names:
-        if path.startswith(_SOURCES) and path.endswith((*_TO_COMPILE, ".h")):
-            prefixes = {name.decode("ascii", "replace") for name in _PREFIX.findall(fmu.read(path))}
+        if path.startswith(_SOURCES) and path.endswith(_TO_COMPILE):
+            source = _COMMENT.sub(b"", fmu.read(path))
+            prefixes = {name.decode("ascii", "replace") for name in _PREFIX.findall(source)}
             for prefix in sorted(name for name in prefixes - expected if name.endswith("_")):
                 yield f"{path} defines the prefix {prefix}: expected {' or '.join(sorted(expected))}"

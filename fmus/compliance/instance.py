@@ -99,11 +99,12 @@ class LoadedFmu:
             return answers
         failed = 0
         for method, *arguments in calls:
-            recovers = method == "restore" or arguments == ["fmi2Reset"]
+            instance = self._instances[number]
+            recovers = arguments == ["fmi2Reset"] or (method == "restore" and instance.holds(*arguments))
             if failed and not recovers and method not in _AFTER_A_FAILURE.get(failed, ()):
                 answers.append([])
                 continue
-            answer = self._answer(self._instances[number], method, arguments)
+            answer = self._answer(instance, method, arguments)
             answers.append(answer)
             if not keep_going and not 0 <= answer[0] <= WARNING:
                 break
@@ -127,7 +128,9 @@ class LoadedFmu:
             self._settings.flush()
             printed = self._printed.stat().st_size
         value = action()
-        if instance.watched:
+        if not instance.watched:
+            self._settings.restore_floating_point()
+        else:
             changed = instance.changed_settings()
             self._settings.flush()
             printed = self._printed.stat().st_size - printed

@@ -183,7 +183,29 @@ def _not_at_start(probe: Probe, reading: Reading) -> Iterator[str]:
             yield f"{name} is {shown[0]} at first: expected its start value {shown[1]}"
 
 
-@rule(_INITIALIZATION, Stage.BEHAVIOUR)
+@rule("4.2.4 State Machine of Calling Sequence from Master to Slave", Stage.BEHAVIOUR)
+def reset_in_every_state(probe: Probe) -> Iterator[str]:
+    """fmi2Reset is allowed when instantiated, in initialization mode, while stepping and after
+    fmi2Terminate.
+    """
+    for state in range(4):
+        script = probe.script(logging=True)
+        if state == 1:
+            script.initialise()
+        elif state > 1:
+            script.begin().step()
+        if state == 3:
+            script.terminate()
+        name = script.state
+        script.reset()
+        script.begin().step()
+        try:
+            script.play()
+        except CallError as error:
+            yield f"after fmi2Reset in the state {name!r}: {error}"
+
+
+@rule(_INITIALIZATION, Stage.BEHAVIOUR, needs=["start-values-are-as-declared", "reset-in-every-state"])
 def reset_gives_the_start_values(probe: Probe) -> Iterator[str]:
     """After other values, steps and fmi2Reset, start values are back and the same steps give the same
     outputs.
@@ -205,28 +227,6 @@ def reset_gives_the_start_values(probe: Probe) -> Iterator[str]:
     reset.play(keep_going=True)
     if reading.ok:
         yield from _not_at_start(probe, reading)
-
-
-@rule("4.2.4 State Machine of Calling Sequence from Master to Slave", Stage.BEHAVIOUR)
-def reset_in_every_state(probe: Probe) -> Iterator[str]:
-    """fmi2Reset is allowed when instantiated, in initialization mode, while stepping and after
-    fmi2Terminate.
-    """
-    for state in range(4):
-        script = probe.script(logging=True)
-        if state == 1:
-            script.initialise()
-        elif state > 1:
-            script.begin().step()
-        if state == 3:
-            script.terminate()
-        name = script.state
-        script.reset()
-        script.begin().step()
-        try:
-            script.play()
-        except CallError as error:
-            yield f"after fmi2Reset in the state {name!r}: {error}"
 
 
 @rule("4.2.4 State Machine of Calling Sequence from Master to Slave", Stage.BEHAVIOUR)
@@ -262,7 +262,7 @@ def several_instances(probe: Probe) -> Iterator[str]:
     yield from differing(expected, first, "beside another instance")
 
 
-@rule(_STATUS, Stage.BEHAVIOUR, needs=["several-instances"])
+@rule(_STATUS, Stage.BEHAVIOUR, needs=["several-instances", "reset-in-every-state"])
 def error_of_one_instance_is_its_own(probe: Probe) -> Iterator[str]:
     """After an error, other instances go on as before, and fmi2Reset brings the instance back."""
     alone = probe.script().begin()

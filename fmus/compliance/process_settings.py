@@ -76,7 +76,7 @@ class ProcessSettings:
     def changed(self) -> list[list[str]]:
         """[setting, before, after] of those that are others than when this was made, or noticed last."""
         now, rows = self._floating_point_now(), []
-        self._restore_floating_point()
+        self.restore_floating_point()
         if now != self._floating_point:
             rows.append(["floating-point control", str(self._floating_point), str(now)])
         after = self._process_now()
@@ -86,10 +86,11 @@ class ProcessSettings:
 
     def restore(self) -> None:
         """Set back what can be."""
-        self._restore_floating_point()
+        self.restore_floating_point()
         self._restore_process()
 
-    def _restore_floating_point(self) -> None:
+    def restore_floating_point(self) -> None:
+        """Set back rounding mode and traps."""
         rounding, traps, _ = self._floating_point
         if self._set_rounding is not None:
             self._set_rounding(rounding)

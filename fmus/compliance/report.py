@@ -118,7 +118,7 @@ def junit(findings: Findings) -> str:
         skipped = outcomes["not applicable"] + outcomes["not judged"]
         counts = {"tests": len(results), "failures": outcomes["error"], "skipped": skipped, "errors": 0}
         numbers = {name: str(number) for name, number in counts.items()}
-        suite = ElementTree.SubElement(root, "testsuite", name=str(path), **numbers)
+        suite = ElementTree.SubElement(root, "testsuite", {"name": str(path), **numbers})
         for result in results:
             case = ElementTree.SubElement(suite, "testcase", name=result.rule.name, classname=path.name)
             content = "\n".join(result.messages)

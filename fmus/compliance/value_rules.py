@@ -77,7 +77,7 @@ def _set_all(script: Script, variables: Sequence[Variable]) -> list[tuple[Variab
     return [(v, script.set(v, value)) for v, value in pairs if value is not None]
 
 
-@rule(_INITIALIZATION, Stage.BEHAVIOUR)
+@rule(_INITIALIZATION, Stage.BEHAVIOUR, needs=["start-values-are-as-declared"])
 def values_that_are_set_are_read(probe: Probe) -> Iterator[str]:
     """What is set when instantiated or in initialization mode is read afterwards."""
     before = [v for v in settable_before(probe.fmu) if v.initial == "exact"]

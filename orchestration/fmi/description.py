@@ -32,8 +32,10 @@ def describe(path: Path) -> ModelDescription:
     except Exception as error:  # fmpy raises bare exceptions on malformed XML
         reason = " ".join(str(error).split())
         raise FmuLoadError(f"{path}: the model description cannot be read: {reason}") from error
-    if description.fmiVersion != "2.0" or description.coSimulation is None:
-        raise FmuLoadError(f"{path}: expected FMI 2.0 for co-simulation, got FMI {description.fmiVersion}")
+    if description.fmiVersion != "2.0":
+        raise FmuLoadError(f"{path} is an FMU of FMI {description.fmiVersion}: expected FMI 2.0")
+    if description.coSimulation is None:
+        raise FmuLoadError(f"{path} is for model exchange alone: expected an FMU for co-simulation")
     identifier = str(description.coSimulation.modelIdentifier)
     if not (identifier.isascii() and identifier.isidentifier()):  # a path would lead out of the archive
         raise FmuLoadError(f"{path}: modelIdentifier {identifier!r}: expected a C identifier")

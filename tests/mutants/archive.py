@@ -103,6 +103,8 @@ ARCHIVE_MUTANTS = (
         for name, rules, method, changes in _BYTES
     ),
     _mutant("a file that is no zip", "archive-is-zip", _not_a_zip),
+    _mutant("another function prefix in the sources", "source-prefix",
+            partial(written, BASE | {"sources/base.c": b"#define FMI2_FUNCTION_PREFIX Other_\n"}), "2.1.1"),
     _mutant("a damaged member", "archive-is-zip", _damaged),
     _mutant("another extension", "archive-extension", partial(written, BASE, name="Base.zip")),
     _mutant("a member packed by bzip2", "archive-compression archive-version",

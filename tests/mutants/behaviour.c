@@ -354,6 +354,8 @@ enum { READABLE = INITIALIZATION | STEPPING | TERMINATED | FAILED };
         Data *d = IS("instances share their values") ? &shared : &s->data;                             \
         NEEDS(READABLE);                                                                               \
         if (IS("empty calls fail") && !n) return error(s, "nothing to do");                            \
+        if (IS("outputs cannot be read at first") && s->data.state == INITIALIZATION)                  \
+            return error(s, "not yet");                                                                \
         refresh(s);                                                                                    \
         for (size_t i = 0; i < n; i++) {                                                               \
             if (vr[i] >= count) {                                                                      \
@@ -487,6 +489,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_re
         send(s, fmi2Discard, DISCARDS, "discarded");
         return fmi2Discard;
     }
+    if (IS("a tool by the search path") && !*getenv("PATH")) return error(s, "no tool");
     if (IS("steps crash") && d->steps == 1) abort();
     if (IS("steps fail") && d->steps == 2) return error(s, "no more steps");
     if (IS("warnings without a message")) {

@@ -141,13 +141,15 @@ _PLAIN = [
     ("reset keeps the mode", "2.1.6", "reset-in-every-state"),
     ("an output that is no number", "2.1.7", "variables-can-be-read"),
     ("values that were read once do not follow", "2.1.7", "initial-values-follow-what-is-set"),
+    ("outputs cannot be read at first", "2.1.7", "initial-unknowns-can-be-read"),
+    ("a tool by the search path", "4.3.1", "needs-no-tool"),
     ("empty calls fail", "2.1.7", "empty-calls-succeed"),
     ("states cannot be saved when instantiated", "2.1.8", "state-in-initialization-mode"),
     ("states without continuous states", "2.1.8", "state-restores"),
     ("states without time", "2.1.8", "state-restores"),
     ("states without inputs", "2.1.8", "state-holds-inputs-and-parameters"),
     ("states without parameters", "2.1.8", "state-holds-inputs-and-parameters"),
-    ("states without mode", "2.1.8", "state-holds-the-mode"),
+    ("states without mode", "2.1.8", "state-holds-the-mode state-restores-after-the-end"),
     ("states of initialization mode without inputs", "2.1.8", "state-in-initialization-mode"),
     ("states up to rounding", "2.1.8", "state-restores-exactly"),
     ("states are lost when set", "2.1.8", "state-can-be-saved-often"),
@@ -230,5 +232,5 @@ _FLAGGED = [
     ("categories without LogCategories", "2.1.5", "log-categories-are-declared", "", _NO_CATEGORIES),
 ]
 BEHAVIOUR_MUTANTS = tuple(_mutant(*entry) for entry in [*_PLAIN, *_FLAGGED])
-LEGAL = (("", ()), ("callbacks", _CALLBACK_MEMORY), ("asynchronous", _ASYNCHRONOUS))
-"""Flags and changes of the slaves that are legal."""
+LEGAL = (("", (), ()), ("callbacks", _CALLBACK_MEMORY, (_MALLOC,)), ("asynchronous", _ASYNCHRONOUS, ()))
+"""Flags, changes and warnings of the slaves that are legal."""

@@ -1,7 +1,8 @@
 """All mutants."""
 
 from tests.mutants.archive import ARCHIVE_MUTANTS
+from tests.mutants.behaviour import BEHAVIOUR_MUTANTS
 from tests.mutants.listed import LISTED_MUTANTS
 
 STATIC_MUTANTS = (*LISTED_MUTANTS, *ARCHIVE_MUTANTS)
-MUTANTS = STATIC_MUTANTS
+MUTANTS = (*STATIC_MUTANTS, *BEHAVIOUR_MUTANTS)
