@@ -15,12 +15,14 @@ import pytest
 
 from fmus.files import TEMPORARY_VARIABLE
 from orchestration.cli import run_interruptible
+from orchestration.cli.app import app
 from orchestration.results.recording import Recording
 from tests.foreign_fmus import Misdeed
 
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 # a command, and a function that it calls when it is at work
 AT_WORK = {
+    "new pid": "fmus.new_block.write_new_block",
     "build ExamplePlant --out out": "fmus.catalogue.build_block",
     "check {fmu}": "fmus.compliance.check.check",
     "inspect {fmu}": "orchestration.fmi.description.describe",
@@ -28,6 +30,10 @@ AT_WORK = {
     "run nominal-l1 --out .": "orchestration.master.simulator.prepare_checked",
     "sweep monte-carlo": "orchestration.sweep.run.sweep",
     "report .": "orchestration.report.found_results",
+    "score L1DepthController --out .": "orchestration.study.score.score",
+    "tune l1-pi --out .": "orchestration.study.tune_problem.problem_of",
+    "compare --out .": "orchestration.study.compare.compare",
+    "margins nominal-l1": "orchestration.study.margins.judge",
     "reproduce": "orchestration.scenarios.reproduce.run_all",
     "identify": "orchestration.scenarios.identify.metric_units",
     "identifiability": "orchestration.study.identifiability.posterior",
@@ -47,6 +53,11 @@ def _restored(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     signal.set_wakeup_fd(-1)
     for number, handler in handlers.items():
         signal.signal(number, handler)
+
+
+def test_every_command_is_interrupted_below() -> None:
+    commands = {info.callback.__name__ for info in app.registered_commands if info.callback}
+    assert {words.split()[0] for words in AT_WORK} == commands
 
 
 @pytest.mark.usefixtures("_restored")

@@ -33,9 +33,12 @@ def changed(fmu: Path, path: Path, pattern: str, text: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize("threads", [2, 8])
+@pytest.mark.parametrize(
+    ("threads", "runs"),
+    [(2, 40), (8, 40), *(pytest.param(n, 4000, marks=pytest.mark.slow) for n in (2, 8, 16))],
+)
 def test_runs_in_threads_neither_fail_nor_change_the_folder(
-    linear: Build, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: int
+    linear: Build, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: int, runs: int
 ) -> None:
     """Each writes a file by a relative path while the others load."""
     monkeypatch.chdir(tmp_path)
@@ -48,8 +51,8 @@ def test_runs_in_threads_neither_fail_nor_change_the_folder(
         return np.array_equal(values, expected)
 
     with ThreadPoolExecutor(threads) as pool:
-        assert all(pool.map(run, range(40)))
-    assert len(list(tmp_path.glob("*.txt"))) == 40
+        assert all(pool.map(run, range(runs)))
+    assert len(list(tmp_path.glob("*.txt"))) == runs
 
 
 def test_a_library_that_lacks_functions_is_refused(linear: Build, tmp_path: Path) -> None:
