@@ -29,7 +29,7 @@ from fmus.binding import (
     status_name,
 )
 from fmus.files import extract_archive
-from fmus.fmi_types import TRANSFER_TYPE
+from fmus.fmi_types import TRANSFER_TYPE, FmiValue
 from orchestration.errors import FmuError, FmuLoadError, FmuWarning
 
 _MOST_MESSAGES = 10  # in an error or a warning
@@ -91,13 +91,13 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
             self.is_fresh, self._stepping, self._failed, self.termination_log = True, False, False, []
         return status == 0
 
-    def set(self, variable: ScalarVariable, value: Any) -> None:
+    def set(self, variable: ScalarVariable, value: FmiValue) -> None:
         """Set one variable, outside the loop."""
         self.set_all([(variable, value)])
 
-    def set_all(self, settings: Iterable[tuple[ScalarVariable, Any]]) -> None:
+    def set_all(self, settings: Iterable[tuple[ScalarVariable, FmiValue]]) -> None:
         """Set variables, those of one type in one call, outside the loop."""
-        groups: dict[str, list[tuple[int, Any]]] = {}
+        groups: dict[str, list[tuple[int, FmiValue | bytes]]] = {}
         for variable, value in settings:
             pair = variable.valueReference, str(value).encode() if variable.type == "String" else value
             groups.setdefault(TRANSFER_TYPE[variable.type], []).append(pair)

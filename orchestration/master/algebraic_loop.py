@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from fmus.fmi_types import FmiValue
 from orchestration.errors import FmuError, OrchestrationError
 from orchestration.fmi.instance import FmuInstance
 from orchestration.system.experiment import Initialisation
@@ -49,14 +50,14 @@ def exchange_once(
     return values
 
 
-def _number(value: Any) -> float:
+def _number(value: FmiValue) -> float:
     """The value; of a String, a number that tells it from others."""
     return float(zlib.crc32(value.encode()) if isinstance(value, str) else value)
 
 
 def arriving_value(
     source: Port, target: Port, instances: Mapping[str, FmuInstance], transformations: Transformations
-) -> Any:
+) -> FmiValue:
     """The value of an output as it arrives at an input."""
     value = instances[source.component].get(source.variable)
     return transformations[target.name](value) if target.name in transformations else value

@@ -10,11 +10,11 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
-from typing import Any
 
 import numpy as np
 from fmpy.model_description import ScalarVariable
 
+from fmus.fmi_types import FmiValue
 from orchestration.errors import OrchestrationError
 from orchestration.fmi.instance import FmuInstance
 from orchestration.master.algebraic_loop import (
@@ -46,7 +46,7 @@ def initialise(
 ) -> None:
     """Bring new instances to step mode with consistent initial values; groups: of `connection_groups`."""
     experiment = prepared.experiment
-    settings: dict[tuple[str, bool], list[tuple[ScalarVariable, Any]]] = defaultdict(list)
+    settings: dict[tuple[str, bool], list[tuple[ScalarVariable, FmiValue]]] = defaultdict(list)
     for port, value in prepared.settings:
         is_input = port.variable.causality == "input"
         settings[port.component, is_input].append((port.variable, value))

@@ -5,6 +5,7 @@ settings of the caller are touched. The same data give the same file, byte by by
 """
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -31,7 +32,7 @@ _METADATA: dict[FigureFormat, dict[str, Any]] = {
 }
 
 
-def figure_style() -> Any:
+def figure_style() -> AbstractContextManager[None]:
     """A context: figures that are made and written inside it have the style of this module."""
     return style.context(["default", str(Path(__file__).with_name("figures.mplstyle"))])
 

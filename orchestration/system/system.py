@@ -50,7 +50,7 @@ class System:
     connections: tuple[tuple[str, str] | tuple[str, str, LinearTransformation], ...]
 
     def __init__(
-        self, components: Mapping[str, str | Path], connections: Iterable[Sequence[Any]] = ()
+        self, components: Mapping[str, str | Path], connections: Iterable[Sequence[object]] = ()
     ) -> None:
         if not isinstance(components, Mapping):
             raise SystemDefinitionError(f'components: expected {{"name": "path.fmu"}}, got {components!r}')
