@@ -12,20 +12,24 @@ import pytest
 
 from fmus.platforms import PLATFORMS
 from fmus.registry import block_names
+from tests.shared_builds import built_once, session_folder
 
 ROOT = Path(__file__).parent.parent
 
 pytestmark = pytest.mark.slow
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The unpacked archive. A broken link of its site fails here, and a script of the gallery that fails."""
-    folder = tmp_path_factory.mktemp("release")
-    path = folder / "l1-depth.zip"
-    subprocess.run([sys.executable, ROOT / ".ci" / "release.py", "--out", path], check=True, timeout=900)
-    with zipfile.ZipFile(path) as packed:
-        packed.extractall(folder)
+    folder = session_folder(tmp_path_factory, "release")
+
+    def make(path: Path) -> None:
+        subprocess.run([sys.executable, ROOT / ".ci" / "release.py", "--out", path], check=True, timeout=900)
+        with zipfile.ZipFile(path) as packed:
+            packed.extractall(folder)
+
+    built_once(folder / "l1-depth.zip", make)
     return folder / "l1-depth"
 
 
