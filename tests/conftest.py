@@ -45,6 +45,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """
     if hasattr(config, "workerinput"):
         return
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices are small, and processors are taken
     cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     os.environ.setdefault("ZIG_GLOBAL_CACHE_DIR", str(Path(cache) / "zig"))
     home = config.stash[_HOME] = tempfile.mkdtemp(prefix="l1-depth-tests-")
