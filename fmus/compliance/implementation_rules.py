@@ -51,6 +51,17 @@ def _is_static(path: str, identifier: str) -> bool:
     return folders.startswith("binaries/") and folders.count("/") > 1 and name in names
 
 
+def _is_binary(path: str, identifier: str) -> bool:
+    """Whether it is a library of this name, of any format for a platform that FMI does not name."""
+    folders, _, name = path.rpartition("/")
+    is_of_vendor = path.startswith("binaries/") and not _extension(folders.removeprefix("binaries/"))
+    return (
+        _is_shared(path, identifier)
+        or _is_static(path, identifier)
+        or (is_of_vendor and folders.count("/") == 1 and name.partition(".")[0] == identifier)
+    )
+
+
 @rule(CLAUSE, Stage.FILE, Level.WARNING, condition=unreadable)
 def platform_names(fmu: FmuFile) -> Iterator[str]:
     """Folders below binaries are named as FMI 2.0 (linux64) or FMI 3.0 (aarch64-linux) does."""
@@ -81,10 +92,7 @@ def has_an_implementation(fmu: FmuFile) -> Iterator[str]:
     """There is a binary for some platform, or sources, of each interface."""
     for kind, attributes in fmu.interfaces.items():
         identifier = attributes.get("modelIdentifier", "")
-        binaries = (
-            path for path in fmu.names if _is_shared(path, identifier) or _is_static(path, identifier)
-        )
-        if not _has_sources(fmu) and not any(binaries):
+        if not _has_sources(fmu) and not any(_is_binary(path, identifier) for path in fmu.names):
             yield f"{kind}: no library {identifier} below binaries and no C file below sources: expected one"
 
 

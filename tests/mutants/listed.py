@@ -18,8 +18,8 @@ def _members(entry: dict[str, Any]) -> Members:
     replaced = [(old, new) for old, new in entry.get("replaced", ())]
     replaced += [(entry["old"], entry["new"])] if "old" in entry else []
     members = changed(*only, *replaced)
-    kept = {path: data for path, data in members.items() if path not in entry.get("without", ())}
-    return kept | {path: text.encode() for path, text in entry.get("members", {}).items()}
+    remaining = {path: data for path, data in members.items() if path not in entry.get("without", ())}
+    return remaining | {path: text.encode() for path, text in entry.get("members", {}).items()}
 
 
 LISTED_MUTANTS = tuple(

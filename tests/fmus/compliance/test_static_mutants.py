@@ -1,5 +1,7 @@
 """Each sentence of FMI that a file alone can break is found by its rules and no others."""
 
+import io
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -27,3 +29,24 @@ def test_what_a_sentence_allows_is_no_error(name: str, tmp_path: Path) -> None:
     """The sentence stands beside each FMU in `tests/mutants/legal.toml`."""
     members, warnings = LEGAL_FMUS[name]
     assert set(broken_rules(written(members, tmp_path))) == warnings
+
+
+class _Pipe(io.BytesIO):
+    """A stream that a zip is written to without going back: sizes follow the data, with bit 3."""
+
+    def seek(self, *_: int) -> int:
+        raise io.UnsupportedOperation
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
+@pytest.mark.parametrize("streamed", [False, True])
+def test_what_is_packed_as_fmi_allows_is_no_error(method: int, streamed: bool, tmp_path: Path) -> None:
+    """2.3: stored or deflated; bit 3 for deflated members alone."""
+    stream = _Pipe() if streamed else io.BytesIO()
+    with zipfile.ZipFile(stream, "w", method) as archive:
+        for name, content in BASE.items():
+            archive.writestr(name, content)
+    path = tmp_path / "Base.fmu"
+    path.write_bytes(stream.getvalue())
+    is_refused = streamed and method == zipfile.ZIP_STORED
+    assert set(broken_rules(path)) == ({"archive-data-descriptors"} if is_refused else set())
