@@ -48,11 +48,21 @@ def metric_unit(call: Mapping[str, Any], signal_units: Mapping[str, str]) -> str
         return FIXED_UNITS[function]
     if call.get("unit"):
         return call["unit"]
+    if function == "energy_residual":
+        return _energy_unit(signal_unit, signal_units.get(call["flow"], "") if "flow" in call else "1")
     if function in _INTEGRALS:
         return _integral_unit(signal_unit, *_INTEGRALS[function])
     if function not in _UNIT_OF_THE_SIGNAL or not signal_unit or scale == 0.0:
         return ""
     return signal_unit if scale == 1.0 else f"{1.0 / scale:g} {signal_unit}"
+
+
+def _energy_unit(effort: str, flow: str) -> str:
+    """The unit of the integral of a product over time: N and m/s -> N.(m/s).s."""
+    if not (effort and flow):
+        return ""
+    factors = [f"({unit})" if "/" in unit else unit for unit in (effort, flow) if unit != "1"]
+    return ".".join([*factors, "s"])
 
 
 def _integral_unit(unit: str, power: int, time_power: int) -> str:

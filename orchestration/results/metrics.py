@@ -13,8 +13,11 @@ import numpy as np
 
 from fmus.errors import nearest
 from orchestration.errors import OrchestrationError, ScenarioError, ScenarioWarning
+from orchestration.results.power import energy_residuals
 from orchestration.results.recording import Recording
 
+SIGNALS = ("signal", "reference", "flow")
+"""Arguments of metrics that name signals."""
 _LAG_ERROR_S = 1e-4  # of the search for a delay
 _ROUNDING = 1e-9  # of an amplitude, relative to the mean: what is below it is rounding
 
@@ -132,6 +135,12 @@ def _error(
     return recording.time[inside], (recording[signal] - recording[reference])[inside]
 
 
+def energy_residual(recording: Recording, signal: str, flow: str, window: list[float] | None = None) -> float:
+    """Energy that exchanging an effort, the signal, and a flow at points in time creates (`power.py`)."""
+    inside = _window(recording, window)
+    return float(energy_residuals(recording, signal, flow)[inside[:-1] & inside[1:]].sum())
+
+
 def time_below(
     recording: Recording, signal: str, limit: float, after: float, window: list[float] | None = None
 ) -> float:
@@ -229,6 +238,7 @@ FUNCTIONS: dict[str, Callable[..., float]] = {
         effort,
         total_variation,
         time_below,
+        energy_residual,
         shift_lag,
         phase_lag,
     )
@@ -247,7 +257,7 @@ def _one(recording: Recording, name: str, call: Mapping[str, Any]) -> float:
     function = call["function"]
     if function not in FUNCTIONS:
         raise ScenarioError(f"metric {name}: unknown function {function!r}; {nearest(function, FUNCTIONS)}")
-    for signal in (call[key] for key in ("signal", "reference") if call.get(key) in recording.texts):
+    for signal in (call[key] for key in SIGNALS if call.get(key) in recording.texts):
         raise ScenarioError(f"metric {name}: {signal} is a String: expected a signal that is a number")
     if _ended_too_early(recording, call):
         return math.nan
@@ -287,7 +297,7 @@ def check_run(
                 f"metric {name}: window {window}: expected to overlap {start:g}..{stop:g} s; "
                 f"{name} = false drops it"
             )
-        for signal in (call[key] for key in ("signal", "reference") if record and key in call):
+        for signal in (call[key] for key in SIGNALS if record and key in call):
             if signal not in record:
                 raise ScenarioError(f"metric {name}: {signal!r} is not recorded; {nearest(signal, record)}")
     windows = {name: call["window"] for name, call in declared.items() if "window" in call}

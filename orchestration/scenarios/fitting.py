@@ -7,6 +7,7 @@ from typing import Any
 from fmpy.model_description import ScalarVariable
 
 from orchestration.errors import SystemDefinitionError
+from orchestration.results.metrics import SIGNALS
 from orchestration.scenarios.layers import Data, Layer, source_of, with_events
 from orchestration.scenarios.replaced import Replacement
 from orchestration.system.prepared_run import has_start_value
@@ -15,7 +16,6 @@ from orchestration.system.values import fmi_value
 
 _SETTABLE = ("parameter", "input")
 _ANY = ()
-_SIGNALS_OF_METRICS = ("signal", "reference")
 
 
 def without_misfits(layers: Sequence[Layer], replaced: Mapping[str, Replacement]) -> list[Layer]:
@@ -86,7 +86,7 @@ class _Fitting:
         return True
 
     def _metric(self, name: str, metric: Any) -> bool:
-        signals = [metric.get(key, "") for key in _SIGNALS_OF_METRICS] if metric else []
+        signals = [metric.get(key, "") for key in SIGNALS] if metric else []
         return all(self._fits("metrics", name, signal, _ANY) for signal in signals)
 
     def _fits(self, kind: str, shown: str, name: str, causalities: Sequence[str], value: Any = None) -> bool:

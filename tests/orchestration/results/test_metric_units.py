@@ -35,6 +35,8 @@ UNITS = {
         ({"function": "ise", "signal": "plant.speed"}, "(m/s)2.s"),
         ({"function": "itae", "signal": "plant.force"}, "N.s2"),
         ({"function": "peak", "signal": "plant.force"}, "N"),
+        ({"function": "energy_residual", "signal": "plant.force", "flow": "plant.speed"}, "N.(m/s).s"),
+        ({"function": "energy_residual", "signal": "plant.force", "flow": "plant.unknown"}, ""),
         ({"function": "time_below", "signal": "plant.force"}, "s"),
         ({"function": "effort", "signal": "plant.ratio"}, "s"),
         ({"function": "effort", "signal": "plant.unknown"}, ""),
