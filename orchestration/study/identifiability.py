@@ -28,7 +28,15 @@ from orchestration.study.figure_fits import (
     shipped_start,
 )
 from orchestration.study.open_numbers import FREE, FREQUENCY, VALUES, Columns
-from orchestration.study.posterior import VARIANTS, drawn_points, effective_draws, joined, pilot, predicted
+from orchestration.study.posterior import (
+    VARIANTS,
+    drawn_points,
+    effective_draws,
+    guide_of,
+    joined,
+    pilot,
+    predicted,
+)
 from orchestration.study.posterior_summary import summary
 from orchestration.study.proposal import Proposal
 from orchestration.study.stages import Progress, Stages, content_key, imported_sources
@@ -40,14 +48,16 @@ class Effort:
     """How much is computed.
 
     pilot: draws of each round of a variant's pilot
-    batches: the most of a variant, of `draws` points each, `extensions` of each that agrees with plain L1;
-    no more of them are drawn once the points are worth `enough` draws of equal density
+    batches: the most of a round, of `draws` points each, `extensions` of each that agrees with plain L1; no
+    more of them are drawn once the points are worth `enough` draws of equal density. If they are not at its
+    end, the points guide another round, up to `rounds`, which begins anew
     start: batches of even draws, of which the fits in wide ranges begin at the best
     checked: points through the FMUs; iterations: of least squares; generations: of differential evolution
     """
 
     pilot: int = 6000
-    batches: int = 40
+    rounds: int = 3
+    batches: int = 20
     draws: int = 4000
     extensions: int = 10
     enough: float = 250.0
@@ -59,7 +69,7 @@ class Effort:
     @property
     def stages(self) -> int:
         """How often `study` calls `progress` at most."""
-        return len(VARIANTS) * (1 + self.batches) + self.start + 2 * (1 + len(VALUES)) + 3
+        return len(VARIANTS) * (1 + self.rounds * self.batches) + self.start + 2 * (1 + len(VALUES)) + 3
 
 
 FULL = Effort()
@@ -106,19 +116,13 @@ def posterior(stages: Stages, index: int, effort: Effort) -> tuple[Columns, dict
     """The points of a variant with their figures, and how they came about."""
     variant = VARIANTS[index]
     guide = stages.arrays(f"pilot-{index}", lambda: pilot(variant, effort.pilot))
-    proposal = Proposal(guide["positions"], guide["weights"])
-
-    def batch(seed: int) -> Columns:
-        drawn = drawn_points(variant, seed, effort.draws, effort.extensions, proposal)
-        return predicted(variant, drawn.shares, proposal) | {"runs": np.array(drawn.runs)}
-
-    points, runs = dict[str, np.ndarray](), int(guide["runs"])
-    for seed in range(101, 101 + effort.batches):  # not those of the pilot
-        more = stages.arrays(f"draws-{index}-{seed}", lambda seed=seed: batch(seed))
-        runs += int(more.pop("runs"))
-        points = joined(points, more) if points else more
+    points, runs = dict[str, np.ndarray](), int(guide.pop("runs"))
+    for number in range(1, 1 + effort.rounds):
+        points, more = _drawn(stages, index, number, Proposal(**guide), effort)
+        runs += more
         if effective_draws(points) >= effort.enough:
             break
+        guide = guide_of(points)
     about = {
         "runs": runs,
         "points": len(points["draw"]),
@@ -126,6 +130,25 @@ def posterior(stages: Stages, index: int, effort: Effort) -> tuple[Columns, dict
         "effective_draws": round(effective_draws(points), 1),
     }
     return points, about
+
+
+def _drawn(
+    stages: Stages, index: int, number: int, proposal: Proposal, effort: Effort
+) -> tuple[Columns, int]:
+    """The points of a round, at least `enough` unless there are too many batches, and the runs they took."""
+
+    def batch(seed: int) -> Columns:
+        drawn = drawn_points(VARIANTS[index], seed, effort.draws, effort.extensions, proposal)
+        return predicted(VARIANTS[index], drawn.shares, proposal) | {"runs": np.array(drawn.runs)}
+
+    points, runs = dict[str, np.ndarray](), 0
+    for seed in range(100 * number + 1, 100 * number + 1 + effort.batches):  # not those of the pilot
+        more = stages.arrays(f"draws-{index}-{seed}", lambda seed=seed: batch(seed))
+        runs += int(more.pop("runs"))
+        points = joined(points, more) if points else more
+        if effective_draws(points) >= effort.enough:
+            break
+    return points, runs
 
 
 def start_of_wide(stages: Stages, effort: Effort) -> dict[str, float]:

@@ -37,9 +37,9 @@ DRAWN = tuple(free for free in FREE if free.name not in (K_Z, K_P))
 """What a point gives; its last two coordinates are shares of the RMSE windows of plain and extended L1."""
 DIMENSIONS = len(DRAWN) + 2
 _OF_THE_EXTENSION = [*(i for i, free in enumerate(DRAWN) if free.name == K_I), DIMENSIONS - 1]
-_GUIDED = [
-    i for i, free in enumerate(DRAWN) if free.name in (FREQUENCY, "controller.filter_bandwidth")
-]  # what the row narrows most; more coordinates would make the weights uneven
+_GUIDED_NAMES = ("controller.filter_bandwidth", FREQUENCY)
+"""What the row narrows most; more of them would make the weights uneven."""
+_GUIDED = [i for i, free in enumerate(DRAWN) if free.name in _GUIDED_NAMES]
 _PILOT_SETTLING = (2.0, 1.0, 0.0, 0.0)  # s, or that of the variant if it is more
 _PILOT_EXTENSIONS = 10
 
@@ -203,6 +203,14 @@ def predicted(variant: Variant, shares: np.ndarray, proposal: Proposal | None = 
         }
     _, draw = np.unique(columns[K_Z], return_inverse=True)
     return columns | {"density": points.density, "draw": draw}
+
+
+def guide_of(points: Columns) -> dict[str, np.ndarray]:
+    """The arguments of the proposal that a set of points gives: its draws, and what they count."""
+    _, first = np.unique(points["draw"], return_index=True)
+    positions = [BY_NAME[name].position(points[name][first]) for name in _GUIDED_NAMES]
+    weights = np.bincount(points["draw"], weights=points["density"])
+    return {"positions": np.column_stack(positions), "weights": weights}
 
 
 def joined(points: Columns, more: Columns) -> Columns:

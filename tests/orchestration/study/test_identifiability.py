@@ -95,6 +95,28 @@ def test_a_stage_of_other_content_is_done_again(tmp_path: Path) -> None:
     assert computed == ["a = 1\n", "a = 2\n"]
 
 
+@pytest.mark.parametrize(
+    ("enough", "expected"),
+    [(1.0, ["draws-1-101"]), (1e9, ["draws-1-101", "draws-1-102", "draws-1-201", "draws-1-202"])],
+)
+def test_draws_that_are_not_enough_guide_another_round(
+    tmp_path: Path, enough: float, expected: list[str]
+) -> None:
+    """The variant of 2 s, whose pilot is given, as it takes a while. The last round has the points."""
+    names = list[str]()
+    stages = Stages(tmp_path, "key", names.append)
+    guide = np.random.default_rng(1).uniform([0.25, 0.1], [0.45, 0.5], (20, 2))
+    stages.arrays("pilot-1", lambda: {"positions": guide, "weights": np.ones(20), "runs": 0})
+    effort = identifiability.Effort(rounds=2, batches=2, draws=100, extensions=4, enough=enough)
+    points, about = identifiability.posterior(stages, 1, effort)
+    assert names[2:] == expected
+    last = [dict(np.load(tmp_path / "key" / f"{name}.npz")) for name in expected[-2:]]
+    assert len(points["draw"]) == about["points"] == sum(len(arrays["draw"]) for arrays in last)
+    assert about["draws"] == sum(len(np.unique(arrays["draw"])) for arrays in last)
+    runs = [int(np.load(tmp_path / "key" / f"{name}.npz")["runs"]) for name in expected]
+    assert about["runs"] == sum(runs)
+
+
 def test_the_key_is_of_what_the_study_imports() -> None:
     """Also what a function imports, and what is imported by what is imported; nothing of the score."""
     sources = {path.relative_to(ROOT).as_posix() for path in imported_sources(Path(identifiability.__file__))}
