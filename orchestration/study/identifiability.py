@@ -7,7 +7,7 @@
 5  effects that the experiment with added buoyancy would need if the gains were those that are shipped
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,8 @@ from orchestration.study.figure_fits import (
 from orchestration.study.open_numbers import FREE, FREQUENCY, VALUES, Columns
 from orchestration.study.posterior import (
     VARIANTS,
+    Variant,
+    by_worth,
     drawn_points,
     effective_draws,
     guide_of,
@@ -49,8 +51,8 @@ class Effort:
 
     pilot: draws of each round of a variant's pilot
     batches: the most of a round, of `draws` points each, `extensions` of each that agrees with plain L1; no
-    more of them are drawn once the points are worth `enough` draws of equal density. If they are not at its
-    end, the points guide another round, up to `rounds`, which begins anew
+    more of them are drawn once all points are worth `enough` draws of equal density. If they are not at its
+    end, the points of a round guide another one, up to `rounds`
     start: batches of even draws, of which the fits in wide ranges begin at the best
     checked: points through the FMUs; iterations: of least squares; generations: of differential evolution
     """
@@ -118,11 +120,17 @@ def posterior(stages: Stages, index: int, effort: Effort) -> tuple[Columns, dict
     guide = stages.arrays(f"pilot-{index}", lambda: pilot(variant, effort.pilot))
     points, runs = dict[str, np.ndarray](), int(guide.pop("runs"))
     for number in range(1, 1 + effort.rounds):
-        points, more = _drawn(stages, index, number, Proposal(**guide), effort)
-        runs += more
+        before, proposal, of_round = points, Proposal(**guide), dict[str, np.ndarray]()
+        for seed in range(100 * number + 1, 100 * number + 1 + effort.batches):  # not those of the pilot
+            batch = stages.arrays(f"draws-{index}-{seed}", _batch(variant, seed, proposal, effort))
+            runs += int(batch.pop("runs"))
+            of_round = joined(of_round, batch)
+            points = joined(before, by_worth(of_round))
+            if effective_draws(points) >= effort.enough:
+                break
         if effective_draws(points) >= effort.enough:
             break
-        guide = guide_of(points)
+        guide = guide_of(of_round)
     about = {
         "runs": runs,
         "points": len(points["draw"]),
@@ -132,23 +140,12 @@ def posterior(stages: Stages, index: int, effort: Effort) -> tuple[Columns, dict
     return points, about
 
 
-def _drawn(
-    stages: Stages, index: int, number: int, proposal: Proposal, effort: Effort
-) -> tuple[Columns, int]:
-    """The points of a round, at least `enough` unless there are too many batches, and the runs they took."""
+def _batch(variant: Variant, seed: int, proposal: Proposal, effort: Effort) -> Callable[[], Columns]:
+    def compute() -> Columns:
+        drawn = drawn_points(variant, seed, effort.draws, effort.extensions, proposal)
+        return predicted(variant, drawn.shares, proposal) | {"runs": np.array(drawn.runs)}
 
-    def batch(seed: int) -> Columns:
-        drawn = drawn_points(VARIANTS[index], seed, effort.draws, effort.extensions, proposal)
-        return predicted(VARIANTS[index], drawn.shares, proposal) | {"runs": np.array(drawn.runs)}
-
-    points, runs = dict[str, np.ndarray](), 0
-    for seed in range(100 * number + 1, 100 * number + 1 + effort.batches):  # not those of the pilot
-        more = stages.arrays(f"draws-{index}-{seed}", lambda seed=seed: batch(seed))
-        runs += int(more.pop("runs"))
-        points = joined(points, more) if points else more
-        if effective_draws(points) >= effort.enough:
-            break
-    return points, runs
+    return compute
 
 
 def start_of_wide(stages: Stages, effort: Effort) -> dict[str, float]:

@@ -214,12 +214,21 @@ def guide_of(points: Columns) -> dict[str, np.ndarray]:
 
 
 def joined(points: Columns, more: Columns) -> Columns:
-    """The points of two sets, whose draws are different ones."""
+    """The points of two sets, whose draws are different ones; the first may be empty."""
+    if not points:
+        return more
     offset = 1 + points["draw"].max(initial=-1)
     return {
         name: np.concatenate([column, more[name] + offset if name == "draw" else more[name]])
         for name, column in points.items()
     }
+
+
+def by_worth(points: Columns) -> Columns:
+    """The same with densities that sum to the effective draws, which of sets that are joined then add up."""
+    if not len(points["density"]):
+        return points
+    return points | {"density": points["density"] * (effective_draws(points) / np.sum(points["density"]))}
 
 
 def effective_draws(points: Columns) -> float:

@@ -102,7 +102,7 @@ def test_a_stage_of_other_content_is_done_again(tmp_path: Path) -> None:
 def test_draws_that_are_not_enough_guide_another_round(
     tmp_path: Path, enough: float, expected: list[str]
 ) -> None:
-    """The variant of 2 s, whose pilot is given, as it takes a while. The last round has the points."""
+    """The variant of 2 s, whose pilot is given, as it takes a while."""
     names = list[str]()
     stages = Stages(tmp_path, "key", names.append)
     guide = np.random.default_rng(1).uniform([0.25, 0.1], [0.45, 0.5], (20, 2))
@@ -110,11 +110,10 @@ def test_draws_that_are_not_enough_guide_another_round(
     effort = identifiability.Effort(rounds=2, batches=2, draws=100, extensions=4, enough=enough)
     points, about = identifiability.posterior(stages, 1, effort)
     assert names[2:] == expected
-    last = [dict(np.load(tmp_path / "key" / f"{name}.npz")) for name in expected[-2:]]
-    assert len(points["draw"]) == about["points"] == sum(len(arrays["draw"]) for arrays in last)
-    assert about["draws"] == sum(len(np.unique(arrays["draw"])) for arrays in last)
-    runs = [int(np.load(tmp_path / "key" / f"{name}.npz")["runs"]) for name in expected]
-    assert about["runs"] == sum(runs)
+    batches = [dict(np.load(tmp_path / "key" / f"{name}.npz")) for name in expected]
+    assert len(points["draw"]) == about["points"] == sum(len(batch["draw"]) for batch in batches)
+    assert about["draws"] == sum(len(np.unique(batch["draw"])) for batch in batches)
+    assert about["runs"] == sum(int(batch["runs"]) for batch in batches)
 
 
 def test_the_key_is_of_what_the_study_imports() -> None:

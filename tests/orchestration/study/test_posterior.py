@@ -20,8 +20,10 @@ from orchestration.study.posterior import (
     DIMENSIONS,
     Points,
     Variant,
+    by_worth,
     drawn_points,
     effective_draws,
+    joined,
     pilot,
     predicted,
     within,
@@ -154,6 +156,16 @@ def test_the_effective_draws_are_those_of_equal_density() -> None:
     assert effective_draws({"density": np.array([9.0, 9.0, 1.0, 1.0]), "draw": draw}) == pytest.approx(
         20.0**2 / (18.0**2 + 2.0**2)
     )
+
+
+def test_the_effective_draws_of_joined_sets_add_up() -> None:
+    """Whatever the scale of their densities."""
+    one = {"density": np.array([9.0, 9.0, 1.0, 1.0]), "draw": np.array([0, 0, 1, 1])}
+    other = {"density": np.full(3, 1e-3), "draw": np.array([0, 1, 2])}
+    both = joined(by_worth(one), by_worth(other))
+    assert effective_draws(both) == pytest.approx(effective_draws(one) + 3.0)
+    assert both["draw"].tolist() == [0, 0, 1, 1, 2, 3, 4]
+    assert joined({}, one) == one
 
 
 @pytest.mark.slow
