@@ -135,7 +135,7 @@ def write_points(sets: Mapping[str, Columns], path: Path, formats: Sequence[Figu
     with figure_style():
         figure, panels = panel_grid(2, 2, 2.6)
         for (name, points), colour in zip(sets.items(), (BLUE, ORANGE), strict=True):
-            some = np.random.default_rng(3).permutation(len(points[FREQUENCY]))[:1000]
+            some = _representative(points, 1000)
             dots: dict[str, Any] = {"s": 3.0, "linewidths": 0.0, "color": colour, "alpha": 0.5, "label": name}
             for panel, (x, y) in zip(panels, _PANELS, strict=True):
                 panel.scatter(points[x][some], points[y][some], **dots)
@@ -143,16 +143,22 @@ def write_points(sets: Mapping[str, Columns], path: Path, formats: Sequence[Figu
             panel.set_xlabel(_axis(x))
             panel.set_ylabel(_axis(y))
             _mark_published(panel, x, y)
-            panel.set_xlim(_LIMITS.get(x))
-            panel.set_ylim(_LIMITS.get(y))
-            for logarithmic, scale in (
-                (_is_logarithmic(x), panel.set_xscale),
-                (_is_logarithmic(y), panel.set_yscale),
-            ):
-                if logarithmic:
-                    scale("log")
+            if _is_logarithmic(x):
+                panel.set_xscale("log")
+            if _is_logarithmic(y):
+                panel.set_yscale("log")
+            if x in _LIMITS:
+                panel.set_xlim(_LIMITS[x])
+            if y in _LIMITS:
+                panel.set_ylim(_LIMITS[y])
         panels[0].legend(loc="lower right", markerscale=2.0)
         return write_figure(figure, path, formats)
+
+
+def _representative(points: Columns, count: int) -> np.ndarray:
+    """The rows of so many points, drawn as often as their density says, some of them twice."""
+    share = points["density"] / np.sum(points["density"])
+    return np.random.default_rng(3).choice(len(share), size=count, p=share)
 
 
 # what is beyond does not settle, or hardly

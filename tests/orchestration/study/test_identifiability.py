@@ -38,6 +38,11 @@ def test_the_page_has_the_tables_of_the_study(name: str) -> None:
     assert tables(DOCUMENT)[name] in PAGE
 
 
+def test_every_range_rests_on_enough_draws() -> None:
+    for about in DOCUMENT["variants"].values():
+        assert about["effective_draws"] >= identifiability.FULL.enough >= 200.0
+
+
 def test_the_study_holds_what_the_code_asks_for() -> None:
     """So that a figure, a range or a reading that is added does not leave the page behind."""
     assert list(DOCUMENT["variants"]) == [variant.name for variant in VARIANTS]
