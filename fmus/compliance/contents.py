@@ -39,5 +39,5 @@ def parsed_member(fmu: FmuFile, path: str) -> tuple[Any, str]:
     """(root element, what is wrong): the root is nothing if the file cannot be read."""
     try:
         return parsed_xml(fmu.read(path, _LARGEST)), ""
-    except Exception as error:  # also of a damaged archive
+    except ValueError as error:
         return None, str(error)

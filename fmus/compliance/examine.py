@@ -17,7 +17,7 @@ from fmus.compliance import (
     variable_rules,
 )
 from fmus.compliance.behaviour import DEFAULT_TIMEOUT_S, behaviour
-from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.fmu_file import FmuFile, UnreadableMemberError
 from fmus.compliance.rule import Result, Rule, Stage, messages_of, registered
 
 MODULES = (
@@ -56,5 +56,7 @@ def _result(rule: Rule, fmu: FmuFile, closed: str) -> Result:
             return Result(rule, not_judged=closed)
         reason = rule.condition(fmu)
         return Result(rule, not_applicable=reason) if reason else Result(rule, messages_of(rule.check(fmu)))
+    except UnreadableMemberError as error:
+        return Result(rule, not_judged=str(error))
     except Exception as error:  # a validator that fails on what it reads has found something
         return Result(rule, messages_of([f"could not be judged, {type(error).__name__}: {error}"]))

@@ -37,6 +37,10 @@ def parsed_xml(content: bytes) -> Any:
     return root
 
 
+class UnreadableMemberError(Exception):
+    """A member cannot be unpacked, which is a finding of the rules of the archive."""
+
+
 class FmuFile:
     """A file said to be an FMU; `archive_problem` and `description_problem` are empty if it can be read."""
 
@@ -202,12 +206,17 @@ class FmuFile:
         return (library_member(self.names, identifier) or "") if C_IDENTIFIER.fullmatch(identifier) else ""
 
     def read(self, member: str, most: int = _LARGEST_MEMBER) -> bytes:
-        """Content of a member. Raises what zipfile raises, and ValueError for more than `most` bytes."""
+        """Content of a member. Raises UnreadableMemberError, and ValueError for more than `most` bytes."""
+        if self.too_large:
+            raise UnreadableMemberError(self.too_large)
         with zipfile.ZipFile(self.path) as archive:
             size = archive.getinfo(member).file_size
             if size > most:
                 raise ValueError(f"{member} has {size} bytes: expected at most {most}")
-            return archive.read(member)
+            try:
+                return archive.read(member)
+            except Exception as error:  # each way of compression has its own errors
+                raise UnreadableMemberError(f"{member} cannot be unpacked: {error}") from error
 
     def extract(self, folder: Path) -> None:
         """Unpack everything; zipfile keeps odd paths inside the folder. Raises what zipfile raises."""

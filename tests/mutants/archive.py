@@ -62,7 +62,7 @@ def _appended(member: zipfile.ZipInfo, content: bytes, method: int, folder: Path
 
 
 def _encrypted(folder: Path) -> Path:
-    path = _appended(zipfile.ZipInfo("resources/x"), b"", zipfile.ZIP_STORED, folder)
+    path = _appended(zipfile.ZipInfo("sources/x.h"), b"", zipfile.ZIP_STORED, folder)
     data = path.read_bytes()
     local, central = data.rindex(_LOCAL) + 6, data.rindex(_CENTRAL) + 8
     changed_data = bytearray(data)
@@ -79,9 +79,9 @@ def _link() -> zipfile.ZipInfo:
 
 
 def _damaged(folder: Path) -> Path:
-    path = written(BASE | {"resources/x": bytes(range(256))}, folder)
+    path = written(BASE | {"sources/x.h": bytes(range(256))}, folder)
     data = bytearray(path.read_bytes())
-    data[data.index(b"resources/x") + 40] ^= 0xFF
+    data[data.index(b"sources/x.h") + 40] ^= 0xFF
     path.write_bytes(bytes(data))
     return path
 
