@@ -17,6 +17,7 @@ _NAMES = {
     "buoyancy-l1": "+0.2 N, L1",
     "buoyancy-extended": "+0.2 N, extended",
 }
+_LEAST_DRAWS = 10  # of which a range is given
 _METRICS = {"settling_time": "settling time [s]", "rmse": "RMSE [cm]"}
 
 
@@ -55,7 +56,7 @@ def _predictions(variants: Mapping[str, Any]) -> str:
             ranges = [_range(about[kind][f"change-{c} {m}"]) for c, m in changes]
             if kind == "all":
                 rows.append([label, *ranges, share, f"{about['effective_draws']:.0f}"])
-            elif about["fast_share"] > 0.0:
+            elif about["fast_share"] * about["effective_draws"] >= _LEAST_DRAWS:
                 rows.append([label, *ranges, "", ""])
     return _table(head, rows)
 
