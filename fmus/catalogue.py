@@ -91,14 +91,16 @@ def build(
     platforms: Sequence[str] = (),
     *,
     with_terminals: bool = False,
+    reals_only: bool = False,
 ) -> Path:
     """Write `folder/NAME.fmu`, whatever stands there; by default where scenarios find it.
 
     platforms: of the libraries in a native FMU, by default this one; those in a python one are PythonFMU's.
     with_terminals: with terminalsAndIcons.xml, which some importers of FMI 2.0 cannot read
+    reals_only: a native FMU whose every variable is a Real, for importers that know no other type
     """
-    target = folder or fmu_folder(flavour)
-    return build_block(load_block(name), target, flavour, platforms, with_terminals=with_terminals)
+    options = {"with_terminals": with_terminals, "reals_only": reals_only}
+    return build_block(load_block(name), folder or fmu_folder(flavour), flavour, platforms, **options)
 
 
 def build_block(
@@ -108,10 +110,13 @@ def build_block(
     platforms: Sequence[str] = (),
     *,
     with_terminals: bool = False,
+    reals_only: bool = False,
 ) -> Path:
     """As `build`, of a block that no entry point names."""
+    if reals_only and flavour is not Flavour.NATIVE:
+        raise ExportError("an FMU of Reals only: expected the native flavour")
     export = _EXPORTS[flavour]
-    _, members = export.content(block)
+    _, members = native_flavour.content(block, reals_only) if reals_only else export.content(block)
     check_faithful(block)
     libraries = export.libraries(block.name, members, platforms)
     shown = {"model.png": icon(block)} | reference_files.members(_reference_run(block), block.name)

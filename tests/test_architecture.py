@@ -98,6 +98,7 @@ FOR_RUNNING = {
     "fmus.extras",
     "fmus.files",
     "fmus.fmi_types",
+    "fmus.plain_types",
     "fmus.platforms",
     "fmus.process",
     "fmus.registry",

@@ -18,9 +18,10 @@ _WORD = 32  # bits of the set of items
 _LARGEST_INTEGER = 2**31 - 1
 
 
-def c_sources(block: Block, guid: str) -> dict[str, str]:
+def c_sources(block: Block, guid: str, reals_only: bool = False) -> dict[str, str]:
     """File name -> text of everything in the folder `sources` of the FMU: all but FMI's own headers (2.3).
 
+    reals_only: every variable is a Real, what is an item, truth value or Integer one that is a whole number
     Raises ExportError for a block that cannot be traced.
     """
     layer = resources.files("fmus") / "native"
@@ -28,11 +29,11 @@ def c_sources(block: Block, guid: str) -> dict[str, str]:
     texts = {file.name: file.read_text("utf-8") for file in files}
     template = Template((layer / "model.h.in").read_text("utf-8"))
     functions = traced(block)
-    model = template.substitute(_tables(functions), guid=guid)
+    model = template.substitute(_tables(functions, reals_only), guid=guid)
     return texts | {"model.h": model, "model_code.h": functions.c_code()}
 
 
-def _tables(functions: Traced) -> dict[str, object]:
+def _tables(functions: Traced, reals_only: bool) -> dict[str, object]:
     """What `model.h.in` leaves open."""
     block = functions.block
     whole = [index for index, v in enumerate(block.of_causality("output")) if v.type != "Real"]
@@ -48,15 +49,18 @@ def _tables(functions: Traced) -> dict[str, object]:
         "whole": ", ".join(map(str, (*whole, 0))),  # never empty, which C99 has not
         "requirements": len(functions.required),
         "internal_step": next(v.value_reference for v in block.variables if v.name == "internal_step"),
-        "variables": ",\n".join(map(_row, block.variables)),
+        "variables": ",\n".join(_row(v, reals_only) for v in block.variables),
         "required": ",\n".join(f"    {_string(text)}" for text in (*functions.required, "")),
     }
 
 
-def _row(v: ScalarVariable) -> str:
+def _row(v: ScalarVariable, reals_only: bool) -> str:
     settable = "NEVER" if not v.settable else "BEFORE_STEPPING" if v.variability == "fixed" else "ALWAYS"
-    values = (float(v.start), *_range(v), hex(sum(1 << item for item in _items(v))))
-    cells = (_string(v.name), TRANSFER_TYPE[v.type].upper(), settable, *values, _string(v.expected))
+    whole = reals_only and v.type != "Real"
+    items = [0, 1] if whole and v.type == "Boolean" else _items(v)
+    values = (float(v.start), *_range(v), hex(sum(1 << item for item in items)), int(whole))
+    kind = "REAL" if whole else TRANSFER_TYPE[v.type].upper()
+    cells = (_string(v.name), kind, settable, *values, _string(v.expected))
     return f"    {{{', '.join(map(str, cells))}}}"
 
 

@@ -15,6 +15,7 @@ from fmus.export.c_source import COMPILED, c_sources
 from fmus.export.model_description import model_description
 from fmus.export.toolchain import COMPILER, FLAGS, compile_library
 from fmus.files import xml_document
+from fmus.plain_types import REALS_ONLY, with_plain_types
 from fmus.platforms import check_platforms, host_platform, library_name
 
 _CAPABILITIES = {
@@ -25,14 +26,18 @@ _CAPABILITIES = {
 }
 
 
-def content(block: Block) -> tuple[str, dict[str, bytes]]:
-    """(GUID, path -> content) of the FMU without its libraries."""
+def content(block: Block, reals_only: bool = False) -> tuple[str, dict[str, bytes]]:
+    """(GUID, path -> content) of the FMU without its libraries.
+
+    reals_only: whether every variable is a Real, for importers that know no other type
+    """
+    description = model_description(block, GUID, _CAPABILITIES, COMPILED)
     members = {
-        **{f"sources/{name}": text.encode() for name, text in c_sources(block, GUID).items()},
+        **{f"sources/{name}": text.encode() for name, text in c_sources(block, GUID, reals_only).items()},
         **documentation(block, *COMPILED),
         **licenses("l1-depth", "fmi-headers", "zig", "mingw-w64"),
         "sources/buildDescription.xml": _build_description(block.name),
-        "modelDescription.xml": model_description(block, GUID, _CAPABILITIES, COMPILED),
+        "modelDescription.xml": with_plain_types(description, REALS_ONLY) if reals_only else description,
     }
     return with_guid(members, recipe=" ".join((*COMPILER, *FLAGS)))
 

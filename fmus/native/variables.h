@@ -3,6 +3,7 @@
 #ifndef VARIABLES_H
 #define VARIABLES_H
 
+#include <math.h>
 #include <stdint.h>
 
 /* Types of a variable, as the importer's functions distinguish them. */
@@ -20,6 +21,7 @@ typedef struct {
     int settable; /* NEVER, BEFORE_STEPPING or ALWAYS */
     double start, min, max;
     uint32_t items;       /* of an enumeration: bit i stands for the item i; 0 if it is none */
+    int whole;            /* a Real that takes whole numbers alone, in an FMU of Reals only */
     const char *expected; /* of a value, in words */
 } Variable;
 
@@ -43,7 +45,8 @@ static int is_settable(int reference) { return VARIABLES[reference].settable != 
 /* Within range; false for what is not finite, as a variable without range has the range of double. */
 static int is_acceptable(int reference, double value) {
     const Variable *v = VARIABLES + reference;
-    return value >= v->min && value <= v->max && (!v->items || v->items >> (int)value & 1);
+    if (!(value >= v->min && value <= v->max) || (v->whole && value != floor(value))) return 0;
+    return !v->items || v->items >> (int)value & 1;
 }
 
 /* An item of the enumeration, 0 or 1 of a Boolean; true for a variable of another type. */

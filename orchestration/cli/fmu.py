@@ -73,8 +73,18 @@ def build(
             "--terminals", help="Add terminalsAndIcons.xml of FMI 3.0, which FMI Library cannot read."
         ),
     ] = False,
+    reals_only: Annotated[
+        bool,
+        typer.Option(
+            "--reals-only",
+            help="Describe every variable as a Real, for importers that know no other type "
+            "(ROS 2's fmi_adapter, CoFMPy). Native FMUs only.",
+        ),
+    ] = False,
 ) -> None:
     """Build the FMU of each block, NAME.fmu."""
+    if cache:
+        refuse_without_effect("--cache", {"--reals-only": reals_only})
     if all_platforms:
         refuse_without_effect("--all-platforms", {"--platform": platform})
     if cache:
@@ -85,12 +95,13 @@ def build(
 
     from fmus import catalogue
 
+    options = {"with_terminals": terminals, "reals_only": reals_only}
     chosen, failures = _loadable(names)
     with progress("build", len(chosen)) as bar:
         for name in chosen:
             with catalogue.loaded(name) as blocks:
                 for block in blocks:
-                    path = catalogue.build_block(block, folder, flavour, platforms, with_terminals=terminals)
+                    path = catalogue.build_block(block, folder, flavour, platforms, **options)
                     print(path)
                     for file in catalogue.write_cross_check(block, path.parent) if with_reference else ():
                         print(file)

@@ -19,8 +19,8 @@ from xml.etree.ElementTree import Element
 
 from fmus.files import write_archive
 from fmus.fmi_types import FmiValue
+from fmus.plain_types import without_enumerations
 from orchestration.exchange import ssp_xml
-from orchestration.exchange.integer_enumerations import without_enumerations
 from orchestration.exchange.limits import check_plain_exchange
 from orchestration.exchange.signal_sources import BuildSource, RampSource, ramp_sources, with_sources
 from orchestration.exchange.ssp_xml import STRUCTURE, add, add_value
