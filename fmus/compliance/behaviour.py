@@ -25,7 +25,7 @@ from fmus.compliance import (
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.library_rules import no_co_simulation
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotJudgedError, Result, Rule, Stage, messages_of, registered
+from fmus.compliance.rule import NotJudgedError, Result, Rule, Stage, messages_of, registered
 from fmus.errors import HostError
 from fmus.process import ProcessEndedError
 
@@ -33,9 +33,14 @@ MODULES = (
     lifecycle_rules, call_rules, value_rules, step_rules, callback_rules, log_rules, process_rules,
     state_rules, derivative_rules, dependency_rules, reference_rules,
 )  # fmt: skip
-FUNDAMENTAL = ("library-loads", "instantiates-and-frees", "steps-and-terminates", "runs-are-repeatable")
+FUNDAMENTAL = (
+    "library-loads", "instantiates-and-frees", "steps-and-terminates", "frees-in-every-state",
+    "runs-are-repeatable",
+)  # fmt: skip
 """Without these no behaviour is judged: what else would be found has the same cause."""
 DEFAULT_TIMEOUT_S = 30.0
+_IS_BROKEN = " is broken"
+_HUNG, _MOST_HANGS = "took more than", 3  # then the rest is not judged: it would take minutes
 _OF_THE_HOST = ("ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EMFILE", "ENFILE", "EIO", "ENOMEM", "EAGAIN")
 _START_S = 60.0  # for the interpreter, whatever the rules take
 
@@ -52,7 +57,23 @@ def behaviour(fmu: FmuFile, timeout: float, earlier: Sequence[Result] = ()) -> I
         return
     results = {rule.name: Result(rule, not_applicable=rule.condition(fmu)) for rule in rules}
     names = [name for name, result in results.items() if not result.not_applicable]
-    yield from {**results, **_judged(fmu, names, timeout)}.values()
+    yield from {**results, **_judged(fmu, _needs_first(names), timeout)}.values()
+
+
+def _needs_first(names: Sequence[str]) -> list[str]:
+    """The names in their order, but each after those that its rule needs."""
+    rules = {rule.name: rule for rule in registered(Stage.BEHAVIOUR)}
+    ordered: dict[str, None] = {}
+
+    def add(name: str) -> None:
+        for need in rules[name].needs:
+            if need in names:
+                add(need)
+        ordered.setdefault(name)
+
+    for name in (*(name for name in FUNDAMENTAL if name in names), *names):
+        add(name)
+    return list(ordered)
 
 
 def _obstacle(fmu: FmuFile) -> str:
@@ -67,7 +88,9 @@ def _obstacle(fmu: FmuFile) -> str:
 def _broken_library(fmu: FmuFile, earlier: Sequence[Result]) -> str:
     """The rule of libraries that the library of this platform breaks, if any."""
     broken = (r.rule.name for r in earlier if any(m.startswith(f"{fmu.host_library} ") for m in r.messages))
-    return next((f"{name} is broken" for name in broken if name in ("library-format", "library-exports")), "")
+    return next(
+        (f"{name}{_IS_BROKEN}" for name in broken if name in ("library-format", "library-exports")), ""
+    )
 
 
 def _judged(fmu: FmuFile, names: Sequence[str], timeout: float) -> dict[str, Result]:
@@ -85,6 +108,9 @@ def _judged(fmu: FmuFile, names: Sequence[str], timeout: float) -> dict[str, Res
             return {name: Result(rules[name], not_judged=f"it cannot be unpacked: {error}") for name in names}
         shared: dict[str, Any] = {}
         while remaining := [rules[name] for name in names if name not in results]:
+            if sum(_HUNG in message for r in results.values() for message in r.messages) == _MOST_HANGS:
+                reason = f"{_MOST_HANGS} rules before {_HUNG} {timeout:g} s"
+                return results | {rule.name: Result(rule, not_judged=reason) for rule in remaining}
             for result in _judged_by_one_process(fmu, folder, remaining, results, timeout, shared):
                 results[result.rule.name] = result
     return results
@@ -129,21 +155,24 @@ def _judged_by_one_process(
             probe.process.deadline = time.monotonic() + limit
             yield _judge(rule, probe, results)
     except TimeoutError:
-        yield Result(rule, (f"the FMU took more than {limit:g} s",))
+        yield Result(rule, (f"the FMU {_HUNG} {limit:g} s",))
     except ProcessEndedError as ended:
         yield Result(rule, (f"the FMU ended the process with {ended}",))
     finally:
         probe.process.close()
 
 
+def _breach(result: Result) -> str:
+    """Why what needs a rule is not judged: it has an error, or is not judged because another one has."""
+    if result.outcome == "error":
+        return f"{result.rule.name}{_IS_BROKEN}"
+    return result.not_judged if result.not_judged.endswith(_IS_BROKEN) else ""
+
+
 def _judge(rule: Rule, probe: Probe, results: Mapping[str, Result]) -> Result:
-    broken = [
-        name
-        for name in (*FUNDAMENTAL, *rule.needs)
-        if name in results and results[name].messages and results[name].rule.level is Level.ERROR
-    ]
-    if broken:
-        return Result(rule, not_judged=f"{broken[0]} is broken")
+    needed = [results[name] for name in (*FUNDAMENTAL, *rule.needs) if name in results]
+    if reason := next(filter(None, map(_breach, needed)), ""):
+        return Result(rule, not_judged=reason)
     try:
         return Result(rule, messages_of(rule.check(probe)))
     except (TimeoutError, ProcessEndedError):

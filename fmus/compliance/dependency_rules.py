@@ -75,23 +75,31 @@ def initial_dependencies_are_declared(probe: Probe) -> Iterator[str]:
     "advice: 2.2.8, dependencies may list more",
     Stage.BEHAVIOUR,
     Level.WARNING,
-    needs=["variables-can-be-read"],
+    needs=["allowed-calls-succeed", "variables-can-be-read"],
 )
 def initial_dependencies_exist(probe: Probe) -> Iterator[str]:
     """An initial unknown that lists Real inputs changes with one of these, at some point of several."""
     knowns, chance = settable_in_initialization(probe.fmu), random.Random(0)
     real = {known.index for known in knowns if known.kind == "Real" and known.causality == "input"}
-    alone = {name: listed & real for name, listed in _declared(probe).items() if listed & real}
-    for _, changes in _influences(probe):
-        alone = {name: listed for name, listed in alone.items() if name not in changes}
+    alone: dict[str, set[int | None]] = {
+        name: listed & real for name, listed in _declared(probe).items() if listed & real
+    }
+    alone = _unmoved(alone, _influences(probe))
     for point in _points(knowns, chance) if alone else ():
         indices = set().union(*alone.values())
         tested = [known for known in knowns if known.index in indices][:_MOST_TESTED]
         pairs = [(point, known, x) for known in tested if (x := random_value(known, chance)) is not None]
-        for _, changes in _changed(probe, pairs):
-            alone = {name: listed for name, listed in alone.items() if name not in changes}
+        alone = _unmoved(alone, _changed(probe, pairs))
     for name in alone:
         yield f"{name} changes with none of the inputs that it lists as dependencies in initialization mode"
+
+
+def _unmoved(
+    declared: dict[str, set[int | None]], changes: list[tuple[Variable, set[str]]]
+) -> dict[str, set[int | None]]:
+    """Those unknowns that no known changes which they list."""
+    moved = {(name, known.index) for known, names in changes for name in names}
+    return {name: listed for name, listed in declared.items() if not any((name, i) in moved for i in listed)}
 
 
 def _points(knowns: list[Variable], chance: random.Random) -> Iterator[Point]:

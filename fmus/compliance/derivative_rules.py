@@ -45,7 +45,7 @@ def _derive(script: Script, v: Variable, value: float) -> None:
     script.call("set_input_derivatives", _references([v]), [1], [value])
 
 
-@rule(_TRANSFER, Stage.BEHAVIOUR, condition=unless_claimed(_INTERPOLATES))
+@rule(_TRANSFER, Stage.BEHAVIOUR, condition=unless_claimed(_INTERPOLATES), needs=["allowed-calls-succeed"])
 def input_derivatives(probe: Probe) -> Iterator[str]:
     """The first derivative of every continuous Real input can be set before a step; zero changes nothing."""
     usual, script = probe.script().begin(), probe.script(logging=True).begin()
@@ -105,7 +105,7 @@ def _moved(held: Reading, raised: Reading, moving: Reading) -> str:
     )
 
 
-@rule(_TRANSFER, Stage.BEHAVIOUR, condition=_orders)
+@rule(_TRANSFER, Stage.BEHAVIOUR, condition=_orders, needs=["allowed-calls-succeed"])
 def output_derivatives(probe: Probe) -> Iterator[str]:
     """After a step every continuous Real output has a finite derivative of each order that is claimed."""
     chosen = _continuous(probe, "output")
@@ -122,7 +122,12 @@ def output_derivatives(probe: Probe) -> Iterator[str]:
                 yield f"{v.name}: derivative of order {order} is {value}: expected a finite number"
 
 
-@rule(_TRANSFER, Stage.BEHAVIOUR, condition=_orders, needs=["output-derivatives", "variables-can-be-read"])
+@rule(
+    _TRANSFER,
+    Stage.BEHAVIOUR,
+    condition=_orders,
+    needs=["output-derivatives", "variables-can-be-read", "communication-points-may-be-rounded"],
+)
 def output_derivatives_are_right(probe: Probe) -> Iterator[str]:
     """The first derivative of an output is its slope: near the difference quotients before and after it."""
     chosen = _continuous(probe, "output")
@@ -155,7 +160,12 @@ def _is_wrong(derivative: float, before: float, after: float, scale: float) -> b
     return not min(before, after) - margin <= derivative <= max(before, after) + margin
 
 
-@rule(_DIRECTIONAL, Stage.BEHAVIOUR, condition=unless_claimed(_PROVIDES), needs=["variables-can-be-read"])
+@rule(
+    _DIRECTIONAL,
+    Stage.BEHAVIOUR,
+    condition=unless_claimed(_PROVIDES),
+    needs=["allowed-calls-succeed", "variables-can-be-read"],
+)
 def directional_derivatives(probe: Probe) -> Iterator[str]:
     """In initialization mode, derivatives of outputs lie between difference quotients of both sides."""
     for known, unknowns in list(_pairs(probe.fmu).items())[:_MOST_KNOWNS]:
@@ -216,7 +226,7 @@ def directional_derivatives_are_linear(probe: Probe) -> Iterator[str]:
     unknowns, knowns = _continuous(probe, "output"), _continuous(probe, "input")[:_MOST_KNOWNS]
     if not unknowns or not knowns:
         raise NotJudgedError("there is no continuous input or output")
-    seed = [1.0 + 0.5 * i for i in range(len(knowns))]
+    seed = [2.5 + 0.5 * i for i in range(len(knowns))]
     for stepping in (False, True):
         script = probe.script(logging=True)
         script = script.begin().step() if stepping else script.initialise()

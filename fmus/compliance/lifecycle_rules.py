@@ -75,6 +75,14 @@ def steps_and_terminates(probe: Probe) -> Iterator[str]:
     yield from ()
 
 
+@rule("4.2.4 State Machine of Calling Sequence from Master to Slave", Stage.BEHAVIOUR)
+def frees_in_every_state(probe: Probe) -> Iterator[str]:
+    """fmi2FreeInstance is allowed when instantiated, in initialization mode, and while stepping."""
+    for script in (probe.script(), probe.script().initialise(), probe.script().begin().step()):
+        script.play()
+    yield from ()
+
+
 @rule("4.1.2 Mathematical Model", Stage.BEHAVIOUR)
 def runs_are_repeatable(probe: Probe) -> Iterator[str]:
     """The same calls give the same outputs in every instance."""
@@ -164,7 +172,11 @@ def start_values_are_as_declared(probe: Probe) -> Iterator[str]:
 
 
 def _with_start(probe: Probe) -> list[Variable]:
-    chosen = (v for v in probe.fmu.variables if v.initial == "exact" or v.causality == "input")
+    chosen = (
+        v
+        for v in probe.fmu.variables
+        if v.variability != "constant" and (v.initial == "exact" or v.causality == "input")
+    )
     return [v for v in chosen if start_value(v) is not None]
 
 
@@ -229,14 +241,6 @@ def reset_gives_the_start_values(probe: Probe) -> Iterator[str]:
         yield from _not_at_start(probe, reading)
 
 
-@rule("4.2.4 State Machine of Calling Sequence from Master to Slave", Stage.BEHAVIOUR)
-def frees_in_every_state(probe: Probe) -> Iterator[str]:
-    """fmi2FreeInstance is allowed when instantiated, in initialization mode, and while stepping."""
-    for script in (probe.script(), probe.script().initialise(), probe.script().begin().step()):
-        script.play()
-    yield from ()
-
-
 @rule(f"{_FLAGS}: {_ONLY_ONCE}", Stage.BEHAVIOUR, condition=if_not_claimed(_ONLY_ONCE))
 def several_instances(probe: Probe) -> Iterator[str]:
     """Instances live side by side: values and steps of one change nothing in another."""
@@ -262,7 +266,7 @@ def several_instances(probe: Probe) -> Iterator[str]:
     yield from differing(expected, first, "beside another instance")
 
 
-@rule(_STATUS, Stage.BEHAVIOUR, needs=["several-instances", "reset-in-every-state"])
+@rule(_STATUS, Stage.BEHAVIOUR, needs=["several-instances", "reset-gives-the-start-values"])
 def error_of_one_instance_is_its_own(probe: Probe) -> Iterator[str]:
     """After an error, other instances go on as before, and fmi2Reset brings the instance back."""
     alone = probe.script().begin()

@@ -125,7 +125,7 @@ def logging_that_is_off_is_quiet(probe: Probe) -> Iterator[str]:
             yield f"a message arrives although logging is off {when}: {texts[0][:80]!r}"
 
 
-@rule(_CREATION, Stage.BEHAVIOUR)
+@rule(_CREATION, Stage.BEHAVIOUR, needs=["allowed-calls-succeed"])
 def debug_logging_can_be_set(probe: Probe) -> Iterator[str]:
     """fmi2SetDebugLogging accepts each declared category, and none at all, on and off; outputs stay the
     same.
@@ -145,7 +145,7 @@ def debug_logging_can_be_set(probe: Probe) -> Iterator[str]:
         yield from differing(expected, got, "after fmi2SetDebugLogging")
 
 
-@rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING)
+@rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING, needs=["debug-logging-can-be-set"])
 def only_chosen_categories_are_logged(probe: Probe) -> Iterator[str]:
     """After fmi2SetDebugLogging with one category, messages of others do not arrive."""
     declared = _categories(probe)
@@ -168,7 +168,7 @@ def only_chosen_categories_are_logged(probe: Probe) -> Iterator[str]:
             return
 
 
-@rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING)
+@rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING, needs=["debug-logging-can-be-set"])
 def chosen_categories_are_logged(probe: Probe) -> Iterator[str]:
     """Messages that arrive with all categories enabled arrive with their own alone, and if all are named."""
     usual = probe.script(logging=True)

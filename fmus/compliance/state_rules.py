@@ -44,7 +44,7 @@ def _restored(probe: Probe) -> tuple[list[Reading], list[Reading]]:
     return before, after
 
 
-@rule(_CLAUSE, Stage.BEHAVIOUR, condition=_saves)
+@rule(_CLAUSE, Stage.BEHAVIOUR, condition=_saves, needs=["communication-points-may-be-rounded"])
 def state_restores(probe: Probe) -> Iterator[str]:
     """A state that is set back gives the same outputs at once and in the steps that follow, up to
     rounding.
@@ -86,7 +86,7 @@ def state_holds_inputs_and_parameters(probe: Probe) -> Iterator[str]:
     yield from differing(expected, got, "from a state that was set back after inputs changed", _ROUNDING)
 
 
-@rule(_CLAUSE, Stage.BEHAVIOUR, condition=_saves, needs=["state-restores"])
+@rule(_CLAUSE, Stage.BEHAVIOUR, condition=_saves, needs=["state-restores", "allowed-calls-succeed"])
 def state_in_initialization_mode(probe: Probe) -> Iterator[str]:
     """A state can be saved and set back when instantiated and in initialization mode, with what was set
     there.
@@ -138,7 +138,7 @@ def state_holds_the_mode(probe: Probe) -> Iterator[str]:
         yield from differing(first, again, "from a state of initialization mode", _ROUNDING)
 
 
-@rule(_CLAUSE, Stage.BEHAVIOUR, condition=_saves, needs=["state-restores"])
+@rule(_CLAUSE, Stage.BEHAVIOUR, condition=_saves, needs=["state-restores", "allowed-calls-succeed"])
 def state_restores_after_the_end(probe: Probe) -> Iterator[str]:
     """A state can be set back after fmi2Terminate and after an error, and steps go on from it."""
     for failed in (False, True):
