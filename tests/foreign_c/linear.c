@@ -5,7 +5,7 @@
  *     phi_1(z) = (exp(z) - 1) / z,  phi_2(z) = (exp(z) - 1 - z) / z^2
  * The outputs are those at the end of the step, with the inputs that the step ends with.
  * `solver_error` is what a solver of its own would leave in the state in each step of at least `solver_step`, of either
- * sign, since it starts anew there; in a shorter one less, of order 2.
+ * sign, since it starts anew where an input has changed; in a shorter one less, of order 2.
  * With N_DISCRETE = 1, an Integer and a Boolean are passed through as well; the Boolean until `refuses_boolean_from`.
  * config.h has N_U, N_Y and N_DISCRETE.
  */
@@ -92,8 +92,9 @@ static fmi2Status model_step(Slave *s, double h) {
     double end[N_U + 1];
     for (int j = 0; j < N_U; j++) end[j] = u[j] + h * rate[j];
     d->state = exp(z) * d->state + h * phi_1(z) * driven(u) + h * h * phi_2(z) * driven(rate);
-    if (config.solver_error > 0) {
+    if (config.solver_error > 0 && memcmp(d->before + U, u, N_U * sizeof *u)) {
         const double part = fmin(h / config.solver_step, 1);
+        memcpy(d->before + U, u, N_U * sizeof *u);
         d->state += config.solver_error * part * part * sin(1e7 * (d->time + h));
     }
     set_outputs(d, end, rate);

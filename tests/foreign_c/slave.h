@@ -46,6 +46,7 @@ typedef struct {
     double value[N_VARIABLES];
     double input_rate[N_VARIABLES];  /* for the coming step alone */
     double output_rate[N_VARIABLES]; /* at `time` */
+    double before[N_VARIABLES];      /* values of the last step, where a model needs them */
     double state;
     double time;
     double last_successful_time; /* as it is told */
