@@ -145,6 +145,11 @@ def test_the_run_itself_is_the_same(linear: Build) -> None:
         assert run.names == (*alone.names, *(f"{ERROR_ESTIMATE}{name}" for name in alone.names))
         assert np.array_equal(run.values[:, :2], alone.values)
     assert np.array_equal(estimated[0].values, estimated[1].values)
+    difference = np.abs(
+        alone.values[::2] - simulate(coupled(linear), replace(experiment, step_size=0.2)).values
+    )
+    largest = [difference[max(k - 2, 0) : k + 1].max(axis=0) for k in range(len(difference))]
+    assert np.array_equal(estimated[0].values[::2, 2:], 3.0 * np.array(largest))
     quantities = estimated[0].provenance["error_estimate"]["quantities"]
     for name in OUTPUTS:
         column = estimated[0][f"{ERROR_ESTIMATE}{name}"]

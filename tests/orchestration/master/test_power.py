@@ -60,6 +60,16 @@ def test_what_a_damper_takes_is_no_residual(linear: Build) -> None:
     assert gained + dissipated == pytest.approx(created, abs=1e-5)
 
 
+@pytest.mark.parametrize("algorithm", list(Algorithm))
+def test_the_residual_of_extrapolated_inputs_is_nearly_what_is_gained(
+    linear: Build, algorithm: Algorithm
+) -> None:
+    """Force and velocity then are no lines: of the next order in the step, here 5 %."""
+    recording = run(linear, 0.0, 0.02, algorithm=algorithm, extrapolation=1)
+    gained = np.diff(energy(recording))
+    assert np.abs(gained + energy_residuals(recording, FORCE, VELOCITY)).max() < 0.05 * np.abs(gained).max()
+
+
 def test_extrapolated_inputs_create_less(linear: Build) -> None:
     """Energy of order 2 in the step instead of 1."""
     created = [

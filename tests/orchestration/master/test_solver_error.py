@@ -12,7 +12,7 @@ from orchestration.errors import FmuWarning
 from orchestration.master import simulate
 from orchestration.master.checkpoint import Checkpoints, read_checkpoint
 from orchestration.results.recording import Recording
-from orchestration.system.experiment import Algorithm, Experiment
+from orchestration.system.experiment import Algorithm, Event, Experiment
 from orchestration.system.system import System
 from tests.orchestration.linear_systems import LOOP, coupled, solution
 
@@ -75,6 +75,28 @@ def test_a_stiff_system_is_no_solvers_error(linear: Build, extrapolation: int, i
         run = simulate(System(fmus, LOOP), experiment)
     assert run.provenance["inexact_steps"] > 2
     assert "solver_error" not in run.provenance
+
+
+@INTERPOLATES
+@pytest.mark.parametrize("algorithm", list(Algorithm))
+def test_a_step_in_two_halves_without_an_exchange_is_the_same_to_an_exact_fmu(
+    linear: Build, algorithm: Algorithm, interpolates: bool, tmp_path: Path
+) -> None:
+    """Stiff from 0.5 s on, where inputs have slopes; what was learned is in the checkpoint of 1 s."""
+    able: dict[str, Any] = {
+        "saves_state": True,
+        "serialises_state": True,
+        "interpolates_inputs": interpolates,
+    }
+    fmus = {"one": linear(b=(1.0,), **able), "two": linear(b=(0.5,), initial_state=0.0, **able)}
+    experiment = Experiment(
+        1.5, 0.5, tolerance=1e-3, extrapolation=1, algorithm=algorithm, events=[Event(0.5, {"one.a": -500.0})]
+    )
+    checkpoints = Checkpoints(tmp_path / "checkpoint", every=1.0)
+    simulate(System(fmus, LOOP), experiment, checkpoints=checkpoints)
+    learned = read_checkpoint(checkpoints.path).step_control[1:]
+    assert any(learned)  # to rounding
+    assert max(learned) < 1e-13
 
 
 def test_a_run_continues_with_the_solvers_error_that_it_knows(linear: Build, tmp_path: Path) -> None:
