@@ -1,11 +1,16 @@
 """Each sentence of FMI that an FMU breaks by what it does is found by its rules and no others."""
 
+import sys
 from pathlib import Path
 
 import pytest
 
+from fmus.compliance.examine import examine
+from fmus.platforms import host_platform, library_name
 from tests.mutants.behaviour import BEHAVIOUR_MUTANTS, LEGAL, write_slave
 from tests.mutants.mutant import Mutant, broken_rules, unexpected
+
+from .archives import members, write
 
 QUICK = ("steps beyond the stop time", "keeps the pointer to its name", "a changed rounding mode")
 
@@ -26,3 +31,27 @@ def test_the_slave_that_does_nothing_wrong_breaks_no_rule(index: int, tmp_path: 
     flags, changes, allowed = LEGAL[index]
     broken = broken_rules(write_slave(tmp_path, "", flags, changes), is_static=False)
     assert set(broken) == set(allowed)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="patches a library of Linux")
+def test_a_library_that_does_not_load_is_one_finding_and_no_behaviour_is_judged(tmp_path: Path) -> None:
+    content = members(write_slave(tmp_path))
+    path = library_name("Behaviour", host_platform())
+    assert b"\0libm.so.6\0" in content[path]
+    content[path] = content[path].replace(b"\0libm.so.6\0", b"\0libm.so.9\0")
+    results = [r for r in examine(write(content, tmp_path / "unloaded.fmu")) if r.rule.stage == "behaviour"]
+    (found,) = [r for r in results if r.messages]
+    assert found.rule.name == "library-loads"
+    assert "libm.so.9" in found.messages[0]
+    assert {r.outcome for r in results if r is not found} == {"not judged", "not applicable"}
+
+
+def test_another_guid_inside_the_library_is_one_finding_with_its_own_words(tmp_path: Path) -> None:
+    wrong = (('guid="{5', 'guid="{6'),)
+    results = [r for r in examine(write_slave(tmp_path, "", "", wrong)) if r.rule.stage == "behaviour"]
+    (found,) = [r for r in results if r.messages]
+    assert found.rule.name == "instantiates-and-frees"
+    assert found.messages == (
+        "fmi2Instantiate returned NULL: expected an instance; the GUID of the library is another one; "
+        "the FMU logged: another GUID",
+    )
