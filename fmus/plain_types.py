@@ -43,10 +43,15 @@ def with_plain_types(description: bytes, types: Mapping[str, str]) -> bytes:
                 definitions.remove(simple)
         if not len(definitions):
             root.remove(definitions)
-    for variable in root.iter("ScalarVariable"):
+    chosen = set()  # indices of what has become a Real, whose values an importer cannot choose at random
+    for index, variable in enumerate(root.iter("ScalarVariable"), start=1):
         for kind in variable:
             if kind.tag in types:
+                chosen |= {str(index)} if types[kind.tag] == "Real" else set()
                 _change(variable, kind, types[kind.tag], items.get(kind.get("declaredType"), {}))
+    for unknown in root.iterfind("ModelStructure/InitialUnknowns/Unknown"):
+        if chosen & set(unknown.get("dependencies", "").split()):
+            del unknown.attrib["dependencies"]  # it may depend on all
     return ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
 
 

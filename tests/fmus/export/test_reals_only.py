@@ -1,7 +1,9 @@
 """FMUs whose every variable is a Real, for importers that know no other type."""
 
+import zipfile
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import fmpy
 import pytest
@@ -28,6 +30,17 @@ def test_every_variable_is_a_real_that_names_its_values(reals: Path) -> None:
     assert (enabled.start, enabled.max) == ("1", "1")
     assert enabled.description.endswith("0 false, 1 true")
     assert (level.min, level.max, level.description) == ("-5", "5", "Level: a whole number")
+
+
+def test_what_depends_on_an_item_may_depend_on_all(reals: Path) -> None:
+    """An importer that moves Reals at random does not find the dependencies that one item alone has."""
+    with zipfile.ZipFile(reals) as archive:
+        root = ElementTree.fromstring(archive.read("modelDescription.xml"))
+    names = [v.get("name") for v in root.iter("ScalarVariable")]
+    unknowns = root.findall("ModelStructure/InitialUnknowns/Unknown")
+    listed = {names[int(u.get("index", "0")) - 1]: u.get("dependencies") for u in unknowns}
+    assert listed["steps"] is None  # of the Integer `count`
+    assert listed["product"] == " ".join(str(names.index(name) + 1) for name in ("gain", "limit"))
 
 
 def test_it_steps_as_the_ordinary_fmu_does(reals: Path, load: Any, tmp_path: Path) -> None:
