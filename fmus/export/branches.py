@@ -105,7 +105,7 @@ def _places(operations: Sequence[Operation], results: Sequence[int]) -> dict[int
 
 def _needs(operations: Sequence[Operation], results: Sequence[int], cheap: set[Path]) -> dict[int, Path]:
     """For each operation the conditions under which alone it is needed, but for branches that are cheap."""
-    places = dict.fromkeys(results, ())
+    places: dict[int, Path] = dict.fromkeys(results, ())
     for number in range(len(operations) - 1, -1, -1):
         if number not in places:
             continue
