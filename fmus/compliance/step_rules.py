@@ -147,6 +147,8 @@ def _discarded(
     last = again.call("status_of", "Real", 2)
     again.play(keep_going=True)
     t, end = ends[number]
+    if end - t < 0.9 * probe.step_size:
+        yield f"a step of {end - t:g} s after one of {probe.step_size:g} s: {failure.problem}"
     if last.ok and not t - 1e-9 * abs(t) <= last.value < end:
         yield f"a step from {t:g} to {end:g} s is discarded, and fmi2LastSuccessfulTime is {last.value:g} s"
 

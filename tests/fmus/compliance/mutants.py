@@ -91,7 +91,7 @@ C_MUTANTS: dict[str, tuple[str, Patch]] = {
         },
     ),
     "instances that share a count": (
-        "several-instances",
+        "runs-are-repeatable",
         {LAST_OF_BECOME: LAST_OF_BECOME + " static int count; d->value[FIRST_OUTPUT] += 1e-9 * count++;"},
     ),
     "one step size": (
@@ -106,7 +106,8 @@ C_MUTANTS: dict[str, tuple[str, Patch]] = {
         "memory-is-given-back",
         {ALLOCATE: "functions->freeMemory(&instance);\n    " + ALLOCATE} | NO_OWN_MEMORY,
     ),
-    "inputs without derivatives": ("input-derivatives", {"if (!is_input(vr[i]))": "if (is_input(vr[i]))"}),
+    "inputs without derivatives": ("allowed-calls-succeed",
+        {"if (!is_input(vr[i]))": "if (is_input(vr[i]))"}),
     "an infinite derivative": (
         "output-derivatives",
         {"? rate[vr[i] - FIRST_OUTPUT] : 0": "? INFINITY : 0"},
@@ -127,7 +128,7 @@ C_MUTANTS: dict[str, tuple[str, Patch]] = {
          + "\n    memcpy(((Instance *)c)->data.state, old.state, sizeof old.state);"},
     ),
     "a state freed but not forgotten": (
-        "state-restores",
+        "freed-state-is-null",
         {"*FMUstate = NULL;\n    return fmi2OK;": "return fmi2OK;"},
     ),
     "a single state": (
