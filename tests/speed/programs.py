@@ -11,7 +11,7 @@ from typing import Any
 
 import fmpy
 
-from fmus.export.toolchain import FLAGS, zig
+from fmus.export.toolchain import FLAGS, FMI_HEADERS, zig
 from fmus.platforms import library_name
 from orchestration.errors import OrchestrationError
 from orchestration.fmi.description import describe
@@ -46,12 +46,13 @@ def compile_equations(folder: Path, part: int, sources: Path, *options: str) -> 
     """Compile the equations of an FMU to partN.o."""
     named = part_name(part)
     source = str(C_SOURCES / "equations.c")
-    zig(["cc", "-c", *_FLAGS, *options, named, f"-I{sources}", "-o", f"part{part}.o", source], folder)
+    headers = [f"-I{sources}", f"-I{FMI_HEADERS}"]
+    zig(["cc", "-c", *_FLAGS, *options, named, *headers, "-o", f"part{part}.o", source], folder)
 
 
 def compile_program(folder: Path, program: str, files: Sequence[str], includes: Sequence[Path]) -> None:
     """Compile and link with the flags of the FMUs."""
-    options = [*_FLAGS, f"-I{_LOADER}", *(f"-I{include}" for include in includes)]
+    options = [*_FLAGS, *(f"-I{headers}" for headers in (_LOADER, FMI_HEADERS, *includes))]
     zig(["cc", *options, "-o", program, *files, *_LIBRARIES], folder)
 
 

@@ -6,6 +6,7 @@
 #include "instance.h"
 
 static Data data;
+static double constants[N_STEP_CONSTANTS + 1];
 static int internal_steps;
 
 double *PART(values)(void) { return data.value; }
@@ -23,6 +24,7 @@ int PART(refresh)(double t) {
 /* Communication steps are of h seconds from now on. */
 void PART(begin)(double h) {
     internal_steps = (int)fmax(1, ceil(h / data.value[INTERNAL_STEP] * (1 - 1e-9)));
+    model_step_constants(h / internal_steps, data.value, data.value + FIRST_CALCULATED, constants);
 }
 
 void PART(advance)(double t, double h) {
@@ -30,7 +32,7 @@ void PART(advance)(double t, double h) {
     const double internal = h / internal_steps;
     double next[N_STATES + 1];
     for (int i = 0;; i++) {
-        model_step(t + i * internal, internal, data.state, u, p, c, next);
+        model_step(t + i * internal, internal, data.state, u, p, c, constants, next);
         memcpy(data.state, next, N_STATES * sizeof *next);
         if (i + 1 == internal_steps) break;
     }
