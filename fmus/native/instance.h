@@ -44,7 +44,7 @@ static void data_reset(Data *d) {
 }
 
 static void data_set(Data *d, StepConstants *constants, int reference, double value) {
-    if (d->value[reference] == value) return;
+    if (!memcmp(d->value + reference, &value, sizeof value)) return; /* 0 and -0 differ */
     d->value[reference] = value;
     if (reference < FIRST_CALCULATED) d->parameters_are_stale = constants->are_stale = 1;
     if (d->mode != STEPPING) d->outputs_are_stale = 1;

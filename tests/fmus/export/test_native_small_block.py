@@ -159,6 +159,13 @@ def test_a_step_follows_the_parameters_that_are_set_restored_and_reset(session: 
     reached(0.1, False, h=0.05)
 
 
+def test_the_sign_of_a_zero_is_set(session: Session) -> None:
+    stepping(session)
+    for value in (0.0, -0.0, 0.0):
+        assert write(session, force=value) == OK
+        assert math.copysign(1.0, read(session, "force")[0]) == math.copysign(1.0, value)
+
+
 def test_output_derivatives_follow_parameters_and_inputs_that_have_just_been_set(session: Session) -> None:
     """y = gain limit x, so y' = gain limit (force valve + 1 - gain / limit x + t), of the present values."""
     stepping(session)

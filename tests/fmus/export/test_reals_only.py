@@ -73,6 +73,13 @@ def test_what_is_no_item_truth_value_or_whole_number_is_discarded(
     assert fmu[name] == before
 
 
+def test_an_input_of_whole_numbers_has_no_derivative(reals: Path, load: Any) -> None:
+    """Half way to the next one it would have a value that fmi2SetReal refuses."""
+    fmu = load(reals).begin()
+    assert fmu.status("setRealInputDerivatives", [fmu.references["level"]], [1], [1.0]) == "error"
+    assert "level: expected a continuous input" in fmu.log[-1]
+
+
 def test_it_breaks_no_rule_of_fmi(reals: Path) -> None:
     assert not {result.rule.name: result.messages for result in examine(reals) if result.messages}
 
