@@ -10,8 +10,9 @@ itself, no two structures of one name, values inline at each component, enumerat
 and FMPy apply no values unless they are told a set, fmucontainer none at all: therefore FMUs start with them.
 """
 
+import itertools
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -98,17 +99,22 @@ def _members(variants: Sequence[_Variant], fmus: Mapping[str, Path]) -> dict[str
 
     fmus: of each component
     """
-    members, resources = {}, {}
+    members: dict[str, bytes] = {}
+    resources: dict[str, str] = {}
     for component, fmu in fmus.items():
         content = without_enumerations(fmu.read_bytes())
-        resources[component] = f"resources/{fmu.name}"
-        if members.setdefault(resources[component], content) != content:
-            resources[component] = f"resources/{component}.fmu"
-            members[resources[component]] = content
+        path = next(path for path in _resource_paths(component, fmu) if members.get(path, content) == content)
+        members[path], resources[component] = content, path
     structures = {f"{variant.name}.ssd": _structure(variant, resources) for variant in variants}
     parameters = {f"parameters/{v.name}.ssv": ssp_xml.document(_parameter_set(v)) for v in variants}
     members[STRUCTURE] = structures.pop(f"{variants[0].name}.ssd")
     return members | structures | parameters
+
+
+def _resource_paths(component: str, fmu: Path) -> Iterator[str]:
+    """Paths that the FMU of a component may have in the package, the preferred one first; endless."""
+    numbered = (f"{component}_{number}.fmu" for number in itertools.count(2))
+    return (f"resources/{name}" for name in itertools.chain((fmu.name, f"{component}.fmu"), numbered))
 
 
 def _with_all_settings(variants: Sequence[_Variant]) -> list[_Variant]:

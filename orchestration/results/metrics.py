@@ -302,10 +302,15 @@ def check_run(
                 raise ScenarioError(f"metric {name}: {signal!r} is not recorded; {nearest(signal, record)}")
     windows = {name: call["window"] for name, call in declared.items() if "window" in call}
     rounding = 1e-9 * max(1.0, abs(start), abs(stop))
-    if cut := [n for n, (a, b) in windows.items() if a < start - rounding or b > stop + rounding]:
-        told = ", ".join(f"{name} {windows[name]}" for name in cut)
+    truncated = {
+        name: window
+        for name, window in windows.items()
+        if window[0] < start - rounding or window[1] > stop + rounding
+    }
+    if truncated:
+        listing = ", ".join(f"{name} {window}" for name, window in truncated.items())
         warnings.warn(
-            f"windows of metrics reach beyond the run, {start:g}..{stop:g} s, and are cut to it: {told}",
+            f"windows of metrics reach beyond the run, {start:g}..{stop:g} s, and are cut to it: {listing}",
             ScenarioWarning,
             stacklevel=3,
         )

@@ -49,23 +49,23 @@ def fits(
     """
 
     def fitted(left_out: Figure | None, begin: Mapping[str, float]) -> dict[str, Any]:
-        def ended(runs: Runs, count: int, begin: Mapping[str, float]) -> Fit:
+        def best_fit(runs: Runs, count: int, begin: Mapping[str, float]) -> Fit:
             search = Search(runs, free, left_out=left_out, evaluations=count * (1 + len(free)))
             return fit(search, free, begin)
 
-        near = ended(ModelRuns(), iterations["model"], begin)
+        model_fit = best_fit(ModelRuns(), iterations["model"], begin)
         with VehicleRuns() as runs:
-            return fit_document(ended(runs, iterations["FMUs"], near.values))
+            return fit_document(best_fit(runs, iterations["FMUs"], model_fit.values))
 
-    everything = stages.document(f"fit-{name}", lambda: fitted(None, start))
+    fit_to_all = stages.document(f"fit-{name}", lambda: fitted(None, start))
     others = {
         " ".join(figure): stages.document(
             f"fit-{name}-without-{'-'.join(figure)}",
-            lambda figure=figure: fitted(figure, everything["values"]),
+            lambda figure=figure: fitted(figure, fit_to_all["values"]),
         )
         for figure in VALUES
     }
-    return {"all": everything, "left_out": others}
+    return {"all": fit_to_all, "left_out": others}
 
 
 def fit_document(fit: Fit) -> dict[str, Any]:

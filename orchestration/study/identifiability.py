@@ -96,8 +96,8 @@ def study(
     document: dict[str, Any] = {"variants": {}}
     sets: dict[str, Columns] = {}
     for index, variant in enumerate(VARIANTS):
-        sets[variant.name], about = posterior(stages, index, effort)
-        document["variants"][variant.name] = about | summary(sets[variant.name])
+        sets[variant.name], counts = posterior(stages, index, effort)
+        document["variants"][variant.name] = counts | summary(sets[variant.name])
 
     def validated() -> dict[str, Any]:
         with VehicleRuns() as runs:
@@ -131,13 +131,13 @@ def posterior(stages: Stages, index: int, effort: Effort) -> tuple[Columns, dict
         if effective_draws(points) >= effort.enough:
             break
         guide = guide_of(of_round)
-    about = {
+    counts = {
         "runs": runs,
         "points": len(points["draw"]),
         "draws": len(np.unique(points["draw"])),
         "effective_draws": round(effective_draws(points), 1),
     }
-    return points, about
+    return points, counts
 
 
 def _batch(variant: Variant, seed: int, proposal: Proposal, effort: Effort) -> Callable[[], Columns]:

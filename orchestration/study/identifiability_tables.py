@@ -50,26 +50,27 @@ def _predictions(variants: Mapping[str, Any]) -> str:
         for c, m in changes
     ]
     rows = [["published", *published, "", ""]]
-    for name, about in variants.items():
-        share = f"{100.0 * about['fast_share']:.3g} %"
+    for name, variant in variants.items():
+        share, draws = f"{100.0 * variant['fast_share']:.3g} %", variant["effective_draws"]
+        fast_draws = variant["fast_share"] * draws
         for kind, label in (("all", name), ("fast", "of these the fast ones")):
-            ranges = [_range(about[kind][f"change-{c} {m}"]) for c, m in changes]
+            ranges = [_range(variant[kind][f"change-{c} {m}"]) for c, m in changes]
             if kind == "all":
-                rows.append([label, *ranges, share, f"{about['effective_draws']:.0f}"])
-            elif about["fast_share"] * about["effective_draws"] >= _LEAST_DRAWS:
-                rows.append([label, *ranges, "", ""])
+                rows.append([label, *ranges, share, f"{draws:.0f}"])
+            elif fast_draws >= _LEAST_DRAWS:
+                rows.append([label, *ranges, "", f"{fast_draws:.0f}"])
     return _table(head, rows)
 
 
 def _gains(variants: Mapping[str, Any]) -> str:
-    about = next(iter(variants.values()))
+    variant = next(iter(variants.values()))
     rows = []
     for free in FREE:
         if free.name != "plant.buoyancy_change":
-            _, low, median, high, _ = about["all"][free.name]
+            _, low, median, high, _ = variant["all"][free.name]
             ranges = f"{free.low:g} to {free.high:g}", f"{low:g} to {high:g}"
             rows.append(
-                [f"`{free.name}` [{free.unit}]", *ranges, f"{median:g}", about["narrowed"][free.name]]
+                [f"`{free.name}` [{free.unit}]", *ranges, f"{median:g}", variant["narrowed"][free.name]]
             )
     return _table(["number", "range", "95 % of the points", "median", "narrowed to"], rows)
 
@@ -136,10 +137,10 @@ def write_points(sets: Mapping[str, Columns], path: Path, formats: Sequence[Figu
     with figure_style():
         figure, panels = panel_grid(2, 2, 2.6)
         for (name, points), colour in zip(sets.items(), (BLUE, ORANGE), strict=True):
-            some = _representative(points, 1000)
+            rows = _representative(points, 1000)
             dots: dict[str, Any] = {"s": 3.0, "linewidths": 0.0, "color": colour, "alpha": 0.5, "label": name}
             for panel, (x, y) in zip(panels, _PANELS, strict=True):
-                panel.scatter(points[x][some], points[y][some], **dots)
+                panel.scatter(points[x][rows], points[y][rows], **dots)
         for panel, (x, y) in zip(panels, _PANELS, strict=True):
             panel.set_xlabel(_axis(x))
             panel.set_ylabel(_axis(y))

@@ -7,9 +7,10 @@ point has the density of the ranges times |d ln gain / d ln RMSE| (change of var
 settling times lie within their printed digits and no run overshoots by more than 1 %. So this is rejection
 sampling in which the two narrow windows are met by construction, and needs no chain that converges.
 
-Few even draws agree. So a pilot of even draws, whose settling times may be 2 s away, and two of ever narrower
-ones give a `Proposal` for the two numbers that the row narrows most; the points are drawn from that, and each
-has its density divided by that of the proposal (importance sampling).
+Few even draws agree. So a pilot gives a `Proposal` for the two numbers that the row narrows most: even draws
+whose settling times may be 2 s away, and three more rounds, the first of them narrower, the last two as the
+variant asks. The points are drawn from the proposal, and each has its density divided by that of the proposal
+(importance sampling).
 """
 
 from dataclasses import dataclass, replace
@@ -177,7 +178,7 @@ def drawn_points(
 def pilot(variant: Variant, count: int) -> dict[str, Any]:
     """Where draws agree: positions, one a draw, their weights, and the runs that it took.
 
-    `count` even draws with wide settling times first, then as many that these guide with narrower ones.
+    `count` even draws with wide settling times first, then rounds of as many, each guided by the one before.
     """
     runs, proposal, guide = 0, None, {}
     for seed, settling in enumerate(_PILOT_SETTLING, start=1):

@@ -61,7 +61,7 @@ def test_adding_up_steps_explains_the_difference(
 
 
 def test_the_scenarios_differ_by_far_more_than_importers_do(ours: dict[str, Recording]) -> None:
-    """Else an importer that ignores a parameter set would pass."""
+    """So that the test detects FMUs that do not start with the values of the scenario."""
     extended, plain = (ours[name][OUTPUT] for name in SCENARIOS)
     assert np.max(np.abs(extended - plain)) > 0.1
 

@@ -13,7 +13,7 @@ import pytest
 from fmpy.ssp.ssd import read_ssd, read_ssv
 from fmpy.validation import validate_fmu
 
-from orchestration.cli.package_fmus import build_ramp_source
+from orchestration.cli.package_fmus import build_ramp_source, build_started
 from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.exchange import ssp_read, ssp_write
 from orchestration.exchange.ssp_xml import STRUCTURE, tag
@@ -33,9 +33,9 @@ def asked_starts() -> dict[str, dict]:
 
 @pytest.fixture(scope="module")
 def package(tmp_path_factory: pytest.TempPathFactory, asked_starts: dict[str, dict]) -> Path:
-    """With FMUs as they are: those with other start values are what `tests/importers` runs."""
+    """With FMUs as they are: `tests/importers` and a slow test run those with other start values."""
 
-    def build_started(fmu: Path, starts: Mapping, folder: Path) -> Path:
+    def as_it_is(fmu: Path, starts: Mapping, folder: Path) -> Path:
         asked_starts[folder.name] = dict(starts)
         return fmu
 
@@ -43,7 +43,7 @@ def package(tmp_path_factory: pytest.TempPathFactory, asked_starts: dict[str, di
         scenario.load(scenario.find("nominal-extended")),
         tmp_path_factory.mktemp("ssp") / "loop.ssp",
     )
-    return ssp_write.package(chosen, path, build_ramp_source, build_started)
+    return ssp_write.package(chosen, path, build_ramp_source, as_it_is)
 
 
 @pytest.fixture
@@ -118,6 +118,28 @@ def test_the_system_has_no_connector_of_its_own(package: Path) -> None:
 
 @pytest.mark.parametrize("name", ["", "nominal-l1", "buoyancy-extended", "nominal-extended-ideal"])
 def test_a_package_runs_as_its_scenario_bit_by_bit(package: Path, name: str) -> None:
+    assert_same_recording(package, name)
+
+
+@pytest.mark.slow
+def test_a_package_whose_fmus_start_with_the_values_runs_as_its_scenarios_bit_by_bit(
+    tmp_path: Path,
+) -> None:
+    """As `l1-depth package` writes it, with blocks built again."""
+    chosen = scenario.load(scenario.find("nominal-extended"))
+    path = ssp_write.package(chosen, tmp_path / "loop.ssp", build_ramp_source, build_started)
+    with ssp_read.opened(path) as loop:
+        starts = {
+            v.name: v.start
+            for v in fmpy.read_model_description(str(loop.system.components["controller"])).modelVariables
+        }
+    assert starts["augmentation"] == "2"
+    for name in ("", "nominal-l1"):
+        assert_same_recording(path, name)
+
+
+def assert_same_recording(package: Path, name: str) -> None:
+    """name: of the scenario in the package; "" is the packaged one, nominal-extended."""
     chosen = scenario.load(scenario.find(name or "nominal-extended"))
     with ssp_read.opened(package, name) as loop:
         recording = simulate(loop.system, loop.experiment)
@@ -182,6 +204,27 @@ experiment = { stop_time = 1.0, step_size = 0.1 }
         assert {name: fmu.name for name, fmu in loaded.system.components.items()} == {
             "a": "f.fmu", "b": "b.fmu", "c": "f.fmu"
         }  # fmt: skip
+
+
+def test_a_free_name_is_chosen_where_the_component_has_the_name_of_another_file(tmp_path: Path) -> None:
+    for file, unit in (("x/b.fmu", "km"), ("one/f.fmu", "m"), ("other/f.fmu", "mm")):
+        (tmp_path / file).parent.mkdir()
+        described(tmp_path / file, inputs=["u"], outputs=["y"], units={"y": unit})
+    text = """
+connections = [["a.y", "b.u"], ["b.y", "c.u"], ["c.y", "a.u"]]
+components = { c = "x/b.fmu", a = "one/f.fmu", b = "other/f.fmu" }
+experiment = { stop_time = 1.0, step_size = 0.1 }
+"""
+    (tmp_path / "mine.toml").write_text(text)
+    mine = scenario.load(tmp_path / "mine.toml")
+    path = ssp_write.package(mine, tmp_path / "mine.ssp", build_ramp_source)
+    with ssp_read.opened(path) as loaded:
+        units = {
+            name: fmpy.read_model_description(str(fmu), validate=False).modelVariables[-1].unit
+            for name, fmu in loaded.system.components.items()
+        }
+        assert loaded.system.components["b"].name == "b_2.fmu"
+    assert units == {"a": "m", "b": "mm", "c": "km"}
 
 
 def test_a_variant_has_the_values_of_its_parameter_set(package: Path) -> None:

@@ -24,10 +24,17 @@ EVERYTHING = {
     "serialises_state": True,
 }
 TWO_BY_TWO: dict[str, Any] = {"a": -0.7, "b": (1.0, -2.0), "c": (1.0, 0.5), "d": ((0.0, 0.3), (2.0, 0.0))}
+PERMISSIVE = {"calculated-values-cannot-be-set", "forbidden-calls-are-refused"}
+"""Rules that warn of these FMUs: they accept values of outputs, and those of fixed parameters too late."""
 
 
 def findings(path: Path) -> dict[str, Any]:
-    return {r.rule.name: r.messages for r in examine(path, timeout=10) if r.outcome == "error"}
+    """Rule -> messages; without the warnings that are expected."""
+    return {
+        result.rule.name: result.messages
+        for result in examine(path, timeout=10)
+        if result.messages and not (result.outcome == "warning" and result.rule.name in PERMISSIVE)
+    }
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ def test_only_the_nominal_row_is_looked_at() -> None:
 
 
 @contextmanager
-def here(count: int) -> Iterator[Submit]:
+def pool_in_this_process(count: int) -> Iterator[Submit]:
     """As `worker_pool`, in this process: an interrupt of the command has its own test, with processes."""
 
     def submit(function: Callable[..., Any], *arguments: Any) -> Future[Any]:
@@ -47,7 +47,7 @@ def here(count: int) -> Iterator[Submit]:
 def test_one_seed_one_fit_and_the_file_is_what_scenarios_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(identification, "worker_pool", here)
+    monkeypatch.setattr(identification, "worker_pool", pool_in_this_process)
     seen: list[float] = []
     first = identify(seed=3, evaluations=2, starts=1, progress=seen.append)
     second = identify(seed=3, evaluations=2, starts=1)

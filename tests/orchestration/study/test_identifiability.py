@@ -38,9 +38,9 @@ def test_the_page_has_the_tables_of_the_study(name: str) -> None:
     assert tables(DOCUMENT)[name] in PAGE
 
 
-def test_every_range_rests_on_enough_draws() -> None:
-    for about in DOCUMENT["variants"].values():
-        assert about["effective_draws"] >= identifiability.FULL.enough >= 200.0
+def test_every_range_of_all_points_rests_on_enough_draws() -> None:
+    for variant in DOCUMENT["variants"].values():
+        assert variant["effective_draws"] >= identifiability.FULL.enough >= 200.0
 
 
 def test_the_study_holds_what_the_code_asks_for() -> None:
@@ -113,12 +113,12 @@ def test_draws_that_are_not_enough_guide_another_round(
     guide = np.random.default_rng(1).uniform([0.25, 0.1], [0.45, 0.5], (20, 2))
     stages.arrays("pilot-1", lambda: {"positions": guide, "weights": np.ones(20), "runs": 0})
     effort = identifiability.Effort(rounds=2, batches=2, draws=100, extensions=4, enough=enough)
-    points, about = identifiability.posterior(stages, 1, effort)
+    points, counts = identifiability.posterior(stages, 1, effort)
     assert names[2:] == expected
     batches = [dict(np.load(tmp_path / "key" / f"{name}.npz")) for name in expected]
-    assert len(points["draw"]) == about["points"] == sum(len(batch["draw"]) for batch in batches)
-    assert about["draws"] == sum(len(np.unique(batch["draw"])) for batch in batches)
-    assert about["runs"] == sum(int(batch["runs"]) for batch in batches)
+    assert len(points["draw"]) == counts["points"] == sum(len(batch["draw"]) for batch in batches)
+    assert counts["draws"] == sum(len(np.unique(batch["draw"])) for batch in batches)
+    assert counts["runs"] == sum(int(batch["runs"]) for batch in batches)
 
 
 def test_the_key_is_of_what_the_study_imports() -> None:
