@@ -22,7 +22,7 @@ from orchestration.master.loop_data import CHANGING, CHANGING_OF_CONNECTIONS, Re
 from orchestration.master.stepping import MOST_STEPS, RunInProgress
 from orchestration.system.system import CheckedSystem
 
-_VERSION = 4
+_VERSION = 5
 _HEAD = ("position", "time", "step_control", "past", "texts")  # members of a checkpoint that are plain data
 
 
@@ -39,7 +39,7 @@ class Checkpoint:
 
     position: int
     time: float
-    step_control: list[float]
+    step_control: Mapping[str, Any]
     past: Mapping[str, str]
     texts: list[str]
     states: Mapping[str, bytes]
@@ -103,7 +103,7 @@ def capture(run: RunInProgress) -> Checkpoint:
     return Checkpoint(
         position=position,
         time=float(wiring.points[position]),
-        step_control=run.step_control.state if run.step_control else [],
+        step_control=run.step_control.state if run.step_control else {},
         past=_past(run, position),
         texts=run.wired.texts.table,
         states=states,

@@ -2,13 +2,26 @@
 
 from fmus.binding import DISCARD, OK, WARNING
 from orchestration.errors import FmuError, OrchestrationError
-from orchestration.master.loop_data import Call, Report, Wiring
+from orchestration.master.loop_data import Call, LoopFunctions, Report, Wiring
 from orchestration.master.wiring import WiredRun
 
 
 def is_discarded_step(wiring: Wiring) -> bool:
     """Whether the reported failure is a step that a component discarded."""
     return wiring.report[Report.FAILURE] == Call.DO_STEP and wiring.report[Report.STATUS] == DISCARD
+
+
+def step_unless_discarded(run: WiredRun, loop: LoopFunctions, point: int, start: float, end: float) -> bool:
+    """Step from `start` to `end` [s]; False if a component discards the step.
+
+    point: the communication point at or before `start`
+    Raises `failure_error` for any other failure.
+    """
+    if loop.step(point, start, end):
+        return True
+    if not is_discarded_step(run.wiring):
+        raise failure_error(run, start)
+    return False
 
 
 def failure_error(run: WiredRun, time: float | None = None) -> OrchestrationError:

@@ -4,6 +4,9 @@ A run that goes back writes new rows over the old ones of its record. Should it 
 saved on the way it left, the rows that lead there are needed again: they are copied when it leaves that way.
 """
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from orchestration.master.loop_data import SavedMemory
@@ -70,7 +73,7 @@ class SavedState:
         self,
         memory: SavedMemory,
         position: int,
-        step_control: list[float],
+        step_control: Mapping[str, Any],
         segment: Segment,
         unused: list[SavedMemory],
     ) -> None:

@@ -6,6 +6,7 @@ solver starts anew in every step, with a tolerance of its own, does not.
 
 import numpy as np
 
+from orchestration.master.failure import step_unless_discarded
 from orchestration.master.loop import python_loop
 from orchestration.master.loop_data import InputMode, LoopFunctions
 from orchestration.master.snapshot import Snapshot
@@ -18,18 +19,22 @@ def step_together_and_split(
     """The bus at `end` [s] after one step, and after two with inputs that go on as in the one.
 
     before: the snapshot at `start`; point: the communication point at or before it
-    None if a component discards a step. Call `before.restore` afterwards.
+    None if a component discards a step; raises OrchestrationError if a step fails otherwise. Call
+    `before.restore` afterwards.
     """
     wiring = run.wiring
     before.restore()
-    if not loop.step(point, start, end):
+    if not step_unless_discarded(run, loop, point, start, end):
         return None
     together, slopes = wiring.bus.copy(), wiring.slopes.copy()
     before.restore()
     _carry_on(run, together, slopes, start)
     halves = python_loop(wiring._replace(gauss_seidel=0))  # which would exchange within a half
     middle = start + 0.5 * (end - start)
-    if not (halves.step(point, start, middle) and halves.step(point, middle, end)):
+    if not (
+        step_unless_discarded(run, halves, point, start, middle)
+        and step_unless_discarded(run, halves, point, middle, end)
+    ):
         return None
     return together, wiring.bus.copy()
 

@@ -10,14 +10,14 @@ error is permitted: the step stays as long as it is, and the recording holds wha
 """
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from orchestration.errors import FmuWarning, OrchestrationError
 from orchestration.fmi.instance import FmuInstance
-from orchestration.master.failure import failure_error, is_discarded_step
+from orchestration.master.failure import failure_error, step_unless_discarded
 from orchestration.master.loop_data import LoopFunctions, Report
 from orchestration.master.snapshot import Snapshot
 from orchestration.master.split_step import step_together_and_split
@@ -55,25 +55,36 @@ class StepControl:
         self.step_size = experiment.step_size
         self.solver_error: dict[str, Any] = {}
         self._rejected = 0.0, 0.0  # size [s] and error ratio of the last inexact step
-        self._estimated_error = 0.0  # of all accepted steps, in permitted errors times s
+        self._has_warned = False  # of an error of an FMU's own solver
+        # of all accepted steps, over the tolerance: the sum of errors that add up, the largest other one
+        self._summed_error, self._largest_error = 0.0, 0.0
         self.statistics = dict.fromkeys(("steps_between_points", "discarded_steps", "inexact_steps"), 0)
 
     @property
     def provenance(self) -> dict[str, Any]:
-        """What the recording tells of the steps; empty if none was divided."""
+        """Provenance of the steps; empty if none was divided."""
         solver_error = {"solver_error": dict(self.solver_error)} if self.solver_error else {}
         return {**self.statistics, **solver_error} if any(self.statistics.values()) else {}
 
     @property
-    def state(self) -> list[float]:
-        """What the steps behind a communication point depend on, as plain data."""
-        return [self.step_size, *(self.tolerance.solver_error.tolist() if self.tolerance else ())]
+    def state(self) -> dict[str, Any]:
+        """What later steps, and the provenance of all, depend on at a communication point, as plain data."""
+        return {
+            "step_size": self.step_size,
+            "known_solver_error": self.tolerance.solver_error.tolist() if self.tolerance else [],
+            "summed_error": self._summed_error,
+            "largest_error": self._largest_error,
+            "solver_error": dict(self.solver_error),
+            "statistics": dict(self.statistics),
+        }
 
     @state.setter
-    def state(self, state: Sequence[float]) -> None:
-        self.step_size, *solver_error = state
+    def state(self, state: Mapping[str, Any]) -> None:
+        self.step_size = state["step_size"]
         if self.tolerance:
-            self.tolerance.solver_error = np.array(solver_error)
+            self.tolerance.solver_error = np.array(state["known_solver_error"])
+        self._summed_error, self._largest_error = state["summed_error"], state["largest_error"]
+        self.solver_error, self.statistics = dict(state["solver_error"]), dict(state["statistics"])
 
     def advance_to(self, point: int, check_interrupt: Callable[[], None]) -> float:
         """Advance from the communication point before `point`, where the exchange is done, to `point`.
@@ -164,22 +175,27 @@ class StepControl:
     def _note_accepted(self, start: float, size: float, ratios: np.ndarray) -> None:
         """Add up the errors of a step; where they are permitted as those of solvers alone, note and warn."""
         assert self.tolerance
-        worst = int(np.argmax(ratios)) if len(ratios) else 0
-        ratio = float(np.max(ratios, initial=0.0))
-        is_of_solvers = ratio > 1.0  # it then is the whole difference, not a part that follows from the order
-        self._estimated_error += ratio * size * (2.0**self.tolerance.order - 1.0 if is_of_solvers else 1.0)
-        if is_of_solvers:
+        is_of_solvers = (
+            ratios > 1.0
+        )  # it then is the whole difference, not a part that follows from the order
+        errors = np.where(is_of_solvers, (2.0**self.tolerance.order - 1.0) * ratios, ratios)
+        adds_up = self.tolerance.adds_up
+        self._summed_error += float(np.max(errors[adds_up], initial=0.0)) * size / self.tolerance.duration
+        self._largest_error = float(np.max(errors[~adds_up], initial=self._largest_error))
+        if np.any(is_of_solvers):
+            output = self.tolerance.names[int(np.argmax(ratios))]
             if not self.solver_error:
-                self.solver_error = {"from_time_s": start, "output": self.tolerance.names[worst], "steps": 0}
-                warnings.warn(self._solver_warning(size), FmuWarning, stacklevel=2)
+                self.solver_error = {"from_time_s": start, "output": output, "steps": 0}
+            if not self._has_warned:
+                self._has_warned = True
+                warnings.warn(self._solver_warning(output, start, size), FmuWarning, stacklevel=2)
             self.solver_error["steps"] += 1
         if self.solver_error:
-            reached = self.tolerance.relative * self._estimated_error / self.tolerance.duration
+            reached = self.tolerance.relative * max(self._summed_error, self._largest_error)
             self.solver_error["estimated_error"] = reached
 
-    def _solver_warning(self, size: float) -> str:
+    def _solver_warning(self, output: str, time: float, size: float) -> str:
         assert self.tolerance
-        output, time = self.solver_error["output"], self.solver_error["from_time_s"]
         return (
             f"tolerance = {self.tolerance.relative:g} is not met: at t = {time:.9g} s the error of {output} "
             f"does not fall with the step, here {size:.3g} s, as its FMU's own solver leaves it; the step "
@@ -201,10 +217,8 @@ class StepControl:
                 wiring.bus[index] = signal(start)
             if not self._loop.exchange(point, start, False):
                 raise failure_error(self._run, start)
-        if self._loop.step(point, start, end):
+        if step_unless_discarded(self._run, self._loop, point, start, end):
             return True
-        if not is_discarded_step(wiring):
-            raise failure_error(self._run, start)
         self.statistics["discarded_steps"] += 1
         component = int(wiring.report[Report.COMPONENT])
         instance = list(self._run.instances.values())[component]

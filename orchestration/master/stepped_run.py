@@ -192,7 +192,7 @@ class SteppedRun(RunInProgress):
         if not self._loop.save(memory):
             raise self._failure()
         point = self._report[_POSITION]
-        step_control = self.step_control.state if self.step_control else []
+        step_control = self.step_control.state if self.step_control else {}
         return SavedState(memory, point, step_control, self._record.keep(point), self._unused)
 
     def restore(self, state: SavedState) -> None:

@@ -157,10 +157,12 @@ class RunInProgress:
         if not self._loop.exchange_and_record(self.position):
             raise self._failure()
         self._snapshot.take()
+        state = self.step_control.state
         try:
             reached = self.step_control.advance_to(self.position + 1, self._check_interrupt)
         except KeyboardInterrupt:  # between two communication points nothing can be saved
             self._snapshot.restore()
+            self.step_control.state = state
             raise
         self._is_terminated(reached)
         self.look_around()

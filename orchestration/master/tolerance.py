@@ -15,6 +15,7 @@ class Tolerance:
 
     order: of the exchange in the step size
     names, bus_index: of the outputs, (m,)
+    adds_up: whether the errors of an output add up from step to step, (m,)
     solver_error: what a step that is split leaves in the outputs, though nothing is exchanged in it, (m,)
     """
 
@@ -32,7 +33,7 @@ class Tolerance:
         # The error of an output that may depend directly on an input in step mode does not add up from step
         # to step: it is compared with the whole tolerance.
         feedthrough = outputs_with_feedthrough(run.prepared.system, driven)
-        self._has_feedthrough = np.array([name in feedthrough for name in self.names], bool)
+        self.adds_up = np.array([name not in feedthrough for name in self.names], bool)
 
     def error_ratios(self, coarse: np.ndarray, fine: np.ndarray, size: float) -> np.ndarray:
         """Estimated errors of the fine values over the permitted ones of a step of `size` [s], (m,).
@@ -69,7 +70,7 @@ class Tolerance:
         return np.abs(fine - coarse) / (2.0**self.order - 1.0)
 
     def _permitted(self, fine: np.ndarray, size: float) -> np.ndarray:
-        share = np.where(self._has_feedthrough, 1.0, size / self.duration)
+        share = np.where(self.adds_up, size / self.duration, 1.0)
         return self.relative * np.maximum(np.abs(fine), self._nominal) * share
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from orchestration.report.result import RunResult, SweepResult
 from orchestration.report.sweeps import correlations, groups_of, strongest
+from orchestration.results.metrics import SIGNALS
 from orchestration.results.recording import points_down
 from orchestration.sweep.summary import categorical
 
@@ -36,7 +37,7 @@ def run_data(run: RunResult) -> dict[str, Any]:
             {
                 str(call[key])
                 for call in run.scenario.get("metrics", {}).values()
-                for key in ("signal", "reference")
+                for key in SIGNALS
                 if key in call
             }
         ),

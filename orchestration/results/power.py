@@ -25,8 +25,8 @@ def energy_residuals(recording: Recording, effort: str, flow: str) -> np.ndarray
     """The energy that each step creates, in the unit of effort * flow * s, shape (points - 1,).
 
     effort, flow: outputs of two components, each an input of the other, connected without factors
-    ScenarioError for a recording without provenance, or of a run with steps between its points, or others
-    than the communication step.
+    ScenarioError for a recording without provenance, or of a run with faults, or with steps between its
+    points, or others than the communication step.
     """
     _check(recording)
     size = np.diff(recording.time)
@@ -69,6 +69,9 @@ def _mean_product(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) ->
 def _check(recording: Recording) -> None:
     if "algorithm" not in recording.provenance:
         raise ScenarioError("energy_residual: expected a recording with its provenance, as Parquet keeps it")
-    for key in ("tolerance", "step_sizes_s", "steps_between_points"):
+    for key in ("tolerance", "step_sizes_s", "steps_between_points", "faults"):
         if key in recording.provenance:
-            raise ScenarioError(f"energy_residual: expected a run with steps of one size, got one with {key}")
+            raise ScenarioError(
+                "energy_residual: expected a run with steps of one size and without faults, "
+                f"got one with {key}"
+            )

@@ -16,7 +16,7 @@ from fmus.errors import nearest
 from fmus.fmi_types import FmiValue
 from fmus.registry import block_names
 from orchestration.errors import ScenarioError
-from orchestration.results.metrics import FUNCTIONS
+from orchestration.results import metrics
 from orchestration.scenarios.file_format import METRIC
 from orchestration.scenarios.file_tables import Table, checked
 from orchestration.scenarios.read_layers import shipped_bases
@@ -187,8 +187,8 @@ def _names(tables: ProtocolFile) -> Iterator[tuple[KeyPath, str, Collection[str]
     """Keys, the name that stands there, and the names that may."""
     yield ("base",), tables.base, shipped_bases()
     for name, table in tables.figures.items():
-        yield ("figures", name, "function"), table.function, FUNCTIONS
-        for argument in sorted({"signal", "reference"} & table.arguments.keys()):
+        yield ("figures", name, "function"), table.function, metrics.FUNCTIONS
+        for argument in sorted(table.arguments.keys() & metrics.SIGNALS):
             yield ("figures", name, "arguments", argument), table.arguments[argument], SIGNALS
     for name in tables.failure:
         yield ("failure", name), name, tables.figures

@@ -12,6 +12,7 @@ from orchestration.master import simulate
 from orchestration.results import metrics
 from orchestration.results.power import energy_residuals
 from orchestration.results.recording import Recording
+from orchestration.scenarios.declarations import fault
 from orchestration.system.experiment import Algorithm, Experiment
 from orchestration.system.system import System
 
@@ -87,6 +88,15 @@ def test_extrapolated_inputs_create_less(linear: Build) -> None:
 def test_a_run_whose_inputs_are_not_known_between_its_points_has_no_residual(linear: Build) -> None:
     recording = run(linear, 0.0, 0.5, step_sizes={"spring": 1.0})
     with pytest.raises(
-        ScenarioError, match="expected a run with steps of one size, got one with step_sizes_s"
+        ScenarioError,
+        match="expected a run with steps of one size and without faults, got one with step_sizes_s",
     ):
+        energy_residuals(recording, FORCE, VELOCITY)
+
+
+def test_a_run_with_faults_has_no_residual(linear: Build) -> None:
+    """A component behind a fault is not given the output itself."""
+    delayed = fault({"input": "mass.u[1]", "kind": "delay", "delay": 0.5}, "fault")
+    recording = run(linear, 0.0, 0.5, faults=(delayed,))
+    with pytest.raises(ScenarioError, match="got one with faults"):
         energy_residuals(recording, FORCE, VELOCITY)

@@ -8,13 +8,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from orchestration.errors import FmuWarning
-from orchestration.master import simulate
+from orchestration.errors import FmuError, FmuWarning, SimulationError
+from orchestration.master import Simulator, simulate
 from orchestration.master.checkpoint import Checkpoints, read_checkpoint
+from orchestration.master.snapshot import Snapshot
+from orchestration.master.split_step import step_together_and_split
+from orchestration.master.step_control import StepControl
 from orchestration.results.recording import Recording
 from orchestration.system.experiment import Algorithm, Event, Experiment
 from orchestration.system.system import System
+from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import LOOP, coupled, solution
+from tests.orchestration.rogue_systems import doing, pair
 
 Build = Callable[..., Path]
 SOLVER_ERROR = 1e-4
@@ -24,6 +29,10 @@ INTERPOLATES = pytest.mark.parametrize("interpolates", [True, False], ids=["by t
 def inexact(linear: Build, **capabilities: Any) -> System:
     """`coupled`, each of whose FMUs leaves up to `SOLVER_ERROR` in every step longer than 1 us."""
     return coupled(linear, solver_error=SOLVER_ERROR, saves_state=True, serialises_state=True, **capabilities)
+
+
+def numbers_of_steps(run: Recording) -> list[int]:
+    return [run.provenance[name] for name in ("steps_between_points", "discarded_steps", "inexact_steps")]
 
 
 def true_error(run: Recording) -> float:
@@ -94,7 +103,7 @@ def test_a_step_in_two_halves_without_an_exchange_is_the_same_to_an_exact_fmu(
     )
     checkpoints = Checkpoints(tmp_path / "checkpoint", every=1.0)
     simulate(System(fmus, LOOP), experiment, checkpoints=checkpoints)
-    learned = read_checkpoint(checkpoints.path).step_control[1:]
+    learned = read_checkpoint(checkpoints.path).step_control["known_solver_error"]
     assert any(learned)  # to rounding
     assert max(learned) < 1e-13
 
@@ -107,3 +116,94 @@ def test_a_run_continues_with_the_solvers_error_that_it_knows(linear: Build, tmp
     with pytest.warns(FmuWarning, match="is not met"):
         continued = simulate(system, experiment, resume=read_checkpoint(checkpoints.path))
     assert np.array_equal(continued.values, complete.values)
+    assert continued.provenance["solver_error"] == complete.provenance["solver_error"]
+    assert numbers_of_steps(continued) == numbers_of_steps(complete)
+
+
+def step_twice_from_each_point(simulator: Simulator) -> None:
+    """Each step to 0.5 s is taken, taken back and taken again."""
+    while simulator.time < 0.45:
+        state = simulator.save()
+        simulator.step()
+        simulator.restore(state)
+        simulator.step()
+
+
+def test_steps_taken_back_do_not_count(linear: Build) -> None:
+    system, experiment = inexact(linear), Experiment(0.5, 0.1, tolerance=1e-3)
+    with Simulator(system) as simulator:
+        with pytest.warns(FmuWarning, match="is not met"):
+            complete = simulator.run(experiment)
+        simulator.start(experiment)
+        with pytest.warns(FmuWarning, match="is not met"):
+            step_twice_from_each_point(simulator)
+        run = simulator.recording()
+    assert run.provenance["solver_error"] == complete.provenance["solver_error"]
+    assert numbers_of_steps(run) == numbers_of_steps(complete)
+
+
+def test_steps_before_an_interrupt_between_two_points_do_not_count(
+    linear: Build, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The run continues from the point before them, with the step size and the errors of that point."""
+    system, checkpoints = inexact(linear), Checkpoints(tmp_path / "checkpoint")
+    experiment = Experiment(0.5, 0.1, tolerance=1e-3)
+    with pytest.warns(FmuWarning, match="is not met"):
+        complete = simulate(system, experiment)
+    tries = iter(range(20))
+    step = StepControl.try_controlled_step
+
+    def interrupted(control: StepControl, point: int, start: float, end: float) -> bool:
+        if next(tries, None) is None and start > experiment.step_size * point + 1e-9:
+            raise KeyboardInterrupt
+        return step(control, point, start, end)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(StepControl, "try_controlled_step", interrupted)
+        with (
+            pytest.warns(FmuWarning, match="is not met"),
+            pytest.raises(SimulationError, match="interrupted; saved in"),
+        ):
+            simulate(system, experiment, checkpoints=checkpoints)
+    with pytest.warns(FmuWarning, match="is not met"):
+        continued = simulate(system, experiment, resume=read_checkpoint(checkpoints.path))
+    assert np.array_equal(continued.values, complete.values)
+    assert continued.provenance["solver_error"] == complete.provenance["solver_error"]
+    assert numbers_of_steps(continued) == numbers_of_steps(complete)
+
+
+def test_the_error_of_an_output_with_feedthrough_is_no_mean_over_time(linear: Build) -> None:
+    """Its permitted error is the whole tolerance: here 20 of 130 steps exceed it, not the mean."""
+    system = coupled(linear, 0.02, solver_error=SOLVER_ERROR, saves_state=True)
+    tolerance = 0.8 * SOLVER_ERROR
+    with pytest.warns(FmuWarning, match="is not met"):
+        run = simulate(system, Experiment(0.2, 0.1, tolerance=tolerance))
+    assert run.provenance["solver_error"]["estimated_error"] > tolerance
+
+
+@pytest.mark.parametrize("failing", ["the whole step", "the second half"])
+@pytest.mark.parametrize(
+    ("misdeed", "message"),
+    [
+        (Misdeed.ERROR, "fmi2DoStep returned error: the rudder is stuck"),
+        (Misdeed.FATAL, "fmi2DoStep returned fatal: the hull is breached"),
+        (Misdeed.DISCARD, ""),
+    ],
+)
+def test_a_step_that_fails_to_find_the_solvers_error_ends_the_run(
+    linear: Build, rogue: Build, misdeed: Misdeed, message: str, failing: str
+) -> None:
+    """After a fatal error no state is set; a discarded step only leaves the error unknown."""
+    misdeed_time = 0.0 if failing == "the whole step" else 0.05
+    with Simulator(pair(linear, rogue)) as simulator:
+        simulator.start(doing(misdeed, misdeed_time))
+        run = simulator._stepped
+        assert run
+        before = Snapshot(run.wired, run._loop)
+        before.take()
+        arguments = run.wired, run._loop, before, 0, 0.0, 0.1
+        if message:
+            with pytest.raises(FmuError, match=rf"rogue at t = {misdeed_time:g} s: {message}"):
+                step_together_and_split(*arguments)
+        else:
+            assert step_together_and_split(*arguments) is None

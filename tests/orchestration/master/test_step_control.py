@@ -21,7 +21,7 @@ def test_a_step_grows_at_most_five_times(linear: Build, tmp_path: Path) -> None:
     simulate(coupled(linear, **ABLE), Experiment(0.002, 0.001, tolerance=0.5), checkpoints=checkpoints)
     checkpoint = read_checkpoint(checkpoints.path)
     assert checkpoint.position == 1
-    assert checkpoint.step_control[0] == pytest.approx(5 * 0.001, rel=1e-12)
+    assert checkpoint.step_control["step_size"] == pytest.approx(5 * 0.001, rel=1e-12)
 
 
 def test_a_step_shrinks_at_most_to_a_fifth(linear: Build) -> None:

@@ -17,7 +17,7 @@ from hypothesis.extra.numpy import arrays
 from orchestration.errors import OrchestrationError
 from orchestration.report import RunResult, SweepResult, found_results
 from orchestration.report.differences import differences
-from orchestration.report.embedded import packed
+from orchestration.report.embedded import packed, run_data
 from orchestration.report.sweeps import correlations, distributions, strongest
 from orchestration.report.toml import toml
 from orchestration.scenarios import scenario
@@ -58,6 +58,13 @@ def test_a_scenario_that_toml_cannot_say_is_refused(tmp_path: Path) -> None:
 def test_embedded_numbers_are_exact(values: np.ndarray) -> None:
     planes = np.frombuffer(zlib.decompress(base64.b64decode(packed(values))), np.uint8).reshape(8, -1)
     assert planes.T.tobytes() == values.astype("<f8").tobytes()
+
+
+def test_every_signal_of_a_metric_is_drawn_first() -> None:
+    energy = {"function": "energy_residual", "signal": "plant.force", "flow": "plant.ratio", "unit": "J"}
+    scenario_data = {**SCENARIO, "metrics": {**SCENARIO["metrics"], "energy": energy}}
+    data = run_data(RunResult("run", recording(), scenario_data, PROVENANCE))
+    assert data["in_metrics"] == ["plant.depth", "plant.force", "plant.ratio", "plant.reference"]
 
 
 def test_differences_are_by_setting_and_the_many_are_counted() -> None:

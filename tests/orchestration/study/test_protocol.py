@@ -94,6 +94,11 @@ def test_a_target_is_the_first_depth_that_is_held() -> None:
         ('fmu = "PidDepthController"', 'fmu = "PidControler"', r":\d+: controllers.pid.fmu = .*; nearest is"),
         ("largest = 30.0", "lagest = 30.0", r":\d+: unknown key 'lagest'; nearest is 'largest'"),
         ('signal = "power"', 'signal = "pover"', r":\d+: figures.energy.arguments.signal = 'pover'; nearest"),
+        (
+            'function = "effort"\narguments = { signal = "power" }',
+            'function = "energy_residual"\narguments = { signal = "u", flow = "dept" }',
+            r":\d+: figures.energy.arguments.flow = 'dept'; nearest is 'depth'",
+        ),
         ("low = 0.2", "lowest = 0.2", r":\d+: plants.vary.thrust: unknown key 'lowest'"),
     ],
 )
