@@ -10,12 +10,12 @@ from fmus.compliance.sentences import ADVICE, Sentence, sentences, sentences_of,
 _HEAD = """\
 # FMI 2.0.5, sentence by sentence
 
-Each sentence of FMI 2.0.5 that binds an FMU, by clause and in our words, with the rules of `l1-depth check`
-that check it ([what the check does](compliance.md)). Where there is none: what cannot be seen from outside,
+Sentences of FMI 2.0.5 that bind an FMU, by clause and in our words, with the rules of `l1-depth check`
+that check them ([what the check does](compliance.md)). Where there is none: what cannot be seen from outside,
 with the reason, or what concerns model exchange alone, whose behaviour is not judged. The text of the
 standard is public: repository `modelica/fmi-standard`, tag `v2.0.5`. `python .ci/fmi2_page.py` prints this
-page from the code, and a test compares both. `python -m tests.mutants` breaks the sentences one after the
-other and prints which rules find it."""
+page from the code, and a test compares both. `python -m tests.mutants` breaks, one after the other,
+sentences that have a mutant, and prints which rules find it."""
 
 
 def page() -> str:

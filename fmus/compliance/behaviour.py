@@ -108,7 +108,8 @@ def _judged(fmu: FmuFile, names: Sequence[str], timeout: float) -> dict[str, Res
             return {name: Result(rules[name], not_judged=f"it cannot be unpacked: {error}") for name in names}
         shared: dict[str, Any] = {}
         while remaining := [rules[name] for name in names if name not in results]:
-            if sum(_HUNG in message for r in results.values() for message in r.messages) == _MOST_HANGS:
+            messages = [message for result in results.values() for message in result.messages]
+            if sum(message.startswith(f"the FMU {_HUNG}") for message in messages) >= _MOST_HANGS:
                 reason = f"{_MOST_HANGS} rules before {_HUNG} {timeout:g} s"
                 return results | {rule.name: Result(rule, not_judged=reason) for rule in remaining}
             for result in _judged_by_one_process(fmu, folder, remaining, results, timeout, shared):

@@ -8,12 +8,11 @@ from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
 from fmus.compliance.script import Reply, Script
 from fmus.compliance.session import session
-from fmus.compliance.values import settable_while_stepping, start_value
+from fmus.compliance.values import start_value
 from fmus.compliance.variable import Variable
 
 _STATUS = "2.1.3 Status Returned by Functions"
 _STATES = "4.2.4 State Machine of Calling Sequence from Master to Slave"
-_MAY_DISCARD = ("fmi2DoStep", "fmi2Set", "Status")  # parts of names
 _LAST_SUCCESSFUL_TIME = 2
 
 
@@ -24,7 +23,9 @@ def _may_discard(reply: Reply) -> bool:
 
 @rule(_STATES, Stage.BEHAVIOUR, needs=["reset-in-every-state"])
 def allowed_calls_succeed(probe: Probe) -> Iterator[str]:
-    """Every function succeeds in every state in which the state machine allows it."""
+    """The functions that the FMU supports succeed in the states, instantiated to terminated, that allow
+    them.
+    """
     named = set()
     played = session(probe)
     for reply in played.script.replies:
@@ -180,8 +181,3 @@ def empty_calls_succeed(probe: Probe) -> Iterator[str]:
     failed = next((reply for reply in replies if not reply.ok), None)
     if failed:
         yield f"{failed.function} of no variables: {failed.status_name}: expected ok"
-
-
-def tunable(probe: Probe) -> list[Variable]:
-    """Parameters and inputs that can be set at communication points."""
-    return settable_while_stepping(probe.fmu)

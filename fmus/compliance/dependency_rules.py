@@ -1,5 +1,6 @@
 """Dependencies: what ModelStructure declares of initial values, against what a change shows."""
 
+import math
 import random
 from collections.abc import Iterator
 from typing import Any
@@ -81,8 +82,9 @@ def initial_dependencies_exist(probe: Probe) -> Iterator[str]:
     """An initial unknown that lists Real inputs changes with one of these, at some point of several."""
     knowns, chance = settable_in_initialization(probe.fmu), random.Random(0)
     real = {known.index for known in knowns if known.kind == "Real" and known.causality == "input"}
+    numbers = _finite(probe)
     alone: dict[str, set[int | None]] = {
-        name: listed & real for name, listed in _declared(probe).items() if listed & real
+        name: listed & real for name, listed in _declared(probe).items() if listed & real and name in numbers
     }
     alone = _unmoved(alone, _influences(probe))
     for point in _points(knowns, chance) if alone else ():
@@ -92,6 +94,15 @@ def initial_dependencies_exist(probe: Probe) -> Iterator[str]:
         alone = _unmoved(alone, _changed(probe, pairs))
     for name in alone:
         yield f"{name} changes with none of the inputs that it lists as dependencies in initialization mode"
+
+
+def _finite(probe: Probe) -> set[str]:
+    """The initial unknowns but for those that are no finite numbers at the start values."""
+    script = probe.script().initialise()
+    reading = script.read(_unknowns(probe))
+    script.play()
+    values = reading.values.items()
+    return {name for name, value in values if not isinstance(value, float) or math.isfinite(value)}
 
 
 def _unmoved(

@@ -6,9 +6,10 @@ from collections.abc import Iterator, Sequence
 
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import NotJudgedError, Stage, rule
+from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
 from fmus.compliance.script import Reading, Script
 from fmus.compliance.values import (
+    RESTARTED,
     differing,
     other_value,
     settable_in_initialization,
@@ -26,7 +27,6 @@ _DIFFERENCE = 1e-6  # relative change for a difference quotient: half the digits
 _AGREEMENT = 1e-4  # relative; a wrong derivative is wrong by much more
 _ROUGH = 0.1  # relative: of slopes over a step, which is no limit
 _LINEAR = 1e-6  # relative: derivatives may be difference quotients
-_RESTARTED = 1e-6  # relative: a solver may begin anew where a derivative is set
 
 
 def _orders(fmu: FmuFile) -> str:
@@ -55,7 +55,7 @@ def input_derivatives(probe: Probe) -> Iterator[str]:
     got = script.run(2)
     usual.play()
     script.play()
-    yield from differing(expected, got, "where derivatives of inputs were set to 0", _RESTARTED)
+    yield from differing(expected, got, "where derivatives of inputs were set to 0", RESTARTED)
 
 
 @rule(_TRANSFER, Stage.BEHAVIOUR, condition=unless_claimed(_INTERPOLATES), needs=["input-derivatives"])
@@ -107,7 +107,13 @@ def _moved(held: Reading, raised: Reading, moving: Reading) -> str:
 
 @rule(_TRANSFER, Stage.BEHAVIOUR, condition=_orders, needs=["allowed-calls-succeed"])
 def output_derivatives(probe: Probe) -> Iterator[str]:
-    """After a step every continuous Real output has a finite derivative of each order that is claimed."""
+    """After a step the derivatives of continuous Real outputs can be read, of each order that is claimed."""
+    probe.once("derivatives of outputs", lambda: _derivatives(probe))
+    yield from ()
+
+
+def _derivatives(probe: Probe) -> list[tuple[str, int, float]]:
+    """(name of an output, order, derivative) after a step."""
     chosen = _continuous(probe, "output")
     script = probe.script(logging=True).begin().step(2)
     replies = [
@@ -116,20 +122,57 @@ def output_derivatives(probe: Probe) -> Iterator[str]:
         if chosen
     ]
     script.play()
-    for order, reply in enumerate(replies, 1):
-        for v, value in zip(chosen, reply.value, strict=True):
-            if not math.isfinite(value):
-                yield f"{v.name}: derivative of order {order} is {value}: expected a finite number"
+    return [
+        (v.name, order, value)
+        for order, reply in enumerate(replies, 1)
+        for v, value in zip(chosen, reply.value, strict=True)
+    ]
 
 
 @rule(
-    _TRANSFER,
+    "advice: importers extrapolate with finite numbers",
     Stage.BEHAVIOUR,
+    Level.WARNING,
     condition=_orders,
-    needs=["output-derivatives", "variables-can-be-read", "communication-points-may-be-rounded"],
+    needs=["output-derivatives"],
 )
+def output_derivatives_are_finite(probe: Probe) -> Iterator[str]:
+    """After a step the derivatives of outputs are finite."""
+    for name, order, value in probe.once("derivatives of outputs", lambda: _derivatives(probe)):
+        if not math.isfinite(value):
+            yield f"{name}: derivative of order {order} is {value}: expected a finite number"
+
+
+_TO_COMPARE = ["output-derivatives", "variables-can-be-read", "communication-points-may-be-rounded"]
+
+
+@rule(_TRANSFER, Stage.BEHAVIOUR, condition=_orders, needs=_TO_COMPARE)
 def output_derivatives_are_right(probe: Probe) -> Iterator[str]:
-    """The first derivative of an output is its slope: near the difference quotients before and after it."""
+    """The first derivative of an output is 0, where its order is lower, or its slope: near the difference
+    quotients before and after it.
+    """
+    for name, comparisons in probe.once("slopes of outputs", lambda: _slopes(probe)).items():
+        yield from _wrong_slope(name, comparisons, [c for c in comparisons if c[0] != 0.0])
+
+
+@rule(
+    "advice: 4.2.1 allows 0 where the order is lower",
+    Stage.BEHAVIOUR,
+    Level.WARNING,
+    condition=_orders,
+    needs=_TO_COMPARE,
+)
+def output_derivatives_are_not_zero(probe: Probe) -> Iterator[str]:
+    """The first derivative of an output that moves is not 0, as maxOutputDerivativeOrder claims one."""
+    for name, comparisons in probe.once("slopes of outputs", lambda: _slopes(probe)).items():
+        yield from _wrong_slope(name, comparisons, [c for c in comparisons if c[0] == 0.0])
+
+
+Comparison = tuple[float, float, float, float]  # derivative, slope before, slope after, rounding of slopes
+
+
+def _slopes(probe: Probe) -> dict[str, list[Comparison]]:
+    """Name of an output -> its derivatives at communication points, beside its slopes."""
     chosen = _continuous(probe, "output")
     script = probe.script().begin()
     readings, replies = [], []
@@ -139,24 +182,29 @@ def output_derivatives_are_right(probe: Probe) -> Iterator[str]:
         if chosen:
             replies.append(script.call("output_derivatives", _references(chosen), 1))
     script.play()
+    comparisons: dict[str, list[Comparison]] = {}
     for index, v in enumerate(chosen):
         values = [reading.values[v.name] for reading in readings]
+        if not all(map(math.isfinite, values)):
+            continue
         slopes = [(b - a) / probe.step_size for a, b in itertools.pairwise(values)]
-        wrong = [
-            i
-            for i in range(1, len(slopes))
-            if _is_wrong(
-                replies[i].value[index], slopes[i - 1], slopes[i], max(map(abs, values)) / probe.step_size
-            )
+        rounding = 1e-9 * max(map(abs, values)) / probe.step_size
+        comparisons[v.name] = [
+            (replies[i].value[index], slopes[i - 1], slopes[i], rounding) for i in range(1, len(slopes))
         ]
-        if len(wrong) > len(slopes) // 2:  # a jump or an event is not a wrong derivative
-            i = wrong[0]
-            shown = texts(replies[i].value[index], slopes[i - 1], slopes[i])
-            yield f"{v.name}: its derivative is {shown[0]}: expected about {shown[1]}..{shown[2]}, its slopes"
+    return comparisons
 
 
-def _is_wrong(derivative: float, before: float, after: float, scale: float) -> bool:
-    margin = 2 * abs(after - before) + _ROUGH * max(abs(before), abs(after)) + 1e-9 * scale
+def _wrong_slope(name: str, every: list[Comparison], judged: list[Comparison]) -> Iterator[str]:
+    """A message if more than half of the derivatives are among those that are judged, and wrong."""
+    wrong = [comparison for comparison in judged if _is_wrong(*comparison)]
+    if len(wrong) > (len(every) + 1) // 2:  # a jump or an event is not a wrong derivative
+        shown = texts(*wrong[0][:3])
+        yield f"{name}: its derivative is {shown[0]}: expected about {shown[1]}..{shown[2]}, its slopes"
+
+
+def _is_wrong(derivative: float, before: float, after: float, rounding: float) -> bool:
+    margin = 2 * abs(after - before) + _ROUGH * max(abs(before), abs(after)) + rounding
     return not min(before, after) - margin <= derivative <= max(before, after) + margin
 
 
@@ -187,14 +235,19 @@ def _pairs(fmu: FmuFile) -> dict[int, list[Variable]]:
 
 
 def _compared(probe: Probe, known: Variable, unknowns: list[Variable]) -> Iterator[str]:
+    before = start_value(known)
+    if before is None:
+        return
     script = probe.script(logging=True).initialise()
-    middle, at = script.read(unknowns), script.read([known])
+    script.set(known, before)  # 4.2.4 lets only outputs and initial unknowns be read here
+    middle = script.read(unknowns)
     reply = script.call("directional_derivatives", _references(unknowns), _references([known]), [1.0])
     script.play()
-    before = at.values[known.name]
     sides = [side for sign in (-1, 1) if (side := _quotients(probe, known, unknowns, before, sign, middle))]
     for v, derivative in zip(unknowns, reply.value, strict=True):
         quotients = [side[v.name] for side in sides]
+        if not all(map(math.isfinite, [middle.values[v.name], *quotients])):
+            continue
         width = _DIFFERENCE * max(1.0, abs(before))
         rounding = 1e-13 * abs(middle.values[v.name]) / width  # some hundred roundings of the output
         tolerance = _AGREEMENT * max([abs(derivative), *map(abs, quotients)]) + rounding
@@ -223,11 +276,15 @@ def _quotients(
 @rule(_DIRECTIONAL, Stage.BEHAVIOUR, condition=unless_claimed(_PROVIDES), needs=["directional-derivatives"])
 def directional_derivatives_are_linear(probe: Probe) -> Iterator[str]:
     """A directional derivative is the sum of the partial derivatives, each times its seed, in every mode."""
-    unknowns, knowns = _continuous(probe, "output"), _continuous(probe, "input")[:_MOST_KNOWNS]
-    if not unknowns or not knowns:
-        raise NotJudgedError("there is no continuous input or output")
+    initial = [probe.fmu.variables[(i or 1) - 1] for i, _ in probe.fmu.unknowns("InitialUnknowns")]
+    initial = [v for v in initial if v.kind == "Real"]
+    outputs, knowns = _continuous(probe, "output"), _continuous(probe, "input")[:_MOST_KNOWNS]
+    if not (initial or outputs) or not knowns:
+        raise NotJudgedError("there is no continuous input, or neither an output nor an initial unknown")
     seed = [2.5 + 0.5 * i for i in range(len(knowns))]
-    for stepping in (False, True):
+    for unknowns, stepping in ((initial, False), (outputs, True)):
+        if not unknowns:
+            continue
         script = probe.script(logging=True)
         script = script.begin().step() if stepping else script.initialise()
         alone = [

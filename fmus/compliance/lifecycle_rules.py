@@ -4,15 +4,17 @@ and freed.
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
+from fmus.binding import ERROR
 from fmus.compliance.probe import Probe, refusal
 from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
-from fmus.compliance.script import CallError, Reading
+from fmus.compliance.script import CallError, Reading, Script
 from fmus.compliance.values import (
     differing,
     if_not_claimed,
     other_value,
+    readable_in_initialization,
     settable_before,
     start_value,
     texts,
@@ -28,6 +30,7 @@ _ONLY_ONCE = "canBeInstantiatedOnlyOncePerProcess"
 _OWN_MEMORY = "canNotUseMemoryManagementFunctions"
 _WRONG_GUID = "{00000000-0000-0000-0000-000000000000}"
 _ROUNDED = 1e-6  # relative: tools write start values with as few as seven digits
+_LARGEST_REFERENCE = 2**32 - 1
 _STEPS = 5
 _MOST_CHANGED = 50  # variables
 _CYCLES, _LEAST_LEAK = 8, 512  # lives of an instance; bytes that each of them leaves
@@ -71,7 +74,7 @@ def steps_and_terminates(probe: Probe) -> Iterator[str]:
     """It is initialised; equal steps of the default experiment's size succeed, then fmi2Terminate."""
     script = probe.script(logging=True).begin().step(_STEPS)
     script.terminate()
-    script.play()
+    probe.play_usual_steps(script)
     yield from ()
 
 
@@ -161,14 +164,7 @@ def needs_no_tool(probe: Probe) -> Iterator[str]:
 @rule("2.1.7 Getting and Setting Variable Values", Stage.BEHAVIOUR)
 def start_values_are_as_declared(probe: Probe) -> Iterator[str]:
     """In initialization mode, variables with initial exact and inputs have their start values."""
-    script = probe.script().initialise()
-    reading = script.read(_with_start(probe))
-    script.play(keep_going=True)
-    if not reading.ok:  # 4.2.4 lets it be read here for outputs alone
-        script = probe.script().begin()
-        reading = script.read(v for v in _with_start(probe) if v.causality in ("parameter", "input"))
-        script.play()
-    yield from _not_at_start(probe, reading)
+    yield from _not_at_start(probe, lambda: probe.script().initialise(), keep_going=False)
 
 
 def _with_start(probe: Probe) -> list[Variable]:
@@ -180,7 +176,30 @@ def _with_start(probe: Probe) -> list[Variable]:
     return [v for v in chosen if start_value(v) is not None]
 
 
-def _not_at_start(probe: Probe, reading: Reading) -> Iterator[str]:
+def _not_at_start(probe: Probe, initialise: Callable[[], Script], keep_going: bool) -> Iterator[str]:
+    """Messages of values that are not the start values.
+
+    initialise: a new script, up to initialization mode; keep_going: whether its calls may fail
+    """
+    script = initialise()
+    reading = script.read(_with_start(probe))
+    script.play(keep_going=True)
+    if reading.ok:
+        yield from _other_values(probe, reading)
+        return
+    readable = readable_in_initialization(probe.fmu)  # 4.2.4 lets only these be read there
+    script = initialise()
+    at_first = script.read(v for v in _with_start(probe) if v in readable)
+    script.play(keep_going=True)
+    script = initialise().exit_initialization_mode()
+    later = script.read(v for v in _with_start(probe) if v.causality in ("parameter", "input"))
+    script.play(keep_going=keep_going)
+    for reading in (at_first, later):
+        if reading.ok:
+            yield from _other_values(probe, reading)
+
+
+def _other_values(probe: Probe, reading: Reading) -> Iterator[str]:
     variables = {v.name: v for v in probe.fmu.variables}
     for name, got in reading.values.items():
         expected = start_value(variables[name])
@@ -229,16 +248,17 @@ def reset_gives_the_start_values(probe: Probe) -> Iterator[str]:
     again = script.run(_STEPS)
     script.play()
     yield from differing(first, again, "after fmi2Reset")
-    reset = probe.script(logging=True)
+    yield from _not_at_start(probe, lambda: _reset_after_other_values(probe), keep_going=True)
+
+
+def _reset_after_other_values(probe: Probe) -> Script:
+    """A script that sets other values, resets and enters initialization mode."""
+    script = probe.script(logging=True)
     for v in settable_before(probe.fmu)[:_MOST_CHANGED]:
         if (value := other_value(v)) is not None:
-            reset.set(v, value)
-    reset.reset()
-    reset.initialise()
-    reading = reset.read(_with_start(probe))
-    reset.play(keep_going=True)
-    if reading.ok:
-        yield from _not_at_start(probe, reading)
+            script.set(v, value)
+    script.reset()
+    return script.initialise()
 
 
 @rule(f"{_FLAGS}: {_ONLY_ONCE}", Stage.BEHAVIOUR, condition=if_not_claimed(_ONLY_ONCE))
@@ -282,7 +302,7 @@ def error_of_one_instance_is_its_own(probe: Probe) -> Iterator[str]:
     others = [] if probe.fmu.claims(_ONLY_ONCE) else [probe.script().begin()]
     readings = others[0].run(1) + others[0].pause().pause().run(2) if others else []
     probe.play(failing, *others, keep_going=True)
-    if error.status not in _ERRORS:
+    if error.status != ERROR:
         raise NotJudgedError("no call that returns error is known")
     for script in others:
         if script.failure:
@@ -296,12 +316,11 @@ def error_of_one_instance_is_its_own(probe: Probe) -> Iterator[str]:
         yield from differing(expected, again, "after an error and fmi2Reset")
 
 
-_ERRORS = (3,)
-
-
 def unknown_reference(probe: Probe) -> int:
-    """A value reference that no variable of the FMU has."""
-    return max([v.reference or 0 for v in probe.fmu.variables], default=0) + 1000
+    """A value reference that no variable has, far from others: variables without an entry may lie between."""
+    used = {v.reference or 0 for v in probe.fmu.variables}
+    far = max(used, default=0) + 1000
+    return far if far <= _LARGEST_REFERENCE else next(i for i in itertools.count() if i not in used)
 
 
 @rule(f"{_FLAGS}: {_OWN_MEMORY}", Stage.BEHAVIOUR, condition=if_not_claimed(_OWN_MEMORY))

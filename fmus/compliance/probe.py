@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from fmus.binding import DISCARD, TERMINATED, WARNING
+from fmus.binding import DISCARD, ERROR, TERMINATED, WARNING
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.rule import NotJudgedError
 from fmus.compliance.script import CallError, Message, Script
@@ -17,6 +17,7 @@ from fmus.process import WorkerProcess
 
 Call = tuple[Any, ...]  # a method of `LoadedFmu` and its arguments
 T = TypeVar("T")
+_REFUSED_STEPS = "refused steps"  # among what the rules share
 
 
 class FmuProcess:
@@ -105,6 +106,31 @@ class Probe:
         ends = self.process.calls(freed)
         for script, creation, end in zip(scripts, created, ends, strict=True):
             script.fill_ends(creation, end)
+        self._judge_steps(scripts)
+
+    def play_usual_steps(self, script: Script) -> None:
+        """Play a script of equal steps of the default experiment's size.
+
+        Raises as `play` does, and NotJudgedError where the FMU may refuse that size (4.2.2), now and from
+        now on in each script that fails by a step: it discards it, or its description states none.
+        """
+        try:
+            self.play(script)
+        except CallError:
+            failure = script.failure
+            may_refuse = (DISCARD,) if self.states_step_size else (DISCARD, ERROR)
+            if not failure or failure.function != "fmi2DoStep" or failure.status not in may_refuse:
+                raise
+            stated = "it states in DefaultExperiment" if self.states_step_size else "is not stated by it"
+            reason = f"the FMU refuses the step size {self.step_size:g} s, which {stated}"
+            self._shared[_REFUSED_STEPS] = reason
+            raise NotJudgedError(reason) from None
+
+    def _judge_steps(self, scripts: Sequence[Script]) -> None:
+        """Raise NotJudgedError for a step that fails where the FMU refuses those of the usual size."""
+        failures = [script.failure for script in scripts if script.failure]
+        if _REFUSED_STEPS in self._shared and any(f.function == "fmi2DoStep" for f in failures):
+            raise NotJudgedError(self._shared[_REFUSED_STEPS])
 
     def play_each(self, scripts: Sequence[Script]) -> None:
         """Play scripts one after the other in one message; an instance is freed before the next is created.
@@ -122,6 +148,7 @@ class Probe:
         results = self.process.calls(calls)
         for script, answers in zip(scripts, results[1::3], strict=True):
             script.fill(0, answers)
+        self._judge_steps(scripts)
 
     def hold(self, script: Script) -> int:
         """Play a script to its end, whatever fails, and leave its instance alive: its number, for
@@ -150,6 +177,7 @@ class Probe:
                 self.process.calls(freed)
                 raise NotJudgedError("the FMU terminates the simulation by itself")
         self.process.calls(freed)
+        self._judge_steps([script])
         raise CallError(failure.problem, failure.status)
 
     def creates(self, **options: Any) -> tuple[bool, list[Message]]:
@@ -164,7 +192,10 @@ class Probe:
         """What `make` returns, made once for all rules. NotJudgedError for the second rule if that failed."""
         if name not in self._shared:
             self._shared[name] = NotJudgedError(f"the {name} fails, which another rule tells")
-            self._shared[name] = make()
+            try:
+                self._shared[name] = make()
+            except NotJudgedError as reason:
+                self._shared[name] = reason
         if isinstance(self._shared[name], NotJudgedError):
             raise self._shared[name]
         return self._shared[name]

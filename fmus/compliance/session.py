@@ -1,4 +1,6 @@
-"""One complete session with an FMU: every function that it supports, each in the states that allow it."""
+"""One session with an FMU: the functions that it supports, in the states instantiated to terminated that
+allow them.
+"""
 
 from fmus.compliance.probe import Probe
 from fmus.compliance.script import Reading, Script

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+from fmus.binding import ERROR
 from fmus.compliance.lifecycle_rules import unknown_reference
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
@@ -19,7 +20,6 @@ _CLAUSE = "2.1.8 Getting and Setting the Complete FMU State"
 _SAVES, _SERIALISES = "canGetAndSetFMUstate", "canSerializeFMUstate"
 _STEPS = 5
 _ROUNDING = 1e-9  # relative; what is lost by writing a state as text is less
-_ERROR = 3
 _MOST_CHANGED = 50
 
 _saves = unless_claimed(_SAVES)
@@ -150,7 +150,7 @@ def state_restores_after_the_end(probe: Probe) -> Iterator[str]:
         script.go_to(2)
         got = script.run(2)
         script.play(keep_going=True)
-        if failed and error.status != _ERROR:
+        if failed and error.status != ERROR:
             return
         failures = [
             reply
@@ -217,7 +217,7 @@ def free_of_null_state_is_ignored(probe: Probe) -> Iterator[str]:
 
 @rule(_CLAUSE, Stage.BEHAVIOUR, condition=unless_claimed(_SERIALISES), needs=["state-restores"])
 def serialised_state_restores(probe: Probe) -> Iterator[str]:
-    """A state as bytes gives the same outputs in an instance of its own, where several are allowed."""
+    """A state as bytes gives the same outputs in an instance of its own."""
     script = probe.script(logging=True).begin().step(2)
     script.call("save", 0)
     size, again = script.call("serialised_size", 0), script.call("serialised_size", 0)

@@ -3,12 +3,14 @@
 import math
 from collections.abc import Iterator, Sequence
 
+from fmus.binding import ERROR
 from fmus.compliance.lifecycle_rules import unknown_reference
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
 from fmus.compliance.script import KINDS, Reply, Script
 from fmus.compliance.session import session
 from fmus.compliance.values import (
+    RESTARTED,
     differing,
     other_value,
     readable_in_initialization,
@@ -26,23 +28,29 @@ _INITIALIZATION = "2.1.6 Initialization, Termination, and Resetting an FMU"
 _VALUES = "2.1.7 Getting and Setting Variable Values"
 _VARIABLES = "2.2.7 Definition of Model Variables (ModelVariables)"
 _MOST_VARIABLES = 50  # of one kind, each of which costs an instance
-_ERROR = 3
 _ROUNDED = 1e-6
-_SOLVER = 1e-2  # relative: what restarting a solver at an event may change
 
 
 @rule(_VALUES, Stage.BEHAVIOUR)
 def variables_can_be_read(probe: Probe) -> Iterator[str]:
-    """After a step every variable can be read by its value reference and type; outputs are finite."""
+    """After a step every variable can be read by its value reference and type."""
     script = probe.script(logging=True).begin().step()
-    everything, outputs = script.read(probe.fmu.variables), script.read(probe.outputs)
+    reading = script.read(probe.fmu.variables)
     script.play()
-    for name, value in outputs.values.items():
-        if isinstance(value, float) and not math.isfinite(value):
-            yield f"{name} is {value} after the first step: expected a finite number"
-    for name, value in everything.values.items():
+    for name, value in reading.values.items():
         if value is None:
             yield f"{name} is NULL after the first step: expected a string"
+
+
+@rule("advice: other models expect numbers", Stage.BEHAVIOUR, Level.WARNING, needs=["variables-can-be-read"])
+def outputs_are_finite(probe: Probe) -> Iterator[str]:
+    """After a step the Real outputs are finite."""
+    script = probe.script(logging=True).begin().step()
+    reading = script.read(probe.outputs)
+    script.play()
+    for name, value in reading.values.items():
+        if isinstance(value, float) and not math.isfinite(value):
+            yield f"{name} is {value} after the first step: expected a finite number"
 
 
 def _set_all(script: Script, variables: Sequence[Variable]) -> list[tuple[Variable, Reply]]:
@@ -95,7 +103,7 @@ def wrong_references_are_refused(probe: Probe) -> Iterator[str]:
             (setter, setter.call("set", kind, [reference], [values[kind]])),
         ):
             script.play(keep_going=True)
-            if reply.status != _ERROR:
+            if reply.status != ERROR:
                 yield (
                     f"{reply.function} of the value reference {reference}, which is none: "
                     f"{reply.status_name}: expected error"
@@ -110,7 +118,7 @@ def constants_cannot_be_set(probe: Probe) -> Iterator[str]:
             script = probe.script(logging=True).initialise()
             reply = script.set(v, value)
             script.play(keep_going=True)
-            if reply.status != _ERROR:
+            if reply.status != ERROR:
                 yield f"{reply.function} of the constant {v.name}: {reply.status_name}: expected error"
 
 
@@ -307,7 +315,7 @@ def setting_the_same_changes_nothing(probe: Probe) -> Iterator[str]:
         yield f"in the state {again.failure.state!r}: {again.failure.problem}"
     else:
         yield from differing(
-            expected, got, "where inputs and tunable parameters were set to what they are", _SOLVER
+            expected, got, "where inputs and tunable parameters were set to what they are", RESTARTED
         )
 
 

@@ -12,6 +12,7 @@ from fmus.compliance.variable import Variable
 
 Row = dict[str, Any]
 _TRUE = {"true": 1, "1": 1, "false": 0, "0": 0}
+RESTARTED = 1e-2  # relative: what a solver that begins anew at an event may change
 _STAYS = 0.3  # how often a random value is the start value
 _PART = 0.01  # of a value or its nominal value: a change that is felt, and seldom refused
 

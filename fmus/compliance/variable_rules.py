@@ -100,7 +100,7 @@ def reinit_is_of_states(fmu: FmuFile) -> Iterator[str]:
 
 @rule(_CLAUSE, Stage.DESCRIPTION)
 def derivative_is_of_a_variable(fmu: FmuFile) -> Iterator[str]:
-    """The attribute derivative is the index of another variable, both continuous Real."""
+    """The attribute derivative is the index of another variable, both Real, in Derivatives continuous."""
     for v in fmu.variables:
         if "derivative" not in v.typed:
             continue
@@ -110,9 +110,30 @@ def derivative_is_of_a_variable(fmu: FmuFile) -> Iterator[str]:
             continue
         other = fmu.variables[index - 1]
         for variable in (v, other):
-            if variable.kind != "Real" or variable.variability != "continuous":
-                what = f"{variable.name} ({variable.kind}, {variable.variability})"
-                yield f"{v.name}, derivative of {other.name}: {what}: expected Real, continuous"
+            if variable.kind != "Real":
+                what = f"{variable.name} ({variable.kind})"
+                yield f"{v.name}, derivative of {other.name}: {what}: expected Real"
+            elif v.index in fmu.state_derivatives:
+                yield from _not_continuous(v, other, variable)
+
+
+@rule("advice: a discrete variable has no derivative", Stage.DESCRIPTION, Level.WARNING)
+def derivative_is_continuous(fmu: FmuFile) -> Iterator[str]:
+    """A derivative that Derivatives does not list, and its variable, are continuous."""
+    for v in fmu.variables:
+        index = integer(v.typed.get("derivative"))
+        if index is None or not 1 <= index <= len(fmu.variables) or v.index in fmu.state_derivatives:
+            continue
+        other = fmu.variables[index - 1]
+        for variable in (v, other):
+            if variable.kind == "Real":
+                yield from _not_continuous(v, other, variable)
+
+
+def _not_continuous(derivative: Variable, of: Variable, variable: Variable) -> Iterator[str]:
+    if variable.variability != "continuous":
+        what = f"{variable.name} ({variable.variability})"
+        yield f"{derivative.name}, derivative of {of.name}: {what}: expected continuous"
 
 
 @rule(_CLAUSE, Stage.DESCRIPTION)

@@ -45,7 +45,7 @@ typedef struct {
 
 static const char GUID[] = "{5ba0ed5f-5d2c-4f3d-9a0b-2f1a0a1b9a5e}";
 static char mutation[64];
-static int own_memory, asynchronous; /* from the second line of the file */
+static int own_memory, asynchronous, finishes_all, one_step_size, discards_all; /* from the second line of the file */
 static Data shared;
 static int instances;
 
@@ -175,6 +175,9 @@ static int read_mutation(const char *uri) {
     if (!fgets(flags, sizeof flags, file)) flags[0] = 0;
     own_memory = !strstr(flags, "callbacks");
     asynchronous = !!strstr(flags, "asynchronous");
+    finishes_all = !!strstr(flags, "finishes all");
+    one_step_size = !!strstr(flags, "one step size");
+    discards_all = !!strstr(flags, "discards all");
     if (!IS("files stay open")) fclose(file);
     return 1;
 }
@@ -348,7 +351,8 @@ static fmi2Status bad_reference(Slave *s) {
 
 enum { READABLE = INITIALIZATION | STEPPING | TERMINATED | FAILED };
 
-#define DEFINE_GET(Name, Type, count, source)                                                          \
+/* at_first: whether it can be read in initialization mode: outputs and initial unknowns */
+#define DEFINE_GET(Name, Type, count, at_first, source)                                                \
     fmi2Status fmi2Get##Name(fmi2Component c, const fmi2ValueReference vr[], size_t n, Type value[]) { \
         Slave *s = c;                                                                                  \
         Data *d = IS("instances share their values") ? &shared : &s->data;                             \
@@ -363,6 +367,8 @@ enum { READABLE = INITIALIZATION | STEPPING | TERMINATED | FAILED };
                 if (status != fmi2OK) return status;                                                   \
                 continue;                                                                              \
             }                                                                                          \
+            if (s->data.state == INITIALIZATION && !(at_first))                                        \
+                return error(s, "cannot be read in initialization mode");                              \
             value[i] = source;                                                                         \
         }                                                                                              \
         if (IS("reading is discarded") && s->data.state == TERMINATED) {                               \
@@ -391,10 +397,12 @@ static const char *string_of(Slave *s, const Data *d, unsigned reference) {
     return d->label;
 }
 
-DEFINE_GET(Real, fmi2Real, N_REALS, real_of(s, d, vr[i], i))
-DEFINE_GET(Integer, fmi2Integer, N_INTEGERS, (IS("an item that is none") && vr[i] == MODE ? 7 : d->integer[vr[i]]))
-DEFINE_GET(Boolean, fmi2Boolean, N_BOOLEANS, d->boolean[vr[i]])
-DEFINE_GET(String, fmi2String, N_STRINGS, string_of(s, d, vr[i]))
+static int is_initial_unknown(unsigned v) { return v == DER_X || v == Y || v == TWICE; }
+
+DEFINE_GET(Real, fmi2Real, N_REALS, vr[i] == X || is_initial_unknown(vr[i]), real_of(s, d, vr[i], i))
+DEFINE_GET(Integer, fmi2Integer, N_INTEGERS, vr[i] == COUNT, (IS("an item that is none") && vr[i] == MODE ? 7 : d->integer[vr[i]]))
+DEFINE_GET(Boolean, fmi2Boolean, N_BOOLEANS, vr[i] == NOT_B, d->boolean[vr[i]])
+DEFINE_GET(String, fmi2String, N_STRINGS, vr[i] == TEXT, string_of(s, d, vr[i]))
 
 /* Whether a variable can be set now: before and in the initialization those with initial exact or approx, and inputs. */
 static int settable(Slave *s, int before, int input, int tunable) {
@@ -481,6 +489,11 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_re
     const double rounding = IS("communication points may not be rounded") ? 0 : 1e-9 * fmax(1, fabs(t));
     if (fabs(t - d->real[TIME]) > rounding && !IS("the start time is ignored")) return error(s, "communication point");
     if (t + h > s->stop_time + 1e-9 * fmax(1, fabs(t)) && !IS("steps beyond the stop time")) return error(s, "stop time");
+    if (one_step_size && fabs(h - 0.1) > 1e-9) return error(s, "another step size than 0.1 s");
+    if (discards_all) {
+        send(s, fmi2Discard, DISCARDS, "discarded");
+        return fmi2Discard;
+    }
     if (!d->first_step) d->first_step = h;
     if (IS("one step size") && fabs(h - d->first_step) > 1e-9) return error(s, "another step size");
     if (IS("a discarded step that tells the future") && fabs(h - d->first_step) > 1e-9) {
@@ -507,6 +520,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_re
         d->state = PENDING;
         return fmi2Pending;
     }
+    if (finishes_all && s->callbacks.stepFinished) s->callbacks.stepFinished(s->callbacks.componentEnvironment, fmi2OK);
     return fmi2OK;
 }
 
@@ -602,6 +616,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
     Slave *s = c;
     NEEDS(INITIALIZATION | STEPPING | TERMINATED);
     for (size_t i = 0; i < n_unknown; i++) {
+        if (s->data.state == INITIALIZATION && !is_initial_unknown(unknown[i])) return error(s, "no initial unknown");
         value[i] = 0;
         for (size_t k = 0; k < n_known; k++) {
             const unsigned y = unknown[i], u = known[k];

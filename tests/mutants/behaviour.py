@@ -70,7 +70,7 @@ _PLAIN = [
     ("unknown references are ignored", "2.1.2", "wrong-references-are-refused"),
     ("unknown references are discarded", "2.1.2", "wrong-references-are-refused"),
     ("constants can be set", "2.1.2", "constants-cannot-be-set"),
-    ("values by place", "2.1.2", "values-belong-to-references"),
+    ("values by place", "2.1.2", "values-belong-to-references start-values-are-as-declared"),
     ("Booleans of 2", "2.1.2", "values-belong-to-references"),
     ("a string that is NULL", "2.1.2", "variables-can-be-read"),
     ("a string that is not UTF-8", "2.1.2", "strings-are-utf-8"),
@@ -139,7 +139,7 @@ _PLAIN = [
     ("reset keeps parameters", "2.1.6", "reset-gives-the-start-values"),
     ("reset keeps the state", "2.1.6", "reset-gives-the-start-values"),
     ("reset keeps the mode", "2.1.6", "reset-in-every-state"),
-    ("an output that is no number", "2.1.7", "variables-can-be-read"),
+    ("an output that is no number", "2.1.7", "outputs-are-finite"),
     ("values that were read once do not follow", "2.1.7", "initial-values-follow-what-is-set"),
     ("outputs cannot be read at first", "2.1.7", "allowed-calls-succeed"),
     ("a tool by the search path", "4.3.1", "needs-no-tool"),
@@ -194,8 +194,12 @@ _PLAIN = [
     ("derivatives of inputs backwards", "4.2.1", "input-derivatives-have-an-effect"),
     ("derivatives of outputs are refused", "4.2.1", "allowed-calls-succeed"),
     ("wrong derivatives of outputs", "4.2.1", "output-derivatives-are-right"),
-    ("derivatives of outputs of 0", "4.2.1", "output-derivatives-are-right"),
-    ("infinite derivatives of outputs", "4.2.1", "output-derivatives"),
+    ("derivatives of outputs of 0", "4.2.1", "output-derivatives-are-not-zero"),
+    (
+        "infinite derivatives of outputs",
+        "4.2.1",
+        "output-derivatives-are-finite output-derivatives-are-right",
+    ),
     ("steps crash", "4.2.2", "steps-and-terminates"),
     ("steps fail", "4.2.2", "steps-and-terminates"),
     ("communication points may not be rounded", "4.2.2", "communication-points-may-be-rounded"),
@@ -248,5 +252,15 @@ _FLAGGED = [
     ),
 ]
 BEHAVIOUR_MUTANTS = tuple(_mutant(*entry) for entry in [*_PLAIN, *_FLAGGED])
-LEGAL = (("", (), ()), ("callbacks", _CALLBACK_MEMORY, (_MALLOC,)), ("asynchronous", _ASYNCHRONOUS, ()))
+_ANY_STEP = "canHandleVariableCommunicationStepSize"
+_ONE_STEP_SIZE = ((f'{_ANY_STEP}="true"', f'{_ANY_STEP}="false"'),)
+_STATES_NO_STEP_SIZE = (*_ONE_STEP_SIZE, (' stepSize="0.1"', ""))
+LEGAL = (
+    ("", (), ()),
+    ("callbacks", _CALLBACK_MEMORY, (_MALLOC,)),
+    ("asynchronous", _ASYNCHRONOUS, ()),
+    ("asynchronous finishes all", _ASYNCHRONOUS, ()),
+    ("one step size", _STATES_NO_STEP_SIZE, ()),
+    ("discards all", _ONE_STEP_SIZE, ()),
+)
 """Flags, changes and warnings of the slaves that are legal."""

@@ -63,7 +63,7 @@ C_MUTANTS: dict[str, tuple[str, Patch]] = {
         {"= VARIABLES[i].start;": "= VARIABLES[i].start * (i == INTERNAL_STEP ? 0.5 : 1);"},
     ),
     "an output that is no number": (
-        "variables-can-be-read",
+        "outputs-are-finite",
         {LAST_OF_BECOME: LAST_OF_BECOME + " d->value[FIRST_OUTPUT] = NAN;"},
     ),
     "no end": ("steps-and-terminates", {"instance->data.mode = TERMINATED;": "return fmi2Error;"}),
@@ -109,7 +109,7 @@ C_MUTANTS: dict[str, tuple[str, Patch]] = {
     "inputs without derivatives": ("allowed-calls-succeed",
         {"if (!is_input(vr[i]))": "if (is_input(vr[i]))"}),
     "an infinite derivative": (
-        "output-derivatives",
+        "output-derivatives-are-finite",
         {"? rate[vr[i] - FIRST_OUTPUT] : 0": "? INFINITY : 0"},
     ),
     "a step that moves one per cent less": (

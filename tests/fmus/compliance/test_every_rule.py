@@ -1,5 +1,6 @@
 """Each rule is shown to find what it is there for."""
 
+from fmus.compliance.behaviour import FUNDAMENTAL
 from fmus.compliance.examine import all_rules
 from tests.mutants.table import MUTANTS
 
@@ -14,3 +15,9 @@ def test_every_rule_has_a_mutant_that_breaks_it() -> None:
     lists = {rule for rule, *_ in (*XML_MUTANTS, *ARCHIVE_MUTANTS, *FALSE_CLAIMS, *C_MUTANTS.values())}
     lists |= {rule for mutant in MUTANTS for rule in mutant.rules}
     assert lists | BY_A_TEST_OF_ITS_OWN == {rule.name for rule in all_rules()}
+
+
+def test_every_rule_that_another_one_needs_exists() -> None:
+    names = {rule.name for rule in all_rules()}
+    assert [(rule.name, need) for rule in all_rules() for need in rule.needs if need not in names] == []
+    assert set(FUNDAMENTAL) <= names
