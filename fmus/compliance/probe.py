@@ -20,6 +20,10 @@ T = TypeVar("T")
 _REFUSED_STEPS = "refused steps"  # among what the rules share
 
 
+class DiscardedStepError(NotJudgedError):
+    """A step that the FMU discards, as 4.2.2 lets it."""
+
+
 class FmuProcess:
     """The process that calls the FMU.
 
@@ -82,7 +86,7 @@ class Probe:
         """Create an instance for each script, play the scripts part by part in turn, then free the instances.
 
         Raises CallError for a call that fails, unless `keep_going`, and where the FMU returns no instance;
-        NotJudgedError where it terminates the simulation by itself.
+        NotJudgedError where it discards a step, or terminates the simulation by itself.
         """
         numbers = [next(self._instances) for _ in scripts]
         calls: list[Call] = [
@@ -116,7 +120,7 @@ class Probe:
         """
         try:
             self.play(script)
-        except CallError:
+        except (CallError, DiscardedStepError):
             failure = script.failure
             may_refuse = (DISCARD,) if self.states_step_size else (DISCARD, ERROR)
             if not failure or failure.function != "fmi2DoStep" or failure.status not in may_refuse:
@@ -178,6 +182,8 @@ class Probe:
                 raise NotJudgedError("the FMU terminates the simulation by itself")
         self.process.calls(freed)
         self._judge_steps([script])
+        if failure.function == "fmi2DoStep" and failure.status == DISCARD:
+            raise DiscardedStepError("the FMU discards a step")
         raise CallError(failure.problem, failure.status)
 
     def creates(self, **options: Any) -> tuple[bool, list[Message]]:

@@ -45,7 +45,7 @@ typedef struct {
 
 static const char GUID[] = "{5ba0ed5f-5d2c-4f3d-9a0b-2f1a0a1b9a5e}";
 static char mutation[64];
-static int own_memory, asynchronous, finishes_all, one_step_size, discards_all; /* from the second line of the file */
+static int own_memory, asynchronous, finishes_all, one_step_size, discards_all, discards_late; /* from the second line of the file */
 static Data shared;
 static int instances;
 
@@ -178,6 +178,7 @@ static int read_mutation(const char *uri) {
     finishes_all = !!strstr(flags, "finishes all");
     one_step_size = !!strstr(flags, "one step size");
     discards_all = !!strstr(flags, "discards all");
+    discards_late = !!strstr(flags, "discards late");
     if (!IS("files stay open")) fclose(file);
     return 1;
 }
@@ -490,7 +491,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_re
     if (fabs(t - d->real[TIME]) > rounding && !IS("the start time is ignored")) return error(s, "communication point");
     if (t + h > s->stop_time + 1e-9 * fmax(1, fabs(t)) && !IS("steps beyond the stop time")) return error(s, "stop time");
     if (one_step_size && fabs(h - 0.1) > 1e-9) return error(s, "another step size than 0.1 s");
-    if (discards_all) {
+    if (discards_all || (discards_late && d->steps >= 6)) {
         send(s, fmi2Discard, DISCARDS, "discarded");
         return fmi2Discard;
     }

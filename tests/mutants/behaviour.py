@@ -262,5 +262,6 @@ LEGAL = (
     ("asynchronous finishes all", _ASYNCHRONOUS, ()),
     ("one step size", _STATES_NO_STEP_SIZE, ()),
     ("discards all", _ONE_STEP_SIZE, ()),
+    ("discards late", _ONE_STEP_SIZE, ()),
 )
 """Flags, changes and warnings of the slaves that are legal."""

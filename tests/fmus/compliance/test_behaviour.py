@@ -2,10 +2,14 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 
 from fmus.compliance.examine import examine
+from fmus.compliance.lifecycle_rules import unknown_reference
+from fmus.compliance.probe import Probe
 
 from .archives import Members, broken_rules, members, patched, write
 from .mutants import C_MUTANTS, FALSE_CLAIMS, GLOBALS, STEP
@@ -57,3 +61,14 @@ def test_capabilities_that_are_claimed_but_not_there_are_caught(
     content["modelDescription.xml"] = xml.encode()
     broken = broken_rules(write(content, tmp_path / "mutant.fmu"))
     assert "allowed-calls-succeed" in broken
+
+
+@pytest.mark.parametrize(
+    ("used", "expected"), [([], 1000), ([0, 7], 1007), ([0, 1, 2**32 - 1], 2), ([None, 2**32 - 1000], 1)]
+)
+def test_an_unknown_reference_is_one_of_32_bit_that_no_variable_has(
+    used: list[int | None], expected: int
+) -> None:
+    variables = [SimpleNamespace(reference=reference) for reference in used]
+    probe = SimpleNamespace(fmu=SimpleNamespace(variables=variables))
+    assert unknown_reference(cast(Probe, probe)) == expected
