@@ -79,7 +79,7 @@ def initial_dependencies_are_declared(probe: Probe) -> Iterator[str]:
     needs=["allowed-calls-succeed", "variables-can-be-read"],
 )
 def initial_dependencies_exist(probe: Probe) -> Iterator[str]:
-    """An initial unknown that lists Real inputs changes with one of these, at some point of several."""
+    """A continuous initial unknown that lists Real inputs changes with one of them somewhere."""
     knowns, chance = settable_in_initialization(probe.fmu), random.Random(0)
     real = {known.index for known in knowns if known.kind == "Real" and known.causality == "input"}
     numbers = _finite(probe)
@@ -97,12 +97,11 @@ def initial_dependencies_exist(probe: Probe) -> Iterator[str]:
 
 
 def _finite(probe: Probe) -> set[str]:
-    """The initial unknowns but for those that are no finite numbers at the start values."""
+    """The continuous initial unknowns that are finite numbers at the start values."""
     script = probe.script().initialise()
-    reading = script.read(_unknowns(probe))
+    reading = script.read([unknown for unknown in _unknowns(probe) if unknown.variability == "continuous"])
     script.play()
-    values = reading.values.items()
-    return {name for name, value in values if not isinstance(value, float) or math.isfinite(value)}
+    return {name for name, value in reading.values.items() if math.isfinite(value)}
 
 
 def _unmoved(
