@@ -16,9 +16,6 @@ from fmus.export import guard
 from fmus.export.c_functions import c_function, c_functions
 from fmus.export.declaration import check_declaration, check_requirements, check_result
 
-_INSTANT = 1e-9  # s
-_COMPARISONS = {casadi.OP_LT, casadi.OP_LE, casadi.OP_EQ, casadi.OP_NE, casadi.OP_SIGN}
-
 
 class Traced:
     """The functions of a block as CasADi functions.
@@ -64,7 +61,7 @@ class Traced:
             self._check_constants(name)
 
         reached = casadi.jacobian(_column(call(block.output, t + h, stepped, p, c)), h)
-        rate = _just_after_zero(reached, h)
+        rate = casadi.substitute(reached, h, 0.0)
         self.output_rate = self._function("output_rate", "t x u p c", [t, xs, us, ps, cs], "rate", rate)
 
         first = call(block.output, t, call(block.initial_state, t, u, p, calculated), p, calculated)
@@ -122,34 +119,6 @@ def traced(block: Block) -> Traced:
         raise
     except (TypeError, AttributeError, RuntimeError, NotImplementedError) as error:
         raise ExportError(f"block {block.name!r} cannot be traced: {error}") from error
-
-
-def _just_after_zero(expression: casadi.SX, h: casadi.SX) -> casadi.SX:
-    """The limit of an expression as h falls to 0: its comparisons are those of an instant later.
-
-    Where two numbers are equal at 0, such as at a limit, CasADi takes the mean of their derivatives.
-    """
-    symbols = [symbol for symbol in casadi.symvar(expression) if not casadi.is_equal(symbol, h)]
-    function = casadi.Function("f", [h, casadi.vertcat(*symbols)], [expression])
-    held: dict[int, tuple[casadi.SX, casadi.SX]] = {}  # at 0 and an instant later
-    result = casadi.SX.zeros(expression.numel(), 1)
-    for i in range(function.n_instructions()):
-        code = function.instruction_id(i)
-        used, to = function.instruction_input(i), function.instruction_output(i)
-        if code == casadi.OP_OUTPUT:
-            result[to[1]] = held[used[0]][0]
-        elif code == casadi.OP_INPUT:
-            held[to[0]] = (symbols[used[1]],) * 2 if used[0] else (casadi.SX(0.0), casadi.SX(_INSTANT))
-        elif code == casadi.OP_CONST:
-            held[to[0]] = (casadi.SX(function.instruction_constant(i)),) * 2
-        else:
-            at_zero, later = zip(*(held[place] for place in used), strict=True)
-            operate = casadi.SX.unary if len(used) == 1 else casadi.SX.binary
-            held[to[0]] = (
-                operate(code, *(later if code in _COMPARISONS else at_zero)),
-                operate(code, *later),
-            )
-    return result
 
 
 def _symbols(template: Any) -> tuple[casadi.SX, Any]:

@@ -52,6 +52,7 @@ def test_each_rule_is_a_test_and_a_good_fmu_fails_none(judged: subprocess.Comple
     assert set(good.values()) == {"PASSED", "SKIPPED"}  # skipped: what the FMU does not claim or hold
 
 
+@pytest.mark.slow
 def test_a_good_fmu_is_exit_status_0(built: Mapping[str, Path], tmp_path: Path) -> None:
     done = run_pytest(tmp_path, "-q", "-k", "archive", "--fmu", str(built[NAME]))
     assert " passed" in done.stdout

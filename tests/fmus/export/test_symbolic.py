@@ -1,6 +1,6 @@
 """Which initial values follow from which parameters and inputs: the sparsity of the traced initialisation."""
 
-from dataclasses import dataclass, field, make_dataclass
+from dataclasses import field, make_dataclass
 from typing import Any
 
 import pytest
@@ -8,7 +8,7 @@ import pytest
 from fmus import catalogue
 from fmus.block import Block, variable
 from fmus.export.symbolic import initial_dependencies, traced
-from fmus.numerics import clip, exp, tanh
+from fmus.numerics import tanh
 
 
 def test_the_plant_starts_independently_of_its_voltages() -> None:
@@ -64,39 +64,3 @@ def test_the_operations_of_a_wide_block_grow_with_its_width() -> None:
 def test_a_block_of_three_hundred_variables_is_built(tmp_path: Any) -> None:
     assert len(wide_block(100).variables) == 301
     assert catalogue.build_block(wide_block(100), tmp_path).stat().st_size > 0
-
-
-@dataclass(frozen=True)
-class Nothing:
-    pass
-
-
-@dataclass(frozen=True)
-class Angles:
-    angle: float = variable(0.0, "Angle", unit="rad")
-
-
-@dataclass(frozen=True)
-class Angle:
-    angle: float = 0.0
-
-
-@pytest.mark.parametrize(
-    ("start", "target", "rate"),
-    [(0.0, 0.0, 0.0), (0.0, 0.1, 0.2), (0.0, 1.0, 0.5), (1.0, 2.0, 0.0), (1.0, 0.0, -0.5), (-1.0, -3.0, 0.0)],
-)
-def test_the_rate_of_an_output_at_its_limits_is_that_of_an_instant_later(
-    start: float, target: float, rate: float
-) -> None:
-    """At rest, at the limit of its rate and at those of its range: no mean of two slopes."""
-
-    def step(t: Any, h: Any, s: Angle, u: Any, p: Any, c: Any) -> Angle:
-        change = clip((1.0 - exp(-2.0 * h)) * (target - s.angle), -0.5 * h, 0.5 * h)
-        return Angle(clip(s.angle + change, -1.0, 1.0))
-
-    block = Block(
-        "Limited", "Limited", parameters=Nothing, inputs=Nothing, state=Angle, outputs=Angles,
-        step=step, output=lambda t, s, p, c: Angles(s.angle),
-    )  # fmt: skip
-    rates = traced(block).output_rate(0.0, start, [], [], [])
-    assert float(rates) == pytest.approx(rate, abs=1e-12)

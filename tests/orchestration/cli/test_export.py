@@ -35,6 +35,7 @@ def test_a_scenario_that_cannot_be_expressed_ends_with_one_line(
     assert not (tmp_path / "here").exists()
 
 
+@pytest.mark.slow
 def test_a_package_runs_with_another_of_its_parameter_sets(
     command: Command, short_scenario: Command, tmp_path: Path
 ) -> None:
@@ -49,6 +50,7 @@ def test_a_package_runs_with_another_of_its_parameter_sets(
     np.testing.assert_array_equal(packaged["plant.depth"], own["plant.depth"])
 
 
+@pytest.mark.slow
 def test_what_options_change_is_packaged_and_exported(
     command: Command, short_scenario: Command, built: Mapping[str, Path], tmp_path: Path
 ) -> None:

@@ -95,6 +95,7 @@ def test_the_run_is_the_scenarios_own(name: str, rounding: float, tmp_path: Path
     np.testing.assert_allclose(driven.values, own.values, rtol=0.0, atol=rounding)
 
 
+@pytest.mark.slow
 def test_inputs_of_every_unit_are_packaged(
     lags: dict[str, Path], tmp_path: Path, build_once: BuildSource
 ) -> None:
