@@ -6,7 +6,7 @@
 #include "instance.h"
 
 static Data data;
-static double constants[N_STEP_CONSTANTS + 1];
+static StepConstants constants;
 static int internal_steps;
 
 double *PART(values)(void) { return data.value; }
@@ -24,15 +24,20 @@ int PART(refresh)(double t) {
 /* Communication steps are of h seconds from now on. */
 void PART(begin)(double h) {
     internal_steps = (int)fmax(1, ceil(h / data.value[INTERNAL_STEP] * (1 - 1e-9)));
-    model_step_constants(h / internal_steps, data.value, data.value + FIRST_CALCULATED, constants);
+    constants.are_stale = 1;
 }
 
 void PART(advance)(double t, double h) {
     const double *p = data.value, *c = data.value + FIRST_CALCULATED, *u = data.value + FIRST_INPUT;
     const double internal = h / internal_steps;
     double next[N_STATES + 1];
+    if (constants.are_stale || constants.h != internal) {
+        model_step_constants(internal, p, c, constants.number);
+        constants.h = internal;
+        constants.are_stale = 0;
+    }
     for (int i = 0;; i++) {
-        model_step(t + i * internal, internal, data.state, u, p, c, constants, next);
+        model_step(t + i * internal, internal, data.state, u, p, c, constants.number, next);
         memcpy(data.state, next, N_STATES * sizeof *next);
         if (i + 1 == internal_steps) break;
     }
