@@ -88,7 +88,7 @@ class Statements:
 
 
 def _places(operations: Sequence[Operation], results: Sequence[int]) -> dict[int, Path]:
-    """Where each operation that is needed stands; a choice may stand in the branch of its condition."""
+    """The branch of each operation that is needed."""
     cheap: set[Path] = set()
     while True:
         places = _needs(operations, results, cheap)
