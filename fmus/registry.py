@@ -14,6 +14,8 @@ from pathlib import Path
 from platformdirs import user_cache_path
 
 GROUP = "l1_depth.blocks"
+GENERATION_TOOL = "l1-depth"
+"""With a version, what the model descriptions of our FMUs name as their tool."""
 FOLDER_VARIABLE = "L1_DEPTH_FMUS"
 
 

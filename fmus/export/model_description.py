@@ -15,6 +15,7 @@ from fmus.block import Block, ScalarVariable
 from fmus.errors import ExportError
 from fmus.export.symbolic import initial_dependencies
 from fmus.files import xml_document
+from fmus.registry import GENERATION_TOOL
 from fmus.units import display, unit
 
 LOG_CATEGORIES = {
@@ -53,7 +54,7 @@ def model_description(
         "author": block.author,
         "version": block.version,
         "license": block.license,
-        "generationTool": f"l1-depth {release}",
+        "generationTool": f"{GENERATION_TOOL} {release}",
         "generationDateAndTime": _generation_date(),
         "variableNamingConvention": "structured",
     }

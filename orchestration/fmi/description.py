@@ -1,21 +1,41 @@
 """The model description of an FMU."""
 
 import zipfile
+from functools import lru_cache
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import fmpy
 from fmpy.model_description import ModelDescription, ScalarVariable
 
 from fmus.errors import nearest
 from fmus.fmi_types import FmiValue
-from fmus.registry import block_fmus
+from fmus.registry import GENERATION_TOOL, block_fmus
 from orchestration.errors import FmuLoadError
+
+_MOST_DESCRIPTIONS = 256  # that stay in memory
+
+
+class FileVersion(NamedTuple):
+    """A file as it is now: another version of it differs in one of these."""
+
+    path: Path
+    inode: int
+    size: int
+    changed: int
+
+    @staticmethod
+    def of(path: Path) -> "FileVersion":
+        status = path.stat()
+        return FileVersion(path.absolute(), status.st_ino, status.st_size, status.st_mtime_ns)
 
 
 def describe(path: Path) -> ModelDescription:
-    """The model description of an FMI 2.0 co-simulation FMU; FmuLoadError says what is wrong."""
+    """The model description of an FMI 2.0 co-simulation FMU; FmuLoadError says what is wrong.
+
+    It is read once while the file does not change: all who ask share it, and must not change it.
+    """
     if not path.is_file():
         folder = path.parent
         beside = [other.name for other in folder.glob("*.fmu")]
@@ -23,6 +43,11 @@ def describe(path: Path) -> ModelDescription:
             command = f"l1-depth build --cache --flavour {flavour} {block}"
             raise FmuLoadError(f"the FMU of block {block} is not built: {command} writes {path}")
         raise FmuLoadError(f"no FMU at {path}; in that folder, {nearest(path.name, beside)}")
+    return _read(path, FileVersion.of(path))
+
+
+@lru_cache(_MOST_DESCRIPTIONS)
+def _read(path: Path, version: FileVersion) -> ModelDescription:
     try:
         description: Any = fmpy.read_model_description(str(path), validate=False)
     except (zipfile.BadZipFile, EOFError, KeyError) as error:
@@ -41,6 +66,17 @@ def describe(path: Path) -> ModelDescription:
         raise FmuLoadError(f"{path}: modelIdentifier {identifier!r}: expected a C identifier")
     _take_over_declared_types(description)
     return description
+
+
+def is_independent(description: ModelDescription) -> bool:
+    """Whether an FMU is a native one of this exporter.
+
+    The instances of these have no memory in common, also within one library, and change nothing in the
+    process, as `tests/fmus/export/test_no_globals.py` proves. Of another FMU nobody can know.
+    """
+    interface = description.coSimulation
+    is_ours = (description.generationTool or "").startswith(f"{GENERATION_TOOL} ")
+    return is_ours and not (interface is None or interface.needsExecutionTool)
 
 
 def of_causality(description: ModelDescription, causality: str) -> list[ScalarVariable]:

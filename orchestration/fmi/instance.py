@@ -6,13 +6,10 @@ Every call that an FMU refuses becomes an FmuError with the messages that the FM
 import contextlib
 import ctypes
 import warnings
-import zipfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
-import fmpy
 import numpy as np
 from fmpy.model_description import ModelDescription, ScalarVariable
 
@@ -24,13 +21,11 @@ from fmus.binding import (
     TERMINATED,
     BoundInstance,
     Callbacks,
-    Library,
-    library_member,
     status_name,
 )
-from fmus.files import extract_archive
 from fmus.fmi_types import TRANSFER_TYPE, FmiValue
 from orchestration.errors import FmuError, FmuLoadError, FmuWarning
+from orchestration.fmi.unpacked import unpacked
 
 _MOST_MESSAGES = 10  # in an error or a warning
 
@@ -39,7 +34,8 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
     """An instance of an FMI 2.0 co-simulation FMU, between instantiation and `close`.
 
     Its library is a copy of its own: a fatal error, after which FMI forbids calls of any instance,
-    ends this instance alone. Raises FmuLoadError if the FMU cannot be loaded.
+    ends this instance alone. Instances of an FMU that is independent share one. Raises FmuLoadError if the
+    FMU cannot be loaded.
 
     is_fresh: whether it is instantiated or reset, and not yet initialised; time [s]: of the present call
     busy: shape (1,), `number` while a call is in progress, else 0; calls: shape (1,), how many have returned.
@@ -56,15 +52,10 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         try:
             with contextlib.ExitStack() as resources:
                 resources.callback(callbacks.close)
-                folder = Path(
-                    resources.enter_context(
-                        TemporaryDirectory(prefix="l1-depth-", ignore_cleanup_errors=True)
-                    )
-                )
-                library = _unpacked_library(path, description, folder)
-                super().__init__(library, callbacks)
-                resources.callback(library.unload)
-                if not self.instantiate(name, description.guid or "", folder / "resources", logging_on=True):
+                fmu = resources.enter_context(unpacked(path, description))
+                super().__init__(fmu.library, callbacks)
+                guid, folder = description.guid or "", fmu.folder / "resources"
+                if not self.instantiate(name, guid, folder, logging_on=True):
                     raise RuntimeError("fmi2Instantiate returned NULL")
                 self._resources = resources.pop_all()
         except FmuLoadError:
@@ -214,19 +205,3 @@ def _shortened(messages: list[str]) -> list[str]:
     different = list(dict.fromkeys(messages))
     left = len(different) - _MOST_MESSAGES
     return [*different[:_MOST_MESSAGES], *([f"and {left} more"] if left > 0 else [])]
-
-
-def _unpacked_library(path: Path, description: ModelDescription, folder: Path) -> Library:
-    """Unpack an FMU and load its library for this platform."""
-    interface = description.coSimulation
-    with zipfile.ZipFile(path) as archive:
-        member = library_member(archive.namelist(), str(interface.modelIdentifier) if interface else "")
-    if member is None:
-        available = [
-            "C sources" if name == "c-code" else name for name in fmpy.supported_platforms(str(path))
-        ]
-        raise FmuLoadError(
-            f"{path} has no binary for {fmpy.platform}: it has {', '.join(available) or 'none'}"
-        )
-    extract_archive(path, folder)
-    return Library(folder / member)

@@ -28,7 +28,9 @@ from orchestration.master.compiled_loop import library
 from orchestration.master.loop_data import Report
 
 _TEXT_SIZE, _MOST_RUNS = 256, 256  # as in process_guard.h
-_SIGNALS = [number for number in signal.valid_signals() if number < 32]
+# those of process_guard.h, by which programs live
+_NAMES = ("HUP", "INT", "ILL", "ABRT", "FPE", "SEGV", "PIPE", "ALRM", "TERM", "CHLD")
+_SIGNALS = [getattr(signal, f"SIG{name}") for name in _NAMES if hasattr(signal, f"SIG{name}")]
 _lock = threading.Lock()
 _texts: dict[int, tuple[np.ndarray, bytes]] = {}  # what the rows of the table refer to
 
@@ -128,8 +130,12 @@ class ProcessGuard:
 
 
 def new_report() -> np.ndarray:
-    """The report of a run, where the process that waits for this one can read which FMU is busy."""
-    memory = watched.report_memory(8 * len(Report))
+    """The report of a run, where the process that waits for this one can read which FMU is busy.
+
+    That process reads one report: the run of another thread has memory of its own.
+    """
+    is_main = threading.current_thread() is threading.main_thread()
+    memory = watched.report_memory(8 * len(Report)) if is_main else None
     report = np.zeros(len(Report), np.int64) if memory is None else np.frombuffer(memory, np.int64)
     report[:] = 0
     return report

@@ -16,20 +16,25 @@ def make_recording(
     count: int,
     texts: Sequence[str] = (),
     more: Mapping[str, Any] = {},
+    is_final: bool = False,
 ) -> Recording:
     """The recorded values at the first `count` communication points.
 
     rows: shape `prepared.shape`; texts: of Strings, by their numbers; without them Strings are empty
-    more: further entries of the provenance
+    more: further entries of the provenance; is_final: all rows become those of the recording, without a copy
     """
-    ports, values = prepared.system.ports, np.array(rows[:count])
+    ports = prepared.system.ports
+    is_kept = is_final and count == len(rows)
+    values, time = (
+        (rows, prepared.points) if is_kept else (rows[:count].copy(), prepared.points[:count].copy())
+    )
     is_string = np.array([ports[name].variable.type == "String" for name in prepared.recorded], bool)
     if not texts:
         values[:, is_string] = 0.0
     return Recording(
         names=prepared.recorded,
         units=tuple(ports[name].variable.unit or "" for name in prepared.recorded),
-        time=prepared.points[:count].copy(),
+        time=time,
         values=values,
         provenance=_provenance(prepared) | dict(more),
         texts={prepared.recorded[i]: tuple(texts or ("",)) for i in np.flatnonzero(is_string)},

@@ -22,7 +22,7 @@ from orchestration.master.pacing import Pacing
 from orchestration.master.process_guard import ProcessGuard, new_report
 from orchestration.master.step_by_step import StepByStep
 from orchestration.master.stepped_run import SteppedRun
-from orchestration.master.stepping import Progress, RunInProgress
+from orchestration.master.stepping import GROWTH, Progress, RunInProgress
 from orchestration.master.wiring import WiredRun, build_wiring
 from orchestration.results.recording import Recording
 from orchestration.system.experiment import Experiment, OpenInputsName
@@ -48,6 +48,7 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
         self._must_reload = False
         self._guard: ProcessGuard | None = None
         self._running = threading.Lock()
+        self._first_batch = 1
         self._checked: dict[
             tuple[tuple[str, ...], str], tuple[CheckedSystem, tuple[ConnectionGroup, ...]]
         ] = {}
@@ -78,7 +79,9 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
                 check_can_save(self._check(experiment.driven_inputs, experiment.open_inputs)[0])
             wired, groups, guard = self._prepare_run(experiment, (), storage)
             run = RunInProgress(wired, self._loop(wired.wiring), guard)
-            recording = _run_to_end(run, groups, progress, pacing, checkpoints, resume)
+            run.batch = self._first_batch
+            recording = _run_to_end(run, groups, progress, pacing, checkpoints, resume, storage is None)
+            self._first_batch = max(1, run.batch // GROWTH)  # the next run may be slower
             self._must_reload = False
         return (
             with_error_estimate(recording, wired.prepared, self.run)
@@ -189,6 +192,7 @@ def _run_to_end(
     pacing: Pacing | None,
     checkpoints: Checkpoints | None,
     resume: Checkpoint | None,
+    owns_rows: bool,
 ) -> Recording:
     """Initialise or restore a run, and run it to its end. SimulationError holds what was recorded."""
     try:
@@ -198,7 +202,7 @@ def _run_to_end(
                 restore(resume, run)
             callback = checkpoints.checkpoint_callback(run) if checkpoints else None
             run.run_to_end(check_interrupt, progress, pacing, callback)
-        return run.recording(pacing)
+        return run.recording(pacing, is_final=owns_rows)
     except KeyboardInterrupt as error:
         run.record_now()
         saved = _save_interrupted(checkpoints, run) if checkpoints else ""

@@ -26,7 +26,7 @@ from orchestration.system.faults import Pattern
 from orchestration.system.system import Port
 
 _BATCH_S = 0.05
-_GROWTH = 8  # largest growth of a batch from one to the next: the first ones measure how long a step takes
+GROWTH = 8  # largest growth of a batch from one to the next: the first ones measure how long a step takes
 MOST_STEPS = 1_000_000  # in a batch
 
 
@@ -40,7 +40,10 @@ class RunInProgress:
     """Initialised instances on their way through a run.
 
     step_control: None where steps cannot be repeated
+    batch: steps of the next batch
     """
+
+    batch = 1
 
     def __init__(self, wired: WiredRun, loop: LoopFunctions, guard: ProcessGuard) -> None:
         self.wired, self._loop, self.guard = wired, loop, guard
@@ -79,7 +82,6 @@ class RunInProgress:
         checkpoint_callback: called with the position between two batches; returns the most steps of the next
         """
         last = len(self.wiring.points) - 1
-        batch = 1
         self._check_interrupt = check_interrupt
         while self.position < last and not self._is_terminated():
             check_interrupt()
@@ -87,12 +89,12 @@ class RunInProgress:
                 progress(self.position, last)
             most = checkpoint_callback(self.position) if checkpoint_callback else MOST_STEPS
             self._change_and_wait(pacing)
-            most = min(most, 1 if pacing else batch)
+            most = min(most, 1 if pacing else self.batch)
             start, first = time.perf_counter(), self.position
             repeated = self._run_batch(self._batch_end(first + most))
             steps_a_second = (self.position - first) / max(time.perf_counter() - start, 1e-9)
-            longer = min(_GROWTH * batch, int(_BATCH_S * steps_a_second), MOST_STEPS)
-            batch = 1 if repeated else max(1, longer)
+            longer = min(GROWTH * self.batch, int(_BATCH_S * steps_a_second), MOST_STEPS)
+            self.batch = 1 if repeated else max(1, longer)
         check_interrupt()
         self._finish(pacing)
         if progress:
@@ -239,13 +241,13 @@ class RunInProgress:
             is_text = isinstance(value, str)
             self.wiring.bus[index] = self.wired.texts.number(value) if is_text else value
 
-    def recording(self, pacing: Pacing | None = None) -> Recording:
-        """The values recorded until now."""
+    def recording(self, pacing: Pacing | None = None, is_final: bool = False) -> Recording:
+        """The values recorded until now; is_final: the run has ended, and its rows become the recording's."""
         count = int(self.wiring.report[Report.RECORDED])
         more = self.step_control.provenance if self.step_control else {}
         more |= {"terminated": self._termination} if self._termination else {}
         more |= {"real_time": pacing.report()} if pacing else {}
-        return make_recording(self.prepared, self.wiring.rows, count, self.wired.texts.table, more)
+        return make_recording(self.prepared, self.wiring.rows, count, self.wired.texts.table, more, is_final)
 
     def free(self) -> None:
         """Free the states that were saved in the FMUs."""

@@ -13,25 +13,28 @@ import numpy as np
 
 from fmus.errors import nearest
 from orchestration.errors import OrchestrationError, ScenarioError, ScenarioWarning
+from orchestration.results.delay import shift_lag
 from orchestration.results.power import energy_residuals
 from orchestration.results.recording import Recording
 
 SIGNALS = ("signal", "reference", "flow")
 """Arguments of metrics that name signals."""
-_LAG_ERROR_S = 1e-4  # of the search for a delay
 _ROUNDING = 1e-9  # of an amplitude, relative to the mean: what is below it is rounding
 
 
-def _window(recording: Recording, window: list[float] | None) -> np.ndarray:
+def _window(recording: Recording, window: list[float] | None) -> slice:
+    """The communication points of a window, whose times ascend."""
     if window is None:
-        return np.full(recording.time.shape, True)
-    tolerance = 1e-9 * max(1.0, abs(window[1]))
-    inside = (recording.time >= window[0] - tolerance) & (recording.time <= window[1] + tolerance)
-    if not inside.any():
+        return slice(0, len(recording.time))
+    start, end = window
+    tolerance = 1e-9 * max(1.0, abs(end))
+    first = int(np.searchsorted(recording.time, start - tolerance))
+    last = int(np.searchsorted(recording.time, end + tolerance, side="right"))
+    if not first < last:
         raise ScenarioError(
             f"window {window}: expected to overlap the run, {recording.time[0]:g}..{recording.time[-1]:g} s"
         )
-    return inside
+    return slice(first, last)
 
 
 def settling_time(
@@ -138,7 +141,7 @@ def _error(
 def energy_residual(recording: Recording, signal: str, flow: str, window: list[float] | None = None) -> float:
     """Energy that exchanging an effort, the signal, and a flow at points in time creates (`power.py`)."""
     inside = _window(recording, window)
-    return float(energy_residuals(recording, signal, flow)[inside[:-1] & inside[1:]].sum())
+    return float(energy_residuals(recording, signal, flow)[inside.start : inside.stop - 1].sum())
 
 
 def time_below(
@@ -171,38 +174,6 @@ def total_variation(
         sampling_times = time[0] + every * np.arange(count + 1)
         values = values[np.searchsorted(time, sampling_times - 1e-6 * every).clip(max=len(time) - 1)]
     return float(np.abs(np.diff(values)).sum())
-
-
-def shift_lag(recording: Recording, signal: str, reference: str, largest: float) -> float:
-    """Delay [s], 0..largest, of the reference at which it is nearest to the signal (least RMSE).
-
-    Judged from `largest` seconds after the start, so that every delay sees the same points. Not a number if
-    the nearest is at an edge of the search, but for a signal that neither lags nor leads: 0.
-    """
-    from scipy.optimize import minimize_scalar  # which takes longer to import than to run
-
-    time = recording.time
-    late = time >= time[0] + largest
-    if not late.any():
-        raise ScenarioError(
-            f"largest = {largest:g}: expected less than the {time[-1] - time[0]:g} s of the run"
-        )
-
-    def distance(delay: float, judged: np.ndarray = late) -> float:
-        delayed = np.interp(time[judged] - delay, time, recording[reference])
-        return float(np.mean((recording[signal][judged] - delayed) ** 2))
-
-    coarse = np.linspace(0.0, largest, 61)
-    distances = [distance(delay) for delay in coarse]
-    best = int(np.argmin(distances))
-    bounds = (coarse[max(best - 1, 0)], coarse[min(best + 1, 60)])
-    minimum: Any = minimize_scalar(distance, bounds=bounds, method="bounded", options={"xatol": _LAG_ERROR_S})
-    lead = coarse[1]
-    early = late & (time <= time[-1] - lead)
-    leads = best == 0 and distance(-lead, early) < distance(0.0, early)
-    if leads or minimum.x > largest - 2.0 * _LAG_ERROR_S or min(distances) == max(distances):
-        return math.nan
-    return float(minimum.x)
 
 
 def phase_lag(

@@ -19,7 +19,7 @@ from orchestration.system.faults import Fault
 from orchestration.system.open_inputs import OpenInputs
 from orchestration.system.signals import Signal
 from orchestration.system.system import System
-from orchestration.system.time_grid import GRID_TOLERANCE, is_multiple, time_grid
+from orchestration.system.time_grid import GRID_TOLERANCE, is_multiple, step_count, time_grid
 from orchestration.system.values import Value
 
 _MOST_STEPS = 1e9
@@ -119,6 +119,11 @@ class Experiment:
         """Times [s] closer than this are the same: a small part of a step, and more than rounding."""
         rounding = 4.0 * np.finfo(float).eps * max(abs(self.start_time), abs(self.stop_time))
         return max(GRID_TOLERANCE * self.step_size, float(rounding))
+
+    @property
+    def step_count(self) -> int:
+        """Communication steps, the length of the time grid less one."""
+        return step_count(self.start_time, self.stop_time, self.step_size)
 
     def time_grid(self) -> np.ndarray:
         """Start time, stop time and the multiples of the step size between them [s], shape (n,)."""

@@ -6,6 +6,8 @@ from collections import Counter
 from collections.abc import Collection
 from typing import Any
 
+import numpy as np
+
 from fmus.errors import nearest
 from orchestration.errors import SystemDefinitionError
 from orchestration.system.experiment import Experiment
@@ -33,7 +35,7 @@ def check_faults(system: CheckedSystem, experiment: Experiment, driven: set[str]
 
     driven: inputs that a connection or a signal drives
     """
-    step_starts = experiment.time_grid()[:-1]
+    step_starts = experiment.time_grid()[:-1] if experiment.faults else np.empty(0)
     for fault in experiment.faults:
         port, effect = system.port(fault.input, f"fault on {fault.input}"), fault.effect
         if fault.input not in driven:
@@ -64,7 +66,6 @@ def check_capabilities(system: CheckedSystem, experiment: Experiment) -> None:
             raise SystemDefinitionError(
                 f"step size of {name!r}: no such component; {nearest(name, system.components)}"
             )
-    step_count = len(experiment.time_grid()) - 1
     last_is_shorter = not is_multiple(experiment.stop_time - experiment.start_time, experiment.step_size)
     instances = Counter(system.components.values())
     for name, description in system.descriptions.items():
@@ -75,7 +76,7 @@ def check_capabilities(system: CheckedSystem, experiment: Experiment) -> None:
                 f"tolerance: {name} cannot repeat a step in two halves: expected an FMU with "
                 "canGetAndSetFMUstate and canHandleVariableCommunicationStepSize"
             )
-        if (last_is_shorter or step_count % experiment.period(name)) and not can_vary_step:
+        if (last_is_shorter or experiment.step_count % experiment.period(name)) and not can_vary_step:
             raise SystemDefinitionError(
                 f"{name} cannot vary its step size: expected a stop time that is a multiple of the step size"
             )

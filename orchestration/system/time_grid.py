@@ -9,10 +9,14 @@ GRID_TOLERANCE = 1e-9  # of a step: a time this close to a communication point i
 
 def time_grid(start: float, stop: float, step: float) -> np.ndarray:
     """start + i step [s], shape (n,), never accumulated; a last shorter step lands on `stop`."""
-    count = math.ceil((stop - start) / step - GRID_TOLERANCE)
-    times = start + np.arange(count + 1) * step
+    times = start + np.arange(step_count(start, stop, step) + 1) * step
     times[-1] = stop
     return times
+
+
+def step_count(start: float, stop: float, step: float) -> int:
+    """Steps of that grid."""
+    return math.ceil((stop - start) / step - GRID_TOLERANCE)
 
 
 def within(times: np.ndarray, start: float, end: float) -> np.ndarray:

@@ -1,0 +1,83 @@
+"""An FMU unpacked, with its library loaded, for as long as an instance needs it."""
+
+import threading
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import fmpy
+from fmpy.model_description import ModelDescription
+
+from fmus.binding import Library, library_member
+from fmus.files import extract_archive
+from orchestration.errors import FmuLoadError
+from orchestration.fmi.description import FileVersion, is_independent
+
+
+class UnpackedFmu:
+    """The folder of an FMU and its library; users: how many instances share them."""
+
+    def __init__(self, path: Path, description: ModelDescription) -> None:
+        self._temporary = TemporaryDirectory(prefix="l1-depth-", ignore_cleanup_errors=True)
+        self.folder, self.users = Path(self._temporary.name), 0
+        try:
+            self.library = _library(path, description, self.folder)
+        except BaseException:
+            self._temporary.cleanup()
+            raise
+
+    def close(self) -> None:
+        self.library.unload()
+        self._temporary.cleanup()
+
+
+_shared: dict[FileVersion, UnpackedFmu] = {}
+_lock = threading.Lock()
+
+
+@contextmanager
+def unpacked(path: Path, description: ModelDescription) -> Iterator[UnpackedFmu]:
+    """An FMU for one instance: that of the others of its file if it is independent, else one of its own."""
+    fmu, version = _entered(path, description)
+    try:
+        yield fmu
+    finally:
+        with _lock:
+            fmu.users -= 1
+            is_last = not fmu.users
+            if is_last and version:
+                del _shared[version]
+        if is_last:
+            fmu.close()
+
+
+def _entered(path: Path, description: ModelDescription) -> tuple[UnpackedFmu, FileVersion | None]:
+    """The FMU with one more user, and what it is shared by, if it is."""
+    if not is_independent(description):
+        fmu, version = UnpackedFmu(path, description), None
+        fmu.users = 1
+        return fmu, version
+    with _lock:
+        version = FileVersion.of(path)
+        if version not in _shared:
+            _shared[version] = UnpackedFmu(path, description)
+        _shared[version].users += 1
+        return _shared[version], version
+
+
+def _library(path: Path, description: ModelDescription, folder: Path) -> Library:
+    """Unpack an FMU and load its library for this platform."""
+    interface = description.coSimulation
+    with zipfile.ZipFile(path) as archive:
+        member = library_member(archive.namelist(), str(interface.modelIdentifier) if interface else "")
+    if member is None:
+        available = [
+            "C sources" if name == "c-code" else name for name in fmpy.supported_platforms(str(path))
+        ]
+        raise FmuLoadError(
+            f"{path} has no binary for {fmpy.platform}: it has {', '.join(available) or 'none'}"
+        )
+    extract_archive(path, folder)
+    return Library(folder / member)

@@ -1,0 +1,99 @@
+"""How far a signal is behind its reference: the delay of the reference that brings it nearest to the signal.
+
+The reference is a line between communication points, so the mean square of signal - delayed reference is a
+parabola in the delay within each communication step. For a delay of k + f steps, 0 <= f <= 1, its sum is
+
+    A_k + 2 f B_k + f^2 C_k,   A_k = sum (s_i - r_(i-k))^2,   C_k = sum (r_(i-k) - r_(i-k-1))^2,
+    2 B_k = A_(k+1) - A_k - C_k,
+
+and its least value follows from these. All A_k come from one correlation by FFT and one cumulative sum.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from orchestration.errors import ScenarioError
+from orchestration.results.recording import Recording
+
+_PARTS = 60  # of the search: a signal leads if it is nearer at one part of lead than at 0
+_LAG_ERROR_S = 1e-4  # of the search where points are not equally spaced
+_NEAR, _EQUAL = 1e-9, 1e-6  # of a communication step: rounding of a delay, and of the distance of points
+
+
+def shift_lag(recording: Recording, signal: str, reference: str, largest: float) -> float:
+    """Delay [s], 0..largest, of the reference at which it is nearest to the signal (least RMSE).
+
+    Judged from `largest` seconds after the start, so that every delay sees the same points. Not a number if
+    the nearest is at an edge of the search, but for a signal that neither lags nor leads: 0.
+    """
+    time, values, target = recording.time, recording[signal], recording[reference]
+    if not time[-1] >= time[0] + largest:
+        raise ScenarioError(
+            f"largest = {largest:g}: expected less than the {time[-1] - time[0]:g} s of the run"
+        )
+    step = float(time[-1] - time[0]) / (len(time) - 1)
+    if (np.abs(np.diff(time) - step) <= _EQUAL * step).all():
+        steps = largest / step
+        nearest = step * _nearest_delay(values, target, math.ceil(steps - _NEAR), steps)
+    else:
+        nearest = _searched_delay(time, values, target, largest)
+    at_start = nearest * _PARTS < largest and _leads(time, values, target, largest)
+    return math.nan if at_start or not nearest <= largest - 2.0 * _LAG_ERROR_S else nearest
+
+
+def _nearest_delay(signal: np.ndarray, reference: np.ndarray, count: int, largest: float) -> float:
+    """The delay, 0..largest in steps, of the least distance; not a number if all are equally far.
+
+    count: of steps that have delays of the search
+    """
+    level = reference.mean()  # less of it is lost to rounding
+    signal, reference = signal[count:] - level, reference - level
+    changes = _moving_sums(np.diff(reference) ** 2, count, len(signal))
+    if not changes.any():
+        return math.nan
+    length = 1 << (len(reference) - 1).bit_length()  # holds all: no delay wraps around
+    padded = np.zeros(length)
+    padded[count : count + len(signal)] = signal
+    spectrum = np.fft.rfft(padded) * np.fft.rfft(reference, length).conj()
+    products = np.fft.irfft(spectrum, length)[: count + 1]
+    distances = _moving_sums(reference**2, count + 1, len(signal)) - 2.0 * products
+    ends = np.minimum(largest - np.arange(count), 1.0)
+    slopes = distances[1:] - distances[:-1] - changes
+    parts = (-0.5 * slopes / np.where(changes > 0.0, changes, 1.0)).clip(0.0, ends)
+    best = int(np.argmin(distances[:-1] + parts * (slopes + parts * changes)))
+    return float(best + parts[best])
+
+
+def _moving_sums(values: np.ndarray, count: int, length: int) -> np.ndarray:
+    """Sums of the last `length` values, and of as many that begin 1, 2 .. count - 1 values earlier."""
+    sums = np.concatenate([[0.0], np.cumsum(values)])
+    ends = len(values) - np.arange(count)
+    return sums[ends] - sums[ends - length]
+
+
+def _searched_delay(time: np.ndarray, signal: np.ndarray, reference: np.ndarray, largest: float) -> float:
+    """The same [s] where points are not equally spaced, by search."""
+    from scipy.optimize import minimize_scalar  # which takes longer to import than to run
+
+    late = slice(int(np.searchsorted(time, time[0] + largest)), None)
+
+    def distance(delay: float) -> float:
+        return float(np.mean((signal[late] - np.interp(time[late] - delay, time, reference)) ** 2))
+
+    coarse = np.linspace(0.0, largest, _PARTS + 1)
+    distances = [distance(delay) for delay in coarse]
+    best = int(np.argmin(distances))
+    bounds = coarse[max(best - 1, 0)], coarse[min(best + 1, _PARTS)]
+    minimum: Any = minimize_scalar(distance, bounds=bounds, method="bounded", options={"xatol": _LAG_ERROR_S})
+    return math.nan if min(distances) == max(distances) else float(minimum.x)
+
+
+def _leads(time: np.ndarray, signal: np.ndarray, reference: np.ndarray, largest: float) -> bool:
+    """Whether the signal is nearer to what the reference becomes than to what it is."""
+    lead = largest / _PARTS
+    first, end = np.searchsorted(time, (time[0] + largest, time[-1] - lead))
+    ahead = np.interp(time[first:end] + lead, time, reference)
+    now = reference[first:end]
+    return bool(np.mean((signal[first:end] - ahead) ** 2) < np.mean((signal[first:end] - now) ** 2))

@@ -1,0 +1,96 @@
+"""Instances of one FMU of ours share what cannot differ between them; those of another FMU share nothing."""
+
+from collections.abc import Callable, Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from orchestration.fmi import description, unpacked
+from orchestration.fmi.description import describe
+from orchestration.fmi.instance import FmuInstance
+from orchestration.master import Simulator, simulate
+from orchestration.system.experiment import Experiment
+from orchestration.system.system import System
+
+COUNT = 40
+WORK = ((unpacked, "extract_archive"), (unpacked, "Library"), (description.fmpy, "read_model_description"))
+
+
+@pytest.fixture
+def work(monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
+    """How often an archive is unpacked, a library is loaded and a model description is parsed."""
+    calls = {name: 0 for _, name in WORK}
+
+    def counting(function: Callable[..., Any], name: str) -> Callable[..., Any]:
+        def call(*arguments: Any, **options: Any) -> Any:
+            calls[name] += 1
+            return function(*arguments, **options)
+
+        return call
+
+    for owner, name in WORK:
+        monkeypatch.setattr(owner, name, counting(getattr(owner, name), name))
+    return calls
+
+
+def copy(fmu: Path, folder: Path) -> Path:
+    """A file that nobody has read yet."""
+    path = folder / "Copy.fmu"
+    path.write_bytes(fmu.read_bytes())
+    return path
+
+
+def chain(fmu: Path) -> tuple[System, dict[str, float]]:
+    """Plants of which each but the first is controlled by the output of the one before, and their inputs."""
+    names = [f"p{i}" for i in range(COUNT)]
+    links = [(f"{a}.output", f"{b}.control") for a, b in pairwise(names)]
+    return System(dict.fromkeys(names, fmu), links), {
+        "p0.control": 1.0,
+        **{f"{name}.disturbance": 0.0 for name in names},
+    }
+
+
+def test_a_chain_of_one_file_is_unpacked_loaded_and_parsed_once(
+    built: Mapping[str, Path], tmp_path: Path, work: dict[str, int]
+) -> None:
+    system, inputs = chain(copy(built["ExamplePlant"], tmp_path))
+    recording = simulate(system, inputs=inputs, stop_time=0.5, step_size=0.01)
+    assert set(work.values()) == {1}
+    outputs = [recording[f"p{i}.output"][-1] for i in range(3)]
+    assert len(set(outputs)) == 3  # each has a state of its own
+
+
+def test_an_instance_keeps_its_state_when_another_of_its_library_is_freed(
+    built: Mapping[str, Path], tmp_path: Path
+) -> None:
+    system = System({"p": copy(built["ExamplePlant"], tmp_path)})
+    experiment = Experiment(1.0, 0.01, inputs={"p.control": 1.0, "p.disturbance": 0.0})
+    alone = simulate(system, experiment)
+    with Simulator(system) as simulator:
+        simulator.start(experiment)
+        simulate(system, experiment)
+        while not simulator.is_done:
+            simulator.step()
+        assert simulator.recording().values.tolist() == alone.values.tolist()
+
+
+def test_a_changed_file_is_read_again(
+    built: Mapping[str, Path], tmp_path: Path, work: dict[str, int]
+) -> None:
+    path = copy(built["ExamplePlant"], tmp_path)
+    assert describe(path).modelName == describe(path).modelName == "ExamplePlant"
+    path.write_bytes(built["DepthReference"].read_bytes())
+    assert describe(path).modelName == "DepthReference"
+    assert work["read_model_description"] == 2
+
+
+def test_instances_of_another_tools_fmu_have_a_library_each(
+    linear: Callable[..., Path], work: dict[str, int]
+) -> None:
+    """It may hold memory that its instances share, and a fatal error of one is not one of the others."""
+    fmu = linear()
+    with FmuInstance("a", fmu, describe(fmu)) as a, FmuInstance("b", fmu, describe(fmu)) as b:
+        assert a.library is not b.library
+    assert work["extract_archive"] == 2

@@ -1,0 +1,74 @@
+"""The delay of a signal is the one that its definition gives, on any signals and points."""
+
+import math
+
+import numpy as np
+import pytest
+
+from orchestration.results.delay import shift_lag
+from orchestration.results.recording import Recording
+
+STEP, LARGEST = 0.05, 10.0
+TIME = STEP * np.arange(1201)
+
+
+def recording(time: np.ndarray, signal: np.ndarray, reference: np.ndarray) -> Recording:
+    return Recording(("z", "r"), ("m", "m"), time, np.column_stack([signal, reference]))
+
+
+def smooth(random: np.random.Generator, time: np.ndarray) -> np.ndarray:
+    """Some waves of at least 15 s."""
+    return sum(a * np.cos(w * time + p) for a, w, p in random.uniform([-1, 0, 0], [1, 0.4, 6.3], (5, 3)))
+
+
+def distance(time: np.ndarray, signal: np.ndarray, reference: np.ndarray, delay: float) -> float:
+    """The definition: mean square over the points from LARGEST on."""
+    late = time >= LARGEST
+    return float(np.mean((signal[late] - np.interp(time[late] - delay, time, reference)) ** 2))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_delay_of_a_fine_search_is_nearer(seed: int) -> None:
+    """Nor any between them: the distance there is that of the least but for rounding."""
+    random = np.random.default_rng(seed)
+    reference = smooth(random, TIME)
+    signal = np.interp(TIME - random.uniform(1.0, 9.0), TIME, reference) + 0.1 * random.standard_normal(1201)
+    lag = shift_lag(recording(TIME, signal, reference), "z", "r", LARGEST)
+    searched = np.linspace(0.0, LARGEST, 2001)
+    distances = [distance(TIME, signal, reference, delay) for delay in searched]
+    assert distance(TIME, signal, reference, lag) <= min(distances) * (1.0 + 1e-12)
+    assert lag == pytest.approx(searched[np.argmin(distances)], abs=5e-3)
+
+
+def test_the_delay_of_a_line_is_exact() -> None:
+    """2 sin of a reference 3.7 steps late, both lines between points: nothing is lost but rounding."""
+    reference = np.sin(0.3 * TIME) + 100.0
+    late = np.interp(TIME - 3.7 * STEP, TIME, reference)
+    assert shift_lag(recording(TIME, late, reference), "z", "r", LARGEST) == pytest.approx(
+        3.7 * STEP, abs=1e-9
+    )
+
+
+def test_points_at_other_distances_have_the_same_delay() -> None:
+    """One point more, by which the search is another one: within its error of 1e-4 s."""
+    time = np.sort([*TIME, 33.33])
+    reference = np.cos(0.2 * time)
+    run = recording(time, np.cos(0.2 * (time - 4.56)), reference)
+    equal = recording(TIME, np.cos(0.2 * (TIME - 4.56)), np.cos(0.2 * TIME))
+    lag = shift_lag(run, "z", "r", LARGEST)
+    assert lag == pytest.approx(shift_lag(equal, "z", "r", LARGEST), abs=3e-4)
+    assert lag == pytest.approx(4.56, abs=1e-3)  # lines in place of waves
+
+
+def test_a_delay_between_points_at_the_end_of_the_search_is_none() -> None:
+    reference = np.sin(0.1 * TIME)
+    run = recording(TIME, np.interp(TIME - 3.0, TIME, reference), reference)
+    assert shift_lag(run, "z", "r", largest=3.02) == pytest.approx(3.0)
+    assert math.isnan(shift_lag(run, "z", "r", largest=2.98))
+
+
+@pytest.mark.parametrize("lost", [math.nan, math.inf])
+def test_a_signal_that_is_no_number_has_no_delay(lost: float) -> None:
+    signal = np.where(TIME > 50.0, lost, np.sin(TIME))
+    with np.errstate(invalid="ignore"):
+        assert math.isnan(shift_lag(recording(TIME, signal, np.sin(TIME)), "z", "r", LARGEST))
