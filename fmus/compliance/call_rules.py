@@ -70,7 +70,7 @@ def refusals_are_logged(probe: Probe) -> Iterator[str]:
 
 
 @rule("4.2.3 Retrieving Status Information from the Slave", Stage.BEHAVIOUR, Level.WARNING)
-def statuses_that_are_not_known(probe: Probe) -> Iterator[str]:
+def unknown_statuses_are_discarded(probe: Probe) -> Iterator[str]:
     """fmi2GetXXXStatus returns ok, or discard for what it cannot retrieve; no other status."""
     pairs = []
     for kind, number in (("", 0), ("String", 1), ("Real", 2), ("Boolean", 3), ("Integer", 0)):

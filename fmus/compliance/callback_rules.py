@@ -41,7 +41,7 @@ def arguments_of_instantiation_are_copied(probe: Probe) -> Iterator[str]:
 
 
 @rule(_CREATION, Stage.BEHAVIOUR)
-def fewest_callbacks_suffice(probe: Probe) -> Iterator[str]:
+def optional_callbacks_may_be_null(probe: Probe) -> Iterator[str]:
     """stepFinished and componentEnvironment may be NULL."""
     usual, fewest = probe.script().begin(), probe.script(callbacks="fewest", logging=True).begin()
     expected, got = usual.run(2), fewest.run(2)
@@ -71,8 +71,8 @@ def memory_functions_may_be_null(probe: Probe) -> Iterator[str]:
     probe.let_go(number)
     script = probe.script(callbacks="no memory", logging=True).begin().step()
     if probe.fmu.claims("canGetAndSetFMUstate"):
-        script.call("save", 0)
-        script.call("forget", 0)
+        script.call("get_fmu_state", 0)
+        script.call("free_fmu_state", 0)
     script.terminate()
     try:
         script.play()
@@ -81,7 +81,7 @@ def memory_functions_may_be_null(probe: Probe) -> Iterator[str]:
 
 
 @rule("advice: 2.1.5, allocateMemory returns NULL if memory is used up", Stage.BEHAVIOUR, Level.WARNING)
-def refused_memory_is_survived(probe: Probe) -> Iterator[str]:
+def failed_allocation_is_handled(probe: Probe) -> Iterator[str]:
     """Where allocateMemory returns NULL, fmi2Instantiate returns NULL, or an instance that needs no
     such memory.
     """

@@ -15,44 +15,16 @@ from fmus.binding import (
     Callbacks,
     CountingAllocator,
     Library,
-    Log,
     reference_array,
 )  # fmt: skip
+from fmus.compliance.observed_callbacks import MessageLog, RefusingAllocator
 from fmus.compliance.process_settings import ProcessSettings
+from fmus.compliance.saved_states import SavedStates
 
-_MOST_MESSAGES = 1000
-_GUARD = 64  # bytes behind a serialised state
-_GUARD_BYTE = b"\xa5"
 _STATUS_TYPES = {
     "": fmi2Status, "Real": fmi2Real, "Integer": fmi2Integer, "Boolean": fmi2.fmi2Boolean,
     "String": fmi2.fmi2String,
 }  # fmt: skip
-
-
-class MessageLog(Log):
-    """Messages with the instance and the category that the FMU gave, and the floating-point settings."""
-
-    def __init__(self, settings: ProcessSettings, known_environment: bool = True) -> None:
-        super().__init__()
-        self._known_environment = known_environment
-        self.messages: list[list[Any]] = []
-        self.changed_in_callback = False
-        self._settings = settings
-
-    def add(
-        self, status: int, message: str, instance: str | None = None, category: str | None = None
-    ) -> None:
-        if self._settings.floating_point_differs():
-            self.changed_in_callback = True
-        if len(self.messages) < _MOST_MESSAGES:
-            self.messages.append([status, message, instance, category, self._known_environment])
-
-
-class RefusingAllocator(CountingAllocator):
-    """Memory that is used up."""
-
-    def _allocate(self, count: int, size: int) -> None:  # type: ignore[override]
-        return None
 
 
 class CalledInstance(BoundInstance):
@@ -74,7 +46,7 @@ class CalledInstance(BoundInstance):
     ) -> None:
         self._options, self._settings = options, settings
         self._kept: list[Any] = []
-        self._saved: dict[int, ctypes.c_void_p] = {}
+        self.states = SavedStates(self)
         self.traps: list[str] = []
         self.finished_steps: list[int] = []
         self.last_status = self.pending_steps = 0
@@ -253,51 +225,6 @@ class CalledInstance(BoundInstance):
         result, orders = (fmi2Real * count)(), (fmi2Integer * count)(*[order] * count)
         self.call("fmi2GetRealOutputDerivatives", reference_array(references), count, orders, result)
         return list(result)
-
-    # saved states, by a number of the script that asks for them
-
-    def save(self, slot: int) -> bool:
-        """Get the state into a slot, over the state that is there; whether the FMU gave an address."""
-        states = self._saved
-        pointer = states.setdefault(slot, ctypes.c_void_p())
-        self.call("fmi2GetFMUstate", ctypes.byref(pointer))
-        return bool(pointer.value)
-
-    def holds(self, slot: int) -> bool:
-        """Whether a state was saved in a slot."""
-        return bool(self._saved.get(slot, ctypes.c_void_p()).value)
-
-    def restore(self, slot: int) -> None:
-        self.call("fmi2SetFMUstate", self._saved[slot])
-
-    def forget(self, slot: int) -> bool:
-        """Free a saved state, or an empty slot; whether the FMU left NULL."""
-        pointer = self._saved.pop(slot, ctypes.c_void_p())
-        self.call("fmi2FreeFMUstate", ctypes.byref(pointer))
-        return not pointer.value
-
-    def serialised_size(self, slot: int) -> int:
-        size = ctypes.c_size_t()
-        self.call("fmi2SerializedFMUstateSize", self._saved[slot], ctypes.byref(size))
-        return size.value
-
-    def serialise(self, slot: int) -> list[Any]:
-        """[the state as hexadecimal bytes, whether nothing was written behind its size]."""
-        size = self.serialised_size(slot)
-        if self.last_status:
-            return ["", True]
-        content = ctypes.create_string_buffer(_GUARD_BYTE * (size + _GUARD), size + _GUARD)
-        self.call("fmi2SerializeFMUstate", self._saved[slot], content, size)
-        return [content.raw[:size].hex(), content.raw[size:] == _GUARD_BYTE * _GUARD]
-
-    def deserialise(self, slot: int, content: str) -> bool:
-        """Make a saved state of bytes, which are overwritten after the call."""
-        data = bytes.fromhex(content)
-        buffer, pointer = ctypes.create_string_buffer(data, len(data)), ctypes.c_void_p()
-        self.call("fmi2DeSerializeFMUstate", buffer, len(data), ctypes.byref(pointer))
-        ctypes.memset(buffer, ord("#"), len(data))
-        self._saved[slot] = pointer
-        return bool(pointer.value)
 
     def free(self) -> None:
         if self.handle is not None and self.last_status != FATAL:

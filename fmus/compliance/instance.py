@@ -17,8 +17,8 @@ from fmus.process import Parent
 MOST_MEMORY = 4 << 30  # bytes
 MOST_OF_A_FILE = 1 << 30  # bytes
 _AFTER_A_FAILURE = {  # status -> methods of `CalledInstance` that FMI allows then
-    DISCARD: ("status_of", "forget", "set_debug_logging"),
-    ERROR: ("forget", "set_debug_logging"),
+    DISCARD: ("status_of", "free_fmu_state", "set_debug_logging"),
+    ERROR: ("free_fmu_state", "set_debug_logging"),
 }
 
 
@@ -100,7 +100,9 @@ class LoadedFmu:
         failed = 0
         for method, *arguments in calls:
             instance = self._instances[number]
-            recovers = arguments == ["fmi2Reset"] or (method == "restore" and instance.holds(*arguments))
+            recovers = arguments == ["fmi2Reset"] or (
+                method == "set_fmu_state" and instance.states.holds(*arguments)
+            )
             if failed and not recovers and method not in _AFTER_A_FAILURE.get(failed, ()):
                 answers.append([])
                 continue
@@ -114,8 +116,10 @@ class LoadedFmu:
         return answers
 
     def _answer(self, instance: CalledInstance, method: str, arguments: Sequence[Any]) -> list[Any]:
+        owner = instance.states if hasattr(instance.states, method) else instance
+
         def call() -> Any:
-            return getattr(instance, method)(*arguments)
+            return getattr(owner, method)(*arguments)
 
         instance.last_status = 0
         observed = self._observed(instance, call)

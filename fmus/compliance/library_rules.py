@@ -153,7 +153,7 @@ def _functions(fmu: FmuFile, path: str) -> set[str]:
 
 
 @rule(_BINARIES, Stage.LIBRARY, Level.WARNING, condition=no_library)
-def libraries_bring_what_they_need(fmu: FmuFile) -> Iterator[str]:
+def libraries_are_complete(fmu: FmuFile) -> Iterator[str]:
     """Libraries for Linux need those of the FMU and of the system alone, or externalDependencies tells."""
     documented = any(path.startswith("documentation/externalDependencies.") for path in fmu.names)
     for library in _libraries(fmu):
@@ -164,7 +164,7 @@ def libraries_bring_what_they_need(fmu: FmuFile) -> Iterator[str]:
 
 
 @rule(_BINARIES, Stage.LIBRARY, Level.WARNING, condition=no_library)
-def libraries_are_sought_beside(fmu: FmuFile) -> Iterator[str]:
+def libraries_have_an_rpath(fmu: FmuFile) -> Iterator[str]:
     """Libraries for Linux that need others of the FMU have the RPATH $ORIGIN."""
     for library in _libraries(fmu):
         inside = [name for name in library.needed if f"{library.directory}/{name}" in fmu.paths]
@@ -192,7 +192,7 @@ def _own_memory(fmu: FmuFile) -> str:
 
 
 @rule("2.1.5 Creation, Destruction and Logging of FMU Instances", Stage.LIBRARY, Level.WARNING, _own_memory)
-def memory_functions_are_the_importers(fmu: FmuFile) -> Iterator[str]:
+def memory_functions_are_callbacks(fmu: FmuFile) -> Iterator[str]:
     """Without canNotUseMemoryManagementFunctions, a library does not import malloc, calloc or realloc."""
     for library in _libraries(fmu):
         if used := sorted(library.imports & {"malloc", "calloc", "realloc"}):

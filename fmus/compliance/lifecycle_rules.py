@@ -54,7 +54,7 @@ def instantiates_and_frees(probe: Probe) -> Iterator[str]:
 
 
 @rule("2.1.4 Inquire Platform and Version Number of Header Files", Stage.BEHAVIOUR)
-def library_says_version(probe: Probe) -> Iterator[str]:
+def library_version(probe: Probe) -> Iterator[str]:
     """fmi2GetVersion is 2.0 and fmi2GetTypesPlatform default."""
     for function, expected in (("GetVersion", "2.0"), ("GetTypesPlatform", "default")):
         got = probe.ask("text", f"fmi2{function}")
@@ -97,7 +97,7 @@ def runs_are_repeatable(probe: Probe) -> Iterator[str]:
 
 
 @rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING)
-def refuses_a_wrong_guid(probe: Probe) -> Iterator[str]:
+def wrong_guid_is_refused(probe: Probe) -> Iterator[str]:
     """fmi2Instantiate returns NULL for a GUID that is not the description's."""
     if probe.creates(guid=_WRONG_GUID)[0]:
         yield "fmi2Instantiate gave an instance for a wrong GUID: expected NULL"
@@ -287,7 +287,7 @@ def several_instances(probe: Probe) -> Iterator[str]:
 
 
 @rule(_STATUS, Stage.BEHAVIOUR, needs=["several-instances", "reset-gives-the-start-values"])
-def error_of_one_instance_is_its_own(probe: Probe) -> Iterator[str]:
+def error_leaves_other_instances_unchanged(probe: Probe) -> Iterator[str]:
     """After an error, other instances go on as before, and fmi2Reset brings the instance back."""
     alone = probe.script().begin()
     expected = alone.run(3)
@@ -324,13 +324,13 @@ def unknown_reference(probe: Probe) -> int:
 
 
 @rule(f"{_FLAGS}: {_OWN_MEMORY}", Stage.BEHAVIOUR, condition=if_not_claimed(_OWN_MEMORY))
-def memory_is_given_back(probe: Probe) -> Iterator[str]:
+def memory_is_freed(probe: Probe) -> Iterator[str]:
     """What an instance takes by allocateMemory it gives back by freeMemory, and nothing else."""
     held_before, frees_before = probe.ask("held_blocks"), probe.ask("foreign_frees")
     script = probe.script().begin().step()
     if probe.fmu.claims("canGetAndSetFMUstate"):
-        script.call("save", 0)
-        script.call("forget", 0)
+        script.call("get_fmu_state", 0)
+        script.call("free_fmu_state", 0)
     script.terminate()
     script.play()
     held, foreign_frees = probe.ask("held_blocks"), probe.ask("foreign_frees")
@@ -354,7 +354,7 @@ def _lives(probe: Probe) -> list[dict[str, int]]:
 
 
 @rule(_CREATION, Stage.BEHAVIOUR)
-def resources_are_given_back(probe: Probe) -> Iterator[str]:
+def resources_are_freed(probe: Probe) -> Iterator[str]:
     """fmi2FreeInstance closes the files and ends the threads of an instance."""
     counts = _lives(probe)
     for name in ("open files", "threads"):

@@ -35,7 +35,7 @@ def _categories(probe: Probe) -> list[str]:
 
 
 @rule(_CREATION, Stage.BEHAVIOUR)
-def messages_name_their_instance(probe: Probe) -> Iterator[str]:
+def messages_have_the_instance_name(probe: Probe) -> Iterator[str]:
     """Messages carry the name of the instance that sends them, and the environment of its callbacks."""
     messages = _messages(probe)
     for name in {m.instance for m in messages if m.instance != NAME}:
@@ -111,7 +111,7 @@ def _unwanted(category: str | None) -> str:
 
 
 @rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING)
-def logging_that_is_off_is_quiet(probe: Probe) -> Iterator[str]:
+def no_messages_with_logging_off(probe: Probe) -> Iterator[str]:
     """With loggingOn = fmi2False, and after fmi2SetDebugLogging with it, no debug messages arrive."""
     created_off = probe.script().begin().step(2)
     turned_off = probe.script(logging=True)
@@ -198,7 +198,7 @@ def _talkative(probe: Probe, script: Script) -> None:
 
 
 @rule("advice: an unknown log category is no reason to fail", Stage.BEHAVIOUR, Level.WARNING)
-def unknown_categories_are_survived(probe: Probe) -> Iterator[str]:
+def reset_works_after_unknown_categories(probe: Probe) -> Iterator[str]:
     """After fmi2SetDebugLogging with a category that is not declared, which may be refused, fmi2Reset
     works.
     """

@@ -120,9 +120,9 @@ def arrays_are_consecutive(fmu: FmuFile) -> Iterator[str]:
     last: dict[str, int] = {}
     for position, element in elements.items():
         between = range(last.get(element.own, position), position)[1:]
-        strangers = [i for i in between if i not in elements or elements[i].of != element.of]
-        if element.own and strangers:
-            name = fmu.variables[strangers[0] - 1].name
+        others = [i for i in between if i not in elements or elements[i].of != element.of]
+        if element.own and others:
+            name = fmu.variables[others[0] - 1].name
             yield f"{name} stands between elements of {element.own}: expected consecutive elements"
         last[element.own] = position
 

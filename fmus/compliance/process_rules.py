@@ -27,7 +27,7 @@ def floating_point_control_is_restored(probe: Probe) -> Iterator[str]:
 
 
 @rule("advice: 2.1, settings that other parts of the process share", Stage.BEHAVIOUR, Level.WARNING)
-def process_is_left_as_it_is(probe: Probe) -> Iterator[str]:
+def process_settings_are_restored(probe: Probe) -> Iterator[str]:
     """Working directory, locale, file mode mask and signal handlers are not changed."""
     named = set()
     for reply in session(probe).script.everything:

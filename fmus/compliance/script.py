@@ -15,9 +15,10 @@ _FUNCTIONS = {  # method of `CalledInstance` -> function of FMI, where the argum
     "do_step": "fmi2DoStep", "begin_step": "fmi2DoStep", "wait": "fmi2DoStep",
     "directional_derivatives": "fmi2GetDirectionalDerivative",
     "set_input_derivatives": "fmi2SetRealInputDerivatives",
-    "output_derivatives": "fmi2GetRealOutputDerivatives", "save": "fmi2GetFMUstate",
-    "restore": "fmi2SetFMUstate", "forget": "fmi2FreeFMUstate", "serialise": "fmi2SerializeFMUstate",
-    "serialised_size": "fmi2SerializedFMUstateSize", "deserialise": "fmi2DeSerializeFMUstate",
+    "output_derivatives": "fmi2GetRealOutputDerivatives", "get_fmu_state": "fmi2GetFMUstate",
+    "set_fmu_state": "fmi2SetFMUstate", "free_fmu_state": "fmi2FreeFMUstate",
+    "serialize_fmu_state": "fmi2SerializeFMUstate", "deserialize_fmu_state": "fmi2DeSerializeFMUstate",
+    "serialized_fmu_state_size": "fmi2SerializedFMUstateSize",
 }  # fmt: skip
 
 

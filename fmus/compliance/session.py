@@ -101,12 +101,12 @@ class Session:
     def _states(self, slot: int) -> None:
         script = self.script
         if self.fmu.claims("canGetAndSetFMUstate"):
-            script.call("save", slot)
+            script.call("get_fmu_state", slot)
             if self.fmu.claims("canSerializeFMUstate"):
-                script.call("serialised_size", slot)
-                script.call("serialise", slot)
-            script.call("restore", slot)
-            script.call("forget", slot)
+                script.call("serialized_fmu_state_size", slot)
+                script.call("serialize_fmu_state", slot)
+            script.call("set_fmu_state", slot)
+            script.call("free_fmu_state", slot)
 
 
 def session(probe: Probe) -> Session:

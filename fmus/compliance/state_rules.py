@@ -35,9 +35,9 @@ def _change(probe: Probe, script: Script) -> None:
 def _restored(probe: Probe) -> tuple[list[Reading], list[Reading]]:
     """Outputs at a saved state and after it, before and after it is set back."""
     script = probe.script(logging=True).begin().step(2)
-    script.call("save", 0)
+    script.call("get_fmu_state", 0)
     before = [script.read(probe.outputs), *script.run(_STEPS)]
-    script.call("restore", 0)
+    script.call("set_fmu_state", 0)
     script.go_to(2)
     after = [script.read(probe.outputs), *script.run(_STEPS)]
     script.play()
@@ -70,10 +70,10 @@ def state_holds_inputs_and_parameters(probe: Probe) -> Iterator[str]:
     expected = usual.run(_STEPS)
     chosen = settable_while_stepping(probe.fmu)
     script = probe.script().begin().step(2)
-    script.call("save", 0)
+    script.call("get_fmu_state", 0)
     _change(probe, script)
     script.step()
-    script.call("restore", 0)
+    script.call("set_fmu_state", 0)
     values = script.read(chosen)
     script.go_to(2)
     got = script.run(_STEPS)
@@ -96,13 +96,13 @@ def state_in_initialization_mode(probe: Probe) -> Iterator[str]:
     ][:1]
     readable = readable_in_initialization(probe.fmu)
     script = probe.script(logging=True)
-    script.call("save", 0)
-    script.call("restore", 0)
+    script.call("get_fmu_state", 0)
+    script.call("set_fmu_state", 0)
     script.initialise()
     before = script.read(readable)
-    script.call("save", 1)
+    script.call("get_fmu_state", 1)
     changes = [script.set(v, value) for v, value in chosen]
-    script.call("restore", 1)
+    script.call("set_fmu_state", 1)
     after = script.read(readable)
     got = script.exit_initialization_mode().run(2)
     usual = probe.script().begin()
@@ -126,9 +126,9 @@ def state_holds_the_mode(probe: Probe) -> Iterator[str]:
     in that mode.
     """
     script = probe.script(logging=True).initialise()
-    script.call("save", 0)
+    script.call("get_fmu_state", 0)
     first = script.exit_initialization_mode().run(3)
-    script.call("restore", 0)
+    script.call("set_fmu_state", 0)
     script.state = "initialization mode"
     again = script.exit_initialization_mode().go_to(0).run(3)
     script.play(keep_going=True)
@@ -143,10 +143,10 @@ def state_restores_after_the_end(probe: Probe) -> Iterator[str]:
     """A state can be set back after fmi2Terminate and after an error, and steps go on from it."""
     for failed in (False, True):
         script = probe.script(logging=True).begin().step(2)
-        script.call("save", 0)
+        script.call("get_fmu_state", 0)
         expected = script.run(2)
         error = script.call("get", "Real", [unknown_reference(probe)]) if failed else script.terminate()
-        script.call("restore", 0)
+        script.call("set_fmu_state", 0)
         script.go_to(2)
         got = script.run(2)
         script.play(keep_going=True)
@@ -168,24 +168,24 @@ def state_restores_after_the_end(probe: Probe) -> Iterator[str]:
 def state_can_be_saved_often(probe: Probe) -> Iterator[str]:
     """Several states are kept at a time, each its own; one that is given again is written over."""
     script = probe.script(logging=True).begin()
-    script.call("save", 0)
+    script.call("get_fmu_state", 0)
     first = script.run(3)
-    script.call("save", 1)
-    script.call("restore", 0)
+    script.call("get_fmu_state", 1)
+    script.call("set_fmu_state", 0)
     script.go_to(0)
     older = script.run(3)
-    script.call("restore", 0)
-    script.call("save", 1)
+    script.call("set_fmu_state", 0)
+    script.call("get_fmu_state", 1)
     script.go_to(0)
     again = script.run(3)
-    script.call("restore", 1)
+    script.call("set_fmu_state", 1)
     script.go_to(0)
     over = script.run(3)
-    script.call("forget", 0)
-    script.call("restore", 1)
+    script.call("free_fmu_state", 0)
+    script.call("set_fmu_state", 1)
     script.go_to(0)
     left = script.run(3)
-    script.call("forget", 1)
+    script.call("free_fmu_state", 1)
     script.play()
     yield from differing(first, older, "from the older of two states", _ROUNDING)
     yield from differing(first, again, "after a state was written over", _ROUNDING)
@@ -197,8 +197,8 @@ def state_can_be_saved_often(probe: Probe) -> Iterator[str]:
 def freed_state_is_null(probe: Probe) -> Iterator[str]:
     """fmi2FreeFMUstate returns NULL in its argument."""
     script = probe.script(logging=True).begin().step()
-    script.call("save", 0)
-    forgotten = script.call("forget", 0)
+    script.call("get_fmu_state", 0)
+    forgotten = script.call("free_fmu_state", 0)
     script.play()
     if not forgotten.value:
         yield "fmi2FreeFMUstate left the state's address: expected NULL"
@@ -208,7 +208,7 @@ def freed_state_is_null(probe: Probe) -> Iterator[str]:
 def free_of_null_state_is_ignored(probe: Probe) -> Iterator[str]:
     """fmi2FreeFMUstate of a NULL state does nothing."""
     script = probe.script(logging=True).begin().step()
-    script.call("forget", 7)
+    script.call("free_fmu_state", 7)
     script.step()
     script.play(keep_going=True)
     if script.failure:
@@ -219,9 +219,9 @@ def free_of_null_state_is_ignored(probe: Probe) -> Iterator[str]:
 def serialised_state_restores(probe: Probe) -> Iterator[str]:
     """A state as bytes gives the same outputs in an instance of its own."""
     script = probe.script(logging=True).begin().step(2)
-    script.call("save", 0)
-    size, again = script.call("serialised_size", 0), script.call("serialised_size", 0)
-    content = script.call("serialise", 0)
+    script.call("get_fmu_state", 0)
+    size, again = script.call("serialized_fmu_state_size", 0), script.call("serialized_fmu_state_size", 0)
+    content = script.call("serialize_fmu_state", 0)
     expected = script.run(_STEPS)
     script.play()
     if size.value != again.value:
@@ -229,10 +229,10 @@ def serialised_state_restores(probe: Probe) -> Iterator[str]:
     if not content.value[1]:
         yield f"fmi2SerializeFMUstate writes more than the {size.value} bytes of its size"
     other = probe.script(logging=True).begin().step()
-    other.call("deserialise", 0, content.value[0])
-    other.call("restore", 0)
+    other.call("deserialize_fmu_state", 0, content.value[0])
+    other.call("set_fmu_state", 0)
     other.go_to(2)
     got = other.run(_STEPS)
-    other.call("forget", 0)
+    other.call("free_fmu_state", 0)
     other.play()
     yield from differing(expected, got, "from a state read from bytes", _ROUNDING)

@@ -109,7 +109,7 @@ def communication_points_may_be_rounded(probe: Probe) -> Iterator[str]:
 
 
 @rule(_COMPUTATION, Stage.BEHAVIOUR)
-def flag_of_no_return_changes_nothing(probe: Probe) -> Iterator[str]:
+def no_set_state_flag_changes_nothing(probe: Probe) -> Iterator[str]:
     """noSetFMUStatePriorToCurrentPoint = fmi2True is accepted, and the outputs are the same."""
     usual, other = probe.script().begin(), probe.script(logging=True).begin()
     expected = usual.run(3)

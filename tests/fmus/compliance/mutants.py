@@ -48,7 +48,7 @@ NO_OWN_MEMORY = {OWN_MEMORY: OWN_MEMORY.replace("true", "false")}
 RESTORE = "((Instance *)c)->data = snapshot->data;"
 
 C_MUTANTS: dict[str, tuple[str, Patch]] = {
-    "another version": ("library-says-version", {"return fmi2Version;": 'return "2.1";'}),
+    "another version": ("library-version", {"return fmi2Version;": 'return "2.1";'}),
     "no second instance": (
         "instantiates-and-frees",
         {
@@ -57,7 +57,7 @@ C_MUTANTS: dict[str, tuple[str, Patch]] = {
             )
         },
     ),
-    "any GUID": ("refuses-a-wrong-guid", {"!fmuGUID || strcmp(fmuGUID, MODEL_GUID)": "!fmuGUID"}),
+    "any GUID": ("wrong-guid-is-refused", {"!fmuGUID || strcmp(fmuGUID, MODEL_GUID)": "!fmuGUID"}),
     "another start value": (
         "start-values-are-as-declared",
         {"= VARIABLES[i].start;": "= VARIABLES[i].start * (i == INTERNAL_STEP ? 0.5 : 1);"},
@@ -99,11 +99,11 @@ C_MUTANTS: dict[str, tuple[str, Patch]] = {
         {STEP: STEP + " static double first; if (!first) first = h; if (h != first) return fmi2Discard;"},
     ),
     "memory leaked": (
-        "memory-is-given-back",
+        "memory-is-freed",
         {ALLOCATE: "functions->allocateMemory(1, 1);\n    " + ALLOCATE} | NO_OWN_MEMORY,
     ),
     "memory freed that was not given": (
-        "memory-is-given-back",
+        "memory-is-freed",
         {ALLOCATE: "functions->freeMemory(&instance);\n    " + ALLOCATE} | NO_OWN_MEMORY,
     ),
     "inputs without derivatives": ("allowed-calls-succeed",

@@ -7,7 +7,7 @@ from tests.mutants.table import MUTANTS
 from .mutants import ARCHIVE_MUTANTS, C_MUTANTS, FALSE_CLAIMS, XML_MUTANTS
 
 BY_A_TEST_OF_ITS_OWN = {
-    "library-exports", "libraries-bring-what-they-need", "libraries-are-sought-beside", "library-loads",
+    "library-exports", "libraries-are-complete", "libraries-have-an-rpath", "library-loads",
 }  # fmt: skip
 
 

@@ -33,7 +33,7 @@ def fmu(built: Mapping[str, Path], folder: Path, added: Members, search_path: st
 def test_a_library_that_is_needed_and_not_there_is_caught(built: Mapping[str, Path], tmp_path: Path) -> None:
     broken = broken_rules(fmu(built, tmp_path, {}))
     expected = "expected it in the FMU, or documentation/externalDependencies.txt"
-    assert broken == {"libraries-bring-what-they-need": (f"{LIBRARY} needs {NEEDED}: {expected}",)}
+    assert broken == {"libraries-are-complete": (f"{LIBRARY} needs {NEEDED}: {expected}",)}
     documented = fmu(built, tmp_path, {"documentation/externalDependencies.txt": b"libother 1"})
     assert broken_rules(documented) == {}
 
@@ -43,5 +43,5 @@ def test_a_library_that_is_there_and_not_sought_there_is_caught(
 ) -> None:
     broken = broken_rules(fmu(built, tmp_path, {BESIDE: b""}))
     expected = f"{LIBRARY} needs {NEEDED}, without RPATH: expected $ORIGIN"
-    assert broken == {"libraries-are-sought-beside": (expected,)}
+    assert broken == {"libraries-have-an-rpath": (expected,)}
     assert broken_rules(fmu(built, tmp_path, {BESIDE: b""}, "$ORIGIN")) == {}
