@@ -5,12 +5,10 @@ saturation.
 Source: Astrom and Hagglund, Advanced PID Control (2006), chapter 3 (windup).
 """
 
-from typing import Any
-
 from fmus.numerics import where
 
 
-def widens(saturation_error: float, change: float) -> Any:
+def widens(saturation_error: float, change: float) -> bool:
     """Whether a change of the demand would widen the saturation error."""
     return saturation_error * change < 0.0
 

@@ -55,6 +55,11 @@ class ObserverParameters:
 
 
 @dataclass(frozen=True)
+class ObservedParameters(ObserverParameters, ActuatorParameters):
+    """Of a controller that uses the depth rate, and of its thrusters."""
+
+
+@dataclass(frozen=True)
 class InertiaParameter:
     """Of a design that assumes the inertia of the vehicle."""
 
@@ -134,18 +139,18 @@ class Delivery:
     saturation_error: float
 
 
-def requirements(p: Any, calculated: Any) -> tuple:
+def requirements(p: ObservedParameters, calculated: object) -> tuple[tuple[bool, str], ...]:
     """Of a controller with an observer, which takes one sample a step."""
     is_short = p.internal_step <= p.observer_period * (1.0 + 1e-9)
     return ((is_short, "internal_step at most observer_period"),)
 
 
-def first_state(t: float, inputs: DepthInputs, p: Any) -> DepthState:
+def first_state(t: float, inputs: DepthInputs, p: ObserverParameters) -> DepthState:
     """The observer at rest on the first measurement."""
     return _after(ObserverState(inputs.measured_depth, 0.0, Clock(t + p.observer_period)), inputs, p)
 
 
-def next_state(t: float, state: DepthState, inputs: DepthInputs, p: Any) -> DepthState:
+def next_state(t: float, state: DepthState, inputs: DepthInputs, p: ObserverParameters) -> DepthState:
     """With the measurement of time t, and the observer after a sample of it if one is due."""
     observer = sample_when_due(
         t, state.observer, inputs.measured_depth, p.observer_alpha, p.observer_beta, p.observer_period
@@ -153,7 +158,7 @@ def next_state(t: float, state: DepthState, inputs: DepthInputs, p: Any) -> Dept
     return _after(observer, inputs, p)
 
 
-def _after(observer: ObserverState, inputs: DepthInputs, p: Any) -> DepthState:
+def _after(observer: ObserverState, inputs: DepthInputs, p: ObserverParameters) -> DepthState:
     is_measured = p.velocity_source == VelocitySource.MEASURED
     rate = where(is_measured, inputs.measured_depth_rate, observer.rate)
     return DepthState(measurement(inputs, rate), observer, body_to_earth(inputs))
@@ -172,7 +177,7 @@ def body_to_earth(inputs: DepthInputs) -> float:
     return allocation.body_to_earth(inputs.roll, inputs.pitch)
 
 
-def deliver(force: float, j: float, p: Any) -> Delivery:
+def deliver(force: float, j: float, p: ActuatorParameters) -> Delivery:
     """Allocation, saturation, and the force that is left of the demand [N]."""
     demanded = allocation.allocate(force, j, p.thruster_gain)
     saturated = allocation.saturate(demanded, p.voltage_limit)
@@ -183,7 +188,7 @@ def deliver(force: float, j: float, p: Any) -> Delivery:
     )
 
 
-def outputs(force: float, measured: DepthMeasurement, j: float, p: Any) -> dict[str, Any]:
+def outputs(force: float, measured: DepthMeasurement, j: float, p: ActuatorParameters) -> dict[str, Any]:
     """The variables of `DepthOutputs`, for a demand [N]."""
     return {
         "voltage": deliver(force, j, p).voltage,

@@ -7,11 +7,18 @@ Source: Maalouf et al. (2013), section 4.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 from controller_fmu.l1.matrices import LawMatrices, law_matrices
 from controller_fmu.l1.second_order import Matrix, Vector
 from fmus.block import variable
+
+
+class ModelParameters:
+    """The parameters, which a block declares, that the design needs."""
+
+    model_inertia: float
+    model_damping: float
+    lyapunov_weight: Vector
 
 
 @dataclass(frozen=True)
@@ -27,7 +34,7 @@ class DepthMatrices(LawMatrices):
     feedforward_acceleration_gain: float = variable(1.0, "Gain of r'' in f, M", unit="kg")
 
 
-def depth_matrices(k_m: Vector, p: Any) -> DepthMatrices:
+def depth_matrices(k_m: Vector, p: ModelParameters) -> DepthMatrices:
     """A_m, B_m, P, k_g and the gains of f of the assumed vehicle under k_m [N/m, N.s/m]."""
     inverse_inertia = 1.0 / p.model_inertia
     a_m = (

@@ -19,16 +19,15 @@ from dataclasses import dataclass, replace
 
 from controller_fmu import depth_interface
 from controller_fmu.depth_interface import (
-    ActuatorParameters,
     DampingParameter,
     DepthInputs,
     DepthMeasurement,
     DepthOutputs,
     DepthState,
     InertiaParameter,
-    ObserverParameters,
+    ObservedParameters,
 )
-from controller_fmu.depth_model import DepthMatrices, depth_matrices
+from controller_fmu.depth_model import DepthMatrices, ModelParameters, depth_matrices
 from controller_fmu.l1.feedforward import reference_feedforward
 from controller_fmu.l1.projection import keep_within, project
 from controller_fmu.l1.second_order import Vector, dot, is_hurwitz, relaxed
@@ -38,7 +37,7 @@ from fmus.numerics import absolute, maximum
 
 
 @dataclass(frozen=True)
-class Parameters(DampingParameter, InertiaParameter, ObserverParameters, ActuatorParameters):
+class Parameters(ModelParameters, DampingParameter, InertiaParameter, ObservedParameters):
     depth_gain: float = variable(
         5.5, "k_m of the depth", unit="N/m", min=1e-6, max=1e6,
         source="both poles of A_m at w = 1 rad/s: M w^2 for M = 5.5 kg",

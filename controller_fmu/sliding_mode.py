@@ -15,14 +15,13 @@ from dataclasses import dataclass
 from controller_fmu import depth_interface
 from controller_fmu.anti_windup import integrate_error
 from controller_fmu.depth_interface import (
-    ActuatorParameters,
     DampingParameter,
     DepthInputs,
     DepthMeasurement,
     DepthOutputs,
     DepthState,
     InertiaParameter,
-    ObserverParameters,
+    ObservedParameters,
 )
 from controller_fmu.sliding_mode_guide import GUIDE
 from fmus.block import Block, NoValues, variable
@@ -30,7 +29,7 @@ from fmus.numerics import clip
 
 
 @dataclass(frozen=True)
-class Parameters(DampingParameter, InertiaParameter, ObserverParameters, ActuatorParameters):
+class Parameters(DampingParameter, InertiaParameter, ObservedParameters):
     error_bandwidth: float = variable(
         1.0, "lambda, both poles of the error on s = 0", unit="rad/s", min=1e-6, max=1e3,
         source="poles at 1 rad/s: slow beside observer (8 rad/s) and thrusters (20 rad/s)",

@@ -25,14 +25,13 @@ from dataclasses import dataclass
 from controller_fmu import depth_interface
 from controller_fmu.anti_windup import widens
 from controller_fmu.depth_interface import (
-    ActuatorParameters,
     DampingParameter,
     DepthInputs,
     DepthMeasurement,
     DepthOutputs,
     DepthState,
     InertiaParameter,
-    ObserverParameters,
+    ObservedParameters,
 )
 from controller_fmu.super_twisting_guide import GUIDE
 from fmus.block import Block, NoValues, variable
@@ -42,7 +41,7 @@ _LEAST_ROOT = 1e-3  # of eps: the root is held below, where g is smaller, so tha
 
 
 @dataclass(frozen=True)
-class Parameters(DampingParameter, InertiaParameter, ObserverParameters, ActuatorParameters):
+class Parameters(DampingParameter, InertiaParameter, ObservedParameters):
     error_bandwidth: float = variable(
         1.0, "lambda, the pole of the error on s = 0", unit="rad/s", min=1e-6, max=1e3,
         source="1 rad/s: slow beside observer (8 rad/s) and thrusters (20 rad/s)",

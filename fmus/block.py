@@ -10,26 +10,29 @@ from collections.abc import Callable, Iterator
 from dataclasses import KW_ONLY, Field, dataclass, field, fields, is_dataclass, make_dataclass
 from enum import IntEnum
 from functools import cache, cached_property
-from typing import Any
+from typing import Any, Literal, TypeVar
 
 from fmus.guide import NO_GUIDE, Guide
 
 Value = float | int | bool
+Numbers = float | tuple["Numbers", ...]
+Texts = str | None | tuple["Texts", ...]
+Start = TypeVar("Start")
 _SHORTEST, _LONGEST = 1e-7, 1e6  # internal step of a block that declares none, in s
 
 
 def variable(
-    start: Any,
+    start: Start,
     description: str,
     *,
-    unit: Any = "1",
-    display_unit: Any = None,
-    min: Any = None,
-    max: Any = None,
-    nominal: Any = None,
-    variability: str | None = None,
+    unit: Texts = "1",
+    display_unit: Texts = None,
+    min: Numbers | None = None,
+    max: Numbers | None = None,
+    nominal: Numbers | None = None,
+    variability: Literal["fixed", "tunable"] | None = None,
     source: str = "",
-) -> Any:
+) -> Start:
     """Declare one variable of a block.
 
     start: float, int, bool or IntEnum member; a tuple declares a vector `name[1], name[2]`, a

@@ -18,13 +18,14 @@ import numpy as np
 from fmus.extras import imports_of
 from orchestration.errors import OrchestrationError, SystemDefinitionError
 from orchestration.master import Simulator
+from orchestration.master.saved_state import SavedState
 from orchestration.results.recording import Recording
 from orchestration.scenarios.task import Task, task_of
 from orchestration.system.experiment import Experiment
 from orchestration.system.open_inputs import OpenInputs
 from orchestration.system.signals import values_at
 from orchestration.system.system import CheckedSystem, check
-from orchestration.system.values import value_range
+from orchestration.system.values import Value, value_range
 
 with imports_of("gym", "a Gymnasium environment"):
     import gymnasium
@@ -52,12 +53,12 @@ class _Episodes:
         self.names = (*self._variables, *signals)
         self._experiment = _recorded(task, self._variables)
         self._of_signals: Array | None = None  # a row for each communication point
-        self._first: Any = None
+        self._first: SavedState | None = None
 
     def reset(self, random: np.random.Generator) -> None:
         """Begin another episode."""
         task = self._task
-        drawn: dict[str, Any] = {name: int(random.integers(1, _LARGEST_SEED)) for name in task.seeds}
+        drawn: dict[str, Value] = {name: int(random.integers(1, _LARGEST_SEED)) for name in task.seeds}
         drawn |= {name: draw(random) for name, draw in task.vary.items()}
         with suppress(OrchestrationError):  # after an FMU returned fatal
             if self._first:

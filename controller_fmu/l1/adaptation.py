@@ -13,7 +13,6 @@ frequency nor damping of the fast loop depends on the step. docs/explanation/the
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
 
 from controller_fmu.l1.matrices import LawMatrices
 from controller_fmu.l1.projection import keep_within, projection_factor
@@ -43,6 +42,19 @@ class InputGainRegressor(IntEnum):
 
     ADAPTIVE_CONTROL = 1
     ADAPTIVE_CONTROL_AND_EXTENSION = 2
+
+
+class AdaptationParameters:
+    """The parameters, which a block declares, that the estimates need."""
+
+    regressor: Regressor
+    input_gain_regressor: InputGainRegressor
+    adaptation_gain: float
+    projection_tolerance: float
+    theta_bound: Vector
+    sigma_bound: float
+    input_gain: float
+    input_gain_uncertainty: float
 
 
 @dataclass(frozen=True)
@@ -82,7 +94,7 @@ def regressor(kind: Regressor, x: Vector) -> Vector:
 
 
 def adapt(
-    before: Estimates, over: Interval, parameters: Any, matrices: LawMatrices
+    before: Estimates, over: Interval, parameters: AdaptationParameters, matrices: LawMatrices
 ) -> tuple[Estimates, float]:
     """The estimates at the end of the interval, and the mean of theta_hat' phi + sigma_hat over it.
 
@@ -134,7 +146,12 @@ def adapt(
 
 
 def _with_newest(
-    known: float, before: Estimates, after: Estimates, phi: Vector, newest: Vector, parameters: Any
+    known: float,
+    before: Estimates,
+    after: Estimates,
+    phi: Vector,
+    newest: Vector,
+    parameters: AdaptationParameters,
 ) -> float:
     """theta_hat' phi + sigma_hat with the newest phi, within what the bounds of the estimates allow."""
     p, change = parameters, (newest[0] - phi[0], newest[1] - phi[1])
@@ -143,7 +160,16 @@ def _with_newest(
     return keep_within(known, largest)
 
 
-def _projection_factors(estimates: Estimates, phi: Vector, s: float, u_omega: float, parameters: Any) -> Any:
+@dataclass(frozen=True)
+class _Factors:
+    theta: Vector
+    sigma: float
+    omega: float
+
+
+def _projection_factors(
+    estimates: Estimates, phi: Vector, s: float, u_omega: float, parameters: AdaptationParameters
+) -> _Factors:
     """Proj(th, y) / y of each estimate, for rates -s phi, -s and -s u_omega: only their signs matter."""
     p, eps = parameters, parameters.projection_tolerance
     away = estimates.omega_hat - p.input_gain
@@ -155,13 +181,6 @@ def _projection_factors(estimates: Estimates, phi: Vector, s: float, u_omega: fl
         sigma=projection_factor(estimates.sigma_hat, -s, p.sigma_bound, eps),
         omega=projection_factor(away, -s * u_omega, p.input_gain_uncertainty, eps),
     )
-
-
-@dataclass(frozen=True)
-class _Factors:
-    theta: Vector
-    sigma: float
-    omega: float
 
 
 def _sinc(square: float) -> float:

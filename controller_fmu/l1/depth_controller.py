@@ -7,28 +7,27 @@ from dataclasses import dataclass
 
 from controller_fmu import depth_interface
 from controller_fmu.depth_interface import (
-    ActuatorParameters,
     DampingParameter,
     DepthInputs,
     DepthMeasurement,
     DepthOutputs,
     DepthState,
     InertiaParameter,
-    ObserverParameters,
+    ObservedParameters,
 )
-from controller_fmu.depth_model import DepthMatrices, depth_matrices
+from controller_fmu.depth_model import DepthMatrices, ModelParameters, depth_matrices
 from controller_fmu.l1 import law as l1
 from controller_fmu.l1.depth_controller_guide import GUIDE
 from controller_fmu.l1.feedforward import reference_feedforward
 from controller_fmu.l1.law import Control, LawState, Measurement
-from controller_fmu.l1.matrices import SampledPrediction, law_requirements, sampled_prediction
+from controller_fmu.l1.matrices import SampledLawMatrices, law_requirements, sampled_prediction
 from controller_fmu.l1.parameters import LawParameters
 from controller_fmu.l1.second_order import Matrix, Vector
 from fmus.block import Block, variable
 
 
 @dataclass(frozen=True)
-class Parameters(DampingParameter, InertiaParameter, ObserverParameters, ActuatorParameters, LawParameters):
+class Parameters(ModelParameters, DampingParameter, InertiaParameter, ObservedParameters, LawParameters):
     """Gains are tunable at communication points, structural choices fixed."""
 
     depth_feedback_gain: float = variable(
@@ -83,7 +82,7 @@ class Parameters(DampingParameter, InertiaParameter, ObserverParameters, Actuato
 
 
 @dataclass(frozen=True)
-class Matrices(DepthMatrices, SampledPrediction):
+class Matrices(DepthMatrices, SampledLawMatrices):
     """The calculated parameters with the vehicle's units."""
 
     error_transition: Matrix = variable(

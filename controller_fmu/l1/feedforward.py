@@ -8,7 +8,6 @@ so y = r from then on if it is so once, with its rate. For the vehicle f = M r''
 """
 
 from enum import IntEnum
-from typing import Any
 
 from controller_fmu.l1.matrices import LawMatrices
 from controller_fmu.l1.second_order import Vector, dot
@@ -32,7 +31,7 @@ def reference_feedforward(r: float, rate: float, acceleration: float, matrices: 
     return m.feedforward_gain * r + of_rates
 
 
-def feedforward_requirement(kind: ReferenceFeedforward, b: Vector, c: Vector) -> tuple[Any, str]:
+def feedforward_requirement(kind: ReferenceFeedforward, b: Vector, c: Vector) -> tuple[bool, str]:
     """C B_m = 0, or no feedforward: else f would depend on the past of r as well."""
     is_relative_degree_two = absolute(dot(c, b)) <= _ROUNDING * sqrt(dot(c, c) * dot(b, b))
     return (

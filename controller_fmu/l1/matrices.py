@@ -7,7 +7,6 @@ from its parameters with nothing but arithmetic; `design.py` gives the same from
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 from controller_fmu.l1.second_order import (
     Matrix,
@@ -46,6 +45,20 @@ class SampledPrediction:
     estimation_gain: Matrix = variable(
         ((0.0, 1.0), (1.0, 0.0)), "-[B_m, B_u]^-1 Phi^-1 e^(A_s Ts), prediction error to estimates"
     )
+
+
+@dataclass(frozen=True)
+class SampledLawMatrices(LawMatrices, SampledPrediction):
+    """For both laws."""
+
+
+class RequiredParameters:
+    """The parameters, which a block declares, that have requirements in common."""
+
+    prediction_error_matrix: Matrix
+    adaptation_period: float
+    input_gain: float
+    input_gain_uncertainty: float
 
 
 def law_matrices(a_m: Matrix, b: Vector, c: Vector, q: Vector) -> LawMatrices:
@@ -88,7 +101,7 @@ def sampled_prediction(b: Vector, a_s: Matrix, period: float) -> SampledPredicti
     )
 
 
-def law_requirements(parameters: Any, a_m: Matrix) -> tuple[tuple[Any, str], ...]:
+def law_requirements(parameters: RequiredParameters, a_m: Matrix) -> tuple[tuple[bool, str], ...]:
     """A_m and A_s are Hurwitz, A_s is not too fast for its period, and omega_hat cannot reach zero."""
     p = parameters
     return (
@@ -109,5 +122,5 @@ def law_requirements(parameters: Any, a_m: Matrix) -> tuple[tuple[Any, str], ...
     )
 
 
-def _can_be_sampled(a_s: Matrix, period: float) -> Any:
+def _can_be_sampled(a_s: Matrix, period: float) -> bool:
     return logical_and(is_hurwitz(a_s), (a_s[0][0] + a_s[1][1]) * period > -_FASTEST)

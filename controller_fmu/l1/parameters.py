@@ -5,7 +5,9 @@ from dataclasses import dataclass
 from controller_fmu.l1.adaptation import AdaptationLaw, InputGainRegressor, Regressor
 from controller_fmu.l1.augmentation import Augmentation, Threshold
 from controller_fmu.l1.feedforward import ReferenceFeedforward
+from controller_fmu.l1.law import StepParameters
 from controller_fmu.l1.lowpass import FilterOrder
+from controller_fmu.l1.matrices import RequiredParameters
 from controller_fmu.l1.second_order import Matrix
 from fmus.block import variable
 
@@ -42,7 +44,7 @@ x_hat'       = A_m x + A_s x_tilde + B_m (omega_hat (u_a + u_p + u_f) + sigma_ha
 
 
 @dataclass(frozen=True)
-class LawParameters:
+class LawParameters(StepParameters, RequiredParameters):
     """What every block with this law has in common; units that depend on the plant are added there."""
 
     internal_step: float = variable(

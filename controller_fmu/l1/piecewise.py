@@ -15,14 +15,21 @@ calculated once. Source: Hovakimyan and Cao (2010), chapter 3; docs/explanation/
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 from controller_fmu.l1.adaptation import Estimates, Interval
+from controller_fmu.l1.matrices import SampledLawMatrices
 from controller_fmu.l1.second_order import Vector, dot
 from fmus.numerics import matmul, maximum, where
 
 _EARLY = 1e-6  # of a period: sums of communication steps are rounded
 _SHORTEST = 1e-300  # s; keeps a mean over no time finite
+
+
+class SampledParameters:
+    """The parameters, which a block declares, that the estimates need."""
+
+    adaptation_period: float
+    input_gain: float
 
 
 @dataclass(frozen=True)
@@ -36,14 +43,16 @@ class Sample:
 
 
 def adapt_at_samples(
-    before: Estimates, sample: Sample, over: Interval, parameters: Any, matrices: Any
+    before: Estimates,
+    sample: Sample,
+    over: Interval,
+    parameters: SampledParameters,
+    matrices: SampledLawMatrices,
 ) -> tuple[Estimates, float, Sample]:
     """Estimates, the matched one of them, and the sample to go on from, at the end of the interval.
 
     A sample is due at the first measurement Ts or more after the last. What the disturbance was since then
     is its mean, so a longer interval than Ts gives the estimates of that mean.
-
-    matrices: LawMatrices and SampledPrediction in one
     """
     h, x_0, x_1 = over.duration, over.x_0, over.x_1
     since = Sample(
@@ -61,7 +70,9 @@ def adapt_at_samples(
     return estimates, estimates.sigma_hat, after
 
 
-def _estimates(before: Estimates, since: Sample, x: Vector, omega: float, matrices: Any) -> Estimates:
+def _estimates(
+    before: Estimates, since: Sample, x: Vector, omega: float, matrices: SampledLawMatrices
+) -> Estimates:
     """The estimates at a sample at which the state is x."""
     m, duration = matrices, maximum(since.duration, _SHORTEST)
     b, b_u = m.predictor_input, m.unmatched_input

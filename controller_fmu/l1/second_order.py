@@ -1,7 +1,5 @@
 """Algebra of systems of second order in closed form: arithmetic that runs on floats and on CasADi symbols."""
 
-from typing import Any
-
 from fmus.numerics import absolute, cos, cosh, exp, expm1, matmul, maximum, sin, sinh, solve, sqrt, where
 
 Vector = tuple[float, float]
@@ -15,7 +13,7 @@ def dot(first: Vector, second: Vector) -> float:
     return first[0] * second[0] + first[1] * second[1]
 
 
-def is_hurwitz(a: Matrix) -> Any:
+def is_hurwitz(a: Matrix) -> bool:
     """Whether both eigenvalues have negative real parts: trace < 0 < determinant."""
     (a_11, a_12), (a_21, a_22) = a
     return maximum(a_11 + a_22, a_12 * a_21 - a_11 * a_22) < 0.0

@@ -12,8 +12,7 @@ from controller_fmu.l1.augmentation import Threshold
 from controller_fmu.l1.feedforward import feedforward_requirement, reference_feedforward
 from controller_fmu.l1.law import LawState, Measurement
 from controller_fmu.l1.matrices import (
-    LawMatrices,
-    SampledPrediction,
+    SampledLawMatrices,
     law_matrices,
     law_requirements,
     sampled_prediction,
@@ -75,11 +74,6 @@ class Parameters(LawParameters):
 
 
 @dataclass(frozen=True)
-class Matrices(LawMatrices, SampledPrediction):
-    """What follows from the parameters alone."""
-
-
-@dataclass(frozen=True)
 class Inputs:
     reference: float = variable(0.0, "Reference r")
     reference_rate: float = variable(0.0, "Its rate r', used by reference_feedforward")
@@ -108,31 +102,33 @@ class Outputs:
     tracking_error: float = variable(0.0, "e = y - r")
 
 
-def calculate(p: Parameters) -> Matrices:
+def calculate(p: Parameters) -> SampledLawMatrices:
     law = law_matrices(p.state_matrix, p.input_vector, p.output_vector, p.lyapunov_weight)
     error = sampled_prediction(p.input_vector, p.prediction_error_matrix, p.adaptation_period)
-    return Matrices(**(vars(law) | vars(error)))
+    return SampledLawMatrices(**(vars(law) | vars(error)))
 
 
-def requirements(p: Parameters, matrices: Matrices) -> tuple:
+def requirements(p: Parameters, matrices: SampledLawMatrices) -> tuple:
     return (
         *law_requirements(p, p.state_matrix),
         feedforward_requirement(p.reference_feedforward, p.input_vector, p.output_vector),
     )
 
 
-def initial_state(t: float, inputs: Inputs, p: Parameters, matrices: Matrices) -> State:
+def initial_state(t: float, inputs: Inputs, p: Parameters, matrices: SampledLawMatrices) -> State:
     return State(l1.initial_law(_measurement(inputs, p, matrices), p.input_gain))
 
 
-def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, matrices: Matrices) -> State:
+def step(
+    t: float, h: float, state: State, inputs: Inputs, p: Parameters, matrices: SampledLawMatrices
+) -> State:
     u = l1.control(state.law, p.feedback_gain, p)
     delivered = _saturated(u.total, p)
     saturation_error, now = delivered - u.total, _measurement(inputs, p, matrices)
     return State(l1.law_step(h, state.law, now, u, delivered, saturation_error, p.feedback_gain, p, matrices))
 
 
-def output(t: float, state: State, p: Parameters, matrices: Matrices) -> Outputs:
+def output(t: float, state: State, p: Parameters, matrices: SampledLawMatrices) -> Outputs:
     law, estimates = state.law, state.law.estimates
     u = l1.control(law, p.feedback_gain, p)
     return Outputs(
@@ -155,7 +151,7 @@ def _saturated(u: float, p: Parameters) -> float:
     return clip(u, -p.control_limit, p.control_limit)
 
 
-def _measurement(inputs: Inputs, p: Parameters, matrices: Matrices) -> Measurement:
+def _measurement(inputs: Inputs, p: Parameters, matrices: SampledLawMatrices) -> Measurement:
     r, x = inputs.reference, inputs.measured_state
     f = reference_feedforward(r, inputs.reference_rate, inputs.reference_acceleration, matrices)
     return Measurement(x=x, y=dot(p.output_vector, x), r=r, f=f)
@@ -165,7 +161,7 @@ BLOCK = Block(
     name="L1Controller",
     description="Extended L1 adaptive controller for a plant of second order",
     parameters=Parameters,
-    calculated=Matrices,
+    calculated=SampledLawMatrices,
     inputs=Inputs,
     state=State,
     outputs=Outputs,

@@ -7,11 +7,17 @@ from typing import Any
 import fmpy
 
 from fmus.compliance.fmu_file import FmuFile, etree, parsed_xml
+from fmus.compliance.rule import Condition
 
 BUILD_DESCRIPTION = "sources/buildDescription.xml"
 TERMINALS = "terminalsAndIcons/terminalsAndIcons.xml"
 SCHEMAS = Path(fmpy.__file__).parent / "schema"
 _LARGEST = 100_000_000  # bytes
+
+
+def unless_there(path: str) -> Condition:
+    """Why rules of an optional file do not apply to an FMU."""
+    return lambda fmu: "" if path in fmu.paths else f"there is no {path}"
 
 
 @cache

@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterator
 
 from fmus.compliance.archive_rules import CLAUSE, unreadable
-from fmus.compliance.contents import TERMINALS, fmi3_schema_errors, parsed_member
+from fmus.compliance.contents import TERMINALS, fmi3_schema_errors, parsed_member, unless_there
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.rule import Level, Stage, repeated, rule
 
@@ -73,11 +73,7 @@ def extra_names_are_domains(fmu: FmuFile) -> Iterator[str]:
             yield f"extra/{name}/: expected a reversed domain such as com.example"
 
 
-def _no_terminals(fmu: FmuFile) -> str:
-    return "" if TERMINALS in fmu.paths else f"there is no {TERMINALS}"
-
-
-@rule(_TERMINALS, Stage.DESCRIPTION, condition=_no_terminals)
+@rule(_TERMINALS, Stage.DESCRIPTION, condition=unless_there(TERMINALS))
 def terminals_and_icons(fmu: FmuFile) -> Iterator[str]:
     """terminalsAndIcons.xml is valid by FMI 3.0; terminals have unique names, and variables of the FMU."""
     root, problem = parsed_member(fmu, TERMINALS)
@@ -100,7 +96,7 @@ def terminals_and_icons(fmu: FmuFile) -> Iterator[str]:
                 yield f"{TERMINALS}: {parent.get('name')!r} has {count} members {name!r}: expected one"
 
 
-@rule(_TERMINALS, Stage.DESCRIPTION, Level.WARNING, condition=_no_terminals)
+@rule(_TERMINALS, Stage.DESCRIPTION, Level.WARNING, condition=unless_there(TERMINALS))
 def terminal_icons_exist(fmu: FmuFile) -> Iterator[str]:
     """Pictures of terminals are beside terminalsAndIcons.xml."""
     root, _ = parsed_member(fmu, TERMINALS)

@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterator
 
 from fmus.compliance.archive_rules import CLAUSE, unreadable
-from fmus.compliance.contents import BUILD_DESCRIPTION, fmi3_schema_errors, parsed_member
+from fmus.compliance.contents import BUILD_DESCRIPTION, fmi3_schema_errors, parsed_member, unless_there
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.rule import Level, Stage, rule
 from fmus.compliance.variable import is_true
@@ -200,11 +200,7 @@ def includes_have_quotes(fmu: FmuFile) -> Iterator[str]:
             yield f'{path}: #include <{name}>: expected "{name}", as it is in the FMU'
 
 
-def _no_build_description(fmu: FmuFile) -> str:
-    return "" if BUILD_DESCRIPTION in fmu.paths else f"there is no {BUILD_DESCRIPTION}"
-
-
-@rule(CLAUSE, Stage.DESCRIPTION, condition=_no_build_description)
+@rule(CLAUSE, Stage.DESCRIPTION, condition=unless_there(BUILD_DESCRIPTION))
 def build_description(fmu: FmuFile) -> Iterator[str]:
     """buildDescription.xml is valid by FMI 3.0, of this model, and names files below sources."""
     root, problem = parsed_member(fmu, BUILD_DESCRIPTION)

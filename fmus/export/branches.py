@@ -27,9 +27,9 @@ class Statements:
 
     def __init__(self, operations: Sequence[Operation], results: Sequence[int]) -> None:
         self._operations = operations
-        self._places = _places(operations, results)
-        self.assigned = [number for number in sorted(self._places) if operations[number].arguments]
-        self.in_branches = {number for number, path in self._places.items() if path}
+        self._paths = _paths(operations, results)
+        self.assigned = [number for number in sorted(self._paths) if operations[number].arguments]
+        self.in_branches = {number for number, path in self._paths.items() if path}
         self._missing = {number: len(self._needed(number)) for number in self.assigned}
         self._users: dict[int, list[int]] = defaultdict(list)
         for number in self.assigned:
@@ -38,7 +38,7 @@ class Statements:
         self._ready: dict[Path, list[int]] = defaultdict(list)  # heaps
         for number, count in self._missing.items():
             if not count:
-                self._ready[self._places[number]].append(number)
+                self._ready[self._paths[number]].append(number)
 
     def term(self, number: int) -> str:
         """What stands for the number of an operation in an expression."""
@@ -47,13 +47,13 @@ class Statements:
 
     def lines(self, path: Path = ()) -> Iterator[str]:
         """The statements of a branch, as far as they can be carried out, in the order of the operations."""
-        here = self._ready[path]
+        ready = self._ready[path]
         while True:
-            while here:
-                number = heappop(here)
+            while ready:
+                number = heappop(ready)
                 yield self._statement(number)
                 self._finish(number)
-            inside = [other for other, ready in self._ready.items() if ready and other[: len(path)] == path]
+            inside = [other for other, heap in self._ready.items() if heap and other[: len(path)] == path]
             if not inside:
                 return
             first = min(inside, key=lambda other: self._ready[other][0])
@@ -76,7 +76,7 @@ class Statements:
 
     def _needed(self, number: int) -> set[int]:
         """The operations that must come before one: its arguments, and the conditions of its branch."""
-        conditions = (max(condition, ~condition) for condition in self._places[number])
+        conditions = (max(condition, ~condition) for condition in self._paths[number])
         used = {*self._operations[number].arguments, *conditions}
         return {argument for argument in used if self._operations[argument].arguments}
 
@@ -84,45 +84,45 @@ class Statements:
         for user in self._users[number]:
             self._missing[user] -= 1
             if not self._missing[user]:
-                heappush(self._ready[self._places[user]], user)
+                heappush(self._ready[self._paths[user]], user)
 
 
-def _places(operations: Sequence[Operation], results: Sequence[int]) -> dict[int, Path]:
+def _paths(operations: Sequence[Operation], results: Sequence[int]) -> dict[int, Path]:
     """The branch of each operation that is needed."""
     cheap: set[Path] = set()
     while True:
-        places = _needs(operations, results, cheap)
+        paths = _needs(operations, results, cheap)
         costs: dict[Path, int] = defaultdict(int)
-        for number, path in places.items():
+        for number, path in paths.items():
             for length in range(1, len(path) + 1):
                 costs[path[:length]] += operations[number].cost
         more = {path for path, cost in costs.items() if cost < _BRANCH}
         if not more:
             break
         cheap |= more
-    return places
+    return paths
 
 
 def _needs(operations: Sequence[Operation], results: Sequence[int], cheap: set[Path]) -> dict[int, Path]:
     """For each operation the conditions under which alone it is needed, but for branches that are cheap."""
-    places: dict[int, Path] = dict.fromkeys(results, ())
+    paths: dict[int, Path] = dict.fromkeys(results, ())
     for number in range(len(operations) - 1, -1, -1):
-        if number not in places:
+        if number not in paths:
             continue
-        operation, path = operations[number], places[number]
-        for place, argument in enumerate(operation.arguments):
-            condition = _condition(operations, operation, place)
+        operation, path = operations[number], paths[number]
+        for index, argument in enumerate(operation.arguments):
+            condition = _condition(operations, operation, index)
             inner = path if condition is None or condition in path else (*path, condition)
             inner = path if inner in cheap else inner
-            places[argument] = _common(places.get(argument, inner), inner)
-    return places
+            paths[argument] = _common(paths.get(argument, inner), inner)
+    return paths
 
 
-def _condition(operations: Sequence[Operation], operation: Operation, place: int) -> int | None:
+def _condition(operations: Sequence[Operation], operation: Operation, index: int) -> int | None:
     """The condition under which alone an operation needs one of its arguments, if there is one."""
-    if not place or operation.name not in ("IF_ELSE_ZERO", "CHOICE"):
+    if not index or operation.name not in ("IF_ELSE_ZERO", "CHOICE"):
         return None
-    number, holds = operation.arguments[0], place == 1
+    number, holds = operation.arguments[0], index == 1
     while operations[number].name == "NOT":
         number, holds = operations[number].arguments[0], not holds
     return number if holds else ~number

@@ -7,10 +7,10 @@ from typing import Any
 from fmus.numerics.symbols import are_numbers, casadi
 
 
-def _of_one(name: str, meaning: str) -> Callable[[Any], Any]:
+def _of_one(name: str, meaning: str) -> Callable[[float], float]:
     on_float = getattr(math, name)
 
-    def function(value: Any) -> Any:
+    def function(value: float) -> float:
         if isinstance(value, (float, int)):
             return float(on_float(value))
         return getattr(casadi(), name)(value)
@@ -20,10 +20,10 @@ def _of_one(name: str, meaning: str) -> Callable[[Any], Any]:
     return function
 
 
-def _of_two(name: str, meaning: str) -> Callable[[Any, Any], Any]:
+def _of_two(name: str, meaning: str) -> Callable[[float, float], float]:
     on_float = getattr(math, name)
 
-    def function(first: Any, second: Any) -> Any:
+    def function(first: float, second: float) -> float:
         if are_numbers(first, second):
             return on_float(first, second)
         return getattr(casadi(), name)(first, second)
@@ -52,8 +52,13 @@ asinh = _of_one("asinh", "Inverse hyperbolic sine.")
 acosh = _of_one("acosh", "Inverse hyperbolic cosine of a value of at least 1.")
 atanh = _of_one("atanh", "Inverse hyperbolic tangent of a value between -1 and 1.")
 erf = _of_one("erf", "Error function.")
-floor = _of_one("floor", "Largest whole number that is not above the value, as a float.")
-ceil = _of_one("ceil", "Smallest whole number that is not below the value, as a float.")
+# whole numbers as floats, which are declared as int in a block
+floor: Callable[[float], Any] = _of_one(
+    "floor", "Largest whole number that is not above the value, as a float."
+)
+ceil: Callable[[float], Any] = _of_one(
+    "ceil", "Smallest whole number that is not below the value, as a float."
+)
 fmod = _of_two("fmod", "Remainder of first / second with the sign of the first, exact (C's fmod).")
 remainder = _of_two(
     "remainder", "first - n * second, exact, for the whole number n nearest to first / second (IEEE 754)."
@@ -61,70 +66,70 @@ remainder = _of_two(
 copysign = _of_two("copysign", "The absolute value of the first with the sign of the second.")
 
 
-def trunc(value: Any) -> Any:
+def trunc(value: float) -> Any:
     """The value without its fraction, as a float: towards 0."""
     return value - fmod(value, 1.0)
 
 
-def round(value: Any) -> Any:
+def round(value: float) -> Any:
     """The whole number nearest to the value, as a float; of two, the even one, as Python's `round`."""
     return value - remainder(value, 1.0)
 
 
-def absolute(value: Any) -> Any:
+def absolute(value: float) -> float:
     """|value|; Python's `abs` does the same."""
     return abs(value)
 
 
-def sign(value: Any) -> Any:
+def sign(value: float) -> float:
     """-1.0, 0.0 or 1.0."""
     if isinstance(value, (float, int)):
         return math.copysign(1.0, value) if value != 0.0 else 0.0
     return casadi().sign(value)
 
 
-def power(base: Any, exponent: Any) -> Any:
+def power(base: float, exponent: float) -> float:
     """`base ** exponent` for a base of zero or more."""
     if are_numbers(base, exponent):
         return math.pow(base, exponent)
     return casadi().constpow(base, exponent)
 
 
-def exp2(value: Any) -> Any:
+def exp2(value: float) -> float:
     """2 to the power of the value."""
     return power(2.0, value)
 
 
-def log2(value: Any) -> Any:
+def log2(value: float) -> float:
     """Logarithm to base 2, within 2 units in the last place: log2(8.0) need not be 3.0 exactly."""
     return log(value) * (1.0 / math.log(2.0))
 
 
-def log10(value: Any) -> Any:
+def log10(value: float) -> float:
     """Logarithm to base 10, within 2 units in the last place: log10(1000.0) need not be 3.0 exactly."""
     return log(value) * (1.0 / math.log(10.0))
 
 
-def cbrt(value: Any) -> Any:
+def cbrt(value: float) -> float:
     """Cube root of any value, within 2 units in the last place."""
     return copysign(power(abs(value), 1.0 / 3.0), value)
 
 
-def radians(degrees: Any) -> Any:
+def radians(degrees: float) -> float:
     """An angle in degrees, in rad."""
     return degrees * (math.pi / 180.0)
 
 
-def degrees(radians: Any) -> Any:
+def degrees(radians: float) -> float:
     """An angle in rad, in degrees."""
     return radians * (180.0 / math.pi)
 
 
-def hypot(*coordinates: Any) -> Any:
+def hypot(*coordinates: float) -> float:
     """Length of a vector: the square root of the sum of the squares, which may overflow above 1e154."""
     return sqrt(sum(x * x for x in coordinates))
 
 
-def dist(first: Sequence[Any], second: Sequence[Any]) -> Any:
+def dist(first: Sequence[float], second: Sequence[float]) -> float:
     """Distance between two points with as many coordinates."""
     return hypot(*(a - b for a, b in zip(first, second, strict=True)))

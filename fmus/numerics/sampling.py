@@ -1,7 +1,7 @@
 """Parts of a block that change only at sampling instants: `sampled` in place of a clock by hand."""
 
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from fmus.numerics.choice import where
 
@@ -20,11 +20,11 @@ class Clock:
     start: float = 0.0
     count: int = 0
 
-    def next_sample(self, period: Any) -> Any:
+    def next_sample(self, period: float) -> float:
         """When the next sample is due [s]."""
         return self.start + self.count * period
 
-    def last_sample(self, period: Any) -> Any:
+    def last_sample(self, period: float) -> float:
         """When the last sample was due [s]."""
         return self.start + (self.count - 1) * period
 
@@ -32,7 +32,7 @@ class Clock:
 Part = TypeVar("Part")
 
 
-def sampled(t: Any, period: Any, state: Part, new: Part) -> Part:
+def sampled(t: float, period: float, state: Part, new: Part) -> Part:
     """`new` if a sample is due at time t, else `state` as it was.
 
     t: of the sample [s]: where `step` begins, or `t + h` where it ends

@@ -14,6 +14,6 @@ def casadi() -> Any:
     return casadi
 
 
-def are_numbers(*values: Any) -> bool:
+def are_numbers(*values: object) -> bool:
     """Whether no value is a symbol."""
     return all(isinstance(value, _NUMBERS) for value in values)

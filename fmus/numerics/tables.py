@@ -2,12 +2,11 @@
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any
 
 from fmus.numerics.choice import clip, where
 
 
-def interp(x: Any, xp: Sequence[Any], fp: Sequence[Any]) -> Any:
+def interp(x: float, xp: Sequence[float], fp: Sequence[float]) -> float:
     """The line through the points (xp, fp) at x, held before the first and after the last, as `np.interp`.
 
     xp: ascending, each number larger than the one before; fp: as many. Both may be numbers or symbols.
@@ -19,7 +18,9 @@ def interp(x: Any, xp: Sequence[Any], fp: Sequence[Any]) -> Any:
     return where(x < points[0][0], points[0][1], value)
 
 
-def interp2d(x: Any, y: Any, xp: Sequence[Any], yp: Sequence[Any], fp: Sequence[Sequence[Any]]) -> Any:
+def interp2d(
+    x: float, y: float, xp: Sequence[float], yp: Sequence[float], fp: Sequence[Sequence[float]]
+) -> float:
     """Bilinear interpolation of a table at (x, y), held outside.
 
     xp, yp: ascending, each number larger than the one before
@@ -30,13 +31,13 @@ def interp2d(x: Any, y: Any, xp: Sequence[Any], yp: Sequence[Any], fp: Sequence[
     return sum(w * row for w, row in zip(weights_x, rows, strict=True))
 
 
-def _weights(x: Any, points: Sequence[Any]) -> list[Any]:
+def _weights(x: float, points: Sequence[float]) -> list[float]:
     """Of each point in the interpolation at x: between two points, theirs are positive and add up to 1."""
     rises = [clip((x - a) / (b - a), 0.0, 1.0) for a, b in pairwise(points)]
     return [1.0 * (before - after) for before, after in zip([1.0, *rises], [*rises, 0.0], strict=True)]
 
 
-def ramps(t: Any, times: Sequence[Any], values: Sequence[Any], smooth: Any) -> Any:
+def ramps(t: float, times: Sequence[float], values: Sequence[float], smooth: bool | float) -> float:
     """Lines through (time, value) at time t, held before the first and after the last point.
 
     times: ascending, each later than the one before
@@ -51,7 +52,9 @@ def ramps(t: Any, times: Sequence[Any], values: Sequence[Any], smooth: Any) -> A
     return where(t <= points[0][0], points[0][1], value)
 
 
-def ramp_rates(t: Any, times: Sequence[Any], values: Sequence[Any], smooth: Any) -> tuple[Any, Any]:
+def ramp_rates(
+    t: float, times: Sequence[float], values: Sequence[float], smooth: bool | float
+) -> tuple[float, float]:
     """First and second derivative of `ramps` at time t; at a point, those of the time after it.
 
     The second derivative of straight ramps is 0 everywhere, also where the first one jumps.

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
@@ -46,11 +46,24 @@ class Task:
     steps: int = 1
 
 
+class TaskSettings(TypedDict, total=False):
+    """What `task_of` can be given of a `Task`."""
+
+    actions: Sequence[str]
+    observations: Sequence[str]
+    reads: Sequence[str]
+    bounds: Mapping[str, tuple[float, float]]
+    signals: Mapping[str, Signal]
+    seeds: Sequence[str]
+    vary: Mapping[str, Draw]
+    steps: int
+
+
 def task_of(
     scenario: str | Scenario,
     reward: Mapping[str, float] | Reward,
     replaced: str = "controller",
-    **settings: Any,
+    **settings: Unpack[TaskSettings],
 ) -> Task:
     """The task of a component of a scenario, whose place the agent takes.
 
@@ -75,7 +88,7 @@ def task_of(
         lost = [name for name in names if name.startswith(own) and name not in signals]
         if lost:
             raise ScenarioError(f"reward: {', '.join(lost)}: the agent takes the place of {replaced}")
-    follows = {
+    follows: TaskSettings = {
         "actions": tuple(target for source, target, *_ in connections if source.startswith(own)),
         "observations": (*dict.fromkeys(inputs), *signals),
         "reads": names,

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 from fmus import catalogue
 from fmus.block import Block, variable
@@ -82,6 +83,9 @@ EVERYTHING = Block(
 )
 
 
+_either: Any = where  # of numbers that are no items
+
+
 @dataclass(frozen=True)
 class Choice:
     choice: float = variable(0.0, "Beyond 1000 the number of an item")
@@ -113,13 +117,13 @@ ITEMS = Block(
     description="Items and truth values, which rare inputs and parameters make other numbers",
     parameters=Choice,
     calculated=Chosen,
-    calculate=lambda p: Chosen(where(p.choice < 1e3, 0.0, p.choice - 1e3)),
+    calculate=lambda p: Chosen(_either(p.choice < 1e3, 0.0, p.choice - 1e3)),
     inputs=Chooser,
     state=Given,
     outputs=Choices,
     step=lambda t, h, s, u, p, c: Given(u.choose),
     output=lambda t, s, p, c: Choices(
-        where(s.choice < 1e3, 0.0, s.choice - 1e3), where(s.choice > -1e3, 0.0, -1e3 - s.choice)
+        _either(s.choice < 1e3, 0.0, s.choice - 1e3), _either(s.choice > -1e3, 0.0, -1e3 - s.choice)
     ),
 )
 

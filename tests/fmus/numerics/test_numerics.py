@@ -168,7 +168,8 @@ def test_solve_is_numpys_whatever_the_order_of_the_rows(seed: int) -> None:
 def test_an_alternative_that_is_not_taken_spoils_neither_value_nor_derivative(
     alternative: Callable[[Any], Any],
 ) -> None:
-    x, is_taken = casadi.SX.sym("x"), casadi.SX.sym("c")
+    x: Any = casadi.SX.sym("x")
+    is_taken: Any = casadi.SX.sym("c")
     value = n.where(is_taken, lambda: alternative(x), 3.0 * x)
     function = casadi.Function("f", [x, is_taken], [value, casadi.jtimes(value, x, 1.0)])
     assert [float(result) for result in function(-1.0, 0.0)] == [-3.0, 3.0]
