@@ -1,12 +1,13 @@
 """Building the FMUs of the installed blocks, which `fmus.registry` names, and of the blocks of a file."""
 
-import hashlib
 import keyword
+import os
 import re
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -26,7 +27,9 @@ from fmus.files import write_archive
 from fmus.instance import BlockError, Instance
 from fmus.platforms import host_platform, library_name
 from fmus.registry import FOLDER_VARIABLE, Flavour, block_entry_points, block_fmus, block_names, fmu_folder
+from fmus.stamp import Order, Stamps, order_of_file
 
+_AT_ONCE = os.cpu_count() or 1  # orders that are compiled
 _EXPORTS = {Flavour.NATIVE: native_flavour, Flavour.PYTHON: python_flavour}
 
 
@@ -113,15 +116,32 @@ def build_block(
     reals_only: bool = False,
 ) -> Path:
     """As `build`, of a block that no entry point names."""
-    if reals_only and flavour is not Flavour.NATIVE:
+    order = Order(block.name, folder, flavour, tuple(platforms), with_terminals, reals_only)
+    with _building(block, order) as write:
+        return write()[0]
+
+
+@contextmanager
+def _building(block: Block, order: Order) -> Iterator[Callable[[], list[Path]]]:
+    """The FMU of a block: its libraries are compiled until the function that this gives writes it."""
+    if order.reals_only and order.flavour is not Flavour.NATIVE:
         raise ExportError("an FMU of Reals only: expected the native flavour")
-    export = _EXPORTS[flavour]
-    _, members = native_flavour.content(block, reals_only) if reals_only else export.content(block)
-    check_faithful(block)
-    libraries = export.libraries(block.name, members, platforms)
-    shown = {"model.png": icon(block)} | reference_files.members(_reference_run(block), block.name)
-    shown |= terminals(block) if with_terminals else {}
-    return write_archive(folder / f"{block.name}.fmu", members | libraries | shown)
+    export = _EXPORTS[order.flavour]
+    _, members = native_flavour.content(block, True) if order.reals_only else export.content(block)
+    with export.compiled_libraries(block.name, members, order.platforms) as libraries:
+        check_faithful(block)
+        reference = _reference_run(block)
+        shown = {"model.png": icon(block)} | reference_files.members(reference, block.name)
+        shown |= terminals(block) if order.with_terminals else {}
+
+        def write() -> list[Path]:
+            fmu = write_archive(order.folder / f"{block.name}.fmu", members | libraries() | shown)
+            return [
+                fmu,
+                *(_write_cross_check(block.name, reference, order) if order.with_cross_check else ()),
+            ]
+
+        yield write
 
 
 def _reference_run(block: Block) -> ReferenceRun:
@@ -134,12 +154,46 @@ def _reference_run(block: Block) -> ReferenceRun:
         raise ExportError(f"block {block.name!r}: {where}the reference run ends: {error}") from error
 
 
-def write_cross_check(block: Block, folder: Path) -> list[Path]:
+def _write_cross_check(name: str, reference: ReferenceRun, order: Order) -> list[Path]:
     """Write what the FMI cross-check wants beside `folder/NAME.fmu`: inputs, results and options."""
-    files = reference_files.cross_check_files(reference_run(block), block.name)
+    files = reference_files.cross_check_files(reference, name)
     for file, data in files.items():
-        (folder / file).write_bytes(data)
-    return [folder / file for file in sorted(files)]
+        (order.folder / file).write_bytes(data)
+    return [order.folder / file for file in sorted(files)]
+
+
+def build_orders(orders: Iterable[Order]) -> Iterator[list[Path]]:
+    """Write the FMUs of each order, whatever stands there, and stamp them; gives the files of each.
+
+    Some are compiled while the next are traced.
+    """
+    begun: deque[_Begun] = deque()
+    with ExitStack() as stack:
+        try:
+            for order in orders:
+                begun.append(_Begun(order, stack))
+                if len(begun) > _AT_ONCE:
+                    yield begun.popleft().written()
+        except ExportError:
+            yield from (one.written() for one in begun)  # that of an order leaves those before it
+            raise
+        yield from (one.written() for one in begun)
+
+
+class _Begun:
+    """An order whose FMUs are being compiled; it does not outlive the stack."""
+
+    def __init__(self, order: Order, stack: ExitStack) -> None:
+        self._order, self._stamps = order, Stamps()
+        sources = self._stamps.sources(order)
+        with loaded(order.source) as blocks:
+            self._writers = [stack.enter_context(_building(block, order)) for block in blocks]
+            self._sources = sources and sources.if_loaded
+
+    def written(self) -> list[Path]:
+        files = [file for write in self._writers for file in write()]
+        self._stamps.write(self._order, self._sources, [file for file in files if file.suffix == ".fmu"])
+        return files
 
 
 def build_if_stale(name: str, folder: Path | None = None, flavour: Flavour = Flavour.NATIVE) -> Path:
@@ -147,25 +201,35 @@ def build_if_stale(name: str, folder: Path | None = None, flavour: Flavour = Fla
 
     folder: by default the one where scenarios find it
     """
-    return _built_if_stale(load_block(name), folder or fmu_folder(flavour), flavour)
+    return _built_if_stale(Order(name, folder or fmu_folder(flavour), flavour))
 
 
 def fmu_of_file(path: Path, flavour: Flavour = Flavour.NATIVE) -> Path:
     """The FMU of the only block that a Python file defines, in the user's cache, built if it is stale."""
-    with loaded(str(path)) as blocks:
+    return _built_if_stale(order_of_file(path, flavour))
+
+
+def _built_if_stale(order: Order) -> Path:
+    """The FMU of the only block of an order."""
+    stamps = Stamps()
+    if current := stamps.current(order):
+        return current[0]
+    sources = stamps.sources(order)
+    with loaded(order.source) as blocks:
         block, *others = blocks
         if others:
             names = ", ".join(defined.name for defined in blocks)
-            raise ExportError(f"{path} defines {names}: expected one block; build them, and choose an FMU")
-        digest = hashlib.sha256(str(path.absolute()).encode()).hexdigest()[:12]
-        return _built_if_stale(block, fmu_folder(flavour) / digest, flavour)
-
-
-def _built_if_stale(block: Block, folder: Path, flavour: Flavour) -> Path:
-    path = folder / f"{block.name}.fmu"
-    guid, _ = _EXPORTS[flavour].content(block)
-    needed = library_name(block.name, host_platform()) if flavour is Flavour.NATIVE else None
-    return path if _is_present(path, guid, needed) else build_block(block, folder, flavour)
+            raise ExportError(
+                f"{order.source} defines {names}: expected one block; build them, and choose an FMU"
+            )
+        path = order.folder / f"{block.name}.fmu"
+        guid, _ = _EXPORTS[order.flavour].content(block)
+        native = order.flavour is Flavour.NATIVE
+        needed = library_name(block.name, host_platform()) if native else None
+        if not _is_present(path, guid, needed):
+            build_block(block, order.folder, order.flavour)
+        stamps.write(order, sources and sources.if_loaded, [path])
+    return path
 
 
 def build_missing(paths: Iterable[Path]) -> None:

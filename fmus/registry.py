@@ -6,8 +6,11 @@ Blocks are entry points of the group `l1_depth.blocks`, so that another package'
 
 import hashlib
 import os
-from collections.abc import Iterable
+import sys
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from enum import StrEnum
+from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
@@ -28,7 +31,22 @@ class Flavour(StrEnum):
 
 def block_entry_points() -> dict[str, EntryPoint]:
     """Entry point of every installed block, by its name, sorted."""
-    return {point.name: point for point in sorted(entry_points(group=GROUP), key=lambda point: point.name)}
+    return dict(_read_entry_points(entry_points, tuple(map(_version, sys.path))))
+
+
+@lru_cache(1)
+def _read_entry_points(
+    read: Callable[..., Iterable[EntryPoint]], folders: tuple[tuple[str, int], ...]
+) -> dict[str, EntryPoint]:
+    """What `read` gives, once as long as these folders of packages stay as they are: it opens many files."""
+    return {point.name: point for point in sorted(read(group=GROUP), key=lambda point: point.name)}
+
+
+def _version(folder: str) -> tuple[str, int]:
+    """A folder, and when a member of it was last added or removed."""
+    with suppress(OSError):
+        return folder, os.stat(folder or ".").st_mtime_ns  # noqa: PTH116
+    return folder, 0
 
 
 def block_names() -> list[str]:

@@ -4,7 +4,8 @@ The GUID is derived from everything that decides what the libraries do: model de
 compiler and its flags. It does not depend on which platforms were built.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -13,7 +14,7 @@ from fmus.documentation.page import documentation
 from fmus.export.archive import GUID, licenses, with_guid
 from fmus.export.c_source import COMPILED, c_sources
 from fmus.export.model_description import model_description
-from fmus.export.toolchain import COMPILER, FLAGS, compile_library
+from fmus.export.toolchain import COMPILER, FLAGS, compiling
 from fmus.files import xml_document
 from fmus.plain_types import REALS_ONLY, with_plain_types
 from fmus.platforms import check_platforms, host_platform, library_name
@@ -59,8 +60,19 @@ def libraries(name: str, members: dict[str, bytes], platforms: Sequence[str]) ->
 
     Raises ExportError for an unknown platform.
     """
+    with compiled_libraries(name, members, platforms) as compiled:
+        return compiled()
+
+
+@contextmanager
+def compiled_libraries(
+    name: str, members: dict[str, bytes], platforms: Sequence[str]
+) -> Iterator[Callable[[], dict[str, bytes]]]:
+    """As `libraries`: they are compiled beside this process, until the function that this gives is called."""
     sources = {Path(path).name: members[path].decode() for path in members if path.startswith("sources/")}
-    return {
-        library_name(name, platform): compile_library(name, sources, COMPILED, platform)
-        for platform in check_platforms(platforms) or (host_platform(),)
-    }
+    with ExitStack() as stack:
+        ends = {
+            library_name(name, platform): stack.enter_context(compiling(name, sources, COMPILED, platform))
+            for platform in check_platforms(platforms) or (host_platform(),)
+        }
+        yield lambda: {path: end() for path, end in ends.items()}

@@ -4,7 +4,8 @@ PythonFMU gives the binary and the interface of the slave. Model description, GU
 names are our own; what its binary makes impossible is listed in docs/fidelity.md.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from importlib import resources
 
 from fmus.block import Block
@@ -61,11 +62,14 @@ def content(block: Block) -> tuple[str, dict[str, bytes]]:
     return with_guid(members)
 
 
-def libraries(name: str, members: dict[str, bytes], platforms: Sequence[str]) -> dict[str, bytes]:
+@contextmanager
+def compiled_libraries(
+    name: str, members: dict[str, bytes], platforms: Sequence[str]
+) -> Iterator[Callable[[], dict[str, bytes]]]:
     """Nothing to compile: PythonFMU's binaries are among the members. Raises ExportError for any platform."""
     if platforms:
         raise ExportError("platforms of the python flavour: expected none, its libraries are PythonFMU's")
-    return {}
+    yield dict
 
 
 def _binaries(name: str) -> dict[str, bytes]:

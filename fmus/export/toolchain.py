@@ -10,10 +10,12 @@ import struct
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
+from typing import IO
 
 import fmpy
 
@@ -37,42 +39,74 @@ COMPILER = ("ziglang", version("ziglang"))
 
 def compile_library(model: str, sources: dict[str, str], compiled: Sequence[str], fmi_platform: str) -> bytes:
     """The shared library MODEL of some sources, of which `compiled` are given to the compiler."""
+    with compiling(model, sources, compiled, fmi_platform) as library:
+        return library()
+
+
+@contextmanager
+def compiling(
+    model: str, sources: dict[str, str], compiled: Sequence[str], fmi_platform: str
+) -> Iterator[Callable[[], bytes]]:
+    """As `compile_library`, beside this process until the function that it gives is called."""
     targets, suffix = TARGETS[fmi_platform]
-    with tempfile.TemporaryDirectory(prefix="l1-depth-build-") as name:
+    file = f"{model}.{suffix}"
+    with tempfile.TemporaryDirectory(prefix="l1-depth-build-") as name, ExitStack() as stack:
         folder = Path(name)
-        for file, text in sources.items():
-            (folder / file).write_text(text, encoding="utf-8", newline="\n")
-        slices = [_compile(folder, compiled, target, f"{model}.{suffix}") for target in targets]
-    return slices[0] if len(slices) == 1 else _universal(slices)
+        for source, text in sources.items():
+            (folder / source).write_text(text, encoding="utf-8", newline="\n")
+        ends = []
+        for target in targets:
+            (folder / target).mkdir()
+            options = ["-target", target, "-shared", *FLAGS, "-I", str(FMI_HEADERS)]
+            if "macos" in target:
+                options.append(f"-Wl,-install_name,@rpath/{file}")
+            arguments = ["cc", *options, "-o", f"{target}/{file}", *compiled]
+            ends.append(stack.enter_context(_running(arguments, folder)))
 
+        def library() -> bytes:
+            for end in ends:
+                end()
+            slices = [(folder / target / file).read_bytes() for target in targets]
+            return slices[0] if len(slices) == 1 else _universal(slices)
 
-def _compile(folder: Path, compiled: Sequence[str], target: str, library: str) -> bytes:
-    options = ["-target", target, "-shared", *FLAGS, "-I", str(FMI_HEADERS)]
-    if "macos" in target:
-        options.append(f"-Wl,-install_name,@rpath/{library}")
-    zig(["cc", *options, "-o", library, *compiled], folder)
-    return (folder / library).read_bytes()
+        yield library
 
 
 def zig(arguments: Sequence[str], folder: Path) -> None:
     """Run zig in a folder; ExportError with what it said if it fails."""
+    with _running(arguments, folder) as end:
+        end()
+
+
+@contextmanager
+def _running(arguments: Sequence[str], folder: Path) -> Iterator[Callable[[], None]]:
+    """Zig at work; the function that this gives waits for its end. It does not outlive the context."""
     command = [sys.executable, "-m", "ziglang", *arguments]
-    hint = "if its cache cannot be written, set ZIG_GLOBAL_CACHE_DIR to a folder that can"
-    with subprocess.Popen(
-        command, cwd=folder, start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
-    ) as process:
+    with (
+        tempfile.TemporaryFile() as output,
+        subprocess.Popen(
+            command, cwd=folder, start_new_session=True, stdout=output, stderr=subprocess.STDOUT
+        ) as process,
+    ):
         try:
-            output, _ = process.communicate(timeout=_PATIENCE_S)
-        except BaseException as error:  # an interrupt too: zig starts processes of its own
-            with suppress(ProcessLookupError):  # it has ended meanwhile
-                process.kill() if os.name == "nt" else os.killpg(process.pid, signal.SIGKILL)
-            if isinstance(error, subprocess.TimeoutExpired):
-                message = f"zig {arguments[0]} did not end within {_PATIENCE_S} s; {hint}"
-                raise ExportError(message) from None
-            raise
-    if process.returncode:
-        text = output.decode("utf-8", "replace").strip()[-2000:]
-        raise ExportError(f"zig {arguments[0]} failed: {text}; {hint}")
+            yield partial(_end, arguments[0], process, output)
+        finally:
+            if process.poll() is None:  # of an interrupt, too: zig starts processes of its own
+                with suppress(ProcessLookupError):  # it has ended meanwhile
+                    process.kill() if os.name == "nt" else os.killpg(process.pid, signal.SIGKILL)
+
+
+def _end(name: str, process: subprocess.Popen[bytes], output: IO[bytes]) -> None:
+    """Wait for a process of zig; ExportError with what it printed if it fails."""
+    hint = "if its cache cannot be written, set ZIG_GLOBAL_CACHE_DIR to a folder that can"
+    try:
+        status = process.wait(_PATIENCE_S)
+    except subprocess.TimeoutExpired:
+        raise ExportError(f"zig {name} did not end within {_PATIENCE_S} s; {hint}") from None
+    if status:
+        output.seek(0)
+        text = output.read().decode("utf-8", "replace").strip()[-2000:]
+        raise ExportError(f"zig {name} failed: {text}; {hint}")
 
 
 def _universal(slices: Sequence[bytes]) -> bytes:

@@ -1,4 +1,4 @@
-"""The command line `l1-depth`; `app` imports libraries, and an interrupt may come while it does."""
+"""The command line `l1-depth`; `commands` imports libraries, and an interrupt may come while it does."""
 
 import sys
 
@@ -24,6 +24,6 @@ def run_interruptible() -> int:
     from orchestration.cli.interrupts import interruptible
 
     with interruptible():
-        from orchestration.cli.app import run_command
+        from orchestration.cli.commands import run_command
 
         return run_command(sys.argv[1:])

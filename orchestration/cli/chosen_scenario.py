@@ -7,11 +7,10 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from fmus import catalogue
+from fmus import stamp
 from fmus.registry import Flavour
 from orchestration.cli.changes import NO_CHANGES, Changes
 from orchestration.errors import ScenarioError, ScenarioWarning, SystemDefinitionError
-from orchestration.exchange import ssp_read
 from orchestration.fmi.description import start_value
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
@@ -34,7 +33,7 @@ def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHA
                 changes.overrides(path.stem),
                 flavour,
                 settings={**changes.components, **changes.settings},
-                build=lambda fmu: catalogue.build_missing([fmu]),
+                build=lambda fmu: _build_missing([fmu]),
             )
         finally:  # an error may follow from what a warning tells
             for warning in (w for w in caught if issubclass(w.category, ScenarioWarning)):
@@ -56,7 +55,7 @@ def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHA
 def _with_built_files(changes: Changes, flavour: Flavour) -> Changes:
     """The changes with the FMU of each block that is a Python file."""
     fmus = {
-        component: str(catalogue.fmu_of_file(Path(fmu), flavour)) if fmu.endswith(".py") else fmu
+        component: str(_fmu_of_file(Path(fmu), flavour)) if fmu.endswith(".py") else fmu
         for component, fmu in changes.components.items()
     }
     return replace(changes, components=fmus)
@@ -64,7 +63,22 @@ def _with_built_files(changes: Changes, flavour: Flavour) -> Changes:
 
 def build_missing_fmus(scenarios: Iterable[Scenario]) -> None:
     """Build the FMUs of our blocks that these scenarios run and that are missing or stale."""
-    catalogue.build_missing({fmu for chosen in scenarios for fmu in chosen.system.components.values()})
+    _build_missing({fmu for chosen in scenarios for fmu in chosen.system.components.values()})
+
+
+def _build_missing(fmus: Iterable[Path]) -> None:
+    if stale := stamp.stale(fmus):
+        from fmus import catalogue  # which loads what builds FMUs
+
+        catalogue.build_missing(stale)
+
+
+def _fmu_of_file(path: Path, flavour: Flavour) -> Path:
+    if current := stamp.Stamps().current(stamp.order_of_file(path, flavour)):
+        return current[0]
+    from fmus import catalogue
+
+    return catalogue.fmu_of_file(path, flavour)
 
 
 @contextmanager
@@ -80,6 +94,8 @@ def opened(
             raise ScenarioError(f"--set and --controller of a package: expected a scenario, got {name}")
         if flavour is not Flavour.NATIVE:
             raise ScenarioError(f"--flavour {flavour} of a package: expected none, it holds its own FMUs")
+        from orchestration.exchange import ssp_read
+
         with ssp_read.opened(Path(name), parameter_set) as chosen:
             yield chosen
         return

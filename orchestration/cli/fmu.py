@@ -1,19 +1,24 @@
 """Commands on FMUs: build, check, inspect."""
 
 import json
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fmus.errors import ExportError
 from fmus.platforms import PLATFORMS, check_platforms
 from fmus.registry import FOLDER_VARIABLE, Flavour, block_names, fmu_folder
+from fmus.stamp import Order, Stamps
 from orchestration.cli.shared import FlavourOption, fail, print_table, progress, refuse_without_effect
 
 if TYPE_CHECKING:
     from fmpy.model_description import ScalarVariable
 
 _FOLDERS = {Flavour.NATIVE: Path("fmus-built"), Flavour.PYTHON: Path("fmus-built", "python")}
+Current = Mapping[Order, Sequence[Path] | None]
+"""Order -> its FMUs, if they are what it would build now."""
 _PIPED_WIDTH = 260  # a line a variable, for grep
 
 
@@ -93,48 +98,59 @@ def build(
     named = check_platforms([name.strip() for name in platform.split(",")]) if platform else ()
     platforms = PLATFORMS if all_platforms else named
 
-    from fmus import catalogue
-
-    options = {"with_terminals": terminals, "reals_only": reals_only}
-    chosen, failures = _loadable(names)
-    with progress("build", len(chosen)) as bar:
-        for name in chosen:
-            with catalogue.loaded(name) as blocks:
-                for block in blocks:
-                    path = catalogue.build_block(block, folder, flavour, platforms, **options)
-                    print(path)
-                    for file in catalogue.write_cross_check(block, path.parent) if with_reference else ():
-                        print(file)
+    orders = [
+        Order(name, folder, flavour, tuple(platforms), terminals, reals_only, with_reference)
+        for name in names or block_names()
+    ]
+    stamps = Stamps()
+    current = {} if with_reference else {order: stamps.current(order) for order in orders}
+    refused = _refused(orders, current, bool(names))
+    with progress("build", len(orders) - len(refused)) as bar:
+        for files in _built([order for order in orders if order not in refused], current):
+            print(*files, sep="\n")
             bar.advance()
-    if failures:
-        fail("; ".join(failures))
+    if refused:
+        fail("; ".join(refused.values()))
 
 
-def _loadable(names: list[str] | None) -> tuple[list[str], list[str]]:
-    """What to build, and why the rest cannot be loaded; a name that was given raises ExportError."""
-    from fmus import catalogue
-    from fmus.errors import ExportError
-
-    chosen, failures = [], []
-    sources: dict[
-        str, str
-    ] = {}  # name of an FMU in lower case, since some file systems know no other -> block
-    for name in names or block_names():
+def _refused(orders: Sequence[Order], current: Current, named: bool) -> dict[Order, str]:
+    """Order -> why it cannot be built; of those that the user named, the first raises ExportError."""
+    refused: dict[Order, str] = {}
+    sources: dict[str, str] = {}  # name of an FMU in lower case, as some file systems know no other -> block
+    for order in orders:
         try:
-            with catalogue.loaded(name) as blocks:
-                for block in blocks:
-                    if first := sources.get(block.name.casefold()):
-                        raise ExportError(
-                            f"{name}: block {block.name!r} would replace the FMU of {first}: "
-                            "expected names that differ, in upper case too"
-                        )
-                    sources[block.name.casefold()] = f"block {block.name!r} of {name}"
-                chosen.append(name)
+            for name in [fmu.stem for fmu in current.get(order) or ()] or _names(order):
+                if first := sources.get(name.casefold()):
+                    raise ExportError(
+                        f"{order.source}: block {name!r} would replace the FMU of {first}: "
+                        "expected names that differ, in upper case too"
+                    )
+                sources[name.casefold()] = f"block {name!r} of {order.source}"
         except ExportError as error:
-            if names:
+            if named:
                 raise
-            failures.append(str(error))
-    return chosen, failures
+            refused[order] = str(error)
+    return refused
+
+
+def _names(order: Order) -> list[str]:
+    """The names of the blocks of an order, which are verified."""
+    from fmus import catalogue
+
+    with catalogue.loaded(order.source) as blocks:
+        return [block.name for block in blocks]
+
+
+def _built(orders: Sequence[Order], current: Current) -> Iterator[Sequence[Path]]:
+    """What each order makes; only those that are not as they would be built are built."""
+    stale = [order for order in orders if not current.get(order)]
+    if stale:
+        from fmus import catalogue  # which loads what builds FMUs
+
+        built = catalogue.build_orders(stale)
+        yield from (current.get(order) or next(built) for order in orders)
+    else:
+        yield from (current[order] or () for order in orders)
 
 
 def check(

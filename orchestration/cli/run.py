@@ -1,6 +1,7 @@
 """Commands on scenarios: run, report, scenarios."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -19,7 +20,7 @@ from orchestration.cli.shared import (
     shipped_scenarios,
 )
 from orchestration.errors import OrchestrationError
-from orchestration.results.formats import RecordingFormat
+from orchestration.results.formats import FigureFormat, RecordingFormat
 
 if TYPE_CHECKING:
     from orchestration.results.recording import Recording
@@ -74,7 +75,6 @@ def run(
     """Run one scenario, and write its recording (CSV or Parquet), its metrics (JSON) and a figure."""
     from orchestration.cli import chosen_scenario
     from orchestration.master.checkpoint import Checkpoints, read_checkpoint
-    from orchestration.results.figures import run_figure
     from orchestration.results.tables import metrics_table
     from orchestration.scenarios import reproduce
 
@@ -96,13 +96,21 @@ def run(
             checkpoints=Checkpoints(checkpoint, every) if checkpoint else None,
             resume=read_checkpoint(resume) if resume else None,
         )
-    figures = run_figure(chosen.title, result.recording, out / chosen.name, written_formats)
+    figures = _figures(chosen.title, result.recording, out / chosen.name, written_formats)
     if result.metrics:
         print_table(metrics_table(chosen.title, result.metrics, result.metric_units, chosen.metrics))
     _print_error_estimate(result.recording)
     _print_end(result.recording)
     _print_pace(result.recording)
     print(out / f"{chosen.name}.{file_format}", out / f"{chosen.name}.json", *figures, sep="\n")
+
+
+def _figures(title: str, recording: "Recording", path: Path, formats: Sequence[FigureFormat]) -> list[Path]:
+    if not formats:
+        return []
+    from orchestration.results.figures import run_figure  # Matplotlib takes longer to import than a run
+
+    return run_figure(title, recording, path, formats)
 
 
 def _with_error_estimate(chosen: "Scenario") -> "Scenario":

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 PIPED_WIDTH = 130
+NO_FIGURES = "none"
 
 
 def shipped_scenarios() -> list[str]:
@@ -45,12 +46,16 @@ ScenarioArgument = Annotated[
 
 FigureFormatsOption = Annotated[
     str,
-    typer.Option("--formats", metavar="NAME,NAME", help=f"Write figures as {', '.join(FigureFormat)}."),
+    typer.Option(
+        "--formats", metavar="NAME,NAME", help=f"Write figures as {', '.join(FigureFormat)}; or none."
+    ),
 ]
 
 
 def figure_formats(names: str) -> list[FigureFormat]:
-    """Formats of figures, from their names separated by commas."""
+    """Formats of figures, from their names separated by commas; "none" is no figure."""
+    if names.strip() == NO_FIGURES:
+        return []
     known = [str(ending) for ending in FigureFormat]
     chosen = [name.strip() for name in names.split(",")]
     for name in chosen:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from orchestration.cli.app import run_command
+from orchestration.cli.commands import run_command
 
 
 @dataclass(frozen=True)

@@ -183,7 +183,7 @@ def test_a_full_disk_is_an_error_of_the_host_with_its_own_status_and_no_finding(
 ) -> None:
     """A limit on the size of files stands for the disk."""
     module, function, arguments = {
-        "l1-depth check": ("orchestration.cli.app", "run_command", ["check", str(built[NAME])]),
+        "l1-depth check": ("orchestration.cli.commands", "run_command", ["check", str(built[NAME])]),
         "python -m fmus.compliance": ("fmus.compliance.check", "main", [str(built[NAME])]),
     }[command]
     code = (

@@ -32,7 +32,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The files of the cross-check for every block."""
     folder = tmp_path_factory.mktemp("cross check")
     for name in NAMES:
-        catalogue.write_cross_check(catalogue.load_block(name), folder)
+        files = cross_check_files(reference_run(catalogue.load_block(name)), name)
+        for file, data in files.items():
+            (folder / file).write_bytes(data)
     return folder
 
 

@@ -61,11 +61,13 @@ def test_a_compiler_that_does_not_end_is_stopped(tmp_path: Path, monkeypatch: py
 def test_an_interrupt_while_the_compiler_ends_stays_an_interrupt(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupted(process: subprocess.Popen[bytes], timeout: float) -> None:
-        process.wait()
+    wait = subprocess.Popen.wait
+
+    def interrupted(process: subprocess.Popen[bytes], timeout: float | None = None) -> None:
+        wait(process, timeout)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(subprocess.Popen, "communicate", interrupted)
+    monkeypatch.setattr(subprocess.Popen, "wait", interrupted)
     with pytest.raises(KeyboardInterrupt):
         zig(["version"], tmp_path)
 

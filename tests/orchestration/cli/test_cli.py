@@ -247,7 +247,7 @@ def test_help_and_bad_usage_load_nothing_heavy() -> None:
     """Nothing of these is what takes the time of a command that runs nothing."""
     code = """
 import contextlib, sys
-from orchestration.cli.app import run_command
+from orchestration.cli.commands import run_command
 for arguments in (["--help"], ["run", "-h"], ["buidl"], ["--version"]):
     with contextlib.suppress(SystemExit):
         run_command(arguments)

@@ -23,7 +23,7 @@ SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 # a command, and a function that it calls when it is at work
 AT_WORK = {
     "new pid": "fmus.new_block.write_new_block",
-    "build ExamplePlant --out out": "fmus.catalogue.build_block",
+    "build ExamplePlant --out out": "fmus.catalogue.build_orders",
     "check {fmu}": "fmus.compliance.check.check",
     "inspect {fmu}": "orchestration.fmi.description.describe",
     "scenarios": "orchestration.scenarios.scenario.load",

@@ -1,0 +1,272 @@
+"""What a built FMU was made from, so that an unchanged one is known without tracing its block again.
+
+A stamp names FMUs by their content and lists what decided about it: the files of the block and of what it
+imports, the files of this package, the libraries that build, and the options. It is in the user's cache. A
+block that may depend on anything else, such as a file that it reads when it is imported, gets no stamp: what
+is traced of it decides, as for an FMU without a stamp.
+"""
+
+import ast
+import hashlib
+import json
+import os
+import platform
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache, cached_property
+from importlib.machinery import ModuleSpec, PathFinder
+from importlib.metadata import EntryPoint, distributions
+from pathlib import Path
+
+from platformdirs import user_cache_path
+
+import fmus
+from fmus.files import write_json_atomically
+from fmus.registry import Flavour, block_entry_points, block_fmus, fmu_folder, fmu_path
+
+_LIBRARIES = ("casadi", "fmpy", "l1-depth", "pillow", "pint", "pythonfmu", "ziglang")
+_NOT_BUILDING = {"compliance", "__pycache__"}  # folders of this package that no FMU is made from
+_RECENT_S = 2.0  # a file that changed so shortly before the process began may have been loaded before that
+
+# what a block may use of this package, and of the standard library: the same at every import
+_DECLARING = {"", "block", "guide", "numerics"}
+_PURE = {
+    "__future__", "abc", "bisect", "cmath", "collections", "contextlib", "copy", "dataclasses", "decimal",
+    "enum", "fractions", "functools", "heapq", "itertools", "math", "numbers", "operator", "statistics",
+    "string", "textwrap", "typing",
+}  # fmt: skip
+# names by which a module may depend on more than it imports
+_IMPURE = {
+    "open", "exec", "eval", "compile", "globals", "input", "id", "hash", "__import__", "__builtins__",
+    "__file__", "__loader__", "__spec__", "__path__",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Order:
+    """What is to be built.
+
+    source: name of an installed block, or path of a Python file; platforms: by default this one
+    with_cross_check: with the files of the FMI cross-check beside each FMU
+    """
+
+    source: str
+    folder: Path
+    flavour: Flavour = Flavour.NATIVE
+    platforms: tuple[str, ...] = ()
+    with_terminals: bool = False
+    reals_only: bool = False
+    with_cross_check: bool = False
+
+    @property
+    def file(self) -> str:
+        """The absolute path of the Python file; "" for an installed block."""
+        return str(Path(self.source).absolute()) if self.source.endswith(".py") else ""
+
+
+def order_of_file(path: Path, flavour: Flavour) -> Order:
+    """The FMU of a Python file's block that a command runs, in a folder of the user's cache."""
+    folder = hashlib.sha256(str(path.absolute()).encode()).hexdigest()[:12]
+    return Order(str(path), fmu_folder(flavour) / folder, flavour)
+
+
+def stale(paths: Iterable[Path]) -> list[Path]:
+    """Those of the paths at which scenarios find FMUs of blocks that may have to be built."""
+    stamps = Stamps()
+    orders = {
+        fmu_path(name, flavour): Order(name, fmu_folder(flavour), flavour)
+        for name, flavour in block_fmus(paths)
+    }
+    return [path for path, order in orders.items() if not stamps.current(order)]
+
+
+@dataclass(frozen=True)
+class Sources:
+    """What an order depends on.
+
+    modules: name -> (file, digest); changed: when one of the files was changed last [s since the epoch]
+    """
+
+    recipe: str
+    modules: dict[str, tuple[str, str]]
+    changed: float
+
+    @property
+    def if_loaded(self) -> "Sources | None":
+        """These, if this process has imported the modules from these files."""
+        loaded = {name: getattr(sys.modules.get(name), "__file__", None) for name in self.modules}
+        return self if all(loaded[name] == file for name, (file, _) in self.modules.items()) else None
+
+
+class Stamps:
+    """The stamps of this user, and files as they are while this object is used: each is read once.
+
+    package: the folder of `fmus`; begun: when this process began to import modules [s since the epoch]
+    """
+
+    def __init__(self, package: Path = Path(fmus.__file__).parent, begun: float = fmus.IMPORTED_AT) -> None:
+        self._package, self._begun = package, begun
+        self._files: dict[str, tuple[bytes, float]] = {}
+        self._specs: dict[tuple[str, str], ModuleSpec | None] = {}
+
+    def current(self, order: Order) -> list[Path] | None:
+        """The FMUs of an order, if they are what would be built now; None if that is not known."""
+        damaged = ValueError, TypeError, KeyError, AttributeError
+        with suppress(_UnknownError, OSError, *damaged):
+            stamp = json.loads(_stamp_file(order).read_text(encoding="utf-8"))
+            files = {order.folder / name: digest for name, digest in stamp["fmus"].items()}
+            modules = {name: (file, digest) for name, (file, digest) in stamp["modules"].items()}
+            unchanged = (
+                stamp["recipe"] == self._recipe(order)
+                and all(self._module(name, order) == modules[name] for name in modules)
+                and all(_digest(path.read_bytes()) == digest for path, digest in files.items())
+            )
+            return [*files] if unchanged else None
+        return None
+
+    def sources(self, order: Order) -> Sources | None:
+        """What an order depends on, as it is now; None if that cannot be known from files alone."""
+        try:
+            modules = dict(self._closure(order))
+            recipe = self._recipe(order)
+        except (_UnknownError, OSError, SyntaxError, ValueError):
+            return None
+        return Sources(recipe, modules, max(changed for _, changed in self._files.values()))
+
+    def write(self, order: Order, sources: Sources | None, built: Sequence[Path]) -> None:
+        """Stamp FMUs, unless one of the sources may have changed since it was imported.
+
+        sources: from before they were imported, and only if they were loaded
+        """
+        if sources is None or sources.changed > self._begun - _RECENT_S:
+            return
+        if Stamps(self._package, self._begun).sources(order) != sources:
+            return
+        digests = {path.name: _digest(path.read_bytes()) for path in built}
+        content = {"recipe": sources.recipe, "modules": sources.modules, "fmus": digests}
+        with suppress(OSError):  # without a cache that can be written, the next build traces again
+            write_json_atomically(_stamp_file(order), content)
+
+    def _recipe(self, order: Order) -> str:
+        """Digest of everything but the modules of the block."""
+        options = order.flavour, order.platforms, order.with_terminals, order.reals_only
+        host = sys.version, sys.platform, platform.machine(), os.environ.get("SOURCE_DATE_EPOCH")
+        parts = self._origin(order), *options, *host, self._libraries, self._own_files
+        return _digest(repr(parts).encode())
+
+    def _origin(self, order: Order) -> str:
+        """MODULE:NAME of an installed block, or the path of a file."""
+        if not order.file and order.source not in self._entry_points:
+            raise _UnknownError(order.source)
+        return order.file or self._entry_points[order.source].value
+
+    @cached_property
+    def _entry_points(self) -> dict[str, EntryPoint]:
+        return block_entry_points()
+
+    @cached_property
+    def _libraries(self) -> list[tuple[str | None, ...]]:
+        """Metadata and licence of the libraries that build."""
+        texts = []
+        for name in _LIBRARIES:
+            for found in distributions(name=name):
+                texts.append((name, *map(found.read_text, ("METADATA", "PKG-INFO", "licenses/LICENSE"))))
+        return texts
+
+    @cached_property
+    def _own_files(self) -> list[tuple[str, str]]:
+        """(path, digest) of each file of this package that may decide about an FMU."""
+        files = []
+        for folder, names, members in os.walk(self._package):
+            names[:] = sorted(set(names) - _NOT_BUILDING)
+            files += [os.path.join(folder, member) for member in sorted(members)]  # noqa: PTH118
+        return [(os.path.relpath(file, self._package), self._digest_of(file)) for file in files]
+
+    def _closure(self, order: Order) -> Iterator[tuple[str, tuple[str, str]]]:
+        """Each module that the block's module imports, itself included, with its file and digest."""
+        waiting = [Path(order.file).stem if order.file else self._entry_points[order.source].module]
+        known: set[str] = set()
+        while waiting:
+            name = waiting.pop()
+            top, part = (*name.split("."), "")[:2]
+            if name in known or top in _PURE or (top == "fmus" and part in _DECLARING):
+                continue
+            if top == "fmus" or top in sys.stdlib_module_names:
+                raise _UnknownError(name)
+            known.add(name)
+            file, digest = self._module(name, order)
+            yield name, (file, digest)
+            waiting.append(name.rpartition(".")[0] or name)
+            for base, members in _imported(self._files[file][0], name, _is_package(file)):
+                waiting.append(base)
+                submodules = (f"{base}.{member}" for member in members)
+                waiting += [submodule for submodule in submodules if self._spec(submodule, order)]
+
+    def _module(self, name: str, order: Order) -> tuple[str, str]:
+        """File and digest of the module that an import of this name loads."""
+        spec = self._spec(name, order)
+        if spec is None or not spec.has_location or not str(spec.origin).endswith(".py"):
+            raise _UnknownError(name)
+        return str(spec.origin), self._digest_of(str(spec.origin))
+
+    def _spec(self, name: str, order: Order) -> ModuleSpec | None:
+        """What an import of this name finds, without importing its package."""
+        beside = str(Path(order.file).parent) if order.file else ""
+        key = name, beside
+        if key not in self._specs:
+            self._specs[key] = None
+            package = name.rpartition(".")[0]
+            parent = self._spec(package, order) if package else None
+            if parent is not None or not package:
+                path = parent.submodule_search_locations if parent else None
+                own = PathFinder.find_spec(name, [beside]) if beside and not package else None
+                specs = (finder.find_spec(name, path) for finder in sys.meta_path)
+                no_path = package and not path
+                self._specs[key] = own or (None if no_path else next(filter(None, specs), None))
+        return self._specs[key]
+
+    def _digest_of(self, file: str) -> str:
+        if file not in self._files:
+            status = os.stat(file)  # noqa: PTH116
+            with open(file, "rb") as stream:  # noqa: PTH123
+                self._files[file] = stream.read(), max(status.st_mtime, status.st_ctime)
+        return _digest(self._files[file][0])
+
+
+class _UnknownError(Exception):
+    """A module whose content does not follow from files of Python alone."""
+
+
+def _stamp_file(order: Order) -> Path:
+    key = _digest(repr((order.file or order.source, str(order.folder.absolute()))).encode())
+    return user_cache_path("l1-depth", appauthor=False) / "stamps" / f"{key}.json"
+
+
+def _is_package(file: str) -> bool:
+    return Path(file).name == "__init__.py"
+
+
+@cache
+def _imported(content: bytes, name: str, is_package: bool) -> list[tuple[str, tuple[str, ...]]]:
+    """(module, names taken from it) of each import in a module; `_UnknownError` if it may use more."""
+    imported: list[tuple[str, tuple[str, ...]]] = []
+    for node in ast.walk(ast.parse(content)):
+        if isinstance(node, ast.Import):
+            imported += [(alias.name, ()) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            parts = name.split(".") if is_package else name.split(".")[:-1]
+            above = parts[: len(parts) - node.level + 1] if node.level else []
+            base = ".".join([*above, *([node.module] if node.module else [])])
+            names = tuple(alias.name for alias in node.names)
+            if names == ("*",):
+                raise _UnknownError(name)
+            imported.append((base, names))
+        elif isinstance(node, ast.Name) and node.id in _IMPURE:
+            raise _UnknownError(name)
+    return imported
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()

@@ -1,0 +1,86 @@
+"""The commands by name, of which one module each is imported, and what a failure is told as.
+
+The modules import at their top what declares a command, and in the body of the command what runs it, so that
+help, completion and the message about a mistyped command do not wait for NumPy or an FMU.
+"""
+
+import os
+from collections.abc import Iterable, Sequence
+from importlib import import_module
+from importlib.metadata import version as version_of
+from typing import Annotated
+
+import typer
+
+from fmus.errors import ExportError, MissingExtraError
+from orchestration.cli.interrupts import INTERRUPTED
+from orchestration.cli.shared import fail
+from orchestration.errors import OrchestrationError
+
+_PANELS = {
+    "FMUs": ("fmu.new", "fmu.build", "fmu.check", "fmu.inspect"),
+    "Scenarios": ("run.scenarios", "run.run", "sweep.sweep", "run.report"),
+    "Controllers compared": ("score.score", "study.tune", "study.compare", "margins.margins"),
+    "The paper": ("paper.reproduce", "paper.identify", "paper.identifiability"),
+    "Other tools": ("exchange.package", "exchange.export"),
+}
+"""Panel of the help -> module of this package, and function in it: a command of that name."""
+COMMANDS = {where.partition(".")[2]: panel for panel, commands in _PANELS.items() for where in commands}
+_MODULES = {
+    where.partition(".")[2]: where.partition(".")[0] for commands in _PANELS.values() for where in commands
+}
+
+
+def application(names: Iterable[str] = COMMANDS) -> typer.Typer:
+    """The command line with these commands; only their modules are imported."""
+    app = typer.Typer(
+        callback=_l1_depth,
+        pretty_exceptions_enable=False,
+        rich_markup_mode="markdown",  # square brackets stay what they are
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    for name in names:
+        function = getattr(import_module(f"orchestration.cli.{_MODULES[name]}"), name)
+        app.command(rich_help_panel=COMMANDS[name])(function)
+    return app
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        print(f"l1-depth {version_of('l1-depth')}")
+        raise typer.Exit
+
+
+def _l1_depth(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Build, check and run FMUs for the depth control of an underwater vehicle by extended L1 adaptation."""
+
+
+def run_command(arguments: Sequence[str]) -> int:
+    """Run a command; the exit status, unless it fails: SystemExit, after one line on standard error."""
+    app = application(arguments[:1] if arguments[:1] and arguments[0] in COMMANDS else COMMANDS)
+    try:
+        status = app(list(arguments) or ["--help"], prog_name="l1-depth", standalone_mode=False)
+    except typer.Abort:
+        raise KeyboardInterrupt from None
+    except (OrchestrationError, ExportError, MissingExtraError, OSError) as error:
+        fail(str(error), INTERRUPTED if isinstance(error.__cause__, KeyboardInterrupt) else 1)
+    except Exception as error:
+        if hasattr(error, "format_message"):  # a usage error, of Click or of the copy of it in Typer
+            fail(_usage(error), 2)
+        if os.environ.get("L1_DEPTH_DEBUG"):
+            raise
+        fail(f"unforeseen {type(error).__name__}: {error}; set L1_DEPTH_DEBUG=1 for the traceback")
+    if status == INTERRUPTED:  # Typer's, of a KeyboardInterrupt
+        raise KeyboardInterrupt
+    return status if isinstance(status, int) else 0
+
+
+def _usage(error: Exception) -> str:
+    context = getattr(error, "ctx", None)
+    command = context.command_path if context else "l1-depth"
+    message = error.format_message()  # type: ignore[attr-defined]
+    return f"{message}{'' if message.endswith(('.', '?')) else '.'} See {command} --help."

@@ -1,0 +1,255 @@
+"""An FMU that is stamped is of the present sources: whatever changes, it is built again."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from importlib.metadata import PathDistribution
+from pathlib import Path
+
+import pytest
+
+from fmus.block_file import blocks_in
+from fmus.platforms import PLATFORMS
+from fmus.registry import Flavour
+from fmus.stamp import Order, Stamps
+
+LATER = time.time() + 1e6  # so that files of a test count as older than the process
+BLOCK = """\
+from dataclasses import dataclass
+from gains import GAIN
+from fmus.block import Block, variable
+
+
+@dataclass(frozen=True)
+class Parameters:
+    gain: float = variable(1.0, "Gain")
+
+
+@dataclass(frozen=True)
+class State:
+    x: float = 0.0
+
+
+@dataclass(frozen=True)
+class Outputs:
+    y: float = variable(0.0, "Output")
+
+
+def step(t, h, s, u, p, c):
+    return State(s.x + h * GAIN * p.gain)
+
+
+LAG = Block(
+    "Lag", "A lag", parameters=Parameters, state=State, outputs=Outputs,
+    step=step, output=lambda t, s, p, c: Outputs(s.x),
+)
+"""
+
+PACKAGE = {  # what stands for the files of `fmus`
+    "native/fmi2.c": '#include "instance.h"\n',
+    "export/operations.py": '"""Operations."""\n',
+    "documentation/page.html": "<html></html>\n",
+    "numerics/__init__.py": "",
+}
+
+Change = Callable[[Path], object]
+
+
+@pytest.fixture
+def order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Order:
+    """A block in a file beside a module that it imports, and what stands for its FMU, stamped."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    package = {f"package/{name}": text for name, text in PACKAGE.items()}
+    for name, text in {"lag.py": BLOCK, "gains.py": "GAIN = 2.0\n", **package}.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    order = Order(str(tmp_path / "lag.py"), tmp_path / "built")
+    (tmp_path / "built").mkdir()
+    stamp(order, tmp_path)
+    return order
+
+
+def stamp(order: Order, folder: Path) -> Stamps:
+    stamps = Stamps(folder / "package", LATER)
+    sources = stamps.sources(order)
+    with blocks_in(Path(order.source)):
+        fmu = order.folder / "Lag.fmu"
+        fmu.write_bytes(b"what was built")
+        stamps.write(order, sources and sources.if_loaded, [fmu])
+    return stamps
+
+
+def current(order: Order, folder: Path) -> list[Path] | None:
+    return Stamps(folder / "package", LATER).current(order)
+
+
+def test_an_fmu_of_unchanged_sources_is_current(order: Order, tmp_path: Path) -> None:
+    assert current(order, tmp_path) == [tmp_path / "built" / "Lag.fmu"]
+    assert current(Order(order.source, tmp_path / "elsewhere"), tmp_path) is None
+
+
+@pytest.mark.parametrize(
+    ("file", "before", "after"),
+    [
+        ("lag.py", "s.x + h", "s.x - h"),
+        ("lag.py", "variable(1.0", "variable(1.5"),
+        ("gains.py", "2.0", "2.5"),
+        ("package/native/fmi2.c", "#include", "/* another */\n#include"),
+        ("package/export/operations.py", '"""', '"""Changed. '),
+        ("package/documentation/page.html", "<html", "<html "),
+        ("built/Lag.fmu", "built", "built by another"),
+    ],
+    ids=["function", "default", "helper", "C layer", "exporter", "documentation", "the FMU itself"],
+)
+def test_a_changed_file_makes_it_stale(
+    order: Order, tmp_path: Path, file: str, before: str, after: str
+) -> None:
+    path = tmp_path / file
+    text = path.read_text()
+    assert before in text
+    path.write_text(text.replace(before, after, 1))
+    assert current(order, tmp_path) is None
+    path.write_text(text)
+    assert current(order, tmp_path)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda folder: (folder / "package" / "native" / "more.h").write_text(""),
+        lambda folder: (folder / "gains.py").unlink(),
+        lambda folder: shutil.copytree(folder / "package" / "numerics", folder / "gains"),
+        lambda folder: (folder / "built" / "Lag.fmu").unlink(),
+    ],
+    ids=["a new file of the C layer", "a missing helper", "a package before the helper", "no FMU"],
+)
+def test_a_file_that_comes_or_goes_makes_it_stale(order: Order, tmp_path: Path, change: Change) -> None:
+    change(tmp_path)
+    assert current(order, tmp_path) is None
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"platforms": PLATFORMS},
+        {"platforms": ("win64",)},
+        {"flavour": Flavour.PYTHON},
+        {"with_terminals": True},
+        {"reals_only": True},
+    ],
+)
+def test_other_options_make_it_stale(order: Order, tmp_path: Path, options: dict) -> None:
+    assert current(Order(order.source, order.folder, **options), tmp_path) is None
+
+
+@pytest.mark.parametrize("library", ["casadi", "ziglang", "l1-depth"])
+def test_another_version_of_a_library_makes_it_stale(
+    order: Order, tmp_path: Path, library: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read_text = PathDistribution.read_text
+
+    def updated(distribution: PathDistribution, file: str) -> str | None:
+        text = read_text(distribution, file)
+        is_meant = text and f"\nName: {library}\n" in text
+        return text.replace("\nVersion: ", "\nVersion: 1") if text and is_meant else text
+
+    monkeypatch.setattr(PathDistribution, "read_text", updated)
+    assert current(order, tmp_path) is None
+
+
+def test_another_date_makes_it_stale(order: Order, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1000000000")
+    assert current(order, tmp_path) is None
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "import json",
+        "import numpy as np",
+        "from pathlib import Path",
+        "from gains import *",
+        "TEXT = open(__file__).read()",
+        "import not_there",
+        "from fmus import compliance",
+        "import fmus.files",
+    ],
+)
+def test_a_block_that_may_depend_on_more_than_its_sources_gets_no_stamp(
+    order: Order, tmp_path: Path, line: str
+) -> None:
+    """Even where a module imports it that the block imports."""
+    (tmp_path / "gains.py").write_text(
+        f"GAIN = 2.0\nif GAIN > 3.0:\n    {line}\n" if "*" not in line else line
+    )
+    assert Stamps(tmp_path / "package", LATER).sources(order) is None
+
+
+def test_sources_that_may_have_changed_since_they_were_loaded_give_no_stamp(
+    order: Order, tmp_path: Path
+) -> None:
+    fmu = tmp_path / "built" / "Lag.fmu"
+    sources = Stamps(tmp_path / "package", LATER).sources(order)
+    assert sources
+    fmu.write_bytes(b"another")
+    Stamps(tmp_path / "package", time.time()).write(order, sources, [fmu])  # changed as the process began
+    (tmp_path / "gains.py").write_text("GAIN = 2.5\n")
+    Stamps(tmp_path / "package", LATER).write(order, sources, [fmu])  # changed while it was built
+    (tmp_path / "gains.py").write_text("GAIN = 2.0\n")
+    assert current(order, tmp_path) is None
+    Stamps(tmp_path / "package", LATER).write(
+        order, Stamps(tmp_path / "package", LATER).sources(order), [fmu]
+    )
+    assert current(order, tmp_path)
+
+
+def test_modules_that_were_loaded_from_another_file_are_not_the_sources(
+    order: Order, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sources = Stamps(tmp_path / "package", LATER).sources(order)
+    assert sources
+    assert sources.if_loaded is None
+    with blocks_in(Path(order.source)):
+        assert sources.if_loaded is sources
+        monkeypatch.setattr(sys.modules["gains"], "__file__", str(tmp_path / "elsewhere" / "gains.py"))
+        assert sources.if_loaded is None
+
+
+def test_a_damaged_stamp_is_none(order: Order, tmp_path: Path) -> None:
+    (file,) = (tmp_path / "cache").rglob("*.json")
+    content = json.loads(file.read_text())
+    for damaged in ("", "[]", "{}", "[1, 2", json.dumps({**content, "modules": None})):
+        file.write_text(damaged)
+        assert current(order, tmp_path) is None
+    file.write_text(json.dumps(content))
+    assert current(order, tmp_path)
+
+
+@pytest.mark.slow
+def test_a_second_build_builds_nothing_and_loads_no_exporter(tmp_path: Path) -> None:
+    """Of an installed block, with the command line itself."""
+    code = """
+import sys
+from orchestration.cli.commands import run_command
+run_command(["build", "DepthReference", "ExamplePlant", "--out", "out"])
+print({"casadi", "numpy", "fmus.catalogue"} & set(sys.modules))
+"""
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache")}
+
+    def build() -> tuple[list[str], dict[str, tuple[int, int]]]:
+        command = [sys.executable, "-c", code]
+        done = subprocess.run(
+            command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+        )
+        files = {path.name: path.stat() for path in (tmp_path / "out").iterdir()}
+        return done.stdout.splitlines(), {name: (s.st_ino, s.st_mtime_ns) for name, s in files.items()}
+
+    built, again = build(), build()
+    assert built[0][:2] == again[0][:2] == ["out/DepthReference.fmu", "out/ExamplePlant.fmu"]
+    assert built[1] == again[1]
+    assert again[0][2] == "set()"
+    assert "casadi" in built[0][2]
