@@ -2,11 +2,19 @@
 
 import shutil
 import textwrap
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
-from tests.mutation.verdict import KILLED_BY, SURVIVED, TIME_LIMIT, BrokenEnvironmentError, verdict
+from tests.mutation.verdict import (
+    KILLED_BY,
+    SURVIVED,
+    TIME_LIMIT,
+    BrokenEnvironmentError,
+    CollectedTests,
+    verdict,
+)
 
 pytestmark = pytest.mark.slow
 LIMIT_S = 60.0
@@ -38,6 +46,40 @@ TESTS = """
     def test_after(answer):
         assert "BROKEN" not in os.environ
 """
+IMPORTED = """
+    from functools import cache
+
+    class Number:
+        def __init__(self, number):
+            self.value = number
+
+        @property
+        def value(self):
+            return self.number
+
+        @value.setter
+        def value(self, number):
+            self.number = number
+
+    @cache
+    def following(number):
+        return number + 1
+
+    answer = lambda: 42
+"""
+TESTS_OF_IMPORTED = """
+    from answers import Number, answer, following
+
+    def test_all():
+        assert (Number(3).value, following(3), answer()) == (3, 4, 42)
+"""
+
+
+def judged(
+    project: Path, path: str, content: str, tests: Sequence[str] = ("test_answer.py",), limit: float = LIMIT_S
+) -> str:
+    with CollectedTests(project, tests) as collected:
+        return verdict(project, Path(path), content, collected, limit)
 
 
 @pytest.fixture
@@ -62,17 +104,31 @@ def project(tmp_path: Path) -> Path:
     ],
 )
 def test_a_mutant_is_killed_by_the_first_test_that_fails(project: Path, content: str, outcome: str) -> None:
-    assert verdict(project, Path("answer.txt"), content, ["test_answer.py"], LIMIT_S) == outcome
+    assert judged(project, "answer.txt", content) == outcome
     assert (project / "answer.txt").read_text() == "42"
 
 
 def test_a_mutant_that_does_not_end_is_killed_by_the_time_limit(project: Path) -> None:
-    assert verdict(project, Path("answer.txt"), "hang", ["test_answer.py"], 5.0) == TIME_LIMIT
+    assert judged(project, "answer.txt", "hang", limit=5.0) == TIME_LIMIT
 
 
-def test_a_file_that_cannot_be_collected_kills_if_it_can_be_without_the_mutant(project: Path) -> None:
-    test = Path("test_answer.py")
-    assert verdict(project, test, "import nothing_such", [str(test)], LIMIT_S) == f"{KILLED_BY}test_answer.py"
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("return number + 1", "return number + 2"),
+        ("return self.number", "return -self.number"),
+        ("self.number = number", "self.number = 0"),
+        ("lambda: 42", "lambda: 43"),
+    ],
+)
+def test_a_mutant_is_in_the_functions_that_the_tests_have_imported(
+    project: Path, before: str, after: str
+) -> None:
+    (project / "answers.py").write_text(textwrap.dedent(IMPORTED))
+    (project / "test_answer.py").write_text(textwrap.dedent(TESTS_OF_IMPORTED))
+    mutated = textwrap.dedent(IMPORTED).replace(before, after)
+    assert judged(project, "answers.py", mutated) == f"{KILLED_BY}test_answer.py::test_all"
+    assert judged(project, "answers.py", textwrap.dedent(IMPORTED)) == SURVIVED
 
 
 @pytest.mark.parametrize(
@@ -87,4 +143,4 @@ def test_where_tests_fail_anyway_nothing_is_killed(
 ) -> None:
     monkeypatch.setenv("BROKEN", "1")
     with pytest.raises(BrokenEnvironmentError, match=message):
-        verdict(project, Path("answer.txt"), "43", tests, LIMIT_S)
+        judged(project, "answer.txt", "43", tests)

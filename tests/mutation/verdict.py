@@ -2,69 +2,130 @@
 
 A mutant is killed if a test fails, is in error or ends the process with it, twice, and passes without it
 right after; or if the tests take longer than the limit. So a test that a busy machine disturbs kills no
-mutant, nor does an environment in which a test fails anyway: there the measurement ends. `pytest` loads this
-file as a plugin, which notes the test that runs.
+mutant, nor does an environment in which a test fails anyway: there the measurement ends.
 """
 
+import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
+import threading
+from collections import Counter
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
+from typing import Any
 
-import pytest
-
+from tests.mutation.server import NOTE, PIPES, TIMES
 from tests.shared_builds import FOREIGN_FMUS
 
 SURVIVED, TIME_LIMIT, KILLED_BY = "survived", "time limit", "killed by "
-_FAILED_FIRST = ("--failed-first",)  # the tests that noticed the mutants before
-_NOT_REMEMBERED = ("-p", "no:cacheprovider")
 _ATTEMPTS = 3
-_note = Path("test-that-runs.txt").absolute()  # where pytest starts: tests may go to other folders
 
 
 class BrokenEnvironmentError(Exception):
     """The tests fail without a mutant, or did not run at all."""
 
 
-def first_failure(
-    folder: Path, tests: Sequence[str], limit: float | None = None, options: Sequence[str] = _FAILED_FIRST
-) -> str:
-    """The first test that fails in a copy of the project, or the file that cannot be collected; "" if none.
+class CollectedTests(AbstractContextManager["CollectedTests"]):
+    """The tests of a copy of the project, collected once (`server.py`); a context manager.
 
-    limit: s that the tests may take; TimeoutError afterwards
+    files: that have tests, in the order in which they run
     """
-    note = folder / _note.name
-    note.unlink(missing_ok=True)
-    process = subprocess.Popen(
-        [sys.executable, "-m", "pytest", "-q", "-x", "-n", "0", "-p", __name__, *options, *tests],
-        cwd=folder,
-        env={
-            **os.environ,
-            "PYTHONPATH": str(folder),
-            "PYTHONDONTWRITEBYTECODE": "1",
-            FOREIGN_FMUS: str(folder.parent / "foreign FMUs"),  # no mutant is in them
-        },
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
-    try:
-        if not process.wait(limit):
-            return ""
-    except subprocess.TimeoutExpired:
-        raise TimeoutError from None
-    finally:
-        if process.poll() is None:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-    if not note.is_file():
-        raise BrokenEnvironmentError(f"pytest ends with status {process.returncode} before the first test")
-    return note.read_text()
+
+    def __init__(self, folder: Path, tests: Sequence[str]) -> None:
+        self._folder, self.files = folder, list[str]()
+        self._killers: dict[Path, Counter[str]] = {}
+        requests, self._requests = os.pipe()
+        self._answers, answers = os.pipe()
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "pytest", "-q", "-x", "-n", "0", "-p", "no:cacheprovider",
+             "-p", "tests.mutation.server", *tests],
+            cwd=folder,
+            env={
+                **os.environ,
+                "PYTHONPATH": str(folder),
+                "PYTHONDONTWRITEBYTECODE": "1",
+                FOREIGN_FMUS: str(folder.parent / "foreign FMUs"),  # no mutant is in them
+                PIPES: f"{requests} {answers}",
+            },
+            pass_fds=(requests, answers),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        os.close(requests)
+        os.close(answers)
+        self._reader, self._writer = os.fdopen(self._answers), os.fdopen(self._requests, "w")
+        if not self._reader.readline():
+            raise BrokenEnvironmentError(
+                f"pytest ends with status {self._process.wait()} before the first test"
+            )
+
+    def __exit__(self, *error: object) -> None:
+        with suppress(BrokenPipeError):
+            self._writer.close()
+        self._reader.close()
+        self._process.kill()
+        self._process.wait()
+
+    def first_failure(
+        self, limit: float | None = None, only: str = "", mutant: tuple[Path, str] | None = None
+    ) -> str:
+        """The first test that fails; "" if none.
+
+        limit: s that the tests may take; TimeoutError afterwards
+        only: the test to run; mutant: path in the copy of a file, and its content
+        """
+        first = [test for test, _ in self._killers.get(mutant[0], Counter()).most_common()] if mutant else []
+        is_python = mutant and mutant[0].suffix == ".py"
+        request: dict[str, Any] = {
+            "only": only,
+            "first": first,
+            "files": self.files,
+            "mutant": (str(self._folder / mutant[0]), mutant[1]) if mutant and is_python else None,
+        }
+        folder = Path(tempfile.mkdtemp(prefix="mutant-"))
+        try:
+            status = self._status({**request, "folder": str(folder)}, limit)
+            if not status:
+                if not self.files:
+                    times = json.loads((folder / TIMES).read_text())
+                    self.files = sorted(times, key=times.__getitem__)
+                return ""
+            return (folder / NOTE).read_text()
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+
+    def note_kill(self, path: Path, test: str) -> None:
+        """Remember which test noticed a mutant of a file: it runs first for the next."""
+        self._killers.setdefault(path, Counter())[test] += 1
+
+    def _status(self, request: dict[str, Any], limit: float | None) -> int:
+        print(json.dumps(request), file=self._writer, flush=True)
+        pid, is_late = int(self._reader.readline()), threading.Event()
+
+        def end() -> None:
+            is_late.set()
+            os.killpg(pid, signal.SIGKILL)
+
+        timer = threading.Timer(limit or threading.TIMEOUT_MAX, end)
+        timer.start()
+        try:
+            status = int(self._reader.readline())
+        finally:
+            timer.cancel()
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(pid, signal.SIGKILL)  # what the tests left behind
+        if is_late.is_set():
+            raise TimeoutError
+        return status
 
 
-def verdict(folder: Path, path: Path, mutated: str, tests: Sequence[str], limit: float) -> str:
+def verdict(folder: Path, path: Path, mutated: str, tests: CollectedTests, limit: float) -> str:
     """SURVIVED, TIME_LIMIT, or KILLED_BY and the test.
 
     path: of the file in the copy of the project, which has the mutated content until this returns
@@ -73,7 +134,7 @@ def verdict(folder: Path, path: Path, mutated: str, tests: Sequence[str], limit:
     content = (folder / path).read_text()
     (folder / path).write_text(mutated)
     try:
-        test = _failing_twice(folder, tests, limit)
+        test = _failing_twice(tests, (path, mutated), limit)
     except TimeoutError:
         return TIME_LIMIT
     finally:
@@ -81,30 +142,20 @@ def verdict(folder: Path, path: Path, mutated: str, tests: Sequence[str], limit:
     if not test:
         return SURVIVED
     try:
-        is_broken = first_failure(folder, [test], limit, _NOT_REMEMBERED)
+        is_broken = tests.first_failure(limit, test)
     except TimeoutError:
         is_broken = test
     if is_broken:
         raise BrokenEnvironmentError(f"{test} fails without a mutant")
+    tests.note_kill(path, test)
     return KILLED_BY + test
 
 
-def _failing_twice(folder: Path, tests: Sequence[str], limit: float) -> str:
+def _failing_twice(tests: CollectedTests, mutant: tuple[Path, str], limit: float) -> str:
     """The first test that fails, and again alone; "" if none."""
     test = ""
     for _ in range(_ATTEMPTS):
-        test = first_failure(folder, tests, limit)
-        if not test or first_failure(folder, [test], limit, _NOT_REMEMBERED):
+        test = tests.first_failure(limit, mutant=mutant)
+        if not test or tests.first_failure(limit, test, mutant):
             return test
     raise BrokenEnvironmentError(f"{test} fails now and then")
-
-
-def pytest_runtest_logstart(nodeid: str) -> None:
-    """Note the test: with -x the last one that runs is the first that fails."""
-    _note.write_text(nodeid)
-
-
-def pytest_collectreport(report: pytest.CollectReport) -> None:
-    """Note a file that cannot be collected."""
-    if report.failed:
-        _note.write_text(report.nodeid)

@@ -1,0 +1,119 @@
+"""What choices of the law cost, as docs/explanation/theory.md and docs/fidelity.md state it, run again."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from controller_fmu.l1 import depth_controller, law, lowpass
+from fmus import catalogue
+from fmus.export import symbolic
+from orchestration.master import Simulator
+from orchestration.results.metrics import evaluate
+from orchestration.results.recording import Recording
+from orchestration.scenarios import scenario
+
+DOCS = Path(__file__).parents[2] / "docs"
+THEORY = (DOCS / "explanation" / "theory.md").read_text(encoding="utf-8")
+FIDELITY = (DOCS / "fidelity.md").read_text(encoding="utf-8")
+PAIR = ("l1", "extended")
+
+
+@pytest.fixture
+def no_anti_windup(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The FMU of the depth controller whose filter and integral go on in a saturation."""
+    monkeypatch.setattr(lowpass, "widens", lambda saturation_error, change: False)
+    monkeypatch.setattr(
+        law, "integrate_error", lambda h, integral, error, saturation_error: integral + h * error
+    )
+    symbolic.traced.cache_clear()
+    yield catalogue.build_block(depth_controller.BLOCK, tmp_path)
+    symbolic.traced.cache_clear()
+
+
+def run(name: str, parameters: dict[str, Any], **others: Any) -> tuple[Recording, dict[str, float]]:
+    """The recording of a shipped scenario with other parameters, and its metrics."""
+    chosen = scenario.load(scenario.find(name), {"parameters": parameters, **others})
+    with Simulator(chosen.system) as simulator:
+        recording = simulator.run(chosen.experiment)
+    return recording, evaluate(recording, chosen.metrics)
+
+
+def rmse_pair(parameters: dict[str, Any], case: str = "nominal", **others: Any) -> str:
+    """The RMSE of plain and extended L1 as the tables show it."""
+    return ", ".join(f"{run(f'{case}-{name}', parameters, **others)[1]['rmse']:.2f} cm" for name in PAIR)
+
+
+def test_the_cost_of_an_uncertain_input_gain_is_documented(scenario_fmus: None) -> None:
+    """omega_hat that learns from u_a alone, or from u_a + u_p, against omega that is held."""
+    costs = [
+        f"{run('nominal-extended', parameters)[1]['rmse']:.2f} cm"
+        for parameters in (
+            {"controller.input_gain_uncertainty": 0.3},
+            {
+                "controller.input_gain_uncertainty": 0.3,
+                "controller.input_gain_regressor": "adaptive_control_and_extension",
+            },
+            {},
+        )
+    ]
+    sentence = "RMSE of {} with the paper's regressor and {} with the other, against {} where omega is held"
+    assert sentence.format(*costs) in " ".join(THEORY.split())
+
+
+LIMITS = {
+    "12 V": {"controller.voltage_limit": 12.0},
+    "2.8 V": {"controller.voltage_limit": 2.8},
+    "2.6 V": {"controller.voltage_limit": 2.6},
+    "2.6 V, ideal sensor and velocity": {
+        "controller.voltage_limit": 2.6,
+        "plant.sensor_ideal": True,
+        "controller.velocity_source": "measured",
+    },
+}
+
+
+@pytest.mark.slow
+def test_the_cost_of_anti_windup_at_marginal_saturation_is_documented(
+    scenario_fmus: None, no_anti_windup: Path
+) -> None:
+    for limit, parameters in LIMITS.items():
+        other = {"components": {"controller": str(no_anti_windup)}}
+        line = f"| {limit} | {rmse_pair(parameters)} | {rmse_pair(parameters, **other)} |"
+        assert line in THEORY, line
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("gain", [10, 30, 100, 300, 1000, 1e4, 1e5])
+def test_the_adaptation_gain_of_the_vehicle_is_chosen_by_these_figures(
+    scenario_fmus: None, gain: float
+) -> None:
+    parameters = {"controller.adaptation_gain": gain}
+    runs = [run(f"nominal-{name}", parameters) for name in PAIR]
+    buoyancy = [run(f"buoyancy-{name}", parameters)[1]["rmse"] for name in PAIR]
+    sigma = runs[0][0]["controller.sigma_hat"]
+    held = sigma[(runs[0][0].time >= 100.0) & (runs[0][0].time <= 140.0)]
+    cells = [
+        f"{gain:g}" if gain < 1e4 else f"1e{round(np.log10(gain))}",
+        ", ".join(f"{values['settling_time']:.1f}" for _, values in runs),
+        ", ".join(f"{values['rmse']:.2f}" for _, values in runs),
+        ", ".join(f"{value:.2f}" for value in buoyancy),
+        ", ".join(f"{values['total_variation']:.0f}" for _, values in runs),
+        f"{held.std():.1g}; {np.abs(sigma).max():.2g}",
+        ", ".join(str(largest_quiet_delay(name, parameters)) for name in PAIR),
+    ]
+    line = f"| {' | '.join(cells)} |"
+    assert line in FIDELITY, line
+
+
+def largest_quiet_delay(name: str, parameters: dict[str, Any]) -> int:
+    """The largest delay [ms] of the depth sensor that leaves the depth within 3 mm, of those up to 280 ms."""
+    return max(delay for delay in range(0, 281, 20) if is_quiet(name, parameters, delay))
+
+
+def is_quiet(name: str, parameters: dict[str, Any], delay: int) -> bool:
+    others = {"experiment": {"stop_time": 140.0}, "metrics": {"holding_thrust": False}}
+    recording, _ = run(f"nominal-{name}", {**parameters, "plant.sensor_delay": 1e-3 * delay}, **others)
+    return bool(recording["plant.depth"][recording.time >= 100.0].std() < 0.003)
