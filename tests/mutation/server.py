@@ -48,7 +48,7 @@ def _run(
     """
     status = 3
     try:
-        os.setsid()
+        os.setpgrp()  # and not a session: that would be scheduled apart
         signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background; tests send it
         _move(Path(folder))
         if mutant:
