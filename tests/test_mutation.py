@@ -13,6 +13,7 @@ from tests.mutation.verdict import (
     TIME_LIMIT,
     BrokenEnvironmentError,
     CollectedTests,
+    check_killers,
     verdict,
 )
 
@@ -79,7 +80,9 @@ def judged(
     project: Path, path: str, content: str, tests: Sequence[str] = ("test_answer.py",), limit: float = LIMIT_S
 ) -> str:
     with CollectedTests(project, tests) as collected:
-        return verdict(project, Path(path), content, collected, limit)
+        outcome = verdict(project, Path(path), content, collected, limit)
+        check_killers({path: outcome}, path, collected, limit)
+        return outcome
 
 
 @pytest.fixture

@@ -25,7 +25,14 @@ from rich.progress import Progress
 from rich.table import Table
 
 from tests.mutation.mutants import Mutant, chosen, mutants_of
-from tests.mutation.verdict import SURVIVED, TIME_LIMIT, BrokenEnvironmentError, CollectedTests, verdict
+from tests.mutation.verdict import (
+    SURVIVED,
+    TIME_LIMIT,
+    BrokenEnvironmentError,
+    CollectedTests,
+    check_killers,
+    verdict,
+)
 
 _OF_THE_C_LAYER = ("refusals", "lifecycle", "states", "calls", "rare_calls", "small_block", "importers")
 # the folders that are mutated, and the tests that should notice: the first that fails ends the run
@@ -72,6 +79,7 @@ def main(
                     for _ in _judged(drawn, judges, seconds, verdicts):
                         progress.advance(bar)
                         _write(verdicts, results)
+                    check_killers(verdicts, room, judges[0][1], seconds)
                 except BrokenEnvironmentError as error:
                     _write(verdicts, results)
                     raise SystemExit(f"{room}: {error}; what is done is kept in {results}") from error

@@ -50,7 +50,7 @@ def _run(
     try:
         os.setpgrp()  # and not a session: that would be scheduled apart
         signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background; tests send it
-        _move(Path(folder))
+        _move(Path(folder), session.config)
         if mutant:
             _put(*mutant)
         items = [item for item in session.items if only in ("", item.nodeid)]
@@ -74,16 +74,17 @@ def _file(item: pytest.Item) -> str:
     return item.nodeid.partition("::")[0]
 
 
-def _move(folder: Path) -> None:
-    """Let all that is temporary, and the user's own files, be in a folder of this process."""
+def _move(folder: Path, config: Any) -> None:
+    """Let all that is temporary, and the user's own files, be in a folder; what is there is built already."""
     before = os.environ["HOME"]
     for name, value in os.environ.items():
         if value.startswith(before):
             os.environ[name] = f"{folder}/home{value.removeprefix(before)}"
-    for name in ("TMPDIR", "PYTEST_DEBUG_TEMPROOT"):
-        os.environ[name] = str(folder)
-    (folder / "home").mkdir()
+    os.environ["TMPDIR"] = str(folder)
     tempfile.tempdir = None  # then it is looked up anew
+    for name in ("home", "pytest"):
+        (folder / name).mkdir(exist_ok=True)
+    config._tmp_path_factory._basetemp = folder / "pytest"  # the public setting would empty it
 
 
 def _put(path: str, content: str) -> None:

@@ -1,13 +1,12 @@
 """What becomes of a mutant when the tests run: killed, and by which test, or survived.
 
 A mutant is killed if a test fails, is in error or ends the process with it, twice, and passes without it
-right after; or if the tests take longer than the limit. So a test that a busy machine disturbs kills no
-mutant, nor does an environment in which a test fails anyway: there the measurement ends.
+before and after all mutants; or if the tests take longer than the limit. So a test that a busy machine
+disturbs kills no mutant, nor does an environment in which a test fails anyway: there the measurement ends.
 """
 
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -73,32 +72,36 @@ class CollectedTests(AbstractContextManager["CollectedTests"]):
         self._process.wait()
 
     def first_failure(
-        self, limit: float | None = None, only: str = "", mutant: tuple[Path, str] | None = None
+        self,
+        limit: float | None = None,
+        only: str = "",
+        mutant: tuple[Path, str] | None = None,
+        folder: Path | None = None,
     ) -> str:
         """The first test that fails; "" if none.
 
         limit: s that the tests may take; TimeoutError afterwards
         only: the test to run; mutant: path in the copy of a file, and its content
+        folder: for what the tests build; by default one that is removed afterwards
         """
+        if folder is None:
+            with tempfile.TemporaryDirectory(prefix="mutant-", ignore_cleanup_errors=True) as name:
+                return self.first_failure(limit, only, mutant, Path(name))
         first = [test for test, _ in self._killers.get(mutant[0], Counter()).most_common()] if mutant else []
         is_python = mutant and mutant[0].suffix == ".py"
         request: dict[str, Any] = {
+            "folder": str(folder),
             "only": only,
             "first": first,
             "files": self.files,
             "mutant": (str(self._folder / mutant[0]), mutant[1]) if mutant and is_python else None,
         }
-        folder = Path(tempfile.mkdtemp(prefix="mutant-"))
-        try:
-            status = self._status({**request, "folder": str(folder)}, limit)
-            if not status:
-                if not self.files:
-                    times = json.loads((folder / TIMES).read_text())
-                    self.files = sorted(times, key=times.__getitem__)
-                return ""
+        if self._status(request, limit):
             return (folder / NOTE).read_text()
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
+        if not self.files:
+            times = json.loads((folder / TIMES).read_text())
+            self.files = sorted(times, key=times.__getitem__)
+        return ""
 
     def note_kill(self, path: Path, test: str) -> None:
         """Remember which test noticed a mutant of a file: it runs first for the next."""
@@ -126,10 +129,9 @@ class CollectedTests(AbstractContextManager["CollectedTests"]):
 
 
 def verdict(folder: Path, path: Path, mutated: str, tests: CollectedTests, limit: float) -> str:
-    """SURVIVED, TIME_LIMIT, or KILLED_BY and the test.
+    """SURVIVED, TIME_LIMIT, or KILLED_BY and the test, which `check_killers` has yet to try without a mutant.
 
     path: of the file in the copy of the project, which has the mutated content until this returns
-    Raises BrokenEnvironmentError if the test that fails does so without the mutant too.
     """
     content = (folder / path).read_text()
     (folder / path).write_text(mutated)
@@ -141,21 +143,31 @@ def verdict(folder: Path, path: Path, mutated: str, tests: CollectedTests, limit
         (folder / path).write_text(content)
     if not test:
         return SURVIVED
-    try:
-        is_broken = tests.first_failure(limit, test)
-    except TimeoutError:
-        is_broken = test
-    if is_broken:
-        raise BrokenEnvironmentError(f"{test} fails without a mutant")
     tests.note_kill(path, test)
     return KILLED_BY + test
+
+
+def check_killers(verdicts: dict[str, str], room: str, tests: CollectedTests, limit: float) -> None:
+    """Run each test that killed a mutant of a folder without any; of one that fails the kills are dropped.
+
+    Raises BrokenEnvironmentError if there is one.
+    """
+    own = {mutant: verdict for mutant, verdict in verdicts.items() if mutant.startswith(room)}
+    with tempfile.TemporaryDirectory(prefix="mutant-", ignore_cleanup_errors=True) as folder:
+        for test in sorted({verdict for verdict in own.values() if verdict.startswith(KILLED_BY)}):
+            name = test.removeprefix(KILLED_BY)
+            if tests.first_failure(limit, name, folder=Path(folder)):
+                for mutant in [mutant for mutant, verdict in own.items() if verdict == test]:
+                    del verdicts[mutant]
+                raise BrokenEnvironmentError(f"{name} fails without a mutant")
 
 
 def _failing_twice(tests: CollectedTests, mutant: tuple[Path, str], limit: float) -> str:
     """The first test that fails, and again alone; "" if none."""
     test = ""
     for _ in range(_ATTEMPTS):
-        test = tests.first_failure(limit, mutant=mutant)
-        if not test or tests.first_failure(limit, test, mutant):
-            return test
+        with tempfile.TemporaryDirectory(prefix="mutant-", ignore_cleanup_errors=True) as folder:
+            test = tests.first_failure(limit, mutant=mutant, folder=Path(folder))
+            if not test or tests.first_failure(limit, test, mutant, Path(folder)):
+                return test
     raise BrokenEnvironmentError(f"{test} fails now and then")

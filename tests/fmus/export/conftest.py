@@ -1,27 +1,28 @@
 """Blocks as native FMUs, compiled when a test first wants them and driven call by call."""
 
 from collections.abc import Callable, Iterator
-from functools import cache
 from pathlib import Path
 
 import pytest
 
 from fmus.export.c_source import c_sources
+from tests.shared_builds import built_once, session_folder
 
 from .native_block import block_named
 from .native_session import GUID, Session, compiled
 
 
-@pytest.fixture(scope="module", params=["plain", pytest.param("sanitized", marks=pytest.mark.cross)])
+@pytest.fixture(scope="session", params=["plain", pytest.param("sanitized", marks=pytest.mark.cross)])
 def program(
     tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest
 ) -> Callable[[str], Path]:
-    @cache
-    def one(name: str) -> Path:
-        sources = c_sources(block_named(name), GUID)
-        return compiled(sources, tmp_path_factory.mktemp(name), request.param == "sanitized")
+    """The program of a block, compiled once a session."""
+    folder = session_folder(tmp_path_factory, f"{request.param} programs")
 
-    return one
+    def build(path: Path) -> None:
+        compiled(c_sources(block_named(path.parent.name), GUID), path.parent, request.param == "sanitized")
+
+    return lambda name: built_once(folder / name / "session", build)
 
 
 @pytest.fixture
