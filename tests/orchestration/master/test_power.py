@@ -106,4 +106,6 @@ def test_the_residual_of_a_window_is_that_of_the_steps_within_it(linear: Build) 
     recording = run(linear, 0.0, 0.05)
     residuals = energy_residuals(recording, FORCE, VELOCITY)
     call = {"function": "energy_residual", "signal": FORCE, "flow": VELOCITY, "window": [0.5, 1.0]}
-    assert metrics.evaluate(recording, {"residual": call})["residual"] == pytest.approx(residuals[10:20].sum())
+    assert metrics.evaluate(recording, {"residual": call})["residual"] == pytest.approx(
+        residuals[10:20].sum()
+    )
