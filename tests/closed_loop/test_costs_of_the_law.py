@@ -102,7 +102,7 @@ def test_the_adaptation_gain_of_the_vehicle_is_chosen_by_these_figures(
         ", ".join(f"{values['rmse']:.2f}" for _, values in runs),
         ", ".join(f"{value:.2f}" for value in buoyancy),
         ", ".join(f"{values['total_variation']:.0f}" for _, values in runs),
-        f"{held.std():.2g}; {np.abs(sigma).max():.2g}",
+        f"{round(held.std(), 3):.2g}; {np.abs(sigma).max():.2g}",
         ", ".join(str(largest_quiet_delay(name, parameters)) for name in PAIR),
     ]
     line = f"| {' | '.join(cells)} |"
