@@ -196,6 +196,12 @@ def function(tmp_path_factory: pytest.TempPathFactory) -> Build:
 
 
 @pytest.fixture(scope="session")
+def motor(tmp_path_factory: pytest.TempPathFactory) -> Build:
+    """Builds motors with an adaptive solver of their own: the options are those of `foreign_fmus.motor`."""
+    return once_for_each_option(foreign_fmus.motor, foreign_folder(tmp_path_factory, "motor"))
+
+
+@pytest.fixture(scope="session")
 def stair(tmp_path_factory: pytest.TempPathFactory) -> Build:
     """Builds stairs, which terminate the simulation at 9 s: the options are those of `foreign_fmus.stair`."""
     return once_for_each_option(foreign_fmus.stair, foreign_folder(tmp_path_factory, "stair"))

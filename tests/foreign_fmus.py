@@ -1,4 +1,4 @@
-"""FMUs of C that know nothing of the blocks: linear ones, functions, and one that misbehaves on demand.
+"""FMUs of C that know nothing of the blocks: linear, functions, a motor, and one that misbehaves on demand.
 
 Their sources stand in `foreign_c`; here are their model descriptions and archives. A model is compiled once;
 what differs between its FMUs is written into the compiled library.
@@ -181,6 +181,18 @@ def stair(path: Path, **capabilities: Any) -> Path:
     """Counts the seconds in the Integer output `counter`, from 1, and terminates the simulation at 10."""
     counter = Variable("counter", "output", "discrete", start=1, kind="Integer", initial="exact")
     return _write(path, "stair", [counter], Capabilities(**capabilities))
+
+
+def motor(path: Path, solver_tolerance: float = 1e-3, **capabilities: Any) -> Path:
+    """A DC motor with an adaptive solver: input voltage [V], outputs current [A] and speed [rad/s].
+
+    solver_tolerance: error that an inner step may have, of 1 + |x|
+    """
+    variables = [
+        Variable("voltage", "input", "continuous"),
+        *(Variable(name, "output", "continuous") for name in ("current", "speed")),
+    ]
+    return _write(path, "motor", variables, Capabilities(**capabilities), numbers=[solver_tolerance])
 
 
 def _write(

@@ -287,6 +287,7 @@ def test_what_is_declared_is_imported() -> None:
             "casadi",
             {
                 "fmus.numerics.symbols",
+                "fmus.export.right_derivative",
                 *(f"fmus.export.{name}" for name in ("guard", "symbolic", "operations", "c_functions")),
             },
         ),

@@ -20,7 +20,7 @@ from controller_fmu.l1.second_order import Vector, dot, relaxed
 from fmus.numerics import absolute, maximum, sin, sqrt, where
 
 _SMALL_SQUARE = 1e-16  # of an angle: below it sin(a) / a is 1 to the last bit
-_SHORTEST = 1e-300  # s; keeps a mean over no time finite
+_SMALLEST = 1e-300  # keeps a share of no gain finite
 
 
 class AdaptationLaw(IntEnum):
@@ -139,8 +139,8 @@ def adapt(
         sigma_hat=keep_within(before.sigma_hat + change * g.sigma, p.sigma_bound),
         omega_hat=p.input_gain + keep_within(away, p.input_gain_uncertainty),
     )
-    mean_eta = where(h > 0.0, integral_of_eta / maximum(h, _SHORTEST), eta)
-    not_by_omega = 1.0 - g.omega * learnt / maximum(kappa, _SHORTEST)
+    mean_eta = where(h > 0.0, lambda: integral_of_eta / h, eta)
+    not_by_omega = 1.0 - g.omega * learnt / maximum(kappa, _SMALLEST)
     known = eta - before.omega_hat * u + not_by_omega * (mean_eta - eta)
     return after, _with_newest(known, before, after, phi, regressor(p.regressor, over.x_1), p)
 

@@ -19,13 +19,14 @@ _BUILDING = """<li>For another platform compile sources/{file} with the headers 
 the importer; FMI2_OVERRIDE_FUNCTION_PREFIX gives functions the names that a shared library has:
 <code>cc -std=c99 -O2 -shared -fPIC -DFMI2_OVERRIDE_FUNCTION_PREFIX -I HEADERS -o {name}.so
 sources/{file} -lm</code></li>"""
-_HEADINGS = ("Name", "Unit", "Start", "Permitted", "Variability", "Meaning", "Source")
+_HEADINGS = ("Name", "Unit or type", "Start", "Permitted", "Variability", "Meaning", "Source")
 
 
-def documentation(block: Block, compiled: str = "") -> dict[str, bytes]:
+def documentation(block: Block, compiled: str = "", reals_only: bool = False) -> dict[str, bytes]:
     """Path inside the FMU -> content of the page and of the note on the reference results.
 
     compiled: the file of the folder sources that an importer compiles, if there is one
+    reals_only: whether every variable is a Real
     """
     templates, experiment = resources.files("fmus.documentation"), block.guide.experiment
     files = {"index.html": "page.html", "fmi-ls-ref.txt": "fmi-ls-ref.txt"}
@@ -37,7 +38,7 @@ def documentation(block: Block, compiled: str = "") -> dict[str, bytes]:
         "step_size": block.step_size,
         "guide": _guide(block),
         "building": _BUILDING.format(file=compiled, name=block.name) if compiled else "",
-        "variables": "\n".join(_tables(block)),
+        "variables": "\n".join(_tables(block, reals_only)),
         "reference_stop_time": experiment.stop_time or block.stop_time,
         "reference_step_size": experiment.step_size or block.step_size,
         "stimuli": _stimuli(block),
@@ -74,15 +75,16 @@ def _source(source: Source) -> str:
     return f'<a href="{escape(source.url)}">{text}</a>' if source.url else text
 
 
-def _tables(block: Block) -> Iterable[str]:
+def _tables(block: Block, reals_only: bool) -> Iterable[str]:
     for causality, caption in _TABLES:
         if variables := block.of_causality(causality):
-            yield _table(caption, _HEADINGS, map(_cells, variables))
+            yield _table(caption, _HEADINGS, (_cells(v, reals_only) for v in variables))
 
 
-def _cells(v: ScalarVariable) -> tuple[str, ...]:
+def _cells(v: ScalarVariable, reals_only: bool) -> tuple[str, ...]:
     """One row: what `_HEADINGS` says, as text."""
-    unit = v.type.lower() if v.unit is None else v.unit
+    kind = "whole number" if reals_only else v.type.lower()
+    unit = kind if v.unit is None else v.unit
     number = str(v.start).lower() if isinstance(v.start, bool) else repr(v.cast(v.start).real)
     start, permitted = (number, v.expected.removesuffix(f" {v.unit}")) if v.settable else ("", "")
     return v.name, unit, start, permitted, v.variability, v.description, v.source

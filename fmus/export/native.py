@@ -35,7 +35,7 @@ def content(block: Block, reals_only: bool = False) -> tuple[str, dict[str, byte
     description = model_description(block, GUID, _CAPABILITIES, COMPILED)
     members = {
         **{f"sources/{name}": text.encode() for name, text in c_sources(block, GUID, reals_only).items()},
-        **documentation(block, *COMPILED),
+        **documentation(block, *COMPILED, reals_only=reals_only),
         **licenses("l1-depth", "fmi-headers", "zig", "mingw-w64"),
         "sources/buildDescription.xml": _build_description(block.name),
         "modelDescription.xml": with_plain_types(description, REALS_ONLY) if reals_only else description,

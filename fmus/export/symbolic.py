@@ -15,6 +15,7 @@ from fmus.errors import ExportError
 from fmus.export import guard
 from fmus.export.c_functions import c_function, c_functions
 from fmus.export.declaration import check_declaration, check_requirements, check_result
+from fmus.export.right_derivative import right_derivative
 
 
 class Traced:
@@ -60,8 +61,7 @@ class Traced:
         for name in ("calculate", "step", "output"):
             self._check_constants(name)
 
-        reached = casadi.jacobian(_column(call(block.output, t + h, stepped, p, c)), h)
-        rate = casadi.substitute(reached, h, 0.0)
+        rate = right_derivative(_column(call(block.output, t + h, stepped, p, c)), h)
         self.output_rate = self._function("output_rate", "t x u p c", [t, xs, us, ps, cs], "rate", rate)
 
         first = call(block.output, t, call(block.initial_state, t, u, p, calculated), p, calculated)

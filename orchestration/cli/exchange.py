@@ -8,6 +8,7 @@ import typer
 
 from orchestration.cli.changes import Changes, ControllerOption, MapOption, OpenInputsOption, SetOption
 from orchestration.cli.shared import OutFolder, ScenarioArgument
+from orchestration.exchange.ssp_version import SspVersion
 
 
 class Tool(StrEnum):
@@ -22,12 +23,13 @@ def package(
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write this package; by default SCENARIO.ssp.")
     ] = None,
+    version: Annotated[SspVersion, typer.Option("--ssp", help="Version of SSP.")] = SspVersion.V1,
     controller: ControllerOption = "",
     settings: SetOption = [],  # noqa: B006  (Typer copies it)
     mapped: MapOption = [],  # noqa: B006
     open_inputs: OpenInputsOption = None,
 ) -> None:
-    """Write a scenario as an SSP 1.0 package, with a parameter set for each scenario of its system."""
+    """Write a scenario as an SSP package, with a parameter set for each scenario of its system."""
     from orchestration.cli import chosen_scenario
     from orchestration.cli.package_fmus import build_ramp_source, build_started
     from orchestration.exchange import ssp_write
@@ -35,7 +37,7 @@ def package(
     changes = Changes.of_options(controller, settings, mapped, open_inputs)
     chosen = chosen_scenario.load(name, changes=changes)
     path = out or Path(f"{chosen.name}.ssp")
-    print(ssp_write.package(chosen, path, build_ramp_source, build_started))
+    print(ssp_write.package(chosen, path, build_ramp_source, build_started, version))
 
 
 def export(

@@ -1,4 +1,4 @@
-"""An SSP 1.0 package -> a scenario that our master runs.
+"""An SSP package, 1.0 or 2.0 -> a scenario that our master runs.
 
 Read are the components and connections of one system, parameter values inline or in .ssv files at components
 or at the system, and the default experiment. Values are taken in the units of the FMUs. Elements that are not
@@ -98,7 +98,10 @@ def _checked_root(package: OpenedPackage) -> Element:
     """The root of the structure, if it holds nothing that is refused."""
     root = package.root(package.folder / STRUCTURE)
     if root.tag != tag("ssd:SystemStructureDescription"):
-        raise package.error(f"{STRUCTURE}: expected a SystemStructureDescription of SSP 1.0")
+        raise package.error(f"{STRUCTURE}: expected a SystemStructureDescription of SSP")
+    version = root.get("version", "")
+    if not version.startswith(("1.", "2.")):
+        raise package.error(f"{STRUCTURE}: version {version!r}: expected 1.0 or 2.0")
     for path, name in _REFUSED:
         if root.find("/".join(step if step == "*" else tag(step) for step in path.split("/"))) is not None:
             raise package.error(f"{name}: not supported; expected components and plain connections")
@@ -115,6 +118,9 @@ def _components(root: Element, package: OpenedPackage) -> dict[str, Path]:
 
 
 def _connection(element: Element, package: OpenedPackage) -> tuple[Any, ...]:
+    for attribute in ("startIndices", "endIndices"):
+        if attribute in element.attrib:
+            raise package.error(f"{attribute} of a connection: not supported; expected scalar connectors")
     source, target = (
         f"{element.get(f'{end}Element', '')}.{element.get(f'{end}Connector', '')}" for end in ("start", "end")
     )

@@ -1,4 +1,4 @@
-"""A scenario -> an SSP 1.0 package: FMUs, connections, units, default experiment, parameter sets.
+"""A scenario -> an SSP package: FMUs, connections, units, default experiment, parameter sets.
 
     SystemStructure.ssd     the scenario that was packaged
     NAME.ssd                the same system as each other scenario of its family has it
@@ -8,6 +8,7 @@
 Only what OMSimulator, libcosim, Ecos, fmucontainer and FMPy all understand: no connector of the system
 itself, no two structures of one name, values inline at each component, enumeration items as integers. Ecos
 and FMPy apply no values unless they are told a set, fmucontainer none at all: therefore FMUs start with them.
+What SSP 1.0 has for FMI 2.0 is in 2.0 as well, with the same namespaces: the versions differ in their number.
 """
 
 import itertools
@@ -24,6 +25,7 @@ from fmus.plain_types import without_enumerations
 from orchestration.exchange import ssp_xml
 from orchestration.exchange.limits import check_plain_exchange
 from orchestration.exchange.signal_sources import BuildSource, RampSource, ramp_sources, with_sources
+from orchestration.exchange.ssp_version import SspVersion
 from orchestration.exchange.ssp_xml import STRUCTURE, add, add_value
 from orchestration.fmi.description import start_value
 from orchestration.scenarios.scenario import Scenario, load, shipped
@@ -38,8 +40,14 @@ class _Variant:
 
     name: str
     title: str
+    version: SspVersion
     prepared: PreparedRun
     settings: Mapping[str, FmiValue]  # "component.variable" -> value, of every variable that a scenario sets
+
+    @property
+    def heading(self) -> dict[str, str]:
+        """Attributes of the root of each of its files."""
+        return {"version": self.version, "name": self.name}
 
     @property
     def connectors(self) -> list[Port]:
@@ -72,6 +80,7 @@ def package(
     path: Path,
     build_source: BuildSource,
     build_started: BuildStarted = lambda fmu, starts, folder: fmu,
+    version: SspVersion = SspVersion.V1,
 ) -> Path:
     """Write the scenario, and every shipped one of the same system as a variant, to `path`.
 
@@ -86,7 +95,7 @@ def package(
     sources = ramp_sources(scenarios)
     with tempfile.TemporaryDirectory(prefix="l1-depth-sources-") as folder:
         fmus = {target: build_source(source, Path(folder)) for target, source in sources.items()}
-        variants = _with_all_settings([_variant(chosen, sources, fmus) for chosen in scenarios])
+        variants = _with_all_settings([_variant(chosen, version, sources, fmus) for chosen in scenarios])
         packed = {
             name: build_started(fmu, variants[0].values_of(name), Path(folder, name))
             for name, fmu in variants[0].prepared.system.components.items()
@@ -135,15 +144,17 @@ def _structure_of(scenario: Scenario) -> tuple[dict[str, Path], tuple[Any, ...],
     return dict(system.components), system.connections, set(scenario.experiment.signals)
 
 
-def _variant(scenario: Scenario, sources: Mapping[str, RampSource], fmus: Mapping[str, Path]) -> _Variant:
+def _variant(
+    scenario: Scenario, version: SspVersion, sources: Mapping[str, RampSource], fmus: Mapping[str, Path]
+) -> _Variant:
     system, experiment = with_sources(scenario, sources, fmus)
     prepared = prepare(system, experiment)
     settings = {port.name: value for port, value in prepared.settings}
-    return _Variant(scenario.name, scenario.title, prepared, settings)
+    return _Variant(scenario.name, scenario.title, version, prepared, settings)
 
 
 def _structure(variant: _Variant, resources: Mapping[str, str]) -> bytes:
-    root = ssp_xml.root("ssd:SystemStructureDescription", version="1.0", name=variant.name)
+    root = ssp_xml.root("ssd:SystemStructureDescription", **variant.heading)
     root.set("generationTool", "l1-depth")
     system = add(root, "ssd:System", name="system", description=variant.title)
     elements = add(system, "ssd:Elements")
@@ -176,9 +187,7 @@ def _component(parent: Element, name: str, source: str, variant: _Variant) -> No
     own = variant.values_of(name).items()
     if own:
         binding = add(add(component, "ssd:ParameterBindings"), "ssd:ParameterBinding")
-        values = add(
-            add(binding, "ssd:ParameterValues"), "ssv:ParameterSet", version="1.0", name=variant.name
-        )
+        values = add(add(binding, "ssd:ParameterValues"), "ssv:ParameterSet", **variant.heading)
         _parameters(values, own)
 
 
@@ -192,7 +201,7 @@ def _parameters(
 
 def _parameter_set(variant: _Variant) -> Element:
     """All values of the system, with units."""
-    root = ssp_xml.root("ssv:ParameterSet", version="1.0", name=variant.name, description=variant.title)
+    root = ssp_xml.root("ssv:ParameterSet", **variant.heading, description=variant.title)
     units = {port.name: port.variable.unit or "" for port, _ in variant.values}
     _parameters(root, [(port.name, value) for port, value in variant.values], units)
     _units(root, "ssv:Units", variant.prepared.system, [port for port, _ in variant.values])

@@ -1,4 +1,4 @@
-"""The XML of SSP 1.0: its namespaces, and elements with values of the types that FMI 2.0 has."""
+"""The XML of SSP: its namespaces, and elements with values of the types that FMI 2.0 has."""
 
 from contextlib import suppress
 from xml.etree import ElementTree

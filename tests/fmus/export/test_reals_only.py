@@ -1,5 +1,6 @@
 """FMUs whose every variable is a Real, for importers that know no other type."""
 
+import re
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,14 @@ def test_every_variable_is_a_real_that_names_its_values(reals: Path) -> None:
     assert (enabled.start, enabled.max) == ("1", "1")
     assert enabled.description.endswith("0 false, 1 true")
     assert (level.min, level.max, level.description) == ("-5", "5", "Level: a whole number")
+
+
+def test_its_page_tells_whole_numbers_where_other_fmus_have_types(reals: Path) -> None:
+    with zipfile.ZipFile(reals) as archive:
+        page = archive.read("documentation/index.html").decode()
+    cells = dict(re.findall(r"<tr><td>([a-z]+)</td><td>([^<]*)</td>", page))
+    assert cells["mode"] == cells["enabled"] == cells["level"] == "whole number"
+    assert "enumeration" not in cells.values()
 
 
 def test_what_depends_on_an_item_may_depend_on_all(reals: Path) -> None:

@@ -16,6 +16,7 @@ from fmpy.validation import validate_fmu
 from orchestration.cli.package_fmus import build_ramp_source, build_started
 from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.exchange import ssp_read, ssp_write
+from orchestration.exchange.ssp_version import SspVersion
 from orchestration.exchange.ssp_xml import STRUCTURE, tag
 from orchestration.master import simulate
 from orchestration.scenarios import scenario
@@ -259,6 +260,25 @@ def test_its_fmus_say_integer_for_enumeration_and_are_otherwise_the_same(
     assert "1 none, 2 pi, 3 nonlinear_p" in (choice.description or "")
 
 
+def test_a_package_of_ssp_2_differs_in_the_version_alone(package: Path, tmp_path: Path) -> None:
+    """FMUs and importers that know 1.0 alone find the same elements in the same namespaces."""
+    chosen = scenario.load(scenario.find("nominal-extended"))
+    ramps = tmp_path / "Ramps_depth_reference.fmu"
+    ramps.write_bytes(zipfile.ZipFile(package).read(f"resources/{ramps.name}"))
+    second = ssp_write.package(
+        chosen, tmp_path / "two.ssp", lambda source, folder: ramps, version=SspVersion.V2
+    )
+    with zipfile.ZipFile(package) as one, zipfile.ZipFile(second) as two:
+        assert one.namelist() == two.namelist()
+        for name in (name for name in one.namelist() if not name.endswith(".fmu")):
+            first = one.read(name)
+            assert b' version="1.0"' in first
+            assert two.read(name) == first.replace(b' version="1.0"', b' version="2.0"')
+    with ssp_read.opened(package) as first, ssp_read.opened(second) as later:
+        assert later.experiment == first.experiment
+        assert later.system.connections == first.system.connections
+
+
 def test_a_scenario_with_events_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text('base = "nominal-l1"\n[[events]]\ntime = 1.0\nset = {"plant.roll" = 0.1}\n')
@@ -279,6 +299,8 @@ def test_a_scenario_with_events_is_refused(tmp_path: Path) -> None:
         ("</ssd:ParameterValues>", "</ssd:ParameterValues><ssd:ParameterMapping/>", "a parameter mapping"),
         ('stopTime="310.0"', "", "expected a default experiment with a stop time"),
         ("</ssd:System>", "", "expected XML"),
+        (' version="1.0" name=', ' version="3.0" name=', "version '3.0': expected 1.0 or 2.0"),
+        ("<ssd:Connection start", '<ssd:Connection startIndices="0" start', "startIndices of a connection"),
     ],
 )
 def test_what_is_not_understood_is_refused(
