@@ -114,10 +114,11 @@ _SOURCES = {
 }  # fmt: skip
 
 NAMES = tuple(_SOURCES)
+SAVES_STATE = {"canGetAndSetFMUstate": True, "canSerializeFMUstate": True}
 
 
-def build(name: str, folder: Path) -> Path:
-    """`folder/NAME.fmu` of one of the classes above."""
+def build(name: str, folder: Path, **capabilities: bool) -> Path:
+    """`folder/NAME.fmu` of one of the classes above; capabilities: such as `SAVES_STATE`."""
     script = folder / f"{name.lower()}_slave.py"
     script.write_text(textwrap.dedent(_HEAD) + textwrap.dedent(_SOURCES[name]))
-    return FmuBuilder.build_FMU(script, folder)
+    return FmuBuilder.build_FMU(script, folder, **capabilities)

@@ -162,6 +162,12 @@ def test_an_fmu_of_fixed_steps_gets_them_wherever_time_begins(linear: Build, sta
     assert run["one.y[1]"][-1] == pytest.approx(math.exp(-1.0), rel=1e-12)
 
 
+def test_a_slow_fmu_of_fixed_steps_gets_its_own(linear: Build) -> None:
+    system = System({"one": linear(varies_step_size=False)})
+    experiment = Experiment(0.8, 0.1, inputs={"one.u[1]": 0.0}, step_sizes={"one": 0.4})
+    assert simulate(system, experiment)["one.y[1]"][-1] == pytest.approx(math.exp(-0.8), rel=1e-14)
+
+
 def test_events_at_one_time_share_a_communication_point(linear: Build) -> None:
     """0.05 + 0.1 is not 0.15."""
     times = (0.15, 0.05 + 0.1)

@@ -19,7 +19,8 @@ from orchestration.system.experiment import Algorithm, Event, Experiment
 from orchestration.system.faults import Delay, Fault, Offset
 from orchestration.system.signals import Cosine
 from orchestration.system.system import System
-from tests.orchestration.linear_systems import coupled
+from orchestration.system.transformation import LinearTransformation
+from tests.orchestration.linear_systems import LOOP, coupled
 
 Build = Callable[..., Path]
 
@@ -72,6 +73,7 @@ def test_it_is_the_same_run_to_the_last_bit(linear: Build, tmp_path: Path, chang
     resumed = simulate(system, experiment, resume=checkpoint)
     assert np.array_equal(resumed.time, uninterrupted.time)
     assert np.array_equal(resumed.values, uninterrupted.values)
+    assert resumed.provenance == uninterrupted.provenance
 
 
 @pytest.mark.usefixtures("scenario_fmus")
@@ -104,6 +106,7 @@ def test_the_future_may_be_longer(linear: Build, tmp_path: Path) -> None:
     [
         ({"parameters": {"one.initial_state": 2.0}}, "parameters, inputs and events"),
         ({"algorithm": Algorithm.GAUSS_SEIDEL}, "the algorithm"),
+        ({"tolerance": 1e-3}, "the algorithm"),
         ({"step_size": 0.02}, "the communication points, the signals, the faults"),
         ({"record": ("one.y[1]",)}, "the record"),
         ({"signals": {"one.u[1]": Cosine(2.0, 1.0)}}, "the signals"),
@@ -119,6 +122,17 @@ def test_another_past_is_refused(linear: Build, tmp_path: Path, change: dict[str
     checkpoint, _ = interrupted(system, experiment, tmp_path / "checkpoint", 50)
     with pytest.raises(SimulationError, match=f"belongs to another run, of which {what} differ"):
         simulate(system, replace(experiment, **change), resume=checkpoint)
+
+
+def test_another_factor_of_a_connection_is_another_past(linear: Build, tmp_path: Path) -> None:
+    fmus = coupled(linear, saves_state=True, serialises_state=True).components
+
+    def system(factor: float) -> System:
+        return System(fmus, [(*LOOP[0], LinearTransformation(factor)), LOOP[1]])
+
+    checkpoint, _ = interrupted(system(0.5), Experiment(1.0, 0.01), tmp_path / "checkpoint", 50)
+    with pytest.raises(SimulationError, match="of which the connections differ"):
+        simulate(system(0.6), Experiment(1.0, 0.01), resume=checkpoint)
 
 
 def test_other_fmus_are_refused(linear: Build, tmp_path: Path) -> None:

@@ -133,9 +133,10 @@ def test_every_kind_of_run_is_estimated(linear: Build, capabilities: dict, setti
     assert true <= estimated <= 10.0 * true
 
 
-def test_the_run_itself_is_the_same(linear: Build) -> None:
+@pytest.mark.parametrize(("extrapolation", "factor"), [(0, 3.0), (1, 2.0)])
+def test_the_run_itself_is_the_same(linear: Build, extrapolation: int, factor: float) -> None:
     """The estimates are further columns, also of a run in a process of its own."""
-    experiment = Experiment(1.0, 0.1)
+    experiment = Experiment(1.0, 0.1, extrapolation=extrapolation)
     alone = simulate(coupled(linear), experiment)
     estimated = [
         simulate(coupled(linear), replace(experiment, error_estimate=True), timeout=timeout)
@@ -149,7 +150,7 @@ def test_the_run_itself_is_the_same(linear: Build) -> None:
         alone.values[::2] - simulate(coupled(linear), replace(experiment, step_size=0.2)).values
     )
     largest = [difference[max(k - 2, 0) : k + 1].max(axis=0) for k in range(len(difference))]
-    assert np.array_equal(estimated[0].values[::2, 2:], 3.0 * np.array(largest))
+    assert np.array_equal(estimated[0].values[::2, 2:], factor * np.array(largest))
     quantities = estimated[0].provenance["error_estimate"]["quantities"]
     for name in OUTPUTS:
         column = estimated[0][f"{ERROR_ESTIMATE}{name}"]

@@ -16,6 +16,7 @@ from orchestration.system.experiment import Event, Experiment
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.linear_systems import coupled
+from tests.orchestration.rogue_systems import doing, pair
 
 Build = Callable[..., Path]
 FORCE = "one.u[1]"
@@ -151,6 +152,25 @@ def test_a_run_goes_back_to_before_a_failure(rogue: Build) -> None:
             simulator.restore(state)
             assert len(simulator.recording().time) == 2
             simulator.step()
+
+
+def test_a_run_goes_back_to_before_its_termination(linear: Build, rogue: Build) -> None:
+    """Within the step from 0.5 s: the point of 0.6 s, which has become 0.55 s, is where it was."""
+    with Simulator(pair(linear, rogue)) as simulator:
+        simulator.start(doing(Misdeed.TERMINATE, 0.55))
+        state, points = simulator.save(), simulator.points.copy()
+        ends = []
+        for _ in range(2):
+            while not simulator.is_done:
+                simulator.step()
+            ends.append(simulator.recording())
+            simulator.restore(state)
+            assert not simulator.is_terminated
+            assert np.array_equal(simulator.points, points)
+            assert "terminated" not in simulator.recording().provenance
+    assert ends[0].time[-1] == pytest.approx(0.55)
+    assert np.array_equal(ends[0].values, ends[1].values)
+    assert ends[0].provenance == ends[1].provenance
 
 
 def test_no_run_goes_back_after_a_fatal_error(rogue: Build) -> None:

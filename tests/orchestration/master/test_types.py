@@ -10,6 +10,7 @@ import pytest
 
 from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.master import Simulator, simulate
+from orchestration.master.checkpoint import Checkpoints, read_checkpoint
 from orchestration.master.texts import Texts
 from orchestration.results import metrics
 from orchestration.results.figures import run_figure
@@ -18,6 +19,7 @@ from orchestration.system.experiment import Event, Experiment
 from orchestration.system.faults import Delay, Fault, Stuck
 from orchestration.system.signals import Ramps, Signal, Table
 from orchestration.system.system import System
+from tests import foreign_pythonfmu
 
 Build = Callable[..., Path]
 
@@ -163,6 +165,15 @@ def test_strings_survive_files_and_tables(foreign: Mapping[str, Path], tmp_path:
         assert recording.to_pandas()[name].tolist() == recording[name].tolist()
         assert recording.to_xarray()[name].values.tolist() == recording[name].tolist()
     assert "two.page  " in repr(recording)
+
+
+def test_strings_go_on_from_a_checkpoint(tmp_path: Path) -> None:
+    """The numbers of the texts of the first run stay what they were, though the second begins with others."""
+    system = diaries({"Diary": foreign_pythonfmu.build("Diary", tmp_path, **foreign_pythonfmu.SAVES_STATE)})
+    whole = simulate(system, MONDAY, checkpoints=Checkpoints(tmp_path / "checkpoint", every=0.3))
+    resumed = simulate(system, MONDAY, resume=read_checkpoint(tmp_path / "checkpoint"))
+    for name in RECORD:
+        assert resumed[name].tolist() == whole[name].tolist()
 
 
 def test_strings_are_in_no_figure_and_no_metric(foreign: Mapping[str, Path], tmp_path: Path) -> None:
