@@ -238,6 +238,23 @@ def test_the_projection_slows_what_moves_outwards_over_the_step(side: float) -> 
     assert 0.0 < slowed < 0.5
 
 
+@pytest.mark.parametrize("u_a", [2.0, -2.0])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_projection_slows_an_input_gain_that_moves_outwards_whatever_the_sign_of_u_a(
+    side: float, u_a: float
+) -> None:
+    p = parameters(theta_bound=(0.0, 0.0), sigma_bound=0.0, input_gain_uncertainty=0.5)
+    matrices, omega = siso_controller.calculate(p), 1.0 + 0.49 * side
+    moved = {}
+    for sign in (1.0, -1.0):  # of the prediction error; the rate of omega_hat is -s u_a
+        start = Estimates(x_tilde=(0.0, 0.1 * sign), omega_hat=omega)
+        after, _ = adapt(start, Interval(1e-4, (0.0, 0.0), (0.0, 0.0), 0.0, u_a), p, matrices)
+        moved[-math.copysign(1.0, sign * u_a * side)] = after.omega_hat - omega
+    slowed = project(omega - 1.0, side, 0.5, p.projection_tolerance) / side
+    assert moved[1.0] == pytest.approx(-slowed * moved[-1.0], rel=1e-6)
+    assert 0.0 < slowed < 0.5
+
+
 @pytest.mark.parametrize("x", [(1.0, 2.0), (1.0, -2.0), (-1.0, 2.0)])
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_the_projection_slows_nothing_that_moves_inwards(x: tuple[float, float], side: float) -> None:
