@@ -1,5 +1,6 @@
 """The command line `l1-depth`; `commands` imports libraries, and an interrupt may come while it does."""
 
+import os
 import sys
 
 
@@ -23,6 +24,7 @@ def run_interruptible() -> int:
     """The exit status of a command that runs in this process."""
     from orchestration.cli.interrupts import interruptible
 
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads wait for each other where matrices are small
     with interruptible():
         from orchestration.cli.commands import run_command
 

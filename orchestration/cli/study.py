@@ -75,7 +75,7 @@ def tune(
     journal = out / f"{controller.name}.tune.jsonl"
     if restart:
         journal.unlink(missing_ok=True)
-    total = evaluations * len(problem.gains) * seeds
+    total = evaluations * len(problem.gains) * (seeds + 1)
     with (
         progress(f"tune {controller.name}", total) as bar,
         processes(controller, protocol, workers) as evaluate,
@@ -101,7 +101,7 @@ def _search(
     """The tuning; an interruption ends the command with a message that says what is done."""
     from orchestration.study.tune import tune as search
 
-    total, done = evaluations * len(problem.gains) * len(seeds), 0
+    total, done = evaluations * len(problem.gains) * (len(seeds) + 1), 0
 
     def advance(count: int, cost: float) -> None:
         nonlocal done
@@ -156,7 +156,7 @@ def _print_gains(tuning: "Tuning", name: str) -> None:
     print_table(table)
     verdict = "flat" if tuning.is_flat else "not flat: more evaluations may lower it"
     print(
-        f"The cost is {verdict}. In the last quarter of {len(tuning.best.curve)} evaluations it fell by "
+        f"The cost is {verdict}. In the last half of {len(tuning.refinement.curve)} evaluations it fell by "
         f"{100 * tuning.improvement:.2g} %; the median of {len(tuning.searches)} seeds is "
         f"{100 * tuning.spread:.2g} % above the lowest."
     )

@@ -87,7 +87,10 @@ def _searched_delay(time: np.ndarray, signal: np.ndarray, reference: np.ndarray,
     best = int(np.argmin(distances))
     bounds = coarse[max(best - 1, 0)], coarse[min(best + 1, _PARTS)]
     minimum: Any = minimize_scalar(distance, bounds=bounds, method="bounded", options={"xatol": _LAG_ERROR_S})
-    return math.nan if min(distances) == max(distances) else float(minimum.x)
+    if min(distances) == max(distances):
+        return math.nan
+    # the search stays off its bounds
+    return float(minimum.x if minimum.fun < distances[best] else coarse[best])
 
 
 def _leads(time: np.ndarray, signal: np.ndarray, reference: np.ndarray, largest: float) -> bool:

@@ -8,7 +8,7 @@ component = "controller"        has one variable and lacks another
 has = ["control_force"]
 lacks = ["voltage[1]"]
 
-[[when_set]]                    further signals of a base, if a parameter has one of these values
+[[when_set]]                    further entries of a base, if a parameter has one of these values
 parameter = "controller.reference_feedforward"
 values = ["inside", "outside"]
 """
@@ -23,7 +23,7 @@ from orchestration.scenarios.layers import Data, Layer, source_of
 from orchestration.scenarios.replaced import Replacement
 from orchestration.scenarios.toml_file import KeyPath
 
-_CONDITIONS = ("component", "has", "lacks")
+_CONDITIONS = ("component", "has", "lacks", "parameter", "values")
 _OWN = ("mapping", "when_replaced")  # tables of this module, which a resolved scenario has not
 
 Mappings = list[dict[str, str]]
@@ -100,8 +100,11 @@ def adapted(layers: Sequence[Layer], replaced: Mapping[str, Replacement], names:
     return result
 
 
-def with_chosen_signals(layers: Sequence[Layer]) -> list[Layer]:
-    """The layers with their signals for a value that a parameter has, or that a sweep may give it."""
+def with_chosen_entries(layers: Sequence[Layer]) -> list[Layer]:
+    """The layers with their entries for a value that a parameter has, or that a sweep may give it.
+
+    Parameters of such entries are no condition of others.
+    """
     parameters: Data = {}
     for layer in layers:
         parameters |= layer.data.get("parameters", {})
@@ -109,10 +112,12 @@ def with_chosen_signals(layers: Sequence[Layer]) -> list[Layer]:
     result: list[Layer] = []
     for layer in layers:
         result.append(replace(layer, data={k: v for k, v in layer.data.items() if k != "when_set"}))
-        for entries in layer.data.get("when_set", []):
+        for number, entries in enumerate(layer.data.get("when_set", [])):
             name = entries["parameter"]
             if name in varied or parameters.get(name) in entries["values"]:
-                result.append(replace(layer, data={"signals": entries["signals"]}))
+                where = layer.at(("when_set", number, "connections"))
+                has_record = any(lower.data.get("record") for lower in result)
+                result.append(replace(layer, data=_joining(entries, has_record, where)))
     return result
 
 
@@ -135,7 +140,7 @@ def _joining(entries: Data, has_record: bool, where: str) -> Data:
         for source, target, *transformation in joining["connections"]:
             if target in table:
                 raise ScenarioError(
-                    f"{where}: when_replaced: {source_of(table[target])} and {source} are connected to "
+                    f"{where}: {source_of(table[target])} and {source} are connected to "
                     f"{target}: expected one connection to an input"
                 )
             table[target] = {"source": source, **transformation[0]} if transformation else source

@@ -110,7 +110,18 @@ class EventTable(Table, use_attribute_docstrings=True):
     """ "component.variable" -> value."""
 
 
-class WhenReplacedTable(Table, use_attribute_docstrings=True):
+class FurtherEntries(Table):
+    """Entries that a base has under a condition; they join those that it has without."""
+
+    connections: list[Connection] = []
+    parameters: dict[str, Value] = {}
+    inputs: dict[str, Value] = {}
+    signals: dict[str, Annotated[Table, SIGNAL]] = {}
+    record: list[str] = []
+    metrics: dict[str, Annotated[Table | Literal[False], METRIC]] = {}
+
+
+class WhenReplacedTable(FurtherEntries, use_attribute_docstrings=True):
     """Entries of a base that apply if another FMU in the place of its component has some variables."""
 
     component: str
@@ -120,23 +131,15 @@ class WhenReplacedTable(Table, use_attribute_docstrings=True):
     lacks: list[str] = []
     """Variables that the new FMU must not have."""
     components: dict[str, str] = {}
-    connections: list[Connection] = []
-    parameters: dict[str, Value] = {}
-    inputs: dict[str, Value] = {}
-    signals: dict[str, Annotated[Table, SIGNAL]] = {}
-    record: list[str] = []
-    metrics: dict[str, Annotated[Table | Literal[False], METRIC]] = {}
 
 
-class WhenSetTable(Table, use_attribute_docstrings=True):
-    """Signals of a base that apply if a parameter has one of some values."""
+class WhenSetTable(FurtherEntries, use_attribute_docstrings=True):
+    """Entries of a base that apply if a parameter has one of some values."""
 
     parameter: str
     """ "component.variable" """
     values: list[Value]
     """Items of an enumeration by name and by number."""
-    signals: dict[str, Annotated[Table, SIGNAL]]
-    """ "component.variable" -> a function of time."""
 
 
 class ScenarioFile(Table, use_attribute_docstrings=True):
@@ -180,7 +183,7 @@ class ScenarioFile(Table, use_attribute_docstrings=True):
     when_replaced: list[WhenReplacedTable] = []
     """Further entries, for another FMU in the place of a component."""
     when_set: list[WhenSetTable] = []
-    """Further signals, for some values of a parameter."""
+    """Further entries, for some values of a parameter."""
     sweep: dict[str, Any] = {}
     """Many runs with other values."""
 

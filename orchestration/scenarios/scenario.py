@@ -18,7 +18,7 @@ from fmus.registry import Flavour, fmu_path
 from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.fmi.description import describe
 from orchestration.results import metrics
-from orchestration.scenarios.adapters import adapted, mappings, with_chosen_signals
+from orchestration.scenarios.adapters import adapted, mappings, with_chosen_entries
 from orchestration.scenarios.declarations import fault, signal
 from orchestration.scenarios.file_format import ScenarioFile
 from orchestration.scenarios.file_tables import checked
@@ -97,7 +97,7 @@ def load(
     layers = adapted(layers, replaced, mappings(layers, replaced))
     check_components(settings or {}, layers[:-1])
     layers.append(Layer(values_of_settings(settings or {}, components_of(layers), description)))
-    layers = with_chosen_signals(layers)
+    layers = with_chosen_entries(layers)
     replaced = replacements(layers, description)
     fitting = without_misfits(layers, replaced)
     data = {"title": path.stem, **{table: {} for table in TABLES}, **merged(fitting)}

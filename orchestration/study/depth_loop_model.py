@@ -24,8 +24,7 @@ from platformdirs import user_cache_path
 
 from fmus import compiled_library
 from orchestration.scenarios import scenario
-from orchestration.study.l1_design import values_of
-from orchestration.system.prepared_run import prepare
+from orchestration.system.prepared_run import prepare, values_of
 from orchestration.system.signals import values_at
 
 Values = Mapping[str, np.ndarray | float]

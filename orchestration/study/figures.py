@@ -19,15 +19,15 @@ def judged_signals(
     columns: names of reference, depth and both voltages; limits [V], gains [N/V]: of both thrusters
     """
     reference, depth, *voltages = (recording[name] for name in columns)
-    asked = np.abs(np.column_stack(voltages))
+    first, second = np.abs(voltages)
     delivered = np.clip(np.column_stack(voltages), -np.asarray(limits), limits)
     values = {
         "depth": depth,
         "reference": reference,
         "u": delivered @ np.asarray(gains),
-        "voltage": asked.max(axis=1),
-        "power": (delivered**2).sum(axis=1),
-        "saturated": 100.0 * (asked >= limits).any(axis=1),
+        "voltage": np.maximum(first, second),
+        "power": delivered[:, 0] ** 2 + delivered[:, 1] ** 2,
+        "saturated": 100.0 * ((first >= limits[0]) | (second >= limits[1])),
     }
     table = np.column_stack([values[name] for name in SIGNALS])
     return Recording(tuple(SIGNALS), tuple(SIGNALS.values()), recording.time, table, recording.provenance)

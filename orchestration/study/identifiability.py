@@ -8,7 +8,7 @@
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,9 @@ import tomli_w
 
 from fmus.files import write_text_atomically
 from orchestration.scenarios import scenario
+from orchestration.scenarios.identify import LARGEST_OVERSHOOT_PCT
 from orchestration.study import missing_effects
+from orchestration.study.depth_loop_model import VARIABLES, depth_task, shipped_values
 from orchestration.study.eight_figures import variables
 from orchestration.study.figure_fits import (
     SHIPPED_RANGES,
@@ -77,22 +79,37 @@ class Effort:
 FULL = Effort()
 
 
-def study_key() -> str:
-    """Of the sources, the data and the FMUs that the stages follow from."""
+def model_key() -> str:
+    """Of what the stages without FMUs follow from: the model, its draws, and what scenarios give to them."""
+    source = Path(__file__)
+    files = {
+        source,
+        source.with_name("depth_loop_model.c"),
+        *imported_sources(source.with_name("posterior.py")),
+    }
+    tasks = [depth_task(name) for name in sorted({variant.scenario for variant in VARIANTS})]
+    given = [(task.reference.tolist(), replace(task, reference=np.empty(0))) for task in tasks]
+    shipped = [shipped_values()[name] for name in VARIABLES]
+    return content_key(files, given, shipped, VALUES, LARGEST_OVERSHOOT_PCT)
+
+
+def runs_key() -> str:
+    """Of what the other stages follow from: besides, their sources, the FMUs, and figures of their runs."""
     fmus = {
         fmu for name in SCENARIOS for fmu in scenario.load(scenario.find(name)).system.components.values()
     }
-    data = scenario.SHIPPED.rglob("*.toml")
-    source = Path(__file__)
-    model = source.with_name("depth_loop_model.c")
-    return content_key({*imported_sources(source), model, *data, *map(Path, fmus)})
+    with VehicleRuns() as runs:
+        figures = [runs.one(name, {}) for name in SCENARIOS]
+    files = {*imported_sources(Path(__file__)), *map(Path, fmus)}
+    return content_key(files, model_key(), figures, SHIPPED_RANGES, WIDE)
 
 
 def study(
     folder: Path, progress: Progress = lambda name: None, effort: Effort = FULL
 ) -> tuple[dict[str, Any], dict[str, Columns]]:
     """The whole study as plain data, and the points of the first two variants."""
-    stages = Stages(folder / "stages", study_key(), progress)
+    stages = Stages(folder / "stages", model_key(), progress)
+    of_runs = Stages(folder / "stages", runs_key(), progress)
     document: dict[str, Any] = {"variants": {}}
     sets: dict[str, Columns] = {}
     for index, variant in enumerate(VARIANTS):
@@ -103,14 +120,14 @@ def study(
         with VehicleRuns() as runs:
             return validation(runs, sets[VARIANTS[0].name], effort.checked)
 
-    document["validation"] = stages.document("validation", validated)
+    document["validation"] = of_runs.document("validation", validated)
     start = start_of_wide(stages, effort)
     document["fits"] = {
-        "shipped ranges": fits(stages, "shipped-ranges", SHIPPED_RANGES, shipped_start(), effort.iterations),
-        "wide ranges": fits(stages, "wide-ranges", WIDE, start, effort.iterations),
+        "shipped ranges": fits(of_runs, "shipped-ranges", SHIPPED_RANGES, shipped_start(), effort.iterations),
+        "wide ranges": fits(of_runs, "wide-ranges", WIDE, start, effort.iterations),
     }
-    document["one_seed"] = stages.document("one-seed", lambda: one_seed(effort.generations))
-    document["effects"] = stages.document("effects", effects)
+    document["one_seed"] = of_runs.document("one-seed", lambda: one_seed(effort.generations))
+    document["effects"] = of_runs.document("effects", effects)
     return document, {variant.name: sets[variant.name] for variant in VARIANTS[:2]}
 
 

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from controller_fmu.design import Extension, FilterOrder, Regressor, lipschitz_constant
-from orchestration.fmi.description import start_value
 from orchestration.study.l1_loop import Law, Observer, Pair, Plant
-from orchestration.system.prepared_run import PreparedRun
+from orchestration.system.prepared_run import PreparedRun, values_of
 
 Values = Mapping[str, Any]
 """Variable -> value; of an enumeration, the name of its item."""
@@ -73,21 +72,6 @@ def design_of(prepared: PreparedRun, largest_reference: float, rest: float) -> D
         adaptation_gain=values["adaptation_gain"] if is_gradient else math.nan,
         largest_parameters=_largest_parameters(values, bound),
     )
-
-
-def values_of(prepared: PreparedRun, component: str) -> dict[str, Any]:
-    """Variable -> value of the parameters and constant inputs of a component, as the scenario has them."""
-    given = {port.name: value for port, value in prepared.settings}
-    values = {}
-    for variable in prepared.system.descriptions[component].modelVariables:
-        if variable.causality in ("parameter", "input"):
-            value = given.get(f"{component}.{variable.name}", start_value(variable))
-            declared: Any = variable.declaredType
-            items: dict[Any, str] = {
-                int(i.value): str(i.name) for i in getattr(declared, "items", None) or ()
-            }
-            values[variable.name] = items.get(value, value) if variable.type == "Enumeration" else value
-    return values
 
 
 def _largest_parameters(values: Values, theta: Pair) -> float:

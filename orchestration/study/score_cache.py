@@ -1,12 +1,13 @@
 """Rows of built-in controllers from earlier scores, in the user's cache folder.
 
 A row is found by the content of all that it follows from: FMUs, parameters, protocol, seeds, and the sources
-that compute figures.
+that compute figures. The rows that were used last are kept: other content leaves rows that nobody finds.
 """
 
 import hashlib
 import json
-from collections.abc import Mapping
+import os
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -15,6 +16,7 @@ from platformdirs import user_cache_path
 from pydantic import BaseModel
 
 from fmus.files import write_text_atomically
+from orchestration.study import tuned_gains
 from orchestration.study.loop import Controller, Loop
 from orchestration.study.score_document import Row
 from orchestration.study.scored_run import Trace
@@ -22,6 +24,9 @@ from orchestration.study.scored_run import Trace
 _PROJECT = Path(__file__).parents[1]
 _COMPUTING = ("fmi", "master", "results", "scenarios", "study", "sweep", "system")
 _SOURCES = (".py", ".c", ".h", ".toml")
+_PROTOCOL = Path(__file__).with_name("protocol.toml")
+_OF_OTHERS = ("controllers", "cost")  # tables of a protocol that a row does not follow from
+MOST_ROWS = 150  # three scores of 17 controllers and a comparison of 34, with and without plants: 60 MB
 
 
 class CachedRow(BaseModel):
@@ -38,12 +43,17 @@ def folder() -> Path:
 def key(controller: Controller, loop: Loop, full: bool) -> str:
     """The name of a row in the cache."""
     loaded = loop.scenario(loop.protocol.nominal)
-    sources = sorted(
-        path for name in _COMPUTING for path in (_PROJECT / name).rglob("*") if path.suffix in _SOURCES
-    )
-    files = [loop.protocol.file.path, *sources, *loaded.system.components.values()]
-    content = [asdict(controller), full, [_digest(file) for file in files]]
+    files_of_rooms = (path for name in _COMPUTING for path in (_PROJECT / name).rglob("*"))
+    sources = sorted(path for path in files_of_rooms if path.suffix in _SOURCES and _is_followed(path))
+    files = [*sources, *loaded.system.components.values()]
+    runs = {name: table for name, table in loop.protocol.file.data.items() if name not in _OF_OTHERS}
+    content = [asdict(controller), full, runs, [_digest(file) for file in files]]
     return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def _is_followed(source: Path) -> bool:
+    """Not the shipped protocol, whose tables count one by one, nor tuned gains, which the controller has."""
+    return source != _PROTOCOL and source.parent != tuned_gains.FOLDER
 
 
 def _digest(file: Path) -> str:
@@ -52,14 +62,32 @@ def _digest(file: Path) -> str:
 
 def read(name: str) -> CachedRow | None:
     """The row of that name; None if there is none, or none that can be read."""
+    path = folder() / f"{name}.json"
     with suppress(OSError, ValueError):
-        return CachedRow.model_validate_json((folder() / f"{name}.json").read_text(encoding="utf-8"))
+        row = CachedRow.model_validate_json(path.read_text(encoding="utf-8"))
+        with suppress(OSError):  # of a cache that can only be read
+            os.utime(path)
+        return row
     return None
 
 
 def write(name: str, row: Row, traces: Mapping[str, Trace]) -> None:
-    """Keep a row; a folder that cannot be written keeps none."""
+    """Keep a row, and remove those whose last use is longest ago.
+
+    A folder that cannot be written keeps none.
+    """
     path = folder() / f"{name}.json"
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text_atomically(path, CachedRow(row=row, traces=dict(traces)).model_dump_json())
+        _remove_all_but_the_last(path.parent.glob("*.json"))
+
+
+def _remove_all_but_the_last(paths: Iterable[Path]) -> None:
+    """Other processes may remove rows at the same time."""
+    used: dict[Path, float] = {}
+    for path in paths:
+        with suppress(FileNotFoundError):
+            used[path] = path.stat().st_mtime
+    for path in sorted(used, key=lambda path: used[path], reverse=True)[MOST_ROWS:]:
+        path.unlink(missing_ok=True)

@@ -1,7 +1,7 @@
 """Stages of a long study, each kept in a file when it is done; what has become out of date is not read.
 
-The files lie in a folder that is named after the content of all that they follow from: the sources that the
-study imports, its data, and the FMUs.
+The files lie in a folder that is named after the content of all that they follow from: sources of this room,
+and what other rooms gave them as data.
 """
 
 import ast
@@ -16,7 +16,7 @@ import numpy as np
 from fmus.files import open_atomically, write_json_atomically
 from orchestration.study.open_numbers import Columns
 
-_ROOT = Path(__file__).parents[2]
+_DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef)
 Progress = Callable[[str], None]
 
 
@@ -49,14 +49,17 @@ class Stages:
         return json.loads(path.read_text(encoding="utf-8"))
 
 
-def content_key(files: Iterable[Path]) -> str:
-    """A name of the content of these files."""
-    digests = [hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(files)]
-    return hashlib.sha256("".join(digests).encode()).hexdigest()
+def content_key(files: Iterable[Path], *data: Any) -> str:
+    """A name of the content of these files and of data whose `repr` is their content.
+
+    Of a Python file, comments, docstrings and layout are no content: no result follows from them.
+    """
+    digests = [hashlib.sha256(_content(file)).hexdigest() for file in sorted(files)]
+    return hashlib.sha256("".join([*digests, *map(repr, data)]).encode()).hexdigest()
 
 
 def imported_sources(source: Path) -> set[Path]:
-    """A source file of this project and every one that it imports, directly or not."""
+    """A source file and every one of its folder that it imports, directly or not."""
     sources, new = set[Path](), {source.resolve()}
     while new:
         sources |= new
@@ -64,13 +67,21 @@ def imported_sources(source: Path) -> set[Path]:
     return sources
 
 
+def _content(file: Path) -> bytes:
+    if file.suffix != ".py":
+        return file.read_bytes()
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
+        if isinstance(node, _DOCUMENTED) and ast.get_docstring(node) is not None:
+            del node.body[0]
+    return ast.dump(tree).encode()
+
+
 def _imported(source: Path) -> Iterable[Path]:
     for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
-        names = []
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-        for name in names:
-            path = _ROOT.joinpath(*name.split("."))
-            yield from (file for file in (path.with_suffix(".py"), path / "__init__.py") if file.is_file())
+        if isinstance(node, ast.ImportFrom) and node.module:
+            package, _, module = node.module.rpartition(".")
+            is_package = module == source.parent.name
+            is_neighbour = package.rpartition(".")[2] == source.parent.name
+            names = [alias.name for alias in node.names] if is_package else [module] if is_neighbour else []
+            yield from (file for name in names if (file := source.with_name(f"{name}.py")).is_file())

@@ -1,8 +1,11 @@
 """Tuning: one optimiser, the same number of evaluations for each free gain, several seeds, for every law.
 
 The searches of all seeds go on together, a generation of each at a time, so that several processes have work.
+A last search of as many evaluations begins at the best gains of them all: what it gains shows whether the
+cost is flat there.
 """
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field
@@ -16,9 +19,10 @@ from orchestration.study.tune_journal import Journal, Key
 from orchestration.study.tune_search import Search
 from orchestration.study.tune_space import FreeGain
 
-LAST_PART = 0.25  # of the evaluations of a search: what they still gain shows whether the cost is flat
+REFINEMENT = 0  # the seed of the last search
+LAST_PART = 0.5  # of the evaluations of the last search: what they still gain shows whether the cost is flat
 LARGEST_IMPROVEMENT = 0.02  # of the cost, in the last part
-LARGEST_SPREAD = 0.05  # of the lowest cost: so near must most of the seeds come to it
+LARGEST_SPREAD = 0.05  # of the lowest cost: where most of the seeds come so near to it, they agree
 
 
 Evaluate = Callable[[dict[str, float]], Future[Mapping[str, Any]]]
@@ -56,14 +60,15 @@ class SearchResult:
 
 @dataclass(frozen=True)
 class Tuning:
-    """The searches of all seeds."""
+    """The searches of all seeds, and the last one, which begins where the best of them ended."""
 
     problem: Problem
     searches: tuple[SearchResult, ...]
+    refinement: SearchResult
 
     @property
     def best(self) -> SearchResult:
-        return min(self.searches, key=lambda search: search.cost)
+        return min((*self.searches, self.refinement), key=lambda search: search.cost)
 
     @property
     def optimiser(self) -> str:
@@ -71,17 +76,14 @@ class Tuning:
 
     @property
     def evaluations(self) -> int:
-        return sum(len(search.curve) for search in self.searches)
-
-    @property
-    def curve(self) -> tuple[float, ...]:
-        """The lowest cost of all seeds after each evaluation of a seed."""
-        return tuple(map(min, zip(*(search.curve for search in self.searches), strict=True)))
+        return sum(len(search.curve) for search in (*self.searches, self.refinement))
 
     @property
     def improvement(self) -> float:
-        """How much lower the cost became in the last part of the evaluations, relative to what it was."""
-        before = self.curve[int((1.0 - LAST_PART) * len(self.curve)) - 1]
+        """How much lower the cost became in the last part of the last search, relative to what it was."""
+        curve = self.refinement.curve
+        first_part = curve[: int((1.0 - LAST_PART) * len(curve))]
+        before = min(*(search.cost for search in self.searches), *first_part)
         return (before - self.best.cost) / before if before else 0.0
 
     @property
@@ -92,8 +94,13 @@ class Tuning:
 
     @property
     def is_flat(self) -> bool:
-        """Whether more evaluations, or other seeds, would hardly lower the cost."""
-        return self.improvement <= LARGEST_IMPROVEMENT and self.spread <= LARGEST_SPREAD
+        """Whether more evaluations hardly lower the cost about the best gains."""
+        return self.improvement <= LARGEST_IMPROVEMENT
+
+    @property
+    def seeds_agree(self) -> bool:
+        """Whether one seed would have been enough; else the surface has valleys or ridges."""
+        return self.spread <= LARGEST_SPREAD
 
 
 def tune(
@@ -113,16 +120,22 @@ def tune(
     if evaluations < 1 or not seeds:
         raise OrchestrationError("nothing to tune: expected a gain, a seed and an evaluation or more")
     journal = Journal(path, {**problem.tuned, **_what_is_searched(problem, evaluations)})
-    done = journal.begin()
-    searches = [_SeedSearch(problem, seed, evaluations) for seed in seeds]
-    lowest = float("inf")
-    while rows := [row for search in searches for row in search.ask()]:
-        for row in _evaluated(rows, done, evaluate, journal):
-            lowest = min(lowest, row["cost"])
-            progress(1, lowest)
-        for search in searches:
-            search.tell()
-    return Tuning(problem, tuple(search.result() for search in searches))
+    done, lowest = journal.begin(), math.inf
+
+    def search(together: Sequence[_SeedSearch]) -> tuple[SearchResult, ...]:
+        nonlocal lowest
+        while rows := [row for one in together for row in one.ask()]:
+            for row in _evaluated(rows, done, evaluate, journal):
+                lowest = min(lowest, row["cost"])
+                progress(1, lowest)
+            for one in together:
+                one.tell()
+        return tuple(one.result() for one in together)
+
+    results = search([_SeedSearch(problem, seed, evaluations) for seed in seeds])
+    best = min(results, key=lambda result: result.cost)
+    (refinement,) = search([_SeedSearch(problem, REFINEMENT, evaluations, best.gains)])
+    return Tuning(problem, results, refinement)
 
 
 def _evaluated(
@@ -167,11 +180,14 @@ def _check_same(row: Mapping[str, Any], stored: Mapping[str, Any], path: Path) -
 
 
 class _SeedSearch:
-    """The search of one seed, with every evaluation that it asked for."""
+    """The search of one seed, with every evaluation that it asked for; start: the gains that it begins at."""
 
-    def __init__(self, problem: Problem, seed: int, evaluations: int) -> None:
+    def __init__(
+        self, problem: Problem, seed: int, evaluations: int, start: Mapping[str, float] | None = None
+    ) -> None:
         self._gains, self._seed = problem.gains, seed
-        self._search = Search(len(problem.gains), seed, evaluations)
+        begin = [gain.position(start[gain.name]) for gain in problem.gains] if start else None
+        self._search = Search(len(problem.gains), seed, evaluations, begin)
         self._rows: list[dict[str, Any]] = []
         self._asked = 0
 

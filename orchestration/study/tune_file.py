@@ -10,8 +10,9 @@ from fmus.files import write_text_atomically
 from orchestration.study.tune import LARGEST_IMPROVEMENT, LARGEST_SPREAD, LAST_PART, SearchResult, Tuning
 
 CRITERION = (
-    f"flat: the last {100 * LAST_PART:g} % of the evaluations lower the cost by at most "
-    f"{100 * LARGEST_IMPROVEMENT:g} %, and most seeds come within {100 * LARGEST_SPREAD:g} % of the lowest"
+    f"flat: the last {100 * LAST_PART:g} % of the search that begins at the best gains of all seeds lower "
+    f"the cost by at most {100 * LARGEST_IMPROVEMENT:g} %; the seeds agree: most of them come within "
+    f"{100 * LARGEST_SPREAD:g} % of the lowest"
 )
 
 
@@ -36,6 +37,7 @@ def document(tuning: Tuning, fixed: Mapping[str, Any], provenance: Mapping[str, 
             **provenance,
             "cost": best.cost,
             "is_flat": tuning.is_flat,
+            "seeds_agree": tuning.seeds_agree,
             "criterion": CRITERION,
             "improvement_in_the_last_part": tuning.improvement,
             "median_seed_above_the_lowest": tuning.spread,
@@ -43,6 +45,7 @@ def document(tuning: Tuning, fixed: Mapping[str, Any], provenance: Mapping[str, 
             "evaluations": tuning.evaluations,
             "figures": dict(best.figures),
             "seeds": [_seed(search) for search in tuning.searches],
+            "refinement": _seed(tuning.refinement),
         },
         "parameters": {**unchanged, **_tuned_gains(tuning, str(provenance.get("protocol")))},
     }
@@ -52,8 +55,8 @@ def _tuned_gains(tuning: Tuning, protocol: str) -> dict[str, Any]:
     """A table for each gain that was free."""
     best = tuning.best
     source = (
-        f"tuned: cost {best.cost:.4g} cm of protocol {protocol}, seed {best.seed}, "
-        f"{len(best.curve)} evaluations of each of {len(tuning.searches)} seeds; not a published value"
+        f"tuned: cost {best.cost:.4g} cm of protocol {protocol}, {len(best.curve)} evaluations of each of "
+        f"{len(tuning.searches)} seeds and from the best of them; not a published value"
     )
     return {
         f"controller.{gain.name}": {

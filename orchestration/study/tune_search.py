@@ -12,27 +12,33 @@ from fmus.extras import require
 
 _BEGIN = (0.25, 0.75)  # of the unit cube: the first mean of a search is drawn from there
 _STEP = 0.25  # first standard deviation: half of the range lies within one of the mean
+_FINE_STEP = 0.05  # that of a search which begins at a point that another one has found
 
 
 class Search:
     """Points of the unit cube, generation by generation, until the evaluations are used up.
 
     The same seed and the same costs give the same points, so that a search continues from its costs alone.
+    start: point that the search begins at, in small steps; by default it begins anywhere
     """
 
-    def __init__(self, dimensions: int, seed: int, evaluations: int) -> None:
+    def __init__(
+        self, dimensions: int, seed: int, evaluations: int, start: Sequence[float] | None = None
+    ) -> None:
         self._dimensions = dimensions
         self._random = np.random.default_rng(seed)
         self._remaining = evaluations
         self._points: list[np.ndarray] = []
+        self._start = start
         self._begin(None)
 
     def _begin(self, population: int | None) -> None:
         cmaes = require("cmaes", "study", "tuning")
         size = max(self._dimensions, 2)  # CMA-ES adapts a covariance: one gain gets a second coordinate
+        anywhere = self._random.uniform(*_BEGIN, size)
         self._strategy = cmaes.CMA(
-            mean=self._random.uniform(*_BEGIN, size),
-            sigma=_STEP,
+            mean=anywhere if self._start is None else np.array([*self._start, 0.5])[:size],
+            sigma=_STEP if self._start is None else _FINE_STEP,
             bounds=np.tile([0.0, 1.0], (size, 1)),
             seed=int(self._random.integers(2**31)),
             population_size=population,

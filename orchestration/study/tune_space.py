@@ -40,6 +40,12 @@ class FreeGain:
             value = self.low + (self.high - self.low) * position
         return min(max(float(f"{value:.{_DIGITS}g}"), self.low), self.high)
 
+    def position(self, value: float) -> float:
+        """Where a gain stands in its range, 0..1."""
+        if self.low > 0.0:
+            return math.log(value / self.low) / math.log(self.high / self.low)
+        return (value - self.low) / (self.high - self.low)
+
     def is_at_a_limit(self, value: float) -> bool:
         """Whether the range of the search, and not the cost, determines this value."""
         return not self.value(_AT_A_LIMIT) < value < self.value(1.0 - _AT_A_LIMIT)

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from fmpy.model_description import ScalarVariable
@@ -219,3 +220,18 @@ def _retry_obstacle(system: CheckedSystem, experiment: Experiment) -> str:
         if incapable:
             return f"{', '.join(incapable)} cannot {action} ({capability})"
     return ""
+
+
+def values_of(prepared: PreparedRun, component: str) -> dict[str, Any]:
+    """Variable -> value of the parameters and constant inputs of a component; of an Enumeration, its item."""
+    given = {port.name: value for port, value in prepared.settings}
+    values = {}
+    for variable in prepared.system.descriptions[component].modelVariables:
+        if variable.causality in ("parameter", "input"):
+            value = given.get(f"{component}.{variable.name}", start_value(variable))
+            declared: Any = variable.declaredType
+            items: dict[Any, str] = {
+                int(i.value): str(i.name) for i in getattr(declared, "items", None) or ()
+            }
+            values[variable.name] = items.get(value, value) if variable.type == "Enumeration" else value
+    return values

@@ -56,7 +56,7 @@ class HeldLaw:
     def __init__(self, case: Case, step: float, reference_rate: Callable[[float], float]) -> None:
         self.case, self.step, self.reference_rate = case, step, reference_rate
         self.p = case.law
-        self.known = self._known(0.0, (case.plant["initial_depth"], 0.0))
+        self.known = self._known(0.0, (case.first_reading, 0.0))
 
     def _known(self, t: float, x: Pair) -> Known:
         return Known(*x, self.case.reference(t), self.reference_rate(t))
@@ -102,7 +102,7 @@ class Mrac(HeldLaw):
         q = np.diag([self.p["lyapunov_weight[1]"], self.p["lyapunov_weight[2]"]])
         p = solve_continuous_lyapunov(np.array([[0.0, 1.0], self.a]).T, -q)
         self.pb = (p @ [0.0, self.b]).tolist()
-        self.state = (case.plant["initial_depth"], 0.0, 0.0, 0.0)
+        self.state = (case.first_reading, 0.0, 0.0, 0.0)
 
     def ahead(self) -> float:
         """f [N]."""
@@ -156,7 +156,7 @@ class SuperTwisting(HeldLaw):
 class Adrc(HeldLaw):
     def __init__(self, case: Case, step: float, reference_rate: Callable[[float], float]) -> None:
         super().__init__(case, step, reference_rate)
-        self.state = (case.plant["initial_depth"], 0.0, 0.0)
+        self.state = (case.first_reading, 0.0, 0.0)
 
     def control(self) -> float:
         p, k, (z_1, z_2, z_3) = self.p, self.known, self.state

@@ -4,16 +4,17 @@ Nothing of `controller_fmu`, `plant_fmu` or `fmus.numerics` is used. Depth and f
 
     vehicle   M w' = F + w_d + W - B(z) - D w_r - D_q |w_r| w_r,   z' = w,   w_r = w - v_c
               F' = (efficiency sat(u) - F) / T
-    sensor    z every 40 ms, rounded to its resolution and held, without noise; ideal: z and w at every time
+    sensor    z and noise every 40 ms, rounded to its resolution and held; ideal: z and w at every time
     observer  z_p = z_hat + T_o v,   z_hat = z_p + alpha (y - z_p),   v = v + beta / T_o (y - z_p)
 
 Vehicle and law exchange at communication points, both at once (Jacobi), and hold in between what they
-receive: what a law puts out depends on the measurement of the point before.
+receive: what a law puts out depends on the measurement of the point before. The control that enters the
+vehicle, or all that leaves it, may arrive late, on straight lines between communication points.
 Source: Maalouf et al. (2013), (10) and section 4.1, with the errata of docs/fidelity.md.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -42,6 +43,7 @@ class Case:
     """plant, law: values by the names of the parameters; ideal: sensor and velocity.
 
     reference [m], force [N], current v_c [m/s], efficiency of both thrusters together, 0..1: of time [s]
+    noise: of every sample of the sensor [m]; delays [s]
     """
 
     plant: Values
@@ -52,6 +54,19 @@ class Case:
     duration: float
     current: Callable[[float], float] = lambda t: 0.0
     efficiency: Callable[[float], float] = lambda t: 1.0
+    noise: Sequence[float] = ()
+    control_delay: float = 0.0
+    measurement_delay: float = 0.0
+
+    def reading(self, sample: int, depth: float) -> float:
+        """What the sensor reads [m]."""
+        noise = self.noise[sample] if self.noise else 0.0
+        return rounded(depth + noise, self.plant["sensor_resolution"])
+
+    @property
+    def first_reading(self) -> float:
+        depth = self.plant["initial_depth"]
+        return depth if self.ideal else self.reading(0, depth)
 
 
 def largest_force(plant: Values) -> float:
@@ -82,24 +97,38 @@ def vehicle(
 
 def run(case: Case, step: float, law: Law) -> dict[str, np.ndarray]:
     """Time, depth, reference and demanded force at communication points `step` s apart."""
-    plant, z = case.plant, case.plant["initial_depth"]
-    period = round(case.law["observer_period"] / step)
-    state, measured, observer = (z, 0.0, 0.0), (z, 0.0), (z, 0.0)
-    rows = []
+    plant, period = case.plant, round(case.law["observer_period"] / step)
+    state, observer = (plant["initial_depth"], 0.0, 0.0), (case.first_reading, 0.0)
+    rows, depths, rates, controls = list[State](), list[float](), list[float](), list[float]()
     for i in range(round(case.duration / step) + 1):
         t = i * step
-        if case.ideal:
-            measured = state[0], state[1]
-        elif i % period == 0:
-            reading = rounded(state[0], plant["sensor_resolution"])
-            observer = observed(case.law, observer, reading) if i else observer
-            measured = reading, observer[1]
-        u = law.control()
+        is_sampled = not case.ideal and i % period == 0
+        sent = case.reading(i // period, state[0]) if is_sampled else state[0] if case.ideal else depths[-1]
+        depths.append(sent)
+        rates.append(state[1])
+        late = case.measurement_delay / step
+        depth, rate = arrived(depths, late), arrived(rates, late)
+        if is_sampled and i:
+            observer = observed(case.law, observer, depth)
+        controls.append(u := law.control())
         rows.append((t, state[0], case.reference(t), u))
-        held = u, case.force(t), case.current(t), case.efficiency(t)
+        held = (
+            arrived(controls, case.control_delay / step),
+            case.force(t),
+            case.current(t),
+            case.efficiency(t),
+        )
         state = advanced(lambda x, held=held: vehicle(plant, x, *held), state, step)
-        law.advance(t, measured, u)
+        law.advance(t, (depth, rate if case.ideal else observer[1]), u)
     return dict(zip(("time", "depth", "reference", "u"), np.array(rows).T, strict=True))
+
+
+def arrived(sent: Sequence[float], steps: float) -> float:
+    """What was sent so many steps before the last value, on a line between two values; at first the first."""
+    position = max(0.0, len(sent) - 1 - steps)
+    before = int(position)
+    after = min(before + 1, len(sent) - 1)
+    return sent[before] + (position - before) * (sent[after] - sent[before])
 
 
 def rounded(depth: float, resolution: float) -> float:

@@ -142,7 +142,7 @@ class _Law:
 
     def __init__(self, equations: Equations, step: float, kind: LawStep) -> None:
         self.equations, self.step, self.kind = equations, step, kind
-        measured = equations.case.plant["initial_depth"], 0.0
+        measured = equations.case.first_reading, 0.0
         self.x, self.e, self.u_before = measured, measured[0] - equations.case.reference(0.0), 0.0
         self.f = equations.feedforward(0.0)
         self.estimates: State = (*measured, 0.0, 0.0)

@@ -11,13 +11,11 @@ from orchestration.results import metrics
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
-from tests.closed_loop.same_experiment import SMOOTH, component_values, slope
-from tests.closed_loop.second_program import L1Case, LawStep, continuous, sampled
+from tests.closed_loop.same_experiment import SMOOTH
+from tests.closed_loop.second_program import LawStep, continuous, sampled
+from tests.closed_loop.shipped_case import shipped_case
 
 IDEAL = {"plant.sensor_ideal": True, "controller.velocity_source": "measured"}
-
-
-PIECEWISE = (-0.1, 0.04)  # A_s [1/s] and Ts [s] of the FMU
 
 
 def chosen(name: str, step: float = 0.02, stop: float | None = None, **parameters: Any) -> Scenario:
@@ -30,33 +28,12 @@ def chosen(name: str, step: float = 0.02, stop: float | None = None, **parameter
     )
 
 
-def case_of(loaded: Scenario) -> L1Case:
-    """The same experiment for the second program: numbers of the model descriptions and of the scenario."""
-    experiment = loaded.experiment
-    values, given, signals = component_values(loaded), experiment.parameters, experiment.signals
-    second = signals.get("plant.thruster_efficiency[2]", lambda t: 1.0)
-    return L1Case(
-        plant=values["plant"],
-        law=values["controller"],
-        augmentation=str(given.get("controller.augmentation", "none")),
-        feedforward=str(given.get("controller.reference_feedforward", "none")),
-        piecewise=PIECEWISE if "controller.adaptation_law" in given else None,
-        reference_rate=slope,
-        ideal=bool(given.get("plant.sensor_ideal", False)),
-        reference=signals["controller.depth_reference"],
-        force=signals.get("plant.external_force", lambda t: 0.0),
-        current=signals.get("plant.current_velocity", lambda t: 0.0),
-        efficiency=lambda t: 0.5 * (1.0 + second(t)),
-        duration=experiment.stop_time,
-    )
-
-
 def compare(loaded: Scenario) -> tuple[Recording, dict[str, np.ndarray]]:
     """The depths of both differ by less than 5 um: the closed form of the adaptation holds its projection and
     regressor over an interval, and is of second order in its 0.02 s (4 um at most of 20 cm were measured).
     In waves theta_hat comes into the layer of its projection, where it is of first order (33 um)."""
     own = simulate(loaded.system, loaded.experiment)
-    second = sampled(case_of(loaded), loaded.experiment.step_size, LawStep.BETWEEN_MEASUREMENTS)
+    second = sampled(shipped_case(loaded), loaded.experiment.step_size, LawStep.BETWEEN_MEASUREMENTS)
     layer = 4.77  # N: theta_bound / sqrt(1 + eps)
     tolerance = 5e-5 if np.abs(own["controller.theta_hat[1]"]).max() > layer else 5e-6
     np.testing.assert_allclose(own["plant.depth"], second["depth"], rtol=0.0, atol=tolerance)
@@ -87,7 +64,7 @@ def test_a_second_program_gives_the_figures_of_the_scenario(scenario_fmus: None,
     """Within 0.5 % and 0.05 s, whatever second order makes of a held measurement."""
     loaded = chosen(name)
     own, second = compare(loaded)
-    held = sampled(case_of(loaded), loaded.experiment.step_size, LawStep.HELD)
+    held = sampled(shipped_case(loaded), loaded.experiment.step_size, LawStep.HELD)
     ours = figures(loaded, own)
     assert len(ours) > 1
     for other, tolerance in ((second, 5e-4), (held, 5e-3)):
@@ -117,7 +94,7 @@ def test_a_second_program_gives_the_figures_of_the_other_forms_of_the_law(
     """A program that holds the measurement differs by second order of the step alone: 1.5e-4 at most."""
     loaded = chosen("nominal-l1", **law)
     ours = figures(loaded, simulate(loaded.system, loaded.experiment))
-    theirs = figures(loaded, recording(sampled(case_of(loaded), 0.02, LawStep.HELD)))
+    theirs = figures(loaded, recording(sampled(shipped_case(loaded), 0.02, LawStep.HELD)))
     assert ours["rmse"] == pytest.approx(theirs["rmse"], rel=5e-4)
     assert ours["settling_time"] == pytest.approx(theirs["settling_time"], abs=0.05)
 
@@ -130,7 +107,7 @@ def test_the_figures_tend_to_those_of_the_continuous_system_with_first_order(
     """With an ideal sensor, whose sampling would be part of the system."""
     loaded = [chosen(name, step, **IDEAL) for step in (0.02, 0.01)]
     own = [simulate(one.system, one.experiment) for one in loaded]
-    exact = deviation(continuous(case_of(loaded[0]), own[0].time), own[0].time)
+    exact = deviation(continuous(shipped_case(loaded[0]), own[0].time), own[0].time)
     errors = [deviation(run["plant.depth"], run.time) / exact - 1.0 for run in own]
     assert 0.0 < errors[0] < 0.03
     # second-order terms are about the step times the loop's 4 rad/s = 8 %

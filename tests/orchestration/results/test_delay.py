@@ -58,6 +58,8 @@ def test_points_at_other_distances_have_the_same_delay() -> None:
     lag = shift_lag(run, "z", "r", LARGEST)
     assert lag == pytest.approx(shift_lag(equal, "z", "r", LARGEST), abs=3e-4)
     assert lag == pytest.approx(4.56, abs=1e-3)  # lines in place of waves
+    assert shift_lag(recording(time, reference, reference), "z", "r", LARGEST) == 0.0
+    assert shift_lag(equal, "r", "r", LARGEST) == pytest.approx(0.0, abs=1e-9)  # rounding of sums
 
 
 def test_a_delay_between_points_at_the_end_of_the_search_is_none() -> None:

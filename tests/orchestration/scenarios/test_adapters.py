@@ -117,7 +117,7 @@ def test_two_connections_to_one_input_in_an_entry_are_refused(tmp_path: Path) ->
     with pytest.raises(ScenarioError) as refusal:
         scenario.load(tmp_path / "base.toml", settings={"controller": str(tmp_path / "my.fmu")})
     assert str(refusal.value) == (
-        f"{tmp_path}/base.toml:6: when_replaced: controller.v1 and controller.v2 are connected to "
+        f"{tmp_path}/base.toml:6: controller.v1 and controller.v2 are connected to "
         "plant.voltage[1]: expected one connection to an input"
     )
 

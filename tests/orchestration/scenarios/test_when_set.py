@@ -1,4 +1,4 @@
-"""Signals that a base adds for a value of a parameter: what the reference feedforward of ours needs."""
+"""Entries that a base adds for a value of a parameter, such as what our reference feedforward needs."""
 
 from pathlib import Path
 
@@ -75,3 +75,35 @@ def test_another_controller_without_the_inputs_gets_none_of_them(tmp_path: Path)
         loaded = scenario.load(scenario.find("nominal-feedforward"), settings=settings)
     prepare(loaded.system, loaded.experiment)
     assert not loaded.experiment.signals
+
+
+def test_entries_of_every_kind_join_those_of_the_base(tmp_path: Path) -> None:
+    text = """
+base = "nominal-l1"
+[[when_set]]
+parameter = "controller.augmentation"
+values = ["pi"]
+connections = [["controller.demanded_force", "plant.external_force"]]
+parameters = { "plant.sensor_seed" = 7 }
+inputs = { "plant.current_velocity" = 0.1 }
+signals = { "plant.roll" = { kind = "constant", value = 0.2 } }
+record = ["plant.thruster_force[1]"]
+metrics = { deepest = { function = "peak", signal = "plant.depth" } }
+"""
+    (tmp_path / "mine.toml").write_text(text)
+    without, chosen = (
+        scenario.load(tmp_path / "mine.toml", settings={"controller.augmentation": augmentation})
+        for augmentation in ("none", "pi")
+    )
+    shipped = scenario.load(scenario.find("nominal-l1"))
+    assert (without.experiment, without.metrics) == (shipped.experiment, shipped.metrics)
+    assert without.system.connections == shipped.system.connections
+    added = ("controller.demanded_force", "plant.external_force")
+    assert chosen.system.connections == (*shipped.system.connections, added)
+    assert chosen.experiment.parameters["plant.sensor_seed"] == 7
+    assert chosen.experiment.inputs["plant.current_velocity"] == 0.1
+    assert chosen.experiment.signals["plant.roll"](0.0) == 0.2
+    assert not {"plant.roll", "plant.external_force"} & chosen.experiment.inputs.keys()
+    assert chosen.experiment.record == (*shipped.experiment.record, "plant.thruster_force[1]")
+    assert chosen.metrics.keys() == {*shipped.metrics, "deepest"}
+    prepare(chosen.system, chosen.experiment)

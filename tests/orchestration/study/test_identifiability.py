@@ -121,13 +121,40 @@ def test_draws_that_are_not_enough_guide_another_round(
     assert counts["runs"] == sum(int(batch["runs"]) for batch in batches)
 
 
-def test_the_key_is_of_what_the_study_imports() -> None:
-    """Also what a function imports, and what is imported by what is imported; nothing of the score."""
-    sources = {path.relative_to(ROOT).as_posix() for path in imported_sources(Path(identifiability.__file__))}
-    study = {path.rpartition("/")[2] for path in sources if path.startswith("orchestration/study/")}
-    assert {"posterior.py", "depth_loop_model.py", "missing_effects.py", "eight_figures.py"} <= study
-    assert {"orchestration/master/simulator.py", "fmus/compiled_library.py"} <= sources
-    assert not {"score.py", "identifiability_tables.py"} & study
+def test_a_key_is_of_what_the_study_imports_of_its_room() -> None:
+    """And of what is imported by that; nothing of the score, and for the model nothing that runs FMUs."""
+    study = Path(identifiability.__file__)
+    every, model = (
+        {path.name for path in imported_sources(file)} for file in (study, study.with_name("posterior.py"))
+    )
+    assert model == {"posterior.py", "proposal.py", "open_numbers.py", "depth_loop_model.py"}
+    assert model | {"missing_effects.py", "eight_figures.py", "figure_fits.py", "vehicle_runs.py"} <= every
+    assert not {"score.py", "identifiability_tables.py", "margins.py"} & every
+
+
+def test_what_a_reader_sees_alone_is_no_content(tmp_path: Path) -> None:
+    file, keys = tmp_path / "source.py", list[str]()
+    for text in (
+        "def f(x):\n    return x + 1\n",
+        '"""What f is."""\n\n\ndef f(x):\n    """One more."""\n    return (x\n    + 1)  # more\n',
+        "def f(x):\n    return x + 2\n",
+    ):
+        file.write_text(text, encoding="utf-8")
+        keys.append(content_key([file], {"given": 1.0}))
+    assert keys[0] == keys[1] != keys[2]
+    assert content_key([file], {"given": 2.0}) != keys[2]
+
+
+def test_a_result_of_other_rooms_is_content_of_the_keys(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A figure of a run counts in the key of runs alone; a value of the vehicle counts in both."""
+    model, runs = identifiability.model_key(), identifiability.runs_key()
+    monkeypatch.setattr(VehicleRuns, "one", lambda *given: {"rmse": 0.0})
+    assert identifiability.model_key() == model
+    other_runs = identifiability.runs_key()
+    heavier = {**identifiability.shipped_values(), "plant.inertia": 6.0}
+    monkeypatch.setattr(identifiability, "shipped_values", lambda: heavier)
+    assert identifiability.model_key() != model
+    assert len({runs, other_runs, identifiability.runs_key()}) == 3
 
 
 def test_the_summary_of_a_column_and_of_a_change(points: dict[str, np.ndarray]) -> None:

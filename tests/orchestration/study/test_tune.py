@@ -79,8 +79,8 @@ def test_every_free_gain_has_the_same_number_of_evaluations(tmp_path: Path, free
         return {"cost": 1.0}
 
     tuning = tune(Problem(GAINS[:free]), SEEDS, 7, tmp_path / "journal", at_once(cost))
-    assert len(asked) == tuning.evaluations == 7 * free * len(SEEDS)
-    assert {len(search.curve) for search in tuning.searches} == {7 * free}
+    assert len(asked) == tuning.evaluations == 7 * free * (len(SEEDS) + 1)
+    assert {len(search.curve) for search in (*tuning.searches, tuning.refinement)} == {7 * free}
     assert all(list(gains) == [gain.name for gain in GAINS[:free]] for gains in asked)
 
 
@@ -102,9 +102,9 @@ def test_an_interrupted_tuning_continues_to_the_same_result(tmp_path: Path, cut_
     text = path.read_text()
     path.write_text(text[: len(text) - cut_off])  # as after a power failure
     done = len(path.read_text().split("\n")) - 1 - (cut_off > 0)
-    rest = Interrupted(10 * len(GAINS) * len(SEEDS) - done)  # not one evaluation is made twice
+    rest = Interrupted(10 * len(GAINS) * (len(SEEDS) + 1) - done)  # not one evaluation is made twice
     assert done > 10
-    assert tuned(path, rest, 10).searches == tuned(tmp_path / "other", known_cost, 10).searches
+    assert tuned(path, rest, 10) == tuned(tmp_path / "other", known_cost, 10)
     assert rest.calls == 0
 
 
@@ -149,25 +149,38 @@ def ends_at(cost: float, falls_at: int = 50, before: float = 8.0) -> SearchResul
     return SearchResult(1, {}, {}, (*[before] * falls_at, *[cost] * (100 - falls_at)))
 
 
-def tuning_of(*searches: SearchResult) -> Tuning:
-    return Tuning(Problem(GAINS), searches)
+def tuning_of(*searches: SearchResult, last: SearchResult) -> Tuning:
+    return Tuning(Problem(GAINS), searches, last)
 
 
-def test_the_lowest_cost_must_not_fall_in_the_last_quarter() -> None:
-    assert tuning_of(ends_at(5.0, falls_at=74)).is_flat
-    assert not tuning_of(ends_at(5.0, falls_at=75)).is_flat
-    assert tuning_of(ends_at(5.0, falls_at=75)).improvement == pytest.approx(0.375)
-    assert tuning_of(ends_at(5.0, falls_at=90, before=5.1)).is_flat  # by 1.96 %
-    assert not tuning_of(ends_at(5.0, falls_at=90, before=5.11)).is_flat  # by 2.15 %
-    late = ends_at(5.0, falls_at=90)
-    assert tuning_of(ends_at(5.0), ends_at(5.0), late).is_flat  # another seed was there before
+def test_a_last_search_begins_at_the_best_gains_in_small_steps(tmp_path: Path) -> None:
+    tuning = tuned(tmp_path / "journal", evaluations_per_gain=10)
+    start = min(tuning.searches, key=lambda search: search.cost)
+    rows = [json.loads(line) for line in (tmp_path / "journal").read_text().split("\n")[1:]]
+    first = [row["gains"] for row in rows if row["seed"] == 0][:7]  # a generation
+    for gain in GAINS:
+        away = [gain.position(gains[gain.name]) - gain.position(start.gains[gain.name]) for gains in first]
+        assert 0.0 < max(map(abs, away)) < 0.25  # five of its steps
+    assert tuning.best.cost == min(start.cost, tuning.refinement.cost) < start.cost
 
 
-def test_most_seeds_must_come_near_the_lowest_cost() -> None:
-    near, far = ends_at(5.24), ends_at(5.26)
-    assert tuning_of(ends_at(5.0), near, far).is_flat
-    assert not tuning_of(ends_at(5.0), far, far).is_flat
-    assert tuning_of(ends_at(5.0), near, ends_at(7.0)).spread == pytest.approx(0.048)
+def test_the_lowest_cost_must_not_fall_in_the_last_half_of_the_last_search() -> None:
+    found = ends_at(8.0)
+    assert tuning_of(found, last=ends_at(5.0, falls_at=49)).is_flat
+    assert not tuning_of(found, last=ends_at(5.0, falls_at=50)).is_flat
+    assert tuning_of(found, last=ends_at(5.0, falls_at=50)).improvement == pytest.approx(0.375)
+    assert tuning_of(found, last=ends_at(5.0, falls_at=90, before=5.1)).is_flat  # by 1.96 %
+    assert not tuning_of(found, last=ends_at(5.0, falls_at=90, before=5.11)).is_flat  # by 2.15 %
+    assert tuning_of(ends_at(5.0), last=ends_at(5.0, falls_at=90)).is_flat  # a seed was there before
+    assert tuning_of(ends_at(5.0), last=ends_at(6.0)).improvement == 0.0
+
+
+def test_seeds_agree_if_most_come_near_the_lowest_cost() -> None:
+    near, far, last = ends_at(5.24), ends_at(5.26), ends_at(5.0)
+    assert tuning_of(ends_at(5.0), near, far, last=last).seeds_agree
+    assert not tuning_of(ends_at(5.0), far, far, last=last).seeds_agree
+    assert not tuning_of(near, near, near, last=ends_at(4.9)).seeds_agree
+    assert tuning_of(ends_at(5.0), near, ends_at(7.0), last=last).spread == pytest.approx(0.048)
 
 
 def test_the_file_holds_gains_for_scenarios_and_says_how_far_to_trust_them(tmp_path: Path) -> None:
@@ -179,11 +192,12 @@ def test_the_file_holds_gains_for_scenarios_and_says_how_far_to_trust_them(tmp_p
     written = tomllib.loads(path.read_text())
     assert written["tuning"]["is_flat"] is tuning.is_flat
     assert written["tuning"]["protocol"] == "7"
-    assert written["tuning"]["evaluations"] == 10 * len(GAINS) * len(SEEDS)
+    assert written["tuning"]["evaluations"] == 10 * len(GAINS) * (len(SEEDS) + 1)
     assert [table["cost"] for table in written["tuning"]["seeds"]] == [s.cost for s in tuning.searches]
     entry = written["parameters"]["controller.kp"]
     assert (entry["unit"], entry["limits"]) == ("N/m", [0.1, 100.0])
-    for table, search in zip(written["tuning"]["seeds"], tuning.searches, strict=True):
+    tables = [*written["tuning"]["seeds"], written["tuning"]["refinement"]]
+    for table, search in zip(tables, (*tuning.searches, tuning.refinement), strict=True):
         for count, cost in table["curve"]:
             assert search.curve[count - 1] == cost
         assert table["curve"][-1] == [30, search.cost]

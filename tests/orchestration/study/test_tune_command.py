@@ -69,7 +69,7 @@ def test_a_tuning_continues_after_an_end_to_the_same_file(
     assert not [worker for worker in workers if worker.is_running()]
     if number == signal.SIGINT:
         assert process.returncode == 130
-        assert "of 18 evaluations are done and kept; the same command continues" in error
+        assert "of 27 evaluations are done and kept; the same command continues" in error
     done = journal.read_text().count("\n")
     assert 4 <= done < 18
     command("tune", "l1", *OPTIONS, "--out", "ended")
@@ -87,4 +87,4 @@ def test_the_gains_of_any_fmu_are_tuned_for_scenarios(command: Command) -> None:
     gains = scenario.parameter_values(Path("results/pid.toml"))
     assert 1.0 <= gains["controller.kp"] <= 20.0
     written = tomllib.loads(Path("results/pid.toml").read_text())["tuning"]
-    assert (written["controller"], written["evaluations"]) == ("pid", 4)
+    assert (written["controller"], written["evaluations"]) == ("pid", 8)

@@ -1,0 +1,62 @@
+"""Delay margins through the FMUs against the second program of the loop, with the noise of its sensor."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from orchestration.master import simulate
+from orchestration.scenarios import scenario
+from orchestration.scenarios.scenario import Scenario
+from orchestration.study.fmu_margins import DELAY_RESOLUTION, delay_margin
+from orchestration.study.hold import LoopSignal
+from tests.closed_loop.second_program import L1Case, LawStep, sampled
+from tests.closed_loop.shipped_case import shipped_case
+
+STEP, END = 0.02, 140.0  # s: of communication; when the reference leaves 0.8 m
+JUDGED = 100.0  # s: since when the hold is judged
+QUIET, MOVED = 3e-3, 0.04  # m
+UNROUNDED = {"plant.sensor_resolution": 0.0}
+
+
+def noisy_case(loaded: Scenario) -> L1Case:
+    """The scenario until the end of its hold, with the noise that its sensor has.
+
+    Without rounding, what the sensor reads is depth and noise.
+    """
+    experiment = replace(
+        loaded.experiment,
+        stop_time=END,
+        parameters={**loaded.experiment.parameters, **UNROUNDED},
+        record=("plant.depth", "plant.measured_depth"),
+    )
+    run = simulate(loaded.system, experiment)
+    noise = (run["plant.measured_depth"] - run["plant.depth"])[::2]
+    return replace(shipped_case(loaded), duration=END, noise=tuple(noise.tolist()))
+
+
+def is_quiet(case: L1Case, signal: LoopSignal, delay: float) -> bool:
+    late = {"control_delay" if signal is LoopSignal.CONTROL else "measurement_delay": delay}
+    run = sampled(replace(case, **late), STEP, LawStep.BETWEEN_MEASUREMENTS)
+    held = run["depth"][run["time"] >= JUDGED - 1e-9]
+    return bool(np.std(held) < QUIET and abs(np.mean(held) - 0.8) < MOVED)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "settings"), [("nominal-l1", {}), ("nominal-extended", {}), ("nominal-extended", UNROUNDED)]
+)
+@pytest.mark.parametrize("signal", list(LoopSignal))
+def test_a_second_program_loses_its_quietness_at_the_delay_that_was_measured(
+    scenario_fmus: None, name: str, settings: dict[str, float], signal: LoopSignal
+) -> None:
+    """Within the resolution of 1 ms that the margin states, and 2 ms where the sensor rounds to 2 mm.
+
+    Depths that differ by micrometres are rounded differently now and then, and are different realisations
+    of the noise from then on; the deviation in the hold changes by a tenth with them.
+    """
+    loaded = scenario.load(scenario.find(name), {"parameters": settings})
+    scan, case = delay_margin(loaded, signal, only_first_loss=True), noisy_case(loaded)
+    apart = DELAY_RESOLUTION if settings else 2.0 * DELAY_RESOLUTION
+    assert is_quiet(case, signal, scan.margin - apart)
+    assert not is_quiet(case, signal, scan.lost + apart)
