@@ -2,6 +2,7 @@
 
 import textwrap
 from pathlib import Path
+from typing import Any
 
 from pythonfmu.builder import FmuBuilder
 
@@ -117,7 +118,7 @@ NAMES = tuple(_SOURCES)
 SAVES_STATE = {"canGetAndSetFMUstate": True, "canSerializeFMUstate": True}
 
 
-def build(name: str, folder: Path, **capabilities: bool) -> Path:
+def build(name: str, folder: Path, **capabilities: Any) -> Path:
     """`folder/NAME.fmu` of one of the classes above; capabilities: such as `SAVES_STATE`."""
     script = folder / f"{name.lower()}_slave.py"
     script.write_text(textwrap.dedent(_HEAD) + textwrap.dedent(_SOURCES[name]))
