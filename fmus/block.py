@@ -43,6 +43,7 @@ def variable(
     variability: "fixed" or "tunable" for a parameter; otherwise the class decides.
     source: where a number comes from: published, estimate or guess.
     """
+    start = _plain(start)
     if isinstance(start, list):  # which a dataclass refuses with a message about its own
         raise TypeError(f"start {start!r}: expected a tuple")
     ranges = {"minimum": min, "maximum": max, "nominal": nominal}
@@ -50,6 +51,13 @@ def variable(
     units = {"unit": unit, "display_unit": display_unit}
     metadata = {"units": units, "variability": variability, "ranges": ranges, "texts": texts}
     return field(default=start, metadata=metadata)
+
+
+def _plain(start: Any) -> Any:
+    """A start value with Python's numbers in place of NumPy's, and a list in place of an array."""
+    if isinstance(start, tuple):
+        return tuple(map(_plain, start))
+    return start.tolist() if hasattr(start, "tolist") else start
 
 
 @dataclass(frozen=True)
@@ -207,7 +215,8 @@ class Block:
 
 def is_frozen(cls: Any) -> bool:
     """Whether it is a class with @dataclass(frozen=True)."""
-    return isinstance(cls, type) and is_dataclass(cls) and cls.__dataclass_params__.frozen  # type: ignore[attr-defined]
+    is_own = isinstance(cls, type) and "__dataclass_params__" in vars(cls)  # and not only of a base class
+    return is_own and cls.__dataclass_params__.frozen
 
 
 def _with_internal_step(parameters: type, start: float) -> type:

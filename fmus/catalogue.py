@@ -22,6 +22,7 @@ from fmus.export import native as native_flavour
 from fmus.export import python as python_flavour
 from fmus.export.faithful import check_faithful
 from fmus.export.guard import location, own_line
+from fmus.export.samples import check_samples
 from fmus.export.symbolic import traced
 from fmus.files import write_archive
 from fmus.instance import BlockError, Instance
@@ -130,6 +131,7 @@ def _building(block: Block, order: Order) -> Iterator[Callable[[], list[Path]]]:
     _, members = native_flavour.content(block, True) if order.reals_only else export.content(block)
     with export.compiled_libraries(block.name, members, order.platforms) as libraries:
         check_faithful(block)
+        check_samples(block)
         reference = _reference_run(block)
         shown = {"model.png": icon(block)} | reference_files.members(reference, block.name)
         shown |= terminals(block) if order.with_terminals else {}

@@ -90,7 +90,7 @@ def _trajectory(
             yield (t, *(instance.get(reference) for reference in references))
         if i < count:
             apply(t)
-            instance.do_step(t, (i + 1) * step_size - t)
+            instance.do_step(t, step_size)
 
 
 def _input_rows(

@@ -17,6 +17,9 @@ COUNTERPARTS = {
 _CONSTANTS = "compute it from constants alone"
 _FINITE = "leave it out: a step whose results are not finite is refused"
 
+_TUPLES = "use tuples, their comprehensions, and Python's sum"
+_DEBUG = "leave it out, or call the function in a test"
+
 # a function of Python, its `math` or NumPy that has no counterpart -> what to do
 INSTEAD = {
     "add": "use x + y",
@@ -25,6 +28,10 @@ INSTEAD = {
     "bool": "leave it out",
     "comb": _CONSTANTS,
     "complex": "use two numbers",
+    "concatenate": "use (*x, *y)",
+    "cross": _TUPLES,
+    "diag": _TUPLES,
+    "diff": _TUPLES,
     "divide": "use x / y",
     "erfc": "use 1.0 - fmus.numerics.erf(x)",
     "factorial": _CONSTANTS,
@@ -35,6 +42,8 @@ INSTEAD = {
     "fsum": "use sum",
     "gamma": _CONSTANTS,
     "gcd": _CONSTANTS,
+    "heaviside": "use fmus.numerics.where",
+    "inv": "use fmus.numerics.solve",
     "isclose": "use fmus.numerics.absolute(x - y) <= tolerance",
     "isfinite": _FINITE,
     "isinf": _FINITE,
@@ -43,6 +52,7 @@ INSTEAD = {
     "lcm": _CONSTANTS,
     "ldexp": "use x * fmus.numerics.exp2(i)",
     "lgamma": _CONSTANTS,
+    "mean": "use sum(x) / len(x)",
     "mod": "use x - y * fmus.numerics.floor(x / y)",
     "modf": "use fmus.numerics.fmod(x, 1.0) and fmus.numerics.trunc(x)",
     "multiply": "use x * y",
@@ -50,8 +60,11 @@ INSTEAD = {
     "nextafter": _CONSTANTS,
     "norm": "use fmus.numerics.hypot(*x)",
     "perm": _CONSTANTS,
+    "print": _DEBUG,
+    "prod": "use math.prod",
     "range": "use a constant number of turns",
     "square": "use x * x",
+    "str": _DEBUG,
     "subtract": "use x - y",
     "sum": "use Python's sum",
     "ulp": _CONSTANTS,
@@ -60,7 +73,7 @@ INSTEAD = {
 
 _OPERATORS = {
     ast.And: "logical_and", ast.BitAnd: "logical_and", ast.Or: "logical_or", ast.BitOr: "logical_or",
-    ast.BitXor: "logical_xor", ast.Not: "logical_not", ast.Invert: "logical_not",
+    ast.BitXor: "logical_xor", ast.Not: "logical_not", ast.Invert: "logical_not", ast.MatMult: "matmul",
 }  # fmt: skip
 
 
@@ -87,6 +100,8 @@ def advice(expression: str, statement: str, default: str) -> str:
 def _name(expression: ast.expr) -> str:
     """The function that an expression calls, or the one that stands for an operator."""
     match expression:
+        case ast.JoinedStr():
+            return "str"
         case ast.Call(func=ast.Attribute(attr=name) | ast.Name(id=name)):
             return name
         case ast.Compare(ops=[ast.In() | ast.NotIn()]):

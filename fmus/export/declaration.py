@@ -46,6 +46,8 @@ def check_declaration(block: Block) -> None:
     for declared in fields(block.state):
         for reason in _state_mistakes(declared):
             raise _refusal(block, block.state, declared.name, reason)
+    for cls, name, reason in _shape_mistakes([getattr(block, role) for role in (*_INTERFACE, "state")]):
+        raise _refusal(block, cls, name, reason)
     by_causality = {v.causality: getattr(block, role) for role in _INTERFACE for v in _of_role(block, role)}
     for v in block.variables:
         for reason in _value_mistakes(v):
@@ -59,7 +61,8 @@ def check_result(block: Block, name: str, result: Any) -> None:
     cls = getattr(block, _RESULTS[name])
     where = f"block {block.name!r}: {location(getattr(block, name))}{name} returns "
     if not isinstance(result, cls) and not (cls is NoValues and result is None):
-        raise ExportError(f"{where}{type(result).__name__}: expected {cls.__name__}(...)")
+        got = "a number" if _is_one_number(result) else type(result).__name__
+        raise ExportError(f"{where}{got}: expected {cls.__name__}(...)")
     for path, got, expected in _differences(result, cls(), cls.__name__):
         raise ExportError(f"{where}{path} as {got}: expected {expected}")
 
@@ -128,6 +131,26 @@ def _state_mistakes(declared: Field) -> Iterator[str]:
         yield f"expected a plain value, {declared.name}: float = 0.0; a state is no variable of the FMU"
     else:
         yield from _type_mistakes(declared)
+
+
+def _shape_mistakes(classes: list[type]) -> Iterator[tuple[type, str, str]]:
+    """(class, field, reason) for what cannot be made of its values by their places, at any depth."""
+    for cls in classes:
+        for declared in fields(cls):
+            if declared.kw_only or not declared.init:
+                yield cls, declared.name, "expected a field without kw_only and init=False"
+            for part in _parts(declared.default):
+                if isinstance(part, tuple) and type(part) is not tuple:
+                    yield cls, declared.name, f"{part!r}: expected a plain tuple or a frozen dataclass"
+                elif is_dataclass(part):
+                    yield from _shape_mistakes([type(part)])
+
+
+def _parts(value: Any) -> Iterator[Any]:
+    """A value and, of a tuple, everything in it."""
+    yield value
+    for element in value if isinstance(value, tuple) else ():
+        yield from _parts(element)
 
 
 def _type_mistakes(declared: Field) -> Iterator[str]:
@@ -213,5 +236,13 @@ def _differences(result: Any, template: Any, path: str) -> Iterator[tuple[str, s
             for member in fields(template):
                 name = member.name
                 yield from _differences(getattr(result, name), getattr(template, name), f"{path}.{name}")
-    elif isinstance(result, tuple | list | str | None) or is_dataclass(result):
+    elif not _is_one_number(result):
         yield path, f"a {type(result).__name__}", "one number"
+
+
+def _is_one_number(value: Any) -> bool:
+    """Whether it is a number, of NumPy or Python, or the symbol of one."""
+    if isinstance(value, float | int):
+        return True
+    count = getattr(value, "numel", None)
+    return count() == 1 if count else getattr(value, "ndim", None) == 0

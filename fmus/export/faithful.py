@@ -16,8 +16,9 @@ import numpy as np
 from fmus.block import Block, flatten, unflatten
 from fmus.errors import ExportError
 from fmus.export.draws import disturbed, drawn, rounded
-from fmus.export.guard import location, own_line
+from fmus.export.guard import NO_MEMORY, location, own_line
 from fmus.export.symbolic import traced
+from fmus.numerics.symbols import are_numbers
 
 _POINTS, _STEPS = 60, 3  # draws of parameters; steps from each, with inputs drawn anew
 _DRAWS = 20  # of parameters for a point, until they meet the requirements
@@ -26,6 +27,7 @@ _PERTURBATIONS, _AMPLIFIED = 8, 32.0
 _MOST_AMPLIFIED = (
     0.2  # of the points; a function that amplifies rounding at more of them is not compared at all
 )
+_AT_TWO_CALLS = f"at one call and {{}} at another, same arguments; {NO_MEMORY}"
 _FUNCTIONS = ("calculate", "requirements", "initial_state", "output", "step")
 
 
@@ -137,8 +139,12 @@ class _Comparison:
         try:
             result = self._python(*arguments)
             values = flatten(result) if is_dataclass(result) else [holds for holds, _ in result]
+            if not all(isinstance(value, complex) or are_numbers(value) for value in values):
+                raise ExportError(f"{self._where} gives what an earlier call has kept; {NO_MEMORY}")
             if any(isinstance(value, complex) or not math.isfinite(value) for value in values):
                 return None, None
+        except ExportError:
+            raise
         except (ArithmeticError, ValueError) as error:
             self._errors.append((arguments, error))
             return None, None
@@ -160,8 +166,8 @@ class _Comparison:
         ):
             again = self._evaluate(arguments)[1] or [math.nan] * len(numbers)
             exactly = [0.0] * len(numbers)
-            self._compare(result, numbers, again, exactly, "at one call and {} at another, same arguments")
-            rounding = [_EQUAL * max(abs(x), abs(y)) for x, y in zip(numbers, given, strict=True)]
+            self._compare(result, numbers, again, exactly, _AT_TWO_CALLS)
+            rounding = [_EQUAL * abs(x) for x in numbers]
             if not all(map(_are_near, numbers, given, rounding)):
                 amplified += 1
                 moved = self._moved(arguments, numbers, rng)
@@ -182,8 +188,9 @@ class _Comparison:
         for (_, error), numbers in zip(errors, results, strict=True):
             if all(map(math.isfinite, numbers)):
                 raise ExportError(
-                    f"{self._where} raises {_described(error)}, where compiled code gives numbers; give an "
-                    "alternative of fmus.numerics.where that is not always legal as a function: lambda: ..."
+                    f"{self._where} raises {_described(error)}, where compiled code gives numbers; exclude "
+                    "such values with min, max or requirements, or give an alternative of "
+                    "fmus.numerics.where that is not always legal as a function: lambda: ..."
                 )
 
     def _traced_numbers(self, calls: list[Sequence[Any]]) -> list[list[float]]:

@@ -56,6 +56,7 @@ _REFUSED = {
 _BINARY = ("__mod__", "__floordiv__", "__divmod__", "__and__", "__or__", "__xor__")
 _REFUSED |= {f"__r{name[2:]}": _REFUSED[name] for name in _BINARY}
 _UNKNOWN = "but the value is not known before the FMU runs"
+NO_MEMORY = "an FMU has no memory beside its state"
 _OPERATORS = {  # of NumPy, which an operator between a NumPy number and a symbol calls
     "add": operator.add, "subtract": operator.sub, "multiply": operator.mul, "divide": operator.truediv,
     "power": operator.pow, "less": operator.lt, "less_equal": operator.le, "greater": operator.gt,
@@ -134,7 +135,7 @@ def _refuse_impure(package: str, frame: FrameType, event: str, called: Any) -> N
     Python may call others in between: handlers of signals, and of the garbage collector, of libraries.
     """
     if event == "call" and (name := _assigned_global(frame.f_code)) and _is_of_block(frame, package):
-        raise _RefusedError(f"the global {name} is assigned, but an FMU has no memory beside its state")
+        raise _RefusedError(f"the global {name} is assigned, but {NO_MEMORY}")
     if event == "c_call" and _is_draw(called) and _is_of_block(frame, package):
         raise _RefusedError(f"{called.__name__} gives another value at each call; use the time and the state")
 
@@ -189,16 +190,21 @@ def _reason(error: Exception) -> str:
         return f"{cause}"
     file, line, expression = own
     if not isinstance(cause, _RefusedError):
-        return f"{file}:{line}: {expression}: {type(cause).__name__}: {cause}"
+        use = advice(expression, "", "") if type(cause) is TypeError else ""
+        return f"{file}:{line}: {expression}: {type(cause).__name__}: {cause}" + (f"; {use}" if use else "")
     use = advice(expression, linecache.getline(file, line).strip(), cause.function)
-    return f"{file}:{line}: {expression}: {cause}" + (f"; {use}" if use else "")
+    use = use or ("use tuples and fmus.numerics" if "NumPy" in str(cause) else "")
+    where = f"{file}:{line}: {expression}" if expression else f"{file}:{line}"
+    return f"{where}: {cause}" + (f"; {use}" if use else "")
 
 
 def own_line(error: Exception) -> tuple[str, int, str] | None:
     """File, line and expression of the user's that led to an error, where there is one."""
     frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
     summaries = traceback.extract_tb(error.__traceback__)
-    own = [s for frame, s in zip(frames, summaries, strict=True) if _is_users(frame)]
+    users = [(frame, s) for frame, s in zip(frames, summaries, strict=True) if _is_users(frame)]
+    beside = [s for frame, s in users if _is_beside(frame)]
+    own = beside or [s for _, s in users]  # a block may be installed itself
     if not own:
         return None
     file, line, column = own[-1].filename, own[-1].lineno or 0, own[-1].colno or 0

@@ -37,14 +37,15 @@ class Traced:
         self.block = block
         check_declaration(block)
         t, h = casadi.SX.sym("t"), casadi.SX.sym("h")
-        (ps, p), (cs, c), (us, u) = map(_symbols, (block.parameters, block.calculated, block.inputs))
         call = partial(guard.call, block.name)
+        interface = (block.parameters, block.calculated, block.inputs)
+        (ps, p), (cs, c), (us, u) = (_symbols(block, role) for role in interface)
         calculated, conditions = call(block.calculate, p), call(block.requirements, p, c)
         check_result(block, "calculate", calculated)
         check_requirements(block, conditions)
         initial = call(block.initial_state, t, u, p, c)
         check_result(block, "initial_state", initial)
-        xs, x = _symbols(initial)
+        xs, x = _symbols(block, initial)
         stepped = call(block.step, t, h, x, u, p, c)
         check_result(block, "step", stepped)
         check_result(block, "output", call(block.output, t, x, p, c))
@@ -118,14 +119,19 @@ def traced(block: Block) -> Traced:
     except ExportError:
         raise
     except (TypeError, AttributeError, RuntimeError, NotImplementedError) as error:
+        if " are free." in str(error):  # symbols that are no arguments of a function, in CasADi's words
+            reason = (
+                f"a function changes its arguments, or gives what an earlier call has kept; {guard.NO_MEMORY}"
+            )
+            raise ExportError(f"block {block.name!r} cannot be traced: {reason}") from error
         raise ExportError(f"block {block.name!r} cannot be traced: {error}") from error
 
 
-def _symbols(template: Any) -> tuple[casadi.SX, Any]:
-    """A column of symbols, and the same in the shape of the template."""
+def _symbols(block: Block, template: Any) -> tuple[casadi.SX, Any]:
+    """A column of symbols, and the same in the shape of the template, a class of the block or a value."""
     count = len(flatten(template() if isinstance(template, type) else template))
     column = casadi.SX.sym("x", count)
-    return column, unflatten(template, [column[i] for i in range(count)])
+    return column, guard.call(block.name, unflatten, template, [column[i] for i in range(count)])
 
 
 def _column(value: Any) -> casadi.SX:

@@ -15,5 +15,5 @@ def casadi() -> Any:
 
 
 def are_numbers(*values: object) -> bool:
-    """Whether no value is a symbol."""
-    return all(isinstance(value, _NUMBERS) for value in values)
+    """Whether no value is a symbol. NumPy's numbers and truth values, which have a dtype, are none either."""
+    return all(isinstance(value, _NUMBERS) or hasattr(value, "dtype") for value in values)

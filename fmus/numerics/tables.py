@@ -4,13 +4,17 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 from fmus.numerics.choice import clip, where
+from fmus.numerics.symbols import are_numbers
 
 
 def interp(x: float, xp: Sequence[float], fp: Sequence[float]) -> float:
     """The line through the points (xp, fp) at x, held before the first and after the last, as `np.interp`.
 
     xp: ascending, each number larger than the one before; fp: as many. Both may be numbers or symbols.
+    Raises ValueError for other points, as far as they are numbers: say of parameters what is expected in the
+    requirements of the block.
     """
+    _check_points(xp, len(fp))
     points = list(zip(xp, fp, strict=True))
     value = points[-1][1]
     for (x_0, y_0), (x_1, y_1) in reversed(list(pairwise(points))):
@@ -25,10 +29,22 @@ def interp2d(
 
     xp, yp: ascending, each number larger than the one before
     fp: fp[i][j] is the value at (xp[i], yp[j])
+    Raises ValueError as `interp` does.
     """
+    _check_points(xp, len(fp))
+    for row in fp:
+        _check_points(yp, len(row))
     weights_x, weights_y = _weights(x, xp), _weights(y, yp)
     rows = [sum(w * f for w, f in zip(weights_y, row, strict=True)) for row in fp]
     return sum(w * row for w, row in zip(weights_x, rows, strict=True))
+
+
+def _check_points(points: Sequence[float], values: int) -> None:
+    """ValueError for points that do not ascend, or are not as many as the values."""
+    if len(points) != values:
+        raise ValueError(f"{len(points)} points and {values} values: expected as many")
+    if are_numbers(*points) and not all(a < b for a, b in pairwise(points)):
+        raise ValueError(f"points {tuple(points)}: expected ascending numbers, of parameters by requirements")
 
 
 def _weights(x: float, points: Sequence[float]) -> list[float]:

@@ -164,7 +164,7 @@ def pendulum(s: Chain, u: Inputs, p: Parameters, t: float, h: float) -> Chain:
     return Chain((*rates, *s.x[2:]))
 
 
-GAIN, NAMES = 3.0, {"slow": 0.5, "fast": 2.0}
+GAIN, MATRIX, NAMES = 3.0, numpy.array([[1.0, 2.0], [3.0, 4.0]]), {"slow": 0.5, "fast": 2.0}
 
 WORKING: dict[str, Block] = {
     "tanh of fmus.numerics": block_of(lambda s, u, p, t, h: Number(n.tanh(u.u)), Number),
@@ -196,6 +196,9 @@ WORKING: dict[str, Block] = {
     "a loop of fixed length": block_of(lambda s, u, p, t, h: Number(newton(abs(u.u) + 1.0)), Number),
     "a list comprehension": block_of(lambda s, u, p, t, h: Number(sum([x * x for x in u.v])), Number),
     "a constant of the file": block_of(lambda s, u, p, t, h: Number(GAIN * s.x + math.pi * u.u), Number),
+    "constants of NumPy": block_of(
+        lambda s, u, p, t, h: Number(where(MATRIX[0, 1] * u.u > 0.0, n.matmul(MATRIX, u.v)[0], s.x)), Number
+    ),
     "a key that is constant": block_of(lambda s, u, p, t, h: Number(NAMES["slow"] * s.x), Number),
     "a differential equation": block_of(pendulum, Chain, lambda s: s.x[0]),
     "replace": block_of(lambda s, u, p, t, h: replace(s, x=u.u), FilteredIntegral),
@@ -247,6 +250,29 @@ def counts_globally(s: Number, u: Inputs, p: Parameters, t: float, h: float) -> 
 def remembers(s: Number, u: Inputs, p: Parameters, t: float, h: float) -> Number:
     MEMORY.append(MEMORY[-1] + 1.0)
     return Number(s.x + MEMORY[-1])
+
+
+class Remembers:
+    """A controller as an object, whose state is hidden from the block."""
+
+    def __init__(self) -> None:
+        self.integral: Any = 0.0
+
+    def __call__(self, s: Number, u: Inputs, p: Parameters, t: float, h: float) -> Number:
+        self.integral = self.integral + h * u.u
+        return Number(self.integral)
+
+
+def changes_its_argument(s: Number, u: Inputs, p: Parameters, t: float, h: float) -> Number:
+    object.__setattr__(s, "x", s.x + u.u)
+    return s
+
+
+def catches_the_division_by_zero(s: Number, u: Inputs, p: Parameters, t: float, h: float) -> Number:
+    try:
+        return Number(s.x / u.u)
+    except ZeroDivisionError:
+        return Number(0.0)
 
 
 def loops(s: Number, u: Inputs, p: Parameters, t: float, h: float) -> Number:
@@ -327,12 +353,45 @@ REFUSED: dict[str, tuple[Rule, str]] = {
     "an exception": (raises, f"u.u < 0.0: a truth value is needed, {UNKNOWN}; use fmus.numerics.where"),
     "a text": (
         lambda s, u, p, t, h: Number(1.0 if f"{u.u}" else 0.0),
-        f"a text is needed, {UNKNOWN}",
+        f"a text is needed, {UNKNOWN}; leave it out, or call the function in a test",
     ),
     "a division by zero": (
         lambda s, u, p, t, h: Number(where(u.u == 0.0, 0.0, s.x / u.u)),
-        "s.x / u.u, where compiled code gives numbers; give an alternative of fmus.numerics.where that is "
-        "not always legal as a function: lambda: ...",
+        "s.x / u.u, where compiled code gives numbers; exclude such values with min, max or requirements, or "
+        "give an alternative of fmus.numerics.where that is not always legal as a function: lambda: ...",
+    ),
+    "an exception that is caught": (
+        catches_the_division_by_zero,
+        "step gives x = 0.0 in Python and inf when it is traced",
+    ),
+    "an argument that is changed": (
+        changes_its_argument,
+        "a function changes its arguments, or gives what an earlier call has kept; an FMU has no memory "
+        "beside its state",
+    ),
+    "a list that an object changes": (
+        Remembers(),
+        "step gives what an earlier call has kept; an FMU has no memory beside its state",
+    ),
+    "a table that descends": (
+        lambda s, u, p, t, h: Number(n.interp(u.u, (1.0, 0.0), (0.0, 1.0))),
+        "ValueError: points (1.0, 0.0): expected ascending numbers, of parameters by requirements",
+    ),
+    "a product of other sizes": (
+        lambda s, u, p, t, h: Number(n.matmul([[1.0, 2.0, 3.0]], u.v)[0]),
+        "ValueError: matmul of 1 x 3 and a vector of 2: expected as many columns as rows",
+    ),
+    "a system that is not square": (
+        lambda s, u, p, t, h: Number(n.solve(((1.0, 2.0, 0.0), (0.0, 1.0, 1.0)), u.v)[0]),
+        "ValueError: solve of 2 x 3 and a vector of 2: expected a square matrix with as many rows",
+    ),
+    "the operator of matrices": (
+        lambda s, u, p, t, h: Number(u.v @ p.gains),  # type: ignore[operator]
+        "TypeError: unsupported operand type(s) for @: 'tuple' and 'tuple'; use fmus.numerics.matmul",
+    ),
+    "an array as a number": (
+        lambda s, u, p, t, h: Number(numpy.eye(2)[0]),  # type: ignore[arg-type]
+        "step returns Number.x as a ndarray: expected one number",
     ),
     "a state of another shape": (lambda s, u, p, t, h: Chain(), "step returns Chain: expected Number(...)"),
 }

@@ -4,9 +4,10 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any
 
+import numpy
 import pytest
 
-from fmus.block import Block, flatten, unflatten, variable
+from fmus.block import Block, NoValues, flatten, unflatten, variable
 
 
 class Mode(IntEnum):
@@ -121,3 +122,27 @@ def test_a_class_that_is_no_frozen_dataclass_is_refused() -> None:
 
     with pytest.raises(TypeError, match=r"'Tiny': state: expected a class with @dataclass\(frozen=True\)"):
         replace(BLOCK, state=Changeable)
+
+
+def test_a_class_that_is_frozen_by_its_base_alone_is_refused() -> None:
+    """Its own fields would be no variables."""
+
+    class More(State):
+        y: float = 0.0
+
+    with pytest.raises(TypeError, match=r"'Tiny': state: expected a class with @dataclass\(frozen=True\)"):
+        replace(BLOCK, state=More)
+
+
+def test_start_values_of_numpy_become_numbers_of_python() -> None:
+    @dataclass(frozen=True)
+    class Gains:
+        one: float = variable(numpy.float64(2.0), "One")
+        count: int = variable(numpy.int64(3), "Whole")
+        more: tuple[float, ...] = variable(tuple(numpy.linspace(0.0, 1.0, 3)), "More")
+
+    starts = [
+        v.start for v in replace(BLOCK, parameters=Gains, inputs=NoValues).of_causality("parameter")[:-1]
+    ]
+    assert starts == [2.0, 3, 0.0, 0.5, 1.0]
+    assert [type(start) for start in starts] == [float, int, float, float, float]

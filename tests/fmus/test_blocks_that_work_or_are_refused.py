@@ -3,6 +3,7 @@
 import inspect
 import random
 import re
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,24 @@ import pytest
 from fmus import catalogue
 from fmus.errors import ExportError
 from fmus.export.faithful import check_faithful
+from fmus.export.samples import check_samples
 from fmus.export.symbolic import traced
 from fmus.instance import Instance
+from fmus.numerics import sampled
 
-from .small_blocks import REFUSED, REFUSED_STATES, WORKING, Number, Rule, block_of, one_block_of_all
+from .small_blocks import (
+    REFUSED,
+    REFUSED_STATES,
+    WORKING,
+    Number,
+    Rule,
+    SampledMean,
+    block_of,
+    one_block_of_all,
+)
+
+# where no line of the rule is at fault, but what it returns
+NAMED_BY_THE_FUNCTION = ("a list", "a state", "an argument", "an array", "an exception that is caught")
 
 
 @pytest.mark.parametrize("name", WORKING)
@@ -41,7 +56,7 @@ def test_it_is_refused_with_its_line_and_what_to_write(name: str) -> None:
     rule, message = REFUSED[name]
     with pytest.raises(ExportError, match=re.escape(message) + "( -?[0-9]|$)") as refusal:
         check_faithful(block_of(rule, Number))
-    if not name.startswith(("a list", "a state")):
+    if not name.startswith(NAMED_BY_THE_FUNCTION):
         assert line_of(str(refusal.value), rule) in lines(rule)
 
 
@@ -50,6 +65,20 @@ def test_a_state_of_another_type_is_refused(name: str) -> None:
     rule, state, message = REFUSED_STATES[name]
     with pytest.raises(ExportError, match=re.escape(message)):
         check_faithful(block_of(rule, state))
+
+
+def test_a_block_whose_steps_are_longer_than_its_period_is_refused() -> None:
+    """Also by half a per cent; a step as long as the period misses nothing."""
+    steps = {period: block_of(partial(measures_every, period), SampledMean) for period in (0.0995, 0.1)}
+    with pytest.raises(
+        ExportError, match=r"step misses samples in internal steps of 0\.1 s: expected a step_size"
+    ):
+        check_samples(steps[0.0995])
+    check_samples(steps[0.1])
+
+
+def measures_every(period: float, s: SampledMean, u: Any, p: Any, t: float, h: float) -> SampledMean:
+    return sampled(t, period, s, SampledMean(u.u))
 
 
 @pytest.mark.parametrize("name", ["an Integer state", "a Boolean state", "an Enumeration state"])

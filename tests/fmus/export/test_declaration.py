@@ -9,7 +9,7 @@ from fmus.errors import ExportError
 
 BLOCK = """\
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from fmus.block import Block, variable
 
@@ -175,7 +175,22 @@ MISTAKES = [
     (
         "def output(t, s, p, c):\n    return Outputs(s.x + c.total)",
         "def output(t, s, p, c):\n    return s.x",
-        "output returns SX: expected Outputs(...)",
+        "output returns a number: expected Outputs(...)",
+    ),
+    (
+        "x: float = 0.0",
+        "x: float = field(default=0.0, init=False)",
+        "State.x: expected a field without kw_only and init=False",
+    ),
+    (
+        "x: float = 0.0",
+        'x: tuple = type("Pair", (tuple,), {})((0.0, 1.0))',
+        "State.x: (0.0, 1.0): expected a plain tuple or a frozen dataclass",
+    ),
+    (
+        "x: float = 0.0",
+        "x: float = 0.0; __post_init__ = lambda self: 1.0 if self.x < 9.0 else 2.0",
+        "self.x < 9.0: a truth value is needed, but",
     ),
     (STEP, STEP.replace("State(", "State(math.nan * "), "step holds a constant that is not a number"),
     (STEP, STEP.replace("u.u", "u.v"), "'Inputs' object has no attribute 'v'"),
