@@ -20,7 +20,10 @@ from orchestration.cli.shared import (
 )
 
 if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
     from orchestration.sweep.plan import Plan
+    from orchestration.sweep.workers import Workers
 
 
 def sweep(
@@ -28,8 +31,16 @@ def sweep(
     out: OutFolder = Path("results"),
     workers: Annotated[
         int | None,
-        typer.Option(help="Run so many processes on this machine; by default one for each core.", min=1),
+        typer.Option(
+            help="Run so many samples at once on this machine; by default one for each core.", min=1
+        ),
     ] = None,
+    isolated: Annotated[
+        bool,
+        typer.Option(
+            "--isolated", help="Run FMUs in processes apart, also those that are known to need none."
+        ),
+    ] = False,
     scheduler: Annotated[
         str,
         typer.Option(
@@ -62,25 +73,26 @@ def sweep(
     from orchestration.sweep.samples import recorded_signals
 
     changes = Changes.of_options(controller, settings, mapped, open_inputs)
-    alone = {"--workers": workers, "--scheduler": scheduler, "--recordings": recordings, "--restart": restart}
+    alone = {"--workers": workers, "--isolated": isolated, "--scheduler": scheduler}
+    alone |= {"--recordings": recordings, "--restart": restart}
     if sample is not None:
         refuse_without_effect("--sample", alone)
     if scheduler:
-        refuse_without_effect("--scheduler", {"--workers": workers})
+        refuse_without_effect("--scheduler", {"--workers": workers, "--isolated": isolated})
     planned = plan(chosen_scenario.load(name, flavour, changes))
     if sample is not None:
         _run_one(planned, sample, out)
         return
     recorded = recorded_signals(recordings, planned)
 
-    from orchestration.sweep import cluster, table  # Dask is slow to import: after what can be refused
+    from orchestration.sweep import table  # Arrow is slow to import: after what can be refused
     from orchestration.sweep.run import sweep as run_samples
     from orchestration.sweep.summary import summary_table
 
-    client = cluster.remote(scheduler) if scheduler else cluster.local(workers or os.cpu_count() or 1)
+    started = _workers(workers, isolated, scheduler)
     with progress("sweep", planned.count) as bar:
         try:
-            path = run_samples(planned, out, client, recorded, restart, bar.advance)
+            path = run_samples(planned, out, started, recorded, restart, bar.advance)
         except KeyboardInterrupt:
             fail(
                 f"interrupted: {bar.done} of {planned.count} samples are done and kept; "
@@ -91,6 +103,16 @@ def sweep(
     print(path)
     if recordings:
         print(path.with_suffix(".recordings"))
+
+
+def _workers(count: int | None, isolated: bool, scheduler: str) -> "AbstractContextManager[Workers]":
+    if scheduler:
+        from orchestration.sweep import cluster  # Dask is slow to import
+
+        return cluster.remote(scheduler)
+    from orchestration.sweep.local import local
+
+    return local(count or os.cpu_count() or 1, isolated)
 
 
 def _run_one(planned: "Plan", sample: int, out: Path) -> None:

@@ -1,6 +1,7 @@
 """The communication loop compiled: `loop.c`, by whoever built the wheel, else at its first use."""
 
 import ctypes
+import threading
 import warnings
 from functools import cache, partial
 from pathlib import Path
@@ -15,6 +16,7 @@ from orchestration.master.loop import python_loop
 from orchestration.master.loop_data import LoopFunctions, Wiring
 
 _SOURCE = "loop.c"
+_loading = threading.Lock()
 
 
 def compiled_loop(wiring: Wiring) -> LoopFunctions:
@@ -65,7 +67,8 @@ def _flat(value: Any) -> list[int]:
 
 def library() -> ctypes.CDLL:
     """The compiled loop: of the wheel, else compiled once for this user. Else ExportError or OSError."""
-    loaded = _library_or_error()
+    with _loading:  # two threads would load it twice, each with a floating-point mode of its own to restore
+        loaded = _library_or_error()
     if isinstance(loaded, Exception):
         raise loaded
     return loaded

@@ -49,9 +49,9 @@ class ProcessGuard:
         ends = " ended the process (it called exit): the run is lost; with a timeout FMUs have their own\n"
         lines = [f"l1-depth: {name}".encode()[:100] + ends.encode() for name in names]
         texts = b"".join(line.ljust(_TEXT_SIZE, b"\0") for line in lines)
-        self._library = _library()
-        runs = _runs() if self._library else np.zeros((0, 2), np.int64)
         with _lock:
+            self._library = _library()
+            runs = _runs() if self._library else np.zeros((0, 2), np.int64)
             free = np.flatnonzero(runs[:, 0] == 0)
             self._row = int(free[0]) if len(free) else -1
             if self._row >= 0:

@@ -30,6 +30,7 @@ _TITLE = re.compile(r"(.*) \[([^\[\]]*)\]", re.DOTALL)  # of a signal with its u
 _UNIT, _KIND, _PROVENANCE = b"unit", b"l1_depth.kind", b"l1_depth.provenance"
 _RECORDING = b"recording"
 _BLOCK = 1000  # rows that are text at a time
+_GROUP = 1 << 17  # rows of Parquet that are copied at a time
 _BYTES = {RecordingFormat.CSV: 20, RecordingFormat.PARQUET: 8}  # about, of a number in a file
 
 
@@ -196,11 +197,14 @@ def _write_parquet(path: Path, content: Content) -> None:
         for name, unit in zip(names, units, strict=True)
     ]
     metadata = {_KIND: _RECORDING, _PROVENANCE: json.dumps(content.provenance)}
-    values = content.columns() if content.texts else content.values.T
-    columns = [pa.array(column) for column in (content.time, *values)]
-    table = pa.Table.from_arrays(columns, schema=pa.schema(fields, metadata=metadata))
-    with open_atomically(path) as stream:
-        pq.write_table(table, stream)
+    schema = pa.schema(fields, metadata=metadata)
+    with open_atomically(path) as stream, pq.ParquetWriter(stream, schema) as writer:
+        for start in range(0, max(len(content.time), 1), _GROUP):
+            rows = slice(start, start + _GROUP)
+            part = content._replace(values=content.values[rows])
+            values = part.columns() if content.texts else part.values.T
+            columns = [pa.array(column) for column in (content.time[rows], *values)]
+            writer.write_table(pa.Table.from_arrays(columns, schema=schema))
 
 
 def _read_parquet(path: Path) -> Content:

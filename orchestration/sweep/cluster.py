@@ -1,4 +1,4 @@
-"""Where the samples run: on workers of this machine, or on a cluster that is there already."""
+"""The workers of a Dask cluster: one that is there already, or one of this machine."""
 
 import logging
 from collections.abc import Iterator
@@ -7,6 +7,7 @@ from tempfile import TemporaryDirectory
 
 from fmus.extras import imports_of
 from orchestration.errors import SweepError
+from orchestration.sweep.dask_workers import DaskWorkers
 from orchestration.sweep.worker import IgnoreSigint
 
 with imports_of("sweep", "a sweep"):
@@ -17,8 +18,11 @@ _PATIENCE_S = 30.0  # for a scheduler to answer and for its first worker
 
 
 @contextmanager
-def local(workers: int) -> Iterator[Client]:
-    """So many processes of one thread each, reachable from this machine alone."""
+def local(workers: int) -> Iterator[DaskWorkers]:
+    """So many processes of one thread each, reachable from this machine alone, to try what a cluster does.
+
+    Without a cluster, `orchestration.sweep.local` starts sooner and needs less.
+    """
     with (
         TemporaryDirectory(prefix="l1-depth-sweep-", ignore_cleanup_errors=True) as folder,
         config.set({"temporary-directory": folder}),  # of all of Dask, not of its workers alone
@@ -35,11 +39,11 @@ def local(workers: int) -> Iterator[Client]:
         Client(cluster) as client,
     ):
         client.register_plugin(IgnoreSigint())
-        yield client
+        yield DaskWorkers(client)
 
 
 @contextmanager
-def remote(address: str) -> Iterator[Client]:
+def remote(address: str) -> Iterator[DaskWorkers]:
     """The workers of a scheduler somewhere, such as tcp://host:8786."""
     try:
         client = Client(address, timeout=_PATIENCE_S, name="l1-depth sweep")
@@ -50,4 +54,4 @@ def remote(address: str) -> Iterator[Client]:
             client.wait_for_workers(1, timeout=_PATIENCE_S)
         except TimeoutError:
             raise SweepError(f"the scheduler at {address} has no workers: expected one or more") from None
-        yield client
+        yield DaskWorkers(client)

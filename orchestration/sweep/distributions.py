@@ -1,4 +1,4 @@
-"""Distributions by name: a declaration becomes a function from a uniform number to a value.
+"""Distributions by name: a declaration becomes a function from uniform numbers to values.
 
 Inverse transform: value = F^-1(F(low) + u (F(high) - F(low))), u uniform in [0, 1), F the cumulative
 distribution, low..high the range that it is truncated to. One number in, one value out: what one
@@ -7,23 +7,25 @@ variable is given does not depend on how another is drawn.
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 from typing import Any
+
+import numpy as np
 
 from orchestration.errors import ScenarioError
 
 
 @dataclass(frozen=True)
 class Distribution:
-    """quantile: a uniform number in [0, 1) -> a value
+    """quantile: uniform numbers in [0, 1) -> as many values
 
     reach: least and largest value that it can give; nan where that says nothing
     probes: numbers whose values stand for all that it can give, to check before anything is drawn
     """
 
-    quantile: Callable[[float], Any]
+    quantile: Callable[[Sequence[float]], list[Any]]
     reach: tuple[float, float] = (math.nan, math.nan)
     probes: tuple[float, ...] = (0.5,)
 
@@ -41,8 +43,8 @@ def _truncated(name: str, low: float, high: float, *shape: float, **location: fl
         raise ScenarioError(f"expected some probability within {low:g}..{high:g}, got none")
     least, largest = max(low, float(law.support()[0])), min(high, float(law.support()[1]))
 
-    def quantile(u: float) -> float:
-        return min(max(float(law.ppf(begin + u * (end - begin))), least), largest)
+    def quantile(uniforms: Sequence[float]) -> list[float]:
+        return np.clip(law.ppf(begin + np.array(uniforms) * (end - begin)), least, largest).tolist()
 
     return Distribution(quantile, (least, largest))
 
@@ -81,7 +83,8 @@ def triangular(low: float, mode: float, high: float) -> Distribution:
 def integers(low: int, high: int) -> Distribution:
     """Each from low to high with equal probability, both included."""
     _ascending(low, high + 1)
-    return Distribution(lambda u: low + math.floor(u * (high - low + 1)), (low, high))
+    count = high - low + 1
+    return Distribution(lambda uniforms: [low + math.floor(u * count) for u in uniforms], (low, high))
 
 
 def seed(low: int, high: int) -> Distribution:
@@ -98,7 +101,10 @@ def choice(values: list[Any], weights: list[float] | None = None) -> Distributio
         raise ScenarioError(f"weights = {weights!r}: expected {len(values)} numbers that are not all 0")
     ends = list(accumulate(shares))
     middles = tuple((end - 0.5 * share) / ends[-1] for end, share in zip(ends, shares, strict=True) if share)
-    return Distribution(lambda u: values[bisect_right(ends[:-1], u * ends[-1])], probes=middles)
+    inner, last = ends[:-1], ends[-1]
+    return Distribution(
+        lambda uniforms: [values[bisect_right(inner, u * last)] for u in uniforms], probes=middles
+    )
 
 
 UNBOUNDED = ("normal", "lognormal")

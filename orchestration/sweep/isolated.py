@@ -7,21 +7,17 @@ import cloudpickle
 
 from fmus.process import ProcessEndedError, WorkerProcess
 from orchestration.errors import SweepError
-from orchestration.sweep.samples import Job, Outcome, run_samples
+from orchestration.sweep.samples import ClosedError, Job, Outcome, run_samples
 from orchestration.sweep.target import Settings
 
 _ATTEMPTS = 2  # a process that ends once may have been killed by somebody, one that ends again by its sample
 _START_S = 300.0  # to import, load and compile, on a machine that is busy
 
 
-class ClosedError(SweepError):
-    """The process was closed while it ran a sample: another worker has to run it."""
-
-
 class IsolatedSamples:
     """Runs samples one after another in a process, which is replaced when it ends or takes too long.
 
-    job: its FMUs are unpacked; folder: for what they would leave behind when they crash, its owner removes it
+    job: its FMUs are files; folder: for what they would leave behind when they crash, its owner removes it
     """
 
     def __init__(self, job: Job, folder: Path) -> None:

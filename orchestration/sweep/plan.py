@@ -6,7 +6,7 @@ is drawn, in the order in which the scenario names them.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -53,12 +53,27 @@ class Plan:
         """Name -> value of what is varied, in one sample."""
         if not 0 <= sample < self.count:
             raise ScenarioError(f"sample {sample}: expected 0..{self.count - 1}")
-        grid_indices = iter(np.unravel_index(sample, self._shape))
-        random = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(sample,)))
-        return {
-            entry.target.name: entry.draw(random.random()) if entry.draw else entry.grid[next(grid_indices)]
+        return self.block([sample])[0]
+
+    def block(self, samples: Sequence[int]) -> list[dict[str, FmiValue]]:
+        """`values` of several samples at once."""
+        grid_indices = iter(np.unravel_index(samples, self._shape))
+        uniforms = iter(zip(*map(self._uniforms, samples), strict=True))
+        columns = [
+            entry.draw(next(uniforms)) if entry.draw else [entry.grid[i] for i in next(grid_indices)]
             for entry in self.varied
-        }
+        ]
+        names = [entry.target.name for entry in self.varied]
+        return [
+            {name: column[i] for name, column in zip(names, columns, strict=True)}
+            for i in range(len(samples))
+        ]
+
+    def _uniforms(self, sample: int) -> list[float]:
+        """A number in [0, 1) for each variable that is drawn."""
+        count = sum(entry.draw is not None for entry in self.varied)
+        sequence = np.random.SeedSequence(self.seed, spawn_key=(sample,))
+        return np.random.default_rng(sequence).random(count).tolist()
 
     def settings(self, values: Mapping[str, FmiValue]) -> Settings:
         """The values as a scenario file would give them."""

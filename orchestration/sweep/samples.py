@@ -1,13 +1,12 @@
-"""The process in which the FMUs of a sweep are loaded and run, and what it receives and returns.
+"""Samples, one after another, with FMUs that stay loaded; in this process, or in one of their own.
 
-An FMU that crashes or hangs takes this process with it and nothing else. The FMUs stay loaded from sample
-to sample.
+An FMU that crashes or hangs takes its process with it and nothing else.
 """
 
 import pickle
 import re
 from collections.abc import Mapping
-from contextlib import ExitStack, suppress
+from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory, gettempdir
@@ -20,6 +19,7 @@ from orchestration.results import metrics
 from orchestration.results.recording import Recording
 from orchestration.sweep.target import Settings, with_settings
 from orchestration.system.experiment import Experiment
+from orchestration.system.prepared_run import prepare_checked
 from orchestration.system.system import System
 
 if TYPE_CHECKING:  # what runs samples draws none
@@ -28,11 +28,15 @@ if TYPE_CHECKING:  # what runs samples draws none
 READY = "ready"
 
 
+class ClosedError(SweepError):
+    """What runs samples was closed while it ran one: another worker has to run it."""
+
+
 @dataclass(frozen=True)
 class Job:
     """What the samples share.
 
-    fmus: file name -> content; system: its components are such file names
+    fmus: file name -> content, where the system's components are such file names
     recorded: signals of each sample to send back; empty for all, None for no recordings
     timeout: s that a sample may take, None for ever
     """
@@ -50,10 +54,16 @@ class Job:
         system, experiment = plan.scenario.system, plan.scenario.experiment
         if recorded and experiment.record:
             experiment = replace(experiment, record=tuple(dict.fromkeys([*experiment.record, *recorded])))
-        files = {name: Path(name, path.name) for name, path in system.components.items()}
-        fmus = {files[name].as_posix(): path.read_bytes() for name, path in system.components.items()}
-        portable = System(files, system.connections)
-        return Job(portable, fmus, experiment, plan.scenario.metrics, recorded, plan.timeout)
+        if recorded is None:
+            experiment = replace(experiment, record=_needed(plan))
+        return Job(system, {}, experiment, plan.scenario.metrics, recorded, plan.timeout)
+
+    def with_packed_fmus(self) -> "Job":
+        """The same for another machine: its FMUs go with it."""
+        components = self.system.components
+        files = {name: Path(name, path.name) for name, path in components.items()}
+        fmus = {files[name].as_posix(): path.read_bytes() for name, path in components.items()}
+        return replace(self, fmus=fmus, system=replace(self.system, components=files))
 
     def with_unpacked_fmus(self, folder: Path) -> "Job":
         """The same with its FMUs as files in a folder."""
@@ -86,24 +96,60 @@ def recorded_signals(text: str, plan: "Plan") -> tuple[str, ...] | None:
     return names
 
 
+def _needed(plan: "Plan") -> tuple[str, ...]:
+    """The recorded signals that metrics use; all if they use none, since no names mean all."""
+    experiment = plan.scenario.experiment
+    used = {call.get(key) for call in plan.scenario.metrics.values() for key in metrics.SIGNALS}
+    recorded = experiment.record or prepare_checked(plan.checked, experiment).recorded
+    return tuple(name for name in recorded if name in used) or tuple(experiment.record)
+
+
+class Samples(AbstractContextManager["Samples"]):
+    """Runs samples one after another in this process; the FMUs are loaded anew after one that failed."""
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        self._loaded = ExitStack()  # holds a simulator, until a sample fails
+        self._simulator: Simulator | None = None
+        self._closed = False
+
+    def load(self) -> Simulator:
+        """The simulator; OrchestrationError for FMUs that cannot be loaded."""
+        if not self._simulator:
+            self._simulator = self._loaded.enter_context(Simulator(self._job.system))
+        return self._simulator
+
+    def run(self, settings: Settings) -> Outcome:
+        """One sample; ClosedError if it was closed meanwhile."""
+        job = self._job
+        try:
+            recording = self.load().run(with_settings(job.experiment, settings), self._check_open)
+            return Outcome(metrics.evaluate(recording, job.metrics), recording=_as_parquet(recording, job))
+        except Exception as error:  # a sample that fails is a row, whatever the reason
+            self._simulator = self._loaded.close()
+            self._check_open()
+            return Outcome({}, error=_error_line(error))
+
+    def close(self) -> None:
+        """End a sample that another thread runs soon."""
+        self._closed = True
+
+    def __exit__(self, *_: object) -> None:
+        self._loaded.close()
+
+    def _check_open(self, *_: int) -> None:
+        if self._closed:
+            raise ClosedError("closed while a sample was running")
+
+
 def run_samples(parent: Parent) -> None:
     """Receive a pickled job, send READY; then receive the settings of samples and send their outcomes."""
-    job: Job = pickle.loads(parent.receive())
-    simulators = ExitStack()  # holds one, until a sample fails
-    simulator = None
+    samples = Samples(pickle.loads(parent.receive()))
     with suppress(OrchestrationError):  # each sample will fail with it
-        simulator = simulators.enter_context(Simulator(job.system))
+        samples.load()
     parent.send(READY)
     while True:
-        settings: Settings = parent.receive()
-        try:
-            simulator = simulator or simulators.enter_context(Simulator(job.system))
-            recording = simulator.run(with_settings(job.experiment, settings))
-            outcome = Outcome(metrics.evaluate(recording, job.metrics), recording=_as_parquet(recording, job))
-        except Exception as error:  # a sample that fails is a row, whatever the reason
-            simulator = simulators.close()
-            outcome = Outcome({}, error=_error_line(error))
-        parent.send(outcome)
+        parent.send(samples.run(parent.receive()))
 
 
 def _as_parquet(recording: Recording, job: Job) -> bytes | None:

@@ -1,6 +1,7 @@
 """The files of a sweep: a log while it runs, so that nothing done is lost; one table at the end.
 
-NAME.sweep.jsonl     while it runs: what is run, then a line for each finished sample
+NAME.sweep.jsonl     while it runs: what is run, then a line for each finished sample; it may not fit into
+                     memory, so it is read line by line
 NAME.sweep.lock      while a process runs it
 NAME.recordings/     recordings of the samples, if they were asked for
 NAME.sweep.parquet   the table
@@ -8,10 +9,12 @@ NAME.sweep.parquet   the table
 
 import json
 import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from fmus.extras import imports_of
 from fmus.files import write_bytes_atomically
@@ -68,8 +71,9 @@ class Store:
             self._check_same(stored, self.path)
             return self._checked(finished[table.SAMPLE].to_pylist(), self.path)
         if self._log.is_file():
-            self._check_same(self._lines()[0], self._log)
-            return set(self._rows())
+            with self._log.open("rb") as log:
+                self._check_same(_read_line(log.readline()), self._log)
+            return set(np.flatnonzero(self._places() >= 0).tolist())
         write_bytes_atomically(self._log, json.dumps(self._provenance).encode())
         return set()
 
@@ -84,20 +88,24 @@ class Store:
                 f"{path} is of another sweep ({', '.join(differing)} differ): expected the same; {_DISCARD}"
             )
 
-    def add(self, row: Mapping[str, Any], recording: bytes | None = None) -> None:
-        """Store the row of a sample that is done, with its recording as a Parquet file."""
-        if recording:
-            number = f"{row[table.SAMPLE]:0{len(str(self._provenance['samples'] - 1))}}"
-            write_bytes_atomically(self.recordings / f"sample-{number}.parquet", recording)
+    def add(self, rows: Sequence[Mapping[str, Any]], recordings: Sequence[bytes | None] = ()) -> None:
+        """Store the rows of samples that are done, and their recordings as Parquet files."""
+        digits = len(str(self._provenance["samples"] - 1))
+        for row, recording in zip(rows, recordings, strict=False):
+            if recording:
+                number = f"{row[table.SAMPLE]:0{digits}}"
+                write_bytes_atomically(self.recordings / f"sample-{number}.parquet", recording)
+        lines = "".join(f"\n{json.dumps(row)}" for row in rows)  # which ends a line that was cut off
         with self._log.open("a", encoding="utf-8") as log:
-            log.write(f"\n{json.dumps(row)}")  # which ends a line that was cut off
+            log.write(lines)
 
     def finish(self) -> None:
         """Write the table; SweepError if samples are missing."""
         if not self.path.is_file():
-            rows = self._rows()
-            self._checked(rows, self._log)
-            table.write(rows.values(), self._columns, self.path)
+            places = self._places()
+            if (places < 0).any():
+                self._checked(np.flatnonzero(places >= 0).tolist(), self._log)
+            table.write(self._rows_at(places), self._columns, self.path)
         self._log.unlink(missing_ok=True)
 
     def _checked(self, samples: Iterable[int], path: Path) -> set[int]:
@@ -109,17 +117,29 @@ class Store:
             )
         return set(numbers)
 
-    def _rows(self) -> dict[int, dict[str, Any]]:
-        """Sample -> row; a damaged line is as if its sample had not been run."""
-        rows = [row for row in self._lines()[1:] if row.keys() >= {table.SAMPLE, table.ERROR}]
-        return {row[table.SAMPLE]: row for row in rows}
+    def _places(self) -> np.ndarray:
+        """Where the line of each sample begins in the log, shape (samples,).
 
-    def _lines(self) -> list[dict[str, Any]]:
-        """The tables in the lines of the log, empty where a line is damaged."""
-        return [_read_line(line) for line in self._log.read_text("utf-8", "replace").split("\n")]
+        -1 for one that was not run, as which that of a damaged line counts.
+        """
+        places, place = np.full(self._provenance["samples"], -1, np.int64), 0
+        with self._log.open("rb") as log:
+            for line in log:
+                row = _read_line(line)
+                if place and row.keys() >= {table.SAMPLE, table.ERROR} and row[table.SAMPLE] < len(places):
+                    places[row[table.SAMPLE]] = place
+                place += len(line)
+        return places
+
+    def _rows_at(self, places: np.ndarray) -> Iterator[dict[str, Any]]:
+        with self._log.open("rb") as log:
+            for place in places:
+                log.seek(place)
+                yield _read_line(log.readline())
 
 
-def _read_line(line: str) -> dict[str, Any]:
+def _read_line(line: bytes) -> dict[str, Any]:
+    """The table in a line of the log, empty where it is damaged."""
     with suppress(ValueError):
         content = json.loads(line)
         return content if isinstance(content, dict) else {}

@@ -57,7 +57,9 @@ def failed(results: pa.Table) -> int:
 def summary_table(results: pa.Table, provenance: dict[str, Any]) -> Table:
     """The summary as a table for a terminal."""
     printed = Table(title=escape(f"{provenance['title']}: {len(results)} samples, {failed(results)} failed"))
-    varied = {name: results[name].to_pylist() for name in table.names(results.schema, "varied")}
+    names = table.names(results.schema, "varied")
+    is_text = {name: not pa.types.is_floating(results[name].type) for name in names}
+    varied = {name: results[name].to_pylist() for name in names if is_text[name]}
     for heading in (*categorical(varied), "Metric", "Unit"):
         printed.add_column(escape(heading), no_wrap=heading == "Metric")
     for heading in _PRINTED:

@@ -11,6 +11,7 @@ table metadata: `l1_depth.kind` is sweep; `l1_depth.provenance` is JSON with the
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ with imports_of("sweep", "a sweep"):
     import pyarrow.parquet as pq
 
 SAMPLE, ERROR = "sample", "error"
+_ROWS_OF_A_GROUP = 10_000
 _KIND, _PROVENANCE, _SWEEP = b"l1_depth.kind", b"l1_depth.provenance", b"sweep"
 _TYPES = {"Real": pa.float64(), "Integer": pa.int64(), "Boolean": pa.bool_(), "String": pa.string()}
 
@@ -82,10 +84,11 @@ def provenance_of(columns: pa.Schema) -> dict[str, Any]:
 
 
 def write(rows: Iterable[Mapping[str, Any]], columns: pa.Schema, path: Path) -> None:
-    """Rows in the order of their samples; equal rows give equal bytes."""
-    table = pa.Table.from_pylist(sorted(rows, key=lambda row: row[SAMPLE]), schema=columns)
-    with open_atomically(path) as stream:
-        pq.write_table(table, stream)
+    """Rows in the order of their samples, some in memory at a time; equal rows give equal bytes."""
+    remaining = iter(rows)
+    with open_atomically(path) as stream, pq.ParquetWriter(stream, columns) as writer:
+        while group := list(islice(remaining, _ROWS_OF_A_GROUP)):
+            writer.write_table(pa.Table.from_pylist(group, schema=columns))
 
 
 def is_sweep(path: Path) -> bool:

@@ -110,18 +110,17 @@ def target(name: str, checked: CheckedSystem, experiment: Experiment) -> Target:
 
 
 def with_settings(experiment: Experiment, settings: Settings) -> Experiment:
-    """The experiment with other values."""
+    """The experiment with other values; what has none stays the same object."""
     changes: dict[str, Any] = dict(settings.get("experiment", {}))
-    constants = {name: Constant(entry["value"]) for name, entry in settings.get("signals", {}).items()}
     if "algorithm" in changes:
         changes["algorithm"] = Algorithm(changes["algorithm"])
-    return replace(
-        experiment,
-        parameters={**experiment.parameters, **settings.get("parameters", {})},
-        inputs={**experiment.inputs, **settings.get("inputs", {})},
-        signals={**experiment.signals, **constants},
-        **changes,
-    )
+    if "signals" in settings:
+        constants = {name: Constant(entry["value"]) for name, entry in settings["signals"].items()}
+        changes["signals"] = {**experiment.signals, **constants}
+    for table in ("parameters", "inputs"):
+        if table in settings:
+            changes[table] = {**getattr(experiment, table), **settings[table]}
+    return replace(experiment, **changes)
 
 
 def _items(port: Port) -> dict[int, str]:

@@ -18,11 +18,11 @@ MOST_VALUES = 10_000_000  # of a sweep: more would neither fit into memory nor e
 
 @dataclass(frozen=True)
 class Varied:
-    """What differs from sample to sample: `draw` maps a number in [0, 1) to a value, `grid` lists values."""
+    """What differs from sample to sample: `draw` maps numbers in [0, 1) to values, `grid` lists values."""
 
     target: Target
     grid: tuple[FmiValue, ...] = ()
-    draw: Callable[[float], FmiValue] | None = None
+    draw: Callable[[Sequence[float]], list[FmiValue]] | None = None
 
 
 def varied(target: Target, declared: Table, where: str) -> Varied:
@@ -81,10 +81,10 @@ def _drawn(target: Target, name: str, arguments: dict[str, Any], relative: bool,
             "expected low and high within that, or truncate = true"
         )
 
-    def draw(u: float) -> FmiValue:
-        value = law.quantile(u)
-        return target.checked(value if scale is None else target.within(scale * value))
+    def draw(uniforms: Sequence[float]) -> list[FmiValue]:
+        values = law.quantile(uniforms)
+        scaled = values if scale is None else [target.within(scale * value) for value in values]
+        return [target.checked(value) for value in scaled]
 
-    for u in law.probes:
-        draw(u)
+    draw(law.probes)
     return Varied(target, draw=draw)

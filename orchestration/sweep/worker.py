@@ -5,12 +5,14 @@ also to those that join later or replace one that has ended. Each unpacks it onc
 """
 
 import signal
+import time
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from fmus.extras import imports_of
-from orchestration.sweep.isolated import ClosedError, IsolatedSamples
-from orchestration.sweep.samples import Job, Outcome
+from orchestration.sweep.isolated import IsolatedSamples
+from orchestration.sweep.samples import ClosedError, Job, Outcome
 from orchestration.sweep.target import Settings
 
 with imports_of("sweep", "a sweep"):
@@ -22,7 +24,7 @@ class SamplePlugin(WorkerPlugin):
 
     def __init__(self, name: str, job: Job) -> None:
         self.name = name
-        self._job = job
+        self._job = job.with_packed_fmus()
 
     def setup(self, worker: Worker) -> None:
         self._folder = TemporaryDirectory(
@@ -37,15 +39,16 @@ class SamplePlugin(WorkerPlugin):
             runner.close()
         self._folder.cleanup()
 
-    def run(self, settings: Settings) -> Outcome:
-        """One sample, in a process that no other thread uses."""
+    def run(self, settings: Sequence[Settings]) -> tuple[list[Outcome], float]:
+        """Samples one after another, in a process that no other thread uses, and how long they took [s]."""
+        start = time.perf_counter()
         try:
             runner = self._idle.pop()
         except IndexError:  # not asked for before: another thread may take the last one meanwhile
             runner = IsolatedSamples(self._unpacked_job, Path(self._folder.name))
             self._all.append(runner)
         try:
-            return runner.run(settings)
+            return [runner.run(one) for one in settings], time.perf_counter() - start
         except ClosedError:  # this worker leaves the cluster
             raise Reschedule from None
         finally:
@@ -61,7 +64,7 @@ class IgnoreSigint(WorkerPlugin):
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def run_sample(plugin: str, settings: Settings) -> Outcome:
+def run_batch(plugin: str, settings: Sequence[Settings]) -> tuple[list[Outcome], float]:
     """`SamplePlugin.run` of the worker that this is called on."""
     installed = get_worker().plugins[plugin]
     assert isinstance(installed, SamplePlugin)

@@ -18,7 +18,8 @@ def recording(time: np.ndarray, signal: np.ndarray, reference: np.ndarray) -> Re
 
 def smooth(random: np.random.Generator, time: np.ndarray) -> np.ndarray:
     """Some waves of at least 15 s."""
-    return sum(a * np.cos(w * time + p) for a, w, p in random.uniform([-1, 0, 0], [1, 0.4, 6.3], (5, 3)))
+    waves = random.uniform([-1, 0, 0], [1, 0.4, 6.3], (5, 3))
+    return np.sum([a * np.cos(w * time + p) for a, w, p in waves], axis=0)
 
 
 def distance(time: np.ndarray, signal: np.ndarray, reference: np.ndarray, delay: float) -> float:

@@ -183,6 +183,18 @@ def test_a_csv_is_written_in_blocks(tmp_path: Path) -> None:
     np.testing.assert_array_equal(Recording.read(tmp_path / "run.csv").values, run.values)
 
 
+def test_a_parquet_is_written_in_groups_and_is_exact(tmp_path: Path) -> None:
+    """A group is what is copied at a time."""
+    count = 280_000
+    values = np.random.default_rng(1).standard_normal((count, 2))
+    Recording(("a", "b"), ("", ""), np.arange(count) * 0.1, values).write(tmp_path / "run.parquet")
+    metadata = pq.read_metadata(tmp_path / "run.parquet")
+    rows = [metadata.row_group(i).num_rows for i in range(metadata.num_row_groups)]
+    assert (sum(rows), max(rows)) == (count, rows[0])
+    assert max(rows) < count / 2
+    assert np.array_equal(Recording.read(tmp_path / "run.parquet").values, values)
+
+
 def test_an_unknown_signal_offers_the_nearest() -> None:
     with pytest.raises(OrchestrationError, match=r"nearest is 'a\.x'"):
         a_run()["a.z"]

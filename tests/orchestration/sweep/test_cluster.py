@@ -19,8 +19,9 @@ from distributed import Client
 from orchestration.errors import SweepError
 from orchestration.master import simulate
 from orchestration.results.recording import Recording
-from orchestration.sweep import cluster, table
+from orchestration.sweep import cluster, dask_workers, table
 from orchestration.sweep import run as running
+from orchestration.sweep.dask_workers import DaskWorkers
 from orchestration.sweep.plan import Plan
 
 pytestmark = pytest.mark.cluster
@@ -52,42 +53,43 @@ DEADLY = """
 import os, signal
 from orchestration.sweep import worker
 
-def run_sample(plugin, settings):
-    if settings["inputs"]["r.u"] == 3:
+def run_batch(plugin, settings):
+    if any(one["inputs"]["r.u"] == 3 for one in settings):
         os.kill(os.getpid(), signal.SIGKILL)
-    return worker.run_sample(plugin, settings)
+    return worker.run_batch(plugin, settings)
 """
 
 
-def threads(client: Any) -> dict[str, int]:
+def threads(cluster: DaskWorkers) -> dict[str, int]:
     """Of each worker, by its address."""
-    return client.nthreads()
+    numbers: Any = cluster.client.nthreads()
+    return numbers
 
 
 def swept(
     made: Plan,
-    client: Client,
+    started: DaskWorkers,
     folder: Path,
     progress: Callable[[int], object] = lambda done: None,
     recorded: tuple[str, ...] | None = None,
 ) -> Path:
-    return running.sweep(made, folder, nullcontext(client), recorded, progress=progress)
+    return running.sweep(made, folder, nullcontext(started), recorded, progress=progress)
 
 
 @pytest.fixture
 def by_two(planned: Make, tmp_path: Path) -> tuple[Plan, bytes]:
     """A plan, and its table by two undisturbed workers."""
     made = planned(SWEEP)
-    with cluster.local(2) as client:
-        return made, swept(made, client, tmp_path / "two").read_bytes()
+    with cluster.local(2) as started:
+        return made, swept(made, started, tmp_path / "two").read_bytes()
 
 
 def test_one_two_and_four_workers_give_the_same_bytes(by_two: tuple[Plan, bytes], tmp_path: Path) -> None:
     made, expected = by_two
     for workers in (1, 4):
-        with cluster.local(workers) as client:
-            assert len(threads(client)) == workers
-            assert swept(made, client, tmp_path / str(workers)).read_bytes() == expected
+        with cluster.local(workers) as started:
+            assert len(threads(started)) == workers
+            assert swept(made, started, tmp_path / str(workers)).read_bytes() == expected
     samples, _ = table.read(tmp_path / "4" / "mine.sweep.parquet")
     rows = samples.to_pylist()
     assert [row["sample"] for row in rows] == list(range(COUNT))
@@ -101,9 +103,9 @@ def test_a_killed_worker_loses_nothing(by_two: tuple[Plan, bytes], tmp_path: Pat
     made, expected = by_two
     killed: list[int] = []
 
-    with cluster.local(2) as client:
-        workers: Any = client.run(os.getpid)
-        processing: Any = client.processing
+    with cluster.local(2) as started:
+        workers: Any = started.client.run(os.getpid)
+        processing: Any = started.client.processing
 
         def kill_one_at_work(done: int) -> None:
             at_work = [address for address, tasks in processing().items() if tasks]
@@ -111,7 +113,7 @@ def test_a_killed_worker_loses_nothing(by_two: tuple[Plan, bytes], tmp_path: Pat
                 killed.append(workers[at_work[0]])
                 os.kill(killed[0], signal.SIGKILL)
 
-        path = swept(made, client, tmp_path / "killed", kill_one_at_work)
+        path = swept(made, started, tmp_path / "killed", kill_one_at_work)
         assert killed
         assert not psutil.pid_exists(killed[0])
     assert path.read_bytes() == expected
@@ -122,8 +124,8 @@ def test_samples_that_end_or_hang_their_process_are_rows_with_that_error(
 ) -> None:
     misdeeds = ("none", "segfault", "hang", "none", "abort", "error")
     made = planned(f'[sweep]\ntimeout = 3\n[sweep.vary."r.misdeed"]\nvalues = {list(misdeeds)}\n')
-    with cluster.local(2) as client:
-        samples, _ = table.read(swept(made, client, tmp_path))
+    with cluster.local(2) as started:
+        samples, _ = table.read(swept(made, started, tmp_path))
     assert [row["error"] for row in samples.to_pylist()] == [
         None,
         "the worker process died: SIGSEGV",
@@ -141,10 +143,10 @@ def test_a_sample_whose_workers_die_again_and_again_is_found_among_the_others(
     made = planned('[sweep.vary."r.u"]\nvalues = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]\n')
     (tmp_path / "deadly.py").write_text(DEADLY)
     monkeypatch.syspath_prepend(tmp_path)  # of the workers as well
-    monkeypatch.setattr(running, "run_sample", importlib.import_module("deadly").run_sample)
+    monkeypatch.setattr(dask_workers, "run_batch", importlib.import_module("deadly").run_batch)
     one_death = config.set({"distributed.scheduler.allowed-failures": 0})  # the default of 3 takes a minute
-    with one_death, cluster.local(2) as client:
-        samples, _ = table.read(swept(made, client, tmp_path))
+    with one_death, cluster.local(2) as started:
+        samples, _ = table.read(swept(made, started, tmp_path))
     rows = samples.to_pylist()
     assert [row["sample"] for row in rows if row["error"]] == [3]
     assert rows[3]["error"] == "every worker that ran it died"
@@ -152,8 +154,8 @@ def test_a_sample_whose_workers_die_again_and_again_is_found_among_the_others(
 
 def test_recordings_are_those_of_the_samples_run_alone(planned: Make, tmp_path: Path) -> None:
     made = planned(SWEEP.replace(f"samples = {COUNT}", "samples = 6"))
-    with cluster.local(2) as client:
-        samples, _ = table.read(swept(made, client, tmp_path, recorded=()))
+    with cluster.local(2) as started:
+        samples, _ = table.read(swept(made, started, tmp_path, recorded=()))
     written = {path.name: Recording.read(path) for path in (tmp_path / "mine.recordings").iterdir()}
     good = [row["sample"] for row in samples.to_pylist() if row["error"] is None]
     assert set(written) == {f"sample-{sample}.parquet" for sample in good}
@@ -175,12 +177,12 @@ def test_what_was_done_before_is_not_run_again(by_two: tuple[Plan, bytes], tmp_p
         if done > 5:
             raise KeyboardInterrupt
 
-    with cluster.local(2) as client:
+    with cluster.local(2) as started:
         with pytest.raises(KeyboardInterrupt):
-            swept(made, client, tmp_path / "again", interrupt)
+            swept(made, started, tmp_path / "again", interrupt)
         assert 5 < done < COUNT
         more: list[int] = []
-        again = swept(made, client, tmp_path / "again", more.append)
+        again = swept(made, started, tmp_path / "again", more.append)
     assert (more[0], sum(more)) == (done, COUNT)
     assert again.read_bytes() == expected
 
@@ -216,10 +218,10 @@ def processes(folder: Path, *workers: str) -> Iterator[str]:
 def test_a_cluster_by_its_address_gives_the_same_bytes(by_two: tuple[Plan, bytes], tmp_path: Path) -> None:
     """Two workers of two threads each, which cannot see the FMU's file."""
     made, expected = by_two
-    with processes(tmp_path, "one", "two") as address, cluster.remote(address) as client:
-        assert sum(threads(client).values()) == 4
-        assert swept(made, client, tmp_path / "remote").read_bytes() == expected
-        plugins: Any = client.run(
+    with processes(tmp_path, "one", "two") as address, cluster.remote(address) as started:
+        assert sum(threads(started).values()) == 4
+        assert swept(made, started, tmp_path / "remote").read_bytes() == expected
+        plugins: Any = started.client.run(
             lambda dask_worker: [name for name in dask_worker.plugins if "sweep" in name]
         )
         assert not [name for names in plugins.values() for name in names]
@@ -228,13 +230,13 @@ def test_a_cluster_by_its_address_gives_the_same_bytes(by_two: tuple[Plan, bytes
 def test_a_cluster_whose_workers_are_gone_is_told(
     planned: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(running, "_LOOK_S", 0.2)
-    monkeypatch.setattr(running, "_WITHOUT_WORKERS_S", 1.0)
+    monkeypatch.setattr(dask_workers, "_LOOK_S", 0.2)
+    monkeypatch.setattr(dask_workers, "_WITHOUT_WORKERS_S", 1.0)
     made = planned('[sweep]\ntimeout = 60\n[sweep.vary."r.misdeed"]\nvalues = ["hang"]\n')
-    with cluster.local(1) as client:
-        threading.Timer(1.0, client.cluster.scale, (0,)).start()  # type: ignore[union-attr]
+    with cluster.local(1) as started:
+        threading.Timer(1.0, started.client.cluster.scale, (0,)).start()  # type: ignore[union-attr]
         with pytest.raises(SweepError, match="no workers for 1 s; what is done is kept"):
-            swept(made, client, tmp_path)
+            swept(made, started, tmp_path)
 
 
 def test_a_scheduler_that_is_not_there_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -261,12 +263,12 @@ def test_nothing_is_left_of_a_local_cluster(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     before, others = set(tmp_path.iterdir()), set(psutil.Process().children(recursive=True))
-    with cluster.local(1) as client:
-        folders: Any = client.run(lambda dask_worker: dask_worker.local_directory)
+    with cluster.local(1) as started:
+        folders: Any = started.client.run(lambda dask_worker: dask_worker.local_directory)
         (folder,) = folders.values()
         assert Path(folder).is_dir()
-        assert all(address.startswith("tcp://127.0.0.1:") for address in threads(client))
-        assert client.scheduler_info()["address"].startswith("tcp://127.0.0.1:")
+        assert all(address.startswith("tcp://127.0.0.1:") for address in threads(started))
+        assert started.client.scheduler_info()["address"].startswith("tcp://127.0.0.1:")
         processes = {psutil.Process(), *psutil.Process().children(recursive=True)} - others
         sockets = [socket for process in processes for socket in process.net_connections("inet")]
         listening = {socket.laddr.ip for socket in sockets if socket.status == psutil.CONN_LISTEN}

@@ -34,11 +34,12 @@ def samples(sweep_file: Callable[..., Path], tmp_path: Path) -> Iterator[Isolate
     """Where samples run; nothing is left of it afterwards but the FMU."""
     made = Job.of(plan(scenario.load(sweep_file(SWEEP))), recorded=("r.y",))
     folder, others = tmp_path / "worker", processes()
-    opened = IsolatedSamples(made.with_unpacked_fmus(folder), folder)
+    folder.mkdir()
+    opened = IsolatedSamples(made, folder)
     yield opened
     opened.close()
     assert processes() <= others
-    assert [entry.name for entry in folder.iterdir()] == [Path(next(iter(made.fmus))).parent.name]
+    assert not list(folder.iterdir())
 
 
 def processes() -> set[psutil.Process]:
@@ -117,7 +118,7 @@ def test_an_fmu_that_cannot_be_loaded_is_told_without_the_place_where_it_was_unp
     sweep_file: Callable[..., Path], tmp_path: Path
 ) -> None:
     made = Job.of(plan(scenario.load(sweep_file(SWEEP))), recorded=None)
-    unpacked = made.with_unpacked_fmus(tmp_path / "worker")
+    unpacked = made.with_packed_fmus().with_unpacked_fmus(tmp_path / "worker")
     (path,) = unpacked.system.components.values()
     path.write_bytes(b"no zip any more")
     opened = IsolatedSamples(unpacked, tmp_path / "worker")
@@ -132,7 +133,7 @@ def test_a_python_that_cannot_run_samples_is_told_at_once(
     (tmp_path / "numpy.py").write_text("raise ImportError('not this one')")
     monkeypatch.syspath_prepend(tmp_path)
     made = Job.of(plan(scenario.load(sweep_file(SWEEP))), recorded=None)
-    opened = IsolatedSamples(made.with_unpacked_fmus(tmp_path / "worker"), tmp_path / "worker")
+    opened = IsolatedSamples(made, tmp_path)
     with pytest.raises(SweepError, match="cannot start: ImportError: not this one"):
         opened.run(SAMPLE)
     opened.close()

@@ -77,6 +77,20 @@ def test_a_sample_depends_on_the_seed_and_its_number_alone(planned: Make) -> Non
     assert len(set(drawn(long))) == 100
 
 
+def test_a_block_of_samples_is_that_of_each_alone_to_the_last_bit(planned: Make) -> None:
+    laws = [
+        'distribution = "normal"\nmean = 3.0\nstd = 0.5\nlow = 2.0',
+        'distribution = "lognormal"\nmedian = 2.0\nsigma = 0.4',
+        'distribution = "loguniform"\nlow = 0.1\nhigh = 10.0',
+        'distribution = "triangular"\nlow = 0.0\nmode = 1.0\nhigh = 4.0',
+        'distribution = "choice"\nvalues = [1.0, 5.0, 9.0]',
+    ]
+    for law in laws:
+        made = planned(of_u(law, 50) + '[sweep.vary."r.longest_step"]\nvalues = [0.1, 0.2]\n')
+        alone = [made.values(number) for number in (99, 3, 50)]
+        assert made.block([99, 3, 50]) == alone
+
+
 def test_a_variable_that_is_added_at_the_end_leaves_the_draws_of_the_others(planned: Make) -> None:
     added = '[sweep.vary."r.longest_step"]\ndistribution = "uniform"\nlow = 0\nhigh = 1\n'
     assert drawn(planned(_drawn() + added, name="more")) == drawn(planned())

@@ -3,6 +3,7 @@
 import math
 import subprocess
 import sys
+import tracemalloc
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -30,15 +31,14 @@ def row(made: Plan, sample: int, error: str | None = None) -> dict:
 
 
 def add(opened: Store, made: Plan, samples: Iterable[int]) -> None:
-    for sample in samples:
-        opened.add(row(made, sample))
+    opened.add([row(made, sample) for sample in samples])
 
 
 def test_the_table_is_sorted_and_says_what_its_columns_are(planned: Make, tmp_path: Path) -> None:
     made, out = planned(GRID), tmp_path / "out"
     opened = store(made, out)
     assert opened.begin() == set()
-    opened.add(row(made, 4, "the rudder is stuck"))
+    opened.add([row(made, 4, "the rudder is stuck")])
     add(opened, made, [3, 0, 2, 1])
     opened.finish()
     rows, about = table.read(out / "mine.sweep.parquet")
@@ -84,6 +84,25 @@ def test_parts_in_any_order_give_the_same_bytes(planned: Make, tmp_path: Path) -
     assert written[0] == written[1]
 
 
+def test_the_table_of_many_samples_is_written_with_few_in_memory(
+    planned: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside a group of rows, what is kept is a place in the log for each sample, of 8 bytes."""
+    monkeypatch.setattr(table, "_ROWS_OF_A_GROUP", 200)
+    peaks = []
+    for count in (500, 3000):
+        made = planned(f'[sweep.vary]\n"r.u" = {{ linspace = [0, 1, {count}] }}\n', name=f"of_{count}")
+        opened = store(made, tmp_path)
+        opened.begin()
+        add(opened, made, range(count))
+        tracemalloc.start()
+        opened.finish()
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        assert table.read(opened.path)[0]["sample"].to_pylist() == list(range(count))
+    assert peaks[1] - peaks[0] < 3 * 8 * 3000  # the places, and what is compared with them
+
+
 def test_what_is_done_is_found_again(planned: Make, tmp_path: Path) -> None:
     made = planned(GRID)
     first = store(made, tmp_path)
@@ -103,7 +122,7 @@ def test_another_sweep_of_the_name_is_refused_until_it_is_discarded(
     made = planned(GRID)
     first = store(made, tmp_path)
     first.begin()
-    first.add(row(made, 0), b"recording")
+    first.add([row(made, 0)], [b"recording"])
     add(first, made, range(1, 5))
     if finished:
         first.finish()
@@ -154,7 +173,7 @@ def test_the_summary_leaves_failed_samples_out(planned: Make, tmp_path: Path) ->
     opened = store(made, tmp_path)
     opened.begin()
     add(opened, made, range(4))
-    opened.add(row(made, 4, "the rudder is stuck"))
+    opened.add([row(made, 4, "the rudder is stuck")])
     opened.finish()
     rows, _ = table.read(opened.path)
     assert failed(rows) == 1
@@ -170,8 +189,7 @@ def test_every_text_that_is_varied_has_rows_of_its_own_in_the_summary(planned: M
     opened = store(made, tmp_path)
     opened.begin()
     add(opened, made, [0, 2])
-    for sample in (1, 3):
-        opened.add({**row(made, sample), "mean": 5.0, "effort": math.nan})
+    opened.add([{**row(made, sample), "mean": 5.0, "effort": math.nan} for sample in (1, 3)])
     opened.finish()
     columns = {
         column.header: list(column.cells) for column in summary_table(*table.read(opened.path)).columns

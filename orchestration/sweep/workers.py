@@ -1,0 +1,48 @@
+"""What runs the samples of a sweep takes them in batches, each of about the same time."""
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import islice
+from typing import NamedTuple, Protocol
+
+from fmus.fmi_types import FmiValue
+from orchestration.sweep.plan import Plan
+from orchestration.sweep.samples import Job, Outcome
+
+_BATCH_S = 0.25
+_MOST_OF_A_BATCH = 1000
+_SPREAD = 3  # of what is left for a worker it takes this part, so that all end at about the same time
+
+
+class Finished(NamedTuple):
+    """Samples that were run: their numbers, what was varied, and the outcome of each."""
+
+    numbers: Sequence[int]
+    values: Sequence[dict[str, FmiValue]]
+    outcomes: Sequence[Outcome]
+
+
+class Workers(Protocol):
+    """Runs samples side by side; an iterator that is closed early stops them."""
+
+    def run(self, plan: Plan, job: Job, missing: "Batches") -> Iterator[Finished]: ...
+
+
+class Batches:
+    """Samples to hand out, as many at once as take about a quarter of a second."""
+
+    def __init__(self, samples: Iterable[int], count: int) -> None:
+        self._samples, self.left, self._sample_s = iter(samples), count, math.inf
+
+    def take(self, workers: int) -> list[int]:
+        """The next samples for one of so many workers; none if none are left."""
+        share = math.ceil(self.left / (_SPREAD * workers))
+        batch = list(
+            islice(self._samples, max(1, min(int(_BATCH_S / self._sample_s), share, _MOST_OF_A_BATCH)))
+        )
+        self.left -= len(batch)
+        return batch
+
+    def note(self, count: int, seconds: float) -> None:
+        """How long so many samples took, one after another."""
+        self._sample_s = max(seconds / count, 1e-9)

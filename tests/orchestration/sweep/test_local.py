@@ -1,0 +1,138 @@
+"""A sweep on this machine without a cluster: threads or processes, one or several, the rows are the same."""
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import psutil
+import pytest
+
+from fmus.fmi_types import FmiValue
+from orchestration.scenarios import scenario
+from orchestration.sweep import table
+from orchestration.sweep.local import LocalWorkers, local
+from orchestration.sweep.plan import Plan, plan
+from orchestration.sweep.run import sweep
+from orchestration.sweep.samples import Job, Outcome
+from orchestration.sweep.workers import Batches
+
+Make = Callable[..., Plan]
+COUNT = 30
+VEHICLE = f"""
+base = "nominal-extended"
+[experiment]
+stop_time = 4.0
+[metrics]
+settling_time = false
+overshoot = false
+holding_thrust = false
+lag = false
+[sweep]
+samples = {COUNT}
+[sweep.vary."plant.sensor_seed"]
+distribution = "seed"
+[sweep.vary."plant.inertia"]
+distribution = "uniform"
+low = 5.0
+high = 6.0
+"""
+
+
+def children() -> set[psutil.Process]:
+    return set(psutil.Process().children(recursive=True))
+
+
+@pytest.fixture
+def vehicle(tmp_path: Path) -> Plan:
+    path = tmp_path / "mine.toml"
+    path.write_text(VEHICLE)
+    return plan(scenario.load(path))
+
+
+def swept(made: Plan, folder: Path, workers: int, isolated: bool = False) -> tuple[bytes, int]:
+    """The table, and how many processes ran samples."""
+    before, started = children(), set()
+    path = sweep(
+        made, folder, local(workers, isolated), progress=lambda done: started.update(children() - before)
+    )
+    assert children() <= before
+    return path.read_bytes(), len(started)
+
+
+def test_one_thread_and_three_give_the_same_bytes(vehicle: Plan, tmp_path: Path) -> None:
+    expected = swept(vehicle, tmp_path / "one", 1)
+    assert swept(vehicle, tmp_path / "three", 3) == expected
+    assert expected[1] == 0
+    rows = table.read(tmp_path / "one" / "mine.sweep.parquet")[0].to_pylist()
+    assert len({row["rmse"] for row in rows}) == COUNT
+
+
+@pytest.mark.cluster
+def test_processes_give_the_bytes_of_threads(vehicle: Plan, tmp_path: Path) -> None:
+    expected, _ = swept(vehicle, tmp_path / "threads", 2)
+    assert swept(vehicle, tmp_path / "apart", 2, isolated=True) == (expected, 2)
+
+
+def test_what_was_done_before_an_interrupt_is_not_run_again(vehicle: Plan, tmp_path: Path) -> None:
+    done: list[int] = []
+
+    def interrupt(more: int) -> None:
+        done.append(more)
+        if sum(done) >= COUNT // 3:
+            raise KeyboardInterrupt
+
+    before = threading.active_count()
+    with pytest.raises(KeyboardInterrupt):
+        sweep(vehicle, tmp_path / "again", local(2), progress=interrupt)
+    assert threading.active_count() == before
+    assert COUNT // 3 <= sum(done) < COUNT
+    more: list[int] = []
+    path = sweep(vehicle, tmp_path / "again", local(2), progress=more.append)
+    assert (more[0], sum(more)) == (sum(done), COUNT)
+    assert path.read_bytes() == sweep(vehicle, tmp_path / "once", local(1)).read_bytes()
+
+
+@pytest.mark.cluster
+@pytest.mark.parametrize("lines", ["", "timeout = 60\n"])
+def test_foreign_fmus_and_samples_with_a_timeout_have_a_process(
+    planned: Make, vehicle: Plan, tmp_path: Path, lines: str
+) -> None:
+    """A crash of the foreign one is a row, and the next sample runs."""
+    if lines:
+        path = tmp_path / "timed.toml"
+        path.write_text(VEHICLE.replace("[sweep]", f"[sweep]\n{lines}").replace(f"= {COUNT}", "= 2"))
+        made, errors = plan(scenario.load(path)), [None, None]
+    else:
+        made = planned('[sweep.vary."r.misdeed"]\nvalues = ["segfault", "none"]\n')
+        errors = ["the worker process died: SIGSEGV", None]
+    before, started = children(), set()
+    path = sweep(made, tmp_path, local(1), progress=lambda done: started.update(children() - before))
+    assert table.read(path)[0]["error"].to_pylist() == errors
+    assert started
+
+
+def test_a_sample_that_fails_in_a_thread_is_a_row_and_the_next_one_runs(
+    vehicle: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The FMU refuses an inertia that the plan would not draw."""
+    refused: list[dict[str, FmiValue]] = [{"plant.inertia": -1.0}, {"plant.inertia": 5.5}]
+    monkeypatch.setattr(Plan, "block", lambda plan, numbers: [refused[number] for number in numbers])
+    monkeypatch.setattr(Plan, "settings", lambda plan, values: {"parameters": values})
+    outcomes: list[Outcome] = []
+    for finished in LocalWorkers(1).run(vehicle, Job.of(vehicle, None), Batches(range(2), 2)):
+        outcomes += finished.outcomes
+    assert "plant.inertia = -1.0: expected" in (outcomes[0].error or "")
+    assert (outcomes[1].error, len(outcomes[1].metrics)) == (None, 3)
+
+
+def test_batches_grow_to_a_quarter_of_a_second_and_end_at_about_the_same_time() -> None:
+    batches = Batches(range(1000), 1000)
+    assert len(batches.take(2)) == 1  # nobody knows yet how long one takes
+    batches.note(1, 0.01)
+    assert len(batches.take(2)) == 25
+    batches.note(25, 0.0025)
+    assert len(batches.take(2)) == 163  # a third of what is left for each
+    rest = []
+    while batch := batches.take(2):
+        rest += batch
+    assert rest == list(range(1 + 25 + 163, 1000))
