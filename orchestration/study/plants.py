@@ -43,7 +43,8 @@ def plants(protocol: Protocol, seed: int, count: int | None = None) -> list[Case
 def _quantile(table: Table) -> Quantile:
     arguments = table.given()
     arguments.pop("variables", None)
-    return FUNCTIONS[arguments.pop("distribution")](**arguments).quantile
+    law = FUNCTIONS[arguments.pop("distribution")](**arguments)
+    return lambda uniform: law.quantile([uniform])[0]
 
 
 def _plant(nominal: Case, draws: _Draws, seed: int, number: int) -> Case:

@@ -3,7 +3,7 @@
 import time
 import uuid
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -30,7 +30,7 @@ class DaskWorkers:
     def __init__(self, client: Client) -> None:
         self.client = client
 
-    def run(self, plan: Plan, job: Job, missing: Batches) -> Iterator[Finished]:
+    def run(self, plan: Plan, job: Job, missing: Batches) -> Generator[Finished, None, None]:
         """The samples as they are finished; see `Workers`. SweepError if the cluster is lost."""
         plugin = SamplePlugin(f"l1-depth-sweep-{uuid.uuid4()}", job)
         self.client.register_plugin(plugin)

@@ -2,7 +2,7 @@
 
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -29,7 +29,7 @@ class LocalWorkers:
     def __init__(self, workers: int, isolated: bool = False) -> None:
         self._workers, self._isolated = workers, isolated
 
-    def run(self, plan: Plan, job: Job, missing: Batches) -> Iterator[Finished]:
+    def run(self, plan: Plan, job: Job, missing: Batches) -> Generator[Finished, None, None]:
         """The samples as they are finished; see `Workers`."""
         with self._runners(job) as runners:
             idle: SimpleQueue[Runner] = SimpleQueue()

@@ -1,7 +1,7 @@
 """What runs the samples of a sweep takes them in batches, each of about the same time."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from itertools import islice
 from typing import NamedTuple, Protocol
 
@@ -25,7 +25,7 @@ class Finished(NamedTuple):
 class Workers(Protocol):
     """Runs samples side by side; an iterator that is closed early stops them."""
 
-    def run(self, plan: Plan, job: Job, missing: "Batches") -> Iterator[Finished]: ...
+    def run(self, plan: Plan, job: Job, missing: "Batches") -> Generator[Finished, None, None]: ...
 
 
 class Batches:
