@@ -16,6 +16,7 @@ from types import ModuleType
 from fmus.block import Block
 from fmus.errors import ExportError, nearest
 
+_RELATIVE = "; import it without dots, or name the block in an entry point of its package"
 _OWN = {"fmus", "controller_fmu", "plant_fmu", "orchestration"}
 
 
@@ -69,7 +70,8 @@ def _imported(path: Path) -> ModuleType:
     try:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
-        raise ExportError(f"{origin(error, path.parent)}: {type(error).__name__}: {error}") from error
+        where = f"{origin(error, path.parent)}: {type(error).__name__}: {error}"
+        raise ExportError(where + (_RELATIVE if "relative import" in str(error) else "")) from error
     return module
 
 

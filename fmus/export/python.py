@@ -4,9 +4,13 @@ PythonFMU gives the binary and the interface of the slave. Model description, GU
 names are our own; what its binary makes impossible is listed in docs/fidelity.md.
 """
 
+import subprocess
+import sys
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import resources
+from pathlib import Path
 
 from fmus.block import Block
 from fmus.documentation.page import documentation
@@ -21,6 +25,8 @@ _CAPABILITIES = {
     "canNotUseMemoryManagementFunctions": "true",
     "providesDirectionalDerivative": "false",
 }
+
+_OURS = {"controller_fmu", "plant_fmu", "fmus"}  # need nothing but their modules, as the tests show
 
 _ENTRY = '''"""Entry point of the FMU {name}: the class that PythonFMU's binary instantiates."""
 
@@ -51,6 +57,8 @@ def content(block: Block) -> tuple[str, dict[str, bytes]]:
         ),
         "slavemodule.txt": entry,
     }
+    if module.partition(".")[0] not in _OURS:
+        _check_import(block, text, entry)
     members = {
         **{f"resources/{path}": source.encode() for path, source in text.items()},
         **_binaries(block.name),
@@ -60,6 +68,24 @@ def content(block: Block) -> tuple[str, dict[str, bytes]]:
         "modelDescription.xml": model_description(block, GUID, _CAPABILITIES),
     }
     return with_guid(members)
+
+
+def _check_import(block: Block, text: dict[str, str], entry: str) -> None:
+    """ExportError for sources that need what the FMU does not carry, such as a file with a table."""
+    with tempfile.TemporaryDirectory() as folder:
+        for path, source in text.items():
+            (Path(folder) / path).parent.mkdir(parents=True, exist_ok=True)
+            (Path(folder) / path).write_text(source, encoding="utf-8")
+        code = f"import sys; sys.path.insert(0, {folder!r}); import {entry}"
+        run = subprocess.run(
+            [sys.executable, "-I", "-c", code], cwd=folder, capture_output=True, text=True, check=False
+        )
+    if run.returncode:
+        reason = (run.stderr.strip().splitlines() or ["no reason given"])[-1]
+        raise ExportError(
+            f"block {block.name!r}: an FMU of the python flavour carries Python modules alone, which cannot "
+            f"be imported: {reason}; write what they need into them, or build the native flavour"
+        )
 
 
 @contextmanager

@@ -93,6 +93,20 @@ def test_the_python_flavour_carries_what_lies_beside_the_file(tmp_path: Path) ->
     assert done.stdout == "18.0\n", done.stderr
 
 
+def test_the_python_flavour_refuses_what_reads_a_file_as_it_is_imported(tmp_path: Path) -> None:
+    """An FMU of it does not carry the file; compiled code holds the number."""
+    (tmp_path / "gain.txt").write_text("0.25")
+    path = write(
+        tmp_path, 'GAIN = float(open(__file__.replace("lowpass.py", "gain.txt")).read())', "GAIN * u.u"
+    )
+    with (
+        catalogue.loaded(str(path)) as (block,),
+        pytest.raises(ExportError, match="carries Python modules alone"),
+    ):
+        catalogue.build_block(block, tmp_path / "out", Flavour.PYTHON)
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_changed_file_is_read_again_and_leaves_nothing_behind(tmp_path: Path) -> None:
     (tmp_path / "gains.py").write_text("GAIN = 2.0\n")
     path = write(tmp_path, "from gains import GAIN", "GAIN * u.u")
@@ -167,6 +181,10 @@ def test_what_an_installed_library_remembers_and_times_is_not_the_blocks(
         ("import no_such_module", r"lowpass\.py:2: ModuleNotFoundError: No module named 'no_such_module'"),
         ("from broken import x", r"broken\.py:2: ZeroDivisionError"),
         ("def f(:", r"lowpass\.py:2: SyntaxError"),
+        (
+            "from .broken import x",
+            r"lowpass\.py:2: ImportError: .*; import it without dots, or name the block",
+        ),
         ("raise SystemExit(3)", r"lowpass\.py:2: SystemExit: 3"),
     ],
 )
