@@ -39,6 +39,7 @@ class Instance:
         self.block = block
         self.fingerprint = fingerprint
         self.time = 0.0
+        self._stop_time = math.inf
         self._values: list[Any] = [v.start for v in block.variables]
         counts = (len(block.of_causality(c)) for c in ("parameter", "calculatedParameter", "input"))
         self._parameters_end, self._calculated_end, self._inputs_end = accumulate(counts)
@@ -94,11 +95,13 @@ class Instance:
 
     # modes
 
-    def start(self, time: float) -> None:
-        """Begin the initialisation at this time [s]."""
+    def start(self, time: float, stop_time: float | None = None) -> None:
+        """Begin the initialisation at this time [s]; no step goes beyond the stop time, if there is one."""
         if not math.isfinite(time):
             raise BlockError(f"start time {time!r}: expected a finite number of seconds")
-        self.time = time
+        if stop_time is not None and not stop_time > time:
+            raise BlockError(f"stop time {stop_time!r} s: expected more than the start time {time!r} s")
+        self.time, self._stop_time = time, math.inf if stop_time is None else stop_time
         self._outputs_are_stale = True
 
     def exit_initialization_mode(self) -> None:
@@ -126,6 +129,8 @@ class Instance:
             raise BlockError(f"communication step size {h!r} s: expected more than 0")
         if not (math.isfinite(t) and abs(t - self.time) <= _tolerance(t, h)):
             raise BlockError(f"communication point {t!r} s: expected {self.time!r}, the current time")
+        if not t + h <= self._stop_time + _tolerance(t, h):
+            raise BlockError(f"step to {t + h!r} s: expected at most the stop time {self._stop_time!r} s")
 
     def _advance(self, t: float, h: float) -> Any:
         """The state after h seconds."""
@@ -195,7 +200,7 @@ class Instance:
                 raise BlockError(f"state of {self.block.name}: {reason}")
         restored = Instance(self.block, self.fingerprint)
         restored._values = [v.cast(value) for v, value in zip(self.block.variables, values, strict=True)]
-        restored.time = time
+        restored.time, restored._stop_time = time, self._stop_time
         saved_values = list(restored._values)
         restored._prepare()
         try:

@@ -6,6 +6,7 @@ way to return fmi2Error for it, every step is discarded until the value is put r
 for a call that nothing can put right (setting an output, an unknown value reference).
 """
 
+import math
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -37,7 +38,7 @@ class BlockSlave(Fmi2Slave):
     def setup_experiment(
         self, start_time: float, stop_time: float | None = None, tolerance: float | None = None
     ) -> None:
-        self._attempt("start", self._instance.start, start_time)
+        self._attempt("start", self._instance.start, start_time, stop_time)
 
     def exit_initialization_mode(self) -> None:
         self._attempt("initialisation", self._instance.exit_initialization_mode)
@@ -64,7 +65,7 @@ class BlockSlave(Fmi2Slave):
             return [self._instance.get(reference) for reference in vrs]
         except Exception as error:
             self._error(str(error))
-            return [0] * len(vrs)
+            return [math.nan if types == ("Real",) else 0] * len(vrs)
 
     def _set(self, vrs: list[int], values: list[Any], types: tuple[str, ...]) -> None:
         for reference, value in zip(vrs, values, strict=True):

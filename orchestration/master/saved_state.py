@@ -64,10 +64,11 @@ class Record:
 class SavedState:
     """The whole system at one communication point of a run: opaque, for `Simulator.restore` in that run.
 
+    written: what the caller has set until then, where that is noted
     unused: where the run finds memory for its next saved states; this one's returns there when it is deleted
     """
 
-    __slots__ = ("memory", "position", "segment", "step_control", "unused")
+    __slots__ = ("memory", "position", "segment", "step_control", "unused", "written")
 
     def __init__(
         self,
@@ -75,9 +76,11 @@ class SavedState:
         position: int,
         step_control: Mapping[str, Any],
         segment: Segment,
+        written: tuple[Any, ...],
         unused: list[SavedMemory],
     ) -> None:
         self.memory, self.position, self.step_control = memory, position, step_control
+        self.written = written
         self.segment, self.unused = segment, unused
 
     def __del__(self) -> None:

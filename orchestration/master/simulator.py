@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
+from orchestration.errors import OrchestrationError, SimulationError
 from orchestration.fmi.description import describe
 from orchestration.fmi.instance import FmuInstance
 from orchestration.master.checkpoint import Checkpoint, Checkpoints, check_can_save, restore
@@ -20,7 +20,7 @@ from orchestration.master.loop import python_loop
 from orchestration.master.loop_data import Report, Storage
 from orchestration.master.pacing import Pacing
 from orchestration.master.process_guard import ProcessGuard, new_report
-from orchestration.master.step_by_step import StepByStep
+from orchestration.master.step_by_step import StepByStep, replay
 from orchestration.master.stepped_run import SteppedRun
 from orchestration.master.stepping import GROWTH, Progress, RunInProgress
 from orchestration.master.wiring import WiredRun, build_wiring
@@ -97,11 +97,6 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
 
         Raises what `run` raises.
         """
-        if experiment.error_estimate:
-            raise SystemDefinitionError(
-                "error_estimate: a run that is led step by step cannot be made a second time by itself: "
-                "expected `run`, or a second run at twice the step of your own"
-            )
         with self._begin_run():
             wired, groups, guard = self._prepare_run(experiment, tuple(external))
             run = SteppedRun(wired, self._loop(wired.wiring), guard)
@@ -113,6 +108,18 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
                 raise SimulationError(reason_of(error), run.recording()) from error
             self._must_reload = False
             self._stepped = run
+
+    def recording(self) -> Recording:
+        """As `StepByStep.recording`; an error estimate loads the FMUs a second time."""
+        first, recording = self._started(), super().recording()
+
+        def repeat(experiment: Experiment) -> Recording:
+            with Simulator(self.system, self._loop is compiled_loop) as second:
+                second.start(experiment, list(first.prepared.external))
+                return replay(second, first)
+
+        estimates = first.prepared.experiment.error_estimate
+        return with_error_estimate(recording, first.prepared, repeat) if estimates else recording
 
     @contextmanager
     def _begin_run(self) -> Iterator[None]:

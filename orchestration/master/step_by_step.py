@@ -1,5 +1,6 @@
 """Runs that are led step by step: the methods of `Simulator` for loops of the caller's own."""
 
+from collections import deque
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,8 @@ class StepByStep:
             simulator.step()
         recording = simulator.recording()
 
-    Without anything set, the recording is that of `run`, to the last bit.
+    Without anything set, the recording is that of `run`, to the last bit. The second run of an error estimate
+    takes what was set at the points that both have; a loop that the caller closes is none in it.
     """
 
     _stepped: SteppedRun | None = None
@@ -110,3 +112,19 @@ class StepByStep:
     def recording(self) -> Recording:
         """The values recorded until now, those of the present communication point included."""
         return self._started().recording_now()
+
+
+def replay(run: StepByStep, first: SteppedRun) -> Recording:
+    """Lead a run at twice the step of another one to its present point, with what was set there.
+
+    Raises OrchestrationError where the first one is not two steps from its start.
+    """
+    if first.position < 2:
+        raise OrchestrationError(f"expected at least two steps, got {first.position}")
+    remaining = deque(first.variables.written)
+    while not run.is_done and 2 * (run.point + 1) <= first.position:
+        while remaining and remaining[0][0] <= 2 * run.point:
+            _, name, value = remaining.popleft()
+            run.set(name, value)
+        run.step()
+    return run.recording()

@@ -193,7 +193,8 @@ class SteppedRun(RunInProgress):
             raise self._failure()
         point = self._report[_POSITION]
         step_control = self.step_control.state if self.step_control else {}
-        return SavedState(memory, point, step_control, self._record.keep(point), self._unused)
+        segment, written = self._record.keep(point), tuple(self.variables.written)
+        return SavedState(memory, point, step_control, segment, written, self._unused)
 
     def restore(self, state: SavedState) -> None:
         """Set the whole system, and its record, back to a state of this run."""
@@ -206,6 +207,7 @@ class SteppedRun(RunInProgress):
         if state.segment is not self._record.present:
             self._record.return_to(state.segment)
         self._report[_POSITION] = self._report[_RECORDED] = state.position
+        self.variables.written[:] = state.written
         if self.step_control:
             self.step_control.state = state.step_control
 

@@ -16,18 +16,24 @@ from orchestration.system.values import Value, fmi_value, value_range
 
 Reader = Callable[[], Any]
 Writer = Callable[..., None]
+Written = tuple[int, str, Value]
+"""Index of a communication point, and the name and the value of what is set there."""
 
 _LARGEST = sys.float_info.max
 _PLAIN: dict[str, Callable[[float], Any]] = {"Real": float, "Boolean": bool}  # others: int
 
 
 class VariableAccess:
-    """Reads and sets variables of one run, until `release`."""
+    """Reads and sets variables of one run, until `release`.
+
+    written: what was set, if the error is to be estimated, which a second run is made for
+    """
 
     def __init__(self, run: RunInProgress) -> None:
         self._run, self._system, self._index = run, run.prepared.system, run.wired.bus.index
         self._bus: Any = run.wiring.bus.data  # of float64, which typing does not know
         self._driven = {target for _, target in run.wired.bus.connections}
+        self.written: list[Written] = []
 
     def get(self, name: str) -> Any:
         """The present value of a variable, in the type of Python that it has."""
@@ -72,7 +78,7 @@ class VariableAccess:
         """A function that sets one variable, or several in this order, from the present point on."""
         if not names:
             raise SystemDefinitionError("writer: expected the name of a variable, or several")
-        writers = [self._writer(name) for name in names]
+        writers = [self._noting_writer(name) for name in names]
         if len(writers) == 1:
             return writers[0]
 
@@ -83,6 +89,17 @@ class VariableAccess:
                 write_one(value)
 
         return write
+
+    def _noting_writer(self, name: str) -> Callable[[Value], None]:
+        write = self._writer(name)
+        if not self._run.prepared.experiment.error_estimate:
+            return write
+
+        def write_and_note(value: Value) -> None:
+            write(value)
+            self.written.append((self._run.position, name, value))
+
+        return write_and_note
 
     def _writer(self, name: str) -> Callable[[Value], None]:
         external = self._run.prepared.external

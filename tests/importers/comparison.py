@@ -7,6 +7,7 @@ import numpy as np
 
 from orchestration.cli.package_fmus import build_ramp_source, build_started
 from orchestration.exchange import ssp_write
+from orchestration.exchange.ssp_version import SspVersion
 from orchestration.results.recording import Recording
 from orchestration.scenarios.scenario import Scenario
 from tests.importers.importers import ImporterJob, Trajectory, run_job
@@ -34,10 +35,10 @@ class Outcome:
     problem: str = ""
 
 
-def packaged(scenario: Scenario, folder: Path) -> ImporterJob:
+def packaged(scenario: Scenario, folder: Path, version: SspVersion = SspVersion.V1) -> ImporterJob:
     """What importers do with a scenario, whose package is written to `folder`."""
     path = folder / f"{scenario.name}.ssp"
-    package = ssp_write.package(scenario, path, build_ramp_source, build_started)
+    package = ssp_write.package(scenario, path, build_ramp_source, build_started, version)
     experiment = scenario.experiment
     times = experiment.start_time, experiment.stop_time, experiment.step_size
     return ImporterJob(package, OUTPUT, *times)

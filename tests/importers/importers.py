@@ -3,11 +3,14 @@
 A function for each, which imports its importer when it is called: in a process of its own, by `run_job`.
 """
 
+import os
 import shutil
+import sys
 import tempfile
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -48,10 +51,11 @@ class ImporterJob:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Values of the output at the importer's times [s]."""
+    """Values of the output at the importer's times [s], and what the importer and the FMUs printed."""
 
     time: np.ndarray
     values: np.ndarray
+    printed: str = ""
 
 
 Reports = tuple[ArrayLike, ArrayLike]  # times and values
@@ -122,6 +126,26 @@ def libcosim(job: ImporterJob) -> Reports:
     return time, values
 
 
+def omsimulator(job: ImporterJob) -> Reports:
+    """OMSimulator 3: its master `oms_ma`, with the step size that the package annotates."""
+    from OMSimulator import SSP, CRef  # pyright: ignore[reportMissingImports]
+
+    package = SSP(str(job.package))
+    model = package.instantiate()
+    model.setResultFile("")
+    output = CRef(package.activeVariant.system.name, *job.output.split(".", 1))
+    model.initialize()
+    time, values = [model.getTime()], [model.getValue(output)]
+    while len(time) <= job.reports:
+        for _ in range(job.report_every):
+            model.doStep()
+        time.append(model.getTime())
+        values.append(model.getValue(output))
+    model.terminate()
+    model.delete()
+    return time, values
+
+
 def fmucontainer(job: ImporterJob) -> Reports:
     """`fmucontainer` of the FMU manipulation toolbox: all FMUs in one container FMU, which FMPy then runs.
 
@@ -184,9 +208,22 @@ IMPORTERS = {
     "ecos": Importer(ecos, "ecospy"),
     "fmucontainer": Importer(fmucontainer, "fmu-manipulation-toolbox"),
 }
+if find_spec("OMSimulator"):  # installs only where build.openmodelica.org can be reached
+    IMPORTERS["omsimulator"] = Importer(omsimulator, "OMSimulator")
 
 
 def run_job(parent: Parent) -> None:
     """Run the job that is sent with the name of an importer; send its trajectory."""
     importer, job = parent.receive()
-    parent.send(Trajectory(*map(np.asarray, IMPORTERS[importer].run(job))))
+    with tempfile.TemporaryFile() as printed:
+        usual = os.dup(sys.stderr.fileno())
+        for stream in (sys.stdout, sys.stderr):
+            os.dup2(printed.fileno(), stream.fileno())
+        try:
+            time, values = map(np.asarray, IMPORTERS[importer].run(job))
+        finally:
+            os.dup2(usual, sys.stderr.fileno())  # where the reason of a failure is looked for
+            printed.seek(0)
+            text = printed.read().decode("utf-8", "replace")
+            sys.stderr.write(text)
+    parent.send(Trajectory(time, values, text))

@@ -2,17 +2,25 @@
 
 import subprocess
 import sys
+import zipfile
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from pyssp_standard.ssd import SSD
+from pyssp_standard.ssv import SSV
 
+from orchestration.exchange.ssp_version import SspVersion
+from orchestration.exchange.ssp_xml import STRUCTURE
 from orchestration.master import simulate
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
+from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Experiment
-from tests.importers.comparison import OUTPUT, SCENARIOS, least_difference, outcome, run_isolated
+from tests.importers.comparison import OUTPUT, SCENARIOS, least_difference, outcome, packaged, run_isolated
 from tests.importers.importers import IMPORTERS, ImporterJob, Trajectory
 
 pytestmark = pytest.mark.importers
@@ -20,7 +28,7 @@ pytestmark = pytest.mark.importers
 # All exchange as Jacobi does, at t_i, so that only the rounding of t_i differs: one counts steps, another
 # adds them up and ends at 310.000000000008 s. Below, this alone moves our own master's depth by some 1e-10 m.
 ROUNDING_OF_TIME = 1e-9
-STEP_SHIFT = {"fmpy_ssp": 1, "libcosim": 0, "ecos": 0, "fmucontainer": 0}
+STEP_SHIFT = {"fmpy_ssp": 1, "libcosim": 0, "ecos": 0, "fmucontainer": 0, "omsimulator": 0}
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -34,6 +42,41 @@ def test_the_depth_is_that_of_this_master(
     shift, difference = least_difference(answer, ours[name], jobs[name])
     assert difference < ROUNDING_OF_TIME
     assert shift == STEP_SHIFT[importer]
+
+
+@pytest.fixture(scope="module")
+def package_of_ssp_2(tmp_path_factory: pytest.TempPathFactory, loaded: Mapping[str, Scenario]) -> ImporterJob:
+    folder = tmp_path_factory.mktemp("ssp 2")
+    return packaged(loaded["nominal-l1"], folder, SspVersion.V2)
+
+
+# fmpy.ssp 0.3.32 and Ecos 0.7.2 refuse the version
+READ_SSP_2 = [name for name in ("libcosim", "fmucontainer", "omsimulator") if name in IMPORTERS]
+
+
+@pytest.mark.parametrize("importer", READ_SSP_2)
+def test_the_depth_is_that_of_this_master_from_a_package_of_ssp_2(
+    importer: str, package_of_ssp_2: ImporterJob, ours: dict[str, Recording]
+) -> None:
+    answer = run_isolated(importer, package_of_ssp_2)
+    assert isinstance(answer, Trajectory), answer
+    assert least_difference(answer, ours["nominal-l1"], package_of_ssp_2)[1] < ROUNDING_OF_TIME
+
+
+def test_files_of_ssp_2_follow_its_schemas(package_of_ssp_2: ImporterJob, tmp_path: Path) -> None:
+    """As pyssp_standard has them, with XML Schema 1.1, and its reader reads what is written."""
+    with zipfile.ZipFile(package_of_ssp_2.package) as archive:
+        archive.extractall(tmp_path)
+    files = [*map(SSD, tmp_path.glob("*.ssd")), *map(SSV, tmp_path.glob("parameters/*.ssv"))]
+    assert len(files) > 2
+    for file in files:
+        assert file.version == "2.0"
+        file.__check_compliance__()
+    read: Any = SSD(tmp_path / STRUCTURE)
+    assert len(read.connections()) == 5
+    assert {element.name for element in read.system.elements} == {
+        "controller", "plant", "depth_reference"
+    }  # fmt: skip
 
 
 def test_fmpy_applies_the_parameter_set_of_another_scenario_when_it_is_named(

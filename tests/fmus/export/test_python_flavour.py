@@ -93,6 +93,32 @@ def test_a_getter_of_the_wrong_type_is_an_error_in_the_log(
     assert plant.log[-1] == "control is Real: expected Boolean"
 
 
+def test_a_value_reference_that_is_none_reads_as_no_number(
+    python_built: Mapping[str, Path], load: Any
+) -> None:
+    """The binary has no way to return the error that FMI wants here."""
+    plant = load(python_built["ExamplePlant"]).begin()
+    assert math.isnan(plant.slave.getReal([99])[0])
+    assert plant.log[-1] == "value reference 99: expected 0..18 of ExamplePlant"
+
+
+def test_no_step_goes_beyond_the_stop_time_of_the_setup(python_built: Mapping[str, Path], load: Any) -> None:
+    """Discarded: an error is what FMI wants, which the binary cannot return."""
+    plant = load(python_built["ExamplePlant"])
+    plant.slave.setupExperiment(startTime=0.0, stopTime=0.3)
+    plant.slave.enterInitializationMode()
+    plant.slave.exitInitializationMode()
+    for i in range(3):
+        plant.slave.doStep(i * 0.1, 0.1)
+    state = plant.slave.getFMUstate()
+    with pytest.raises(FMICallException, match="discard"):
+        plant.slave.doStep(0.3, 0.1)
+    assert plant.log[-1] == "step to 0.4 s: expected at most the stop time 0.3 s"
+    plant.slave.setFMUstate(state)
+    with pytest.raises(FMICallException, match="discard"):
+        plant.slave.doStep(0.3, 0.1)
+
+
 def test_a_percent_sign_in_a_message_is_escaped(python_built: Mapping[str, Path], load: Any) -> None:
     """FMI's logger takes a printf format: an unescaped %n would write to memory."""
     plant = load(python_built["ExamplePlant"]).begin()

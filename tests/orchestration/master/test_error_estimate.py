@@ -1,5 +1,6 @@
 """The estimated error of a run beside the true one."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,11 +12,11 @@ from scipy.linalg import expm
 
 from orchestration.errors import FmuWarning, SystemDefinitionError
 from orchestration.master import Simulator, simulate
-from orchestration.results.recording import ERROR_ESTIMATE
+from orchestration.results.recording import ERROR_ESTIMATE, Recording
 from orchestration.system.experiment import Algorithm, Experiment
 from orchestration.system.system import System
 from tests.foreign_fmus import Misdeed
-from tests.orchestration.linear_systems import coupled, solution
+from tests.orchestration.linear_systems import LOOP, coupled, solution
 
 Build = Callable[..., Path]
 OUTPUTS = ("one.y[1]", "two.y[1]")
@@ -176,5 +177,57 @@ def test_what_cannot_be_estimated_is_refused(linear: Build) -> None:
         SystemDefinitionError, match=r"expected a run of at least 0\.2 s, two steps .* got 0\.1 s"
     ):
         simulate(system, Experiment(0.1, 0.1, error_estimate=True))
-    with Simulator(system) as simulator, pytest.raises(SystemDefinitionError, match="led step by step"):
+
+
+def led(simulator: Simulator, experiment: Experiment, detours: int = 0) -> Recording:
+    """The input u[2] of one is set at each point; `detours` are taken back."""
+    simulator.start(experiment, external=["one.u[2]"])
+    while not simulator.is_done:
+        for _ in range(detours):
+            state = simulator.save()
+            simulator.set("one.u[2]", 100.0)
+            simulator.step()
+            simulator.restore(state)
+        simulator.set("one.u[2]", math.sin(simulator.time))
+        simulator.step()
+    return simulator.recording()
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_a_run_that_is_led_step_by_step_has_the_estimate_of_a_whole_run(
+    linear: Build, compiled: bool
+) -> None:
+    system, experiment = coupled(linear), Experiment(1.0, 0.1, error_estimate=True)
+    with Simulator(system, compiled) as simulator:
+        complete = simulator.run(experiment)
+        simulator.start(experiment)
+        while not simulator.is_done:
+            simulator.step()
+        run = simulator.recording()
+    assert run.names == complete.names
+    assert np.array_equal(run.values, complete.values)
+    assert run.provenance["error_estimate"] == complete.provenance["error_estimate"]
+
+
+def test_the_estimate_takes_what_was_set_and_not_what_was_taken_back(linear: Build) -> None:
+    """x' = A x + (sin t, 0): the error of holding exchanged and set inputs, beside small steps."""
+    able: dict[str, Any] = {"saves_state": True}
+    fmus = {"one": linear(b=(0.5, 1.0), d=((0.0, 0.0),), **able), "two": linear(a=-2.0, b=(-3.0,), **able)}
+    experiment = Experiment(2.0, 0.05, error_estimate=True)
+    with Simulator(System(fmus, LOOP)) as simulator:
+        run = led(simulator, experiment)
+        with_detours = led(simulator, experiment, detours=1)
+        fine = led(simulator, Experiment(2.0, 0.0005))
+    assert np.array_equal(with_detours.values, run.values)
+    errors = [np.abs(run[name] - fine[name][::100]) for name in OUTPUTS]
+    estimated = [run[f"{ERROR_ESTIMATE}{name}"] for name in OUTPUTS]
+    assert np.max(errors) <= np.max(estimated) <= 10.0 * np.max(errors)
+
+
+def test_the_estimate_of_less_than_two_steps_is_no_number(linear: Build) -> None:
+    with Simulator(coupled(linear)) as simulator:
         simulator.start(Experiment(1.0, 0.1, error_estimate=True))
+        simulator.step()
+        with pytest.warns(FmuWarning, match="no error estimate: .* expected at least two steps, got 1"):
+            run = simulator.recording()
+    assert np.all(np.isnan(run[f"{ERROR_ESTIMATE}{OUTPUTS[0]}"]))

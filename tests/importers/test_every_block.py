@@ -1,0 +1,74 @@
+"""A package with a component of every block, in every importer: no error, no warning, the same values."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmus import catalogue
+from fmus.compliance.examine import examine
+from orchestration.master import simulate
+from orchestration.results.recording import Recording
+from orchestration.scenarios import scenario
+from tests.importers.comparison import least_difference, packaged, run_isolated
+from tests.importers.importers import IMPORTERS, ImporterJob, Trajectory
+
+pytestmark = pytest.mark.importers
+
+ROUNDING = 1e-12  # of numbers up to 10, over 100 steps
+NAMES = catalogue.block_names()
+DEPTH_CONTROLLERS = [name for name in NAMES if name.endswith("DepthController")]
+OUTPUTS = ("L1DepthController.demanded_force", "ExamplePlant.output", "ThrustAllocation.voltage[1]")
+FED = [
+    ("DepthReference.depth_reference", "depth_reference"),
+    ("RovDepthPlant.measured_depth", "measured_depth"),
+]
+CONNECTIONS = [
+    ("L1DepthController.voltage[1]", "RovDepthPlant.voltage[1]"),
+    ("L1DepthController.voltage[2]", "RovDepthPlant.voltage[2]"),
+    ("PidDepthController.demanded_force", "ThrustAllocation.control_force"),
+    ("L1Controller.control", "ExamplePlant.control"),
+    *((f"ExamplePlant.state[{i}]", f"L1Controller.measured_state[{i}]") for i in (1, 2)),
+    *((source, f"{name}.{target}") for name in DEPTH_CONTROLLERS for source, target in FED),
+]
+
+
+@pytest.fixture(scope="module")
+def job_and_ours(
+    built: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory
+) -> tuple[ImporterJob, Recording]:
+    folder = tmp_path_factory.mktemp("every block")
+    components = "".join(f'{name} = "{built[name]}"\n' for name in NAMES)
+    pairs = ", ".join(f'["{source}", "{target}"]' for source, target in CONNECTIONS)
+    (folder / "every.toml").write_text(
+        f"connections = [{pairs}]\n"
+        f"[components]\n{components}"
+        '[experiment]\nstop_time = 2.0\nstep_size = 0.02\nopen_inputs = "start"\n'
+        '[inputs]\n"L1Controller.reference" = 1.0\n'
+    )
+    chosen = scenario.load(folder / "every.toml")
+    return packaged(chosen, folder), simulate(chosen.system, chosen.experiment)
+
+
+@pytest.mark.parametrize("importer", IMPORTERS)
+def test_every_block_runs_without_an_error_or_a_warning(
+    importer: str, job_and_ours: tuple[ImporterJob, Recording]
+) -> None:
+    """The outputs of three loops in which all blocks are."""
+    job, ours = job_and_ours
+    for output in OUTPUTS:
+        own = replace(job, output=output)
+        answer = run_isolated(importer, own)
+        assert isinstance(answer, Trajectory), answer
+        assert not re.search(r"\b(warn|warning|error|fatal)\b", answer.printed.lower()), answer.printed
+        assert np.ptp(answer.values) > 0.0
+        assert least_difference(answer, ours, own)[1] < ROUNDING
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_native_fmu_breaks_no_rule(built: Mapping[str, Path], name: str) -> None:
+    """No error, no warning: of what is built by default, for this platform."""
+    assert not {result.rule.name: result.messages for result in examine(built[name]) if result.messages}
