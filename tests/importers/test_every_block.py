@@ -53,6 +53,15 @@ def job_and_ours(
     return packaged(chosen, folder), simulate(chosen.system, chosen.experiment)
 
 
+# what a container of fmucontainer 2.0 prints of itself, whatever is in it
+BANNER = ("FMUContainer 'V2.0'", "Solver configure....", "Container use PARALLEL mode")
+
+
+def is_complaint(line: str) -> bool:
+    named = re.search(r"\b(warn|warning|error|fatal)\b", line, re.IGNORECASE)
+    return bool(named) and not any(text in line for text in BANNER)
+
+
 @pytest.mark.parametrize("importer", IMPORTERS)
 def test_every_block_runs_without_an_error_or_a_warning(
     importer: str, job_and_ours: tuple[ImporterJob, Recording]
@@ -63,7 +72,7 @@ def test_every_block_runs_without_an_error_or_a_warning(
         own = replace(job, output=output)
         answer = run_isolated(importer, own)
         assert isinstance(answer, Trajectory), answer
-        assert not re.search(r"\b(warn|warning|error|fatal)\b", answer.printed.lower()), answer.printed
+        assert not [line for line in answer.printed.splitlines() if is_complaint(line)]
         assert np.ptp(answer.values) > 0.0
         assert least_difference(answer, ours, own)[1] < ROUNDING
 
