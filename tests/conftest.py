@@ -5,6 +5,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import fmpy
 import pytest
@@ -41,13 +42,18 @@ def pytest_xdist_auto_num_workers() -> int:
 def pytest_configure(config: pytest.Config) -> None:
     """Set the folders of the user's own files to an empty one; pytest-xdist's processes inherit it.
 
-    Zig's cache stays where it is: it holds compiled C libraries, found by the hash of what they are made of.
+    Two caches stay where they are: Zig's of compiled C libraries, found by the hash of what they are made of,
+    and matplotlib's list of fonts. Compiled Python is kept, even where the environment says otherwise: hundreds
+    of processes would compile every file anew.
     """
     if hasattr(config, "workerinput"):
+        _collect_another_part_first(config)
         return
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices are small, and processors are taken
-    cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    os.environ.setdefault("ZIG_GLOBAL_CACHE_DIR", str(Path(cache) / "zig"))
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    os.environ.setdefault("ZIG_GLOBAL_CACHE_DIR", str(cache / "zig"))
+    os.environ.setdefault("MPLCONFIGDIR", str(cache / "matplotlib"))
     home = config.stash[_HOME] = tempfile.mkdtemp(prefix="l1-depth-tests-")
     os.environ["HOME"] = home
     for name in ("CACHE", "CONFIG", "DATA", "STATE"):
@@ -55,9 +61,22 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ[FOLDER_VARIABLE] = f"{home}/fmus"
 
 
+def _collect_another_part_first(config: pytest.Config) -> None:
+    """Let each of pytest-xdist's processes begin with other files: it finds those of the others compiled."""
+    if config.args == config.getini("testpaths"):
+        files = sorted(map(str, Path(__file__).parent.rglob("test_*.py")))
+        worker: dict[str, Any] = config.workerinput  # type: ignore[attr-defined]
+        start = len(files) * int(worker["workerid"].removeprefix("gw")) // worker["workercount"]
+        config.args = files[start:] + files[:start]
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what needs more than pip installs by the fixture that finds it; others by what they build."""
+    """Mark what needs more than pip installs by the fixture that finds it; others by what they build.
+
+    In one order, which pytest-xdist expects of its processes.
+    """
+    items.sort(key=lambda item: item.path.parts)
     for item in items:
         fixtures: list[str] = getattr(item, "fixturenames", [])
         callspec = getattr(item, "callspec", None)

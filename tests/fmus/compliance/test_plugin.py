@@ -11,9 +11,10 @@ import pytest
 
 from fmus.compliance.examine import all_rules
 
-from .archives import PYTHONFMU_ERRORS, members, write
+from .archives import members, write
 
 NAME = "DepthReference"
+XML = "modelDescription.xml"
 PLUGIN = "fmus.compliance.pytest_plugin"
 HEAVY = ["lief", "fmpy", "lxml", "casadi", "numpy", "rich"]
 
@@ -29,13 +30,15 @@ def run_pytest(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str
 
 @pytest.fixture(scope="module")
 def judged(
-    built: Mapping[str, Path], python_built: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory
+    built: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory
 ) -> subprocess.CompletedProcess[str]:
     """pytest with a test of the project's own, and a good, a broken, a warned and a missing FMU."""
     folder = tmp_path_factory.mktemp("judged")
     (folder / "test_own.py").write_text("def test_own():\n    assert True\n")
-    write(members(python_built[NAME]), folder / "broken.fmu")
-    write(members(built[NAME]) | {"readme.txt": b""}, folder / "warned.fmu")
+    content = members(built[NAME])
+    twice = content[XML].replace(b'name="smooth"', b'name="internal_step"')
+    write(content | {XML: twice}, folder / "broken.fmu")
+    write(content | {"readme.txt": b""}, folder / "warned.fmu")
     names = (str(built[NAME]), "broken.fmu", "warned.fmu", "none.fmu")
     return run_pytest(folder, "-v", "-rf", *(argument for name in names for argument in ("--fmu", name)))
 

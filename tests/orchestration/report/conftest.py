@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 from selenium import webdriver
-from selenium.webdriver.chrome.service import Service
 
 from orchestration import report as page
 
@@ -33,19 +32,19 @@ def _built(scenario_fmus: None) -> None:
 @pytest.fixture(scope="session")
 def browser(
     tool: Callable[[str], str], tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[webdriver.Chrome]:
+) -> Iterator["webdriver.Chrome"]:
     """Debian's Chromium, steered by its own driver."""
     options = webdriver.ChromeOptions()
     options.binary_location = tool("chromium")
     for flag in (*_FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('browser')}"):
         options.add_argument(flag)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    with webdriver.Chrome(options, Service(tool("chromedriver"))) as driver:
+    with webdriver.Chrome(options, webdriver.ChromeService(tool("chromedriver"))) as driver:
         yield driver
 
 
 @pytest.fixture
-def opened(browser: webdriver.Chrome, tmp_path: Path) -> Iterator[Callable[..., OpenedPage]]:
+def opened(browser: "webdriver.Chrome", tmp_path: Path) -> Iterator[Callable[..., OpenedPage]]:
     """Opens the page of some results; afterwards nothing must have gone wrong and nothing been fetched."""
     pages: list[OpenedPage] = []
 

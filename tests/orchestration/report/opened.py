@@ -3,13 +3,14 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from selenium.webdriver import ActionChains, Chrome
+from selenium import webdriver  # whose names are loaded when they are used
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
-from selenium.webdriver.remote.webelement import WebElement
-from selenium.webdriver.support.ui import WebDriverWait
+
+if TYPE_CHECKING:
+    from selenium.webdriver.remote.webelement import WebElement
 
 _PATIENCE_S = 30.0
 _OWN = ("file:", "data:", "blob:", "about:", "chrome:")  # the last of the browser's first tab
@@ -18,7 +19,7 @@ _OWN = ("file:", "data:", "blob:", "about:", "chrome:")  # the last of the brows
 class OpenedPage:
     """A page in a browser, with what its console and its network have said since it was opened."""
 
-    def __init__(self, driver: Chrome, file: Path) -> None:
+    def __init__(self, driver: "webdriver.Chrome", file: Path) -> None:
         self.driver = driver
         for log in ("browser", "performance"):
             driver.get_log(log)  # what earlier pages have said
@@ -31,18 +32,20 @@ class OpenedPage:
         return self
 
     def until(self, true: Callable[[], Any]) -> None:
+        from selenium.webdriver.support.ui import WebDriverWait
+
         WebDriverWait(self.driver, _PATIENCE_S, poll_frequency=0.05).until(lambda driver: true())
 
     def run(self, script: str, *arguments: Any) -> Any:
         return self.driver.execute_script(script, *arguments)
 
-    def all(self, selector: str) -> list[WebElement]:
+    def all(self, selector: str) -> list["WebElement"]:
         return self.driver.find_elements(By.CSS_SELECTOR, selector)
 
-    def one(self, selector: str) -> WebElement:
+    def one(self, selector: str) -> "WebElement":
         return self.driver.find_element(By.CSS_SELECTOR, selector)
 
-    def click(self, element: WebElement) -> "OpenedPage":
+    def click(self, element: "WebElement") -> "OpenedPage":
         self.run("arguments[0].scrollIntoView({block: 'center', behavior: 'instant'})", element)
         element.click()
         return self.settled()
@@ -87,16 +90,16 @@ class OpenedPage:
             ".map((plot) => plot._fullLayout.xaxis.range)"
         )
 
-    def drag(self, plot: WebElement, start: float, end: float) -> "OpenedPage":
+    def drag(self, plot: "WebElement", start: float, end: float) -> "OpenedPage":
         """Across a plot at half its height, from one share of its time axis to another."""
         self.run("arguments[0].scrollIntoView({block: 'center', behavior: 'instant'})", plot)
         area = plot.find_element(By.CSS_SELECTOR, ".nsewdrag")
-        width = area.size["width"]
-        moves = ActionChains(self.driver).move_to_element_with_offset(area, round((start - 0.5) * width), 0)
+        width, moves = area.size["width"], webdriver.ActionChains(self.driver)
+        moves.move_to_element_with_offset(area, round((start - 0.5) * width), 0)
         moves.click_and_hold().move_by_offset(round((end - start) * width), 0).release().perform()
         return self.settled()
 
-    def click_point(self, plot: WebElement, trace: int, point: int) -> "OpenedPage":
+    def click_point(self, plot: "WebElement", trace: int, point: int) -> "OpenedPage":
         """The mouse on a marker of a plot."""
 
         def hovers() -> bool:
@@ -111,14 +114,14 @@ class OpenedPage:
                 trace,
                 point,
             )
-            moves = ActionChains(self.driver)
+            moves = webdriver.ActionChains(self.driver)
             for position in (x + 2.0, x):
                 moves.w3c_actions.pointer_action.move_to_location(round(position), round(y)).pause(0.2)
             moves.perform()
             return bool(plot.find_elements(By.CSS_SELECTOR, ".hovertext"))
 
         self.until(hovers)
-        ActionChains(self.driver).click().perform()
+        webdriver.ActionChains(self.driver).click().perform()
         return self.settled()
 
     def emulate(self, **media: str) -> "OpenedPage":

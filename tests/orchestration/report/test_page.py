@@ -5,13 +5,16 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pyarrow.parquet as pq
 import pytest
-from selenium.webdriver.remote.webelement import WebElement
 
 from .made_up import PROVENANCE, recording, write_run, write_sweep
 from .opened import OpenedPage
+
+if TYPE_CHECKING:
+    from selenium.webdriver.remote.webelement import WebElement
 
 Open = Callable[..., OpenedPage]
 
@@ -34,7 +37,7 @@ def test_runs_with_the_same_metrics_stand_side_by_side(everything: OpenedPage) -
     ]
 
 
-def heading(page: OpenedPage, text: str) -> WebElement:
+def heading(page: OpenedPage, text: str) -> "WebElement":
     (cell,) = [cell for cell in page.all(".distributions th") if cell.text == text]
     return cell
 

@@ -18,7 +18,7 @@ def html() -> str:
 
 
 @pytest.fixture
-def opened_score(browser: webdriver.Chrome, tmp_path: Path, html: str) -> Iterator[OpenedPage]:
+def opened_score(browser: "webdriver.Chrome", tmp_path: Path, html: str) -> Iterator[OpenedPage]:
     file = tmp_path / "score.html"
     file.write_text(html, encoding="utf-8")
     page = OpenedPage(browser, file)

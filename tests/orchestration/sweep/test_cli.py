@@ -1,4 +1,4 @@
-"""The command `sweep`, as a user meets it: in a process of its own."""
+"""The command `sweep`; where it is interrupted, in a process of its own, as a user meets it."""
 
 import json
 import os
@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -39,9 +40,11 @@ def ended(process: subprocess.Popen[str], folder: Path, expect: int = 0) -> tupl
     return out, error
 
 
-def test_it_writes_a_table_and_prints_a_summary(sweep_file: MakeFile, tmp_path: Path) -> None:
+def test_it_writes_a_table_and_prints_a_summary(
+    sweep_file: MakeFile, tmp_path: Path, command: Callable[..., Any]
+) -> None:
     before = {*tmp_path.iterdir(), sweep_file()}
-    out, _ = ended(started(tmp_path, sweep_file(), "--workers", 1, "--recordings", "r.y"), tmp_path)
+    out = command("sweep", sweep_file(), "--workers", 1, "--recordings", "r.y").stdout
     assert "mine: 12 samples, 0 failed" in out
     assert "results/mine.sweep.parquet" in out
     assert len(list((tmp_path / "results" / "mine.recordings").glob("sample-*.parquet"))) == 12
