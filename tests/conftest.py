@@ -43,8 +43,8 @@ def pytest_configure(config: pytest.Config) -> None:
     """Set the folders of the user's own files to an empty one; pytest-xdist's processes inherit it.
 
     Two caches stay where they are: Zig's of compiled C libraries, found by the hash of what they are made of,
-    and matplotlib's list of fonts. Compiled Python is kept, even where the environment says otherwise: hundreds
-    of processes would compile every file anew.
+    and matplotlib's list of fonts. Compiled Python is kept, also where the environment says otherwise:
+    hundreds of processes would compile every file anew.
     """
     if hasattr(config, "workerinput"):
         _collect_another_part_first(config)
