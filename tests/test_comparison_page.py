@@ -1,12 +1,16 @@
-"""Every figure of docs/explanation/comparison.md is one of the run that ships beside it, or follows from it.
+"""What docs/explanation/comparison.md says follows from the run that ships beside it, and from the searches.
 
 A figure stands before a comment with the expression that gives it: 1.02<!-- {tuned/l1.nominal.rmse} -->.
+What a sentence says besides is a condition: <!-- holds: {tuned/l1.nominal.rmse} < 2 -->.
 """
 
 import math
 import re
+import tomllib
 from dataclasses import astuple
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,12 +19,14 @@ from orchestration.study.protocol import read_protocol
 from orchestration.study.score_document import Score
 from orchestration.study.statistics import compare as paired
 from orchestration.study.statistics import distribution
-from orchestration.study.tuned_gains import tuned_gains
+from orchestration.study.tuned_gains import FOLDER, tuned_gains
 
 EXPLANATION = Path(__file__).parent.parent / "docs" / "explanation"
 PAGE = (EXPLANATION / "comparison.md").read_text(encoding="utf-8")
 CLAIMS = PAGE[PAGE.index("## What follows") : PAGE.index("## Tables")]
 FIGURE = re.compile(r"(?<![\w.])(-?\d[\d.]*)<!-- (.+?) -->")
+HOLDS = re.compile(r"<!-- holds: (.+?) -->", re.DOTALL)
+SENTENCE = re.compile(r"(?<=\.)\s+(?=(?:[-*] ?)*[A-Z])")
 NUMBER = re.compile(r"(?<![\w/.-])-?\d+(\.\d+)?(?![\w/])")
 
 
@@ -29,11 +35,32 @@ def document() -> Score:
     return Score.model_validate_json((EXPLANATION / "comparison.json").read_text(encoding="utf-8"))
 
 
-def value(document: Score, expression: str) -> float:
-    """An expression of Python over keys in braces."""
+def value(document: Score, expression: str) -> Any:
+    """Of Python, over keys in braces: {tuned/l1.nominal.rmse}, {search/l1.cost}, {gain/pid.kp}."""
     code = re.sub(r"\{(.+?)\}", r"figure('\1')", expression)
-    names = {"figure": lambda key: compare.figure(document, key), "min": min, "max": max, "__builtins__": {}}
-    return float(eval(code, names))
+
+    def figure(key: str) -> float:
+        kind, _, rest = key.partition("/")
+        name, _, item = rest.partition(".")
+        if kind == "search":
+            return search(name, item)
+        return float(tuned_gains(name)[item]) if kind == "gain" else compare.figure(document, key)
+
+    def order(which: str, league: str, key: str) -> list[str]:
+        """The controllers of a league, the one with the least figure first."""
+        names = [row.name for row in compare.part(document, which, league).rows]
+        return [name.partition("/")[2] for name in sorted(names, key=lambda name: figure(f"{name}.{key}"))]
+
+    tuned = [row.name for row in document.rows if row.name.startswith(f"{compare.TUNED}/")]
+    known = {f.__name__: f for f in (figure, order, search, abs, max, min, set)}
+    names = [*read_protocol().controllers]
+    return eval(" ".join(code.split()), {**known, "names": names, "tuned": tuned, "__builtins__": {}})
+
+
+@cache
+def search(name: str, key: str) -> Any:
+    """What the file of a tuning says of its search."""
+    return tomllib.loads((FOLDER / f"{name}.toml").read_text(encoding="utf-8"))["tuning"][key]
 
 
 def test_every_figure_agrees_with_the_run_to_the_digits_printed(document: Score) -> None:
@@ -41,11 +68,24 @@ def test_every_figure_agrees_with_the_run_to_the_digits_printed(document: Score)
     assert len(figures) > 20
     for printed, expression in figures:
         digits = len(printed.partition(".")[2])
-        assert f"{value(document, expression):.{digits}f}" == printed, expression
+        assert f"{float(value(document, expression)):.{digits}f}" == printed, expression
+
+
+def test_every_condition_holds(document: Score) -> None:
+    conditions = HOLDS.findall(PAGE)
+    assert len(conditions) > 10
+    assert not [condition for condition in conditions if value(document, condition) is not True]
+
+
+def test_every_sentence_of_what_follows_can_be_checked() -> None:
+    """But for those that say what was run."""
+    findings = CLAIMS[: CLAIMS.index("**Limits.**")]
+    sentences = [text for part in findings.strip().split("\n\n")[1:] for text in SENTENCE.split(part)]
+    assert not [text for text in sentences if "<!--" not in text]
 
 
 def test_no_figure_of_the_claims_stands_without_what_gives_it() -> None:
-    prose = re.sub(r"`.*?`|\]\(.*?\)", "", FIGURE.sub("", CLAIMS))
+    prose = re.sub(r"`.*?`|\]\(.*?\)", "", HOLDS.sub("", FIGURE.sub("", CLAIMS)))
     assert not [line for line in prose.splitlines() if NUMBER.search(line)]
 
 
