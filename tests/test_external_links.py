@@ -19,7 +19,7 @@ class _Answer(BaseHTTPRequestHandler):
         self.send_response(int(self.path.removeprefix("/")))
         self.end_headers()
 
-    def log_message(self, *arguments: Any) -> None:
+    def log_message(self, format: str, *arguments: Any) -> None:
         """Nothing: standard error is for the tests."""
 
 
