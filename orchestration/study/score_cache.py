@@ -10,6 +10,7 @@ import os
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import asdict
+from functools import cache
 from pathlib import Path
 
 from platformdirs import user_cache_path
@@ -43,12 +44,16 @@ def folder() -> Path:
 def key(controller: Controller, loop: Loop, full: bool) -> str:
     """The name of a row in the cache."""
     loaded = loop.scenario(loop.protocol.nominal)
-    files_of_rooms = (path for name in _COMPUTING for path in (_PROJECT / name).rglob("*"))
-    sources = sorted(path for path in files_of_rooms if path.suffix in _SOURCES and _is_followed(path))
-    files = [*sources, *loaded.system.components.values()]
+    fmus = [_digest(fmu) for fmu in loaded.system.components.values()]
     runs = {name: table for name, table in loop.protocol.file.data.items() if name not in _OF_OTHERS}
-    content = [asdict(controller), full, runs, [_digest(file) for file in files]]
+    content = [asdict(controller), full, runs, _digests_of_sources(), fmus]
     return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()
+
+
+@cache
+def _digests_of_sources() -> list[str]:
+    files = (path for name in _COMPUTING for path in (_PROJECT / name).rglob("*"))
+    return [_digest(path) for path in sorted(files) if path.suffix in _SOURCES and _is_followed(path)]
 
 
 def _is_followed(source: Path) -> bool:
