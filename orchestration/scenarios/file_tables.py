@@ -206,7 +206,8 @@ def _line(error: ErrorDetails, data: object) -> str:
         known = re.findall(r"'([^']*)'", context["expected"])
         return f"{subject}{value!r}; {nearest(str(value), known)}"
     expected = _EXPECTED.get(kind, error["msg"].removeprefix("Input should be ")).format(**context)
-    return f"{subject}{reprlib.repr(value)}: expected {expected}"
+    hint = "; a Boolean input takes 0 and 1" if kind == "float_type" and isinstance(value, bool) else ""
+    return f"{subject}{reprlib.repr(value)}: expected {expected}{hint}"
 
 
 def _has_unquoted_name(table: KeyPath, value: Any, scalar_expected: bool) -> bool:

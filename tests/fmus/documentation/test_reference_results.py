@@ -5,7 +5,7 @@ import hashlib
 import io
 import zipfile
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -16,7 +16,7 @@ import pytest
 from fmpy.util import read_csv
 
 from fmus import catalogue
-from fmus.block import Block
+from fmus.block import Block, variable
 from fmus.documentation.reference_files import LS_REF, RELATIVE_TOLERANCE, cross_check_files
 from fmus.documentation.reference_results import reference_run
 from fmus.errors import ExportError
@@ -182,3 +182,22 @@ def test_without_an_experiment_the_block_runs_its_own_with_inputs_at_rest() -> N
     run = reference_run(block)
     assert (run.stop_time, run.step_size) == (0.05, block.step_size)
     assert all(value == 0.0 for row in run.input_rows for value in row[1:])
+
+
+def test_every_step_of_the_experiment_has_the_length_that_its_files_state() -> None:
+    """A timer that ends at a communication point ends there for whoever replays it, in spite of rounding."""
+
+    @dataclass(frozen=True)
+    class Timer:
+        elapsed: float = 0.0
+
+    @dataclass(frozen=True)
+    class Outputs:
+        elapsed: float = variable(0.0, "Sum of the steps", unit="s")
+
+    block = Block(
+        "Timer", "Adds up the steps", outputs=Outputs, state=Timer, stop_time=0.5,
+        step=lambda t, h, s, u, p, c: Timer(s.elapsed + h), output=lambda t, s, p, c: Outputs(s.elapsed),
+    )  # fmt: skip
+    run = reference_run(block)
+    assert run.output_rows[-1][1] == sum([run.step_size] * 50)

@@ -26,7 +26,10 @@ def test_a_declaration_becomes_a_signal() -> None:
         ({"kind": "cosine", "amplitud": 1.0}, r"here: unknown key 'amplitud'; nearest is 'amplitude'"),
         ({"kind": "cosine", "amplitude": "1"}, r"here: amplitude = '1': expected a number"),
         ({"kind": "constant", "value": math.nan}, r"here: value = nan: expected a finite number"),
-        ({"kind": "constant", "value": True}, r"here: value = True: expected a number"),
+        (
+            {"kind": "constant", "value": True},
+            r"here: value = True: expected a number; a Boolean input takes 0",
+        ),
         ({"kind": "ramps", "points": [[0.0, "a"]]}, r"here: points\[0\]\[1\] = 'a': expected a number"),
         (
             {"kind": "ramps", "points": [[0.0, math.inf]]},
