@@ -2,11 +2,13 @@
 
 import importlib.metadata
 import os
+import re
 import shutil
 import subprocess
 import sys
 import zipfile
 from collections.abc import Iterator, Mapping
+from importlib import resources
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -24,7 +26,24 @@ REBUILT = ("L1DepthController", "RovDepthPlant")
 # what is generated has all arguments and functions whether or not a model has use for them
 GENERATED = ("-Wno-unused-function", "-Wno-unused-parameter")
 HEADERS = ("-isystem", str(toolchain.FMI_HEADERS))
-OUR_OWN = ("fmi2.c", "instance.h", "log.h", "model.h", "snapshot.h")
+OUR_OWN = (
+    "derivatives.h", "fmi2.c", "instance.h", "log.h", "model.h", "refusals.h", "snapshot.h", "states.h",
+    "steps.h", "values.h",
+)  # fmt: skip
+
+
+def test_every_function_of_fmi_names_its_clause_of_the_standard() -> None:
+    """In the comment above it, or above the functions that share one."""
+    returns = r"(?:fmi2Status|fmi2Component|void|const char \*)"
+    defined = re.compile(rf"^(?:{returns} ?(fmi2\w+)|#define DEFINE_(GET|SET))\(", re.MULTILINE)
+    names = []
+    for file in (resources.files("fmus") / "native").iterdir():
+        text = file.read_text("utf-8")
+        for function in defined.finditer(text):
+            names.append(function[1] or function[2])
+            comment = re.findall(r"^/\*.*?\*/", text[: function.start()], re.DOTALL | re.MULTILINE)[-1]
+            assert re.search(r"\b[24]\.\d\.\d", comment), (function[0], comment)
+    assert len(set(names)) == len(names) == 30  # of 34: six are made by two macros
 
 
 @pytest.fixture(scope="session")

@@ -180,13 +180,14 @@ def test_what_cannot_be_estimated_is_refused(linear: Build) -> None:
 
 
 def led(simulator: Simulator, experiment: Experiment, detours: int = 0) -> Recording:
-    """The input u[2] of one is set at each point; `detours` are taken back."""
+    """The input u[2] of one is set at each point; as many `detours` of two steps are taken back."""
     simulator.start(experiment, external=["one.u[2]"])
     while not simulator.is_done:
         for _ in range(detours):
             state = simulator.save()
-            simulator.set("one.u[2]", 100.0)
-            simulator.step()
+            while not simulator.is_done and simulator.point < state.position + 2:
+                simulator.set("one.u[2]", 100.0)
+                simulator.step()
             simulator.restore(state)
         simulator.set("one.u[2]", math.sin(simulator.time))
         simulator.step()
