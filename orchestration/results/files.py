@@ -198,7 +198,8 @@ def _write_parquet(path: Path, content: Content) -> None:
     ]
     metadata = {_KIND: _RECORDING, _PROVENANCE: json.dumps(content.provenance)}
     schema = pa.schema(fields, metadata=metadata)
-    with open_atomically(path) as stream, pq.ParquetWriter(stream, schema) as writer:
+    texts = [*content.texts] or False  # dictionaries of numbers that hardly repeat take memory and room
+    with open_atomically(path) as stream, pq.ParquetWriter(stream, schema, use_dictionary=texts) as writer:
         for start in range(0, max(len(content.time), 1), _GROUP):
             rows = slice(start, start + _GROUP)
             part = content._replace(values=content.values[rows])
