@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pyssp_standard.ssd import SSD
-from pyssp_standard.ssv import SSV
 
 from orchestration.exchange.ssp_version import SspVersion
 from orchestration.exchange.ssp_xml import STRUCTURE
@@ -65,6 +63,9 @@ def test_the_depth_is_that_of_this_master_from_a_package_of_ssp_2(
 
 def test_files_of_ssp_2_follow_its_schemas(package_of_ssp_2: ImporterJob, tmp_path: Path) -> None:
     """As pyssp_standard has them, with XML Schema 1.1, and its reader reads what is written."""
+    from pyssp_standard.ssd import SSD  # which takes longer to import than other tests may
+    from pyssp_standard.ssv import SSV
+
     with zipfile.ZipFile(package_of_ssp_2.package) as archive:
         archive.extractall(tmp_path)
     files = [*map(SSD, tmp_path.glob("*.ssd")), *map(SSV, tmp_path.glob("parameters/*.ssv"))]
