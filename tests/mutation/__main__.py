@@ -34,12 +34,24 @@ from tests.mutation.verdict import (
     verdict,
 )
 
-_OF_THE_C_LAYER = ("refusals", "lifecycle", "states", "calls", "rare_calls", "small_block", "importers")
+_OF_THE_C_LAYER = (
+    "small_block",
+    "refusals",
+    "states",
+    "rare_calls",
+    "lifecycle",
+    "items",
+    "calls",
+    "importers",
+)
 # the folders that are mutated, and the tests that should notice: the first that fails ends the run
 TESTS = {
     "controller_fmu": ["tests/controller_fmu", "tests/closed_loop", "tests/fmus/test_both_flavours.py"],
     "plant_fmu": ["tests/plant_fmu", "tests/closed_loop", "tests/fmus/test_both_flavours.py"],
-    "fmus/native": [f"tests/fmus/export/test_native_{claim}.py" for claim in _OF_THE_C_LAYER],
+    "fmus/native": [
+        *(f"tests/fmus/export/test_native_{claim}.py" for claim in _OF_THE_C_LAYER),
+        "tests/fmus/export/test_whole_numbers.py",
+    ],
     "orchestration/master": ["tests/orchestration/master", "tests/orchestration/fmi", "tests/closed_loop"],
 }
 _SOURCES = (".py", ".c", ".h")
