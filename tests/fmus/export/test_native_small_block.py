@@ -291,6 +291,18 @@ def test_a_refused_step_leaves_rates_and_the_next_one_uses_them(session: Session
     assert read(session, "y")[0] == pytest.approx(8.0 * x, rel=1e-15)
 
 
+def test_a_rate_ends_with_its_step_also_where_another_input_gets_one_then(session: Session) -> None:
+    stepping(session)
+    force, valve = REFERENCES["force"], REFERENCES["valve"]
+    assert session("set_input_derivatives", 0, [force, valve], [1, 1], [10.0, 1.0]).status == OK
+    assert step(session, 0.0, 0.1) == OK
+    assert session("set_input_derivatives", 0, [valve], [1], [1.0]).status == OK
+    assert step(session, 0.1, 0.1) == OK
+    x = 0.95 * 1.0 + 0.1 * (10.0 * 0.05 * 0.55 + 1.0)
+    x = 0.95 * x + 0.1 * (1.0 + 0.1)  # the force is 0 again
+    assert read(session, "y")[0] == pytest.approx(8.0 * x, rel=1e-14)
+
+
 MARK = 1.2345678901234567e77
 TAKEN = [0.5, -1e300, 0.0]
 NEVER_FINITE = [math.nan, math.inf, -math.inf]
