@@ -303,6 +303,15 @@ def test_a_rate_ends_with_its_step_also_where_another_input_gets_one_then(sessio
     assert read(session, "y")[0] == pytest.approx(8.0 * x, rel=1e-14)
 
 
+@pytest.mark.parametrize(("rate", "limit"), [(20.0, 1.0), (-20.0, 0.0)])
+def test_an_input_with_a_rate_stays_within_its_range(session: Session, rate: float, limit: float) -> None:
+    stepping(session)
+    assert write(session, force=2.0) == OK
+    assert session("set_input_derivatives", 0, [REFERENCES["valve"]], [1], [rate]).status == OK
+    assert step(session, 0.0, 0.1) == OK
+    assert read(session, "y")[0] == pytest.approx(8.0 * (0.95 + 0.1 * (2.0 * limit + 1.0)), rel=1e-14)
+
+
 MARK = 1.2345678901234567e77
 TAKEN = [0.5, -1e300, 0.0]
 NEVER_FINITE = [math.nan, math.inf, -math.inf]

@@ -28,12 +28,17 @@ def test_a_signal_that_only_reaches_a_level_has_not_been_above_it() -> None:
     assert math.isnan(metrics.time_below(run, "z", limit=0.1, after=0.5))
 
 
+def test_a_signal_at_a_limit_is_not_below_it() -> None:
+    run = recording(np.arange(4.0), z=np.array([1.0, 0.5, 0.5, 0.5]))
+    assert metrics.time_below(run, "z", limit=0.5, after=0.9) == 0.0
+
+
 def test_a_sampled_variation_takes_the_points_of_its_period_whatever_their_rounding() -> None:
-    """1 at every third tenth and 0 between them; 0.3 / 0.1 is 2.9999999999999996."""
-    z = np.where(np.arange(11) % 3 == 0, 1.0, 0.0)
-    for offset in (0.0, 0.1):
-        assert metrics.total_variation(recording(TENTHS + offset, z=z), "z", every=0.3) == 0.0
-    line = recording(TENTHS[:4], z=np.arange(4.0))
+    """3 times 0.1 is more than 0.3, and 0.3 / 0.1 is 2.9999999999999996."""
+    decimals = np.arange(11) / 10
+    changing = recording(decimals, z=np.arange(11) % 2 * 1.0)
+    assert metrics.total_variation(changing, "z", every=0.1) == 10.0
+    line = recording(decimals[:4], z=np.arange(4.0))
     assert metrics.total_variation(line, "z", every=0.1) == 3.0
 
 
