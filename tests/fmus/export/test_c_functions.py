@@ -28,7 +28,11 @@ def choices() -> casadi.SX:
     dear = casadi.if_else(A > 0.0, casadi.log(A), casadi.sin(B) * casadi.exp(-A))
     inner = casadi.if_else(dear > B, casadi.if_else(A > 0.5, casadi.sqrt(A) + dear, casadi.tan(A)), -dear)
     other = casadi.if_else(casadi.logic_not(A > 0.0), casadi.exp(inner) / 3.0, casadi.cos(inner) * B)
-    return casadi.vertcat(dear, inner, other, casadi.if_else(B > 0.0, -0.0 * A, other), -0.0 * B)
+    nothing_or = casadi.if_else(B > 0.5, 0.0, casadi.sin(A) * casadi.exp(B))
+    both = casadi.if_else(A > 1.0, casadi.exp(A), 0.0) + casadi.if_else(B > 1.0, 0.0, casadi.exp(B))
+    return casadi.vertcat(
+        dear, inner, other, casadi.if_else(B > 0.0, -0.0 * A, other), -0.0 * B, nothing_or, both
+    )
 
 
 def functions() -> dict[str, casadi.Function]:
@@ -107,3 +111,13 @@ def test_what_follows_from_held_arguments_alone_is_computed_by_a_function_of_its
     assert (count, constants.count("exp("), rest.count("exp("), rest.count("sin(")) == (1, 1, 0, 1)
     assert "f_constants(double h, const double *p, double *k)" in constants
     assert rest.startswith("double h, const double *x, const double *p, const double *k, double *y)")
+
+
+@pytest.mark.parametrize("is_first", [True, False])
+def test_a_choice_of_which_one_alternative_varies_is_no_constant(is_first: bool) -> None:
+    h, x, p = (casadi.SX.sym(name) for name in "hxp")
+    alternatives = (casadi.sin(x), casadi.exp(-h / p))
+    choice = casadi.if_else(p > 1.0, *(alternatives if is_first else alternatives[::-1]))
+    code, _ = c_functions(casadi.Function("f", [h, x, p], [choice], ["h", "x", "p"], ["y"]), "f", ("h", "p"))
+    constants, rest = code.split("static void f(")
+    assert ("exp(" in constants, "x[" in constants, "sin(x[0])" in rest) == (True, False, True)
