@@ -1,5 +1,6 @@
 """What every controller of the depth control interface shares."""
 
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -7,7 +8,7 @@ import pytest
 from controller_fmu import adrc, mrac, pid, sliding_mode, super_twisting
 from controller_fmu.depth_interface import DepthInputs, DepthOutputs
 from controller_fmu.l1 import depth_controller
-from fmus.block import Block, flatten
+from fmus.block import Block, NoValues, flatten
 
 OTHERS = [pid.BLOCK, mrac.BLOCK, sliding_mode.BLOCK, super_twisting.BLOCK, adrc.BLOCK]
 BLOCKS = [depth_controller.BLOCK, *OTHERS]
@@ -61,3 +62,20 @@ def test_integrators_hold_while_they_would_widen_a_saturation(driver: Any, block
     for _ in range(50):
         controller.step(0.02)
     assert abs(controller[integral] - changed) > 1e-3
+
+
+@pytest.mark.parametrize("law", [pid, sliding_mode], ids=["pid", "sliding mode"])
+def test_the_integral_takes_the_error_of_the_newest_measurement(law: ModuleType) -> None:
+    p, nothing = law.Parameters(), NoValues()
+    state = law.initial_state(0.0, DepthInputs(measured_depth=0.1), p, nothing)
+    after = law.step(0.0, 0.02, state, DepthInputs(measured_depth=0.5, depth_reference=0.2), p, nothing)
+    assert after.error_integral == pytest.approx(0.02 * 0.3)
+
+
+def test_super_twisting_takes_the_direction_of_the_newest_measurement() -> None:
+    p, nothing = super_twisting.Parameters(), NoValues()
+    state = super_twisting.initial_state(0.0, DepthInputs(measured_depth=0.1), p, nothing)
+    after = super_twisting.step(0.0, 0.02, state, DepthInputs(measured_depth=-0.5), p, nothing)
+    s = super_twisting.sliding_variable(after.interface.measured, p)
+    assert after.direction == super_twisting.direction(0.02, s, p)
+    assert after.direction < 0.0 < state.direction

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from controller_fmu import depth_interface
 from controller_fmu.allocation import allocate, body_to_earth, force, saturate, saturation_error
 from controller_fmu.observer import ObserverState, correct, sample_when_due
 from fmus.numerics import Clock
@@ -98,3 +99,17 @@ def test_each_thruster_has_its_own_gain_and_takes_half_of_the_force() -> None:
     assert allocate(2.0, 1.0, (0.25, 0.5)) == (4.0, 2.0)
     assert force((4.0, 2.0), 1.0, (0.25, 0.5)) == 2.0
     assert saturate((-5.0, 5.0), 3.0) == (-3.0, 3.0)
+
+
+def test_each_voltage_is_limited_on_both_sides() -> None:
+    assert saturate((13.0, -14.0), 12.0) == (12.0, -12.0)
+    assert saturate((-13.0, 14.0), 12.0) == (-12.0, 12.0)
+
+
+@pytest.mark.parametrize("j", [1.0, 0.5, -0.5])
+def test_what_saturation_takes_from_a_tilted_vehicle_is_in_the_earth_frame(j: float) -> None:
+    """24 V, of which 6 V are left, and these twice 0.25 N/V over J."""
+    p = depth_interface.ActuatorParameters(voltage_limit=6.0)
+    delivered = depth_interface.deliver(12.0 / j, j, p)
+    assert delivered.force == pytest.approx(3.0 / j)
+    assert delivered.saturation_error == pytest.approx(delivered.force - 12.0 / j)

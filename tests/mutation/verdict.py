@@ -97,6 +97,8 @@ class CollectedTests(AbstractContextManager["CollectedTests"]):
             "mutant": (str(self._folder / mutant[0]), mutant[1]) if mutant and is_python else None,
         }
         if self._status(request, limit):
+            if not (folder / NOTE).is_file():
+                raise BrokenEnvironmentError(f"no test {only}" if only else "no tests")
             return (folder / NOTE).read_text()
         if not self.files:
             times = json.loads((folder / TIMES).read_text())
