@@ -79,3 +79,26 @@ def test_super_twisting_takes_the_direction_of_the_newest_measurement() -> None:
     s = super_twisting.sliding_variable(after.interface.measured, p)
     assert after.direction == super_twisting.direction(0.02, s, p)
     assert after.direction < 0.0 < state.direction
+
+
+def test_mrac_learns_from_the_newest_measurement() -> None:
+    """The model is at the first one: only another makes an estimate move."""
+    p = mrac.Parameters()
+    matrices = mrac.calculate(p)
+    state = mrac.initial_state(0.0, DepthInputs(measured_depth=0.1), p, matrices)
+    after = mrac.step(0.0, 0.02, state, DepthInputs(measured_depth=0.5), p, matrices)
+    now = after.interface.measured
+    learnt = mrac.adapt(0.02, state.adaptive, (now.depth, now.rate), p, matrices)
+    assert (after.adaptive.theta_hat, after.adaptive.sigma_hat) == (learnt.theta_hat, learnt.sigma_hat)
+    assert learnt.sigma_hat > 0.0
+
+
+def test_the_model_of_mrac_is_driven_by_the_control_that_the_vehicle_receives() -> None:
+    """That of the reference of the step before: a reference that jumps moves it a step later."""
+    p = mrac.Parameters()
+    matrices = mrac.calculate(p)
+    state = mrac.initial_state(0.0, DepthInputs(), p, matrices)
+    jumped = DepthInputs(depth_reference=0.1)
+    after = mrac.step(0.0, 0.02, state, jumped, p, matrices)
+    assert after.adaptive.model == (0.0, 0.0)
+    assert mrac.step(0.02, 0.02, after, jumped, p, matrices).adaptive.model[0] > 0.0
