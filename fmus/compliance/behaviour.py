@@ -10,15 +10,28 @@ from typing import Any
 
 from fmus.binding import platform_name
 from fmus.compliance import (
+    asynchronous_rules,
     call_rules,
     callback_rules,
+    constancy_rules,
     dependency_rules,
     derivative_rules,
+    directional_rules,
+    initialization_rules,
+    instance_rules,
     lifecycle_rules,
+    location_rules,
     log_rules,
+    message_rules,
     process_rules,
     reference_rules,
+    reset_rules,
+    resource_rules,
+    saved_value_rules,
+    setting_rules,
     state_rules,
+    status_rules,
+    step_dependency_rules,
     step_rules,
     value_rules,
 )  # fmt: skip
@@ -30,8 +43,10 @@ from fmus.errors import HostError
 from fmus.process import ProcessEndedError
 
 MODULES = (
-    lifecycle_rules, call_rules, value_rules, step_rules, callback_rules, log_rules, process_rules,
-    state_rules, derivative_rules, dependency_rules, reference_rules,
+    lifecycle_rules, location_rules, reset_rules, initialization_rules, instance_rules, resource_rules,
+    call_rules, status_rules, value_rules, constancy_rules, setting_rules, step_rules, asynchronous_rules,
+    callback_rules, log_rules, message_rules, process_rules, state_rules, saved_value_rules, derivative_rules,
+    directional_rules, dependency_rules, step_dependency_rules, reference_rules,
 )  # fmt: skip
 FUNDAMENTAL = (
     "library-loads", "instantiates-and-frees", "steps-and-terminates", "frees-in-every-state",

@@ -1,6 +1,7 @@
 """One instance of an FMU under examination: every call is made as asked for, also one that FMI forbids."""
 
 import ctypes
+import math
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -9,6 +10,7 @@ from fmpy import fmi2
 from fmpy.fmi2 import fmi2DoStepStatus, fmi2Integer, fmi2Real, fmi2Status
 
 from fmus.binding import (
+    ERROR,
     FATAL,
     PENDING,
     BoundInstance,
@@ -21,6 +23,7 @@ from fmus.compliance.observed_callbacks import MessageLog, RefusingAllocator
 from fmus.compliance.process_settings import ProcessSettings
 from fmus.compliance.saved_states import SavedStates
 
+_UNWRITTEN = 77  # no fmi2Status
 _STATUS_TYPES = {
     "": fmi2Status, "Real": fmi2Real, "Integer": fmi2Integer, "Boolean": fmi2.fmi2Boolean,
     "String": fmi2.fmi2String,
@@ -32,7 +35,7 @@ class CalledInstance(BoundInstance):
 
     options: name, guid, location of the resources, logging (bool), visible (bool), and
       callbacks: "usual"; "fewest" without stepFinished and environment; "no memory" without memory functions;
-        "refused memory" with an allocator that returns NULL
+        "refused memory" with an allocator that returns NULL; "formats" with messages before they are printed
       overwritten: whether all arguments of fmi2Instantiate are overwritten after the call
       watched: whether settings of the process are compared before and after each call
     """
@@ -48,7 +51,7 @@ class CalledInstance(BoundInstance):
         self._kept: list[Any] = []
         self.states = SavedStates(self)
         self.traps: list[str] = []
-        self.finished_steps: list[int] = []
+        self.finished_steps: list[list[Any]] = []
         self.last_status = self.pending_steps = 0
         self.watched = bool(options.get("watched"))
         kind = options.get("callbacks", "usual")
@@ -66,11 +69,24 @@ class CalledInstance(BoundInstance):
             structure.componentEnvironment = None
         else:
             structure.stepFinished = fmi2.fmi2StepFinishedTYPE(
-                lambda _, status: self.finished_steps.append(status)
+                lambda environment, status: self.finished_steps.append(
+                    [status, environment == structure.componentEnvironment]
+                )
             )
+        if kind == "formats":
+            structure.logger = self._logger_of_formats()
         if kind == "no memory":
             structure.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE()
             structure.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE()
+
+    def _logger_of_formats(self) -> Any:
+        """A logger that keeps the format of each message, as arguments do not reach Python."""
+
+        def log(_: int | None, name: bytes, status: int, category: bytes, message: bytes) -> None:
+            texts = [None if text is None else text.decode("utf-8", "replace") for text in (name, category)]
+            self.messages.add(status, (message or b"").decode("utf-8", "replace"), *texts)
+
+        return fmi2.fmi2CallbackLoggerTYPE(log)
 
     def create(self) -> bool:
         """Call fmi2Instantiate; False if it returns NULL."""
@@ -163,10 +179,14 @@ class CalledInstance(BoundInstance):
         self.call(function, None, 0, None)
 
     def set_debug_logging(self, on: bool, categories: Sequence[str]) -> None:
-        names = [category.encode() for category in categories]
+        """fmi2SetDebugLogging; the memory of the categories is overwritten after the call."""
+        buffers = [ctypes.create_string_buffer(category.encode()) for category in categories]
+        names = [ctypes.cast(buffer, ctypes.c_char_p) for buffer in buffers]
         array = (ctypes.c_char_p * len(names))(*names) if names else None
-        self._kept.append(array)
+        self._kept += [array, *buffers]
         self.call("fmi2SetDebugLogging", int(on), len(names), array)
+        for buffer in buffers:
+            ctypes.memset(buffer, ord("#"), len(buffer) - 1)
 
     def do_step(self, t: float, h: float, no_going_back: bool = False) -> None:
         """Advance from t to t + h seconds; a pending step is waited for."""
@@ -182,6 +202,7 @@ class CalledInstance(BoundInstance):
             time.sleep(0.001)
             self.call("fmi2GetStatus", fmi2DoStepStatus, ctypes.byref(status))
             if self.last_status:
+                self.last_status = ERROR  # there is no status, which is no discarded step
                 return
         self.last_status = status.value
 
@@ -191,6 +212,21 @@ class CalledInstance(BoundInstance):
         pending = self.last_status == PENDING
         self.last_status = 0 if pending else self.last_status
         return pending
+
+    def poll_step(self) -> list[list[int]]:
+        """[status of fmi2GetStatus, status of the step] of each question, until a pending step has ended."""
+        answers: list[list[int]] = []
+        step = fmi2Status(PENDING)
+        while step.value == PENDING and not self.last_status:
+            time.sleep(0.001)
+            step.value = _UNWRITTEN
+            self.call("fmi2GetStatus", fmi2DoStepStatus, ctypes.byref(step))
+            answers = [*answers[-1:], [self.last_status, step.value]]
+        return answers
+
+    def derive_nothing(self) -> None:
+        """Directional derivatives of no unknowns with respect to no knowns."""
+        self.call("fmi2GetDirectionalDerivative", None, 0, None, 0, None, None)
 
     def call_plain(self, function: str) -> None:
         """Call a function of FMI that has no argument but the instance."""
@@ -205,7 +241,7 @@ class CalledInstance(BoundInstance):
     def directional_derivatives(
         self, unknowns: Sequence[int], knowns: Sequence[int], seed: Sequence[float]
     ) -> list[float]:
-        result = (fmi2Real * len(unknowns))()
+        result = (fmi2Real * len(unknowns))(*[math.nan] * len(unknowns))  # so that each must be written
         arguments = (
             reference_array(unknowns), len(unknowns), reference_array(knowns), len(knowns),
             (fmi2Real * len(seed))(*seed), result,
@@ -222,7 +258,7 @@ class CalledInstance(BoundInstance):
 
     def output_derivatives(self, references: Sequence[int], order: int) -> list[float]:
         count = len(references)
-        result, orders = (fmi2Real * count)(), (fmi2Integer * count)(*[order] * count)
+        result, orders = (fmi2Real * count)(*[math.nan] * count), (fmi2Integer * count)(*[order] * count)
         self.call("fmi2GetRealOutputDerivatives", reference_array(references), count, orders, result)
         return list(result)
 

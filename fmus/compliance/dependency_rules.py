@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, Stage, rule
+from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
 from fmus.compliance.values import other_value, random_value, same, settable_in_initialization, start_value
 from fmus.compliance.variable import Variable, integer
 
@@ -72,6 +72,23 @@ def initial_dependencies_are_declared(probe: Probe) -> Iterator[str]:
                 yield f"{name} changes with {known.name} in initialization mode: {expected}"
 
 
+@rule(_STRUCTURE, Stage.BEHAVIOUR, Level.WARNING, needs=["variables-can-be-read"])
+def dependencies_on_time_are_declared(probe: Probe) -> Iterator[str]:
+    """Where the independent variable is defined, an initial unknown changes with the start time only if it
+    lists it.
+    """
+    independent = {v.index for v in probe.fmu.variables if v.causality == "independent"}
+    scripts = [probe.script().initialise(t) for t in (probe.start_time, probe.start_time + probe.step_size)]
+    readings = [script.read(_unknowns(probe)) for script in scripts]
+    probe.play_each(scripts)
+    if not independent or not all(script.succeeded for script in scripts):
+        raise NotJudgedError("no variable is independent, or another start time is refused")
+    before, after = (reading.values for reading in readings)
+    for name, listed in _declared(probe).items():
+        if not listed & independent and not same(before[name], after[name], _NOISE):
+            yield f"{name} changes with the start time: expected the independent variable in its dependencies"
+
+
 @rule(
     "advice: 2.2.8, dependencies may list more",
     Stage.BEHAVIOUR,
@@ -124,3 +141,56 @@ def _points(knowns: list[Variable], chance: random.Random) -> Iterator[Point]:
     for part in _PARTS:
         moved = [v for v in knowns if v.causality == "input" or chance.random() < part]
         yield [(v, x) for v in moved if (x := random_value(v, chance)) is not None]
+
+
+@rule(_STRUCTURE, Stage.BEHAVIOUR, Level.WARNING, needs=["variables-can-be-read"])
+def constant_factors_are_constant(probe: Probe) -> Iterator[str]:
+    """An initial unknown changes with a known of the kind constant by the same factor everywhere, whatever
+    the inputs are.
+    """
+    inputs = [v for v in settable_in_initialization(probe.fmu) if v.causality == "input"]
+    point: Point = [(v, x) for v in inputs if (x := other_value(v)) is not None]
+    for known, unknowns in _constant_factors(probe)[:_MOST_KNOWNS]:
+        start, value = start_value(known), other_value(known)
+        if not isinstance(start, float) or value is None:
+            continue
+        values = [start, value, start + 2 * (value - start), start, value]
+        scripts = [probe.script().initialise() for _ in values]
+        for i, (script, x) in enumerate(zip(scripts, values, strict=True)):
+            for v, other in point if i > 2 else ():
+                if v is not known:
+                    script.set(v, other)
+            script.set(known, x)
+        readings = [script.read(unknowns) for script in scripts]
+        probe.play_each(scripts)
+        for v in unknowns if all(script.succeeded for script in scripts) else ():
+            a, b, c, d, e = (reading.values[v.name] for reading in readings)
+            changes, scale = [b - a, c - b, e - d], max(map(abs, (a, b, c, d, e)))
+            if (
+                math.isfinite(scale)
+                and max(changes) - min(changes) > 1e-6 * max(map(abs, changes)) + 1e-12 * scale
+            ):
+                yield f"the factor of {known.name} in {v.name} is not constant, as dependenciesKind says"
+
+
+def _constant_factors(probe: Probe) -> list[tuple[Variable, list[Variable]]]:
+    """Real knowns that can be set, each with the Real unknowns that list it with the kind constant."""
+    settable = {v.index: v for v in settable_in_initialization(probe.fmu) if v.kind == "Real"}
+    initial = {v.index for v in _unknowns(probe)}
+    result: dict[int, list[Variable]] = {}
+    for section in ("InitialUnknowns", "Outputs"):
+        for index, element in probe.fmu.unknowns(section):
+            listed, kinds = (element.get(name, "").split() for name in ("dependencies", "dependenciesKind"))
+            unknown = probe.fmu.variables[(index or 1) - 1]
+            for known, kind in zip(map(integer, listed), kinds, strict=False):
+                if (
+                    known is not None
+                    and kind == "constant"
+                    and known in settable
+                    and index in initial
+                    and unknown.kind == "Real"
+                ):
+                    members = result.setdefault(known, [])
+                    if unknown not in members:
+                        members.append(unknown)
+    return [(settable[known], unknowns) for known, unknowns in result.items()]

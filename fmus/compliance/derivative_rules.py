@@ -4,7 +4,9 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 
+from fmus.binding import ERROR
 from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
 from fmus.compliance.script import Reading, Script
@@ -12,7 +14,8 @@ from fmus.compliance.values import (
     RESTARTED,
     differing,
     other_value,
-    settable_in_initialization,
+    same,
+    set_input_derivatives,
     start_value,
     texts,
     unless_claimed,
@@ -20,17 +23,19 @@ from fmus.compliance.values import (
 from fmus.compliance.variable import Variable, integer
 
 _TRANSFER = "4.2.1 Transfer of Input / Output Values and Parameters"
-_DIRECTIONAL = "2.1.9 Getting Partial Derivatives"
+_STATES = "4.2.4 State Machine of Calling Sequence from Master to Slave"
 _INTERPOLATES, _PROVIDES = "canInterpolateInputs", "providesDirectionalDerivative"
 _MOST_KNOWNS = 40  # of one FMU: each costs four evaluations
-_DIFFERENCE = 1e-6  # relative change for a difference quotient: half the digits for truncation and rounding
-_AGREEMENT = 1e-4  # relative; a wrong derivative is wrong by much more
+_MANY_STEPS, _INTEGRATED = 30, 0.02  # steps; relative: of an integral, beside the error of a coarse solver
 _ROUGH = 0.1  # relative: of slopes over a step, which is no limit
-_LINEAR = 1e-6  # relative: derivatives may be difference quotients
 
 
 def _orders(fmu: FmuFile) -> str:
     return "" if fmu.output_derivative_order > 0 else "maxOutputDerivativeOrder is 0"
+
+
+def _no_derivatives(fmu: FmuFile) -> str:
+    return _orders(fmu) and unless_claimed(_INTERPOLATES)(fmu) and "no derivatives are claimed"
 
 
 def _continuous(probe: Probe, causality: str) -> list[Variable]:
@@ -47,10 +52,12 @@ def _derive(script: Script, v: Variable, value: float) -> None:
 
 @rule(_TRANSFER, Stage.BEHAVIOUR, condition=unless_claimed(_INTERPOLATES), needs=["allowed-calls-succeed"])
 def input_derivatives(probe: Probe) -> Iterator[str]:
-    """The first derivative of every continuous Real input can be set before a step; zero changes nothing."""
+    """The first derivative of every continuous Real input can be set before a step; zero, also after
+    another value, changes nothing."""
     usual, script = probe.script().begin(), probe.script(logging=True).begin()
     expected = usual.run(2)
     for v in _continuous(probe, "input"):
+        _derive(script, v, 1.0)
         _derive(script, v, 0.0)
     got = script.run(2)
     usual.play()
@@ -61,7 +68,32 @@ def input_derivatives(probe: Probe) -> Iterator[str]:
 @rule(_TRANSFER, Stage.BEHAVIOUR, condition=unless_claimed(_INTERPOLATES), needs=["input-derivatives"])
 def input_derivatives_have_an_effect(probe: Probe) -> Iterator[str]:
     """The derivative of an input that outputs follow moves them, in the direction of the input itself."""
-    wrong, right = [], False
+    verdicts = probe.once("effects of derivatives", lambda: _effects(probe))
+    backwards = [name for name, verdict in verdicts if verdict == "backwards"]
+    without = [name for name, verdict in verdicts if verdict == "not"]
+    if backwards:
+        yield f"the derivative of {backwards[0]} moves outputs against the input in a step"
+    elif without and not any(verdict == "right" for _, verdict in verdicts):
+        yield f"the derivative of {without[0]} has no effect in a step, as canInterpolateInputs says it has"
+
+
+@rule(
+    _TRANSFER,
+    Stage.BEHAVIOUR,
+    Level.WARNING,
+    condition=unless_claimed(_INTERPOLATES),
+    needs=["input-derivatives-have-an-effect"],
+)
+def each_input_derivative_has_an_effect(probe: Probe) -> Iterator[str]:
+    """If the derivative of one continuous input has an effect, that of each that outputs follow has one."""
+    for name, verdict in probe.once("effects of derivatives", lambda: _effects(probe)):
+        if verdict == "not":
+            yield f"the derivative of {name} has no effect in a step, where those of other inputs have one"
+
+
+def _effects(probe: Probe) -> list[tuple[str, str]]:
+    """Continuous inputs that take another value, each with what its derivative does to outputs."""
+    verdicts = []
     for v in _continuous(probe, "input"):
         value = other_value(v)
         if value is None:
@@ -72,18 +104,10 @@ def input_derivatives_have_an_effect(probe: Probe) -> Iterator[str]:
             script.set(v, value if script is raised else start_value(v))
         _derive(moving, v, change / probe.step_size)
         readings = [script.step().read(probe.outputs) for script in (held, raised, moving)]
-        for script in (held, raised, moving):
-            script.play(keep_going=True)
-        if held.failure or raised.failure or moving.failure:
-            continue
-        verdict = _moved(*readings)
-        right = right or verdict == "right"
-        if verdict in ("not", "backwards"):
-            wrong.append((v.name, verdict))
-    if (wrong and not right) or any(verdict == "backwards" for _, verdict in wrong):
-        name, verdict = next(((n, w) for n, w in wrong if w == "backwards"), wrong[0])
-        how = "has no effect" if verdict == "not" else "moves outputs against the input"
-        yield f"the derivative of {name} {how} in a step, as canInterpolateInputs says it has"
+        probe.play_each([held, raised, moving])
+        if not (held.failure or raised.failure or moving.failure):
+            verdicts.append((v.name, _moved(*readings)))
+    return verdicts
 
 
 def _moved(held: Reading, raised: Reading, moving: Reading) -> str:
@@ -187,11 +211,8 @@ def _slopes(probe: Probe) -> dict[str, list[Comparison]]:
         values = [reading.values[v.name] for reading in readings]
         if not all(map(math.isfinite, values)):
             continue
-        slopes = [(b - a) / probe.step_size for a, b in itertools.pairwise(values)]
-        rounding = 1e-9 * max(map(abs, values)) / probe.step_size
-        comparisons[v.name] = [
-            (replies[i].value[index], slopes[i - 1], slopes[i], rounding) for i in range(1, len(slopes))
-        ]
+        derivatives = [reply.value[index] for reply in replies]
+        comparisons[v.name] = _compared(values, derivatives, probe.step_size)
     return comparisons
 
 
@@ -208,123 +229,101 @@ def _is_wrong(derivative: float, before: float, after: float, rounding: float) -
     return not min(before, after) - margin <= derivative <= max(before, after) + margin
 
 
-@rule(
-    _DIRECTIONAL,
-    Stage.BEHAVIOUR,
-    condition=unless_claimed(_PROVIDES),
-    needs=["allowed-calls-succeed", "variables-can-be-read"],
-)
-def directional_derivatives(probe: Probe) -> Iterator[str]:
-    """In initialization mode, derivatives of outputs lie between difference quotients of both sides."""
-    for known, unknowns in list(_pairs(probe.fmu).items())[:_MOST_KNOWNS]:
-        yield from _compared(probe, probe.fmu.variables[known - 1], unknowns)
-
-
-def _pairs(fmu: FmuFile) -> dict[int, list[Variable]]:
-    """Index of a continuous Real known that can be set -> the Real outputs that depend on it at first."""
-    dependents: dict[int, list[Variable]] = {}
-    settable = [v.index for v in settable_in_initialization(fmu) if v.kind == "Real"]
-    for index, element in fmu.unknowns("InitialUnknowns"):
-        unknown = fmu.variables[(index or 1) - 1]
-        stated = element.get("dependencies")
-        listed = settable if stated is None else [integer(index) for index in stated.split()]
-        for known in sorted(set(settable) & set(listed)):
-            if unknown.kind == "Real" and unknown.causality == "output":
-                dependents.setdefault(known, []).append(unknown)
-    return dependents
-
-
-def _compared(probe: Probe, known: Variable, unknowns: list[Variable]) -> Iterator[str]:
-    before = start_value(known)
-    if before is None:
-        return
-    script = probe.script(logging=True).initialise()
-    script.set(known, before)  # 4.2.4 lets only outputs and initial unknowns be read here
-    middle = script.read(unknowns)
-    reply = script.call("directional_derivatives", _references(unknowns), _references([known]), [1.0])
+@rule(_TRANSFER, Stage.BEHAVIOUR, Level.WARNING, condition=_orders, needs=_TO_COMPARE)
+def higher_output_derivatives_are_right(probe: Probe) -> Iterator[str]:
+    """A derivative of an output of a higher order is 0, where its order is lower, or the slope of the one
+    before; each of several that are read in one call is its own.
+    """
+    chosen = _continuous(probe, "output")
+    script, replies = probe.script().begin(), []
+    for _ in range(8):
+        script.step()
+        orders = range(1, probe.fmu.output_derivative_order + 1) if chosen else ()
+        replies.append([script.call("output_derivatives", _references(chosen), order) for order in orders])
+    together = [script.call("output_derivatives", _references([v]), 1) for v in chosen]
     script.play()
-    sides = [side for sign in (-1, 1) if (side := _quotients(probe, known, unknowns, before, sign, middle))]
-    for v, derivative in zip(unknowns, reply.value, strict=True):
-        quotients = [side[v.name] for side in sides]
-        if not all(map(math.isfinite, [middle.values[v.name], *quotients])):
-            continue
-        width = _DIFFERENCE * max(1.0, abs(before))
-        rounding = 1e-13 * abs(middle.values[v.name]) / width  # some hundred roundings of the output
-        tolerance = _AGREEMENT * max([abs(derivative), *map(abs, quotients)]) + rounding
-        low, high = min(quotients, default=-math.inf), max(quotients, default=math.inf)
-        if not low - tolerance <= derivative <= high + tolerance:
-            yield f"d {v.name} / d {known.name} is {derivative:.9g}: expected {low:.9g}..{high:.9g}"
-
-
-def _quotients(
-    probe: Probe, known: Variable, unknowns: list[Variable], before: float, sign: int, middle: Reading
-) -> dict[str, float]:
-    """Difference quotients of all unknowns on one side; none where the FMU refuses the value."""
-    low, high = known.number("min"), known.number("max")
-    value = before + sign * _DIFFERENCE * max(1.0, abs(before))
-    if (low is not None and value < low) or (high is not None and value > high):
-        return {}
-    script = probe.script().initialise()
-    script.set(known, value)
-    after = script.read(unknowns)
-    script.play(keep_going=True)
-    if script.failure:
-        return {}
-    return {name: (after.values[name] - x) / (value - before) for name, x in middle.values.items()}
-
-
-@rule(_DIRECTIONAL, Stage.BEHAVIOUR, condition=unless_claimed(_PROVIDES), needs=["directional-derivatives"])
-def directional_derivatives_are_linear(probe: Probe) -> Iterator[str]:
-    """A directional derivative is the sum of the partial derivatives, each times its seed, in every mode."""
-    initial = [probe.fmu.variables[(i or 1) - 1] for i, _ in probe.fmu.unknowns("InitialUnknowns")]
-    initial = [v for v in initial if v.kind == "Real"]
-    outputs, knowns = _continuous(probe, "output"), _continuous(probe, "input")[:_MOST_KNOWNS]
-    if not (initial or outputs) or not knowns:
-        raise NotJudgedError("there is no continuous input, or neither an output nor an initial unknown")
-    seed = [2.5 + 0.5 * i for i in range(len(knowns))]
-    for unknowns, stepping in ((initial, False), (outputs, True)):
-        if not unknowns:
-            continue
-        script = probe.script(logging=True)
-        script = script.begin().step() if stepping else script.initialise()
-        alone = [
-            script.call("directional_derivatives", _references(unknowns), _references([known]), [1.0])
-            for known in knowns
-        ]
-        together = script.call("directional_derivatives", _references(unknowns), _references(knowns), seed)
-        script.play()
-        for i, v in enumerate(unknowns):
-            parts = [s * reply.value[i] for s, reply in zip(seed, alone, strict=True)]
-            got, expected = together.value[i], sum(parts)
-            if not abs(got - expected) <= _LINEAR * max([1e-300, abs(got), *map(abs, parts)]):
-                shown = texts(got, expected)
-                yield (
-                    f"the directional derivative of {v.name} is {shown[0]} in the state "
-                    f"{script.state!r}: expected {shown[1]}, the sum of its parts"
+    for index, v in enumerate(chosen):
+        last = replies[-1][0].value[index]
+        if not same(together[index].value[0], last):
+            shown = texts(together[index].value[0], last)
+            yield f"{v.name}: its derivative is {shown[0]} read alone and {shown[1]} with those of others"
+        for order in range(2, probe.fmu.output_derivative_order + 1):
+            lower = [reply[order - 2].value[index] for reply in replies]
+            values = [reply[order - 1].value[index] for reply in replies]
+            if all(map(math.isfinite, [*lower, *values])):
+                comparisons = _compared(lower, values, probe.step_size)
+                yield from _wrong_slope(
+                    f"{v.name}, order {order}", comparisons, [c for c in comparisons if c[0] != 0.0]
                 )
 
 
-@rule(_DIRECTIONAL, Stage.BEHAVIOUR, condition=unless_claimed(_PROVIDES), needs=["directional-derivatives"])
-def directional_derivatives_are_zero_without_dependency(probe: Probe) -> Iterator[str]:
-    """The derivative with respect to an input that is not among the dependencies of an output is zero."""
-    knowns = _continuous(probe, "input")
-    for section, stepping in (("InitialUnknowns", False), ("Outputs", True)):
-        for index, element in probe.fmu.unknowns(section):
-            unknown, stated = probe.fmu.variables[(index or 1) - 1], element.get("dependencies")
-            if stated is None or unknown.kind != "Real" or unknown.causality != "output":
-                continue
-            listed = {integer(i) for i in stated.split()}
-            others = [v for v in knowns if v.index not in listed][:_MOST_KNOWNS]
-            script = probe.script(logging=True)
-            script = script.begin().step() if stepping else script.initialise()
-            replies = [
-                script.call("directional_derivatives", _references([unknown]), _references([known]), [1.0])
-                for known in others
-            ]
-            script.play(keep_going=True)
-            for known, reply in zip(others, replies, strict=True):
-                if reply.ok and reply.value[0] != 0.0:
-                    yield (
-                        f"d {unknown.name} / d {known.name} is {reply.value[0]:.9g} in the state "
-                        f"{script.state!r}: expected 0, as {section} lists no such dependency"
-                    )
+def _compared(values: list[float], derivatives: list[float], step_size: float) -> list[Comparison]:
+    """Derivatives beside the slopes of values at equal distances."""
+    slopes = [(b - a) / step_size for a, b in itertools.pairwise(values)]
+    rounding = 1e-9 * max(map(abs, values)) / step_size
+    return [(derivatives[i], slopes[i - 1], slopes[i], rounding) for i in range(1, len(slopes))]
+
+
+@rule(
+    "2.2.7 Definition of Model Variables (ModelVariables): derivative",
+    Stage.BEHAVIOUR,
+    Level.WARNING,
+    needs=["variables-can-be-read", "communication-points-may-be-rounded"],
+)
+def derivatives_are_slopes(probe: Probe) -> Iterator[str]:
+    """A variable with the attribute derivative is the slope of the variable that it names: that one
+    changes by its integral.
+    """
+    variables = probe.fmu.variables
+    pairs = [(v, index) for v in variables if (index := integer(v.typed.get("derivative"))) is not None]
+    pairs = [(v, variables[i - 1]) for v, i in pairs if 1 <= i <= len(variables) and i != v.index]
+    continuous = [(v, w) for v, w in pairs if v.variability == w.variability == "continuous"]
+    if not continuous:
+        raise NotJudgedError("no continuous variable is marked as a derivative")
+    script = probe.script().begin()
+    readings = [script.step().read([x for pair in continuous for x in pair]) for _ in range(_MANY_STEPS)]
+    script.play()
+    for v, state in continuous:
+        values, slopes = ([reading.values[x.name] for reading in readings] for x in (state, v))
+        if not all(map(math.isfinite, [*values, *slopes])):
+            continue
+        integral = probe.step_size * (sum(slopes) - (slopes[0] + slopes[-1]) / 2)
+        variation = sum(abs(b - a) for a, b in itertools.pairwise(slopes))
+        margin = probe.step_size * (variation + _INTEGRATED * sum(map(abs, slopes)))
+        change = values[-1] - values[0]
+        if abs(change - integral) > margin + 1e-9 * max(map(abs, values)):
+            shown = texts(change, integral)
+            yield f"{state.name} changes by {shown[0]} where the integral of {v.name} is {shown[1]}"
+
+
+@rule(_STATES, Stage.BEHAVIOUR, Level.WARNING, condition=unless_claimed(_INTERPOLATES))
+def input_derivatives_when_instantiated(probe: Probe) -> Iterator[str]:
+    """Derivatives of inputs can be set when instantiated: 4.2.4 allows it, although 4.2.1 gives them the
+    restrictions of fmi2SetReal, which cannot set inputs there.
+    """
+    script = probe.script(logging=True)
+    set_input_derivatives(probe, script, 0.0)
+    script.begin().step().play(keep_going=True)
+    if script.failure:
+        when = "when instantiated, which 4.2.4 allows and 4.2.1 does not"
+        yield f"where derivatives of inputs were set {when}: {script.failure.problem}"
+
+
+@rule(
+    "2.1.2 Platform Dependent Definitions (fmi2TypesPlatform.h)",
+    Stage.BEHAVIOUR,
+    Level.WARNING,
+    condition=_no_derivatives,
+)
+def wrong_references_of_derivatives_are_refused(probe: Probe) -> Iterator[str]:
+    """A value reference that no variable has is an error for derivatives too."""
+    reference, calls = unknown_reference(probe), []
+    if probe.fmu.claims(_INTERPOLATES):
+        calls.append(("set_input_derivatives", [reference], [1], [0.0]))
+    if probe.fmu.output_derivative_order > 0:
+        calls.append(("output_derivatives", [reference], 1))
+    pairs = [(script := probe.script(logging=True).begin().step(), script.call(*call)) for call in calls]
+    probe.play_each([script for script, _ in pairs])
+    for _, reply in pairs:
+        if reply.status not in (None, ERROR):
+            yield f"{reply.function} of the value reference {reference}, which is none: {reply.status_name}"

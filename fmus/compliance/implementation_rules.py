@@ -155,11 +155,13 @@ def sources_are_listed(fmu: FmuFile) -> Iterator[str]:
 
 @rule("2.3 FMU Distribution, 3.3.1 and 4.3.1 (SourceFiles)", Stage.DESCRIPTION)
 def source_files_exist(fmu: FmuFile) -> Iterator[str]:
-    """Every file that SourceFiles lists is below sources, its path with forward slashes."""
+    """Every file that SourceFiles lists is below sources, its path relative and with forward slashes."""
     for kind, names in _listed_sources(fmu).items():
         for name in names:
             if "\\" in name:
                 yield f"{kind}: SourceFiles lists {name}: expected forward slashes"
+            elif name.startswith("/"):
+                yield f"{kind}: SourceFiles lists {name}: expected a path below sources"
             elif _source_path(name) not in fmu.paths and (_has_sources(fmu) or not fmu.libraries()):
                 yield f"{kind}: SourceFiles lists {name}: expected sources/{name} in the archive"
 

@@ -100,10 +100,10 @@ class LoadedFmu:
         failed = 0
         for method, *arguments in calls:
             instance = self._instances[number]
-            recovers = arguments == ["fmi2Reset"] or (
-                method == "set_fmu_state" and instance.states.holds(*arguments)
-            )
-            if failed and not recovers and method not in _AFTER_A_FAILURE.get(failed, ()):
+            is_saved = method != "set_fmu_state" or instance.states.holds(*arguments)
+            recovers = arguments == ["fmi2Reset"] or (method == "set_fmu_state" and is_saved)
+            forbidden = failed and not recovers and method not in _AFTER_A_FAILURE.get(failed, ())
+            if forbidden or not is_saved:
                 answers.append([])
                 continue
             answer = self._answer(instance, method, arguments)
@@ -144,10 +144,10 @@ class LoadedFmu:
         """What the FMU used that was valid during fmi2Instantiate only."""
         return self._instances[number].traps
 
-    def finished_steps(self, number: int) -> list[int]:
-        """How many steps were pending, and how often the FMU called `stepFinished`."""
+    def finished_steps(self, number: int) -> list[Any]:
+        """How many steps were pending, and [status, right environment] of each call of `stepFinished`."""
         instance = self._instances[number]
-        return [instance.pending_steps, len(instance.finished_steps)]
+        return [instance.pending_steps, instance.finished_steps]
 
     def free(self, number: int) -> list[Any]:
         """Free an instance, unless there is none or it is fatal: as `create`, without a value."""

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from functools import cache
 
 from fmus.binding import WARNING
-from fmus.compliance.lifecycle_rules import unknown_reference
+from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
 from fmus.compliance.script import Message, Script
@@ -17,7 +17,7 @@ _REFERENCE = re.compile(r"#([ribs])(\d+)#")
 _KINDS = {"r": "Real", "i": "Integer", "b": "Boolean", "s": "String"}
 
 
-def _messages(probe: Probe) -> list[Message]:
+def messages_of_a_session(probe: Probe) -> list[Message]:
     """Of the session and of a call that fails."""
 
     def collected() -> list[Message]:
@@ -30,14 +30,14 @@ def _messages(probe: Probe) -> list[Message]:
     return probe.once("log", collected)
 
 
-def _categories(probe: Probe) -> list[str]:
+def declared_categories(probe: Probe) -> list[str]:
     return [c.get("name", "") for c in probe.fmu.root.iterfind("LogCategories/Category")]
 
 
 @rule(_CREATION, Stage.BEHAVIOUR)
 def messages_have_the_instance_name(probe: Probe) -> Iterator[str]:
     """Messages carry the name of the instance that sends them, and the environment of its callbacks."""
-    messages = _messages(probe)
+    messages = messages_of_a_session(probe)
     for name in {m.instance for m in messages if m.instance != NAME}:
         shown = "NULL" if name is None else repr(name)
         yield f"a message carries the instance name {shown}: expected {NAME!r}, its instance"
@@ -48,14 +48,14 @@ def messages_have_the_instance_name(probe: Probe) -> Iterator[str]:
 @rule(_CREATION, Stage.BEHAVIOUR)
 def log_categories_are_declared(probe: Probe) -> Iterator[str]:
     """Messages have a category of LogCategories; without LogCategories it is NULL."""
-    yield from _undeclared(probe, _messages(probe))
+    yield from _undeclared(probe, messages_of_a_session(probe))
 
 
 @rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING)
 def messages_have_a_category(probe: Probe) -> Iterator[str]:
     """Messages have a category, if LogCategories declares any."""
-    declared = _categories(probe)
-    if declared and any(m.category is None for m in _messages(probe)):
+    declared = declared_categories(probe)
+    if declared and any(m.category is None for m in messages_of_a_session(probe)):
         yield f"a message has no category: expected one of {', '.join(declared)}"
 
 
@@ -67,9 +67,9 @@ def log_category_of_a_refusal_is_declared(probe: Probe) -> Iterator[str]:
 
 
 def _undeclared(probe: Probe, messages: Sequence[Message]) -> Iterator[str]:
-    declared = _categories(probe)
+    declared = declared_categories(probe)
     for category in dict.fromkeys(m.category for m in messages):
-        if category and category not in declared:
+        if category is not None and category not in declared:
             expected = (
                 f"one of {', '.join(declared)}" if declared else "NULL, as no LogCategories are declared"
             )
@@ -79,7 +79,7 @@ def _undeclared(probe: Probe, messages: Sequence[Message]) -> Iterator[str]:
 @rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING)
 def messages_have_no_trailing_line_break(probe: Probe) -> Iterator[str]:
     """Messages do not end with a line break."""
-    for text in dict.fromkeys(m.text for m in _messages(probe) if m.text.endswith(("\n", "\r"))):
+    for text in dict.fromkeys(m.text for m in messages_of_a_session(probe) if m.text.endswith(("\n", "\r"))):
         yield f"a message ends with a line break: {text.strip()[:80]!r}"
         return
 
@@ -88,7 +88,7 @@ def messages_have_no_trailing_line_break(probe: Probe) -> Iterator[str]:
 def variables_in_messages_exist(probe: Probe) -> Iterator[str]:
     """In messages `#r12#` is a variable with that type and value reference, and `##` stands for `#`."""
     known = {(v.base_kind, v.reference) for v in probe.fmu.variables}
-    for text in dict.fromkeys(m.text for m in _messages(probe) if "#" in m.text):
+    for text in dict.fromkeys(m.text for m in messages_of_a_session(probe) if "#" in m.text):
         rest = text.replace("##", "")
         for letter, digits in _REFERENCE.findall(rest):
             if (_KINDS[letter], int(digits)) not in known:
@@ -100,7 +100,7 @@ def variables_in_messages_exist(probe: Probe) -> Iterator[str]:
 @rule(_CREATION, Stage.BEHAVIOUR)
 def status_of_messages_is_legal(probe: Probe) -> Iterator[str]:
     """Messages carry an fmi2Status."""
-    for status in {m.status for m in _messages(probe)}:
+    for status in {m.status for m in messages_of_a_session(probe)}:
         if not 0 <= status <= 5:
             yield f"a message has the status {status}: expected an fmi2Status"
 
@@ -133,7 +133,7 @@ def debug_logging_can_be_set(probe: Probe) -> Iterator[str]:
     usual, script = probe.script().begin(), probe.script(logging=True)
     expected = usual.run(2)
     for on in (True, False):
-        for category in _categories(probe):
+        for category in declared_categories(probe):
             script.call("set_debug_logging", on, [category])
         script.call("set_debug_logging", on, [])
     got = script.begin().run(2)
@@ -148,14 +148,14 @@ def debug_logging_can_be_set(probe: Probe) -> Iterator[str]:
 @rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING, needs=["debug-logging-can-be-set"])
 def only_chosen_categories_are_logged(probe: Probe) -> Iterator[str]:
     """After fmi2SetDebugLogging with one category, messages of others do not arrive."""
-    declared = _categories(probe)
+    declared = declared_categories(probe)
     if len(declared) < 2:
         raise NotJudgedError("fewer than two log categories are declared")
     for chosen in declared:
         script = probe.script()
         script.call("set_debug_logging", True, [chosen])
         first = len(script.replies)
-        _talkative(probe, script)
+        talkative_calls(probe, script)
         script.play(keep_going=True)
         others = {
             m.category
@@ -173,15 +173,15 @@ def chosen_categories_are_logged(probe: Probe) -> Iterator[str]:
     """Messages that arrive with all categories enabled arrive with their own alone, and if all are named."""
     usual = probe.script(logging=True)
     usual.call("set_debug_logging", True, [])
-    _talkative(probe, usual)
+    talkative_calls(probe, usual)
     usual.play(keep_going=True)
     before = {
         m.category for reply in usual.replies for m in reply.messages if m.status <= WARNING and m.category
     }
-    for category in sorted(before & set(_categories(probe))):
+    for category in sorted(before & set(declared_categories(probe))):
         script = probe.script()
         script.call("set_debug_logging", True, [category])
-        _talkative(probe, script)
+        talkative_calls(probe, script)
         script.play(keep_going=True)
         if not any(m.category == category for reply in script.replies for m in reply.messages):
             yield (
@@ -190,7 +190,7 @@ def chosen_categories_are_logged(probe: Probe) -> Iterator[str]:
             )
 
 
-def _talkative(probe: Probe, script: Script) -> None:
+def talkative_calls(probe: Probe, script: Script) -> None:
     """Calls at which FMUs send messages."""
     script.begin().step(2)
     script.read(probe.fmu.variables)

@@ -3,8 +3,11 @@ its own.
 """
 
 import itertools
+import math
+import re
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,7 +20,8 @@ from fmus.process import WorkerProcess
 
 Call = tuple[Any, ...]  # a method of `LoadedFmu` and its arguments
 T = TypeVar("T")
-_REFUSED_STEPS = "refused steps"  # among what the rules share
+_LICENCE = re.compile("licen[cs]e", re.IGNORECASE)
+_REFUSED_STEPS, _DISCARDED_STEP = "refused steps", "discarded step"  # among what the rules share
 
 
 class DiscardedStepError(NotJudgedError):
@@ -57,7 +61,8 @@ class FmuProcess:
 class Probe:
     """An unpacked FMU in a process of its own.
 
-    start_time, step_size: of the default experiment [s]; states_step_size: whether it has one
+    start_time, stop_time, step_size: of the default experiment [s], infinite if it states no stop time;
+    states_step_size: whether it states one
     """
 
     def __init__(self, fmu: FmuFile, folder: Path, deadline: float, shared: dict[str, Any]) -> None:
@@ -68,7 +73,9 @@ class Probe:
         experiment = fmu.root.find("DefaultExperiment")
         get = experiment.get if experiment is not None else {}.get
         self.start_time = number(get("startTime")) or 0.0
-        span = (number(get("stopTime")) or self.start_time + 1.0) - self.start_time
+        stop_time = number(get("stopTime"))
+        self.stop_time = math.inf if stop_time is None else stop_time
+        span = (stop_time or self.start_time + 1.0) - self.start_time
         self.states_step_size = bool(number(get("stepSize")))
         self.step_size = number(get("stepSize")) or span / 1000
 
@@ -96,7 +103,7 @@ class Probe:
         freed: list[Call] = [("free", number) for number in numbers]
         if not all(answer[0] for answer in created):
             self.process.calls(freed)
-            raise CallError(refusal([Message(*m) for _, messages, *_ in created for m in messages]))
+            raise _refused([Message(*m) for _, messages, *_ in created for m in messages])
         for instance, script in zip(numbers, scripts, strict=True):
             script.number = instance
         for part in range(max(len(script.parts) for script in scripts)):
@@ -131,10 +138,29 @@ class Probe:
             raise NotJudgedError(reason) from None
 
     def _judge_steps(self, scripts: Sequence[Script]) -> None:
-        """Raise NotJudgedError for a step that fails where the FMU refuses those of the usual size."""
-        failures = [script.failure for script in scripts if script.failure]
-        if _REFUSED_STEPS in self._shared and any(f.function == "fmi2DoStep" for f in failures):
-            raise NotJudgedError(self._shared[_REFUSED_STEPS])
+        """Raise NotJudgedError for a step that fails where the FMU may refuse it: it refuses those of the
+        usual size, discards one of them, or is used beyond the stop time of its default experiment.
+        """
+        for script in scripts:
+            failure = script.failure
+            if failure is None or failure.function != "fmi2DoStep":
+                continue
+            if _REFUSED_STEPS in self._shared:
+                raise NotJudgedError(self._shared[_REFUSED_STEPS])
+            if failure.status == DISCARD and _DISCARDED_STEP in self._shared:
+                raise NotJudgedError(self._shared[_DISCARDED_STEP])
+            _, t, h, *_ = script.calls[script.replies.index(failure)]
+            if t + h > self.stop_time + 1e-9 * max(abs(t), h):
+                raise NotJudgedError("the FMU refuses steps beyond the stop time of its DefaultExperiment")
+
+    def find_discarded_step(self, steps: int) -> None:
+        """Note, for all rules, whether the FMU discards one of some equal steps of the usual size."""
+        script = self.script().begin().step(steps)
+        with suppress(NotJudgedError):  # a step beyond the stop time
+            self.play_each([script])
+        failure = script.failure
+        if failure and failure.function == "fmi2DoStep" and failure.status == DISCARD:
+            self._shared[_DISCARDED_STEP] = "the FMU discards a step of the usual size"
 
     def play_each(self, scripts: Sequence[Script]) -> None:
         """Play scripts one after the other in one message; an instance is freed before the next is created.
@@ -162,7 +188,7 @@ class Probe:
         ((created, messages, *_),) = self.process.calls([("create", number, script.options)])
         if not created:
             self.let_go(number)
-            raise CallError(refusal([Message(*message) for message in messages]))
+            raise _refused([Message(*message) for message in messages])
         (answers,) = self.process.calls([("play", number, script.calls, True)])
         script.fill(0, answers)
         return number
@@ -217,6 +243,12 @@ class Probe:
     def real(self, causality: str) -> list[Variable]:
         """The Real variables of a causality."""
         return [v for v in self.fmu.variables if v.causality == causality and v.kind == "Real"]
+
+
+def _refused(messages: Sequence[Message]) -> Exception:
+    """The error of an FMU that returns no instance; what lacks a licence now is not judged."""
+    text = refusal(messages)
+    return NotJudgedError(text) if _LICENCE.search(text) else CallError(text)
 
 
 def refusal(messages: Sequence[Message]) -> str:

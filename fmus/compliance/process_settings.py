@@ -3,13 +3,31 @@
 import ctypes
 import gc
 import os
+import platform
+import signal
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+try:
+    import resource
+except ImportError:  # of Windows
+    resource: Any = None
+
 _LC_ALL = 6  # of glibc, musl; other C libraries have another number, and then no locale is compared
 _SIGNAL_LINES = ("SigIgn", "SigCgt")
+_NOTED = ("signal handlers", "signal mask", "environment", "standard streams", "timers", "limits", "priority")
+_STREAMS = (0, 1, 2)  # file descriptors
 _SELF = Path("/proc/self")
+
+
+def _stream(number: int) -> str:
+    """What a file descriptor leads to."""
+    try:
+        status = os.fstat(number)
+    except OSError:
+        return "closed"
+    return f"{status.st_dev}:{status.st_ino}"
 
 
 class MallocInformation(ctypes.Structure):
@@ -55,6 +73,16 @@ class ProcessSettings:
         self._set_rounding = _function(mathematics, "fesetround", ctypes.c_int, ctypes.c_int)
         self._traps = _function(mathematics, "fegetexcept") if linux else None
         self._set_traps = _function(mathematics, "fedisableexcept", ctypes.c_int, ctypes.c_int)
+        x87 = mathematics if linux and platform.machine() == "x86_64" else None
+        self._get_environment = _function(x87, "fegetenv", ctypes.c_int, ctypes.c_char_p)
+        self._set_environment = _function(x87, "fesetenv", ctypes.c_int, ctypes.c_char_p)
+        self._x87, self._first_x87 = (ctypes.create_string_buffer(64) for _ in range(2))
+        if self._get_environment is not None:
+            self._get_environment(self._first_x87)
+        self._environment: Any = None
+        self._first_environment: frozenset[bytes] | None = None
+        with suppress(ValueError):
+            self._environment = ctypes.POINTER(ctypes.c_char_p).in_dll(library, "environ") if linux else None
         self._heap = _function(library, "mallinfo2", MallocInformation) if linux else None
         self._process, self._floating_point = self._process_now(), self._floating_point_now()
 
@@ -63,11 +91,18 @@ class ProcessSettings:
         if self._flush is not None:
             self._flush(None)
 
-    def _floating_point_now(self) -> tuple[int, int, bool]:
-        """Rounding mode, exceptions that trap, and whether numbers near zero are kept."""
+    def _floating_point_now(self) -> tuple[int, int, bool, str]:
+        """Rounding mode, exceptions that trap, whether numbers near zero are kept, x87 control word."""
         rounding = self._rounding() if self._rounding is not None else 0
         traps = self._traps() if self._traps is not None else 0
-        return rounding, traps, float.fromhex("0x1p-1022") / _TWO != 0.0
+        return rounding, traps, float.fromhex("0x1p-1022") / _TWO != 0.0, self._control_word()
+
+    def _control_word(self) -> str:
+        """The control word of the x87, where there is one: its precision."""
+        if self._get_environment is None:
+            return ""
+        self._get_environment(self._x87)
+        return self._x87.raw[:2].hex()
 
     def floating_point_differs(self) -> bool:
         """Whether the control of floating point is another than when this was made."""
@@ -81,7 +116,7 @@ class ProcessSettings:
             rows.append(["floating-point control", str(self._floating_point), str(now)])
         after = self._process_now()
         rows += [[name, value, after[name]] for name, value in self._process.items() if after[name] != value]
-        self._process["signal handlers"] = after["signal handlers"]  # which stay as they are
+        self._process |= {name: after[name] for name in _NOTED if name in after}  # they stay as they are
         return rows
 
     def restore(self) -> None:
@@ -91,11 +126,13 @@ class ProcessSettings:
 
     def restore_floating_point(self) -> None:
         """Set back rounding mode and traps."""
-        rounding, traps, _ = self._floating_point
+        rounding, traps, *_ = self._floating_point
         if self._set_rounding is not None:
             self._set_rounding(rounding)
         if self._set_traps is not None:
             self._set_traps(~traps & 0x3D)
+        if self._set_environment is not None and self._control_word() != self._floating_point[3]:
+            self._set_environment(self._first_x87)
 
     def _process_now(self) -> dict[str, str]:
         """Settings by name."""
@@ -108,7 +145,37 @@ class ProcessSettings:
         with suppress(OSError):
             lines = dict(line.split(":", 1) for line in (_SELF / "status").read_text().splitlines())
             settings["signal handlers"] = " ".join(lines[name].strip() for name in _SIGNAL_LINES)
-        return settings
+            settings["signal mask"] = lines["SigBlk"].strip()
+        return settings | self._shared_now()
+
+    def _shared_now(self) -> dict[str, str]:
+        """Settings that all of the process shares, where the operating system has them."""
+        if os.name != "posix":
+            return {}
+        return {
+            "environment": self._environment_now(),
+            "standard streams": " ".join(map(_stream, _STREAMS)),
+            "timers": " ".join(
+                str(signal.getitimer(kind)[1]) for kind in (signal.ITIMER_REAL, signal.ITIMER_VIRTUAL)
+            ),
+            "limits": " ".join(
+                str(resource.getrlimit(kind)) for kind in (resource.RLIMIT_NOFILE, resource.RLIMIT_STACK)
+            ),
+            "priority": str(os.getpriority(os.PRIO_PROCESS, 0)),
+        }
+
+    def _environment_now(self) -> str:
+        """Names of the environment variables that differ from those at the start, with their values."""
+        if self._environment is None:
+            return ""
+        rows, index = [], 0
+        while row := self._environment[index]:
+            rows.append(row)
+            index += 1
+        now = frozenset(rows)
+        if self._first_environment is None:
+            self._first_environment = now
+        return ", ".join(row.decode("utf-8", "replace")[:60] for row in sorted(now - self._first_environment))
 
     def _restore_process(self) -> None:
         before = self._process
@@ -117,9 +184,18 @@ class ProcessSettings:
         if self._locale is not None:
             self._locale(_LC_ALL, before["locale"].encode())
 
+    def _heap_now(self) -> int:
+        """Bytes of the heap in use, and of large blocks beside it."""
+        if self._heap is None:
+            return 0
+        information = self._heap()
+        return int(information.uordblks) + int(information.hblkhd)
+
     def resources_in_use(self) -> dict[str, int]:
         gc.collect()
-        counts = {"heap": int(self._heap().uordblks) if self._heap is not None else 0}
+        if not gc.get_freeze_count():
+            gc.freeze()  # what is left stays: the next collections are short
+        counts = {"heap": self._heap_now()}
         for name, folder in (("open files", "fd"), ("threads", "task")):
             with suppress(OSError):
                 counts[name] = len(list((_SELF / folder).iterdir()))

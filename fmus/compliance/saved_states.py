@@ -63,3 +63,8 @@ class SavedStates:
         ctypes.memset(buffer, ord("#"), len(data))
         self._pointers[slot] = pointer
         return bool(pointer.value)
+
+    def copy_fmu_state(self, slot: int, other: int) -> bool:
+        """Make another saved state of the bytes of one."""
+        content, _ = self.serialize_fmu_state(slot)
+        return not self._instance.last_status and self.deserialize_fmu_state(other, content)

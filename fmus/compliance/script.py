@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from fmus.binding import WARNING, status_name
+from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.variable import Variable
 
 KINDS = ("Real", "Integer", "Boolean", "String")
@@ -19,6 +20,8 @@ _FUNCTIONS = {  # method of `CalledInstance` -> function of FMI, where the argum
     "set_fmu_state": "fmi2SetFMUstate", "free_fmu_state": "fmi2FreeFMUstate",
     "serialize_fmu_state": "fmi2SerializeFMUstate", "deserialize_fmu_state": "fmi2DeSerializeFMUstate",
     "serialized_fmu_state_size": "fmi2SerializedFMUstateSize",
+    "copy_fmu_state": "fmi2DeSerializeFMUstate", "poll_step": "fmi2GetStatus",
+    "free": "fmi2FreeInstance", "derive_nothing": "fmi2GetDirectionalDerivative",
 }  # fmt: skip
 
 
@@ -97,6 +100,7 @@ class Reading:
 class Examined(Protocol):
     """What a script knows of the FMU. start_time, step_size: of the default experiment [s]."""
 
+    fmu: FmuFile
     start_time: float
     step_size: float
 
@@ -211,6 +215,11 @@ class Script:
             kind: self.call("get", kind, [v.reference for v in members]) for kind, members in groups.items()
         }
         return Reading(groups, replies)
+
+    @property
+    def variables(self) -> Sequence[Variable]:
+        """All variables of the FMU."""
+        return self._probe.fmu.variables
 
     def run(self, steps: int) -> list[Reading]:
         """Readings of the outputs after each of some steps."""

@@ -6,6 +6,7 @@ from fmus.compliance.probe import Probe
 from fmus.compliance.script import Reading, Script
 from fmus.compliance.values import (
     readable_in_initialization,
+    set_input_derivatives,
     settable_before,
     settable_in_initialization,
     settable_while_stepping,
@@ -31,7 +32,6 @@ class Session:
         self._log()
         self._states(0)
         self._set(script, settable_before(self.fmu))
-        self._input_derivatives()
         script.set_up(stop=self.probe.point(1000))
         script.enter_initialization_mode()
         self._log()
@@ -73,11 +73,7 @@ class Session:
         self.script.call("set_debug_logging", True, [])
 
     def _input_derivatives(self) -> None:
-        inputs = [v for v in self.probe.real("input") if v.variability == "continuous"]
-        if inputs and self.fmu.claims("canInterpolateInputs"):
-            count = len(inputs)
-            references = [v.reference or 0 for v in inputs]
-            self.script.call("set_input_derivatives", references, [1] * count, [0.0] * count)
+        set_input_derivatives(self.probe, self.script, 0.0)
 
     def _output_derivatives(self) -> None:
         outputs = [v for v in self.probe.real("output") if v.variability == "continuous"]

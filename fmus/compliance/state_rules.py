@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from fmus.binding import ERROR
-from fmus.compliance.lifecycle_rules import unknown_reference
+from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
 from fmus.compliance.script import Reading, Script

@@ -7,13 +7,14 @@ from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
 from fmus.compliance.script import Reading, Reply, Script
-from fmus.compliance.values import differing, if_not_claimed, texts, unless_claimed
+from fmus.compliance.values import differing, texts, unless_claimed
 
 _SETUP = "2.1.6 Initialization, Termination, and Resetting an FMU (fmi2SetupExperiment)"
 _COMPUTATION = "4.2.2 Computation (fmi2DoStep)"
 _FLAGS = "4.3.1 Co-Simulation FMU (CoSimulation)"
 _ANY_STEP = "canHandleVariableCommunicationStepSize"
 _ASYNCHRONOUS = "canRunAsynchronuously"
+_MOST_STEPS = 100  # of a default experiment that is run
 _APART = 0.4  # of the change over two steps: a rough solver, but not half a step
 
 
@@ -159,12 +160,13 @@ def _discarded(
 
 @rule(f"{_FLAGS}: {_ANY_STEP}", Stage.BEHAVIOUR, Level.WARNING, condition=unless_claimed(_ANY_STEP))
 def two_steps_are_one_of_twice_the_size(probe: Probe) -> Iterator[str]:
-    """A step reaches its end: two steps bring continuous outputs about as far as one of twice the size."""
+    """A step reaches its end: after a step, two more bring continuous outputs about as far as one of twice
+    the size."""
     chosen = [v for v in probe.real("output") if v.variability == "continuous"]
     small, large = probe.script().begin(), probe.script().begin()
-    before = small.read(chosen)
+    before = small.step().read(chosen)
     two = small.step(2).read(chosen)
-    large.call("do_step", probe.start_time, 2 * probe.step_size)
+    large.step().call("do_step", probe.point(1), 2 * probe.step_size)
     one = large.read(chosen)
     small.play()
     large.play(keep_going=True)
@@ -189,50 +191,18 @@ def _change(before: Reading, after: Reading, name: str) -> float:
     return after.values[name] - before.values[name]
 
 
-@rule(_COMPUTATION, Stage.BEHAVIOUR, condition=if_not_claimed(_ASYNCHRONOUS))
-def steps_are_not_pending(probe: Probe) -> Iterator[str]:
-    """Without canRunAsynchronuously, fmi2DoStep does not return pending."""
-    script = probe.script(logging=True).begin()
-    pending = script.call("begin_step", probe.start_time, probe.step_size)
-    script.play(keep_going=True)
-    if pending.value:
-        yield "fmi2DoStep returned pending: expected that only with canRunAsynchronuously"
-
-
 @rule(
-    "2.1.5 Creation, Destruction and Logging of FMU Instances",
+    "advice: 2.2.5, what a user runs first",
     Stage.BEHAVIOUR,
-    condition=unless_claimed(_ASYNCHRONOUS),
+    Level.WARNING,
+    needs=["communication-points-may-be-rounded"],
 )
-def step_finished_is_called(probe: Probe) -> Iterator[str]:
-    """After a pending step, perhaps also after others, the callback stepFinished is called once; without it
-    fmi2GetStatus tells the step's end.
-    """
-    count = 3
-    script = probe.script(logging=True).begin().step(count)
-    number = probe.hold(script)
-    pending, finished = probe.ask("finished_steps", number)
-    probe.let_go(number)
-    if script.failure:
-        yield script.failure.problem
-    elif not pending <= finished <= count:  # a step that is not pending is completed too
-        yield (
-            f"stepFinished was called {finished} times for {pending} pending steps of {count}: "
-            "expected once for each"
-        )
-    fewest = probe.script(callbacks="fewest").begin().step(3)
-    fewest.play(keep_going=True)
-    if fewest.failure:
-        yield f"without stepFinished: {fewest.failure.problem}"
-
-
-@rule(_COMPUTATION, Stage.BEHAVIOUR, condition=unless_claimed(_ASYNCHRONOUS))
-def cancelled_step_can_be_left(probe: Probe) -> Iterator[str]:
-    """A pending step can be cancelled; fmi2Reset is allowed then."""
-    script = probe.script(logging=True).begin()
-    pending = script.call("begin_step", probe.start_time, probe.step_size)
-    script.plain("fmi2CancelStep")
-    script.reset()
-    script.begin().step().play(keep_going=True)
-    if pending.value and script.failure:
+def default_experiment_runs(probe: Probe) -> Iterator[str]:
+    """The steps of DefaultExperiment, if they are few, succeed up to its stop time."""
+    steps = (probe.stop_time - probe.start_time) / probe.step_size
+    if not probe.states_step_size or not steps <= _MOST_STEPS:
+        raise NotJudgedError("no stop time and step size are stated, or the steps are many")
+    script = probe.script(logging=True).set_up(stop=probe.stop_time).enter_initialization_mode()
+    script.exit_initialization_mode().step(int(steps + 1e-6)).play(keep_going=True)
+    if script.failure and script.failure.status != DISCARD:
         yield script.failure.problem

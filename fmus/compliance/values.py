@@ -6,14 +6,17 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Condition
-from fmus.compliance.script import Reading
+from fmus.compliance.script import Reading, Script
 from fmus.compliance.variable import Variable
 
 Row = dict[str, Any]
+_SMALL = 0.01  # of the largest variable: what is smaller is compared against that
 _TRUE = {"true": 1, "1": 1, "false": 0, "0": 0}
 RESTARTED = 1e-2  # relative: what a solver that begins anew at an event may change
 _STAYS = 0.3  # how often a random value is the start value
+_LONG_TEXT = "Tiefe ä, \N{GREEK SMALL LETTER PI}, \N{GRINNING FACE}; " * 20
 _PART = 0.01  # of a value or its nominal value: a change that is felt, and seldom refused
 
 
@@ -39,10 +42,12 @@ def start_value(v: Variable) -> Any:
 
 
 def other_value(v: Variable) -> Any:
-    """A legal value near the start value but another one; None if there is none. Strings have none."""
+    """A legal value near the start value but another one; None if there is none."""
     start = start_value(v)
-    if start is None or v.base_kind == "String":
+    if start is None:
         return None
+    if v.base_kind == "String":
+        return f"x{start}x"
     if v.base_kind == "Boolean":
         return 1 - start
     if v.base_kind == "Integer":
@@ -51,6 +56,30 @@ def other_value(v: Variable) -> Any:
     span = [x for x in (v.number("max"), v.number("min")) if x is not None]
     change = min([change, *(abs(x - start) / 2 for x in span if x != start)])
     return next((x for x in (start + change, start - change) if _within(v, x) and x != start), None)
+
+
+def far_values(v: Variable) -> list[Any]:
+    """Legal values of an input far from its start value: Reals three times as large or the limits, texts."""
+    start = start_value(v)
+    if start is None:
+        return []
+    if v.base_kind == "String":
+        return ["", _LONG_TEXT]
+    if v.base_kind == "Integer":
+        return sorted((v.items or set()) - {start})
+    if v.base_kind == "Boolean":
+        return [1 - start]
+    low, high, width = v.number("min"), v.number("max"), 3 * (abs(start) or v.number("nominal") or 1.0)
+    values = [
+        min(start + width, math.inf if high is None else high),
+        max(start - width, -math.inf if low is None else low),
+    ]
+    return [x for x in values if _within(v, x) and x != start]
+
+
+def read_value(value: Any) -> Any:
+    """A value that was read, as it is set: Strings as text; None for NULL."""
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
 
 
 def random_value(v: Variable, chance: random.Random) -> Any:
@@ -135,14 +164,29 @@ def rows(readings: Iterable[Reading]) -> list[Row]:
 def differing(
     expected: Sequence[Reading], got: Sequence[Reading], when: str, tolerance: float = 0.0
 ) -> Iterator[str]:
-    """The first value of each output that is not the same; a tolerance is relative to the largest number."""
+    """The first value of each variable that is not the same; a tolerance is relative to the largest number,
+    a large one to the variable's own, or a hundredth of the largest.
+    """
     before, after = rows(expected), rows(got)
-    numbers = (abs(value) for row in before for value in row.values() if isinstance(value, float))
-    largest = max((number for number in numbers if math.isfinite(number)), default=0.0)
+    scales: dict[str, float] = {}
+    for name, value in (item for row in before for item in row.items()):
+        if isinstance(value, float) and math.isfinite(value):
+            scales[name] = max(abs(value), scales.get(name, 0.0))
+    least = (_SMALL if tolerance >= RESTARTED else 1.0) * max(scales.values(), default=0.0)
     named = set()
     for i, (row, other) in enumerate(zip(before, after, strict=True), 1):
         for name, value in row.items():
-            if name not in named and not same(value, other[name], tolerance, largest):
+            scale = max(scales.get(name, 0.0), least)
+            if name not in named and not same(value, other[name], tolerance, scale):
                 named.add(name)
                 new, old = texts(other[name], value)
                 yield f"{name} is {new} {when}, step {i}: expected {old} again"
+
+
+def set_input_derivatives(probe: Probe, script: Script, value: float = 1.0) -> None:
+    """First derivatives of all continuous Real inputs, if the FMU interpolates."""
+    inputs = [v for v in probe.real("input") if v.variability == "continuous"]
+    if inputs and probe.fmu.claims("canInterpolateInputs"):
+        count = len(inputs)
+        references = [v.reference or 0 for v in inputs]
+        script.call("set_input_derivatives", references, [1] * count, [value] * count)

@@ -7,8 +7,9 @@ import pytest
 
 from fmus.compliance.examine import examine
 from fmus.platforms import host_platform, library_name
-from tests.mutants.behaviour import BEHAVIOUR_MUTANTS, LEGAL, write_slave
+from tests.mutants.behaviour import LEGAL, write_slave
 from tests.mutants.mutant import Mutant, broken_rules, unexpected
+from tests.mutants.table import RUN_MUTANTS
 
 from .archives import members, write
 
@@ -17,7 +18,7 @@ QUICK = ("steps beyond the stop time", "keeps the pointer to its name", "a chang
 
 @pytest.mark.parametrize(
     "mutant",
-    [m if m.name in QUICK else pytest.param(m, marks=pytest.mark.slow) for m in BEHAVIOUR_MUTANTS],
+    [m if m.name in QUICK else pytest.param(m, marks=pytest.mark.slow) for m in RUN_MUTANTS],
     ids=lambda mutant: mutant.name,
 )
 def test_a_mutant_that_runs_is_found_by_its_rules_and_no_others(mutant: Mutant, tmp_path: Path) -> None:
@@ -31,6 +32,11 @@ def test_the_slave_that_does_nothing_wrong_breaks_no_rule(index: int, tmp_path: 
     flags, changes, allowed = LEGAL[index]
     broken = broken_rules(write_slave(tmp_path, "", flags, changes), is_static=False)
     assert set(broken) == set(allowed)
+
+
+@pytest.mark.slow
+def test_a_second_slave_that_refuses_what_is_not_allowed_breaks_no_rule(tmp_path: Path) -> None:
+    assert broken_rules(write_slave(tmp_path, slave="Oscillator"), is_static=False) == {}
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="patches a library of Linux")

@@ -1,0 +1,122 @@
+"""How an FMU is set up and initialised."""
+
+from collections.abc import Iterator
+
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import Level, Stage, rule
+from fmus.compliance.script import KINDS, CallError, Script
+from fmus.compliance.values import (
+    differing,
+    other_value,
+    read_value,
+    same,
+    settable_in_initialization,
+    start_value,
+    texts,
+)  # fmt: skip
+from fmus.compliance.variable import Variable
+
+_INITIALIZATION = "2.1.6 Initialization, Termination, and Resetting an FMU"
+_VALUES = "2.1.7 Getting and Setting Variable Values"
+_MOST_VARIABLES = 50
+_ROUNDED = 1e-6
+
+
+@rule(_INITIALIZATION, Stage.BEHAVIOUR, Level.WARNING)
+def set_up_can_be_repeated(probe: Probe) -> Iterator[str]:
+    """fmi2SetupExperiment may be called at least once: the last call counts, for time and stop time, and what
+    was set before it stays.
+    """
+    usual, script = probe.script().begin(), probe.script(logging=True)
+    expected = usual.run(2)
+    script.set_up(probe.point(7), probe.point(8)).begin()
+    got = script.run(2)
+    usual.play()
+    script.play(keep_going=True)
+    if script.failure:
+        yield f"after a second fmi2SetupExperiment: {script.failure.problem}"
+    else:
+        yield from differing(expected, got, "after a second fmi2SetupExperiment")
+
+
+@rule(_INITIALIZATION, Stage.BEHAVIOUR)
+def undefined_tolerance_is_ignored(probe: Probe) -> Iterator[str]:
+    """If toleranceDefined is false, tolerance is not looked at, and no stop time is needed."""
+    script = probe.script(logging=True)
+    script.call("set_up_experiment_with", [], probe.start_time, [], -1.0)
+    script.enter_initialization_mode().exit_initialization_mode().step().play(keep_going=True)
+    if script.failure:
+        yield f"with an undefined tolerance of -1: {script.failure.problem}"
+
+
+@rule("advice: a user may want to see windows", Stage.BEHAVIOUR, Level.WARNING)
+def visible_instances_run(probe: Probe) -> Iterator[str]:
+    """With visible = fmi2True an instance is created and takes a step."""
+    script = probe.script(visible=True, logging=True).begin().step()
+    try:
+        script.play()
+    except CallError as error:
+        yield f"with visible = fmi2True: {error}"
+
+
+@rule(
+    "2.2.7 Definition of Model Variables (ModelVariables)",
+    Stage.BEHAVIOUR,
+    Level.WARNING,
+    needs=["start-values-are-as-declared", "values-that-are-set-are-read"],
+)
+def exact_values_remain_after_initialization(probe: Probe) -> Iterator[str]:
+    """Directly after fmi2ExitInitializationMode a variable with initial exact has its start value, or the
+    value that was set.
+    """
+    chosen = [
+        v for v in probe.fmu.variables
+        if v.initial == "exact" and v.variability != "constant" and start_value(v) is not None
+    ][:_MOST_VARIABLES]  # fmt: skip
+    usual = probe.script().begin()
+    unchanged = usual.read(chosen)
+    tried = [(v, x, probe.script().initialise()) for v in chosen if (x := other_value(v)) is not None]
+    readings = []
+    for v, value, script in tried:
+        script.set(v, value)
+        readings.append(script.exit_initialization_mode().read([v]))
+    probe.play_each([usual, *(script for *_, script in tried)])
+    expected = [(v, start_value(v), unchanged) for v in chosen] if unchanged.ok else []
+    expected += [
+        (v, x, reading) for (v, x, script), reading in zip(tried, readings, strict=True) if script.succeeded
+    ]
+    named = set()
+    for v, value, reading in expected:
+        got = read_value(reading.values[v.name])
+        if v.name not in named and not same(got, value, _ROUNDED):
+            named.add(v.name)
+            shown = texts(got, value)
+            yield f"{v.name} is {shown[0]} after initialisation: expected {shown[1]}, its exact value"
+
+
+@rule(_VALUES, Stage.BEHAVIOUR, needs=["values-that-are-set-are-read"])
+def values_are_set_together(probe: Probe) -> Iterator[str]:
+    """Several variables that are set in one call have the values that they have if each is set in a call of
+    its own.
+    """
+    pairs = [(v, x) for v in settable_in_initialization(probe.fmu) if (x := other_value(v)) is not None]
+    for kind in KINDS:
+        chosen = [(v, x) for v, x in pairs if v.base_kind == kind][:_MOST_VARIABLES]
+        yield from _differently_set(probe, kind, chosen) if len(chosen) > 1 else ()
+
+
+def _differently_set(probe: Probe, kind: str, chosen: list[tuple[Variable, object]]) -> Iterator[str]:
+    def script_of() -> Script:
+        return probe.script().initialise()
+
+    alone, together = script_of(), script_of()
+    for v, x in chosen:
+        alone.set(v, x)
+    contents = [x.encode().hex() if isinstance(x, str) else x for _, x in chosen]
+    together.call("set", kind, [v.reference or 0 for v, _ in chosen], contents)
+    variables = [v for v, _ in chosen]
+    expected = alone.exit_initialization_mode().read(variables)
+    got = together.exit_initialization_mode().read(variables)
+    probe.play_each([alone, together])
+    if alone.succeeded and together.succeeded:
+        yield from differing([expected], [got], f"where one fmi2Set{kind} sets {len(chosen)} variables")

@@ -1,0 +1,104 @@
+"""Several instances in one process: what one does changes nothing in another."""
+
+import itertools
+from collections.abc import Iterator
+
+from fmus.binding import ERROR
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import NotJudgedError, Stage, rule
+from fmus.compliance.values import (
+    differing,
+    if_not_claimed,
+    other_value,
+    settable_before,
+)
+
+_STATUS = "2.1.3 Status Returned by Functions"
+_CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
+_FLAGS = "4.3.1 Co-Simulation FMU (CoSimulation)"
+_ONLY_ONCE = "canBeInstantiatedOnlyOncePerProcess"
+_STEPS = 5
+_MOST_CHANGED = 50  # variables
+_LARGEST_REFERENCE = 2**32 - 1
+
+
+@rule(f"{_FLAGS}: {_ONLY_ONCE}", Stage.BEHAVIOUR, condition=if_not_claimed(_ONLY_ONCE))
+def several_instances(probe: Probe) -> Iterator[str]:
+    """Instances live side by side: values and steps of one change nothing in another."""
+    alone = probe.script().begin()
+    expected = alone.run(_STEPS)
+    alone.play()
+    one, other, changed = (probe.script(name=f"instance {i}") for i in range(3))
+    one.begin()
+    first = one.run(2)
+    one.pause()
+    for v in settable_before(probe.fmu)[:_MOST_CHANGED]:
+        if (value := other_value(v)) is not None:
+            changed.set(v, value)
+    changed.initialise()
+    second = other.begin().run(_STEPS)
+    first += one.run(_STEPS - 2)
+    probe.play(one, changed, other, keep_going=True)
+    for script in (one, other):
+        if script.failure:
+            yield f"beside another instance: {script.failure.problem}"
+            return
+    yield from differing(expected, second, "beside another instance")
+    yield from differing(expected, first, "beside another instance")
+
+
+@rule(_STATUS, Stage.BEHAVIOUR, needs=["several-instances", "reset-gives-the-start-values"])
+def error_leaves_other_instances_unchanged(probe: Probe) -> Iterator[str]:
+    """After an error, other instances go on as before, and fmi2Reset brings the instance back."""
+    alone = probe.script().begin()
+    expected = alone.run(3)
+    alone.play()
+    failing = probe.script().begin().step()
+    failing.pause()
+    error = failing.call("get", "Real", [unknown_reference(probe)])
+    failing.pause()
+    failing.reset()
+    failing.begin()
+    again = failing.run(3)
+    others = [] if probe.fmu.claims(_ONLY_ONCE) else [probe.script().begin()]
+    readings = others[0].run(1) + others[0].pause().pause().run(2) if others else []
+    probe.play(failing, *others, keep_going=True)
+    if error.status != ERROR:
+        raise NotJudgedError("no call that returns error is known")
+    for script in others:
+        if script.failure:
+            yield f"beside an instance in error: {script.failure.problem}"
+            return
+        yield from differing(expected, readings, "beside an instance in error")
+    failure = next((r for r in failing.replies[failing.replies.index(error) + 1 :] if not r.ok), None)
+    if failure:
+        yield f"after an error: {failure.problem}"
+    else:
+        yield from differing(expected, again, "after an error and fmi2Reset")
+
+
+def unknown_reference(probe: Probe) -> int:
+    """A value reference that no variable has, far from others: variables without an entry may lie between."""
+    used = {v.reference or 0 for v in probe.fmu.variables}
+    far = max(used, default=0) + 1000
+    return far if far <= _LARGEST_REFERENCE else next(i for i in itertools.count() if i not in used)
+
+
+@rule(_CREATION, Stage.BEHAVIOUR, condition=if_not_claimed(_ONLY_ONCE), needs=["several-instances"])
+def freed_instance_changes_no_other(probe: Probe) -> Iterator[str]:
+    """Where one instance is freed, others go on as before."""
+    alone, freed, other = probe.script().begin(), probe.script().begin(), probe.script(name="other").begin()
+    expected = alone.run(3)
+    alone.play()
+    got = other.run(1)
+    freed.step()
+    other.pause()
+    freed.pause().pause()
+    freed.call("free")
+    other.pause().pause()
+    got += other.run(2)
+    probe.play(freed, other, keep_going=True)
+    if other.failure:
+        yield f"after another instance was freed: {other.failure.problem}"
+    else:
+        yield from differing(expected, got, "after another instance was freed")

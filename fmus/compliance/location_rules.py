@@ -1,0 +1,62 @@
+"""Where an FMU finds its resources and other programs."""
+
+from collections.abc import Iterator
+
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
+from fmus.compliance.script import CallError, Reading
+from fmus.compliance.values import (
+    differing,
+    if_not_claimed,
+)
+
+_CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
+_FLAGS = "4.3.1 Co-Simulation FMU (CoSimulation)"
+
+
+@rule(_CREATION, Stage.BEHAVIOUR)
+def resource_locations_of_both_forms(probe: Probe) -> Iterator[str]:
+    """The location of the resources may be a URI with or without authority: file:///path and file:/path."""
+    usual = probe.ask("resource_location")
+    expected = probe.script(location=usual).begin()
+    first = expected.run(2)
+    expected.play()
+    yield from _with_location(probe, usual.replace("file:///", "file:/", 1), first)
+
+
+@rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING)
+def resource_location_is_decoded(probe: Probe) -> Iterator[str]:
+    """The location of the resources is a URI of RFC 3986: %20 in it is a space of the path."""
+    script = probe.script().begin()
+    first = script.run(2)
+    script.play()
+    try:
+        location = probe.ask("link", "a folder")
+    except CallError as error:  # an operating system without links
+        raise NotJudgedError(str(error)) from error
+    yield from _with_location(probe, location, first)
+
+
+def _with_location(probe: Probe, location: str, expected: list[Reading]) -> Iterator[str]:
+    script = probe.script(location=location, logging=True).begin()
+    got = script.run(len(expected))
+    try:
+        script.play()
+    except CallError as error:
+        yield (
+            "with the resource location "
+            f"{location.split('/', maxsplit=1)[0]}{'/' * location[5:].count('/', 0, 3)}...: {error}"
+        )
+        return
+    yield from differing(expected, got, f"with the resource location {location}")
+
+
+@rule(_FLAGS + ": needsExecutionTool", Stage.BEHAVIOUR, condition=if_not_claimed("needsExecutionTool"))
+def needs_no_tool(probe: Probe) -> Iterator[str]:
+    """Without needsExecutionTool, the FMU runs here although no program can be found by the search path."""
+    before = probe.ask("set_search_path", "")
+    try:
+        probe.script(logging=True).begin().step().play()
+    finally:
+        probe.ask("set_search_path", before)
+    yield from ()

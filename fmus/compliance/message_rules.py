@@ -1,0 +1,100 @@
+"""The text of messages, the messages of a refusal, and which categories fmi2SetDebugLogging disables."""
+
+import re
+from collections.abc import Iterator
+
+from fmus.binding import WARNING
+from fmus.compliance.instance_rules import unknown_reference
+from fmus.compliance.log_rules import declared_categories, messages_of_a_session, talkative_calls
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
+from fmus.compliance.session import NAME
+
+_CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
+_CONVERSION = re.compile(
+    r"%(?:%|[-+ #0']*(?:\*|\d+)?(?:\.(?:\*|\d+)?)?(?:hh|h|ll|l|j|z|t|L|q)?[diouxXeEfFgGaAcsp])"
+)
+_BLANK_FLAG = re.compile(r"%[-+#0]* [-+#0]*[a-zA-Z](?=[a-zA-Z])")  # "100 % done" is no conversion
+
+
+@rule(_CREATION, Stage.BEHAVIOUR)
+def messages_are_utf_8(probe: Probe) -> Iterator[str]:
+    """Messages are UTF-8, as every string of FMI."""
+    for text in dict.fromkeys(m.text for m in messages_of_a_session(probe) if "\ufffd" in m.text):
+        yield f"a message is not UTF-8: {text[:80]!r}"
+        return
+
+
+@rule("advice: a message without a text tells nothing", Stage.BEHAVIOUR, Level.WARNING)
+def messages_have_a_text(probe: Probe) -> Iterator[str]:
+    """Messages have a text."""
+    if any(not m.text.strip() for m in messages_of_a_session(probe)):
+        yield "a message has no text"
+
+
+@rule(_CREATION, Stage.BEHAVIOUR)
+def formats_of_messages_are_legal(probe: Probe) -> Iterator[str]:
+    """A message is a format of printf: each % begins a conversion or is doubled, and none writes (%n)."""
+    script = probe.script(name=NAME, logging=True, callbacks="formats")
+    talkative_calls(probe, script)
+    script.play(keep_going=True)
+    formats = dict.fromkeys(m.text for reply in script.everything for m in reply.messages)
+    for text in formats:
+        if "%" in _CONVERSION.sub("", text) or _BLANK_FLAG.search(text):
+            yield f"the format {text[:80]!r} of a message has a single %: expected %% or a conversion"
+            return
+
+
+@rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING)
+def messages_of_a_refusal_are_complete(probe: Probe) -> Iterator[str]:
+    """The message of a failed instantiation has the instance's name, its environment, and no status ok."""
+    created, messages = probe.creates(name=NAME, guid="wrong", logging=True)
+    if created or not messages:
+        return
+    if any(m.instance != NAME for m in messages):
+        yield f"the message of a refused instantiation does not carry the instance name {NAME!r}"
+    if any(not m.right_environment for m in messages):
+        yield "the message of a refused instantiation comes without the componentEnvironment"
+    if all(m.status == 0 for m in messages):
+        yield "the messages of a refused instantiation have the status ok: expected error"
+
+
+@rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING, needs=["debug-logging-can-be-set"])
+def disabled_categories_alone_are_disabled(probe: Probe) -> Iterator[str]:
+    """Messages of a category that is disabled do not arrive, and those of others do."""
+    declared = declared_categories(probe)
+    sent = _sent(probe, [(True, [])])
+    for disabled in sorted(sent):
+        if disabled in _sent(probe, [(True, []), (False, [disabled])]):
+            yield f"a message of the category {disabled!r} arrives although it was disabled"
+    for category in sorted(sent):
+        others = [name for name in declared if name != category]
+        if others and category not in _sent(probe, [(True, []), (False, others[:1])]):
+            yield f"no message of {category!r} arrives after {others[0]!r} alone was disabled"
+        if others and category not in _sent(probe, [(True, [*others, category])]):
+            yield f"no message of {category!r} arrives although it is enabled, after others in one call"
+
+
+def _sent(probe: Probe, settings: list[tuple[bool, list[str]]]) -> set[str]:
+    """Declared categories of the messages that arrive in a run after these calls of fmi2SetDebugLogging."""
+    script = probe.script()
+    for on, categories in settings:
+        script.call("set_debug_logging", on, categories)
+    first = len(script.replies)
+    talkative_calls(probe, script)
+    script.play(keep_going=True)
+    if not script.succeeded:
+        raise NotJudgedError("a run fails")
+    messages = [m for reply in script.replies[first:] for m in reply.messages if m.status <= WARNING]
+    return {m.category for m in messages if m.category} & set(declared_categories(probe))
+
+
+@rule("4.2.4 State Machine of Calling Sequence from Master to Slave", Stage.BEHAVIOUR, Level.WARNING)
+def debug_logging_is_allowed_after_an_error(probe: Probe) -> Iterator[str]:
+    """fmi2SetDebugLogging succeeds after another function returned error."""
+    script = probe.script(logging=True).begin().step()
+    script.call("get", "Real", [unknown_reference(probe)])
+    reply = script.call("set_debug_logging", True, [])
+    script.play(keep_going=True)
+    if reply.status is not None and not reply.ok:
+        yield f"after an error: {reply.problem}"

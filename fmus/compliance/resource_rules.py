@@ -1,0 +1,94 @@
+"""Memory, files and threads of instances, which fmi2FreeInstance frees."""
+
+import itertools
+from collections.abc import Iterator
+
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import Level, Stage, rule
+from fmus.compliance.values import (
+    if_not_claimed,
+    settable_before,
+    start_value,
+)
+
+_CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
+_FLAGS = "4.3.1 Co-Simulation FMU (CoSimulation)"
+_OWN_MEMORY = "canNotUseMemoryManagementFunctions"
+_MOST_SET = 50  # variables
+_CYCLES, _LEAST_LEAK = 8, 512  # lives of an instance; bytes that each of them leaves
+
+
+@rule(f"{_FLAGS}: {_OWN_MEMORY}", Stage.BEHAVIOUR, condition=if_not_claimed(_OWN_MEMORY))
+def memory_is_freed(probe: Probe) -> Iterator[str]:
+    """What an instance takes by allocateMemory it gives back by freeMemory, and nothing else."""
+    held_before, frees_before = probe.ask("held_blocks"), probe.ask("foreign_frees")
+    script = probe.script().begin().step()
+    if probe.fmu.claims("canGetAndSetFMUstate"):
+        script.call("get_fmu_state", 0)
+        script.call("free_fmu_state", 0)
+    script.terminate()
+    script.play()
+    held, foreign_frees = probe.ask("held_blocks"), probe.ask("foreign_frees")
+    if held > held_before:
+        yield f"{held - held_before} blocks are still held after fmi2FreeInstance: expected none"
+    if foreign_frees > frees_before:
+        yield f"{foreign_frees - frees_before} addresses were freed that were never given: expected none"
+
+
+def _lives(probe: Probe) -> list[dict[str, int]]:
+    """Resources in use after each of several lives of an instance."""
+
+    def live() -> list[dict[str, int]]:
+        counts = []
+        for _ in range(_CYCLES + 2):
+            _live(probe)
+            counts.append(probe.ask("resources_in_use"))
+        return counts[2:]
+
+    return probe.once("life of several instances", live)
+
+
+def _live(probe: Probe) -> None:
+    """An instantiation that fails, and the life of an instance: values, steps, saved states and fmi2Reset."""
+    probe.creates(guid="no GUID of this FMU")
+    script = probe.script()
+    for v in settable_before(probe.fmu)[:_MOST_SET]:
+        if (value := start_value(v)) is not None:
+            script.set(v, value)
+    script.begin().step(3)
+    if probe.fmu.claims("canGetAndSetFMUstate"):
+        script.call("get_fmu_state", 0)
+        script.call("get_fmu_state", 0)
+        if probe.fmu.claims("canSerializeFMUstate"):
+            script.call("serialize_fmu_state", 0)
+            script.call("copy_fmu_state", 0, 1)
+            script.call("free_fmu_state", 1)
+        script.call("set_fmu_state", 0)
+        script.call("free_fmu_state", 0)
+    script.terminate()
+    script.reset()
+    script.begin().step(2).play(keep_going=True)
+
+
+@rule(_CREATION, Stage.BEHAVIOUR)
+def resources_are_freed(probe: Probe) -> Iterator[str]:
+    """fmi2FreeInstance closes the files and ends the threads of an instance."""
+    counts = _lives(probe)
+    for name in ("open files", "threads"):
+        numbers = [count.get(name, 0) for count in counts]
+        if all(b > a for a, b in itertools.pairwise(numbers)):
+            more = numbers[-1] - numbers[0]
+            yield f"{more} more {name} after {_CYCLES - 1} instances were created and freed: expected none"
+
+
+@rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING)
+def memory_does_not_grow(probe: Probe) -> Iterator[str]:
+    """fmi2FreeInstance frees all memory: the heap does not grow with each instance that is created and
+    freed.
+    """
+    heap = [count["heap"] for count in _lives(probe)]
+    growth = [b - a for a, b in itertools.pairwise(heap)]
+    if min(growth) >= _LEAST_LEAK:
+        yield (
+            f"the heap grows by {min(growth)} bytes with each instance that is created and freed: expected none"
+        )

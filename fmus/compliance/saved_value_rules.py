@@ -1,0 +1,211 @@
+"""Which values a saved state holds, and what asking an FMU for values may not change."""
+
+from collections.abc import Iterator
+
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
+from fmus.compliance.script import Reading, Script
+from fmus.compliance.values import (
+    differing,
+    other_value,
+    set_input_derivatives,
+    settable_before,
+    settable_while_stepping,
+    unless_claimed,
+)
+from fmus.compliance.variable import Variable
+
+_CLAUSE = "2.1.8 Getting and Setting the Complete FMU State"
+_SAVES, _SERIALISES = "canGetAndSetFMUstate", "canSerializeFMUstate"
+_ROUNDING = 1e-9  # relative; what is lost by writing a state as text is less
+_MOST_CHANGED = 50
+_STEPS = 3
+
+
+def _every(script: Script, steps: int = _STEPS) -> list[Reading]:
+    return [script.step().read(script.variables) for _ in range(steps)]
+
+
+def _change(script: Script, variables: list[Variable], texts: bool) -> None:
+    for v in variables[:_MOST_CHANGED]:
+        if (v.base_kind != "String" or texts) and (value := other_value(v)) is not None:
+            script.set(v, value)
+
+
+def _steady(probe: Probe) -> set[str]:
+    """Names of the variables that are the same in every instance: no clock of the computer."""
+
+    def names() -> set[str]:
+        one, other = probe.script().begin(), probe.script().begin()
+        first, second = _every(one), _every(other)
+        probe.play_each([one, other])
+        if not one.succeeded or not other.succeeded:
+            raise NotJudgedError("a run fails")
+        others = {message.split(" is ", 1)[0] for message in differing(first, second, "")}
+        return {v.name for v in probe.fmu.variables} - others
+
+    return probe.once("comparison of two runs", names)
+
+
+def _steadily(probe: Probe, messages: Iterator[str]) -> Iterator[str]:
+    """The messages about variables that are the same in every instance."""
+    steady = _steady(probe)
+    return (message for message in messages if message.split(" is ", 1)[0] in steady)
+
+
+@rule(
+    _CLAUSE, Stage.BEHAVIOUR, condition=unless_claimed(_SAVES), needs=["state-restores", "input-derivatives"]
+)
+def state_holds_every_value(probe: Probe) -> Iterator[str]:
+    """Set back after inputs, tunable parameters and derivatives of inputs changed, a state gives all
+    variables again, at once and in the steps that follow, as if it had not been saved.
+    """
+    usual = probe.script().begin().step(2)
+    set_input_derivatives(probe, usual)
+    expected = _every(usual)
+    script = _set_back(probe, texts=True)
+    if not script[0].succeeded:
+        script = _set_back(probe, texts=False)
+    played, before, after, got = script
+    usual.play(keep_going=True)
+    if not played.succeeded or not usual.succeeded:
+        raise NotJudgedError("no input or tunable parameter takes another value")
+    yield from _steadily(probe, differing([before], [after], "in the state that was set back", _ROUNDING))
+    yield from _steadily(probe, differing(expected, got, "from a state that was set back", _ROUNDING))
+
+
+def _set_back(probe: Probe, texts: bool) -> tuple[Script, Reading, Reading, list[Reading]]:
+    script = probe.script().begin().step(2)
+    before = script.read(script.variables)
+    set_input_derivatives(probe, script)
+    script.call("get_fmu_state", 0)
+    set_input_derivatives(probe, script, 0.0)
+    _change(script, settable_while_stepping(probe.fmu), texts)
+    script.step(2)
+    script.call("set_fmu_state", 0)
+    after = script.read(script.variables)
+    script.go_to(2)
+    got = _every(script)
+    script.play(keep_going=True)
+    return script, before, after, got
+
+
+@rule(
+    _CLAUSE,
+    Stage.BEHAVIOUR,
+    condition=unless_claimed(_SERIALISES),
+    needs=["state-holds-every-value", "serialised-state-restores"],
+)
+def bytes_hold_every_value(probe: Probe) -> Iterator[str]:
+    """Bytes of a state that was freed give all variables again, in an instance with other values; reading
+    them changes nothing until the state is set.
+    """
+    script = probe.script().begin().step(2)
+    script.call("get_fmu_state", 0)
+    expected = [script.read(script.variables), *_every(script)]
+    content = script.call("serialize_fmu_state", 0)
+    script.call("free_fmu_state", 0)
+    script.call("get_fmu_state", 1)
+    script.step()
+    script.play(keep_going=True)
+    if not script.succeeded:
+        raise NotJudgedError("a state cannot be serialised after steps")
+    if not content.value[0]:
+        yield "a serialised state has no bytes"
+        return
+    for texts in (True, False):
+        other = probe.script()
+        _change(other, settable_before(probe.fmu), texts)
+        other.begin().step()
+        untouched = other.read(other.variables)
+        read = other.call("deserialize_fmu_state", 0, content.value[0])
+        still = other.read(other.variables)
+        other.call("set_fmu_state", 0)
+        got = [other.read(other.variables), *_every(other.go_to(2))]
+        other.call("free_fmu_state", 0)
+        other.play(keep_going=True)
+        if read.status is not None:
+            break
+    if other.failure and read.status is not None:
+        yield f"from bytes in another instance: {other.failure.problem}"
+    if other.succeeded:
+        yield from differing([untouched], [still], "after fmi2DeSerializeFMUstate, before fmi2SetFMUstate")
+        yield from _steadily(probe, differing(expected, got, "from bytes in another instance", _ROUNDING))
+
+
+@rule(_CLAUSE, Stage.BEHAVIOUR, Level.WARNING, condition=unless_claimed(_SAVES), needs=["state-restores"])
+def state_can_be_set_after_reset(probe: Probe) -> Iterator[str]:
+    """A state that was saved before fmi2Reset can be set after it, and the steps that follow are the same."""
+    script = probe.script(logging=True).begin().step(2)
+    script.call("get_fmu_state", 0)
+    expected = script.run(_STEPS)
+    script.reset()
+    script.call("set_fmu_state", 0)
+    got = script.go_to(2).run(_STEPS)
+    script.play(keep_going=True)
+    if script.failure:
+        yield f"with a state from before fmi2Reset: {script.failure.problem}"
+    else:
+        yield from differing(expected, got, "from a state from before fmi2Reset", _ROUNDING)
+
+
+@rule(
+    "4.2.2 Computation (fmi2DoStep)",
+    Stage.BEHAVIOUR,
+    Level.WARNING,
+    condition=unless_claimed(_SAVES),
+    needs=["state-restores", "no-set-state-flag-changes-nothing"],
+)
+def flag_keeps_the_states_of_the_present(probe: Probe) -> Iterator[str]:
+    """After a step with noSetFMUStatePriorToCurrentPoint, a state of its beginning can be set."""
+    script = probe.script(logging=True).begin().step(2)
+    script.call("get_fmu_state", 0)
+    script.step(no_going_back=True)
+    script.call("set_fmu_state", 0)
+    script.go_to(2).step()
+    script.play(keep_going=True)
+    if script.failure:
+        yield f"after noSetFMUStatePriorToCurrentPoint: {script.failure.problem}"
+
+
+@rule(
+    "2.1.7 Getting and Setting Variable Values",
+    Stage.BEHAVIOUR,
+    needs=["allowed-calls-succeed", "runs-are-repeatable"],
+)
+def questions_change_nothing(probe: Probe) -> Iterator[str]:
+    """Reading values and derivatives, or saving a state, changes nothing in the steps that follow."""
+    usual, asked = probe.script().begin(), probe.script().begin()
+    expected: list[Reading] = []
+    got: list[Reading] = []
+    for _ in range(4):
+        set_input_derivatives(probe, usual)
+        set_input_derivatives(probe, asked)
+        _save(probe, asked)
+        asked.step()
+        asked.read(asked.variables)
+        _ask(probe, asked)
+        got.append(asked.read(probe.outputs))
+        expected += usual.run(1)
+    probe.play_each([usual, asked])
+    if usual.succeeded and asked.succeeded:
+        yield from differing(expected, got, "where values and derivatives are read more often", _ROUNDING)
+
+
+def _ask(probe: Probe, script: Script) -> None:
+    """Questions that the FMU answers."""
+    outputs, inputs = (
+        [v for v in probe.real(c) if v.variability == "continuous"] for c in ("output", "input")
+    )
+    references = [[v.reference or 0 for v in variables] for variables in (outputs, inputs)]
+    if outputs and probe.fmu.output_derivative_order:
+        script.call("output_derivatives", references[0], 1)
+    if outputs and inputs and probe.fmu.claims("providesDirectionalDerivative"):
+        script.call("directional_derivatives", *references, [1.0] * len(inputs))
+    _save(probe, script)
+
+
+def _save(probe: Probe, script: Script) -> None:
+    if probe.fmu.claims(_SAVES):
+        script.call("get_fmu_state", 0)
+        script.call("free_fmu_state", 0)

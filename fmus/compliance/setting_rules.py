@@ -1,0 +1,216 @@
+"""What can be set, when, and what is read then."""
+
+from collections.abc import Iterator, Sequence
+
+from fmus.binding import ERROR
+from fmus.compliance.instance_rules import unknown_reference
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
+from fmus.compliance.script import KINDS, Reply, Script
+from fmus.compliance.values import (
+    RESTARTED,
+    differing,
+    far_values,
+    other_value,
+    read_value,
+    readable_in_initialization,
+    same,
+    settable_before,
+    settable_in_initialization,
+    settable_while_stepping,
+    start_value,
+    texts,
+)
+from fmus.compliance.variable import Variable
+
+_PLATFORM = "2.1.2 Platform Dependent Definitions (fmi2TypesPlatform.h)"
+_INITIALIZATION = "2.1.6 Initialization, Termination, and Resetting an FMU"
+_VALUES = "2.1.7 Getting and Setting Variable Values"
+_MOST_VARIABLES = 50  # of one kind, each of which costs an instance
+_ROUNDED = 1e-6
+
+
+@rule(_INITIALIZATION, Stage.BEHAVIOUR, needs=["start-values-are-as-declared"])
+def values_that_are_set_are_read(probe: Probe) -> Iterator[str]:
+    """What is set when instantiated or in initialization mode is read afterwards."""
+    before = [v for v in settable_before(probe.fmu) if v.initial == "exact"]
+    yield from _not_as_set(probe, before, "when instantiated")
+    yield from _not_as_set(probe, settable_in_initialization(probe.fmu), "in initialization mode")
+
+
+def _not_as_set(probe: Probe, variables: Sequence[Variable], when: str) -> Iterator[str]:
+    tried = [(v, value) for v in variables[:_MOST_VARIABLES] if (value := other_value(v)) is not None]
+    scripts, readings = [], []
+    for v, value in tried:
+        script = probe.script()
+        if when == "when instantiated":
+            script.set(v, value)
+            script.initialise()
+        else:
+            script.initialise().set(v, value)
+        if v.causality in {"output", "local"}:
+            readings.append(script.read([v]))
+            script.exit_initialization_mode()
+        else:
+            script.exit_initialization_mode()
+            readings.append(script.read([v]))
+        scripts.append(script)
+    probe.play_each(scripts)
+    for (v, value), script, reading in zip(tried, scripts, readings, strict=True):
+        got = read_value(reading.values[v.name]) if script.succeeded else value
+        if not same(got, value, 1e-12):
+            shown = texts(got, value)
+            yield f"{v.name} is {shown[0]} after it was set to {shown[1]} {when}: expected that"
+
+
+@rule(_PLATFORM, Stage.BEHAVIOUR)
+def wrong_references_are_refused(probe: Probe) -> Iterator[str]:
+    """A value reference that no variable has is an error to read and to set, and so is a constant to set."""
+    reference = unknown_reference(probe)
+    values = {"Real": 0.0, "Integer": 0, "Boolean": 0, "String": ""}
+    for kind in KINDS:
+        getter = probe.script(logging=True).begin().step()
+        setter = probe.script(logging=True).initialise()
+        for script, reply in (
+            (getter, getter.call("get", kind, [reference])),
+            (setter, setter.call("set", kind, [reference], [values[kind]])),
+        ):
+            script.play(keep_going=True)
+            if reply.status != ERROR:
+                yield (
+                    f"{reply.function} of the value reference {reference}, which is none: "
+                    f"{reply.status_name}: expected error"
+                )
+
+
+@rule(_PLATFORM, Stage.BEHAVIOUR)
+def constants_cannot_be_set(probe: Probe) -> Iterator[str]:
+    """Setting a constant is an error."""
+    for v in [v for v in probe.fmu.variables if v.variability == "constant"][:_MOST_VARIABLES]:
+        if (value := start_value(v)) is not None:
+            script = probe.script(logging=True).initialise()
+            reply = script.set(v, value)
+            script.play(keep_going=True)
+            if reply.status != ERROR:
+                yield f"{reply.function} of the constant {v.name}: {reply.status_name}: expected error"
+
+
+@rule("advice: 4.2.4 allows to set no other variables", Stage.BEHAVIOUR, Level.WARNING)
+def calculated_values_cannot_be_set(probe: Probe) -> Iterator[str]:
+    """Setting a variable that is calculated is refused."""
+    chosen = [v for v in probe.fmu.variables if v.initial == "calculated" or v.causality == "independent"]
+    for v in chosen[:_MOST_VARIABLES]:
+        if v.base_kind in ("Real", "Integer", "Boolean"):
+            script = probe.script(logging=True).initialise()
+            reply = script.set(v, 0 if v.base_kind != "Real" else 0.0)
+            script.play(keep_going=True)
+            if reply.ok:
+                yield f"{reply.function} of {v.name}, which is calculated, returned ok: expected error"
+                return
+
+
+@rule(_PLATFORM, Stage.BEHAVIOUR)
+def strings_are_copied(probe: Probe) -> Iterator[str]:
+    """A String that is set is copied: it is read as it was although its memory was overwritten."""
+    chosen = [
+        v
+        for v in settable_in_initialization(probe.fmu)
+        if v.base_kind == "String" and v.start and v.causality in ("parameter", "input")
+    ]
+    for v in chosen[:_MOST_VARIABLES]:
+        script = probe.script().initialise()
+        script.set(v, v.start)
+        reading = script.exit_initialization_mode().read([v])
+        script.play()
+        if reading.values[v.name] != (v.start or "").encode():
+            yield (
+                f"{v.name} is {reading.values[v.name]!r} after {v.start!r} was set and its memory "
+                "overwritten: expected a copy"
+            )
+
+
+@rule(_VALUES, Stage.BEHAVIOUR)
+def initial_values_follow_what_is_set(probe: Probe) -> Iterator[str]:
+    """In initialization mode, values follow what is set, also if they had been read before that."""
+    readable, tried = readable_in_initialization(probe.fmu), []
+    for v in settable_in_initialization(probe.fmu)[:_MOST_VARIABLES]:
+        if (value := other_value(v)) is not None:
+            plain, again = probe.script().initialise(), probe.script().initialise()
+            plain.set(v, value)
+            again.read(readable)
+            again.set(v, value)
+            tried.append((v, plain, again, plain.read(readable), again.read(readable)))
+    probe.play_each([script for _, plain, again, *_ in tried for script in (plain, again)])
+    for v, plain, again, first, second in tried:
+        if plain.succeeded and again.succeeded:
+            when = f"where it had been read before {v.name} was set"
+            yield from differing([first], [second], when, _ROUNDED)
+
+
+def _set_all(script: Script, variables: Sequence[Variable]) -> list[tuple[Variable, Reply]]:
+    pairs = [(v, start_value(v)) for v in variables]
+    return [(v, script.set(v, value)) for v, value in pairs if value is not None]
+
+
+@rule(
+    "4.1.2 Mathematical Model",
+    Stage.BEHAVIOUR,
+    needs=["allowed-calls-succeed", "start-values-are-as-declared"],
+)
+def setting_the_same_changes_nothing(probe: Probe) -> Iterator[str]:
+    """Inputs and tunable parameters can be set at communication points; set to what they are, no state
+    is lost.
+    """
+    chosen = settable_while_stepping(probe.fmu)
+    if not chosen:
+        raise NotJudgedError("there is neither an input nor a tunable parameter")
+    held, again = probe.script().begin(), probe.script(logging=True).begin()
+    expected, got = held.run(4), []
+    for _ in range(4):
+        _set_all(again, chosen)
+        got += again.run(1)
+    held.play()
+    again.play(keep_going=True)
+    if again.failure:
+        yield f"in the state {again.failure.state!r}: {again.failure.problem}"
+    else:
+        yield from differing(
+            expected, got, "where inputs and tunable parameters were set to what they are", RESTARTED
+        )
+
+
+@rule("4.1.2 Mathematical Model", Stage.BEHAVIOUR, needs=["fixed-values-stay"])
+def inputs_that_are_set_are_read(probe: Probe) -> Iterator[str]:
+    """An input or tunable parameter that is set at a communication point has that value after the step."""
+    tried = []
+    for v in settable_while_stepping(probe.fmu)[:_MOST_VARIABLES]:
+        if (value := other_value(v)) is not None:
+            script = probe.script().begin().step()
+            script.set(v, value)
+            tried.append((v, value, script, script.step().read([v])))
+    probe.play_each([script for _, _, script, _ in tried])
+    for v, value, script, reading in tried:
+        got = read_value(reading.values[v.name]) if script.succeeded else value
+        if not same(got, value, 1e-12):
+            shown = texts(got, value)
+            when = "at a communication point: expected that"
+            yield f"{v.name} is {shown[0]} after it was set to {shown[1]} {when}"
+
+
+@rule(_VALUES, Stage.BEHAVIOUR, needs=["inputs-that-are-set-are-read"])
+def far_values_of_inputs_are_read(probe: Probe) -> Iterator[str]:
+    """An input that is set far from its start value, within its range, or a String that is long or empty, is
+    read as it was set, unless the FMU refuses it.
+    """
+    tried = []
+    inputs = [v for v in settable_while_stepping(probe.fmu) if v.causality == "input"]
+    for v, value in [(u, x) for u in inputs[:_MOST_VARIABLES] for x in far_values(u)]:
+        script = probe.script().begin().step()
+        script.set(v, value)
+        tried.append((v, value, script, script.step().read([v])))
+    probe.play_each([script for _, _, script, _ in tried])
+    for v, value, script, reading in tried:
+        got = read_value(reading.values[v.name]) if script.succeeded else value
+        if not same(got, value, 1e-12):
+            shown = [text[:60] for text in texts(got, value)]
+            yield f"{v.name} is {shown[0]} after it was set to {shown[1]}: expected that"

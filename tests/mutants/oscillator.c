@@ -1,0 +1,654 @@
+/* A second legal slave for co-simulation that misbehaves in one way, by the name in resources/mutation.txt.
+ *
+ *   pos' = vel,  m vel' = f + f2 ref - k pos,  power = vel f,  held = ref,  n_out = n_in n_tun, and texts
+ *
+ * It refuses what 4.2.4 does not allow, has derivatives of both orders and a variable of every kind;
+ * the list of mutants stands in oscillator.py.
+ */
+
+#define _GNU_SOURCE
+#include <math.h>
+#include <signal.h>
+#include <stddef.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+#include "fmi2Functions.h"
+
+enum { PAR, CALC, IN, OUT, LOC, IND };
+enum { CONST, FIXED, TUN, DISC, CONT };
+enum { NONE, EXACT, APPROX, CALCD };
+enum { INST = 1, INIT = 2, STEP = 4, TERM = 8, FAIL = 16, PEND = 32, CANC = 64, STEPFAIL = 128 };
+enum { L = 2000 };
+typedef struct {
+    double time, m, k, w0, half_m, gain2, inv_m, f, f2, ref, pos, vel, acc, power, held, guess, g, energy, df,
+        df2, f_end, last, h, tend;
+    int n_in, n_tun, n_out, steps, kind, kind_in, kind_out, n_const, on, off, both, yes;
+    char label[L], text_in[L], text_out[L], s_fixed[L], s_const[L];
+    int state, setup, stop_defined;
+    double stop;
+} Data;
+typedef struct {
+    unsigned vr;
+    char type;
+    int ca, va, in, unknown;
+    size_t off;
+} Var;
+#define O(x) offsetof(Data, x)
+static const Var vars[] = {
+    {10000, 'r', IND, CONT, NONE, 0, O(time)},    {101, 'r', PAR, FIXED, EXACT, 0, O(m)},
+    {102, 'r', PAR, TUN, EXACT, 0, O(k)},         {103, 'r', CALC, TUN, CALCD, 1, O(w0)},
+    {104, 'r', CALC, FIXED, CALCD, 1, O(half_m)}, {105, 'r', LOC, TUN, CALCD, 0, O(gain2)},
+    {106, 'r', LOC, FIXED, CALCD, 0, O(inv_m)},   {201, 'r', IN, CONT, NONE, 0, O(f)},
+    {202, 'r', IN, CONT, NONE, 0, O(f2)},         {203, 'r', IN, DISC, NONE, 0, O(ref)},
+    {301, 'r', OUT, CONT, EXACT, 0, O(pos)},      {302, 'r', OUT, CONT, EXACT, 0, O(vel)},
+    {303, 'r', LOC, CONT, CALCD, 1, O(acc)},      {304, 'r', OUT, CONT, CALCD, 1, O(power)},
+    {305, 'r', OUT, DISC, CALCD, 1, O(held)},     {306, 'r', LOC, CONT, APPROX, 0, O(guess)},
+    {307, 'r', OUT, CONST, EXACT, 0, O(g)},       {4294967295u, 'r', LOC, CONT, CALCD, 0, O(energy)},
+    {1, 'i', IN, DISC, NONE, 0, O(n_in)},         {2, 'i', PAR, TUN, EXACT, 0, O(n_tun)},
+    {3, 'i', OUT, DISC, CALCD, 1, O(n_out)},      {4, 'i', LOC, DISC, CALCD, 0, O(steps)},
+    {5, 'i', PAR, FIXED, EXACT, 0, O(kind)},      {6, 'i', IN, DISC, NONE, 0, O(kind_in)},
+    {7, 'i', OUT, DISC, CALCD, 1, O(kind_out)},   {8, 'i', LOC, CONST, EXACT, 0, O(n_const)},
+    {1, 'b', IN, DISC, NONE, 0, O(on)},           {2, 'b', PAR, TUN, EXACT, 0, O(off)},
+    {3, 'b', OUT, DISC, CALCD, 1, O(both)},       {4, 'b', LOC, CONST, EXACT, 0, O(yes)},
+    {1, 's', PAR, TUN, EXACT, 0, O(label)},       {2, 's', IN, DISC, NONE, 0, O(text_in)},
+    {3, 's', OUT, DISC, CALCD, 1, O(text_out)},   {4, 's', PAR, FIXED, EXACT, 0, O(s_fixed)},
+    {5, 's', LOC, CONST, EXACT, 0, O(s_const)},
+};
+enum { NVARS = sizeof vars / sizeof *vars };
+
+typedef struct Slave {
+    Data d;
+    fmi2CallbackFunctions cb;
+    char name[600];
+    unsigned enabled;
+    int polls;
+    const char *kept_category;
+    int keeps;
+    Data *first_state;
+    int flushed;
+    double flush_time;
+} Slave;
+
+static char mutation[100], flags[200];
+#define IS(n) (!strcmp(mutation, n))
+#define FLAG(n) (strstr(flags, n) != NULL)
+static int failed_globally, live;
+static const char *CAT[] = {"logEvents",      "logStatusWarning", "logStatusDiscard",
+                            "logStatusError", "logStatusFatal",   "logStatusPending"};
+static const char GUID[] = "{f00dcafe-0000-4000-8000-00000000beef}";
+
+static void say(Slave *s, fmi2Status st, int cat, const char *text) {
+    if (!(s->enabled & (1u << cat))) return;
+    if (!s->cb.logger) return;
+    if (s->keeps && strcmp(s->kept_category, CAT[cat])) return;
+    fmi2ComponentEnvironment e = s->cb.componentEnvironment;
+    if (IS("a format without its argument")) {
+        s->cb.logger(e, s->name, st, CAT[cat], "value is %s, 100 % done");
+        return;
+    }
+    if (IS("a message of NULL")) {
+        s->cb.logger(e, s->name, st, CAT[cat], NULL);
+        return;
+    }
+    if (IS("a message that is not UTF-8")) {
+        s->cb.logger(e, s->name, st, CAT[cat], "Tiefe \xfc");
+        return;
+    }
+    if (IS("an empty category")) {
+        s->cb.logger(e, s->name, st, "", "%s", text);
+        return;
+    }
+    s->cb.logger(e, s->name, st, CAT[cat], "%s", text);
+}
+static fmi2Status err(Slave *s, const char *text) {
+    say(s, fmi2Error, 3, text);
+    s->d.state = FAIL;
+    return fmi2Error;
+}
+static fmi2Status discard(Slave *s) {
+    say(s, fmi2Discard, 2, "discarded");
+    return fmi2Discard;
+}
+static fmi2Status need(Slave *s, int states, const char *fn) {
+    char cell[100];
+    if (s->d.state & states) return fmi2OK;
+    snprintf(cell, sizeof cell, "%s in %s", fn + 4,
+             s->d.state == INST   ? "instantiated"
+             : s->d.state == INIT ? "initialization"
+             : s->d.state == STEP ? "step"
+             : s->d.state == TERM ? "terminated"
+             : s->d.state == FAIL ? "failed"
+             : s->d.state == PEND ? "pending"
+                                  : "cancelled");
+    if (IS(cell)) return fmi2OK;
+    return err(s, fn);
+}
+#define NEED(st)                                                                                             \
+    do {                                                                                                     \
+        if (need(s, st, __func__) != fmi2OK) return fmi2Error;                                               \
+        if (failed_globally) return err(s, "global");                                                        \
+    } while (0)
+
+static double accel(const Data *d, double pos, double f, double f2) {
+    return (f + f2 * d->ref - d->k * pos) / d->m;
+}
+static void tuned(Data *d) {
+    if (!(IS("tunable calculated parameters stay") && d->state == STEP)) d->w0 = sqrt(fabs(d->k / d->m));
+    d->gain2 = 2 * d->k;
+    if (d->state != STEP) {
+        d->half_m = d->m / 2;
+        d->inv_m = 1 / d->m;
+    } else {
+        if (IS("a fixed parameter follows a tunable one")) d->half_m = d->k / 8 * 0.75;
+        if (IS("a fixed local follows an input")) d->inv_m = d->f;
+        if (IS("a constant string changes") && d->steps > 1) strcpy(d->s_const, "changed");
+    }
+}
+static void outputs(Data *d) {
+    tuned(d);
+    double f = d->f_end;
+    d->acc = accel(d, d->pos, f, d->f2);
+    d->power = d->vel * f;
+    if (IS("an undeclared input acts in step mode") && d->state == STEP) d->power += 0.5 * d->f2;
+    if (IS("time acts although it is not listed")) d->power += sin(d->time);
+    if (IS("a declared input does not act in step mode") && d->state == STEP) d->power = d->vel;
+    if (IS("a constant factor is none")) d->power = d->vel * f * f * 3;
+    d->held = d->ref;
+    d->energy = 0.5 * d->m * d->vel * d->vel + 0.5 * d->k * d->pos * d->pos;
+    d->n_out = d->n_in * d->n_tun;
+    d->kind_out = d->kind_in;
+    d->both = d->on && !d->off;
+    snprintf(d->text_out, L, "%s/%s", d->label, d->text_in);
+}
+static void reset(Data *d) {
+    memset(d, 0, sizeof *d);
+    d->m = 1.5;
+    d->k = 4;
+    d->f = 0.3;
+    d->f2 = -0.2;
+    d->ref = 1;
+    d->pos = 0.1;
+    d->vel = 0;
+    d->guess = 1;
+    d->g = 9.81;
+    d->n_in = 3;
+    d->n_tun = 2;
+    d->kind = 2;
+    d->kind_in = 5;
+    d->n_const = 42;
+    d->on = 1;
+    d->yes = 1;
+    strcpy(d->label, "Label \xc3\xa4");
+    strcpy(d->text_in, "in");
+    strcpy(d->s_fixed, "fix");
+    strcpy(d->s_const, "const");
+    d->f_end = d->f;
+    d->state = INST;
+    d->stop = INFINITY;
+    outputs(d);
+}
+
+const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
+const char *fmi2GetVersion(void) { return fmi2Version; }
+
+static void decode(const char *u, char *p) {
+    if (!strncmp(u, "file:///", 8)) u += 7;
+    else if (!strncmp(u, "file://", 7)) {
+        u = strchr(u + 7, '/');
+    } else if (!strncmp(u, "file:/", 6)) u += 5;
+    unsigned c;
+    for (; *u; u++)
+        if (*u == '%' && sscanf(u + 1, "%2x", &c) == 1) {
+            *p++ = (char)c;
+            u += 2;
+        } else *p++ = *u;
+    *p = 0;
+}
+fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String loc,
+                              const fmi2CallbackFunctions *fn, fmi2Boolean visible, fmi2Boolean logging) {
+    char path[3000];
+    decode(loc, path);
+    strcat(path, "/mutation.txt");
+    FILE *file = fopen(path, "r");
+    if (file) {
+        if (fgets(mutation, sizeof mutation, file)) mutation[strcspn(mutation, "\n")] = 0;
+        if (fgets(flags, sizeof flags, file)) flags[strcspn(flags, "\n")] = 0;
+        fclose(file);
+    }
+    int same = !strcmp(guid, GUID);
+    if (IS("GUID without case")) same = !strcasecmp(guid, GUID);
+    if (type != fmi2CoSimulation || !same) {
+        if (IS("a refusal without environment")) {
+            fn->logger(NULL, name, fmi2Error, CAT[3], "no");
+            return NULL;
+        }
+        fn->logger(fn->componentEnvironment, name, fmi2Error, CAT[3], "wrong type or GUID");
+        return NULL;
+    }
+    if (IS("visible instances fail") && visible) {
+        fn->logger(fn->componentEnvironment, name, fmi2Error, CAT[3], "no window");
+        return NULL;
+    }
+    Slave *s = calloc(1, sizeof *s);
+    if (!s) return NULL;
+    live++;
+    s->cb = *fn;
+    snprintf(s->name, sizeof s->name, "%s", name);
+    s->enabled = logging ? 63 : 0;
+    if (IS("a blocked signal")) {
+        sigset_t set;
+        sigemptyset(&set);
+        sigaddset(&set, SIGTERM);
+        pthread_sigmask(SIG_BLOCK, &set, NULL);
+    }
+    if (IS("a changed environment variable")) setenv("TZ", "UTC+5", 1);
+    if (IS("standard output is closed")) close(1);
+    reset(&s->d);
+    say(s, fmi2OK, 0, "instantiated");
+    return s;
+}
+void fmi2FreeInstance(fmi2Component c) {
+    Slave *s = c;
+    if (!s) return;
+    live--;
+    if (IS("free crashes when terminated") && s->d.state == TERM) abort();
+    if (IS("free of one ends the others")) failed_globally = live > 0;
+    free(s);
+}
+fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String cats[]) {
+    Slave *s = c;
+    if (IS("debug logging is refused after an error") && s->d.state == FAIL) return err(s, "x");
+    if (IS("debug logging off is for all") && !on) n = 0;
+    unsigned chosen = n ? 0 : 63;
+    for (size_t i = 0; i < n; i++)
+        for (int k = 0; k < 6; k++)
+            if (!strcmp(cats[i], CAT[k])) chosen |= 1u << k;
+    if (n && IS("the pointer to a category is kept")) {
+        s->kept_category = cats[0];
+        s->keeps = 1;
+    }
+    if (on) s->enabled = n ? chosen : 63;
+    else s->enabled &= ~chosen;
+    return fmi2OK;
+}
+fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean td, fmi2Real tol, fmi2Real start, fmi2Boolean sd,
+                               fmi2Real stop) {
+    Slave *s = c;
+    NEED(INST);
+    if (IS("a second set-up is refused") && s->d.setup) return err(s, "again");
+    if (IS("an undefined tolerance counts") && !td && !(tol > 0)) return err(s, "tolerance");
+    s->d.setup = 1;
+    s->d.time = s->d.last = start;
+    s->d.stop_defined = sd;
+    s->d.stop = sd ? stop : INFINITY;
+    return fmi2OK;
+}
+fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
+    Slave *s = c;
+    NEED(INST);
+    if (!s->d.setup) return err(s, "set-up first");
+    s->d.state = INIT;
+    return fmi2OK;
+}
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
+    Slave *s = c;
+    NEED(INIT);
+    if (IS("exact states move when initialisation ends")) s->d.pos += 0.01;
+    s->d.f_end = s->d.f + s->d.df * 0;
+    outputs(&s->d);
+    s->d.state = STEP;
+    return fmi2OK;
+}
+fmi2Status fmi2Terminate(fmi2Component c) {
+    Slave *s = c;
+    NEED(STEP | STEPFAIL);
+    s->d.state = TERM;
+    return fmi2OK;
+}
+fmi2Status fmi2Reset(fmi2Component c) {
+    Slave *s = c;
+    static Data old;
+    memcpy(&old, &s->d, sizeof old);
+    if (s->d.state == PEND) return err(s, "pending");
+    if (IS("reset leaks")) {
+        void *volatile p = malloc(1 << 16);
+        memset(p, 1, 1 << 16);
+    }
+    reset(&s->d);
+    if (IS("reset keeps strings")) strcpy(s->d.label, old.label), strcpy(s->d.s_fixed, old.s_fixed);
+    if (IS("reset keeps inputs")) s->d.f = s->d.f_end = old.f, s->d.f2 = old.f2, s->d.ref = old.ref;
+    if (IS("reset frees states")) {
+        free(s->first_state);
+        s->first_state = NULL;
+    }
+    return fmi2OK;
+}
+static const Var *find(char type, unsigned vr) {
+    for (int i = 0; i < NVARS; i++)
+        if (vars[i].type == type && vars[i].vr == vr) return &vars[i];
+    return NULL;
+}
+static int bad(Slave *s, fmi2Status *st) {
+    *st = err(s, "no such variable");
+    return 1;
+}
+#define GETTER(Name, T, ch, expr)                                                                            \
+    fmi2Status fmi2Get##Name(fmi2Component c, const fmi2ValueReference vr[], size_t n, T value[]) {          \
+        Slave *s = c;                                                                                        \
+        Data *d = &s->d;                                                                                     \
+        fmi2Status st = fmi2OK;                                                                              \
+        NEED(INIT | STEP | TERM | FAIL | CANC | STEPFAIL);                                                   \
+        if (d->state == INIT) {                                                                              \
+            d->f_end = d->f;                                                                                 \
+            outputs(d);                                                                                      \
+        }                                                                                                    \
+        if (IS("reading counts") && d->state == STEP) d->steps++;                                            \
+        for (size_t i = 0; i < n; i++) {                                                                     \
+            const Var *v = find(ch, vr[i]);                                                                  \
+            if (!v) {                                                                                        \
+                if (bad(s, &st)) return st;                                                                  \
+                continue;                                                                                    \
+            }                                                                                                \
+            if (d->state == INIT && !(v->ca == OUT || v->unknown)) return err(s, "not now");                 \
+            if (IS("a reference twice in a call") && i && vr[i] == vr[i - 1]) {                              \
+                memset(&value[i], 0, sizeof value[i]);                                                       \
+                continue;                                                                                    \
+            }                                                                                                \
+            void *p = (char *)d + v->off;                                                                    \
+            value[i] = expr;                                                                                 \
+        }                                                                                                    \
+        return st;                                                                                           \
+    }
+static double real_of(Slave *s, void *p) {
+    double x = *(double *)p;
+    if (IS("not a number later") && p == &s->d.power && s->d.steps > 2) x = NAN;
+    return x;
+}
+static fmi2String str_of(Slave *s, char *p) {
+    static char buffer[L];
+    return p;
+}
+GETTER(Real, fmi2Real, 'r', real_of(s, p))
+GETTER(Integer, fmi2Integer, 'i', *(int *)p)
+GETTER(Boolean, fmi2Boolean, 'b', *(int *)p)
+GETTER(String, fmi2String, 's', str_of(s, p))
+
+static int settable(Slave *s, const Var *v) {
+    const int st = s->d.state;
+    if (v->va == CONST) return 0;
+    if (IS("outputs can be set at communication points") && v->ca == OUT && st == STEP) return 1;
+    if (st == INST) return v->in == EXACT || v->in == APPROX;
+    if (st == INIT) return v->in == EXACT || v->ca == IN;
+    return v->ca == IN || (v->ca == PAR && v->va == TUN);
+}
+#define SETTER(Name, T, ch, store)                                                                           \
+    fmi2Status fmi2Set##Name(fmi2Component c, const fmi2ValueReference vr[], size_t n, const T value[]) {    \
+        Slave *s = c;                                                                                        \
+        Data *d = &s->d;                                                                                     \
+        fmi2Status st = fmi2OK;                                                                              \
+        (void)d;                                                                                             \
+        NEED(INST | INIT | STEP);                                                                            \
+        for (size_t i = 0; i < n; i++) {                                                                     \
+            const Var *v = find(ch, vr[i]);                                                                  \
+            if (!v) {                                                                                        \
+                if (bad(s, &st)) return st;                                                                  \
+                continue;                                                                                    \
+            }                                                                                                \
+            if (!settable(s, v)) { return err(s, "not settable"); }                                          \
+            if (IS("only the first value of a call is set") && i) continue;                                  \
+            void *p = (char *)d + v->off;                                                                    \
+            store;                                                                                           \
+        }                                                                                                    \
+        return st;                                                                                           \
+    }
+static void set_real(Slave *s, void *p, double x) {
+    if (IS("inputs are clipped") && p == &s->d.f) x = fmin(x, 0.5);
+    *(double *)p = x;
+    if (p == &s->d.f) s->d.f_end = x;
+}
+static void set_str(Slave *s, char *p, const char *x) {
+    if (IS("long strings are cut")) {
+        snprintf(p, 32, "%s", x);
+        return;
+    }
+    snprintf(p, L, "%s", x);
+}
+static void set_int(Slave *s, int *p, int x) { *p = x; }
+SETTER(Real, fmi2Real, 'r', set_real(s, p, value[i]))
+SETTER(Integer, fmi2Integer, 'i', set_int(s, p, value[i]))
+SETTER(Boolean, fmi2Boolean, 'b', *(int *)p = value[i] != 0)
+SETTER(String, fmi2String, 's', set_str(s, p, value[i]))
+
+static void integrate(Slave *s, double h) {
+    Data *d = &s->d;
+    double before[3] = {d->pos, d->vel, d->acc};
+    (void)before;
+    if (IS("the first step size stays")) {
+        if (!d->h) d->h = h;
+        h = d->h;
+    }
+    if (IS("steps of a grid")) h = 0.03 * floor(h / 0.03 + 1e-9) + 0.03;
+    const int N = 20;
+    double dt = h / N, x = d->pos, v = d->vel;
+    double a = d->df, b = d->df2;
+    if (IS("only the first input has derivatives")) b = 0;
+    for (int i = 0; i < N; i++) {
+        double t0 = i * dt;
+#define A(pp, tt) accel(d, pp, d->f + a * (tt), d->f2 + b * (tt))
+        double k1x = v, k1v = A(x, t0), k2x = v + dt / 2 * k1v, k2v = A(x + dt / 2 * k1x, t0 + dt / 2);
+        double k3x = v + dt / 2 * k2v, k3v = A(x + dt / 2 * k2x, t0 + dt / 2), k4x = v + dt * k3v,
+               k4v = A(x + dt * k3x, t0 + dt);
+        x += dt / 6 * (k1x + 2 * k2x + 2 * k3x + k4x);
+        v += dt / 6 * (k1v + 2 * k2v + 2 * k3v + k4v);
+    }
+    d->pos = x;
+    d->vel = v;
+    d->f_end = d->f + a * h;
+    d->steps++;
+    outputs(d);
+    d->df = d->df2 = 0;
+}
+fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no) {
+    Slave *s = c;
+    Data *d = &s->d;
+    NEED(STEP);
+    if (!(h > 0)) return err(s, "step size");
+    const int wrong = fabs(t - d->time) > 1e-9 * fmax(1, fabs(t));
+    if (wrong && !(IS("any first communication point") && !d->steps)) return err(s, "communication point");
+    if (t + h > d->stop * (1 + 1e-9) + 1e-9) return err(s, "stop time");
+    if (IS("fails before its own stop time") && t > 3.2) return err(s, "broken");
+    if (no) {
+        s->flushed = 1;
+        s->flush_time = t;
+    }
+    if (FLAG("discards") && d->steps == 3) {
+        integrate(s, h / 2);
+        d->time = d->last = t + h / 2;
+        if (IS("half a step without a last time")) d->last = t - 1;
+        return discard(s);
+    }
+    if (FLAG("asynchronous")) {
+        s->polls = 0;
+        d->h = h;
+        d->tend = t + h;
+        d->state = PEND;
+        return fmi2Pending;
+    }
+    integrate(s, h);
+    d->time = t + h;
+    d->last = t + h;
+    say(s, fmi2OK, 0, "stepped");
+    return fmi2OK;
+}
+static void finish(Slave *s) {
+    Data *d = &s->d;
+    integrate(s, d->h);
+    d->time = d->last = d->tend;
+    d->state = STEP;
+    fmi2ComponentEnvironment e = s->cb.componentEnvironment;
+    if (s->cb.stepFinished) { s->cb.stepFinished(e, IS("stepFinished with pending") ? fmi2Pending : fmi2OK); }
+}
+fmi2Status fmi2CancelStep(fmi2Component c) {
+    Slave *s = c;
+    NEED(PEND);
+    if (IS("cancelling goes on")) {
+        s->d.state = STEP;
+        return fmi2OK;
+    }
+    s->d.state = CANC;
+    return fmi2OK;
+}
+fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind k, fmi2Status *v) {
+    Slave *s = c;
+    if (k == fmi2DoStepStatus && s->d.state == PEND) {
+        finish(s);
+        *v = fmi2OK;
+        return fmi2OK;
+    }
+    return discard(s);
+}
+fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind k, fmi2Real *v) {
+    Slave *s = c;
+    if (k == fmi2LastSuccessfulTime) {
+        *v = s->d.last;
+        return fmi2OK;
+    }
+    return discard(s);
+}
+fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind k, fmi2Integer *v) {
+    if (IS("an Integer status")) {
+        *v = 0;
+        return fmi2OK;
+    }
+    return discard(c);
+}
+fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind k, fmi2Boolean *v) {
+    Slave *s = c;
+    return discard(s);
+}
+fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind k, fmi2String *v) {
+    Slave *s = c;
+    if (IS("a pending status of NULL") && k == fmi2PendingStatus) {
+        *v = NULL;
+        return fmi2OK;
+    }
+    return discard(s);
+}
+fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t n,
+                                       const fmi2Integer o[], const fmi2Real v[]) {
+    Slave *s = c;
+    NEED(INST | INIT | STEP);
+    for (size_t i = 0; i < n; i++) {
+        if (o[i] < 1) return err(s, "order");
+        if (vr[i] == 201) {
+            if (o[i] == 1) s->d.df = v[i];
+        } else if (vr[i] == 202) {
+            if (o[i] == 1) s->d.df2 = v[i];
+        } else return err(s, "no input");
+    }
+    return fmi2OK;
+}
+fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t n,
+                                        const fmi2Integer o[], fmi2Real v[]) {
+    Slave *s = c;
+    Data *d = &s->d;
+    NEED(STEP | TERM | FAIL | CANC | STEPFAIL);
+    for (size_t i = 0; i < n; i++) {
+        if (o[i] < 1) return err(s, "order");
+        double first, second;
+        const double f = d->f_end;
+        const double a = accel(d, d->pos, f, d->f2), j = -d->k * d->vel / d->m;
+        if (vr[i] == 301) first = d->vel, second = a;
+        else if (vr[i] == 302) first = a, second = j;
+        else if (vr[i] == 304) first = a * f, second = j * f;
+        else if (vr[i] == 305 || vr[i] == 307) first = second = 0;
+        else if (IS("derivatives of any variable")) first = second = 0;
+        else return err(s, "no output");
+        if (IS("second derivatives of outputs are wrong")) second *= -1;
+        v[i] = o[i] == 1 ? first : o[i] == 2 ? second : 0;
+    }
+    return fmi2OK;
+}
+fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference y[], size_t ny,
+                                        const fmi2ValueReference u[], size_t nu, const fmi2Real seed[],
+                                        fmi2Real out[]) {
+    Slave *s = c;
+    Data *d = &s->d;
+    NEED(INIT | STEP | TERM | FAIL | CANC | STEPFAIL);
+    if (IS("directional derivatives move the state")) d->pos += 1e-3;
+    for (size_t i = 0; i < ny; i++) {
+        if (IS("only the first directional derivative") && i) break;
+        double sum = 0;
+        for (size_t k = 0; k < nu; k++) {
+            double J = 0;
+            double kk = d->k, mm = d->m, vel = d->vel, f = d->f_end;
+            if (IS("directional derivatives at the start") && d->state != INIT) vel = 0, f = 0.3;
+            unsigned a = y[i], b = u[k];
+            if (a == b) J = 1;
+            if (a == 303)
+                J = b == 201   ? 1 / mm
+                    : b == 202 ? d->ref / mm
+                    : b == 203 ? d->f2 / mm
+                    : b == 301 ? -kk / mm
+                    : b == 102 ? -d->pos / mm
+                    : b == 101 ? -d->acc / mm
+                               : J;
+            if (a == 304) J = b == 201 ? vel : b == 302 ? f : J;
+            if (a == 305) J = b == 203;
+            if (a == 103) J = b == 102 ? 0.5 / sqrt(d->k * mm) : b == 101 ? -0.5 * sqrt(d->k / mm) / mm : J;
+            if (a == 104) J = b == 101 ? 0.5 : J;
+            if (IS("no derivatives of calculated parameters") && (a == 104 || a == 103)) J = 0;
+            sum += J * seed[k];
+        }
+        out[i] = sum;
+    }
+    return fmi2OK;
+}
+/* serialised and saved states */
+fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *st) {
+    Slave *s = c;
+    if (s->d.state == PEND) return err(s, "pending");
+    if (!*st) *st = calloc(1, sizeof(Data));
+    memcpy(*st, &s->d, sizeof(Data));
+    if (!s->first_state) s->first_state = *st;
+    return fmi2OK;
+}
+fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate st) {
+    Slave *s = c;
+    static Data old;
+    memcpy(&old, &s->d, sizeof old);
+    if (s->d.state == PEND) return err(s, "pending");
+    if (!st) return err(s, "no state");
+    if (IS("the flag ends all states") && s->flushed) return err(s, "flushed");
+    memcpy(&s->d, st, sizeof(Data));
+    if (IS("states without Strings")) strcpy(s->d.label, old.label), strcpy(s->d.text_in, old.text_in);
+    if (IS("states without derivatives of inputs")) s->d.df = old.df, s->d.df2 = old.df2;
+    return fmi2OK;
+}
+fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *st) {
+    Slave *s = c;
+    if (!*st) return fmi2OK;
+    if (s->first_state == *st) s->first_state = NULL;
+    free(*st);
+    *st = NULL;
+    return fmi2OK;
+}
+fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate st, size_t *n) {
+    Slave *s = c;
+    *n = sizeof(Data);
+    return fmi2OK;
+}
+fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate st, fmi2Byte b[], size_t n) {
+    memcpy(b, IS("bytes of the present") ? (void *)&((Slave *)c)->d : st,
+           n < sizeof(Data) ? n : sizeof(Data));
+    return fmi2OK;
+}
+fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte b[], size_t n, fmi2FMUstate *st) {
+    Slave *s = c;
+    if (IS("reading bytes acts at once")) memcpy(&s->d, b, sizeof(Data));
+    if (!*st) *st = calloc(1, sizeof(Data));
+    memcpy(*st, b, n < sizeof(Data) ? n : sizeof(Data));
+    return fmi2OK;
+}

@@ -1,0 +1,89 @@
+"""Mutants of a second slave that runs (oscillator.c): one compiled library, which misbehaves by a name."""
+
+from functools import partial
+
+from tests.mutants.behaviour import ASYNCHRONOUS, write_slave
+from tests.mutants.mutant import Mutant
+
+_LISTED = '<Unknown index="14" dependencies="8 12"/>\n      <Unknown index="15" dependencies="10" dep'
+_CONSTANT_FACTOR = ((_LISTED, _LISTED.replace('8 12"/>', '8 12" dependenciesKind="constant dependent"/>')),)
+_CHANGES = {"asynchronous": ASYNCHRONOUS}
+
+
+def _mutant(name: str, clause: str, rules: str, flags: str) -> Mutant:
+    changes = _CONSTANT_FACTOR if name == "a constant factor is none" else _CHANGES.get(flags, ())
+    write = partial(write_slave, mutation=name, flags=flags, changes=changes, slave="Oscillator")
+    return Mutant(name, clause, frozenset(rules.split()), write, is_static=False)
+
+
+_ROWS = [
+    ("tunable calculated parameters stay", "2.2.7", "tunable-values-are-computed-anew", ""),
+    ("a fixed parameter follows a tunable one", "2.2.7", "fixed-values-stay", ""),
+    ("a fixed local follows an input", "2.2.7", "fixed-values-stay", ""),
+    ("a constant string changes", "2.2.7", "constants-have-their-value", ""),
+    ("an undeclared input acts in step mode", "2.2.8", "outputs-follow-declared-inputs-alone", ""),
+    ("a declared input does not act in step mode", "2.2.8", "output-derivatives-are-right", ""),
+    ("time acts although it is not listed", "2.2.8", "dependencies-on-time-are-declared", ""),
+    ("a constant factor is none", "2.2.8", "directional-derivatives", ""),
+    ("steps of a grid", "4.2.2", "derivatives-are-slopes", ""),
+    ("the first step size stays", "4.2.2", "two-steps-are-one-of-twice-the-size", ""),
+    ("second derivatives of outputs are wrong", "4.2.1", "higher-output-derivatives-are-right", ""),
+    ("directional derivatives at the start", "2.1.9", "directional-derivatives-in-step-mode", ""),
+    ("only the first directional derivative", "2.1.9", "directional-derivatives", ""),
+    ("no derivatives of calculated parameters", "2.1.9", "directional-derivatives", ""),
+    ("a second set-up is refused", "2.1.6", "set-up-can-be-repeated", ""),
+    ("an undefined tolerance counts", "2.1.6", "steps-and-terminates", ""),
+    ("exact states move when initialisation ends", "2.2.7", "exact-values-remain-after-initialization", ""),
+    ("only the first value of a call is set", "2.1.7", "values-are-set-together", ""),
+    ("long strings are cut", "2.1.7", "far-values-of-inputs-are-read", ""),
+    ("inputs are clipped", "2.1.7", "far-values-of-inputs-are-read", ""),
+    ("free of one ends the others", "2.1.5", "freed-instance-changes-no-other", ""),
+    ("free crashes when terminated", "2.1.5", "steps-and-terminates", ""),
+    ("a message that is not UTF-8", "2.1.2", "messages-are-utf-8", ""),
+    ("a format without its argument", "2.1.5", "formats-of-messages-are-legal messages-are-utf-8", ""),
+    ("a message of NULL", "2.1.5", "messages-have-a-text", ""),
+    ("an empty category", "2.1.5", "log-categories-are-declared", ""),
+    ("a refusal without environment", "2.1.5", "messages-of-a-refusal-are-complete", ""),
+    ("debug logging off is for all", "2.1.5", "disabled-categories-alone-are-disabled", ""),
+    ("debug logging is refused after an error", "4.2.4", "debug-logging-is-allowed-after-an-error", ""),
+    (
+        "the pointer to a category is kept",
+        "2.1.5",
+        "chosen-categories-are-logged disabled-categories-alone-are-disabled",
+        "",
+    ),
+    ("reset keeps inputs", "2.1.6", "reset-ends-all-that-was-set", ""),
+    ("reset keeps strings", "2.1.6", "reset-gives-the-start-values", ""),
+    ("states without Strings", "2.1.8", "state-holds-every-value state-holds-inputs-and-parameters", ""),
+    ("states without derivatives of inputs", "2.1.8", "state-holds-every-value", ""),
+    ("bytes of the present", "2.1.8", "bytes-hold-every-value", ""),
+    ("reading bytes acts at once", "2.1.8", "bytes-hold-every-value", ""),
+    ("reset frees states", "2.1.8", "state-can-be-set-after-reset", ""),
+    ("the flag ends all states", "4.2.2", "flag-keeps-the-states-of-the-present", ""),
+    (
+        "reading counts",
+        "2.1.7",
+        "final-values-after-terminate state-holds-every-value values-belong-to-references",
+        "",
+    ),
+    ("directional derivatives move the state", "2.1.9", "questions-change-nothing", ""),
+    ("an Integer status", "4.2.3", "statuses-have-their-types", ""),
+    ("half a step without a last time", "4.2.3", "discarded-steps-have-a-last-time", "discards"),
+    ("stepFinished with pending", "2.1.5", "step-finished-is-called", "asynchronous"),
+    ("a pending status of NULL", "4.2.3", "status-of-a-pending-step-is-given", "asynchronous"),
+    ("cancelling goes on", "4.2.2", "cancelled-step-ends-stepping", "asynchronous"),
+    ("visible instances fail", "2.1.5", "visible-instances-run", ""),
+    ("GUID without case", "2.1.5", "wrong-guid-is-refused", ""),
+    ("a changed environment variable", "2.1", "process-settings-are-restored", ""),
+    ("a blocked signal", "2.1", "process-settings-are-restored", ""),
+    ("standard output is closed", "2.1", "process-settings-are-restored", ""),
+    ("reset leaks", "2.1.5", "memory-does-not-grow", ""),
+    ("fails before its own stop time", "2.2.5", "default-experiment-runs", ""),
+    ("only the first input has derivatives", "4.2.1", "each-input-derivative-has-an-effect", ""),
+    ("derivatives of any variable", "2.1.2", "wrong-references-of-derivatives-are-refused", ""),
+    ("a reference twice in a call", "2.1.7", "values-belong-to-references", ""),
+    ("not a number later", "2.1.7", "outputs-are-finite", ""),
+    ("any first communication point", "4.2.2", "forbidden-calls-are-refused", ""),
+    ("outputs can be set at communication points", "4.2.4", "forbidden-calls-are-refused", ""),
+]
+OSCILLATOR_MUTANTS = tuple(_mutant(*row) for row in _ROWS)
