@@ -89,6 +89,5 @@ def memory_does_not_grow(probe: Probe) -> Iterator[str]:
     heap = [count["heap"] for count in _lives(probe)]
     growth = [b - a for a, b in itertools.pairwise(heap)]
     if min(growth) >= _LEAST_LEAK:
-        yield (
-            f"the heap grows by {min(growth)} bytes with each instance that is created and freed: expected none"
-        )
+        each = "with each instance that is created and freed"
+        yield f"the heap grows by {min(growth)} bytes {each}: expected none"
