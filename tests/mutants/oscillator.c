@@ -141,8 +141,8 @@ static void tuned(Data *d) {
         d->half_m = d->m / 2;
         d->inv_m = 1 / d->m;
     } else {
-        if (IS("a fixed parameter follows a tunable one")) d->half_m = d->k / 8 * 0.75;
-        if (IS("a fixed local follows an input")) d->inv_m = d->f;
+        if (IS("a fixed parameter follows a tunable one")) d->half_m = d->k * 0.1875;
+        if (IS("a fixed local follows an input")) d->inv_m = 1 / d->m + d->f - 0.3;
         if (IS("a constant string changes") && d->steps > 1) strcpy(d->s_const, "changed");
     }
 }
@@ -154,7 +154,7 @@ static void outputs(Data *d) {
     if (IS("an undeclared input acts in step mode") && d->state == STEP) d->power += 0.5 * d->f2;
     if (IS("time acts although it is not listed")) d->power += sin(d->time);
     if (IS("a declared input does not act in step mode") && d->state == STEP) d->power = d->vel;
-    if (IS("a constant factor is none")) d->power = d->vel * f * f * 3;
+    if (IS("a constant factor is none")) d->power = d->vel * f + 3 * f * f;
     d->held = d->ref;
     d->energy = 0.5 * d->m * d->vel * d->vel + 0.5 * d->k * d->pos * d->pos;
     d->n_out = d->n_in * d->n_tun;

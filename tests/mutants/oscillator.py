@@ -18,13 +18,13 @@ def _mutant(name: str, clause: str, rules: str, flags: str) -> Mutant:
 
 _ROWS = [
     ("tunable calculated parameters stay", "2.2.7", "tunable-values-are-computed-anew", ""),
-    ("a fixed parameter follows a tunable one", "2.2.7", "fixed-values-stay", ""),
-    ("a fixed local follows an input", "2.2.7", "fixed-values-stay", ""),
+    ("a fixed parameter follows a tunable one", "2.2.7", "fixed-values-follow-nothing", ""),
+    ("a fixed local follows an input", "2.2.7", "fixed-values-follow-nothing", ""),
     ("a constant string changes", "2.2.7", "constants-have-their-value", ""),
     ("an undeclared input acts in step mode", "2.2.8", "outputs-follow-declared-inputs-alone", ""),
     ("a declared input does not act in step mode", "2.2.8", "output-derivatives-are-right", ""),
     ("time acts although it is not listed", "2.2.8", "dependencies-on-time-are-declared", ""),
-    ("a constant factor is none", "2.2.8", "directional-derivatives", ""),
+    ("a constant factor is none", "2.2.8", "constant-factors-are-constant directional-derivatives", ""),
     ("steps of a grid", "4.2.2", "derivatives-are-slopes", ""),
     ("the first step size stays", "4.2.2", "two-steps-are-one-of-twice-the-size", ""),
     ("second derivatives of outputs are wrong", "4.2.1", "higher-output-derivatives-are-right", ""),
