@@ -171,8 +171,10 @@ class Stamps:
         """Metadata and licence of the libraries that build."""
         texts = []
         for name in _LIBRARIES:
-            for found in distributions(name=name):
-                texts.append((name, *map(found.read_text, ("METADATA", "PKG-INFO", "licenses/LICENSE"))))
+            for distribution in distributions(name=name):
+                texts.append(
+                    (name, *map(distribution.read_text, ("METADATA", "PKG-INFO", "licenses/LICENSE")))
+                )
         return texts
 
     @cached_property

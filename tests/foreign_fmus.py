@@ -211,9 +211,9 @@ def _write(
     xml = _description(model, archive.GUID, variables, capabilities, declares_dependencies)
     recipe = hashlib.sha256(library + config).hexdigest()
     guid, members = archive.with_guid({"modelDescription.xml": xml}, recipe)
-    place = _CONFIG_MARK.ljust(_GUID_SIZE + len(config), b"\0")
-    assert library.count(place) == 1
-    configured = library.replace(place, guid.encode().ljust(_GUID_SIZE, b"\0") + config)
+    reserved = _CONFIG_MARK.ljust(_GUID_SIZE + len(config), b"\0")
+    assert library.count(reserved) == 1
+    configured = library.replace(reserved, guid.encode().ljust(_GUID_SIZE, b"\0") + config)
     return write_archive(path, members | {library_name(model, host_platform()): configured})
 
 

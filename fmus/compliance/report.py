@@ -161,16 +161,16 @@ def explain(name: str, rules: Sequence[Rule]) -> str:
 
     Raises ValueError for a name that no rule has.
     """
-    found = next((rule for rule in rules if rule.name == name), None)
-    if found is None:
+    chosen = next((rule for rule in rules if rule.name == name), None)
+    if chosen is None:
         near = difflib.get_close_matches(name, [rule.name for rule in rules], 3, 0.4)
         hint = f"; the nearest: {', '.join(near)}" if near else ""
         raise ValueError(f"no rule {name!r}: expected the name of one{hint}")
     checked = [f"  {sentence.clause}: {sentence.text}" for sentence in sentences_of(name)]
-    body = ["sentences of FMI 2.0.5 that it checks:", *checked] if checked else [f"clause: {found.clause}"]
-    needs = [f"not judged if broken: {', '.join(found.needs)}"] if found.needs else []
-    head = f"{name}: {found.level}, judged by {_judged_by(found)}"
-    return "\n".join([head, found.claim, *body, *needs, f"mutants: python -m tests.mutants {name}"]) + "\n"
+    body = ["sentences of FMI 2.0.5 that it checks:", *checked] if checked else [f"clause: {chosen.clause}"]
+    needs = [f"not judged if broken: {', '.join(chosen.needs)}"] if chosen.needs else []
+    head = f"{name}: {chosen.level}, judged by {_judged_by(chosen)}"
+    return "\n".join([head, chosen.claim, *body, *needs, f"mutants: python -m tests.mutants {name}"]) + "\n"
 
 
 def _judged_by(rule: Rule) -> str:

@@ -27,10 +27,10 @@ def c_functions(function: casadi.Function, name: str, held: Collection[str]) -> 
     operations, results = operations_of(function)
     arguments, result = function.name_in(), function.name_out(0)
     constants = _constants(operations, [number for _, number in results], {*arguments} - {*held})
-    places = list(enumerate(constants))
-    first = _c_function(f"{name}_constants", [a for a in arguments if a in held], "k", operations, places)
-    for place, number in places:
-        operations[number] = Operation("INPUT", f"k[{place}]")
+    numbered = list(enumerate(constants))
+    first = _c_function(f"{name}_constants", [a for a in arguments if a in held], "k", operations, numbered)
+    for index, number in numbered:
+        operations[number] = Operation("INPUT", f"k[{index}]")
     second = _c_function(name, [*arguments, "k"], result, operations, results)
     return f"{first}\n{second}", len(constants)
 
@@ -58,7 +58,7 @@ def _c_function(
     arguments = [f"double {a}" if a in TIMES else f"const double *{a}" for a in argument_names]
     statements = Statements(operations, [number for _, number in results])
     lines = list(statements.lines())
-    lines += [f"{result}[{place}] = {statements.term(number)};" for place, number in results]
+    lines += [f"{result}[{index}] = {statements.term(number)};" for index, number in results]
     names = [f"v{n} = 0" if n in statements.in_branches else f"v{n}" for n in statements.assigned]
     declared = textwrap.wrap(f"double {', '.join(names)};", 110, subsequent_indent="    ") if names else []
     code = "\n".join(f"    {line}" for line in (*declared, *lines))

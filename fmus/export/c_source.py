@@ -36,7 +36,7 @@ def c_sources(block: Block, guid: str, reals_only: bool = False) -> dict[str, st
 def _tables(functions: Traced, reals_only: bool) -> dict[str, object]:
     """What `model.h.in` leaves open."""
     block = functions.block
-    whole = [index for index, v in enumerate(block.of_causality("output")) if v.type != "Real"]
+    not_real = [index for index, v in enumerate(block.of_causality("output")) if v.type != "Real"]
     return {
         "name": block.name,
         "description": " ".join(block.description.split()).replace("*/", "* /"),
@@ -45,8 +45,8 @@ def _tables(functions: Traced, reals_only: bool) -> dict[str, object]:
         "inputs": len(block.of_causality("input")),
         "outputs": len(block.of_causality("output")),
         "states": functions.step.numel_out(0),
-        "n_whole": len(whole),
-        "whole": ", ".join(map(str, (*whole, 0))),  # never empty, which C99 has not
+        "n_whole": len(not_real),
+        "whole": ", ".join(map(str, (*not_real, 0))),  # never empty, which C99 has not
         "requirements": len(functions.required),
         "internal_step": next(v.value_reference for v in block.variables if v.name == "internal_step"),
         "variables": ",\n".join(_row(v, reals_only) for v in block.variables),
@@ -56,10 +56,10 @@ def _tables(functions: Traced, reals_only: bool) -> dict[str, object]:
 
 def _row(v: ScalarVariable, reals_only: bool) -> str:
     settable = "NEVER" if not v.settable else "BEFORE_STEPPING" if v.variability == "fixed" else "ALWAYS"
-    whole = reals_only and v.type != "Real"
-    items = [0, 1] if whole and v.type == "Boolean" else _items(v)
-    values = (float(v.start), *_range(v), hex(sum(1 << item for item in items)), int(whole))
-    kind = "REAL" if whole else TRANSFER_TYPE[v.type].upper()
+    is_converted = reals_only and v.type != "Real"
+    items = [0, 1] if is_converted and v.type == "Boolean" else _items(v)
+    values = (float(v.start), *_range(v), hex(sum(1 << item for item in items)), int(is_converted))
+    kind = "REAL" if is_converted else TRANSFER_TYPE[v.type].upper()
     cells = (_string(v.name), kind, settable, *values, _string(v.expected))
     return f"    {{{', '.join(map(str, cells))}}}"
 

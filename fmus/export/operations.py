@@ -69,7 +69,7 @@ def operations_of(function: casadi.Function) -> tuple[list[Operation], list[tupl
         elif code == casadi.OP_CONST:
             operations.append(Operation("CONST", _constant(function.instruction_constant(i))))
         elif code in _OPERATIONS:
-            used = tuple(held[place] for place in function.instruction_input(i))
+            used = tuple(held[number] for number in function.instruction_input(i))
             choice = _choice(operations, used) if code == casadi.OP_ADD else None
             operations.append(choice or Operation(*_OPERATIONS[code], used))
         else:

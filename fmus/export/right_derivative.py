@@ -60,7 +60,7 @@ def right_derivative(expression: casadi.SX, h: casadi.SX) -> casadi.SX:
         elif code == casadi.OP_CONST:
             held[to[0]] = _Pair(casadi.SX(function.instruction_constant(i)), _ZERO)
         else:
-            held[to[0]] = _operate(code, tuple(held[place] for place in used))
+            held[to[0]] = _operate(code, tuple(held[number] for number in used))
     return result
 
 

@@ -105,15 +105,15 @@ def _rows(scalars: list[ScalarVariable], elements: list[str]) -> str:
 
 
 def _parameter(name: str, scalars: list[ScalarVariable]) -> str:
-    first, each = scalars[0], "each " if _is_array(scalars) else ""
+    first, prefix = scalars[0], "each " if _is_array(scalars) else ""
     limits = {"min": first.min, "max": first.max}
     modifiers = [
-        f"{each}{name} = {number(first, limit)}" for name, limit in limits.items() if limit is not None
+        f"{prefix}{name} = {number(first, limit)}" for name, limit in limits.items() if limit is not None
     ]
     comment = first.description or name
     items = first.declaredType.items if first.declaredType is not None else None
     if items:
-        modifiers += [f"{each}min = 1", f"{each}max = {len(items)}"]
+        modifiers += [f"{prefix}min = 1", f"{prefix}max = {len(items)}"]
         comment += ": " + ", ".join(f"{item.value} {item.name}" for item in items)
     declared = _declared(name, scalars, modifiers)
     return f"  parameter {TRANSFER_TYPE[first.type]} {declared} = {value(scalars)} {quoted(comment)};"

@@ -59,7 +59,7 @@ def ramp_sources(scenarios: Sequence[Scenario]) -> dict[str, RampSource]:
     names = set(checked.components)
     for target in first.experiment.signals:
         experiments = [scenario.experiment for scenario in scenarios]
-        signals = [as_ramps(target, each.signals[target], each) for each in experiments]
+        signals = [as_ramps(target, experiment.signals[target], experiment) for experiment in experiments]
         name = _unused_name(target, names)
         names.add(name)
         points = max(_FEWEST_POINTS, *(len(signal.points) for signal in signals))

@@ -95,8 +95,10 @@ def task_of(
         "signals": signals,
     }
     components = {name: fmu for name, fmu in scenario.system.components.items() if name != replaced}
-    kept = [pair for pair in connections if not any(str(name).startswith(own) for name in pair[:2])]
-    return Task(System(components, kept), _without(experiment, own), reward=reward, **(follows | settings))
+    remaining = [pair for pair in connections if not any(str(name).startswith(own) for name in pair[:2])]
+    return Task(
+        System(components, remaining), _without(experiment, own), reward=reward, **(follows | settings)
+    )
 
 
 def _without(experiment: Experiment, own: str) -> Experiment:

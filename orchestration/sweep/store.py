@@ -73,7 +73,7 @@ class Store:
         if self._log.is_file():
             with self._log.open("rb") as log:
                 self._check_same(_read_line(log.readline()), self._log)
-            return set(np.flatnonzero(self._places() >= 0).tolist())
+            return set(np.flatnonzero(self._positions() >= 0).tolist())
         write_bytes_atomically(self._log, json.dumps(self._provenance).encode())
         return set()
 
@@ -102,10 +102,10 @@ class Store:
     def finish(self) -> None:
         """Write the table; SweepError if samples are missing."""
         if not self.path.is_file():
-            places = self._places()
-            if (places < 0).any():
-                self._checked(np.flatnonzero(places >= 0).tolist(), self._log)
-            table.write(self._rows_at(places), self._columns, self.path)
+            positions = self._positions()
+            if (positions < 0).any():
+                self._checked(np.flatnonzero(positions >= 0).tolist(), self._log)
+            table.write(self._rows_at(positions), self._columns, self.path)
         self._log.unlink(missing_ok=True)
 
     def _checked(self, samples: Iterable[int], path: Path) -> set[int]:
@@ -117,24 +117,28 @@ class Store:
             )
         return set(numbers)
 
-    def _places(self) -> np.ndarray:
+    def _positions(self) -> np.ndarray:
         """Where the line of each sample begins in the log, shape (samples,).
 
         -1 for one that was not run, as which that of a damaged line counts.
         """
-        places, place = np.full(self._provenance["samples"], -1, np.int64), 0
+        positions, position = np.full(self._provenance["samples"], -1, np.int64), 0
         with self._log.open("rb") as log:
             for line in log:
                 row = _read_line(line)
-                if place and row.keys() >= {table.SAMPLE, table.ERROR} and row[table.SAMPLE] < len(places):
-                    places[row[table.SAMPLE]] = place
-                place += len(line)
-        return places
+                if (
+                    position
+                    and row.keys() >= {table.SAMPLE, table.ERROR}
+                    and row[table.SAMPLE] < len(positions)
+                ):
+                    positions[row[table.SAMPLE]] = position
+                position += len(line)
+        return positions
 
-    def _rows_at(self, places: np.ndarray) -> Iterator[dict[str, Any]]:
+    def _rows_at(self, positions: np.ndarray) -> Iterator[dict[str, Any]]:
         with self._log.open("rb") as log:
-            for place in places:
-                log.seek(place)
+            for position in positions:
+                log.seek(position)
                 yield _read_line(log.readline())
 
 

@@ -24,7 +24,7 @@ NONLINEAR_P = {
 OF_PI: dict[str, Any] = {"augmentation": 1, "kp": 15.0, "ki": 6.0}
 OF_NONLINEAR_P: dict[str, Any] = {"augmentation": 2, "a1": 18.0, "a2": 60.0}
 SLOWER = {"controller.filter_bandwidth": 90.0}
-INSIDE, OUTSIDE = ({"controller.reference_feedforward": place} for place in ("inside", "outside"))
+INSIDE, OUTSIDE = ({"controller.reference_feedforward": kind} for kind in ("inside", "outside"))
 PIECEWISE = {
     "controller.adaptation_law": "piecewise_constant",
     "controller.prediction_error_matrix[1,1]": -8.0,

@@ -54,7 +54,7 @@ def _run(
         if mutant:
             _put(*mutant)
         items = [item for item in session.items if only in ("", item.nodeid)]
-        order = {name: place for place, name in enumerate(files)}
+        order = {name: index for index, name in enumerate(files)}
         items.sort(key=lambda item: (item.nodeid not in first, order.get(_file(item), len(order))))
         times: dict[str, float] = defaultdict(float)
         for item, following in zip(items, [*items[1:], None], strict=True):

@@ -46,18 +46,18 @@ def test_a_library_that_does_not_load_is_one_finding_and_no_behaviour_is_judged(
     assert b"\0libm.so.6\0" in content[path]
     content[path] = content[path].replace(b"\0libm.so.6\0", b"\0libm.so.9\0")
     results = [r for r in examine(write(content, tmp_path / "unloaded.fmu")) if r.rule.stage == "behaviour"]
-    (found,) = [r for r in results if r.messages]
-    assert found.rule.name == "library-loads"
-    assert "libm.so.9" in found.messages[0]
-    assert {r.outcome for r in results if r is not found} == {"not judged", "not applicable"}
+    (broken,) = [r for r in results if r.messages]
+    assert broken.rule.name == "library-loads"
+    assert "libm.so.9" in broken.messages[0]
+    assert {r.outcome for r in results if r is not broken} == {"not judged", "not applicable"}
 
 
 def test_another_guid_inside_the_library_is_one_finding_with_its_own_words(tmp_path: Path) -> None:
     wrong = (('guid="{5', 'guid="{6'),)
     results = [r for r in examine(write_slave(tmp_path, "", "", wrong)) if r.rule.stage == "behaviour"]
-    (found,) = [r for r in results if r.messages]
-    assert found.rule.name == "instantiates-and-frees"
-    assert found.messages == (
+    (broken,) = [r for r in results if r.messages]
+    assert broken.rule.name == "instantiates-and-frees"
+    assert broken.messages == (
         "fmi2Instantiate returned NULL: expected an instance; the GUID of the library is another one; "
         "the FMU logged: another GUID",
     )

@@ -170,10 +170,10 @@ def test_strings_survive_files_and_tables(foreign: Mapping[str, Path], tmp_path:
 def test_strings_go_on_from_a_checkpoint(tmp_path: Path) -> None:
     """The numbers of the texts of the first run stay what they were, though the second begins with others."""
     system = diaries({"Diary": foreign_pythonfmu.build("Diary", tmp_path, **foreign_pythonfmu.SAVES_STATE)})
-    whole = simulate(system, MONDAY, checkpoints=Checkpoints(tmp_path / "checkpoint", every=0.3))
+    uninterrupted = simulate(system, MONDAY, checkpoints=Checkpoints(tmp_path / "checkpoint", every=0.3))
     resumed = simulate(system, MONDAY, resume=read_checkpoint(tmp_path / "checkpoint"))
     for name in RECORD:
-        assert resumed[name].tolist() == whole[name].tolist()
+        assert resumed[name].tolist() == uninterrupted[name].tolist()
 
 
 def test_strings_are_in_no_figure_and_no_metric(foreign: Mapping[str, Path], tmp_path: Path) -> None:

@@ -48,12 +48,12 @@ def test_one_seed_one_fit_and_the_file_is_what_scenarios_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(identification, "worker_pool", pool_in_this_process)
-    seen: list[float] = []
-    first = identify(seed=3, evaluations=2, starts=1, progress=seen.append)
+    costs: list[float] = []
+    first = identify(seed=3, evaluations=2, starts=1, progress=costs.append)
     second = identify(seed=3, evaluations=2, starts=1)
     assert first == second
     assert first.evaluations == 2
-    assert seen == sorted(seen, reverse=True)
+    assert costs == sorted(costs, reverse=True)
     for gain in GAINS:
         assert gain.low <= first.gains[gain.name] <= gain.high
     path = tmp_path / "fit.toml"

@@ -165,12 +165,12 @@ def test_a_last_search_begins_at_the_best_gains_in_small_steps(tmp_path: Path) -
 
 
 def test_the_lowest_cost_must_not_fall_in_the_last_half_of_the_last_search() -> None:
-    found = ends_at(8.0)
-    assert tuning_of(found, last=ends_at(5.0, falls_at=49)).is_flat
-    assert not tuning_of(found, last=ends_at(5.0, falls_at=50)).is_flat
-    assert tuning_of(found, last=ends_at(5.0, falls_at=50)).improvement == pytest.approx(0.375)
-    assert tuning_of(found, last=ends_at(5.0, falls_at=90, before=5.1)).is_flat  # by 1.96 %
-    assert not tuning_of(found, last=ends_at(5.0, falls_at=90, before=5.11)).is_flat  # by 2.15 %
+    earlier = ends_at(8.0)
+    assert tuning_of(earlier, last=ends_at(5.0, falls_at=49)).is_flat
+    assert not tuning_of(earlier, last=ends_at(5.0, falls_at=50)).is_flat
+    assert tuning_of(earlier, last=ends_at(5.0, falls_at=50)).improvement == pytest.approx(0.375)
+    assert tuning_of(earlier, last=ends_at(5.0, falls_at=90, before=5.1)).is_flat  # by 1.96 %
+    assert not tuning_of(earlier, last=ends_at(5.0, falls_at=90, before=5.11)).is_flat  # by 2.15 %
     assert tuning_of(ends_at(5.0), last=ends_at(5.0, falls_at=90)).is_flat  # a seed was there before
     assert tuning_of(ends_at(5.0), last=ends_at(6.0)).improvement == 0.0
 
