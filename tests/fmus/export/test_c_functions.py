@@ -116,8 +116,9 @@ def test_what_follows_from_held_arguments_alone_is_computed_by_a_function_of_its
 @pytest.mark.parametrize("is_first", [True, False])
 def test_a_choice_of_which_one_alternative_varies_is_no_constant(is_first: bool) -> None:
     h, x, p = (casadi.SX.sym(name) for name in "hxp")
-    alternatives = (casadi.sin(x), casadi.exp(-h / p))
-    choice = casadi.if_else(p > 1.0, *(alternatives if is_first else alternatives[::-1]))
+    varying, constant = casadi.sin(x), casadi.exp(-h / p)
+    first, second = (varying, constant) if is_first else (constant, varying)
+    choice = casadi.if_else(p > 1.0, first, second)
     code, _ = c_functions(casadi.Function("f", [h, x, p], [choice], ["h", "x", "p"], ["y"]), "f", ("h", "p"))
     constants, rest = code.split("static void f(")
     assert ("exp(" in constants, "x[" in constants, "sin(x[0])" in rest) == (True, False, True)
