@@ -1,7 +1,10 @@
 """The command line `l1-depth`; `commands` imports libraries, and an interrupt may come while it does."""
 
+import gc
 import os
 import sys
+
+_ALLOCATIONS = 50_000  # between collections of garbage: an import makes many objects that stay
 
 
 def main() -> None:
@@ -25,6 +28,8 @@ def run_interruptible() -> int:
     from orchestration.cli.interrupts import interruptible
 
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads wait for each other where matrices are small
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # it would open a file of each package
+    gc.set_threshold(_ALLOCATIONS)
     with interruptible():
         from orchestration.cli.commands import run_command
 

@@ -22,6 +22,8 @@ from orchestration.cli.shared import (
 from orchestration.errors import OrchestrationError
 from orchestration.results.formats import FigureFormat, RecordingFormat
 
+_SHORT_S = 0.5  # a run that takes no longer shows no progress
+
 if TYPE_CHECKING:
     from orchestration.results.recording import Recording
     from orchestration.scenarios.scenario import Scenario
@@ -84,7 +86,7 @@ def run(
         raise OrchestrationError(f"--every {every:g}: expected --checkpoint FILE beside it")
     with (
         chosen_scenario.opened(name, parameters, flavour, changes) as chosen,
-        progress(chosen.name, 1) as bar,
+        progress(chosen.name, 1, _SHORT_S) as bar,
     ):
         result = reproduce.run(
             _with_error_estimate(chosen) if error_estimate else chosen,

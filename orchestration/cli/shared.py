@@ -2,8 +2,9 @@
 
 import sys
 import tempfile
+import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
@@ -16,7 +17,7 @@ from orchestration.results.formats import FigureFormat
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.progress import Progress
+    from rich.progress import Progress, TaskID
     from rich.table import Table
 
 PIPED_WIDTH = 130
@@ -101,40 +102,53 @@ def console(piped_width: int = PIPED_WIDTH) -> "Console":
 
 
 class ProgressBar:
-    """How much of a command is done."""
+    """How much of a command is done, shown on a terminal after `delay` seconds."""
 
-    def __init__(self, progress: "Progress", description: str, total: int) -> None:
-        self._progress, self._description = progress, description
-        self._task = progress.add_task(description, total=total)
-
-    @property
-    def done(self) -> int:
-        return int(self._progress.tasks[0].completed)
+    def __init__(self, description: str, total: int, delay: float, stack: ExitStack) -> None:
+        self._description, self._total, self._stack = description, total, stack
+        self._shown_from = time.monotonic() + delay
+        self._bar: tuple[Progress, TaskID] | None = None
+        self.done = 0
+        self._show(0, total)
 
     def advance(self, count: int = 1, note: str = "") -> None:
         """`count` more parts are done; `note` is shown beside the description."""
-        description = f"{self._description} {note}".rstrip()
-        self._progress.update(self._task, advance=count, description=description)
+        self._show(self.done + count, self._total, note)
 
     def update(self, done: int, total: int) -> None:
         """So many parts of `total` are done."""
-        self._progress.update(self._task, completed=done, total=total)
+        self._show(done, total)
+
+    def _show(self, done: int, total: int, note: str = "") -> None:
+        self.done = done
+        if not self._bar and sys.stderr.isatty() and time.monotonic() >= self._shown_from:
+            self._bar = self._opened()
+        if self._bar:
+            bar, task = self._bar
+            description = f"{self._description} {note}".rstrip()
+            bar.update(task, completed=done, total=total, description=description)
+
+    def _opened(self) -> "tuple[Progress, TaskID]":
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        bar = Progress(
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            console=Console(stderr=True),
+            redirect_stdout=sys.stdout.isatty(),  # what goes into a pipe must not end on the terminal
+            transient=True,
+        )
+        return self._stack.enter_context(bar), bar.add_task(self._description, total=self._total)
 
 
 @contextmanager
-def progress(description: str, total: int) -> Iterator[ProgressBar]:
-    """A progress bar on standard error, if that is a terminal, until the context ends."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+def progress(description: str, total: int, delay: float = 0.0) -> Iterator[ProgressBar]:
+    """A progress bar on standard error, if that is a terminal, until the context ends.
 
-    with Progress(
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-        redirect_stdout=sys.stdout.isatty(),  # what goes into a pipe must not end on the terminal
-        transient=True,
-        disable=not sys.stderr.isatty(),
-    ) as bar:
-        yield ProgressBar(bar, description, total)
+    delay: seconds after which it is shown; what draws it takes as long to import as a short run takes
+    """
+    with ExitStack() as stack:
+        yield ProgressBar(description, total, delay, stack)

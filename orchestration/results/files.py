@@ -130,7 +130,16 @@ def _write_csv(path: Path, content: Content) -> None:
             if content.texts:
                 writer.writerows(zip(content.time[rows].tolist(), *block.columns(), strict=True))
             else:
-                writer.writerows(np.column_stack([content.time[rows], block.values]).tolist())
+                columns = map(_written, (content.time[rows], *block.values.T))
+                text.writelines(",".join(row) + "\n" for row in zip(*columns, strict=True))
+
+
+def _written(numbers: np.ndarray) -> list[str]:
+    """Numbers as the shortest text that is read back exactly; a value that is held is converted once."""
+    bits = np.ascontiguousarray(numbers, float).view(np.int64)  # which differ for 0.0 and -0.0
+    changes = np.append(True, bits[1:] != bits[:-1])
+    texts = [repr(number) for number in numbers[changes].tolist()]
+    return texts if changes.all() else [texts[index] for index in (np.cumsum(changes) - 1).tolist()]
 
 
 def _title(name: str, unit: str) -> str:

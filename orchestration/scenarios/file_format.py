@@ -16,14 +16,14 @@ from orchestration.system.signal_derivatives import KINDS
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
-class TransformationTable(Table, use_attribute_docstrings=True):
+class TransformationTable(Table):
     """What a connection carries: factor * output + offset."""
 
     factor: float = 1.0
     offset: float = 0.0
 
 
-class SourceTable(TransformationTable, use_attribute_docstrings=True):
+class SourceTable(TransformationTable):
     """An output, and its transformation."""
 
     source: str
@@ -78,7 +78,7 @@ METRIC = OneOf(
 )
 
 
-class ExperimentTable(Table, use_attribute_docstrings=True):
+class ExperimentTable(Table):
     """When the run starts and stops, and how components exchange values."""
 
     start_time: float = _OPTIONAL
@@ -101,7 +101,7 @@ class ExperimentTable(Table, use_attribute_docstrings=True):
     """Whether a second run at twice the step follows, and estimates the error of exchanging at steps."""
 
 
-class EventTable(Table, use_attribute_docstrings=True):
+class EventTable(Table):
     """Variables that are set at a time."""
 
     time: float
@@ -121,7 +121,7 @@ class FurtherEntries(Table):
     metrics: dict[str, Annotated[Table | Literal[False], METRIC]] = {}
 
 
-class WhenReplacedTable(FurtherEntries, use_attribute_docstrings=True):
+class WhenReplacedTable(FurtherEntries):
     """Entries of a base that apply if another FMU in the place of its component has some variables."""
 
     component: str
@@ -133,7 +133,7 @@ class WhenReplacedTable(FurtherEntries, use_attribute_docstrings=True):
     components: dict[str, str] = {}
 
 
-class WhenSetTable(FurtherEntries, use_attribute_docstrings=True):
+class WhenSetTable(FurtherEntries):
     """Entries of a base that apply if a parameter has one of some values."""
 
     parameter: str
@@ -142,7 +142,7 @@ class WhenSetTable(FurtherEntries, use_attribute_docstrings=True):
     """Items of an enumeration by name and by number."""
 
 
-class ScenarioFile(Table, use_attribute_docstrings=True):
+class ScenarioFile(Table):
     """A scenario of l1-depth: components, connections, an experiment, and what is measured."""
 
     title: str = ""
@@ -188,7 +188,7 @@ class ScenarioFile(Table, use_attribute_docstrings=True):
     """Many runs with other values."""
 
 
-class Parameter(Table, use_attribute_docstrings=True, extra="allow"):
+class Parameter(Table, extra="allow"):
     """A value with its provenance."""
 
     value: Value
@@ -198,7 +198,7 @@ class Parameter(Table, use_attribute_docstrings=True, extra="allow"):
     """Where the value is from."""
 
 
-class ParameterFile(Table, use_attribute_docstrings=True, extra="allow"):
+class ParameterFile(Table, extra="allow"):
     """Parameters with their provenance, to be named by `parameter_files` of a scenario."""
 
     parameters: dict[str, Parameter] = {}

@@ -4,11 +4,16 @@ Tables whose keys are the arguments of a function or a dataclass are derived fro
 declared twice.
 """
 
+import ast
 import inspect
 import math
 import re
 import reprlib
+import textwrap
 from collections.abc import Callable, Collection, Iterable, Mapping
+from contextlib import suppress
+from functools import cache
+from itertools import pairwise
 from typing import Annotated, Any, Literal, TypeVar, Union, cast
 
 import numpy.typing as npt
@@ -16,10 +21,9 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
-    Discriminator,
     Field,
     GetCoreSchemaHandler,
-    Tag,
+    GetJsonSchemaHandler,
     TypeAdapter,
     ValidationError,
     WithJsonSchema,
@@ -27,6 +31,7 @@ from pydantic import (
     model_validator,
 )
 from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError
+from pydantic_core.core_schema import no_info_plain_validator_function
 
 from fmus.errors import nearest
 from orchestration.errors import ScenarioError
@@ -74,11 +79,35 @@ class Table(BaseModel):
                 )
         return data
 
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        described = handler(schema)
+        properties = handler.resolve_ref_schema(described).get("properties", {})
+        texts = _texts_of_fields(cls)
+        for name in properties.keys() & texts.keys():
+            properties[name]["description"] = texts[name]
+        return described
+
     def given(self) -> dict[str, Any]:
         """Key -> value of the keys that the file gives."""
         return {
             name: getattr(self, name) for name in type(self).model_fields if name in self.model_fields_set
         }
+
+
+def _texts_of_fields(table: type[Table]) -> dict[str, str]:
+    """Field -> the text below it in the source, which the schema alone needs."""
+    texts: dict[str, str] = {}
+    for cls in reversed(table.__mro__):
+        with suppress(OSError, TypeError):  # of a class without a source
+            (definition,) = ast.parse(textwrap.dedent(inspect.getsource(cls))).body
+            for field, below in pairwise(getattr(definition, "body", ())):
+                match field, below:
+                    case ast.AnnAssign(target=ast.Name(name)), ast.Expr(ast.Constant(str(text))):
+                        texts[name] = inspect.cleandoc(text)
+    return texts
 
 
 def _scalar(value: object) -> object:
@@ -91,6 +120,9 @@ Value = Annotated[Any, BeforeValidator(_scalar), WithJsonSchema({"type": ["numbe
 """A value of a variable; its type is checked against the FMU."""
 
 
+MakeTable = Callable[[], type[Table]]
+
+
 def table_of(
     key: str,
     kind: str,
@@ -98,19 +130,25 @@ def table_of(
     without: Iterable[str] = (),
     types: Mapping[str, Any] | None = None,
     also: Mapping[str, Any] | None = None,
-) -> type[Table]:
-    """Type of the tables with key = "kind", whose other keys are the arguments of some functions.
+) -> MakeTable:
+    """Makes the type of the tables with key = "kind", whose other keys are the arguments of some functions.
 
     without: arguments that no file gives; types: of arguments that a file gives in another type
     also: keys that are no arguments -> (type, default)
     """
-    fields: dict[str, Any] = {key: (Literal[kind], ...), **(also or {})}
-    for builder in builders:
-        for argument in inspect.signature(builder).parameters.values():
-            if argument.name not in without:
-                hint = _FILE_TYPES.get(argument.annotation, argument.annotation)
-                fields[argument.name] = ((types or {}).get(argument.name, hint), _default(argument.default))
-    return create_model(f"{kind} table", __base__=Table, __doc__=inspect.getdoc(builders[-1]), **fields)
+
+    def make() -> type[Table]:
+        fields: dict[str, Any] = {key: (Literal[kind], ...), **(also or {})}
+        for builder in builders:
+            for argument in inspect.signature(builder).parameters.values():
+                if argument.name not in without:
+                    hint = _FILE_TYPES.get(argument.annotation, argument.annotation)
+                    hint = (types or {}).get(argument.name, hint)
+                    fields[argument.name] = hint, _default(argument.default)
+        text = inspect.getdoc(builders[-1])
+        return create_model(f"{kind} table", __base__=Table, __doc__=text, **fields)
+
+    return cache(make)
 
 
 def _default(value: Any) -> Any:
@@ -124,38 +162,42 @@ def _default(value: Any) -> Any:
 class OneOf:
     """Marks a type as a table whose `key` names its kind; if droppable, `false` stands for none.
 
+    tables: kind -> what makes its type, when a file has such a table
     keyless: tables without that key, by one that they have instead
     """
 
     def __init__(
         self,
         key: str,
-        tables: Mapping[str, type[Table]],
+        tables: Mapping[str, MakeTable],
         droppable: bool = False,
         keyless: Mapping[str, type[Table]] | None = None,
     ) -> None:
         self._key, self._droppable = key, droppable
-        self._keyless = dict(keyless or {})
-        self._tables = {**tables, **self._keyless}
+        self._tables, self._keyless = tables, keyless or {}
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
-        members: list[Any] = [Annotated[table, Tag(f":{name}")] for name, table in self._tables.items()]
-        if self._droppable:
-            members.append(Annotated[Literal[False], Tag(":false")])
-        context: dict[str, Any] = {
-            "known": ",".join(name for name in self._tables if name not in self._keyless),
-            "keys": ",".join([self._key, *self._keyless]),
-        }
-        discriminator = Discriminator(self._kind, _KIND, _KIND, context)
-        return handler.generate_schema(Annotated[Union[tuple(members)], discriminator])  # noqa: UP007
+        return no_info_plain_validator_function(self._validated)
 
-    def _kind(self, value: Any) -> str | None:
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        tables = [*(make() for make in self._tables.values()), *self._keyless.values()]
+        members = [*tables, *([Literal[False]] if self._droppable else [])]
+        return {"oneOf": handler(TypeAdapter(Union[tuple(members)]).core_schema)["anyOf"]}  # noqa: UP007
+
+    def _validated(self, value: Any) -> Table | Literal[False]:
         if value is False and self._droppable:
-            return ":false"
-        named = value.get(self._key) if isinstance(value, dict) else getattr(value, self._key, None)
-        if named is None and isinstance(value, dict):
-            named = next((key for key in self._keyless if key in value), None)
-        return None if named is None else f":{named}"  # no key of a table begins like that
+            return False
+        if isinstance(value, dict):
+            kind = value.get(self._key)
+            if isinstance(kind, str) and kind in self._tables:
+                return self._tables[kind]().model_validate(value)
+            for key, table in self._keyless.items() if kind is None else ():
+                if key in value:
+                    return table.model_validate(value)
+        context = {"known": ",".join(self._tables), "keys": ",".join([self._key, *self._keyless])}
+        raise PydanticCustomError(_KIND, _KIND, context)
 
 
 At = Callable[[KeyPath], str]

@@ -20,7 +20,7 @@ from orchestration.scenarios.signal_files import with_values
 from orchestration.scenarios.toml_file import TomlFile, read_toml
 
 SHIPPED = Path(str(resources.files("orchestration.scenarios")))
-_FILE, _PARAMETERS = TypeAdapter(ScenarioFile), TypeAdapter(ParameterFile)
+FILE, _PARAMETERS = TypeAdapter(ScenarioFile), TypeAdapter(ParameterFile)
 _OF_A_BASE = (("components",), ("experiment",), ("experiment", "stop_time"), ("experiment", "step_size"))
 
 
@@ -53,7 +53,7 @@ def file_layers(path: Path, above: tuple[Path, ...] = ()) -> list[Layer]:
         raise ScenarioError(f"{path}: is its own base")
     file = read_toml(path)
     data = file.data
-    check_part(_FILE, data, file.at, absent=_OF_A_BASE)
+    check_part(FILE, data, file.at, absent=_OF_A_BASE)
     known = block_names()  # once: it reads the entry points of every installed package
     for table, keys in _tables_of_components(data):
         for name, fmu in table.items():

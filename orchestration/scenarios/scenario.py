@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from fmpy.model_description import ModelDescription
-from pydantic import TypeAdapter
 
 from fmus.fmi_types import FmiValue
 from fmus.registry import Flavour, fmu_path
@@ -25,6 +24,7 @@ from orchestration.scenarios.file_tables import checked
 from orchestration.scenarios.fitting import without_misfits
 from orchestration.scenarios.layers import TABLES, Layer, merged, with_faulted_constants
 from orchestration.scenarios.read_layers import (
+    FILE,
     SHIPPED,
     check_components,
     command_entries,
@@ -42,8 +42,6 @@ from orchestration.system.signal_derivatives import with_derivatives
 from orchestration.system.system import System
 
 __all__ = ["SHIPPED", "Scenario", "find", "load", "located", "parameter_values", "shipped"]
-
-_FILE = TypeAdapter(ScenarioFile)
 
 
 @dataclass(frozen=True)
@@ -108,7 +106,7 @@ def load(
         raise ScenarioError(f"{path}: components is missing")
     warn_of_dropped(replaced, data)
     data["metrics"] = {name: metric for name, metric in data["metrics"].items() if metric is not False}
-    file = checked(_FILE, data, lambda keys: str(path))
+    file = checked(FILE, data, lambda keys: str(path))
     try:
         experiment = _experiment(file, data)
         metrics.check_run(data["metrics"], experiment.start_time, experiment.stop_time, experiment.record)

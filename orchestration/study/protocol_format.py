@@ -19,7 +19,7 @@ DELAY_MARGIN = "delay_margin"
 """Name of the bound of the cost that is no figure of a run."""
 
 
-class FigureTable(Table, use_attribute_docstrings=True):
+class FigureTable(Table):
     """A number that a score gives of each run."""
 
     title: str
@@ -38,7 +38,7 @@ class FigureTable(Table, use_attribute_docstrings=True):
     """Of the whole run, not of the part of the case that is judged."""
 
 
-class CaseTable(Table, use_attribute_docstrings=True):
+class CaseTable(Table):
     """What differs from the nominal case, as a scenario gives it."""
 
     title: str
@@ -56,14 +56,14 @@ class CaseTable(Table, use_attribute_docstrings=True):
     faults: list[Annotated[Table, FAULT]] = []
 
 
-class GainTable(Table, use_attribute_docstrings=True):
+class GainTable(Table):
     """The range in which a gain may be tuned; it is searched by its logarithm."""
 
     low: Annotated[float, Field(gt=0.0)]
     high: Annotated[float, Field(gt=0.0)]
 
 
-class ControllerTable(Table, use_attribute_docstrings=True):
+class ControllerTable(Table):
     """A controller that stands beside those that are scored."""
 
     title: str
@@ -76,7 +76,7 @@ class ControllerTable(Table, use_attribute_docstrings=True):
     """Variables that `tune` may change."""
 
 
-class CostTable(Table, use_attribute_docstrings=True):
+class CostTable(Table):
     """What tuning makes small: the mean of a figure over cases, with bounds on others."""
 
     figure: str
@@ -98,7 +98,7 @@ _DRAWN = OneOf(
 )
 
 
-class TrajectoryTable(Table, use_attribute_docstrings=True):
+class TrajectoryTable(Table):
     """The reference of a plant: from the surface to one depth after another."""
 
     ways: Annotated[Table, _DISTRIBUTION]
@@ -109,7 +109,7 @@ class TrajectoryTable(Table, use_attribute_docstrings=True):
     """The depths [m]."""
 
 
-class PlantsTable(Table, use_attribute_docstrings=True):
+class PlantsTable(Table):
     """Plants that are drawn, with a trajectory each."""
 
     count: Annotated[int, Field(ge=2)]
@@ -119,7 +119,7 @@ class PlantsTable(Table, use_attribute_docstrings=True):
     trajectory: TrajectoryTable
 
 
-class ProtocolFile(Table, use_attribute_docstrings=True):
+class ProtocolFile(Table):
     """The protocol of the score."""
 
     version: str
@@ -143,7 +143,7 @@ class ProtocolFile(Table, use_attribute_docstrings=True):
     controllers: dict[str, ControllerTable]
 
 
-class TableFile(Table, use_attribute_docstrings=True):
+class TableFile(Table):
     """What is kept for the table of a score, and never read by who tunes."""
 
     sensor_seed: Annotated[int, Field(ge=1)]

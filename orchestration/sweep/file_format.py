@@ -13,7 +13,7 @@ _RELATIVE: dict[str, Any] = {"relative": (bool, False)}
 _TRUNCATE: dict[str, Any] = {"truncate": (bool, False)}
 
 
-class ValuesTable(Table, use_attribute_docstrings=True):
+class ValuesTable(Table):
     """A grid: every one of these values."""
 
     values: Annotated[list[Value], Field(min_length=1)]
@@ -21,7 +21,7 @@ class ValuesTable(Table, use_attribute_docstrings=True):
     """The values are factors of the variable's own value."""
 
 
-class LinspaceTable(Table, use_attribute_docstrings=True):
+class LinspaceTable(Table):
     """A grid: equally spaced values."""
 
     linspace: Annotated[list[float], Field(min_length=3, max_length=3)]
@@ -48,7 +48,7 @@ VARIED = OneOf(
 )
 
 
-class SweepTable(Table, use_attribute_docstrings=True):
+class SweepTable(Table):
     """Many runs of the scenario, with other values in each."""
 
     samples: Annotated[int, Field(ge=1)] = 1

@@ -57,6 +57,15 @@ def test_an_end_that_the_program_did_not_decide_is_an_error(body: str, status: i
     assert process.returncode == status
 
 
+def test_what_is_registered_for_the_end_and_what_is_printed_is_not_lost() -> None:
+    """Also of a thread that is still at work: the process ends without freeing what was imported."""
+    at_work = "import threading; threading.Thread(target=lambda: (time.sleep(0.2), print('thread'))).start()"
+    for body, printed in (("pass", "printed\nregistered\n"), (at_work, "printed\nthread\nregistered\n")):
+        process = started(f"import atexit; atexit.register(print, 'registered'); print('printed'); {body}")
+        assert process.communicate() == (printed, "")
+        assert process.returncode == 0
+
+
 def test_the_status_of_the_program_is_known_where_the_end_of_a_child_was_ignored_before() -> None:
     code = (
         "import signal, sys; signal.signal(signal.SIGCHLD, signal.SIG_IGN)\n"

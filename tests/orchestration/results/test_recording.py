@@ -195,6 +195,17 @@ def test_a_parquet_is_written_in_groups_and_is_exact(tmp_path: Path) -> None:
     assert np.array_equal(Recording.read(tmp_path / "run.parquet").values, values)
 
 
+def test_a_value_that_is_held_is_written_as_any_other(tmp_path: Path) -> None:
+    """And zeros of either sign are two values."""
+    held = np.repeat([0.1, 0.0, -0.0, 1e22, 5e-324, 0.1], 3)
+    run = Recording(("held",), ("",), np.arange(float(len(held))), held[:, None])
+    run.write(tmp_path / "run.csv")
+    lines = (tmp_path / "run.csv").read_text().splitlines()[1:]
+    assert lines == [
+        f"{time!r},{value!r}" for time, value in zip(run.time.tolist(), held.tolist(), strict=True)
+    ]
+
+
 def test_an_unknown_signal_offers_the_nearest() -> None:
     with pytest.raises(OrchestrationError, match=r"nearest is 'a\.x'"):
         a_run()["a.z"]

@@ -1,0 +1,187 @@
+"""Whole commands, from the start of their process to its end, beside the same loop in other importers.
+
+`python -m tests.speed.commands` prints medians with the least and the largest time; all take turns, so that
+they see the same machine. What a command does once, such as the FMUs of scenarios, comes before.
+"""
+
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import median
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from fmus import catalogue
+from fmus.platforms import PLATFORMS
+from orchestration.scenarios import scenario
+from tests.importers.comparison import packaged
+from tests.printing import print_tables
+
+SCENARIO = "nominal-extended"
+FIVE = ("L1DepthController", "RovDepthPlant", "L1Controller", "ExamplePlant", "DepthReference")
+FIRST_RUN = """
+from orchestration import System, simulate
+system = System({{"controller": {controller!r}, "plant": {plant!r}}}, [
+    ("controller.voltage[1]", "plant.voltage[1]"), ("controller.voltage[2]", "plant.voltage[2]"),
+    ("plant.measured_depth", "controller.measured_depth")])
+simulate(system, stop_time=10.0, step_size=0.02, open_inputs="start")
+"""
+ECOS = """
+from ecospy.EcosSimulation import EcosSimulation
+with EcosSimulation(ssp_path={package!r}, step_size={step!r}) as simulation:
+    simulation.init(0.0)
+    simulation.step({count})
+"""
+LIBCOSIM = """
+from libcosimpy.CosimExecution import CosimExecution
+CosimExecution.from_ssp_file({package!r}, {nanoseconds}).step({count})
+"""
+FMPY = """
+from fmpy.ssp.simulation import simulate_ssp
+simulate_ssp({package!r}, 0.0, {stop!r}, {step!r})
+"""
+_COMPILED = "int a_function(void) { return 0; }\n"
+
+
+@dataclass
+class Command:
+    """What is timed: its times so far [s], on the wall clock and of all processors together."""
+
+    name: str
+    arguments: Sequence[str]
+    prepare: Callable[[], object] = lambda: None
+    wall: list[float] = field(default_factory=list)
+    cpu: list[float] = field(default_factory=list)
+
+    def measure(self, folder: Path, environment: dict[str, str]) -> None:
+        """Run it once; RuntimeError if it fails."""
+        self.prepare()
+        before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+        done = subprocess.run(
+            self.arguments, cwd=folder, env=environment, capture_output=True, text=True, check=False
+        )
+        self.wall.append(time.perf_counter() - start)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        self.cpu.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+        if done.returncode:
+            raise RuntimeError(f"{self.name}: {done.stderr[-500:]}")
+
+
+def commands(folder: Path) -> list[Command]:
+    """The commands of this project, and the importers that are installed."""
+    chosen = scenario.load(scenario.find(SCENARIO))
+    catalogue.build_missing(chosen.system.components.values())
+    components = {name: str(path) for name, path in chosen.system.components.items()}
+    run = ("l1-depth", "run", SCENARIO, "--out", "results")
+    build = ("l1-depth", "build", *FIVE, "--out", "built")
+    return [
+        Command("python -c pass", (sys.executable, "-c", "pass")),
+        Command("l1-depth --help", ("l1-depth", "--help")),
+        Command("import, and a first simulate", (sys.executable, "-c", FIRST_RUN.format(**components))),
+        Command(f"l1-depth run {SCENARIO} --formats none", (*run, "--formats", "none")),
+        Command(f"l1-depth run {SCENARIO}, with its figure", run),
+        Command("l1-depth build of five FMUs, unchanged", build),
+        Command("l1-depth check of one FMU", ("l1-depth", "check", components["controller"])),
+        Command("l1-depth reproduce", ("l1-depth", "reproduce", "--out", "results")),
+        *_of_importers(packaged(chosen, folder), chosen.experiment.stop_time),
+    ]
+
+
+def _of_importers(job: object, stop: float) -> list[Command]:
+    """The same loop in other importers, which write nothing."""
+    step: float = job.step_size  # type: ignore[attr-defined]
+    package, count = str(job.package), round(stop / step)  # type: ignore[attr-defined]
+    values = {
+        "package": package,
+        "step": step,
+        "count": count,
+        "stop": stop,
+        "nanoseconds": round(step * 1e9),
+    }
+    programs = {"Ecos": ECOS, "libcosim": LIBCOSIM, "FMPy": FMPY}
+    return [
+        Command(f"{name}, nothing written", (sys.executable, "-c", text.format(**values)))
+        for name, text in programs.items()
+    ]
+
+
+def builds(folder: Path, environment: dict[str, str]) -> list[Command]:
+    """Builds of five FMUs from nothing but the compiler's own libraries, for this platform and for all."""
+    libraries, cache = folder / "zig", Path(environment["ZIG_GLOBAL_CACHE_DIR"])
+
+    def forget() -> None:
+        for path in (cache, folder / "built", Path(environment["XDG_CACHE_HOME"], "l1-depth", "stamps")):
+            shutil.rmtree(path, ignore_errors=True)
+        if libraries.exists():
+            shutil.copytree(libraries, cache)
+
+    compiled = [sys.executable, "-c", _COMPILE.format(platforms=PLATFORMS, text=_COMPILED)]
+    forget()
+    subprocess.run(compiled, env=environment, check=True)
+    cache.rename(libraries)
+    build = ("l1-depth", "build", *FIVE, "--out", "built")
+    return [
+        Command("l1-depth build of five FMUs, anew", build, forget),
+        Command("the same for all platforms", (*build, "--all-platforms"), forget),
+    ]
+
+
+_COMPILE = """
+from fmus.export.toolchain import compile_library
+for platform in {platforms!r}:
+    compile_library("empty", {{"empty.c": {text!r}}}, ["empty.c"], platform)
+"""
+
+
+def measured(rounds: int, with_builds: bool) -> list[Command]:
+    """All commands in turns, after a round that does not count."""
+    with tempfile.TemporaryDirectory(prefix="l1-depth-speed-") as name:
+        folder = Path(name)
+        environment = {**os.environ, "PYTHONPYCACHEPREFIX": str(folder / "bytecode")}
+        environment.pop("PYTHONDONTWRITEBYTECODE", None)
+        if with_builds:
+            environment |= {
+                "XDG_CACHE_HOME": str(folder / "cache"),
+                "ZIG_GLOBAL_CACHE_DIR": f"{folder}/zig-cache",
+            }
+        chosen = builds(folder, environment) if with_builds else commands(folder)
+        for turn in range(rounds + 1):
+            for command in chosen:
+                command.measure(folder, environment)
+                if not turn:
+                    command.wall.clear()
+                    command.cpu.clear()
+        return chosen
+
+
+def table(chosen: Sequence[Command]) -> Table:
+    """Medians, and in brackets the least and the largest [s]."""
+    result = Table(title="From the start of the process to its end")
+    for heading in ("Command", "s", "s of CPU"):
+        result.add_column(heading, justify="left" if heading == "Command" else "right", overflow="fold")
+    for command in chosen:
+        spread = [f"{median(x):.2f} ({min(x):.2f} to {max(x):.2f})" for x in (command.wall, command.cpu)]
+        result.add_row(command.name, *spread)
+    return result
+
+
+def main(
+    rounds: Annotated[int, typer.Option(help="Measurements of which the median is taken.", min=1)] = 5,
+    with_builds: Annotated[bool, typer.Option("--builds", help="Time builds from nothing instead.")] = False,
+    markdown: Annotated[bool, typer.Option(help="Print the table of docs/performance.md.")] = False,
+) -> None:
+    """Time whole commands and other importers, from the start of their processes to the end."""
+    print_tables([table(measured(rounds, with_builds))], markdown)
+
+
+if __name__ == "__main__":
+    typer.run(main)
