@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from importlib.metadata import PathDistribution
+from importlib.metadata import Distribution, distribution
 from pathlib import Path
 
 import pytest
@@ -150,14 +150,15 @@ def test_other_options_make_it_stale(order: Order, tmp_path: Path, options: dict
 def test_another_version_of_a_library_makes_it_stale(
     order: Order, tmp_path: Path, library: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    read_text = PathDistribution.read_text
+    kind = type(distribution(library))  # Dask brings a class of its own with importlib_metadata
+    read_text = kind.read_text
 
-    def updated(distribution: PathDistribution, file: str) -> str | None:
-        text = read_text(distribution, file)
+    def updated(installed: Distribution, file: str) -> str | None:
+        text = read_text(installed, file)
         is_meant = text and f"\nName: {library}\n" in text
         return text.replace("\nVersion: ", "\nVersion: 1") if text and is_meant else text
 
-    monkeypatch.setattr(PathDistribution, "read_text", updated)
+    monkeypatch.setattr(kind, "read_text", updated)
     assert current(order, tmp_path) is None
 
 
