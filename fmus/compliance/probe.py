@@ -176,6 +176,10 @@ class Probe:
                 ("free", script.number),
             ]
         results = self.process.calls(calls)
+        for created, messages, *_ in results[::3]:
+            error = None if created else _refused([Message(*message) for message in messages])
+            if isinstance(error, NotJudgedError):
+                raise error
         for script, answers in zip(scripts, results[1::3], strict=True):
             script.fill(0, answers)
         self._judge_steps(scripts)
