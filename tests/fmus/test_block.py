@@ -138,7 +138,7 @@ def test_start_values_of_numpy_become_numbers_of_python() -> None:
     @dataclass(frozen=True)
     class Gains:
         one: float = variable(numpy.float64(2.0), "One")
-        count: int = variable(numpy.int64(3), "Whole")
+        count: int = variable(numpy.int64(3), "Whole")  # pyright: ignore[reportAssignmentType]
         more: tuple[float, ...] = variable(tuple(numpy.linspace(0.0, 1.0, 3)), "More")
 
     starts = [
