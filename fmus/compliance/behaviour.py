@@ -38,7 +38,15 @@ from fmus.compliance import (
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.library_rules import no_co_simulation
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import NotJudgedError, Result, Rule, Stage, messages_of, registered
+from fmus.compliance.rule import (
+    NotApplicableError,
+    NotJudgedError,
+    Result,
+    Rule,
+    Stage,
+    messages_of,
+    registered,
+)
 from fmus.errors import HostError
 from fmus.process import ProcessEndedError
 
@@ -195,5 +203,7 @@ def _judge(rule: Rule, probe: Probe, results: Mapping[str, Result]) -> Result:
         raise
     except NotJudgedError as reason:
         return Result(rule, not_judged=str(reason))
+    except NotApplicableError as reason:
+        return Result(rule, not_applicable=str(reason))
     except Exception as error:  # whatever an FMU answers is a finding
         return Result(rule, messages_of([str(error) or type(error).__name__]))

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import NotJudgedError, Stage, rule
+from fmus.compliance.rule import NotApplicableError, Stage, rule
 from fmus.compliance.script import Reading, Script
 from fmus.compliance.values import other_value, read_value, same, settable_while_stepping, start_value, texts
 from fmus.compliance.variable import Variable
@@ -108,7 +108,7 @@ def tunable_values_are_computed_anew(probe: Probe) -> Iterator[str]:
     settable = [v for v in settable_while_stepping(probe.fmu) if v.causality == "parameter"]
     pairs = [(v, x) for v in settable[:_MOST_VARIABLES] if (x := other_value(v)) is not None]
     if not computed or not pairs:
-        raise NotJudgedError("there is no tunable parameter, or no tunable value that is calculated")
+        raise NotApplicableError("there is no tunable parameter, or no tunable value that is calculated")
     tried: list[tuple[Variable, Script, Script, Reading, Reading]] = []
     for v, x in pairs:
         early, late = probe.script().initialise(), probe.script().begin().step()

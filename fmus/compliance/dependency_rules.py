@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
+from fmus.compliance.rule import Level, NotApplicableError, NotJudgedError, Stage, rule
 from fmus.compliance.values import other_value, random_value, same, settable_in_initialization, start_value
 from fmus.compliance.variable import Variable, integer
 
@@ -78,11 +78,13 @@ def dependencies_on_time_are_declared(probe: Probe) -> Iterator[str]:
     lists it.
     """
     independent = {v.index for v in probe.fmu.variables if v.causality == "independent"}
+    if not independent:
+        raise NotApplicableError("no variable is independent")
     scripts = [probe.script().initialise(t) for t in (probe.start_time, probe.start_time + probe.step_size)]
     readings = [script.read(_unknowns(probe)) for script in scripts]
     probe.play_each(scripts)
-    if not independent or not all(script.succeeded for script in scripts):
-        raise NotJudgedError("no variable is independent, or another start time is refused")
+    if not all(script.succeeded for script in scripts):
+        raise NotJudgedError("another start time is refused")
     before, after = (reading.values for reading in readings)
     for name, listed in _declared(probe).items():
         if not listed & independent and not same(before[name], after[name], _NOISE):

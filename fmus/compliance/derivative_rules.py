@@ -8,7 +8,7 @@ from fmus.binding import ERROR
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
+from fmus.compliance.rule import Level, NotApplicableError, Stage, rule
 from fmus.compliance.script import Reading, Script
 from fmus.compliance.values import (
     RESTARTED,
@@ -279,7 +279,7 @@ def derivatives_are_slopes(probe: Probe) -> Iterator[str]:
     pairs = [(v, variables[i - 1]) for v, i in pairs if 1 <= i <= len(variables) and i != v.index]
     continuous = [(v, w) for v, w in pairs if v.variability == w.variability == "continuous"]
     if not continuous:
-        raise NotJudgedError("no continuous variable is marked as a derivative")
+        raise NotApplicableError("no continuous variable is marked as a derivative")
     script = probe.script().begin()
     readings = [script.step().read([x for pair in continuous for x in pair]) for _ in range(_MANY_STEPS)]
     script.play()

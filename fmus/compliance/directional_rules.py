@@ -6,7 +6,7 @@ from typing import Any
 
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
+from fmus.compliance.rule import Level, NotApplicableError, Stage, rule
 from fmus.compliance.script import Reading
 from fmus.compliance.values import (
     other_value,
@@ -105,7 +105,7 @@ def directional_derivatives_are_linear(probe: Probe) -> Iterator[str]:
     initial = [v for v in initial if v.kind == "Real"]
     outputs, knowns = _continuous(probe, "output"), _continuous(probe, "input")[:_MOST_KNOWNS]
     if not (initial or outputs) or not knowns:
-        raise NotJudgedError("there is no continuous input, or neither an output nor an initial unknown")
+        raise NotApplicableError("there is no continuous input, or neither an output nor an initial unknown")
     seed = [2.5 + 0.5 * i for i in range(len(knowns))]
     for unknowns, stepping in ((initial, False), (outputs, True)):
         if not unknowns:

@@ -7,7 +7,7 @@ from functools import cache
 from fmus.binding import WARNING
 from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
+from fmus.compliance.rule import Level, NotApplicableError, Stage, rule
 from fmus.compliance.script import Message, Script
 from fmus.compliance.session import NAME, session
 from fmus.compliance.values import differing
@@ -150,7 +150,7 @@ def only_chosen_categories_are_logged(probe: Probe) -> Iterator[str]:
     """After fmi2SetDebugLogging with one category, messages of others do not arrive."""
     declared = declared_categories(probe)
     if len(declared) < 2:
-        raise NotJudgedError("fewer than two log categories are declared")
+        raise NotApplicableError("fewer than two log categories are declared")
     for chosen in declared:
         script = probe.script()
         script.call("set_debug_logging", True, [chosen])

@@ -45,6 +45,10 @@ class NotJudgedError(Exception):
     """A rule that cannot be judged; the message says why."""
 
 
+class NotApplicableError(Exception):
+    """A rule for what an FMU does not have or do, as its `check` observes; the message says what."""
+
+
 @dataclass(frozen=True)
 class Result:
     """What one rule said of one FMU: nothing, messages, or why it does not apply or could not be judged."""

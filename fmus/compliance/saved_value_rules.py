@@ -126,9 +126,11 @@ def bytes_hold_every_value(probe: Probe) -> Iterator[str]:
         other.play(keep_going=True)
         if read.status is not None:
             break
-    if other.failure and read.status is not None:
-        yield f"from bytes in another instance: {other.failure.problem}"
-    if other.succeeded:
+    replies = other.replies[other.replies.index(read) :]  # values before that may be refused
+    failures = [reply for reply in replies if reply.status is not None and not reply.ok]
+    if failures:
+        yield f"from bytes in another instance: {failures[0].problem}"
+    elif read.ok:
         yield from differing([untouched], [still], "after fmi2DeSerializeFMUstate, before fmi2SetFMUstate")
         yield from _steadily(probe, differing(expected, got, "from bytes in another instance", _ROUNDING))
 

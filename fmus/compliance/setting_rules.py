@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from fmus.binding import ERROR
 from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
+from fmus.compliance.rule import Level, NotApplicableError, Stage, rule
 from fmus.compliance.script import KINDS, Reply, Script
 from fmus.compliance.values import (
     RESTARTED,
@@ -163,7 +163,7 @@ def setting_the_same_changes_nothing(probe: Probe) -> Iterator[str]:
     """
     chosen = settable_while_stepping(probe.fmu)
     if not chosen:
-        raise NotJudgedError("there is neither an input nor a tunable parameter")
+        raise NotApplicableError("there is neither an input nor a tunable parameter")
     held, again = probe.script().begin(), probe.script(logging=True).begin()
     expected, got = held.run(4), []
     for _ in range(4):

@@ -6,7 +6,7 @@ from contextlib import suppress
 from fmus.binding import DISCARD, PENDING, status_name
 from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
+from fmus.compliance.rule import Level, NotApplicableError, NotJudgedError, Stage, rule
 from fmus.compliance.script import Reply
 from fmus.compliance.session import session
 
@@ -121,7 +121,7 @@ def discarded_steps_have_a_last_time(probe: Probe) -> Iterator[str]:
         script.play(keep_going=True)
     steps = [reply for reply in script.replies if reply.function == "fmi2DoStep" and reply.status is not None]
     if not steps or steps[-1].status != DISCARD:
-        raise NotJudgedError("no step is discarded")
+        raise NotApplicableError("no step is discarded")
     start, end = probe.point(len(steps) - 1), probe.point(len(steps))
     rounding = 1e-9 * max(abs(start), abs(end), probe.step_size)
     step = f"a step from {start:g} to {end:g} s"

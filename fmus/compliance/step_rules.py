@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from fmus.binding import DISCARD, ERROR
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
+from fmus.compliance.rule import Level, NotApplicableError, NotJudgedError, Stage, rule
 from fmus.compliance.script import Reading, Reply, Script
 from fmus.compliance.values import differing, texts, unless_claimed
 
@@ -201,7 +201,7 @@ def default_experiment_runs(probe: Probe) -> Iterator[str]:
     """The steps of DefaultExperiment, if they are few, succeed up to its stop time."""
     steps = (probe.stop_time - probe.start_time) / probe.step_size
     if not probe.states_step_size or not steps <= _MOST_STEPS:
-        raise NotJudgedError("no stop time and step size are stated, or the steps are many")
+        raise NotApplicableError("no stop time and step size are stated, or the steps are many")
     script = probe.script(logging=True).set_up(stop=probe.stop_time).enter_initialization_mode()
     script.exit_initialization_mode().step(int(steps + 1e-6)).play(keep_going=True)
     if script.failure and script.failure.status != DISCARD:

@@ -193,7 +193,7 @@ def test_a_full_disk_is_an_error_of_the_host_with_its_own_status_and_no_finding(
     )
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=120,
-        env={**os.environ, "TMPDIR": str(tmp_path)},
+        env={**os.environ, "TMPDIR": str(tmp_path), "PYTHONDONTWRITEBYTECODE": "1"},  # which would be cut off
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (3, "")
     assert done.stderr.count("\n") == 1

@@ -3,6 +3,7 @@
 import json
 import math
 import resource
+import sys
 import tracemalloc
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -147,13 +148,15 @@ def test_a_missing_file_offers_the_nearest(tmp_path: Path) -> None:
 
 @contextmanager
 def largest_file(size: int) -> Iterator[None]:
-    """The kernel refuses larger files, as a full disk does."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    """The kernel refuses larger files, as a full disk does. No compiled module is written, and cut off."""
+    before, writes = resource.getrlimit(resource.RLIMIT_FSIZE), sys.dont_write_bytecode
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    sys.dont_write_bytecode = True
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        sys.dont_write_bytecode = writes
 
 
 @ENDINGS
