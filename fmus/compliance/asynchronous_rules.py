@@ -103,7 +103,7 @@ def status_of_a_pending_step_is_given(probe: Probe) -> Iterator[str]:
     elif step not in (OK, WARNING):
         yield f"fmi2GetStatus gives {status_name(step)} for a step that succeeds: expected ok"
     elif outputs.ok and time.ok:
-        yield from differing(expected, [outputs], "after a step that fmi2GetStatus says has ended")
+        yield from differing(expected, [outputs], "after a step that has ended by fmi2GetStatus")
 
 
 def _is_utf_8(content: bytes) -> bool:

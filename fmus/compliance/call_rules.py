@@ -10,9 +10,7 @@ from fmus.compliance.session import session
 from fmus.compliance.values import start_value
 from fmus.compliance.variable import Variable
 
-_STATUS = "2.1.3 Status Returned by Functions"
 _STATES = "4.2.4 State Machine of Calling Sequence from Master to Slave"
-_LAST_SUCCESSFUL_TIME = 2
 
 
 @rule(_STATES, Stage.BEHAVIOUR, needs=["reset-in-every-state"])
@@ -142,7 +140,11 @@ def _named(reply: Reply, script: Script) -> str:
     values = ("fmi2SetReal", "fmi2SetInteger", "fmi2SetBoolean", "fmi2SetString")
     if reply.function in values and reply.state == "step complete":
         return f"{reply.function} of the value reference {arguments[1][0]}, a fixed parameter or an output"
-    return f"{reply.function} of order 0" if reply.function.endswith("Derivatives") else reply.function
+    orders = {"fmi2SetRealInputDerivatives": 1, "fmi2GetRealOutputDerivatives": 1}  # among the arguments
+    if reply.function in orders:
+        order = arguments[orders[reply.function]]
+        return f"{reply.function} of order {order[0] if isinstance(order, list) else order}"
+    return reply.function
 
 
 @rule("advice: an empty call has nothing to refuse", Stage.BEHAVIOUR, Level.WARNING)

@@ -5,13 +5,20 @@ from collections.abc import Iterator, Sequence
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, Stage, rule
 from fmus.compliance.script import Reading, Script
-from fmus.compliance.values import other_value, read_value, same, settable_while_stepping, start_value, texts
+from fmus.compliance.values import (
+    accepted,
+    other_values,
+    read_value,
+    same,
+    settable_while_stepping,
+    start_value,
+    texts,
+)
 from fmus.compliance.variable import Variable
 
 _VARIABLES = "2.2.7 Definition of Model Variables (ModelVariables)"
 _ROUNDED = 1e-6
-_EXACT = 1e-12  # relative: some roundings
-_NOISE = 1e-9  # relative: an iteration may stop elsewhere
+_NOISE = 1e-9  # relative: a value that is computed again is rounded, an iteration may stop elsewhere
 _MOST_VARIABLES = 50
 _STEPS = (1, 1, 4, 10)  # between the readings of a run
 
@@ -54,7 +61,7 @@ def _moved(readings: Sequence[Reading], when: str) -> Iterator[str]:
     for reading in readings[1:]:
         for name, value in reading.values.items():
             first = readings[0].values[name]
-            if not same(value, first, _EXACT) and name not in named:
+            if not same(value, first, _NOISE) and name not in named:
                 named.add(name)
                 new, old = texts(value, first)
                 yield f"{name} is {new} {when}: expected {old} as before"
@@ -73,7 +80,7 @@ def fixed_values_follow_nothing(probe: Probe) -> Iterator[str]:
         (inputs, [*fixed, *tunable], "inputs"),
         ([v for v in settable if v.causality == "parameter"], fixed, "tunable parameters"),
     ):
-        pairs = [(v, x) for v in changed[:_MOST_VARIABLES] if (x := other_value(v)) is not None]
+        pairs = other_values(changed[:_MOST_VARIABLES])
         if pairs and chosen:
             readings = _around_a_change(probe, pairs, chosen)
             yield from _moved(readings, f"after other {what}")
@@ -83,17 +90,11 @@ def _around_a_change(
     probe: Probe, pairs: list[tuple[Variable, object]], chosen: list[Variable]
 ) -> list[Reading]:
     """Before and after all values are set that the FMU accepts alone; nothing where it accepts none."""
-    each = [(v, x, probe.script().begin().step()) for v, x in pairs]
-    for v, x, script in each:
-        script.set(v, x)
-        script.step()
-    probe.play_each([script for *_, script in each])
     script = probe.script().begin().step()
     before = script.read(chosen)
     script.step()
-    for v, x, alone in each:
-        if alone.succeeded:
-            script.set(v, x)
+    for v, x in accepted(probe, pairs, lambda: probe.script().begin().step()):
+        script.set(v, x)
     after = script.step(2).read(chosen)
     script.play(keep_going=True)
     return [before, after] if script.succeeded else []
@@ -106,7 +107,7 @@ def tunable_values_are_computed_anew(probe: Probe) -> Iterator[str]:
     """
     computed = [v for v in probe.fmu.variables if v.variability == "tunable" and v.causality != "parameter"]
     settable = [v for v in settable_while_stepping(probe.fmu) if v.causality == "parameter"]
-    pairs = [(v, x) for v in settable[:_MOST_VARIABLES] if (x := other_value(v)) is not None]
+    pairs = other_values(settable[:_MOST_VARIABLES])
     if not computed or not pairs:
         raise NotApplicableError("there is no tunable parameter, or no tunable value that is calculated")
     tried: list[tuple[Variable, Script, Script, Reading, Reading]] = []

@@ -7,7 +7,15 @@ from typing import Any
 
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotApplicableError, NotJudgedError, Stage, rule
-from fmus.compliance.values import other_value, random_value, same, settable_in_initialization, start_value
+from fmus.compliance.values import (
+    accepted,
+    other_value,
+    other_values,
+    random_value,
+    same,
+    settable_in_initialization,
+    start_value,
+)
 from fmus.compliance.variable import Variable, integer
 
 _STRUCTURE = "2.2.8 Definition of the Model Structure (ModelStructure)"
@@ -100,6 +108,10 @@ def dependencies_on_time_are_declared(probe: Probe) -> Iterator[str]:
 def initial_dependencies_exist(probe: Probe) -> Iterator[str]:
     """A continuous initial unknown that lists Real inputs changes with one of them somewhere."""
     knowns, chance = settable_in_initialization(probe.fmu), random.Random(0)
+    pairs = other_values(knowns)
+    taken = {v.index for v, _ in accepted(probe, pairs, lambda: probe.script().initialise())}
+    refused = {v.index for v, _ in pairs} - taken
+    knowns = [known for known in knowns if known.index not in refused]
     real = {known.index for known in knowns if known.kind == "Real" and known.causality == "input"}
     numbers = _finite(probe)
     alone: dict[str, set[int | None]] = {
@@ -109,8 +121,8 @@ def initial_dependencies_exist(probe: Probe) -> Iterator[str]:
     for point in _points(knowns, chance) if alone else ():
         indices = set().union(*alone.values())
         tested = [known for known in knowns if known.index in indices][:_MOST_TESTED]
-        pairs = [(point, known, x) for known in tested if (x := random_value(known, chance)) is not None]
-        alone = _unmoved(alone, _changed(probe, pairs))
+        changes = [(point, known, x) for known in tested if (x := random_value(known, chance)) is not None]
+        alone = _unmoved(alone, _changed(probe, changes))
     for name in alone:
         yield f"{name} changes with none of the inputs that it lists as dependencies in initialization mode"
 
@@ -172,7 +184,7 @@ def constant_factors_are_constant(probe: Probe) -> Iterator[str]:
                 math.isfinite(scale)
                 and max(changes) - min(changes) > 1e-6 * max(map(abs, changes)) + 1e-12 * scale
             ):
-                yield f"the factor of {known.name} in {v.name} is not constant, as dependenciesKind says"
+                yield f"the factor of {known.name} in {v.name} is not constant: its dependenciesKind is"
 
 
 def _constant_factors(probe: Probe) -> list[tuple[Variable, list[Variable]]]:

@@ -24,8 +24,7 @@ from fmus.compliance.variable import Variable, integer
 
 _TRANSFER = "4.2.1 Transfer of Input / Output Values and Parameters"
 _STATES = "4.2.4 State Machine of Calling Sequence from Master to Slave"
-_INTERPOLATES, _PROVIDES = "canInterpolateInputs", "providesDirectionalDerivative"
-_MOST_KNOWNS = 40  # of one FMU: each costs four evaluations
+_INTERPOLATES = "canInterpolateInputs"
 _MANY_STEPS, _INTEGRATED = 30, 0.02  # steps; relative: of an integral, beside the error of a coarse solver
 _ROUGH = 0.1  # relative: of slopes over a step, which is no limit
 

@@ -18,7 +18,7 @@ from fmus.compliance.values import (
 from fmus.compliance.variable import Variable, integer
 
 _DIRECTIONAL = "2.1.9 Getting Partial Derivatives"
-_INTERPOLATES, _PROVIDES = "canInterpolateInputs", "providesDirectionalDerivative"
+_PROVIDES = "providesDirectionalDerivative"
 _MOST_KNOWNS = 40  # of one FMU: each costs four evaluations
 _DIFFERENCE = 1e-6  # relative change for a difference quotient: half the digits for truncation and rounding
 _AGREEMENT = 1e-4  # relative; a wrong derivative is wrong by much more

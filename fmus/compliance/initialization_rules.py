@@ -3,17 +3,19 @@
 from collections.abc import Iterator
 
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, Stage, rule
+from fmus.compliance.rule import Level, NotApplicableError, NotJudgedError, Stage, rule
 from fmus.compliance.script import KINDS, CallError, Script
 from fmus.compliance.values import (
+    accepted,
     differing,
     other_value,
+    other_values,
     read_value,
     same,
     settable_in_initialization,
     start_value,
     texts,
-)  # fmt: skip
+)
 from fmus.compliance.variable import Variable
 
 _INITIALIZATION = "2.1.6 Initialization, Termination, and Resetting an FMU"
@@ -99,9 +101,17 @@ def values_are_set_together(probe: Probe) -> Iterator[str]:
     """Several variables that are set in one call have the values that they have if each is set in a call of
     its own.
     """
-    pairs = [(v, x) for v in settable_in_initialization(probe.fmu) if (x := other_value(v)) is not None]
-    for kind in KINDS:
-        chosen = [(v, x) for v, x in pairs if v.base_kind == kind][:_MOST_VARIABLES]
+    pairs = other_values(settable_in_initialization(probe.fmu))
+    by_kind = {kind: [(v, x) for v, x in pairs if v.base_kind == kind][:_MOST_VARIABLES] for kind in KINDS}
+    several = {kind: chosen for kind, chosen in by_kind.items() if len(chosen) > 1}
+    if not several:
+        raise NotApplicableError("no two variables of one type can be set in initialization mode")
+    taken = {
+        kind: accepted(probe, chosen, lambda: probe.script().initialise()) for kind, chosen in several.items()
+    }
+    if not any(len(chosen) > 1 for chosen in taken.values()):
+        raise NotJudgedError("no two variables of one type take other values")
+    for kind, chosen in taken.items():
         yield from _differently_set(probe, kind, chosen) if len(chosen) > 1 else ()
 
 
@@ -118,5 +128,6 @@ def _differently_set(probe: Probe, kind: str, chosen: list[tuple[Variable, objec
     expected = alone.exit_initialization_mode().read(variables)
     got = together.exit_initialization_mode().read(variables)
     probe.play_each([alone, together])
-    if alone.succeeded and together.succeeded:
-        yield from differing([expected], [got], f"where one fmi2Set{kind} sets {len(chosen)} variables")
+    if failure := alone.failure or together.failure:
+        raise NotJudgedError(f"a run with other values fails: {failure.problem}")
+    yield from differing([expected], [got], f"where one fmi2Set{kind} sets {len(chosen)} variables")

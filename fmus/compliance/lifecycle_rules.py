@@ -7,23 +7,12 @@ from collections.abc import Iterator
 from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe, refusal
 from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
-from fmus.compliance.values import (
-    differing,
-)  # fmt: skip
+from fmus.compliance.values import differing
 
 _NAMING = "2.1.1 Header Files and Naming of Functions"
-_STATUS = "2.1.3 Status Returned by Functions"
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
-_INITIALIZATION = "2.1.6 Initialization, Termination, and Resetting an FMU"
-_FLAGS = "4.3.1 Co-Simulation FMU (CoSimulation)"
-_ONLY_ONCE = "canBeInstantiatedOnlyOncePerProcess"
-_OWN_MEMORY = "canNotUseMemoryManagementFunctions"
 _WRONG_GUID = "{00000000-0000-0000-0000-000000000000}"
-_ROUNDED = 1e-6  # relative: tools write start values with as few as seven digits
-_LARGEST_REFERENCE = 2**32 - 1
 _STEPS, _MANY_STEPS = 5, 30
-_MOST_CHANGED = 50  # variables
-_CYCLES, _LEAST_LEAK = 8, 512  # lives of an instance; bytes that each of them leaves
 
 
 @rule(_NAMING, Stage.BEHAVIOUR)

@@ -155,7 +155,7 @@ def only_chosen_categories_are_logged(probe: Probe) -> Iterator[str]:
         script = probe.script()
         script.call("set_debug_logging", True, [chosen])
         first = len(script.replies)
-        talkative_calls(probe, script)
+        calls_that_log(probe, script)
         script.play(keep_going=True)
         others = {
             m.category
@@ -173,7 +173,7 @@ def chosen_categories_are_logged(probe: Probe) -> Iterator[str]:
     """Messages that arrive with all categories enabled arrive with their own alone, and if all are named."""
     usual = probe.script(logging=True)
     usual.call("set_debug_logging", True, [])
-    talkative_calls(probe, usual)
+    calls_that_log(probe, usual)
     usual.play(keep_going=True)
     before = {
         m.category for reply in usual.replies for m in reply.messages if m.status <= WARNING and m.category
@@ -181,7 +181,7 @@ def chosen_categories_are_logged(probe: Probe) -> Iterator[str]:
     for category in sorted(before & set(declared_categories(probe))):
         script = probe.script()
         script.call("set_debug_logging", True, [category])
-        talkative_calls(probe, script)
+        calls_that_log(probe, script)
         script.play(keep_going=True)
         if not any(m.category == category for reply in script.replies for m in reply.messages):
             yield (
@@ -190,7 +190,7 @@ def chosen_categories_are_logged(probe: Probe) -> Iterator[str]:
             )
 
 
-def talkative_calls(probe: Probe, script: Script) -> None:
+def calls_that_log(probe: Probe, script: Script) -> None:
     """Calls at which FMUs send messages."""
     script.begin().step(2)
     script.read(probe.fmu.variables)

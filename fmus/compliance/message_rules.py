@@ -5,16 +5,18 @@ from collections.abc import Iterator
 
 from fmus.binding import WARNING
 from fmus.compliance.instance_rules import unknown_reference
-from fmus.compliance.log_rules import declared_categories, messages_of_a_session, talkative_calls
+from fmus.compliance.log_rules import calls_that_log, declared_categories, messages_of_a_session
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
 from fmus.compliance.session import NAME
 
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
-_CONVERSION = re.compile(
-    r"%(?:%|[-+ #0']*(?:\*|\d+)?(?:\.(?:\*|\d+)?)?(?:hh|h|ll|l|j|z|t|L|q)?[diouxXeEfFgGaAcsp])"
+_NUMBER = r"(?:\*(?:\d+\$)?|\d+)"  # a width or a precision, also as an argument
+_CONVERSION = re.compile(  # of C, POSIX, glibc and Microsoft, without %n, which writes
+    rf"%(?:\d+\$)?[-+ #0'I]*{_NUMBER}?(?:\.{_NUMBER}?)?(?:hh|h|ll|l|j|z|t|L|q|w|I32|I64)?"
+    "[diouxXeEfFgGaAcCsSpm]"
 )
-_BLANK_FLAG = re.compile(r"%[-+#0]* [-+#0]*[a-zA-Z](?=[a-zA-Z])")  # "100 % done" is no conversion
+_BLANK_FLAG = re.compile(r"%[-+#0]* [-+#0]*[a-zA-Z](?=[a-zA-Z])")  # as in "100 % done"
 
 
 @rule(_CREATION, Stage.BEHAVIOUR)
@@ -25,7 +27,7 @@ def messages_are_utf_8(probe: Probe) -> Iterator[str]:
         return
 
 
-@rule("advice: a message without a text tells nothing", Stage.BEHAVIOUR, Level.WARNING)
+@rule("advice: a message is read for its text", Stage.BEHAVIOUR, Level.WARNING)
 def messages_have_a_text(probe: Probe) -> Iterator[str]:
     """Messages have a text."""
     if any(not m.text.strip() for m in messages_of_a_session(probe)):
@@ -35,14 +37,31 @@ def messages_have_a_text(probe: Probe) -> Iterator[str]:
 @rule(_CREATION, Stage.BEHAVIOUR)
 def formats_of_messages_are_legal(probe: Probe) -> Iterator[str]:
     """A message is a format of printf: each % begins a conversion or is doubled, and none writes (%n)."""
-    script = probe.script(name=NAME, logging=True, callbacks="formats")
-    talkative_calls(probe, script)
-    script.play(keep_going=True)
-    formats = dict.fromkeys(m.text for reply in script.everything for m in reply.messages)
-    for text in formats:
-        if "%" in _CONVERSION.sub("", text) or _BLANK_FLAG.search(text):
+    for text in _formats(probe):
+        if "%" in _CONVERSION.sub("", text.replace("%%", "")):
             yield f"the format {text[:80]!r} of a message has a single %: expected %% or a conversion"
             return
+
+
+@rule("advice: a % before a word is seldom a conversion", Stage.BEHAVIOUR, Level.WARNING)
+def percent_signs_before_words_are_doubled(probe: Probe) -> Iterator[str]:
+    """No format of a message has a conversion with a blank inside a word, as "100 % done" has."""
+    for text in _formats(probe):
+        if _BLANK_FLAG.search(text.replace("%%", "")):
+            yield f"the format {text[:80]!r} of a message has a single % before a word: expected %%"
+            return
+
+
+def _formats(probe: Probe) -> list[str]:
+    """The formats of messages, as they are before printf."""
+
+    def collected() -> list[str]:
+        script = probe.script(name=NAME, logging=True, callbacks="formats")
+        calls_that_log(probe, script)
+        script.play(keep_going=True)
+        return list(dict.fromkeys(m.text for reply in script.everything for m in reply.messages))
+
+    return probe.once("log of formats", collected)
 
 
 @rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING)
@@ -81,7 +100,7 @@ def _sent(probe: Probe, settings: list[tuple[bool, list[str]]]) -> set[str]:
     for on, categories in settings:
         script.call("set_debug_logging", on, categories)
     first = len(script.replies)
-    talkative_calls(probe, script)
+    calls_that_log(probe, script)
     script.play(keep_going=True)
     if not script.succeeded:
         raise NotJudgedError("a run fails")

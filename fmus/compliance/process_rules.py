@@ -28,7 +28,9 @@ def floating_point_control_is_restored(probe: Probe) -> Iterator[str]:
 
 @rule("advice: 2.1, settings that other parts of the process share", Stage.BEHAVIOUR, Level.WARNING)
 def process_settings_are_restored(probe: Probe) -> Iterator[str]:
-    """Working directory, locale, file mode mask and signal handlers are not changed."""
+    """Working directory, locale, file mode mask, signal handlers and mask, environment, standard streams,
+    timers, limits and priority are not changed.
+    """
     named = set()
     for reply in session(probe).script.everything:
         for setting, before, after in reply.changed:

@@ -165,7 +165,7 @@ class ProcessSettings:
         }
 
     def _environment_now(self) -> str:
-        """Names of the environment variables that differ from those at the start, with their values."""
+        """The environment variables that differ from those at the start, with their values."""
         if self._environment is None:
             return ""
         rows, index = [], 0
@@ -175,7 +175,10 @@ class ProcessSettings:
         now = frozenset(rows)
         if self._first_environment is None:
             self._first_environment = now
-        return ", ".join(row.decode("utf-8", "replace")[:60] for row in sorted(now - self._first_environment))
+        removed = {row.split(b"=", 1)[0] for row in self._first_environment - now}
+        removed -= {row.split(b"=", 1)[0] for row in now}
+        rows = [*sorted(now - self._first_environment), *(name + b" removed" for name in sorted(removed))]
+        return ", ".join(row.decode("utf-8", "replace")[:60] for row in rows)
 
     def _restore_process(self) -> None:
         before = self._process

@@ -5,17 +5,14 @@ from collections.abc import Iterator
 
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, Stage, rule
-from fmus.compliance.values import (
-    if_not_claimed,
-    settable_before,
-    start_value,
-)
+from fmus.compliance.values import if_not_claimed, settable_before, start_value
 
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
 _FLAGS = "4.3.1 Co-Simulation FMU (CoSimulation)"
 _OWN_MEMORY = "canNotUseMemoryManagementFunctions"
+_USED = ("serialised-state-restores", "state-restores", "reset-in-every-state")
 _MOST_SET = 50  # variables
-_CYCLES, _LEAST_LEAK = 8, 512  # lives of an instance; bytes that each of them leaves
+_CYCLES, _LEAST_LEAK = 8, 512  # instances; bytes that each of them leaves
 
 
 @rule(f"{_FLAGS}: {_OWN_MEMORY}", Stage.BEHAVIOUR, condition=if_not_claimed(_OWN_MEMORY))
@@ -35,21 +32,23 @@ def memory_is_freed(probe: Probe) -> Iterator[str]:
         yield f"{foreign_frees - frees_before} addresses were freed that were never given: expected none"
 
 
-def _lives(probe: Probe) -> list[dict[str, int]]:
-    """Resources in use after each of several lives of an instance."""
+def _resources_in_use(probe: Probe) -> list[dict[str, int]]:
+    """Resources in use after each of several instances was created, used and freed."""
 
-    def live() -> list[dict[str, int]]:
+    def counted() -> list[dict[str, int]]:
         counts = []
         for _ in range(_CYCLES + 2):
-            _live(probe)
+            _use_an_instance(probe)
             counts.append(probe.ask("resources_in_use"))
         return counts[2:]
 
-    return probe.once("life of several instances", live)
+    return probe.once("use of several instances", counted)
 
 
-def _live(probe: Probe) -> None:
-    """An instantiation that fails, and the life of an instance: values, steps, saved states and fmi2Reset."""
+def _use_an_instance(probe: Probe) -> None:
+    """An instantiation that fails, and an instance that is used and freed: values, steps, saved states and
+    fmi2Reset.
+    """
     probe.creates(guid="no GUID of this FMU")
     script = probe.script()
     for v in settable_before(probe.fmu)[:_MOST_SET]:
@@ -70,10 +69,10 @@ def _live(probe: Probe) -> None:
     script.begin().step(2).play(keep_going=True)
 
 
-@rule(_CREATION, Stage.BEHAVIOUR)
+@rule(_CREATION, Stage.BEHAVIOUR, needs=_USED)
 def resources_are_freed(probe: Probe) -> Iterator[str]:
     """fmi2FreeInstance closes the files and ends the threads of an instance."""
-    counts = _lives(probe)
+    counts = _resources_in_use(probe)
     for name in ("open files", "threads"):
         numbers = [count.get(name, 0) for count in counts]
         if all(b > a for a, b in itertools.pairwise(numbers)):
@@ -81,13 +80,12 @@ def resources_are_freed(probe: Probe) -> Iterator[str]:
             yield f"{more} more {name} after {_CYCLES - 1} instances were created and freed: expected none"
 
 
-@rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING)
+@rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING, needs=_USED)
 def memory_does_not_grow(probe: Probe) -> Iterator[str]:
     """fmi2FreeInstance frees all memory: the heap does not grow with each instance that is created and
     freed.
     """
-    heap = [count["heap"] for count in _lives(probe)]
+    heap = [count["heap"] for count in _resources_in_use(probe)]
     growth = [b - a for a, b in itertools.pairwise(heap)]
     if min(growth) >= _LEAST_LEAK:
-        each = "with each instance that is created and freed"
-        yield f"the heap grows by {min(growth)} bytes {each}: expected none"
+        yield f"each instance that is created and freed leaves {min(growth)} bytes in the heap: expected none"

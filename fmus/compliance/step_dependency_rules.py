@@ -15,7 +15,6 @@ from fmus.compliance.script import Reading, Script
 from fmus.compliance.values import other_value, random_value, read_value, same, start_value
 from fmus.compliance.variable import Variable, integer
 
-_STRUCTURE = "2.2.8 Definition of the Model Structure (ModelStructure)"
 _ANY_STEP = "canHandleVariableCommunicationStepSize"
 _MOST_INPUTS = 20  # each of which costs some instances
 _SHORT = (1.0, 0.1, 0.01)  # parts of a step: through a state, an effect shrinks with them

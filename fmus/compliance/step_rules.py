@@ -13,7 +13,6 @@ _SETUP = "2.1.6 Initialization, Termination, and Resetting an FMU (fmi2SetupExpe
 _COMPUTATION = "4.2.2 Computation (fmi2DoStep)"
 _FLAGS = "4.3.1 Co-Simulation FMU (CoSimulation)"
 _ANY_STEP = "canHandleVariableCommunicationStepSize"
-_ASYNCHRONOUS = "canRunAsynchronuously"
 _MOST_STEPS = 100  # of a default experiment that is run
 _APART = 0.4  # of the change over two steps: a rough solver, but not half a step
 

@@ -17,7 +17,6 @@ from fmus.compliance.values import (
 _PLATFORM = "2.1.2 Platform Dependent Definitions (fmi2TypesPlatform.h)"
 _INITIALIZATION = "2.1.6 Initialization, Termination, and Resetting an FMU"
 _VALUES = "2.1.7 Getting and Setting Variable Values"
-_VARIABLES = "2.2.7 Definition of Model Variables (ModelVariables)"
 _MOST_VARIABLES = 50  # of one kind, each of which costs an instance
 _AT = (1, 2, 5, 15)  # steps of a run after which all variables are read
 _ROUNDED = 1e-6

@@ -2,7 +2,7 @@
 
 import math
 import random
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 from fmus.compliance.fmu_file import FmuFile
@@ -181,6 +181,38 @@ def differing(
                 named.add(name)
                 new, old = texts(other[name], value)
                 yield f"{name} is {new} {when}, step {i}: expected {old} again"
+
+
+def other_values(variables: Iterable[Variable]) -> list[tuple[Variable, Any]]:
+    """Each variable that has another legal value, with that value."""
+    return [(v, x) for v in variables if (x := other_value(v)) is not None]
+
+
+def accepted(
+    probe: Probe, pairs: Sequence[tuple[Variable, Any]], begun: Callable[[], Script]
+) -> list[tuple[Variable, Any]]:
+    """The variables and values with which the FMU takes a step: all, or those that it accepts alone."""
+    if not pairs or _takes(probe, [pairs], begun)[0]:
+        return list(pairs)
+    succeeded = _takes(probe, [[pair] for pair in pairs], begun)
+    return [pair for pair, ok in zip(pairs, succeeded, strict=True) if ok]
+
+
+def _takes(
+    probe: Probe, choices: Sequence[Sequence[tuple[Variable, Any]]], begun: Callable[[], Script]
+) -> list[bool]:
+    """Whether the FMU takes a step after the values of each choice were set in a new script."""
+    scripts = [begun() for _ in choices]
+    for script, pairs in zip(scripts, choices, strict=True):
+        for v, x in pairs:
+            script.set(v, x)
+        if script.state == "instantiated":
+            script.initialise()
+        if script.state == "initialization mode":
+            script.exit_initialization_mode()
+        script.step()
+    probe.play_each(scripts)
+    return [script.succeeded for script in scripts]
 
 
 def set_input_derivatives(probe: Probe, script: Script, value: float = 1.0) -> None:

@@ -88,6 +88,14 @@ static void say(Slave *s, fmi2Status st, int cat, const char *text) {
         s->cb.logger(e, s->name, st, CAT[cat], "100 % done");
         return;
     }
+    if (IS("a percent sign at the end")) {
+        s->cb.logger(e, s->name, st, CAT[cat], "done: 100 %");
+        return;
+    }
+    if (IS("legal formats")) {
+        s->cb.logger(e, s->name, st, CAT[cat], "100%% done, % d left", 5);
+        return;
+    }
     if (IS("a message of NULL")) {
         s->cb.logger(e, s->name, st, CAT[cat], NULL);
         return;
@@ -244,6 +252,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
         pthread_sigmask(SIG_BLOCK, &set, NULL);
     }
     if (IS("a changed environment variable")) setenv("TZ", "UTC+5", 1);
+    if (IS("a removed environment variable")) unsetenv("PATH");
     if (IS("standard output is closed")) close(1);
     reset(&s->d);
     say(s, fmi2OK, 0, "instantiated");
@@ -383,6 +392,15 @@ static int settable(Slave *s, const Var *v) {
     if (st == INIT) return v->in == EXACT || v->ca == IN;
     return v->ca == IN || (v->ca == PAR && v->va == TUN);
 }
+static int refused(const Var *v, char *p) {
+    static Data start;
+    reset(&start);
+    const char *value = (char *)&start + v->off;
+    const size_t size = v->type == 'r' ? sizeof(double) : v->type == 's' ? strlen(p) + 1 : sizeof(int);
+    if (!FLAG("other values are refused") || v->ca != PAR || v->va != TUN || !memcmp(p, value, size)) return 0;
+    memcpy(p, value, v->type == 's' ? strlen(value) + 1 : size);
+    return 1;
+}
 #define SETTER(Name, T, ch, store)                                                                           \
     fmi2Status fmi2Set##Name(fmi2Component c, const fmi2ValueReference vr[], size_t n, const T value[]) {    \
         Slave *s = c;                                                                                        \
@@ -400,6 +418,7 @@ static int settable(Slave *s, const Var *v) {
             if (IS("only the first value of a call is set") && i) continue;                                  \
             void *p = (char *)d + v->off;                                                                    \
             store;                                                                                           \
+            if (refused(v, p)) st = discard(s);                                                              \
         }                                                                                                    \
         return st;                                                                                           \
     }

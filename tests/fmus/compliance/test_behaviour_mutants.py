@@ -35,8 +35,13 @@ def test_the_slave_that_does_nothing_wrong_breaks_no_rule(index: int, tmp_path: 
 
 
 @pytest.mark.slow
-def test_a_second_slave_that_refuses_what_is_not_allowed_breaks_no_rule(tmp_path: Path) -> None:
-    assert broken_rules(write_slave(tmp_path, slave="Oscillator"), is_static=False) == {}
+@pytest.mark.parametrize(
+    ("feature", "flags"), [("", ""), ("legal formats", ""), ("", "other values are refused")]
+)
+def test_a_second_slave_that_refuses_what_is_not_allowed_breaks_no_rule(
+    feature: str, flags: str, tmp_path: Path
+) -> None:
+    assert broken_rules(write_slave(tmp_path, feature, flags, slave="Oscillator"), is_static=False) == {}
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="patches a library of Linux")
