@@ -24,7 +24,7 @@ from fmus.export.faithful import check_faithful
 from fmus.export.guard import location, own_line
 from fmus.export.samples import check_samples
 from fmus.export.symbolic import traced
-from fmus.files import write_archive
+from fmus.files import packed, write_bytes_atomically
 from fmus.instance import BlockError, Instance
 from fmus.platforms import host_platform, library_name
 from fmus.registry import FOLDER_VARIABLE, Flavour, block_entry_points, block_fmus, block_names, fmu_folder
@@ -119,12 +119,15 @@ def build_block(
     """As `build`, of a block that no entry point names."""
     order = Order(block.name, folder, flavour, tuple(platforms), with_terminals, reals_only)
     with _building(block, order) as write:
-        return write()[0]
+        return next(iter(write()))
 
 
 @contextmanager
-def _building(block: Block, order: Order) -> Iterator[Callable[[], list[Path]]]:
-    """The FMU of a block: its libraries are compiled until the function that this gives writes it."""
+def _building(block: Block, order: Order) -> Iterator[Callable[[], dict[Path, bytes]]]:
+    """The FMU of a block: its libraries are compiled until the function that this gives writes it.
+
+    The function gives what it wrote: the FMU, then what belongs to it.
+    """
     if order.reals_only and order.flavour is not Flavour.NATIVE:
         raise ExportError("an FMU of Reals only: expected the native flavour")
     export = _EXPORTS[order.flavour]
@@ -136,12 +139,14 @@ def _building(block: Block, order: Order) -> Iterator[Callable[[], list[Path]]]:
         shown = {"model.png": icon(block)} | reference_files.members(reference, block.name)
         shown |= terminals(block) if order.with_terminals else {}
 
-        def write() -> list[Path]:
-            fmu = write_archive(order.folder / f"{block.name}.fmu", members | libraries() | shown)
-            return [
-                fmu,
-                *(_write_cross_check(block.name, reference, order) if order.with_cross_check else ()),
-            ]
+        def write() -> dict[Path, bytes]:
+            files = {order.folder / f"{block.name}.fmu": packed(members | libraries() | shown)}
+            if order.with_cross_check:
+                beside = reference_files.cross_check_files(reference, block.name)
+                files |= {order.folder / name: beside[name] for name in sorted(beside)}
+            for path, content in files.items():
+                write_bytes_atomically(path, content)
+            return files
 
         yield write
 
@@ -156,33 +161,26 @@ def _reference_run(block: Block) -> ReferenceRun:
         raise ExportError(f"block {block.name!r}: {where}the reference run ends: {error}") from error
 
 
-def _write_cross_check(name: str, reference: ReferenceRun, order: Order) -> list[Path]:
-    """Write what the FMI cross-check wants beside `folder/NAME.fmu`: inputs, results and options."""
-    files = reference_files.cross_check_files(reference, name)
-    for file, data in files.items():
-        (order.folder / file).write_bytes(data)
-    return [order.folder / file for file in sorted(files)]
-
-
 def build_orders(orders: Iterable[Order]) -> Iterator[list[Path]]:
     """Write the FMUs of each order, whatever stands there, and stamp them; gives the files of each.
 
-    Some are compiled while the next are traced.
+    Some are compiled while the next are traced; the first order that cannot be built ends this, and those
+    before it are written.
     """
-    begun: deque[_Begun] = deque()
+    compiling: deque[_CompilingOrder] = deque()
     with ExitStack() as stack:
-        try:
-            for order in orders:
-                begun.append(_Begun(order, stack))
-                if len(begun) > _AT_ONCE:
-                    yield begun.popleft().written()
-        except ExportError:
-            yield from (one.written() for one in begun)  # that of an order leaves those before it
-            raise
-        yield from (one.written() for one in begun)
+        for order in orders:
+            try:
+                compiling.append(_CompilingOrder(order, stack))
+            except ExportError:
+                yield from (earlier.written() for earlier in compiling)
+                raise
+            if len(compiling) > _AT_ONCE:
+                yield compiling.popleft().written()
+        yield from (last.written() for last in compiling)
 
 
-class _Begun:
+class _CompilingOrder:
     """An order whose FMUs are being compiled; it does not outlive the stack."""
 
     def __init__(self, order: Order, stack: ExitStack) -> None:
@@ -193,9 +191,10 @@ class _Begun:
             self._sources = sources and sources.if_loaded
 
     def written(self) -> list[Path]:
-        files = [file for write in self._writers for file in write()]
-        self._stamps.write(self._order, self._sources, [file for file in files if file.suffix == ".fmu"])
-        return files
+        files = {path: content for write in self._writers for path, content in write().items()}
+        fmus = {path.name: content for path, content in files.items() if path.suffix == ".fmu"}
+        self._stamps.write(self._order, self._sources, fmus)
+        return [*files]
 
 
 def build_if_stale(name: str, folder: Path | None = None, flavour: Flavour = Flavour.NATIVE) -> Path:
@@ -228,9 +227,10 @@ def _built_if_stale(order: Order) -> Path:
         guid, _ = _EXPORTS[order.flavour].content(block)
         native = order.flavour is Flavour.NATIVE
         needed = library_name(block.name, host_platform()) if native else None
-        if not _is_present(path, guid, needed):
-            build_block(block, order.folder, order.flavour)
-        stamps.write(order, sources and sources.if_loaded, [path])
+        if not _is_present(path, guid, needed):  # its GUID does not tell its icon, for one: no stamp for it
+            with _building(block, order) as write:
+                written = write()
+            stamps.write(order, sources and sources.if_loaded, {path.name: written[path]})
     return path
 
 

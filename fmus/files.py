@@ -1,5 +1,6 @@
 """Writing files that appear complete or not at all, and archives that follow from their content alone."""
 
+import io
 import json
 import os
 import secrets
@@ -58,14 +59,21 @@ def write_json_atomically(path: Path, content: object) -> None:
 
 
 def write_archive(path: Path, members: Mapping[str, bytes]) -> Path:
-    """Write a zip of these members, sorted by name; equal members give the same file, byte for byte."""
-    with open_atomically(path) as stream, zipfile.ZipFile(stream, "w") as archive:
+    """Write a zip of these members, as `packed`."""
+    write_bytes_atomically(path, packed(members))
+    return path
+
+
+def packed(members: Mapping[str, bytes]) -> bytes:
+    """A zip of these members, sorted by name; equal members give the same, byte for byte."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
         for name in sorted(members):
             info = zipfile.ZipInfo(name, _EPOCH)
             info.compress_type = zipfile.ZIP_DEFLATED
             info.external_attr = 0o644 << 16
             archive.writestr(info, members[name])
-    return path
+    return stream.getvalue()
 
 
 def xml_document(root: ElementTree.Element) -> bytes:

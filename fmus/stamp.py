@@ -12,7 +12,7 @@ import json
 import os
 import platform
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -28,6 +28,7 @@ from fmus.registry import Flavour, block_entry_points, block_fmus, fmu_folder, f
 
 _LIBRARIES = ("casadi", "fmpy", "l1-depth", "pillow", "pint", "pythonfmu", "ziglang")
 _NOT_BUILDING = {"compliance", "__pycache__"}  # folders of this package that no FMU is made from
+_NO_FILE = "", ""  # no module of a name, or one of `_PURE`
 _RECENT_S = 2.0  # a file that changed so shortly before the process began may have been loaded before that
 
 # what a block may use of this package, and of the standard library: the same at every import
@@ -86,7 +87,8 @@ def stale(paths: Iterable[Path]) -> list[Path]:
 class Sources:
     """What an order depends on.
 
-    modules: name -> (file, digest); changed: when one of the files was changed last [s since the epoch]
+    modules: name -> (file, digest), or `_NO_FILE`
+    changed: when one of the files was changed last [s since the epoch]
     """
 
     recipe: str
@@ -95,9 +97,10 @@ class Sources:
 
     @property
     def if_loaded(self) -> "Sources | None":
-        """These, if this process has imported the modules from these files."""
-        loaded = {name: getattr(sys.modules.get(name), "__file__", None) for name in self.modules}
-        return self if all(loaded[name] == file for name, (file, _) in self.modules.items()) else None
+        """These, if this process has imported the modules from these files, and all after `fmus`."""
+        files = {name: file for name, (file, _) in self.modules.items() if file}
+        are_loaded = all(getattr(sys.modules.get(name), "__file__", "") == files[name] for name in files)
+        return self if are_loaded and not fmus.IMPORTED_BEFORE.intersection(files) else None
 
 
 class Stamps:
@@ -135,16 +138,17 @@ class Stamps:
             return None
         return Sources(recipe, modules, max(changed for _, changed in self._files.values()))
 
-    def write(self, order: Order, sources: Sources | None, built: Sequence[Path]) -> None:
+    def write(self, order: Order, sources: Sources | None, built: Mapping[str, bytes]) -> None:
         """Stamp FMUs, unless one of the sources may have changed since it was imported.
 
         sources: from before they were imported, and only if they were loaded
+        built: what was written, by the name of the file: another process may have written there since
         """
         if sources is None or sources.changed > self._begun - _RECENT_S:
             return
         if Stamps(self._package, self._begun).sources(order) != sources:
             return
-        digests = {path.name: _digest(path.read_bytes()) for path in built}
+        digests = {name: _digest(fmu) for name, fmu in built.items()}
         content = {"recipe": sources.recipe, "modules": sources.modules, "fmus": digests}
         with suppress(OSError):  # without a cache that can be written, the next build traces again
             write_json_atomically(_stamp_file(order), content)
@@ -193,41 +197,54 @@ class Stamps:
         while waiting:
             name = waiting.pop()
             top, part = (*name.split("."), "")[:2]
-            if name in known or top in _PURE or (top == "fmus" and part in _DECLARING):
+            if name in known or (top == "fmus" and part in _DECLARING):
                 continue
-            if top == "fmus" or top in sys.stdlib_module_names:
+            if top in _PURE and self._module(top, order) == _NO_FILE:
+                yield top, _NO_FILE
+                continue
+            if top == "fmus" or (top in sys.stdlib_module_names and top not in _PURE):
                 raise _UnknownError(name)
             known.add(name)
             file, digest = self._module(name, order)
+            if not file:
+                raise _UnknownError(name)
             yield name, (file, digest)
             waiting.append(name.rpartition(".")[0] or name)
             for base, members in _imported(self._files[file][0], name, _is_package(file)):
                 waiting.append(base)
-                submodules = (f"{base}.{member}" for member in members)
-                waiting += [submodule for submodule in submodules if self._spec(submodule, order)]
+                for submodule in (f"{base}.{member}" for member in members):
+                    if self._spec(submodule, order):
+                        waiting.append(submodule)
+                    else:
+                        yield submodule, _NO_FILE  # a name in a module, as long as there is no such file
 
     def _module(self, name: str, order: Order) -> tuple[str, str]:
-        """File and digest of the module that an import of this name loads."""
+        """File and digest of the module that an import of this name loads; `_NO_FILE` if there is none."""
         spec = self._spec(name, order)
-        if spec is None or not spec.has_location or not str(spec.origin).endswith(".py"):
+        if spec is None or (name in _PURE and not self._beside(name, order)):
+            return _NO_FILE
+        if not spec.has_location or not str(spec.origin).endswith(".py"):
             raise _UnknownError(name)
         return str(spec.origin), self._digest_of(str(spec.origin))
 
     def _spec(self, name: str, order: Order) -> ModuleSpec | None:
         """What an import of this name finds, without importing its package."""
-        beside = str(Path(order.file).parent) if order.file else ""
-        key = name, beside
+        key = name, order.file
         if key not in self._specs:
             self._specs[key] = None
             package = name.rpartition(".")[0]
             parent = self._spec(package, order) if package else None
             if parent is not None or not package:
                 path = parent.submodule_search_locations if parent else None
-                own = PathFinder.find_spec(name, [beside]) if beside and not package else None
+                own = None if package else self._beside(name, order)
                 specs = (finder.find_spec(name, path) for finder in sys.meta_path)
                 no_path = package and not path
                 self._specs[key] = own or (None if no_path else next(filter(None, specs), None))
         return self._specs[key]
+
+    def _beside(self, name: str, order: Order) -> ModuleSpec | None:
+        """What an import finds in the folder of the order's file."""
+        return PathFinder.find_spec(name, [str(Path(order.file).parent)]) if order.file else None
 
     def _digest_of(self, file: str) -> str:
         if file not in self._files:

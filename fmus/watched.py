@@ -62,10 +62,12 @@ def _end_without_clearing_up(status: int) -> None:
     """
     others = set(threading.enumerate()) - {threading.current_thread()}
     if all(thread.daemon for thread in others):
-        atexit._run_exitfuncs()
+        atexit._run_exitfuncs()  # private, but the only way to call them before `os._exit`
         with suppress(OSError, ValueError):
-            sys.stdout.flush()
-            sys.stderr.flush()
+            for stream in filter(None, (sys.stdout, sys.stderr)):  # None where they were closed: >&-
+                stream.flush()
+            if "ctypes" in sys.modules:  # which loads FMUs: what their C code has printed is not lost
+                sys.modules["ctypes"].CDLL(None).fflush(None)
             os._exit(status)
 
 

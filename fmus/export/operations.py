@@ -94,5 +94,5 @@ def _choice(operations: Sequence[Operation], terms: Sequence[int]) -> Operation 
 
 
 def _constant(value: float) -> str:
-    text = repr(value).replace("inf", "INFINITY")
+    text = repr(value).replace("inf", "INFINITY").replace("nan", "NAN")
     return f"({text})" if text.startswith("-") else text

@@ -26,6 +26,7 @@ _CAPABILITIES = {
     "providesDirectionalDerivative": "false",
 }
 
+_PATIENCE_S = 60  # for an import, which takes less than 1 s
 _OURS = {"controller_fmu", "plant_fmu", "fmus"}  # need nothing but their modules, as the tests show
 
 _ENTRY = '''"""Entry point of the FMU {name}: the class that PythonFMU's binary instantiates."""
@@ -71,15 +72,25 @@ def content(block: Block) -> tuple[str, dict[str, bytes]]:
 
 
 def _check_import(block: Block, text: dict[str, str], entry: str) -> None:
-    """ExportError for sources that need what the FMU does not carry, such as a file with a table."""
+    """ExportError for sources that need what the FMU does not carry, such as a file with a table.
+
+    The packages that are installed here can be imported: a block that needs one passes.
+    """
     with tempfile.TemporaryDirectory() as folder:
         for path, source in text.items():
             (Path(folder) / path).parent.mkdir(parents=True, exist_ok=True)
             (Path(folder) / path).write_text(source, encoding="utf-8")
         code = f"import sys; sys.path.insert(0, {folder!r}); import {entry}"
-        run = subprocess.run(
-            [sys.executable, "-I", "-c", code], cwd=folder, capture_output=True, text=True, check=False
-        )
+        command = [sys.executable, "-I", "-c", code]
+        try:
+            run = subprocess.run(
+                command, cwd=folder, capture_output=True, text=True, check=False, timeout=_PATIENCE_S
+            )
+        except subprocess.TimeoutExpired:
+            raise ExportError(
+                f"block {block.name!r}: its modules were not imported within {_PATIENCE_S} s: "
+                "expected modules that only define it"
+            ) from None
     if run.returncode:
         reason = (run.stderr.strip().splitlines() or ["no reason given"])[-1]
         raise ExportError(

@@ -5,15 +5,16 @@
 Each operation is evaluated for a pair: its value just after h = 0, and the derivative there. A comparison of
 equal numbers is decided by their derivatives: so a limit, a minimum or an absolute value takes the branch
 that the step takes, where CasADi takes the mean of the slopes of both. What jumps at h = 0, such as the sign
-of a number that leaves 0, has its value after the jump. Numbers equal with their derivatives count as equal.
+of a number that leaves 0, has its value after the jump. Numbers that part with equal derivatives count as
+equal in comparisons; where a root or a jump depends on how they part, as in sqrt(h^2), the result is NaN.
 
 A choice such as where(h > 0.0, change / h, limit) takes `limit`, as the other is no number at h = 0.
 """
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, field
+from functools import cache, reduce
 
 import casadi
 
@@ -23,6 +24,7 @@ class _Pair:
     """A number just after h = 0 and its derivative there.
 
     moves: whether it depends on h
+    rests: whether it is known to be constant just after h = 0
     at_zero: of a condition, whether it holds at h = 0 itself
     code, arguments: of the operation that gave it
     """
@@ -30,6 +32,7 @@ class _Pair:
     value: casadi.SX
     slope: casadi.SX
     moves: bool = False
+    rests: casadi.SX = field(default_factory=lambda: casadi.SX(1.0))
     at_zero: casadi.SX | None = None
     code: int = casadi.OP_CONST
     arguments: tuple["_Pair", ...] = ()
@@ -48,7 +51,7 @@ def right_derivative(expression: casadi.SX, h: casadi.SX) -> casadi.SX:
     """The derivative of each element by h, at h = 0, from the right."""
     known = casadi.vertcat(*(s for s in casadi.symvar(expression) if not casadi.is_equal(s, h)))
     function = casadi.Function("reached", [h, known], [expression])
-    held: dict[int, _Pair] = {}  # by place in CasADi's memory
+    held: dict[int, _Pair] = {}  # by number of a cell in CasADi's memory
     result = casadi.SX.zeros(expression.numel(), 1)
     for i in range(function.n_instructions()):
         code, to = function.instruction_id(i), function.instruction_output(i)
@@ -56,7 +59,9 @@ def right_derivative(expression: casadi.SX, h: casadi.SX) -> casadi.SX:
         if code == casadi.OP_OUTPUT:
             result[to[1]] = held[used[0]].slope
         elif code == casadi.OP_INPUT:
-            held[to[0]] = _Pair(known[used[1]], _ZERO) if used[0] else _Pair(_ZERO, casadi.SX(1.0), True)
+            held[to[0]] = (
+                _Pair(known[used[1]], _ZERO) if used[0] else _Pair(_ZERO, casadi.SX(1.0), True, _ZERO)
+            )
         elif code == casadi.OP_CONST:
             held[to[0]] = _Pair(casadi.SX(function.instruction_constant(i)), _ZERO)
         else:
@@ -75,7 +80,28 @@ def _operate(code: int, arguments: tuple[_Pair, ...]) -> _Pair:
         at_zero = _plain(code, *(a.holds_at_zero for a in arguments))
     rule = _choice if code == casadi.OP_ADD and _is_choice(*arguments) else _RULES.get(code)
     value, slope = rule(*arguments) if rule else (value, _chained(code, arguments))
-    return _Pair(value, slope, True, at_zero, code, arguments)
+    return _Pair(value, slope, True, _rests(code, arguments), at_zero, code, arguments)
+
+
+def _rests(code: int, arguments: tuple[_Pair, ...]) -> casadi.SX:
+    """Whether the result of an operation is known to be constant just after h = 0."""
+    if code in _WHOLE:
+        return casadi.SX(1.0)
+    if code in (casadi.OP_FMIN, casadi.OP_FMAX):
+        a, b = arguments
+        a_is_taken, b_is_taken = (_is_less(b, a), _is_less(a, b))[:: 1 if code == casadi.OP_FMAX else -1]
+        return casadi.if_else(
+            a_is_taken, a.rests, casadi.if_else(b_is_taken, b.rests, _all(a.rests, b.rests))
+        )
+    if code == casadi.OP_IF_ELSE_ZERO:
+        return casadi.if_else(arguments[0].value, arguments[1].rests, 1.0)
+    return _all(*(a.rests for a in arguments))
+
+
+def _all(*conditions: casadi.SX) -> casadi.SX:
+    if any(condition.is_zero() for condition in conditions):
+        return _ZERO
+    return reduce(casadi.logic_and, (c for c in conditions if not c.is_one()), casadi.SX(1.0))
 
 
 def _plain(code: int, *values: casadi.SX) -> casadi.SX:
@@ -95,8 +121,12 @@ def _chained(code: int, arguments: tuple[_Pair, ...]) -> casadi.SX:
     slope = _ZERO
     for index, argument in enumerate(arguments):
         if argument.moves:
-            part = _partial(code, len(arguments), index)(*(a.value for a in arguments)) * argument.slope
-            slope += casadi.if_else(argument.slope == 0.0, 0.0, part) if code in _STEEP else part
+            partial = _partial(code, len(arguments), index)(*(a.value for a in arguments))
+            part = partial * argument.slope
+            if code in _STEEP:
+                is_infinite = casadi.logic_not(casadi.fabs(partial) < math.inf)
+                part = casadi.if_else(argument.slope == 0.0, _or_unknown(argument, is_infinite, _ZERO), part)
+            slope += part
     return slope
 
 
@@ -121,17 +151,28 @@ def _one_of(condition: casadi.SX, a: _Pair, b: _Pair) -> ValueAndSlope:
     return casadi.if_else(condition, a.value, b.value), casadi.if_else(condition, a.slope, b.slope)
 
 
+def _or_unknown(a: _Pair, jumps: casadi.SX, value: casadi.SX) -> casadi.SX:
+    """The value of what may jump at h = 0: NaN if it does where a has the slope 0 and does not rest."""
+    is_unknown = casadi.logic_and(jumps, casadi.logic_and(a.slope == 0.0, casadi.logic_not(a.rests)))
+    return casadi.if_else(is_unknown, math.nan, value)
+
+
+def _plain_sign(a: _Pair) -> casadi.SX:
+    return casadi.if_else(a.value == 0.0, casadi.sign(a.slope), casadi.sign(a.value))
+
+
 def _sign(a: _Pair) -> ValueAndSlope:
-    return casadi.if_else(a.value == 0.0, casadi.sign(a.slope), casadi.sign(a.value)), _ZERO
+    return _or_unknown(a, a.value == 0.0, _plain_sign(a)), _ZERO
 
 
 def _absolute(a: _Pair) -> ValueAndSlope:
-    return casadi.fabs(a.value), _sign(a)[0] * a.slope
+    return casadi.fabs(a.value), _plain_sign(a) * a.slope
 
 
 def _copysign(a: _Pair, b: _Pair) -> ValueAndSlope:
     leaves_zero = casadi.logic_and(b.value == 0.0, b.slope != 0.0)
     sign = casadi.if_else(leaves_zero, casadi.sign(b.slope), casadi.copysign(1.0, b.value))
+    sign = _or_unknown(b, b.value == 0.0, sign)
     value, slope = _absolute(a)
     return sign * value, sign * slope
 
@@ -142,19 +183,32 @@ def _stepped(code: int, towards: float) -> Rule:
     def rule(a: _Pair) -> ValueAndSlope:
         value = _plain(code, a.value)
         leaves = casadi.logic_and(value == a.value, towards * a.slope > 0.0)
-        return casadi.if_else(leaves, value + towards, value), _ZERO
+        value_after = casadi.if_else(leaves, value + towards, value)
+        return _or_unknown(a, value == a.value, value_after), _ZERO
 
     return rule
 
 
-def _remaining(code: int) -> Rule:
-    """fmod and remainder: r = a - n b with a whole number n, constant but where r jumps."""
+def _fmod(a: _Pair, b: _Pair) -> ValueAndSlope:
+    """r = a - n b with a whole number n, between 0 and b; at 0 it jumps to |b| if a falls towards 0."""
+    value = _plain(casadi.OP_FMOD, a.value, b.value)
+    slope = a.slope - (a.value - value) / b.value * b.slope
+    is_at_end = casadi.logic_and(value == 0.0, a.value != 0.0)
+    jumps = casadi.logic_and(is_at_end, slope * a.value < 0.0)
+    after = casadi.if_else(jumps, casadi.copysign(b.value, a.value), value)
+    value = _or_unknown(_Pair(value, slope, rests=_all(a.rests, b.rests)), is_at_end, after)
+    return value, a.slope - (a.value - value) / b.value * b.slope
 
-    def rule(a: _Pair, b: _Pair) -> ValueAndSlope:
-        value = _plain(code, a.value, b.value)
-        return value, a.slope - (a.value - value) / b.value * b.slope
 
-    return rule
+def _remainder(a: _Pair, b: _Pair) -> ValueAndSlope:
+    """r = a - n b with a whole number n, between -b/2 and b/2, where it jumps to the other end."""
+    value = _plain(casadi.OP_REMAINDER, a.value, b.value)
+    slope = a.slope - (a.value - value) / b.value * b.slope
+    outwards = slope * casadi.sign(value) - casadi.sign(b.value) * b.slope / 2.0
+    is_at_end = 2.0 * casadi.fabs(value) == casadi.fabs(b.value)
+    after = casadi.if_else(casadi.logic_and(is_at_end, outwards > 0.0), -value, value)
+    value = _or_unknown(_Pair(value, outwards, rests=_all(a.rests, b.rests)), is_at_end, after)
+    return value, a.slope - (a.value - value) / b.value * b.slope
 
 
 def _if_holds(condition: _Pair, a: _Pair) -> ValueAndSlope:
@@ -196,10 +250,12 @@ _RULES: dict[int, Rule] = {
     casadi.OP_COPYSIGN: _copysign,
     casadi.OP_FLOOR: _stepped(casadi.OP_FLOOR, -1.0),
     casadi.OP_CEIL: _stepped(casadi.OP_CEIL, 1.0),
-    casadi.OP_FMOD: _remaining(casadi.OP_FMOD),
-    casadi.OP_REMAINDER: _remaining(casadi.OP_REMAINDER),
+    casadi.OP_FMOD: _fmod,
+    casadi.OP_REMAINDER: _remainder,
     casadi.OP_IF_ELSE_ZERO: _if_holds,
 }
+_WHOLE = {*_COMPARISONS, *_LOGIC, casadi.OP_SIGN, casadi.OP_FLOOR, casadi.OP_CEIL}
+"""What they give is constant just after h = 0."""
 _STEEP = {
     casadi.OP_SQRT, casadi.OP_POW, casadi.OP_CONSTPOW, casadi.OP_ASIN, casadi.OP_ACOS, casadi.OP_ACOSH,
 }  # fmt: skip

@@ -73,7 +73,7 @@ def compiling(
 
 
 def zig(arguments: Sequence[str], folder: Path) -> None:
-    """Run zig in a folder; ExportError with what it said if it fails."""
+    """Run zig in a folder; ExportError with what it printed if it fails."""
     with _running(arguments, folder) as end:
         end()
 

@@ -64,12 +64,12 @@ static int can_be_set(const Data *d, fmi2ValueReference reference, Type type, do
            is_acceptable((int)reference, value);
 }
 
-/* Refuses the first wrong type, or else the value at `place`, which is the first refused value.
+/* Refuses the first wrong type, or else the value at `index`, which is the first refused value.
  * 2.1.2: a value reference that cannot be set is an error; 2.1.7: a value out of range may be discarded. */
 static fmi2Status cannot_be_set(Instance *instance, Type type, const fmi2ValueReference references[], size_t count,
-                                size_t place, double value, const char *function) {
+                                size_t index, double value, const char *function) {
     if (!are_of_type(instance, type, references, count, function)) return fmi2Error;
-    const Variable *v = VARIABLES + references[place];
+    const Variable *v = VARIABLES + references[index];
     if (v->settable == NEVER)
         return refuse(instance, fmi2Error, "%s: %s can not be set, it is calculated", function, v->name);
     if (!(instance->data.mode & v->settable))
@@ -78,30 +78,30 @@ static fmi2Status cannot_be_set(Instance *instance, Type type, const fmi2ValueRe
 }
 
 /* 2.1.7; 4.2.4: from initialization mode on; here also when instantiated. */
-#define DEFINE_GET(Name, CType, TYPE)                                                                            \
-    fmi2Status fmi2Get##Name(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, CType value[]) {        \
-        Instance *instance = c;                                                                                        \
-        fmi2Status status;                                                                                       \
-        if (!are_allowed(instance, READABLE, TYPE, vr, nvr, value, "fmi2Get" #Name)) return fmi2Error;                 \
-        status = refreshed(instance, vr, nvr, "fmi2Get" #Name);                                                        \
-        if (status != fmi2OK) return status;                                                                     \
-        for (size_t i = 0; i < nvr; i++) value[i] = (CType)instance->data.value[vr[i]];                                \
-        return fmi2OK;                                                                                           \
+#define DEFINE_GET(Name, CType, TYPE)                                                                           \
+    fmi2Status fmi2Get##Name(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, CType value[]) {       \
+        Instance *instance = c;                                                                                 \
+        fmi2Status status;                                                                                      \
+        if (!are_allowed(instance, READABLE, TYPE, vr, nvr, value, "fmi2Get" #Name)) return fmi2Error;          \
+        status = refreshed(instance, vr, nvr, "fmi2Get" #Name);                                                 \
+        if (status != fmi2OK) return status;                                                                    \
+        for (size_t i = 0; i < nvr; i++) value[i] = (CType)instance->data.value[vr[i]];                         \
+        return fmi2OK;                                                                                          \
     }
 
 /* 2.1.7. Sets all values or none: a refused value leaves every variable as it was. 4.2.4: until the end of the
  * initialization, and in 'step complete' only inputs and tunable parameters, which `settable` of a variable says. */
-#define DEFINE_SET(Name, CType, TYPE)                                                                            \
-    fmi2Status fmi2Set##Name(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const CType value[]) {  \
-        Instance *instance = c;                                                                                        \
-        if (!is_allowed(instance, ALWAYS, "fmi2Set" #Name)) return fmi2Error;                                          \
-        if (!are_given(instance, vr, nvr, value, "fmi2Set" #Name)) return fmi2Error;                                   \
-        for (size_t i = 0; i < nvr; i++)                                                                         \
-            if (!can_be_set(&instance->data, vr[i], TYPE, (double)value[i]))                                           \
-                return cannot_be_set(instance, TYPE, vr, nvr, i, (double)value[i], "fmi2Set" #Name);                   \
-        for (size_t i = 0; i < nvr; i++)                                                                         \
-            data_set(&instance->data, &instance->step_constants, (int)vr[i], (double)value[i]);                  \
-        return fmi2OK;                                                                                           \
+#define DEFINE_SET(Name, CType, TYPE)                                                                           \
+    fmi2Status fmi2Set##Name(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const CType value[]) { \
+        Instance *instance = c;                                                                                 \
+        if (!is_allowed(instance, ALWAYS, "fmi2Set" #Name)) return fmi2Error;                                   \
+        if (!are_given(instance, vr, nvr, value, "fmi2Set" #Name)) return fmi2Error;                            \
+        for (size_t i = 0; i < nvr; i++)                                                                        \
+            if (!can_be_set(&instance->data, vr[i], TYPE, (double)value[i]))                                    \
+                return cannot_be_set(instance, TYPE, vr, nvr, i, (double)value[i], "fmi2Set" #Name);            \
+        for (size_t i = 0; i < nvr; i++)                                                                        \
+            data_set(&instance->data, &instance->step_constants, (int)vr[i], (double)value[i]);                 \
+        return fmi2OK;                                                                                          \
     }
 
 DEFINE_GET(Real, fmi2Real, REAL)

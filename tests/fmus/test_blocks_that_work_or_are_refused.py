@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from fmus import catalogue
+from fmus import numerics as n
 from fmus.errors import ExportError
 from fmus.export.faithful import check_faithful
 from fmus.export.samples import check_samples
@@ -75,6 +76,12 @@ def test_a_block_whose_steps_are_longer_than_its_period_is_refused() -> None:
     ):
         check_samples(steps[0.0995])
     check_samples(steps[0.1])
+
+
+def test_a_block_that_leaves_a_domain_on_its_way_is_judged_by_the_comparison() -> None:
+    """From 1 s on its step has the root of a negative number: no error of this check."""
+    block = block_of(lambda s, u, p, t, h: sampled(t, 0.1, s, SampledMean(n.sqrt(1.0 - t))), SampledMean)
+    check_samples(block)
 
 
 def measures_every(period: float, s: SampledMean, u: Any, p: Any, t: float, h: float) -> SampledMean:

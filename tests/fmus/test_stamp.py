@@ -7,11 +7,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from importlib.metadata import Distribution, distribution
 from pathlib import Path
 
 import pytest
 
+import fmus
+from fmus import catalogue
 from fmus.block_file import blocks_in
 from fmus.platforms import PLATFORMS
 from fmus.registry import Flavour
@@ -79,7 +82,7 @@ def stamp(order: Order, folder: Path) -> Stamps:
     with blocks_in(Path(order.source)):
         fmu = order.folder / "Lag.fmu"
         fmu.write_bytes(b"what was built")
-        stamps.write(order, sources and sources.if_loaded, [fmu])
+        stamps.write(order, sources and sources.if_loaded, {fmu.name: fmu.read_bytes()})
     return stamps
 
 
@@ -197,15 +200,77 @@ def test_sources_that_may_have_changed_since_they_were_loaded_give_no_stamp(
     sources = Stamps(tmp_path / "package", LATER).sources(order)
     assert sources
     fmu.write_bytes(b"another")
-    Stamps(tmp_path / "package", time.time()).write(order, sources, [fmu])  # changed as the process began
+    built = {fmu.name: b"another"}
+    Stamps(tmp_path / "package", time.time()).write(order, sources, built)  # changed as the process began
     (tmp_path / "gains.py").write_text("GAIN = 2.5\n")
-    Stamps(tmp_path / "package", LATER).write(order, sources, [fmu])  # changed while it was built
+    Stamps(tmp_path / "package", LATER).write(order, sources, built)  # changed while it was built
     (tmp_path / "gains.py").write_text("GAIN = 2.0\n")
     assert current(order, tmp_path) is None
     Stamps(tmp_path / "package", LATER).write(
-        order, Stamps(tmp_path / "package", LATER).sources(order), [fmu]
+        order, Stamps(tmp_path / "package", LATER).sources(order), built
     )
     assert current(order, tmp_path)
+
+
+def test_a_module_that_appears_where_an_import_failed_makes_it_stale(order: Order, tmp_path: Path) -> None:
+    """Also where it hides one of the standard library."""
+    (tmp_path / "tools").mkdir()
+    (tmp_path / "tools" / "__init__.py").write_text(
+        "import statistics\ntry:\n    from . import fast\nexcept ImportError:\n    fast = None\n"
+    )
+    (tmp_path / "gains.py").write_text("import tools\nGAIN = 3.0 if tools.fast else 2.0\n")
+    stamp(order, tmp_path)
+    assert current(order, tmp_path)
+    for name in ("tools/fast.py", "statistics.py"):
+        (tmp_path / name).write_text("")
+        assert current(order, tmp_path) is None
+        (tmp_path / name).unlink()
+        assert current(order, tmp_path)
+
+
+def test_a_helper_named_like_a_module_of_python_is_a_source(order: Order, tmp_path: Path) -> None:
+    (tmp_path / "statistics.py").write_text("GAIN = 2.0\n")
+    (tmp_path / "gains.py").write_text("from statistics import GAIN\n")
+    sources = Stamps(tmp_path / "package", LATER).sources(order)
+    assert sources
+    assert sources.modules["statistics"][0] == str(tmp_path / "statistics.py")
+
+
+def test_modules_that_were_imported_before_this_package_give_no_stamp(
+    order: Order, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """When their files were read is not known."""
+    sources = Stamps(tmp_path / "package", LATER).sources(order)
+    assert sources
+    monkeypatch.setattr(fmus, "IMPORTED_BEFORE", frozenset({"gains"}))
+    with blocks_in(Path(order.source)):
+        assert sources.if_loaded is None
+
+
+def test_an_fmu_that_another_process_wrote_meanwhile_is_not_current(order: Order, tmp_path: Path) -> None:
+    sources = Stamps(tmp_path / "package", LATER).sources(order)
+    (tmp_path / "built" / "Lag.fmu").write_bytes(b"of the other")
+    Stamps(tmp_path / "package", LATER).write(order, sources, {"Lag.fmu": b"of this one"})
+    assert current(order, tmp_path) is None
+
+
+def test_an_fmu_that_was_found_and_not_built_gets_no_stamp(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its GUID tells neither its icon nor whether it has terminals, with which `build --cache` wrote it."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(catalogue, "Stamps", partial(Stamps, begun=LATER))
+    with monkeypatch.context() as older_sources:
+        older_sources.setattr(catalogue, "icon", lambda block: b"an older icon")
+        path = catalogue.build("ExamplePlant", tmp_path / "built", with_terminals=True)
+    older = path.read_bytes()
+    order = Order("ExamplePlant", tmp_path / "built")
+    assert catalogue.build_if_stale("ExamplePlant", tmp_path / "built").read_bytes() == older
+    assert Stamps().current(order) is None
+    path.unlink()
+    catalogue.build_if_stale("ExamplePlant", tmp_path / "built")
+    assert Stamps().current(order) == [path]
+    assert path.read_bytes() != older
 
 
 def test_modules_that_were_loaded_from_another_file_are_not_the_sources(

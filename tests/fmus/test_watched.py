@@ -66,6 +66,21 @@ def test_what_is_registered_for_the_end_and_what_is_printed_is_not_lost() -> Non
         assert process.returncode == 0
 
 
+def test_what_c_code_has_printed_is_not_lost() -> None:
+    """As printf of an FMU does, into a pipe; without a standard output there is nothing to lose."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    for closed, printed in (("", b"printed"), (" >&-", b"")):
+        code = BUSY.format(body="import ctypes; ctypes.CDLL(None).printf(b'printed'); return 3")
+        done = subprocess.run(
+            ["/bin/sh", "-c", f'exec "$0" -c "$1"{closed}', sys.executable, code],
+            env=environment,
+            capture_output=True,
+            check=False,
+            timeout=60,
+        )
+        assert (done.returncode, done.stdout, done.stderr) == (3, printed, b"")
+
+
 def test_the_status_of_the_program_is_known_where_the_end_of_a_child_was_ignored_before() -> None:
     code = (
         "import signal, sys; signal.signal(signal.SIGCHLD, signal.SIG_IGN)\n"

@@ -14,6 +14,7 @@ import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import CodeType, FunctionType
 from typing import Any
@@ -34,6 +35,9 @@ def pytest_runtestloop(session: pytest.Session) -> bool:
             if not pid:
                 _run(session, **json.loads(line))
             print(pid, file=answers, flush=True)
+            os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
+            with suppress(ProcessLookupError, PermissionError):
+                os.killpg(pid, signal.SIGKILL)  # what the tests left behind, while the number is theirs
             print(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), file=answers, flush=True)
     return True
 

@@ -111,23 +111,30 @@ class CollectedTests(AbstractContextManager["CollectedTests"]):
 
     def _status(self, request: dict[str, Any], limit: float | None) -> int:
         print(json.dumps(request), file=self._writer, flush=True)
-        pid, is_late = int(self._reader.readline()), threading.Event()
+        pid, is_late = self._answer(), threading.Event()
 
         def end() -> None:
             is_late.set()
-            os.killpg(pid, signal.SIGKILL)
+            with suppress(ProcessLookupError):  # it has ended meanwhile
+                os.killpg(pid, signal.SIGKILL)
 
         timer = threading.Timer(limit or threading.TIMEOUT_MAX, end)
         timer.start()
         try:
-            status = int(self._reader.readline())
+            status = self._answer()
         finally:
             timer.cancel()
-        with suppress(ProcessLookupError, PermissionError):
-            os.killpg(pid, signal.SIGKILL)  # what the tests left behind
         if is_late.is_set():
             raise TimeoutError
         return status
+
+    def _answer(self) -> int:
+        line = self._reader.readline()
+        if not line:
+            raise BrokenEnvironmentError(
+                f"pytest ended with status {self._process.wait()} between two mutants"
+            )
+        return int(line)
 
 
 def verdict(folder: Path, path: Path, mutated: str, tests: CollectedTests, limit: float) -> str:

@@ -23,27 +23,11 @@ OF_THE_LOADER = {
     ".fini_array",
 }
 # of the C library: neither these nor what they call keep anything between two calls, or change the process
-ALLOWED = {
-    *("bcmp", "calloc", "free", "memcmp", "memcpy", "memmove", "memset"),
-    *("snprintf", "strcmp", "strcpy", "strlen", "strspn", "strtod", "vsnprintf"),
-    *(
-        "acos",
-        "acosh",
-        "asin",
-        "asinh",
-        "atan",
-        "atan2",
-        "atanh",
-        "cbrt",
-        "ceil",
-        "cos",
-        "cosh",
-        "erf",
-        "exp",
-    ),
-    *("expm1", "fabs", "floor", "fmax", "fmin", "fmod", "log", "log10", "log1p", "pow", "sin", "sincos"),
-    *("sinh", "sqrt", "tan", "tanh"),
-}
+ALLOWED = """
+    bcmp calloc free memcmp memcpy memmove memset snprintf strcmp strcpy strlen strspn strtod vsnprintf
+    acos acosh asin asinh atan atan2 atanh cbrt ceil cos cosh erf exp expm1 fabs floor fmax fmin fmod
+    log log10 log1p pow sin sincos sinh sqrt tan tanh
+"""
 
 
 @pytest.mark.parametrize("block", ["RovDepthPlant", "L1DepthController"])
@@ -56,4 +40,4 @@ def test_a_library_has_no_memory_of_its_own_and_calls_what_has_none(
     assert library
     writable = lief.ELF.Section.FLAGS.WRITE
     assert {section.name for section in library.sections if writable in section.flags_list} <= OF_THE_LOADER
-    assert {str(symbol.name) for symbol in library.imported_symbols} <= ALLOWED
+    assert {str(symbol.name) for symbol in library.imported_symbols} <= set(ALLOWED.split())

@@ -35,9 +35,33 @@ AT_A_CORNER: dict[str, tuple[Function, float]] = {
     "a whole number that is left downwards": (lambda h: n.floor(3.0 - h) * h, 2.0),
     "a whole number that is left upwards": (lambda h: n.ceil(3.0 + h) * h, 4.0),
     "a remainder": (lambda h: n.fmod(2.5 + h, 1.0), 1.0),
+    "a whole number that is cut downwards": (lambda h: n.trunc(2.0 - h) * (2.0 - h), -1.0),
+    "a whole number that is cut upwards": (lambda h: n.trunc(h - 2.0) * (h - 2.0), -1.0),
+    "a whole number that is cut no more": (lambda h: n.trunc(2.0 + h) * (2.0 + h), 2.0),
+    "a half that is rounded up": (lambda h: n.round(2.5 + h) * h, 3.0),
+    "a half that is rounded down": (lambda h: n.round(3.5 - h) * h, 3.0),
+    "a root of a limit that holds": (lambda h: n.sqrt(n.maximum(0.0, -h)) + h, 1.0),
     "a root of what rests": (lambda h: n.sqrt(0.0 * h) + h, 1.0),
     "a quotient that a condition guards": (lambda h: n.where(h > 0.0, lambda: n.sin(h) / h, 1.0), 0.0),
 }  # fmt: skip
+
+
+UNKNOWN: dict[str, Function] = {
+    "a root": lambda h: n.sqrt((3.0 * h) ** 2 + (6.0 * h) ** 2),
+    "a root of a limit": lambda h: n.sqrt(n.maximum(0.0, h * h)),
+    "a sign": lambda h: n.sign(h * h) * n.exp(h),
+    "a copied sign": lambda h: n.copysign(1.0, -h * h) * h,
+    "a whole number": lambda h: n.floor(2.0 - h * h) * h,
+    "a cut number": lambda h: n.trunc(2.0 - h * h) * h,
+    "a rounded number": lambda h: n.round(2.5 + h * h) * h,
+}
+
+
+@pytest.mark.parametrize("name", UNKNOWN)
+def test_what_leaves_a_corner_with_slope_0_has_no_known_slope(name: str) -> None:
+    """First derivatives do not tell to which side it leaves: that is no number, and not 0."""
+    h = casadi.SX.sym("h")
+    assert np.isnan(float(casadi.evalf(right_derivative(casadi.SX(UNKNOWN[name](h)), h))))
 
 
 @pytest.mark.parametrize("name", AT_A_CORNER)
