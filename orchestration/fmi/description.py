@@ -23,12 +23,15 @@ class FileVersion(NamedTuple):
     path: Path
     inode: int
     size: int
-    changed: int
+    modified: int  # ns; a copy may keep it
+    changed: int  # ns; a copy may not
 
     @staticmethod
     def of(path: Path) -> "FileVersion":
         status = path.stat()
-        return FileVersion(path.absolute(), status.st_ino, status.st_size, status.st_mtime_ns)
+        return FileVersion(
+            path.absolute(), status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
+        )
 
 
 def describe(path: Path) -> ModelDescription:
@@ -72,7 +75,7 @@ def is_independent(description: ModelDescription) -> bool:
     """Whether an FMU is a native one of this exporter.
 
     The instances of these have no memory in common, also within one library, and change nothing in the
-    process, as `tests/fmus/export/test_no_globals.py` proves. Of another FMU nobody can know.
+    process, as `tests/fmus/export/test_no_globals.py` proves. Instances of other FMUs may share memory.
     """
     interface = description.coSimulation
     is_ours = (description.generationTool or "").startswith(f"{GENERATION_TOOL} ")

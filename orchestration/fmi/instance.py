@@ -33,9 +33,9 @@ _MOST_MESSAGES = 10  # in an error or a warning
 class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"]):
     """An instance of an FMI 2.0 co-simulation FMU, between instantiation and `close`.
 
-    Its library is a copy of its own: a fatal error, after which FMI forbids calls of any instance,
-    ends this instance alone. Instances of an FMU that is independent share one. Raises FmuLoadError if the
-    FMU cannot be loaded.
+    The library is its own, but for native FMUs of this exporter, which never return fatal: so a fatal error,
+    after which FMI forbids calls of any instance, ends this instance alone. Raises FmuLoadError if the FMU
+    cannot be loaded.
 
     is_fresh: whether it is instantiated or reset, and not yet initialised; time [s]: of the present call
     busy: shape (1,), `number` while a call is in progress, else 0; calls: shape (1,), how many have returned.

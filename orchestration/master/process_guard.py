@@ -28,7 +28,7 @@ from orchestration.master.compiled_loop import library
 from orchestration.master.loop_data import Report
 
 _TEXT_SIZE, _MOST_RUNS = 256, 256  # as in process_guard.h
-# those of process_guard.h, by which programs live
+# those of process_guard.h: what ends programs, and SIGCHLD
 _NAMES = ("HUP", "INT", "ILL", "ABRT", "FPE", "SEGV", "PIPE", "ALRM", "TERM", "CHLD")
 _SIGNALS = [getattr(signal, f"SIG{name}") for name in _NAMES if hasattr(signal, f"SIG{name}")]
 _lock = threading.Lock()

@@ -94,9 +94,11 @@ def _searched_delay(time: np.ndarray, signal: np.ndarray, reference: np.ndarray,
 
 
 def _leads(time: np.ndarray, signal: np.ndarray, reference: np.ndarray, largest: float) -> bool:
-    """Whether the signal is nearer to what the reference becomes than to what it is."""
+    """Whether the signal is nearer to what the reference becomes than to what it is; not without points."""
     lead = largest / _PARTS
     first, end = np.searchsorted(time, (time[0] + largest, time[-1] - lead))
+    if end <= first:
+        return False
     ahead = np.interp(time[first:end] + lead, time, reference)
     now = reference[first:end]
     return bool(np.mean((signal[first:end] - ahead) ** 2) < np.mean((signal[first:end] - now) ** 2))

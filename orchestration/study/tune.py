@@ -83,7 +83,7 @@ class Tuning:
         """How much lower the cost became in the last part of the last search, relative to what it was."""
         curve = self.refinement.curve
         first_part = curve[: int((1.0 - LAST_PART) * len(curve))]
-        before = min(*(search.cost for search in self.searches), *first_part)
+        before = min([*(search.cost for search in self.searches), *first_part])
         return (before - self.best.cost) / before if before else 0.0
 
     @property
@@ -99,7 +99,7 @@ class Tuning:
 
     @property
     def seeds_agree(self) -> bool:
-        """Whether one seed would have been enough; else the surface has valleys or ridges."""
+        """Whether half of the seeds come near the lowest cost; else the surface has valleys or ridges."""
         return self.spread <= LARGEST_SPREAD
 
 
@@ -122,19 +122,19 @@ def tune(
     journal = Journal(path, {**problem.tuned, **_what_is_searched(problem, evaluations)})
     done, lowest = journal.begin(), math.inf
 
-    def search(together: Sequence[_SeedSearch]) -> tuple[SearchResult, ...]:
+    def run_searches(searches: Sequence[_SeedSearch]) -> tuple[SearchResult, ...]:
         nonlocal lowest
-        while rows := [row for one in together for row in one.ask()]:
+        while rows := [row for search in searches for row in search.ask()]:
             for row in _evaluated(rows, done, evaluate, journal):
                 lowest = min(lowest, row["cost"])
                 progress(1, lowest)
-            for one in together:
-                one.tell()
-        return tuple(one.result() for one in together)
+            for search in searches:
+                search.tell()
+        return tuple(search.result() for search in searches)
 
-    results = search([_SeedSearch(problem, seed, evaluations) for seed in seeds])
+    results = run_searches([_SeedSearch(problem, seed, evaluations) for seed in seeds])
     best = min(results, key=lambda result: result.cost)
-    (refinement,) = search([_SeedSearch(problem, REFINEMENT, evaluations, best.gains)])
+    (refinement,) = run_searches([_SeedSearch(problem, REFINEMENT, evaluations, best.gains)])
     return Tuning(problem, results, refinement)
 
 

@@ -19,8 +19,8 @@ from orchestration.sweep.workers import Batches, Finished
 with imports_of("sweep", "a sweep on a cluster"):
     from distributed import Client, Future, KilledWorker, wait
 
-_LOOK_S = 5.0  # after which workers that have joined meanwhile get work
-_WITHOUT_WORKERS_S = 120.0
+LOOK_S = 5.0  # after which workers that have joined meanwhile get work
+WITHOUT_WORKERS_S = 120.0
 _AHEAD = 3  # batches for each thread: one runs, the others wait
 
 
@@ -75,7 +75,7 @@ class _Dispatch:
         try:
             while self._fill():
                 with suppress(TimeoutError, CancelledError):
-                    wait(list(self.running), timeout=_LOOK_S, return_when="FIRST_COMPLETED")
+                    wait(list(self.running), timeout=LOOK_S, return_when="FIRST_COMPLETED")
                 for future in [future for future in self.running if future.status != "pending"]:
                     yield from self._handled(future, self.running.pop(future))
         finally:
@@ -106,24 +106,25 @@ class _Dispatch:
         threads_by_worker: dict[str, int] = self.client.nthreads()  # type: ignore[assignment]
         if threads_by_worker:
             self.last_time_with_workers = time.monotonic()
-        elif time.monotonic() - self.last_time_with_workers > _WITHOUT_WORKERS_S:
+        elif time.monotonic() - self.last_time_with_workers > WITHOUT_WORKERS_S:
             raise SweepError(
-                f"the cluster has had no workers for {_WITHOUT_WORKERS_S:g} s; what is done is kept"
+                f"the cluster has had no workers for {WITHOUT_WORKERS_S:g} s; what is done is kept"
             )
         return max(sum(threads_by_worker.values()), 1)
 
     def _handled(self, future: Future, batch: _Batch) -> Iterator[Finished]:
         if future.status == "finished":
             outcomes, seconds = future.result()
-            self.missing.note(len(outcomes), seconds)
-            yield Finished(batch.numbers, batch.values, outcomes)
-        elif future.status == "lost":  # its worker died when it was done, before its rows were fetched
+            count = len(outcomes)
+            self.missing.note(count, seconds, batch.numbers[count:])
+            yield Finished(batch.numbers[:count], batch.values[:count], outcomes)
+        elif future.status == "lost":  # its worker ended when it was done, before its rows were fetched
             self.again.append(batch)
         elif future.status != "error":
             raise SweepError("the Dask scheduler was lost; what is done is kept")
         elif not isinstance(future.exception(), KilledWorker):
             raise SweepError(f"a worker cannot run samples: {future.exception()}")
         elif batch is self.alone:
-            yield Finished(batch.numbers, batch.values, [Outcome({}, error="every worker that ran it died")])
+            yield Finished(batch.numbers, batch.values, [Outcome({}, error="every worker that ran it ended")])
         else:
             (self.again if len(batch.numbers) > 1 else self.suspects).extend(batch.parts())

@@ -44,7 +44,7 @@ class IsolatedSamples:
             except TimeoutError:
                 self._replace()
                 return Outcome({}, error=f"it took longer than the timeout of {self._timeout:g} s")
-        return Outcome({}, error=f"the worker process died: {reason}")
+        return Outcome({}, error=f"the worker process ended: {reason}")
 
     def close(self) -> None:
         """At once, also from another thread while a sample runs."""

@@ -22,7 +22,7 @@ def sweep(
 ) -> Path:
     """Run the samples that are missing in a folder, and write the table; gives its path.
 
-    workers: `local.local`, `cluster.remote` or `cluster.local`, entered if a sample is missing
+    workers: `local.local` or `cluster.remote`, entered if a sample is missing
     recorded: signals to record of each sample; empty for all, None for no recordings
     restart: discard what an earlier sweep of that name has left
     progress: called with how many more samples are done, at first with those of an earlier start

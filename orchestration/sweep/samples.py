@@ -3,9 +3,11 @@
 An FMU that crashes or hangs takes its process with it and nothing else.
 """
 
+import os
 import pickle
 import re
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,6 +28,7 @@ if TYPE_CHECKING:  # what runs samples draws none
     from orchestration.sweep.plan import Plan
 
 READY = "ready"
+BATCH_S = 0.25  # after which a batch of samples ends, whatever is left of it
 
 
 class ClosedError(SweepError):
@@ -124,11 +127,12 @@ class Samples(AbstractContextManager["Samples"]):
         job = self._job
         try:
             recording = self.load().run(with_settings(job.experiment, settings), self._check_open)
+            self._check_open()  # closed in the second run of an error estimate, it has none
             return Outcome(metrics.evaluate(recording, job.metrics), recording=_as_parquet(recording, job))
         except Exception as error:  # a sample that fails is a row, whatever the reason
             self._simulator = self._loaded.close()
             self._check_open()
-            return Outcome({}, error=_error_line(error))
+            return Outcome({}, error=_error_line(error, job))
 
     def close(self) -> None:
         """End a sample that another thread runs soon."""
@@ -140,6 +144,20 @@ class Samples(AbstractContextManager["Samples"]):
     def _check_open(self, *_: int) -> None:
         if self._closed:
             raise ClosedError("closed while a sample was running")
+
+
+def run_batch(
+    run: Callable[[Settings], Outcome],
+    settings: Iterable[Settings],
+    clock: Callable[[], float] = time.perf_counter,
+) -> tuple[list[Outcome], float]:
+    """The outcomes of samples until `BATCH_S` have passed, at least of one, and how long they took [s]."""
+    start, outcomes = clock(), list[Outcome]()
+    for sample in settings:
+        outcomes.append(run(sample))
+        if clock() - start >= BATCH_S:
+            break
+    return outcomes, clock() - start
 
 
 def run_samples(parent: Parent) -> None:
@@ -165,10 +183,10 @@ def _as_parquet(recording: Recording, job: Job) -> bytes | None:
         return path.read_bytes()
 
 
-def _error_line(error: Exception) -> str:
+def _error_line(error: Exception, job: Job) -> str:
     """One line that does not depend on where this process keeps its files."""
     text = str(error) if isinstance(error, OrchestrationError) else f"{type(error).__name__}: {error}"
-    temporary = Path(gettempdir())
-    for folder in (temporary, temporary.parent):  # of what was unpacked, and of the FMUs
-        text = re.sub(rf"{re.escape(str(folder))}/[^/\s]+/", "", text)
+    for path in job.system.components.values():
+        text = text.replace(f"{path.parent}{os.sep}", "")
+    text = re.sub(rf"{re.escape(gettempdir())}/[^/\s]+/", "", text)  # of what was unpacked
     return " ".join(text.split())

@@ -26,7 +26,7 @@ with imports_of("sweep", "a sweep"):
     import pyarrow.parquet as pq
 
 SAMPLE, ERROR = "sample", "error"
-_ROWS_OF_A_GROUP = 10_000
+ROWS_OF_A_GROUP = 10_000
 _KIND, _PROVENANCE, _SWEEP = b"l1_depth.kind", b"l1_depth.provenance", b"sweep"
 _TYPES = {"Real": pa.float64(), "Integer": pa.int64(), "Boolean": pa.bool_(), "String": pa.string()}
 
@@ -87,7 +87,7 @@ def write(rows: Iterable[Mapping[str, Any]], columns: pa.Schema, path: Path) -> 
     """Rows in the order of their samples, some in memory at a time; equal rows give equal bytes."""
     remaining = iter(rows)
     with open_atomically(path) as stream, pq.ParquetWriter(stream, columns) as writer:
-        while group := list(islice(remaining, _ROWS_OF_A_GROUP)):
+        while group := list(islice(remaining, ROWS_OF_A_GROUP)):
             writer.write_table(pa.Table.from_pylist(group, schema=columns))
 
 

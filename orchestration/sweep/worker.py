@@ -4,8 +4,6 @@ The job, FMUs included, is a plugin of the workers: the scheduler keeps it and g
 also to those that join later or replace one that has ended. Each unpacks it once, in its own local folder.
 """
 
-import signal
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,6 +11,7 @@ from tempfile import TemporaryDirectory
 from fmus.extras import imports_of
 from orchestration.sweep.isolated import IsolatedSamples
 from orchestration.sweep.samples import ClosedError, Job, Outcome
+from orchestration.sweep.samples import run_batch as run_until_time
 from orchestration.sweep.target import Settings
 
 with imports_of("sweep", "a sweep"):
@@ -40,28 +39,18 @@ class SamplePlugin(WorkerPlugin):
         self._folder.cleanup()
 
     def run(self, settings: Sequence[Settings]) -> tuple[list[Outcome], float]:
-        """Samples one after another, in a process that no other thread uses, and how long they took [s]."""
-        start = time.perf_counter()
+        """`samples.run_batch` in a process that no other thread uses."""
         try:
             runner = self._idle.pop()
         except IndexError:  # not asked for before: another thread may take the last one meanwhile
             runner = IsolatedSamples(self._unpacked_job, Path(self._folder.name))
             self._all.append(runner)
         try:
-            return [runner.run(one) for one in settings], time.perf_counter() - start
+            return run_until_time(runner.run, settings)
         except ClosedError:  # this worker leaves the cluster
             raise Reschedule from None
         finally:
             self._idle.append(runner)
-
-
-class IgnoreSigint(WorkerPlugin):
-    """Workers ignore SIGINT: Ctrl-C at their terminal is for the process that started them."""
-
-    name = "ignore-sigint"
-
-    def setup(self, worker: Worker) -> None:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def run_batch(plugin: str, settings: Sequence[Settings]) -> tuple[list[Outcome], float]:

@@ -1,15 +1,15 @@
 """What runs the samples of a sweep takes them in batches, each of about the same time."""
 
 import math
+from collections import deque
 from collections.abc import Generator, Iterable, Sequence
 from itertools import islice
 from typing import NamedTuple, Protocol
 
 from fmus.fmi_types import FmiValue
 from orchestration.sweep.plan import Plan
-from orchestration.sweep.samples import Job, Outcome
+from orchestration.sweep.samples import BATCH_S, Job, Outcome
 
-_BATCH_S = 0.25
 _MOST_OF_A_BATCH = 1000
 _SPREAD = 3  # of what is left for a worker it takes this part, so that all end at about the same time
 
@@ -33,16 +33,19 @@ class Batches:
 
     def __init__(self, samples: Iterable[int], count: int) -> None:
         self._samples, self.left, self._sample_s = iter(samples), count, math.inf
+        self._returned: deque[int] = deque()
 
     def take(self, workers: int) -> list[int]:
         """The next samples for one of so many workers; none if none are left."""
         share = math.ceil(self.left / (_SPREAD * workers))
-        batch = list(
-            islice(self._samples, max(1, min(int(_BATCH_S / self._sample_s), share, _MOST_OF_A_BATCH)))
-        )
+        count = max(1, min(int(BATCH_S / self._sample_s), share, _MOST_OF_A_BATCH))
+        batch = [self._returned.popleft() for _ in range(min(count, len(self._returned)))]
+        batch += islice(self._samples, count - len(batch))
         self.left -= len(batch)
         return batch
 
-    def note(self, count: int, seconds: float) -> None:
-        """How long so many samples took, one after another."""
+    def note(self, count: int, seconds: float, rest: Sequence[int] = ()) -> None:
+        """How long so many samples took, one after another; rest: of their batch, to hand out again."""
         self._sample_s = max(seconds / count, 1e-9)
+        self._returned += rest
+        self.left += len(rest)

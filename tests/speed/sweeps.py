@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from statistics import median
 from typing import Annotated
@@ -22,10 +22,10 @@ from orchestration.master import Simulator
 from orchestration.results import metrics
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
-from orchestration.sweep import cluster
 from orchestration.sweep.plan import plan
 from orchestration.sweep.samples import Job
 from orchestration.sweep.workers import Batches
+from tests.local_cluster import local_cluster
 
 _ROOT = Path(__file__).parents[2]
 _COMMAND = [sys.executable, "-P", "-c", "from orchestration.cli import main; main()", "sweep"]
@@ -72,9 +72,9 @@ class _Measured(Batches):
 
     seconds = 0.0
 
-    def note(self, count: int, seconds: float) -> None:
+    def note(self, count: int, seconds: float, rest: Sequence[int] = ()) -> None:
         self.seconds += seconds
-        super().note(count, seconds)
+        super().note(count, seconds, rest)
 
 
 def loss_on_a_cluster(chosen: Scenario, samples: int, workers: int) -> tuple[float, float]:
@@ -82,7 +82,7 @@ def loss_on_a_cluster(chosen: Scenario, samples: int, workers: int) -> tuple[flo
     planned = plan(chosen)
     batches = _Measured(range(samples), samples)
     done, start, before = 0, 0.0, 0.0
-    with cluster.local(workers) as started:
+    with local_cluster(workers) as started:
         for finished in started.run(planned, Job.of(planned, None), batches):
             if not start and done >= workers:  # each has loaded its FMUs
                 start, before, done = time.perf_counter(), batches.seconds, 0

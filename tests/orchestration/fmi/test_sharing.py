@@ -1,5 +1,6 @@
 """Instances of one FMU of ours share what cannot differ between them; those of another FMU share nothing."""
 
+import os
 from collections.abc import Callable, Mapping
 from itertools import pairwise
 from pathlib import Path
@@ -83,6 +84,19 @@ def test_a_changed_file_is_read_again(
     assert describe(path).modelName == describe(path).modelName == "ExamplePlant"
     path.write_bytes(built["DepthReference"].read_bytes())
     assert describe(path).modelName == "DepthReference"
+    assert work["read_model_description"] == 2
+
+
+def test_another_file_of_the_same_size_and_time_is_read_again(
+    built: Mapping[str, Path], tmp_path: Path, work: dict[str, int]
+) -> None:
+    """As a copy that keeps the time of what it copies may be."""
+    path = copy(built["ExamplePlant"], tmp_path)
+    describe(path)
+    before, content = path.stat(), path.read_bytes()
+    path.write_bytes(content)
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+    describe(path)
     assert work["read_model_description"] == 2
 
 

@@ -70,6 +70,13 @@ def test_a_delay_between_points_at_the_end_of_the_search_is_none() -> None:
     assert math.isnan(shift_lag(run, "z", "r", largest=2.98))
 
 
+@pytest.mark.filterwarnings("error")  # a mean of no points is one
+def test_a_search_over_nearly_the_whole_run_judges_what_is_left_of_it() -> None:
+    """No point of the rest of the run has a reference later by a part of the search to be nearer to."""
+    run = recording(TIME, np.sin(TIME), np.sin(TIME))
+    assert shift_lag(run, "z", "r", largest=0.99 * TIME[-1]) == pytest.approx(0.0, abs=1e-6)
+
+
 @pytest.mark.parametrize("lost", [math.nan, math.inf])
 def test_a_signal_that_is_no_number_has_no_delay(lost: float) -> None:
     signal = np.where(TIME > 50.0, lost, np.sin(TIME))

@@ -23,6 +23,7 @@ from orchestration.sweep import cluster, dask_workers, table
 from orchestration.sweep import run as running
 from orchestration.sweep.dask_workers import DaskWorkers
 from orchestration.sweep.plan import Plan
+from tests.local_cluster import local_cluster
 
 pytestmark = pytest.mark.cluster
 
@@ -60,6 +61,15 @@ def run_batch(plugin, settings):
 """
 
 
+HASTY = """
+from orchestration.sweep import worker
+
+def run_batch(plugin, settings):
+    outcomes, seconds = worker.run_batch(plugin, settings)
+    return outcomes[:1], seconds
+"""
+
+
 def threads(cluster: DaskWorkers) -> dict[str, int]:
     """Of each worker, by its address."""
     numbers: Any = cluster.client.nthreads()
@@ -80,14 +90,14 @@ def swept(
 def by_two(planned: Make, tmp_path: Path) -> tuple[Plan, bytes]:
     """A plan, and its table by two undisturbed workers."""
     made = planned(SWEEP)
-    with cluster.local(2) as started:
+    with local_cluster(2) as started:
         return made, swept(made, started, tmp_path / "two").read_bytes()
 
 
 def test_one_two_and_four_workers_give_the_same_bytes(by_two: tuple[Plan, bytes], tmp_path: Path) -> None:
     made, expected = by_two
     for workers in (1, 4):
-        with cluster.local(workers) as started:
+        with local_cluster(workers) as started:
             assert len(threads(started)) == workers
             assert swept(made, started, tmp_path / str(workers)).read_bytes() == expected
     samples, _ = table.read(tmp_path / "4" / "mine.sweep.parquet")
@@ -103,7 +113,7 @@ def test_a_killed_worker_loses_nothing(by_two: tuple[Plan, bytes], tmp_path: Pat
     made, expected = by_two
     killed: list[int] = []
 
-    with cluster.local(2) as started:
+    with local_cluster(2) as started:
         workers: Any = started.client.run(os.getpid)
         processing: Any = started.client.processing
 
@@ -124,14 +134,14 @@ def test_samples_that_end_or_hang_their_process_are_rows_with_that_error(
 ) -> None:
     misdeeds = ("none", "segfault", "hang", "none", "abort", "error")
     made = planned(f'[sweep]\ntimeout = 3\n[sweep.vary."r.misdeed"]\nvalues = {list(misdeeds)}\n')
-    with cluster.local(2) as started:
+    with local_cluster(2) as started:
         samples, _ = table.read(swept(made, started, tmp_path))
     assert [row["error"] for row in samples.to_pylist()] == [
         None,
-        "the worker process died: SIGSEGV",
+        "the worker process ended: SIGSEGV",
         "it took longer than the timeout of 3 s",
         None,
-        "the worker process died: SIGABRT",
+        "the worker process ended: SIGABRT",
         "r at t = 0 s: fmi2DoStep returned error: the rudder is stuck",
     ]
 
@@ -145,16 +155,30 @@ def test_a_sample_whose_workers_die_again_and_again_is_found_among_the_others(
     monkeypatch.syspath_prepend(tmp_path)  # of the workers as well
     monkeypatch.setattr(dask_workers, "run_batch", importlib.import_module("deadly").run_batch)
     one_death = config.set({"distributed.scheduler.allowed-failures": 0})  # the default of 3 takes a minute
-    with one_death, cluster.local(2) as started:
+    with one_death, local_cluster(2) as started:
         samples, _ = table.read(swept(made, started, tmp_path))
     rows = samples.to_pylist()
     assert [row["sample"] for row in rows if row["error"]] == [3]
-    assert rows[3]["error"] == "every worker that ran it died"
+    assert rows[3]["error"] == "every worker that ran it ended"
+
+
+def test_what_a_worker_leaves_of_its_batch_is_run_in_another(
+    by_two: tuple[Plan, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever its length: here every batch ends after its first sample."""
+    made, expected = by_two
+    (tmp_path / "hasty.py").write_text(HASTY)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(dask_workers, "run_batch", importlib.import_module("hasty").run_batch)
+    batches: list[int] = []
+    with local_cluster(2) as started:
+        assert swept(made, started, tmp_path / "hasty", batches.append).read_bytes() == expected
+    assert batches == [0, *[1] * COUNT]
 
 
 def test_recordings_are_those_of_the_samples_run_alone(planned: Make, tmp_path: Path) -> None:
     made = planned(SWEEP.replace(f"samples = {COUNT}", "samples = 6"))
-    with cluster.local(2) as started:
+    with local_cluster(2) as started:
         samples, _ = table.read(swept(made, started, tmp_path, recorded=()))
     written = {path.name: Recording.read(path) for path in (tmp_path / "mine.recordings").iterdir()}
     good = [row["sample"] for row in samples.to_pylist() if row["error"] is None]
@@ -177,7 +201,7 @@ def test_what_was_done_before_is_not_run_again(by_two: tuple[Plan, bytes], tmp_p
         if done > 5:
             raise KeyboardInterrupt
 
-    with cluster.local(2) as started:
+    with local_cluster(2) as started:
         with pytest.raises(KeyboardInterrupt):
             swept(made, started, tmp_path / "again", interrupt)
         assert 5 < done < COUNT
@@ -230,17 +254,17 @@ def test_a_cluster_by_its_address_gives_the_same_bytes(by_two: tuple[Plan, bytes
 def test_a_cluster_whose_workers_are_gone_is_told(
     planned: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(dask_workers, "_LOOK_S", 0.2)
-    monkeypatch.setattr(dask_workers, "_WITHOUT_WORKERS_S", 1.0)
+    monkeypatch.setattr(dask_workers, "LOOK_S", 0.2)
+    monkeypatch.setattr(dask_workers, "WITHOUT_WORKERS_S", 1.0)
     made = planned('[sweep]\ntimeout = 60\n[sweep.vary."r.misdeed"]\nvalues = ["hang"]\n')
-    with cluster.local(1) as started:
+    with local_cluster(1) as started:
         threading.Timer(1.0, started.client.cluster.scale, (0,)).start()  # type: ignore[union-attr]
         with pytest.raises(SweepError, match="no workers for 1 s; what is done is kept"):
             swept(made, started, tmp_path)
 
 
 def test_a_scheduler_that_is_not_there_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "_PATIENCE_S", 1.0)
+    monkeypatch.setattr(cluster, "PATIENCE_S", 1.0)
     with (
         pytest.raises(SweepError, match=r"no Dask scheduler at tcp://127\.0\.0\.1:1: "),
         cluster.remote("tcp://127.0.0.1:1"),
@@ -249,36 +273,10 @@ def test_a_scheduler_that_is_not_there_is_told(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_a_cluster_without_workers_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "_PATIENCE_S", 1.0)
+    monkeypatch.setattr(cluster, "PATIENCE_S", 1.0)
     with (
         processes(tmp_path) as address,
         pytest.raises(SweepError, match="has no workers"),
         cluster.remote(address),
     ):
         pass
-
-
-def test_nothing_is_left_of_a_local_cluster(
-    planned: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    before, others = set(tmp_path.iterdir()), set(psutil.Process().children(recursive=True))
-    with cluster.local(1) as started:
-        folders: Any = started.client.run(lambda dask_worker: dask_worker.local_directory)
-        (folder,) = folders.values()
-        assert Path(folder).is_dir()
-        assert all(address.startswith("tcp://127.0.0.1:") for address in threads(started))
-        assert started.client.scheduler_info()["address"].startswith("tcp://127.0.0.1:")
-        processes = {psutil.Process(), *psutil.Process().children(recursive=True)} - others
-        sockets = [socket for process in processes for socket in process.net_connections("inet")]
-        listening = {socket.laddr.ip for socket in sockets if socket.status == psutil.CONN_LISTEN}
-        assert listening == {"127.0.0.1"}
-    assert not Path(folder).exists()
-    assert set(tmp_path.iterdir()) == before
-    # Python's own, and the browser of other tests in this process
-    of_others = ("resource_tracker", "chrom")
-    assert not [
-        process
-        for process in set(psutil.Process().children(recursive=True)) - others
-        if not any(name in " ".join(process.cmdline()) for name in of_others)
-    ]

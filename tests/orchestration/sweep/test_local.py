@@ -1,7 +1,8 @@
 """A sweep on this machine without a cluster: threads or processes, one or several, the rows are the same."""
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from itertools import count
 from pathlib import Path
 
 import psutil
@@ -104,7 +105,7 @@ def test_foreign_fmus_and_samples_with_a_timeout_have_a_process(
         made, errors = plan(scenario.load(path)), [None, None]
     else:
         made = planned('[sweep.vary."r.misdeed"]\nvalues = ["segfault", "none"]\n')
-        errors = ["the worker process died: SIGSEGV", None]
+        errors = ["the worker process ended: SIGSEGV", None]
     before, started = children(), set()
     path = sweep(made, tmp_path, local(1), progress=lambda done: started.update(children() - before))
     assert table.read(path)[0]["error"].to_pylist() == errors
@@ -123,6 +124,45 @@ def test_a_sample_that_fails_in_a_thread_is_a_row_and_the_next_one_runs(
         outcomes += finished.outcomes
     assert "plant.inertia = -1.0: expected" in (outcomes[0].error or "")
     assert (outcomes[1].error, len(outcomes[1].metrics)) == (None, 3)
+
+
+@pytest.mark.filterwarnings("ignore:plant is Plant.fmu")
+@pytest.mark.parametrize("isolated", [False, pytest.param(True, marks=pytest.mark.cluster)])
+def test_a_file_that_is_replaced_meanwhile_changes_no_sample(
+    built: Mapping[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, isolated: bool
+) -> None:
+    """The FMUs are loaded again after the second sample, which fails."""
+    fmu = tmp_path / "Plant.fmu"
+    fmu.write_bytes(built["RovDepthPlant"].read_bytes())
+    (tmp_path / "mine.toml").write_text(f"{VEHICLE}\n[components]\nplant = '{fmu}'\n")
+    made = plan(scenario.load(tmp_path / "mine.toml"))
+    inertias: list[dict[str, FmiValue]] = [{"plant.inertia": inertia} for inertia in (5.5, -1.0, 5.5)]
+    monkeypatch.setattr(Plan, "block", lambda plan, numbers: [inertias[number] for number in numbers])
+    monkeypatch.setattr(Plan, "settings", lambda plan, values: {"parameters": values})
+    outcomes: list[Outcome] = []
+    for finished in LocalWorkers(1, isolated).run(made, Job.of(made, None), Batches(range(3), 3)):
+        outcomes += finished.outcomes
+        fmu.write_bytes(b"no FMU")
+    assert "plant.inertia = -1.0: expected" in (outcomes[1].error or "")
+    assert outcomes[0].metrics == outcomes[2].metrics
+    assert [outcome.error is None for outcome in outcomes] == [True, False, True]
+
+
+def test_a_batch_ends_after_its_time_and_the_rest_is_run_in_others(vehicle: Plan) -> None:
+    """By this clock a sample takes 1 ms, and from the third one on 0.15 s and more."""
+    readings = count()
+
+    def clock() -> float:
+        reading = next(readings)
+        return 0.001 * reading if reading < 5 else 0.15 * reading
+
+    batches, numbers = [], []
+    for finished in LocalWorkers(1, clock=clock).run(vehicle, Job.of(vehicle, None), Batches(range(9), 9)):
+        batches.append(len(finished.numbers))
+        numbers += finished.numbers
+        assert len(finished.numbers) == len(finished.values) == len(finished.outcomes)
+    assert batches == [1, 2, *[1] * 6]  # the second was of three
+    assert sorted(numbers) == list(range(9))
 
 
 def test_batches_grow_to_a_quarter_of_a_second_and_end_at_about_the_same_time() -> None:

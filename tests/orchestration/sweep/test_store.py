@@ -88,7 +88,7 @@ def test_the_table_of_many_samples_is_written_with_few_in_memory(
     planned: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Beside a group of rows, what is kept is a place in the log for each sample, of 8 bytes."""
-    monkeypatch.setattr(table, "_ROWS_OF_A_GROUP", 200)
+    monkeypatch.setattr(table, "ROWS_OF_A_GROUP", 200)
     peaks = []
     for count in (500, 501, 3000):  # the first imports
         made = planned(f'[sweep.vary]\n"r.u" = {{ linspace = [0, 1, {count}] }}\n', name=f"of_{count}")
