@@ -25,10 +25,12 @@ _PANELS = {
     "Other tools": ("exchange.package", "exchange.export"),
 }
 """Panel of the help -> module of this package, and function in it: a command of that name."""
-COMMANDS = {where.partition(".")[2]: panel for panel, commands in _PANELS.items() for where in commands}
-_MODULES = {
-    where.partition(".")[2]: where.partition(".")[0] for commands in _PANELS.values() for where in commands
+COMMANDS = {
+    where.partition(".")[2]: (where.partition(".")[0], panel)
+    for panel, functions in _PANELS.items()
+    for where in functions
 }
+"""Name of a command -> its module, and its panel of the help."""
 
 
 def application(names: Iterable[str] = COMMANDS) -> typer.Typer:
@@ -40,8 +42,8 @@ def application(names: Iterable[str] = COMMANDS) -> typer.Typer:
         context_settings={"help_option_names": ["-h", "--help"]},
     )
     for name in names:
-        function = getattr(import_module(f"orchestration.cli.{_MODULES[name]}"), name)
-        app.command(rich_help_panel=COMMANDS[name])(function)
+        module, panel = COMMANDS[name]
+        app.command(rich_help_panel=panel)(getattr(import_module(f"orchestration.cli.{module}"), name))
     return app
 
 

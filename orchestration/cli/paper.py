@@ -85,7 +85,11 @@ def identifiability(
         out / "tables.md", "\n".join(f"{name}\n\n{table}" for name, table in tables.items())
     )
     identifiability_study.write_parameters(document["fits"]["wide ranges"]["all"], out / "all-figures.toml")
-    figures = identifiability_tables.write_points(points, out / "identification", written_formats)
+    figures = (
+        identifiability_tables.write_points(points, out / "identification", written_formats)
+        if written_formats
+        else []
+    )
     print(
         *(out / name for name in ("identification.json", "tables.md", "all-figures.toml")), *figures, sep="\n"
     )

@@ -101,12 +101,20 @@ def _texts_of_fields(table: type[Table]) -> dict[str, str]:
     """Field -> the text below it in the source, which the schema alone needs."""
     texts: dict[str, str] = {}
     for cls in reversed(table.__mro__):
-        with suppress(OSError, TypeError):  # of a class without a source
-            (definition,) = ast.parse(textwrap.dedent(inspect.getsource(cls))).body
-            for field, below in pairwise(getattr(definition, "body", ())):
-                match field, below:
-                    case ast.AnnAssign(target=ast.Name(name)), ast.Expr(ast.Constant(str(text))):
-                        texts[name] = inspect.cleandoc(text)
+        if issubclass(cls, Table):
+            texts |= _own_texts_of_fields(cls)
+    return texts
+
+
+@cache
+def _own_texts_of_fields(table: type[Table]) -> dict[str, str]:
+    texts: dict[str, str] = {}
+    with suppress(OSError, TypeError):  # of a class without a source
+        (definition,) = ast.parse(textwrap.dedent(inspect.getsource(table))).body
+        for field, below in pairwise(getattr(definition, "body", ())):
+            match field, below:
+                case ast.AnnAssign(target=ast.Name(name)), ast.Expr(ast.Constant(str(text))):
+                    texts[name] = inspect.cleandoc(text)
     return texts
 
 

@@ -133,10 +133,12 @@ def write_report(
     results: Mapping[str, Result], folder: Path, formats: Sequence[FigureFormat] = (FigureFormat.PNG,)
 ) -> list[Path]:
     """Write summary.json and the figures of the paper; returns the files."""
-    from orchestration.scenarios.paper_figures import write_figures
-
     recordings = {name: result.recording for name, result in results.items()}
     measured = {name: result.metrics for name, result in results.items()}
     path = folder / "summary.json"
     write_json_atomically(path, summary({name: r.metrics_with_units for name, r in results.items()}))
+    if not formats:
+        return [path]
+    from orchestration.scenarios.paper_figures import write_figures
+
     return [path, *write_figures(recordings, measured, folder, formats)]

@@ -259,6 +259,18 @@ print(*sys.modules)
     assert not loaded & {"numpy", "scipy", "matplotlib", "fmpy", "casadi", "pandas", "pyarrow", "dask"}
 
 
+def test_a_run_without_figures_loads_nothing_that_draws(command: Command, tmp_path: Path) -> None:
+    code = f"""
+import sys
+from orchestration.cli.commands import run_command
+run_command(["run", "nominal-extended", "--formats", "none", "--out", {str(tmp_path / "out")!r}])
+print(*sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "matplotlib" not in done.stdout.splitlines()[-1].split()
+    assert {file.suffix for file in (tmp_path / "out").iterdir()} == {".csv", ".json"}
+
+
 def test_sweep_help_names_the_table_of_the_file(command: Command) -> None:
     assert "[sweep]" in command("sweep", "--help").stdout
 
