@@ -134,7 +134,7 @@ C_MUTANTS: dict[str, tuple[str, Patch]] = {
     "a single state": (
         "state-can-be-saved-often",
         {
-            GLOBALS: "static Snapshot only;\n" + GLOBALS,
+            "static const Snapshot *own_snap": "static Snapshot only;\nstatic const Snapshot *own_snap",
             "*FMUstate ? *FMUstate : calloc(1, sizeof *snapshot);": "&only;",
         },
     ),

@@ -82,10 +82,6 @@ MUTANTS = {
         "((Instance *)c)->data = snapshot->data;",
         "((Instance *)c)->data = snapshot->data, ((Instance *)c)->stop_time = DBL_MAX;",
     ),
-    "a reset leaves the stop time": (
-        "are_stale = 1;\n    instance->stop_time = DBL_MAX;",
-        "are_stale = 1;\n    if (instance->stop_time == 0) instance->stop_time = DBL_MAX;",
-    ),
     "a saved state is never freed": ("free(*FMUstate);", ""),
 }
 

@@ -93,6 +93,15 @@ def test_a_step_may_pass_the_stop_time_by_rounding_and_by_no_more(session: Sessi
     assert told(session("step", 0, 0.3, 1e-6)).endswith("expected at most the stop time 0.3 s")
 
 
+def test_a_reset_ends_the_stop_time(session: Session) -> None:
+    assert session("instantiate", 0, "it", 1, GUID, "all", True).status == OK
+    assert session("setup", 0, 0.0, True, 0.3).status == OK
+    assert session("reset", 0).status == OK
+    session("enter", 0)  # without a setup, which would set it anew
+    session("leave", 0)
+    assert step(session, 0.0, 0.4) == OK
+
+
 @pytest.mark.parametrize(
     ("time", "h", "late", "status"),
     [
