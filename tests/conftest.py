@@ -17,6 +17,7 @@ from fmus.block import Block
 from fmus.export import toolchain
 from fmus.instance import Instance
 from fmus.registry import FOLDER_VARIABLE, Flavour, block_names, fmu_folder
+from fmus.stamp import Order
 from tests import foreign_fmus, foreign_pythonfmu
 from tests.shared_builds import (
     LIKE_ANOTHER,
@@ -105,20 +106,26 @@ def pytest_unconfigure(config: pytest.Config) -> None:
         shutil.rmtree(config.stash[_HOME], ignore_errors=True)
 
 
+def _lazily_built(flavour: Flavour) -> LazyFmus:
+    """With stamps: a command that runs them then traces no block."""
+
+    def build(name: str, folder: Path) -> Path:
+        ((fmu,),) = catalogue.build_orders([Order(name, folder, flavour)])
+        return fmu
+
+    return LazyFmus(block_names(), fmu_folder(flavour), build)
+
+
 @pytest.fixture(scope="session")
 def built() -> Mapping[str, Path]:
     """Every block's native FMU by name, freshly built where scenarios find it."""
-    return LazyFmus(block_names(), fmu_folder(Flavour.NATIVE), catalogue.build)
+    return _lazily_built(Flavour.NATIVE)
 
 
 @pytest.fixture(scope="session")
 def python_built() -> Mapping[str, Path]:
     """Every block's FMU of the python flavour by name, freshly built where scenarios find it."""
-    return LazyFmus(
-        block_names(),
-        fmu_folder(Flavour.PYTHON),
-        lambda name, folder: catalogue.build(name, folder, Flavour.PYTHON),
-    )
+    return _lazily_built(Flavour.PYTHON)
 
 
 @pytest.fixture(scope="session")
