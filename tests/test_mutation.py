@@ -147,3 +147,14 @@ def test_where_tests_fail_anyway_nothing_is_killed(
     monkeypatch.setenv("BROKEN", "1")
     with pytest.raises(BrokenEnvironmentError, match=message):
         judged(project, "answer.txt", "43", tests)
+
+
+def test_a_collecting_pytest_that_dies_ends_the_measurement(project: Path) -> None:
+    (project / "test_answer.py").write_text(
+        "import os, signal\ndef test_answer(): os.kill(os.getppid(), signal.SIGKILL)\n"
+    )
+    with (
+        pytest.raises(BrokenEnvironmentError, match=r"pytest ended with status -9 between two mutants"),
+        CollectedTests(project, ["test_answer.py"]) as collected,
+    ):
+        collected.first_failure()
