@@ -2,7 +2,8 @@
 
 Richardson's estimate: an exchange of order p leaves the error C h^p; at twice the step it is 2^p times as
 large, so that the two runs differ by d = (2^p - 1) C h^p. The second run starts at the start time: no FMU has
-to go back in time, to give derivatives, or to be loaded twice. With a tolerance, the second run has a
+to go back in time or to give derivatives, nor to be loaded twice but for a run that the caller leads step by
+step, which goes on beside it. With a tolerance, the second run has a
 tolerance 2^p times as large as well.
 
 What is recorded is a bound rather than d / (2^p - 1) itself: a multiple of the largest d of the last three

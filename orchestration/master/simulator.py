@@ -4,10 +4,11 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from orchestration.errors import OrchestrationError, SimulationError
+from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.fmi.description import describe
 from orchestration.fmi.instance import FmuInstance
 from orchestration.master.checkpoint import Checkpoint, Checkpoints, check_can_save, restore
@@ -48,6 +49,8 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
         self._must_reload = False
         self._guard: ProcessGuard | None = None
         self._running = threading.Lock()
+        # of the run that is led step by step: what was set, the recorded values, and these with an estimate
+        self._estimated: tuple[list[Any], np.ndarray, Recording] | None = None
         self._first_batch = 1
         self._checked: dict[
             tuple[tuple[str, ...], str], tuple[CheckedSystem, tuple[ConnectionGroup, ...]]
@@ -65,7 +68,8 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
     ) -> Recording:
         """Run an experiment and return its recording.
 
-        progress: called some ten times a second with the communication points done, and all of the run
+        progress: called some ten times a second with the communication points done, and all of the run; also
+            by the second run of an error estimate, of half as many points
         real_time: simulated seconds in a second of the wall clock; without it, as fast as possible
         checkpoints: where and how often to save the whole system
         resume: a checkpoint of the same run, from which to continue
@@ -84,7 +88,7 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
             self._first_batch = max(1, run.batch // GROWTH)  # the next run may be slower
             self._must_reload = False
         return (
-            with_error_estimate(recording, wired.prepared, self.run)
+            with_error_estimate(recording, wired.prepared, lambda coarser: self.run(coarser, progress))
             if experiment.error_estimate
             else recording
         )
@@ -95,9 +99,12 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
         external: inputs that the caller sets between the steps, beginning with their value in
         `experiment.inputs`, or the FMU's start value. They are held over a step, and recorded.
 
-        Raises what `run` raises.
+        Raises what `run` raises; SystemDefinitionError for an error estimate, which `recording` makes beside
+        this run, of an FMU that can be instantiated only once.
         """
         with self._begin_run():
+            if experiment.error_estimate:
+                self._check_can_load_twice()
             wired, groups, guard = self._prepare_run(experiment, tuple(external))
             run = SteppedRun(wired, self._loop(wired.wiring), guard)
             try:
@@ -110,16 +117,33 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
             self._stepped = run
 
     def recording(self) -> Recording:
-        """As `StepByStep.recording`; an error estimate loads the FMUs a second time."""
+        """As `StepByStep.recording`; an error estimate loads the FMUs a second time, if anything is new."""
         first, recording = self._started(), super().recording()
+        if not first.prepared.experiment.error_estimate:
+            return recording
 
         def repeat(experiment: Experiment) -> Recording:
             with Simulator(self.system, self._loop is compiled_loop) as second:
                 second.start(experiment, list(first.prepared.external))
                 return replay(second, first)
 
-        estimates = first.prepared.experiment.error_estimate
-        return with_error_estimate(recording, first.prepared, repeat) if estimates else recording
+        written = list(first.variables.written)
+        if self._estimated and self._estimated[0] == written:
+            _, values, estimated = self._estimated
+            if np.array_equal(values, recording.values, equal_nan=True):
+                return estimated
+        estimated = with_error_estimate(recording, first.prepared, repeat)
+        self._estimated = written, recording.values, estimated
+        return estimated
+
+    def _check_can_load_twice(self) -> None:
+        for name, description in self._descriptions.items():
+            interface = description.coSimulation
+            if interface and interface.canBeInstantiatedOnlyOncePerProcess:
+                raise SystemDefinitionError(
+                    f"error_estimate: {name} can be instantiated only once in a process: "
+                    "expected run(experiment), which makes the second run after the first"
+                )
 
     @contextmanager
     def _begin_run(self) -> Iterator[None]:
@@ -133,6 +157,7 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
             self._running.release()
 
     def _end_stepped(self) -> None:
+        self._estimated = None
         if self._stepped:
             self._must_reload = self._must_reload or bool(self._stepped.failure)
             self._stepped.free()

@@ -103,17 +103,27 @@ def adapted(layers: Sequence[Layer], replaced: Mapping[str, Replacement], names:
 def with_chosen_entries(layers: Sequence[Layer]) -> list[Layer]:
     """The layers with their entries for a value that a parameter has, or that a sweep may give it.
 
-    Parameters of such entries are no condition of others.
+    Parameters of such entries are no condition of others. ScenarioError for entries of a parameter that a
+    sweep varies, other than signals: they would be those of all its samples.
     """
     parameters: Data = {}
     for layer in layers:
         parameters |= layer.data.get("parameters", {})
-    varied = {name for layer in layers for name in layer.data.get("sweep", {}).get("vary", {})}
+    vary: Data = {}
+    for layer in layers:
+        vary |= layer.data.get("sweep", {}).get("vary", {})
+    varied = {name for name, values in vary.items() if values is not False}
     result: list[Layer] = []
     for layer in layers:
         result.append(replace(layer, data={k: v for k, v in layer.data.items() if k != "when_set"}))
         for number, entries in enumerate(layer.data.get("when_set", [])):
             name = entries["parameter"]
+            others = sorted(entries.keys() - {"parameter", "values", "signals"})
+            if name in varied and others:
+                raise ScenarioError(
+                    f"{layer.at(('when_set', number))}: when_set: the sweep varies {name}: expected signals "
+                    f"alone, got {', '.join(others)}, which would be those of all samples"
+                )
             if name in varied or parameters.get(name) in entries["values"]:
                 where = layer.at(("when_set", number, "connections"))
                 has_record = any(lower.data.get("record") for lower in result)

@@ -225,6 +225,30 @@ def test_the_estimate_takes_what_was_set_and_not_what_was_taken_back(linear: Bui
     assert np.max(errors) <= np.max(estimated) <= 10.0 * np.max(errors)
 
 
+def test_the_estimate_of_a_stepped_run_is_made_again_only_after_something_new(linear: Build) -> None:
+    with Simulator(System({"one": linear(b=(1.0,))})) as simulator:
+        simulator.start(Experiment(1.0, 0.1, error_estimate=True), ["one.u[1]"])
+        for _ in range(4):
+            simulator.step()
+        run = simulator.recording()
+        assert simulator.recording() is run
+        simulator.set("one.u[1]", 2.0)
+        changed = simulator.recording()
+        assert changed is not run
+        simulator.step()
+        assert len(simulator.recording().time) == len(changed.time) + 1
+        simulator.start(Experiment(1.0, 0.1), ["one.u[1]"])
+        assert "error_estimate" not in simulator.recording().provenance
+
+
+def test_both_runs_of_an_estimate_report_their_progress(linear: Build) -> None:
+    """So that either can be interrupted from there."""
+    totals: list[int] = []
+    with Simulator(coupled(linear)) as simulator:
+        simulator.run(Experiment(2.0, 0.1, error_estimate=True), lambda done, total: totals.append(total))
+    assert list(dict.fromkeys(totals)) == [20, 10]
+
+
 def test_the_estimate_of_less_than_two_steps_is_no_number(linear: Build) -> None:
     with Simulator(coupled(linear)) as simulator:
         simulator.start(Experiment(1.0, 0.1, error_estimate=True))

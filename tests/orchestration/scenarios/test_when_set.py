@@ -68,6 +68,22 @@ def test_a_sweep_over_the_parameter_drives_them(tmp_path: Path) -> None:
     assert RATE in scenario.load(tmp_path / "mine.toml").experiment.signals
 
 
+@pytest.mark.parametrize("entry", ["metrics = { rmse = false }", 'inputs = { "plant.roll" = 0.1 }'])
+def test_a_sweep_over_the_parameter_refuses_entries_that_are_no_signals(tmp_path: Path, entry: str) -> None:
+    """They would be those of all samples; a signal drives an input that other values do not use."""
+    when_set = f'[[when_set]]\nparameter = "{FEEDFORWARD}"\nvalues = ["inside"]\n{entry}\n'
+    vary = f'[sweep]\n[sweep.vary]\n"{FEEDFORWARD}" = {{ values = ["none", "inside"] }}\n'
+    (tmp_path / "mine.toml").write_text(f'base = "nominal-l1"\n{when_set}{vary}')
+    kind = entry.split(maxsplit=1)[0]
+    expected = (
+        rf"mine.toml:\d+: when_set: the sweep varies {FEEDFORWARD}: expected signals alone, got {kind}, "
+    )
+    with pytest.raises(ScenarioError, match=expected):
+        scenario.load(tmp_path / "mine.toml")
+    (tmp_path / "mine.toml").write_text(f'base = "nominal-l1"\n{when_set}')
+    scenario.load(tmp_path / "mine.toml")
+
+
 def test_another_controller_without_the_inputs_gets_none_of_them(tmp_path: Path) -> None:
     fmu = described(tmp_path / "my.fmu", ("depth_reference", "measured_depth"), ("voltage[1]", "voltage[2]"))
     settings = {"controller": str(fmu)}

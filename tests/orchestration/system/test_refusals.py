@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from orchestration.errors import SystemDefinitionError
-from orchestration.master import simulate
+from orchestration.master import Simulator, simulate
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 
@@ -55,6 +55,18 @@ def test_what_an_fmu_cannot_do_is_said_before_it_is_loaded(
     both = Experiment(1.0, 0.1, inputs={"one.u": 0.0, "two.u": 0.0})
     with pytest.raises(SystemDefinitionError, match=r"one, two: expected one instance"):
         simulate(System({"one": fixed, "two": fixed}), both)
+
+
+def test_an_estimate_beside_a_stepped_run_needs_an_fmu_that_can_be_loaded_twice(
+    foreign: Mapping[str, Path], tmp_path: Path
+) -> None:
+    only_once = 'canBeInstantiatedOnlyOncePerProcess="{}"'
+    once = _edited(foreign["Lag"], tmp_path, (only_once.format("false"), only_once.format("true")))
+    experiment = Experiment(1.0, 0.1, inputs={"one.u": 0.0}, error_estimate=True)
+    with Simulator(System({"one": once})) as simulator:
+        with pytest.raises(SystemDefinitionError, match="error_estimate: one can be instantiated only once"):
+            simulator.start(experiment)
+        assert "error_estimate" in simulator.run(experiment).provenance
 
 
 def test_a_range_and_unit_that_only_the_declared_type_states_count(
