@@ -131,8 +131,8 @@ def _judged(fmu: FmuFile, names: Sequence[str], timeout: float) -> dict[str, Res
             return {name: Result(rules[name], not_judged=f"it cannot be unpacked: {error}") for name in names}
         shared: dict[str, Any] = {}
         while remaining := [rules[name] for name in names if name not in results]:
-            messages = [message for result in results.values() for message in result.messages]
-            if sum(message.startswith(f"the FMU {_HUNG}") for message in messages) >= _MOST_HANGS:
+            texts = [text for r in results.values() for text in (*r.messages, r.not_judged)]
+            if sum(_HUNG in text for text in texts if text.startswith("the FMU ")) >= _MOST_HANGS:
                 reason = f"{_MOST_HANGS} rules before {_HUNG} {timeout:g} s"
                 return results | {rule.name: Result(rule, not_judged=reason) for rule in remaining}
             for result in _judged_by_one_process(fmu, folder, remaining, results, timeout, shared):
@@ -179,7 +179,10 @@ def _judged_by_one_process(
             probe.process.deadline = time.monotonic() + limit
             yield _judge(rule, probe, results)
     except TimeoutError:
-        yield Result(rule, (f"the FMU {_HUNG} {limit:g} s",))
+        if probe.process.hangs(limit):
+            yield Result(rule, (f"the FMU {_HUNG} {limit:g} s in one call",))
+        else:
+            yield Result(rule, not_judged=f"the FMU is slow: its calls {_HUNG} {limit:g} s")
     except ProcessEndedError as ended:
         yield Result(rule, (f"the FMU ended the process with {ended}",))
     finally:

@@ -16,6 +16,7 @@ from fmus.process import Parent
 
 MOST_MEMORY = 4 << 30  # bytes
 MOST_OF_A_FILE = 1 << 30  # bytes
+CALLED = "called"  # a file of the working folder, of the time at which the call that is under way began
 _AFTER_A_FAILURE = {  # status -> methods of `CalledInstance` that FMI allows then
     DISCARD: ("status_of", "free_fmu_state", "set_debug_logging"),
     ERROR: ("free_fmu_state", "set_debug_logging"),
@@ -36,6 +37,7 @@ class LoadedFmu:
 
     def __init__(self, library: Path, resources: Path, printed: Path) -> None:
         self._library, self._resources, self._printed = Library(library), resources, printed
+        self._called = printed.with_name(CALLED)
         self._memory = CountingAllocator()
         self._settings = ProcessSettings()
         self._instances: dict[int, CalledInstance] = {}
@@ -131,6 +133,7 @@ class LoadedFmu:
         if instance.watched:
             self._settings.flush()
             printed = self._printed.stat().st_size
+        os.utime(self._called)
         value = action()
         if not instance.watched:
             self._settings.restore_floating_point()
@@ -166,16 +169,20 @@ def call_fmu(parent: Parent) -> None:
     os.chdir(folder)  # where the FMU writes files
     _limit_resources()
     printed = _print_to(Path(folder, "printed"))
+    called = Path(folder, CALLED)
+    called.touch()
     fmu = None
     while True:
         number, calls = parent.receive()
         results, error = [], None
+        os.utime(called)
         try:
             if calls and fmu is None:
                 fmu = LoadedFmu(library, resources, printed)
             results.extend(getattr(fmu, method)(*arguments) for method, *arguments in calls)
         except Exception as exception:  # whatever a foreign library makes of a call is a finding
             error = str(exception) or type(exception).__name__
+        os.utime(called, (0, 0))  # no call is under way
         parent.send_json([number, results, error])
 
 

@@ -21,6 +21,7 @@ from fmus.process import WorkerProcess
 Call = tuple[Any, ...]  # a method of `LoadedFmu` and its arguments
 T = TypeVar("T")
 _LICENCE = re.compile("licen[cs]e", re.IGNORECASE)
+_POLL_S = 0.01
 _REFUSED_STEPS, _DISCARDED_STEP = "refused steps", "discarded step"  # among what the rules share
 
 
@@ -35,11 +36,12 @@ class FmuProcess:
     """
 
     def __init__(self, library: Path, resources: Path, deadline: float) -> None:
-        from fmus.compliance.instance import call_fmu
+        from fmus.compliance.instance import CALLED, call_fmu
 
         self.deadline = deadline
         self._numbers = itertools.count()
         self._process = WorkerProcess(call_fmu, trusted=False)
+        self._called = self._process.folder / CALLED
         self._process.send((self._process.folder, library, resources))
 
     def calls(self, calls: Sequence[Call]) -> list[Any]:
@@ -53,6 +55,22 @@ class FmuProcess:
             case [int(got), [*_], str(error)] if got == expected:
                 raise CallError(error)
         raise CallError(f"the process of the FMU sent {str(answer)[:100]!r}: expected results of the calls")
+
+    def hangs(self, seconds: float) -> bool:
+        """Whether the call that is under way takes longer than that: if need be, this waits for its end."""
+        began = self._began()
+        while began and time.time() - began < seconds:
+            time.sleep(_POLL_S)
+            if self._began() != began:
+                return False
+        return began > 0
+
+    def _began(self) -> float:
+        """When the call that is under way began; 0 if there is none."""
+        try:
+            return self._called.stat().st_mtime
+        except OSError:
+            return 0.0
 
     def close(self) -> None:
         self._process.close()

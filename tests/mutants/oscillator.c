@@ -329,6 +329,7 @@ fmi2Status fmi2Reset(fmi2Component c) {
     if (IS("reset keeps strings")) strcpy(s->d.label, old.label), strcpy(s->d.s_fixed, old.s_fixed);
     if (IS("reset keeps inputs")) s->d.f = s->d.f_end = old.f, s->d.f2 = old.f2, s->d.ref = old.ref;
     if (IS("reset frees states")) {
+        if (s->first_state) memset(s->first_state, 0xff, sizeof *s->first_state);
         free(s->first_state);
         s->first_state = NULL;
     }

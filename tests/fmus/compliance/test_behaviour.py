@@ -46,7 +46,17 @@ def test_a_hang_is_a_finding_of_the_rule_that_it_stops(tmp_path: Path) -> None:
     broken = broken_rules(
         patched({GLOBALS: f"#include <unistd.h>\n{GLOBALS}", STEP: hang}, tmp_path), timeout=2
     )
-    assert broken == {"variable-step-size": ("the FMU took more than 2 s",)}
+    assert broken == {"variable-step-size": ("the FMU took more than 2 s in one call",)}
+
+
+@pytest.mark.slow
+def test_a_slow_fmu_is_not_judged_where_it_takes_too_long(tmp_path: Path) -> None:
+    slow = STEP + " poll(NULL, 0, 100);"
+    path = patched({GLOBALS: f"#include <poll.h>\n{GLOBALS}", STEP: slow}, tmp_path)
+    results = {result.rule.name: result for result in examine(path, timeout=2)}
+    assert [name for name, result in results.items() if result.messages] == []
+    reason = "the FMU is slow: its calls took more than 2 s"
+    assert results["steps-and-terminates"].not_judged == reason
 
 
 def test_capabilities_that_are_claimed_but_not_there_are_caught(
