@@ -176,3 +176,13 @@ def test_batches_grow_to_a_quarter_of_a_second_and_end_at_about_the_same_time() 
     while batch := batches.take(2):
         rest += batch
     assert rest == list(range(1 + 25 + 163, 1000))
+
+
+def test_what_is_left_of_a_batch_is_handed_out_again_first() -> None:
+    batches = Batches(range(10), 10)
+    batches.note(1, 0.001)
+    assert batches.take(1) == [0, 1, 2, 3]
+    batches.note(1, 0.001, [1, 2, 3])
+    assert batches.left == 9
+    assert batches.take(1) == [1, 2, 3]
+    assert batches.take(1) == [4, 5]
