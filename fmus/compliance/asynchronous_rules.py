@@ -8,6 +8,7 @@ from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
 from fmus.compliance.values import (
     differing,
     if_not_claimed,
+    is_utf_8,
     unless_claimed,
 )
 
@@ -92,7 +93,7 @@ def status_of_a_pending_step_is_given(probe: Probe) -> Iterator[str]:
     script.play(keep_going=True)
     if not pending.value:
         raise NotJudgedError("the step was not pending")
-    if text.ok and (text.value is None or not _is_utf_8(bytes.fromhex(text.value))):
+    if text.ok and (text.value is None or not is_utf_8(bytes.fromhex(text.value))):
         shown = "NULL" if text.value is None else bytes.fromhex(text.value)
         yield f"fmi2GetStringStatus of fmi2PendingStatus is {shown!r}: expected a text in UTF-8"
     if polled.status is None:
@@ -104,10 +105,6 @@ def status_of_a_pending_step_is_given(probe: Probe) -> Iterator[str]:
         yield f"fmi2GetStatus gives {status_name(step)} for a step that succeeds: expected ok"
     elif outputs.ok and time.ok:
         yield from differing(expected, [outputs], "after a step that has ended by fmi2GetStatus")
-
-
-def _is_utf_8(content: bytes) -> bool:
-    return content.decode("utf-8", "replace").encode() == content
 
 
 @rule(_COMPUTATION, Stage.BEHAVIOUR, Level.WARNING, condition=unless_claimed(_ASYNCHRONOUS))

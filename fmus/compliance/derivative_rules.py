@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 from fmus.binding import ERROR
 from fmus.compliance.fmu_file import FmuFile
@@ -12,8 +12,10 @@ from fmus.compliance.rule import Level, NotApplicableError, Stage, rule
 from fmus.compliance.script import Reading, Script
 from fmus.compliance.values import (
     RESTARTED,
+    continuous_reals,
     differing,
     other_value,
+    references_of,
     same,
     set_input_derivatives,
     start_value,
@@ -37,16 +39,8 @@ def _no_derivatives(fmu: FmuFile) -> str:
     return _orders(fmu) and unless_claimed(_INTERPOLATES)(fmu) and "no derivatives are claimed"
 
 
-def _continuous(probe: Probe, causality: str) -> list[Variable]:
-    return [v for v in probe.real(causality) if v.variability == "continuous"]
-
-
-def _references(variables: Sequence[Variable]) -> list[int]:
-    return [v.reference or 0 for v in variables]
-
-
 def _derive(script: Script, v: Variable, value: float) -> None:
-    script.call("set_input_derivatives", _references([v]), [1], [value])
+    script.call("set_input_derivatives", references_of([v]), [1], [value])
 
 
 @rule(_TRANSFER, Stage.BEHAVIOUR, condition=unless_claimed(_INTERPOLATES), needs=["allowed-calls-succeed"])
@@ -55,7 +49,7 @@ def input_derivatives(probe: Probe) -> Iterator[str]:
     another value, changes nothing."""
     usual, script = probe.script().begin(), probe.script(logging=True).begin()
     expected = usual.run(2)
-    for v in _continuous(probe, "input"):
+    for v in continuous_reals(probe, "input"):
         _derive(script, v, 1.0)
         _derive(script, v, 0.0)
     got = script.run(2)
@@ -93,7 +87,7 @@ def each_input_derivative_has_an_effect(probe: Probe) -> Iterator[str]:
 def _effects(probe: Probe) -> list[tuple[str, str]]:
     """Continuous inputs that take another value, each with what its derivative does to outputs."""
     verdicts = []
-    for v in _continuous(probe, "input"):
+    for v in continuous_reals(probe, "input"):
         value = other_value(v)
         if value is None:
             continue
@@ -137,10 +131,10 @@ def output_derivatives(probe: Probe) -> Iterator[str]:
 
 def _derivatives(probe: Probe) -> list[tuple[str, int, float]]:
     """(name of an output, order, derivative) after a step."""
-    chosen = _continuous(probe, "output")
+    chosen = continuous_reals(probe, "output")
     script = probe.script(logging=True).begin().step(2)
     replies = [
-        script.call("output_derivatives", _references(chosen), order)
+        script.call("output_derivatives", references_of(chosen), order)
         for order in range(1, probe.fmu.output_derivative_order + 1)
         if chosen
     ]
@@ -196,14 +190,14 @@ Comparison = tuple[float, float, float, float]  # derivative, slope before, slop
 
 def _slopes(probe: Probe) -> dict[str, list[Comparison]]:
     """Name of an output -> its derivatives at communication points, beside its slopes."""
-    chosen = _continuous(probe, "output")
+    chosen = continuous_reals(probe, "output")
     script = probe.script().begin()
     readings, replies = [], []
     for _ in range(8):
         script.step()
         readings.append(script.read(chosen))
         if chosen:
-            replies.append(script.call("output_derivatives", _references(chosen), 1))
+            replies.append(script.call("output_derivatives", references_of(chosen), 1))
     script.play()
     comparisons: dict[str, list[Comparison]] = {}
     for index, v in enumerate(chosen):
@@ -233,13 +227,13 @@ def higher_output_derivatives_are_right(probe: Probe) -> Iterator[str]:
     """A derivative of an output of a higher order is 0, where its order is lower, or the slope of the one
     before; each of several that are read in one call is its own.
     """
-    chosen = _continuous(probe, "output")
+    chosen = continuous_reals(probe, "output")
     script, replies = probe.script().begin(), []
     for _ in range(8):
         script.step()
         orders = range(1, probe.fmu.output_derivative_order + 1) if chosen else ()
-        replies.append([script.call("output_derivatives", _references(chosen), order) for order in orders])
-    together = [script.call("output_derivatives", _references([v]), 1) for v in chosen]
+        replies.append([script.call("output_derivatives", references_of(chosen), order) for order in orders])
+    together = [script.call("output_derivatives", references_of([v]), 1) for v in chosen]
     script.play()
     for index, v in enumerate(chosen):
         last = replies[-1][0].value[index]

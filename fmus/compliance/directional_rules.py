@@ -1,7 +1,7 @@
 """Behaviour of directional derivatives, as far as the FMU claims them."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 from fmus.compliance.fmu_file import FmuFile
@@ -9,7 +9,9 @@ from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotApplicableError, Stage, rule
 from fmus.compliance.script import Reading
 from fmus.compliance.values import (
+    continuous_reals,
     other_value,
+    references_of,
     settable_in_initialization,
     start_value,
     texts,
@@ -23,14 +25,6 @@ _MOST_KNOWNS = 40  # of one FMU: each costs four evaluations
 _DIFFERENCE = 1e-6  # relative change for a difference quotient: half the digits for truncation and rounding
 _AGREEMENT = 1e-4  # relative; a wrong derivative is wrong by much more
 _LINEAR = 1e-6  # relative: derivatives may be difference quotients
-
-
-def _continuous(probe: Probe, causality: str) -> list[Variable]:
-    return [v for v in probe.real(causality) if v.variability == "continuous"]
-
-
-def _references(variables: Sequence[Variable]) -> list[int]:
-    return [v.reference or 0 for v in variables]
 
 
 @rule(
@@ -66,7 +60,7 @@ def _compared(probe: Probe, known: Variable, unknowns: list[Variable]) -> Iterat
     script = probe.script(logging=True).initialise()
     script.set(known, before)  # 4.2.4 lets only outputs and initial unknowns be read here
     middle = script.read(unknowns)
-    reply = script.call("directional_derivatives", _references(unknowns), _references([known]), [1.0])
+    reply = script.call("directional_derivatives", references_of(unknowns), references_of([known]), [1.0])
     script.play()
     sides = [side for sign in (-1, 1) if (side := _quotients(probe, known, unknowns, before, sign, middle))]
     for v, derivative in zip(unknowns, reply.value, strict=True):
@@ -103,7 +97,7 @@ def directional_derivatives_are_linear(probe: Probe) -> Iterator[str]:
     """A directional derivative is the sum of the partial derivatives, each times its seed, in every mode."""
     initial = [probe.fmu.variables[(i or 1) - 1] for i, _ in probe.fmu.unknowns("InitialUnknowns")]
     initial = [v for v in initial if v.kind == "Real"]
-    outputs, knowns = _continuous(probe, "output"), _continuous(probe, "input")[:_MOST_KNOWNS]
+    outputs, knowns = continuous_reals(probe, "output"), continuous_reals(probe, "input")[:_MOST_KNOWNS]
     if not (initial or outputs) or not knowns:
         raise NotApplicableError("there is no continuous input, or neither an output nor an initial unknown")
     seed = [2.5 + 0.5 * i for i in range(len(knowns))]
@@ -113,10 +107,12 @@ def directional_derivatives_are_linear(probe: Probe) -> Iterator[str]:
         script = probe.script(logging=True)
         script = script.begin().step() if stepping else script.initialise()
         alone = [
-            script.call("directional_derivatives", _references(unknowns), _references([known]), [1.0])
+            script.call("directional_derivatives", references_of(unknowns), references_of([known]), [1.0])
             for known in knowns
         ]
-        together = script.call("directional_derivatives", _references(unknowns), _references(knowns), seed)
+        together = script.call(
+            "directional_derivatives", references_of(unknowns), references_of(knowns), seed
+        )
         script.play()
         for i, v in enumerate(unknowns):
             parts = [s * reply.value[i] for s, reply in zip(seed, alone, strict=True)]
@@ -132,7 +128,7 @@ def directional_derivatives_are_linear(probe: Probe) -> Iterator[str]:
 @rule(_DIRECTIONAL, Stage.BEHAVIOUR, condition=unless_claimed(_PROVIDES), needs=["directional-derivatives"])
 def directional_derivatives_are_zero_without_dependency(probe: Probe) -> Iterator[str]:
     """The derivative with respect to an input that is not among the dependencies of an output is zero."""
-    knowns = _continuous(probe, "input")
+    knowns = continuous_reals(probe, "input")
     for section, stepping in (("InitialUnknowns", False), ("Outputs", True)):
         for index, element in probe.fmu.unknowns(section):
             unknown, stated = probe.fmu.variables[(index or 1) - 1], element.get("dependencies")
@@ -143,7 +139,9 @@ def directional_derivatives_are_zero_without_dependency(probe: Probe) -> Iterato
             script = probe.script(logging=True)
             script = script.begin().step() if stepping else script.initialise()
             replies = [
-                script.call("directional_derivatives", _references([unknown]), _references([known]), [1.0])
+                script.call(
+                    "directional_derivatives", references_of([unknown]), references_of([known]), [1.0]
+                )
                 for known in others
             ]
             script.play(keep_going=True)
@@ -225,7 +223,7 @@ def _step_quotients(
         script.exit_initialization_mode()
         readings.append(script.read([*unknowns, *states]))
         scripts.append(script)
-    reply = scripts[0].call("directional_derivatives", _references(unknowns), _references([known]), [1.0])
+    reply = scripts[0].call("directional_derivatives", references_of(unknowns), references_of([known]), [1.0])
     probe.play_each(scripts)
     if not all(script.succeeded for script in scripts):
         return

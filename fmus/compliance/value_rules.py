@@ -10,6 +10,7 @@ from fmus.compliance.script import Reading
 from fmus.compliance.session import session
 from fmus.compliance.values import (
     differing,
+    is_utf_8,
     same,
     texts,
 )  # fmt: skip
@@ -103,17 +104,9 @@ def strings_are_utf_8(probe: Probe) -> Iterator[str]:
     for reading in session(probe).readings:
         if reading.ok:
             for name, value in reading.values.items():
-                if isinstance(value, bytes) and name not in named and not _is_utf_8(value):
+                if isinstance(value, bytes) and name not in named and not is_utf_8(value):
                     named.add(name)
                     yield f"{name} is {value[:40]!r}: expected UTF-8"
-
-
-def _is_utf_8(content: bytes) -> bool:
-    try:
-        content.decode("utf-8")
-    except UnicodeDecodeError:
-        return False
-    return True
 
 
 @rule("2.2.3 Definition of Types (TypeDefinitions)", Stage.BEHAVIOUR)

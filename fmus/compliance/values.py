@@ -183,6 +183,22 @@ def differing(
                 yield f"{name} is {new} {when}, step {i}: expected {old} again"
 
 
+def continuous_reals(probe: Probe, causality: str) -> list[Variable]:
+    return [v for v in probe.real(causality) if v.variability == "continuous"]
+
+
+def references_of(variables: Iterable[Variable]) -> list[int]:
+    return [v.reference or 0 for v in variables]
+
+
+def is_utf_8(content: bytes) -> bool:
+    try:
+        content.decode("utf-8")
+    except UnicodeDecodeError:
+        return False
+    return True
+
+
 def other_values(variables: Iterable[Variable]) -> list[tuple[Variable, Any]]:
     """Each variable that has another legal value, with that value."""
     return [(v, x) for v in variables if (x := other_value(v)) is not None]
