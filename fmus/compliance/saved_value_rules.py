@@ -88,7 +88,7 @@ def _set_back(probe: Probe) -> tuple[Script, Reading, Reading, list[Reading]]:
     _CLAUSE,
     Stage.BEHAVIOUR,
     condition=unless_claimed(_SERIALISES),
-    needs=["state-holds-every-value", "serialised-state-restores"],
+    needs=["state-holds-every-value", "serialised-state-restores", "strings-are-copied"],
 )
 def bytes_hold_every_value(probe: Probe) -> Iterator[str]:
     """Bytes of a state that was freed give all variables again, in an instance with other values; reading

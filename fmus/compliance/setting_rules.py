@@ -30,7 +30,7 @@ _MOST_VARIABLES = 50  # of one kind, each of which costs an instance
 _ROUNDED = 1e-6
 
 
-@rule(_INITIALIZATION, Stage.BEHAVIOUR, needs=["start-values-are-as-declared"])
+@rule(_INITIALIZATION, Stage.BEHAVIOUR, needs=["start-values-are-as-declared", "strings-are-copied"])
 def values_that_are_set_are_read(probe: Probe) -> Iterator[str]:
     """What is set when instantiated or in initialization mode is read afterwards."""
     before = [v for v in settable_before(probe.fmu) if v.initial == "exact"]
