@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Iterator
+from statistics import median
 
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, Stage, rule
@@ -86,6 +87,6 @@ def memory_does_not_grow(probe: Probe) -> Iterator[str]:
     freed.
     """
     heap = [count["heap"] for count in _resources_in_use(probe)]
-    growth = [b - a for a, b in itertools.pairwise(heap)]
-    if min(growth) >= _LEAST_LEAK:
-        yield f"each instance that is created and freed leaves {min(growth)} bytes in the heap: expected none"
+    growth = median(b - a for a, b in itertools.pairwise(heap))  # as this process frees memory at times
+    if growth >= _LEAST_LEAK:
+        yield f"an instance that is created and freed leaves {growth:g} bytes in the heap: expected none"
