@@ -122,7 +122,7 @@ _PLAIN = [
     ("needs stepFinished", "2.1.5", "optional-callbacks-may-be-null"),
     ("needs the environment", "2.1.5", "optional-callbacks-may-be-null"),
     ("free of NULL crashes", "2.1.5", "free-of-null-is-ignored"),
-    ("files stay open", "2.1.5", "resources-are-freed memory-does-not-grow"),
+    ("files stay open", "2.1.5", "resources-are-freed"),
     ("threads stay", "2.1.5", "resources-are-freed"),
     ("memory leaks", "2.1.5", "memory-does-not-grow"),
     (
