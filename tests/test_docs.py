@@ -21,6 +21,8 @@ TOOL_PAGES = [
 ]
 TUTORIALS = [page for page in (ROOT / "docs" / "tutorials").glob("*.md") if page.name != "README.md"]
 
+QUICK = {"fmpy.md"}  # the others run the command line a dozen times each
+
 
 def _name(page: Path) -> str:
     return str(page.relative_to(ROOT / "docs"))
@@ -84,8 +86,14 @@ def test_the_index_lists_every_page() -> None:
     assert {page.name for page in TOOL_PAGES} == set(re.findall(r"^\| .*?\((\S+\.md)\)", index, re.M))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("page", [page for page in PAGES if examples(page)], ids=_name)
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, id=_name(page), marks=[] if page.name in QUICK else pytest.mark.slow)
+        for page in PAGES
+        if examples(page)
+    ],
+)
 def test_the_examples_run_and_print_what_the_page_shows(page: Path, tmp_path: Path) -> None:
     """In an empty folder, with the programs of this environment."""
     environment = os.environ | {"PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
