@@ -8,6 +8,7 @@ import ctypes
 import hashlib
 import os
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 from fmus.errors import ExportError
@@ -15,56 +16,58 @@ from fmus.files import write_bytes_atomically
 from fmus.platforms import TARGETS, host_platform
 
 
-def load(source: Path, cache: Path) -> ctypes.CDLL:
+def load(source: Path, cache: Path, options: Sequence[str] = ()) -> ctypes.CDLL:
     """The library of a C source: the one beside it, else the one in a folder of this user's, else a new one.
 
-    A new one is written to that folder, if this user and no other can write there. Raises ExportError if
+    options: of the compiler, beside those of every library. A new one is written to that folder, if this user and no other can write there. Raises ExportError if
     there is no compiler for a new one, OSError if the system refuses to load it.
     """
     platform = host_platform()
-    content = find(source, source.parent, platform)
+    content = find(source, source.parent, platform, options=options)
     if content is None and _is_private(cache):
-        content = find(source, cache, platform, only_own=True)
+        content = find(source, cache, platform, only_own=True, options=options)
     if content is None:
-        content = compile_source(source, platform)
-        _store(content, cache / file_name(source, platform, content))
-    return _load(content, source, cache)
+        content = compile_source(source, platform, options)
+        _store(content, cache / file_name(source, platform, content, options))
+    return _load(content, (source.parent, cache), file_name(source, platform, content, options))
 
 
-def find(source: Path, folder: Path, platform: str, only_own: bool = False) -> bytes | None:
+def find(
+    source: Path, folder: Path, platform: str, only_own: bool = False, options: Sequence[str] = ()
+) -> bytes | None:
     """The undamaged library of a source in a folder, if there is one.
 
     only_own: a file of another user's, or one that others can write, is left out
     """
-    for path in sorted(folder.glob(f"{_stem(source, platform)}-*")):
+    for path in sorted(folder.glob(f"{_stem(source, platform, options)}-*")):
         try:
             content = _read(path, only_own)
         except OSError:
             continue
-        if path.name == file_name(source, platform, content):
+        if path.name == file_name(source, platform, content, options):
             return content
     return None
 
 
-def compile_source(source: Path, platform: str) -> bytes:
+def compile_source(source: Path, platform: str, options: Sequence[str] = ()) -> bytes:
     """A new library of a source for an FMI platform; ExportError without a compiler."""
     try:
         from fmus.export.toolchain import compile_library
     except ImportError as error:
         raise ExportError(f"no library of {source.name} for {platform}, and no compiler: {error}") from None
     texts = {path.name: path.read_text("utf-8") for path in _files(source)}
-    return compile_library(source.stem, texts, [source.name], platform)
+    return compile_library(source.stem, texts, [source.name], platform, options)
 
 
-def file_name(source: Path, platform: str, content: bytes) -> str:
+def file_name(source: Path, platform: str, content: bytes, options: Sequence[str] = ()) -> str:
     """The name of the library that has this content."""
-    return f"{_stem(source, platform)}-{_digest(content)}.{TARGETS[platform][1]}"
+    return f"{_stem(source, platform, options)}-{_digest(content)}.{TARGETS[platform][1]}"
 
 
-def _stem(source: Path, platform: str) -> str:
+def _stem(source: Path, platform: str, options: Sequence[str]) -> str:
     """What names of all libraries start with that are made from this source in this way."""
     toolchain = Path(__file__).parent / "export" / "toolchain.py"  # it holds the flags of the compiler
-    recipe = b"".join(path.read_bytes() for path in (*_files(source), toolchain))
+    recipe = b"".join(path.read_bytes() for path in (*_files(source), toolchain)) + " ".join(options).encode()
     return f"{source.stem}-{platform}-{_digest(recipe)}"
 
 
@@ -109,23 +112,24 @@ def _store(content: bytes, path: Path) -> None:
         return
 
 
-def _load(content: bytes, source: Path, cache: Path) -> ctypes.CDLL:
+def _load(content: bytes, folders: tuple[Path, Path], name: str) -> ctypes.CDLL:
     """Load a library from a file that only this process knows, with the other temporary files.
+
+    folders: where it may be a file of that name; the second one is the cache.
 
     It is in the cache where temporary files cannot be executed. Windows neither removes nor replaces a file
     that is loaded: there it is the file that was read.
     """
     if os.name == "nt":
-        name = file_name(source, host_platform(), content)
-        for path in (source.parent / name, cache / name):
-            if path.is_file():
-                return ctypes.CDLL(str(path))
+        for folder in folders:
+            if (folder / name).is_file():
+                return ctypes.CDLL(str(folder / name))
     try:
         return _load_from(None, content)
     except OSError:
-        if not _is_private(cache):
+        if not _is_private(folders[1]):
             raise
-        return _load_from(cache, content)
+        return _load_from(folders[1], content)
 
 
 def _load_from(parent: Path | None, content: bytes) -> ctypes.CDLL:

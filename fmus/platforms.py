@@ -3,6 +3,9 @@
 import platform
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
 
 from fmus.errors import ExportError, nearest
 
@@ -15,6 +18,14 @@ TARGETS = {
     "aarch64-darwin": (("aarch64-macos.11.0",), "dylib"),
 }
 PLATFORMS = tuple(TARGETS)
+
+# levels of the x86-64 ABI, the best first -> what Linux calls their features, beside those of the level below
+_V3 = "avx avx2 bmi1 bmi2 f16c fma abm movbe"
+INSTRUCTION_SETS = {
+    "x86-64-v4": f"{_V3} avx512f avx512bw avx512cd avx512dq avx512vl",
+    "x86-64-v3": _V3,
+    "portable": "",
+}
 
 
 def host_platform() -> str:
@@ -34,6 +45,16 @@ def host_platform() -> str:
             "use the python flavour"
         )
     return known[sys.platform, architecture]
+
+
+@cache
+def instruction_sets() -> tuple[str, ...]:
+    """The instruction sets that this processor has, the best first; on Linux alone more than "portable"."""
+    features: set[str] = set()
+    with suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+        features = next(({*line.split()} for line in lines if line.startswith("flags")), features)
+    return tuple(name for name, needed in INSTRUCTION_SETS.items() if features >= {*needed.split()})
 
 
 def check_platforms(names: Sequence[str]) -> tuple[str, ...]:

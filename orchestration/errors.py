@@ -19,6 +19,10 @@ class SystemDefinitionError(OrchestrationError):
     """Components and connections that do not fit; found before anything is loaded."""
 
 
+class EnsembleError(SystemDefinitionError):
+    """What an `Ensemble` cannot run, and a `Simulator` can."""
+
+
 class FmuLoadError(OrchestrationError):
     """A file that is not an FMI 2.0 co-simulation FMU for this platform."""
 

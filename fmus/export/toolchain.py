@@ -37,15 +37,25 @@ _PATIENCE_S = 600  # the first build for Windows takes a minute: its C library i
 COMPILER = ("ziglang", version("ziglang"))
 
 
-def compile_library(model: str, sources: dict[str, str], compiled: Sequence[str], fmi_platform: str) -> bytes:
+def compile_library(
+    model: str,
+    sources: dict[str, str],
+    compiled: Sequence[str],
+    fmi_platform: str,
+    more_options: Sequence[str] = (),
+) -> bytes:
     """The shared library MODEL of some sources, of which `compiled` are given to the compiler."""
-    with compiling(model, sources, compiled, fmi_platform) as library:
+    with compiling(model, sources, compiled, fmi_platform, more_options) as library:
         return library()
 
 
 @contextmanager
 def compiling(
-    model: str, sources: dict[str, str], compiled: Sequence[str], fmi_platform: str
+    model: str,
+    sources: dict[str, str],
+    compiled: Sequence[str],
+    fmi_platform: str,
+    more_options: Sequence[str] = (),
 ) -> Iterator[Callable[[], bytes]]:
     """As `compile_library`, beside this process until the function that it gives is called."""
     targets, suffix = TARGETS[fmi_platform]
@@ -57,7 +67,7 @@ def compiling(
         ends = []
         for target in targets:
             (folder / target).mkdir()
-            options = ["-target", target, "-shared", *FLAGS, "-I", str(FMI_HEADERS)]
+            options = ["-target", target, "-shared", *FLAGS, *more_options, "-I", str(FMI_HEADERS)]
             if "macos" in target:
                 options.append(f"-Wl,-install_name,@rpath/{file}")
             arguments = ["cc", *options, "-o", f"{target}/{file}", *compiled]

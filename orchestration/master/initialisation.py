@@ -25,7 +25,7 @@ from orchestration.master.algebraic_loop import (
     solve_loop,
 )
 from orchestration.system.experiment import Initialisation
-from orchestration.system.prepared_run import PreparedRun
+from orchestration.system.prepared_run import PreparedRun, Setting
 from orchestration.system.system import CheckedSystem
 
 
@@ -42,20 +42,26 @@ class ConnectionGroup:
 
 
 def initialise(
-    prepared: PreparedRun, groups: Sequence[ConnectionGroup], instances: Mapping[str, FmuInstance]
+    prepared: PreparedRun,
+    groups: Sequence[ConnectionGroup],
+    instances: Mapping[str, FmuInstance],
+    settings: Sequence[Setting] | None = None,
 ) -> None:
-    """Bring new instances to step mode with consistent initial values; groups: of `connection_groups`."""
+    """Bring new instances to step mode with consistent initial values; groups: of `connection_groups`.
+
+    settings: in place of those of the prepared run
+    """
     experiment = prepared.experiment
-    settings: dict[tuple[str, bool], list[tuple[ScalarVariable, FmiValue]]] = defaultdict(list)
-    for port, value in prepared.settings:
+    sorted_settings: dict[tuple[str, bool], list[tuple[ScalarVariable, FmiValue]]] = defaultdict(list)
+    for port, value in prepared.settings if settings is None else settings:
         is_input = port.variable.causality == "input"
-        settings[port.component, is_input].append((port.variable, value))
+        sorted_settings[port.component, is_input].append((port.variable, value))
     for name, instance in instances.items():
-        instance.set_all(settings[name, False])
+        instance.set_all(sorted_settings[name, False])
     for instance in instances.values():
         instance.initialise(experiment.start_time, experiment.stop_time)
     for name, instance in instances.items():
-        instance.set_all(settings[name, True])
+        instance.set_all(sorted_settings[name, True])
     for name, values in zip(experiment.signals, prepared.signal_values, strict=True):
         port = prepared.system.ports[name]
         value = float(values[0])

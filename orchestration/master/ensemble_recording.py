@@ -1,0 +1,60 @@
+"""The recordings of the instances of an ensemble."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmus.errors import nearest
+from orchestration.errors import OrchestrationError
+from orchestration.master.run_recording import make_recording
+from orchestration.results.recording import Recording
+from orchestration.system.prepared_run import PreparedRun
+
+
+@dataclass(frozen=True, eq=False)
+class EnsembleRecording:
+    """Signals of many instances over time.
+
+    prepared: the run that they share; values: shape (groups, signals, n, lanes), instances in groups of lanes
+    counts: recorded communication points of each instance, shape (instances,)
+    failures: instance -> why it ended early
+    """
+
+    prepared: PreparedRun
+    values: np.ndarray
+    counts: np.ndarray
+    failures: Mapping[int, str]
+
+    def __len__(self) -> int:
+        """Number of instances."""
+        return len(self.counts)
+
+    @property
+    def names(self) -> Sequence[str]:
+        """Names of the signals, "component.variable"."""
+        return self.prepared.recorded
+
+    @property
+    def time(self) -> np.ndarray:
+        """Communication points [s], shape (n,)."""
+        return self.prepared.points
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """A signal of every instance, shape (n, instances); NaN after the end of one that failed.
+
+        OrchestrationError offers the nearest name for one that was not recorded.
+        """
+        if name not in self.names:
+            raise OrchestrationError(f"{name!r} was not recorded; {nearest(name, self.names)}")
+        groups = self.values[:, self.names.index(name)]
+        signal = groups.swapaxes(0, 1).reshape(len(self.time), -1)[:, : len(self)]
+        for instance in self.failures:
+            signal[self.counts[instance] :, instance] = np.nan
+        return signal
+
+    def recording(self, instance: int) -> Recording:
+        """That of one instance, as a `Simulator` returns it, until its end."""
+        group, lane = divmod(range(len(self))[instance], self.values.shape[-1])
+        rows = np.ascontiguousarray(self.values[group, :, :, lane].T)
+        return make_recording(self.prepared, rows, int(self.counts[instance]), is_final=True)
