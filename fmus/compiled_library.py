@@ -19,8 +19,9 @@ from fmus.platforms import TARGETS, host_platform
 def load(source: Path, cache: Path, options: Sequence[str] = ()) -> ctypes.CDLL:
     """The library of a C source: the one beside it, else the one in a folder of this user's, else a new one.
 
-    options: of the compiler, beside those of every library. A new one is written to that folder, if this user and no other can write there. Raises ExportError if
-    there is no compiler for a new one, OSError if the system refuses to load it.
+    A new one is written to that folder, if this user and no other can write there. options: of the compiler,
+    beside those of every library. Raises ExportError if there is no compiler for a new one, OSError if the
+    system refuses to load it.
     """
     platform = host_platform()
     content = find(source, source.parent, platform, options=options)

@@ -1,9 +1,9 @@
-"""The C code of a native FMU for a group of instances that step together: vectors of lanes in place of numbers.
+"""The C code of a native FMU for a group of instances that step together: vectors in place of numbers.
 
-An FMU of this exporter carries its equations as C, one operation a statement. Here each statement becomes the
-same operation on vectors, one lane for each instance; a choice takes each lane from its own alternative, and a
-branch is carried out if one lane at least needs it. So every lane has the bits of its own instance: nothing is
-reordered, and elementary functions are those of the C library, lane by lane.
+An FMU of this exporter carries its equations as C, one operation a statement. Here each statement becomes
+the same operation on vectors, one lane for each instance; a choice takes each lane from its own alternative,
+and a branch is carried out if one lane at least needs it. So every lane has the bits of its own instance:
+nothing is reordered, and elementary functions are those of the C library, lane by lane.
 """
 
 import re
@@ -15,10 +15,23 @@ from pathlib import Path
 from fmus.errors import ExportError
 
 SOURCE = "lanes.c"
+LANES = 8
+"""Instances of a group: a vector of as many doubles is one register of some processors, two of others."""
 _HEADERS = ("variables.h", "model.h")  # of the FMU, that the source includes
 _CODE = "model_code.h"
-_FUNCTIONS = ("model_step_constants", "model_step", "model_calculate", "model_requirements", "model_output")
-_QUICK = {"fabs", "sqrt", "floor", "ceil", "copysign", "fmin", "fmax"}  # of the processor, or a few of its own
+_FUNCTIONS = tuple(
+    f"model_{name}"
+    for name in ("calculate", "requirements", "initial_state", "step_constants", "step", "output")
+)
+_QUICK = {
+    "fabs",
+    "sqrt",
+    "floor",
+    "ceil",
+    "copysign",
+    "fmin",
+    "fmax",
+}  # of the processor, or a few of its own
 
 _TERM = r"(\(-[^()]+\)|[\w.\[\]]+(?:(?<=e)[-+]\d+)?)"
 _FORMS = {
@@ -43,7 +56,7 @@ _CONSTANTS = re.compile(r"enum \{ N_STEP_CONSTANTS = \d+ \};")
 
 
 def lane_sources(fmu: Path) -> dict[str, str]:
-    """File name -> text of the C sources of a library that steps groups of instances; SOURCE is to be compiled.
+    """File name -> text of the C sources of a library that steps groups of instances; SOURCE is compiled.
 
     Raises ExportError for an FMU that has no sources of this exporter, or those of another version of it.
     """
@@ -61,7 +74,7 @@ def lane_sources(fmu: Path) -> dict[str, str]:
 
 
 def lane_code(code: str) -> str:
-    """`model_code.h` of an FMU with vectors in place of numbers; ExportError for a line that it cannot have."""
+    """`model_code.h` of an FMU with vectors in place of numbers; ExportError for an unknown statement."""
     constants, functions, memory = _CONSTANTS.search(code), [], 0
     bodies = dict(_functions(code))
     if constants is None or not bodies.keys() >= {*_FUNCTIONS}:

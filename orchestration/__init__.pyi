@@ -4,6 +4,8 @@ from orchestration.master import Simulator as Simulator
 from orchestration.master import simulate as simulate
 from orchestration.master.checkpoint import Checkpoints as Checkpoints
 from orchestration.master.checkpoint import read_checkpoint as read_checkpoint
+from orchestration.master.ensemble import Ensemble as Ensemble
+from orchestration.master.ensemble_recording import EnsembleRecording as EnsembleRecording
 from orchestration.results.recording import Recording as Recording
 from orchestration.system.experiment import Event as Event
 from orchestration.system.experiment import Experiment as Experiment

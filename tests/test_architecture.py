@@ -104,6 +104,7 @@ FOR_RUNNING = {
     "fmus.extras",
     "fmus.files",
     "fmus.fmi_types",
+    "fmus.lanes",
     "fmus.plain_types",
     "fmus.platforms",
     "fmus.process",

@@ -1,7 +1,7 @@
 /* Groups of instances of a native FMU that step together, each in a lane of its own.
  *
  * Compiled with variables.h and model.h of the FMU and with its equations for vectors, model_lanes.h. This is
- * data_step of instance.h for a group: what is refused there is a bit of the result here, and the values of that
+ * data_step of instance.h for a group of LANES: what is refused there is a bit of the result here, and the values of that
  * lane have no meaning from then on. The other lanes do not notice.
  */
 
@@ -19,7 +19,7 @@
 #define EXPORT __attribute__((visibility("default")))
 #endif
 
-enum { LANES = 8, STEP_SIZES = 4 };
+enum { STEP_SIZES = 4 };
 
 typedef double Lanes __attribute__((vector_size(8 * LANES)));
 typedef int64_t Mask __attribute__((vector_size(8 * LANES))); /* of each lane all bits, or none */
@@ -45,22 +45,28 @@ INLINE Lanes lanes_fmin(Lanes x, Lanes y) { return __builtin_elementwise_min(x, 
 INLINE Lanes lanes_fmax(Lanes x, Lanes y) { return __builtin_elementwise_max(x, y); }
 
 /* Other functions are those of the C library, which the FMU calls. A call remembers its arguments and results, and
- * what has the same bits again is not computed again: an angle that stays, or a time constant. */
-#define DEFINE_FUNCTION(name)                             \
-    INLINE Lanes lanes_##name(Lanes x, Lanes *memory) {   \
-        if (any((Mask)x != (Mask)memory[0])) {            \
-            Lanes results;                                \
-            EACH_LANE results[lane] = name(x[lane]);      \
-            memory[0] = x, memory[1] = results;           \
-        }                                                 \
-        return memory[1];                                 \
+ * what has the same bits again is not computed again: an angle that stays, or a time constant. A compiler that sees the
+ * argument would compute the result without that condition; constants it may see, as in the FMU. */
+#define HIDE(x) \
+    if (!__builtin_constant_p(x[0])) __asm__ volatile("" : "+m"(x))
+#define DEFINE_FUNCTION(name)                           \
+    INLINE Lanes lanes_##name(Lanes x, Lanes *memory) { \
+        if (any((Mask)x != (Mask)memory[0])) {          \
+            memory[0] = x;                              \
+            HIDE(x);                                    \
+            EACH_LANE x[lane] = name(x[lane]);          \
+            memory[1] = x;                              \
+        }                                               \
+        return memory[1];                               \
     }
 #define DEFINE_FUNCTION_OF_TWO(name)                                            \
     INLINE Lanes lanes_##name(Lanes x, Lanes y, Lanes *memory) {                \
         if (any(((Mask)x != (Mask)memory[0]) | ((Mask)y != (Mask)memory[1]))) { \
-            Lanes results;                                                      \
-            EACH_LANE results[lane] = name(x[lane], y[lane]);                   \
-            memory[0] = x, memory[1] = y, memory[2] = results;                  \
+            memory[0] = x, memory[1] = y;                                       \
+            HIDE(x);                                                            \
+            HIDE(y);                                                            \
+            EACH_LANE x[lane] = name(x[lane], y[lane]);                         \
+            memory[2] = x;                                                      \
         }                                                                       \
         return memory[2];                                                       \
     }
@@ -123,21 +129,17 @@ static int64_t bits(Mask mask) {
     return result;
 }
 
-/* What the caller has to know: how many lanes, variables, states, and bytes of a group; its internal step. */
-EXPORT void lanes_sizes(int64_t sizes[5]) {
-    const int64_t known[] = {LANES, N_VARIABLES, N_STATES, sizeof(Group), INTERNAL_STEP};
+/* What the caller has to know: how many variables, states, and bytes of a group; its internal step. */
+EXPORT void lanes_sizes(int64_t sizes[4]) {
+    const int64_t known[] = {N_VARIABLES, N_STATES, sizeof(Group), INTERNAL_STEP};
     memcpy(sizes, known, sizeof known);
 }
 
-/* After the values and the present state were written. */
-EXPORT void lanes_begin(Group *group) {
-    for (int i = 0; i < STEP_SIZES; i++) group->size_of_constants[i] = NAN;
-    memset(group->memory, 0xff, sizeof group->memory); /* NaN of NaN */
-    group->present = group->oldest_constants = 0;
-}
+/* Of new memory, before anything else: nothing is remembered yet. */
+EXPORT void lanes_clear(Group *group) { memset(group->memory, 0xff, sizeof group->memory); } /* NaN of NaN */
 
 /* After parameters were changed: what follows from them. Lanes whose parameters contradict each other. */
-EXPORT int64_t lanes_parameters_changed(Group *group) {
+static Mask parameters_changed(Group *group) {
     Lanes holds[N_REQUIREMENTS + 1], *p = group->value, *c = p + FIRST_CALCULATED;
     Mask broken = {0};
     for (int i = 0; i < STEP_SIZES; i++) group->size_of_constants[i] = NAN;
@@ -147,8 +149,10 @@ EXPORT int64_t lanes_parameters_changed(Group *group) {
     for (int i = 0; i < N_CALCULATED; i++)
         if (VARIABLES[FIRST_CALCULATED + i].items || VARIABLES[FIRST_CALCULATED + i].type == BOOLEAN)
             EACH_LANE broken[lane] |= -(int64_t)!is_item(FIRST_CALCULATED + i, c[i][lane]);
-    return bits(broken);
+    return broken;
 }
+
+EXPORT int64_t lanes_parameters_changed(Group *group) { return bits(parameters_changed(group)); }
 
 static const Lanes *constants_of(Group *group, double internal) {
     for (int i = 0; i < STEP_SIZES; i++)
@@ -171,6 +175,17 @@ static Mask refused(const Lanes *state, const Lanes *outputs) {
         EACH_LANE bad[lane] |= -(int64_t)!is_item(FIRST_OUTPUT + output, outputs[output][lane]);
     }
     return bad;
+}
+
+/* Initial states and outputs at a time [s], from parameters and inputs. The lanes that are refused, as bits. */
+EXPORT int64_t lanes_initialize(Group *group, double time) {
+    const Lanes *p = group->value, *c = p + FIRST_CALCULATED, *u = p + FIRST_INPUT;
+    Lanes *outputs = group->value + FIRST_OUTPUT;
+    const Mask broken = parameters_changed(group);
+    group->present = 0;
+    model_initial_state(time, u, p, c, group->state[0], group->memory);
+    model_output(time, group->state[0], p, c, outputs, group->memory);
+    return bits(broken | refused(group->state[0], outputs));
 }
 
 /* From start to start + size [s], in equal internal steps; inputs are held. The lanes that are refused, as bits. */

@@ -3,21 +3,22 @@
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack
-from typing import Any
 
 import numpy as np
 
 from fmus.errors import nearest
+from fmus.fmi_types import FmiValue
+from fmus.lanes import LANES
 from fmus.platforms import INSTRUCTION_SETS, instruction_sets
 from orchestration.errors import EnsembleError, OrchestrationError, SystemDefinitionError
 from orchestration.fmi.description import describe, is_independent
 from orchestration.fmi.instance import FmuInstance
 from orchestration.master.ensemble_loop import EnsembleLoop, build_loop
 from orchestration.master.ensemble_recording import EnsembleRecording
-from orchestration.master.initialisation import connection_groups, initialise
+from orchestration.master.initialisation import ConnectionGroup, connection_groups, initialise
 from orchestration.master.lane_library import lane_library
 from orchestration.system.experiment import Experiment
-from orchestration.system.prepared_run import PreparedRun, Setting, has_start_value, prepare
+from orchestration.system.prepared_run import PreparedRun, has_start_value, prepare
 from orchestration.system.system import System
 from orchestration.system.values import Value, fmi_value
 
@@ -25,10 +26,11 @@ Vary = Mapping[str, Sequence[Value] | np.ndarray]
 
 
 class Ensemble(AbstractContextManager["Ensemble"]):
-    """Many instances of a system of native FMUs of this exporter, in groups that step at once; a context manager.
+    """Many instances of a system of native FMUs of this exporter, in groups that step at once.
 
     Every instance has the bits of its own run by a `Simulator` (docs/how-to/ensembles.md says what that rests
-    on). The equations are compiled from the sources in the FMUs, once for each FMU, and kept in the user's cache.
+    on). The equations are compiled from the sources in the FMUs, once for each FMU, and kept in the user's
+    cache. A context manager, which frees the FMUs that the initial values are taken from.
 
     instructions: "x86-64-v4", "x86-64-v3" or "portable", by default the best that this processor has
 
@@ -40,14 +42,18 @@ class Ensemble(AbstractContextManager["Ensemble"]):
         available = instruction_sets()
         self.instructions = instructions or available[0]
         if self.instructions not in INSTRUCTION_SETS:
-            raise EnsembleError(f"instructions {instructions!r}: {nearest(self.instructions, INSTRUCTION_SETS)}")
+            raise EnsembleError(
+                f"instructions {instructions!r}: {nearest(self.instructions, INSTRUCTION_SETS)}"
+            )
         if self.instructions not in available:
             raise EnsembleError(f"instructions {instructions!r}: this processor has {', '.join(available)}")
         self._loaded = ExitStack()
         self._instances: dict[str, FmuInstance] = {}
         for name, path in system.components.items():
             if not is_independent(describe(path)):
-                raise EnsembleError(f"{name}: {path}: expected a native FMU of l1-depth; Simulator runs any FMU")
+                raise EnsembleError(
+                    f"{name}: {path}: expected a native FMU of l1-depth; Simulator runs any FMU"
+                )
         self._libraries = {
             name: lane_library(name, path, self.instructions) for name, path in system.components.items()
         }
@@ -70,65 +76,88 @@ class Ensemble(AbstractContextManager["Ensemble"]):
         Raises SystemDefinitionError for what does not fit, EnsembleError for what only a `Simulator` can run.
         """
         prepared = prepare(self.system, experiment)
-        check_supported(prepared)
-        settings = _settings(prepared, vary)
-        initial, failures = self._initial_values(prepared, settings)
-        loop = build_loop(prepared, self._libraries, initial)
-        count, lanes = len(settings), loop.data.lanes
+        groups = connection_groups(prepared.system)
+        check_supported(prepared, groups)
+        values = checked_values(prepared, vary)
+        loop = self._started(prepared, groups, values)
+        count = len(next(iter(values.values())))
+        begun = ~loop.failure.ravel()[:count].astype(bool)
+        reasons = {i: self._reason(prepared, groups, values, i) for i in np.flatnonzero(~begun).tolist()}
         with ThreadPoolExecutor(threads) as pool:
-            for group, _ in enumerate(pool.map(loop.run_group, range(loop.data.n_groups))):
+            for group, _ in enumerate(pool.map(loop.run_group, range(len(loop.rows)))):
                 if progress:
-                    progress(min(count, (group + 1) * lanes), count)
-        return _recording(loop, count, failures)
+                    progress(min(count, (group + 1) * LANES), count)
+        for instance in np.flatnonzero(begun & (loop.failure.ravel()[:count] != 0)).tolist():
+            reasons[instance] = loop.reason(instance)
+        counts = loop.recorded.ravel()[:count]
+        return EnsembleRecording(prepared, values, loop.rows, counts, dict(sorted(reasons.items())))
 
-    def _initial_values(
-        self, prepared: PreparedRun, settings: Sequence[Sequence[Setting]]
-    ) -> tuple[dict[str, np.ndarray], dict[int, str]]:
-        """What the instances begin with, by component; instance -> why it cannot begin.
+    def _started(
+        self, prepared: PreparedRun, groups: Sequence[ConnectionGroup], vary: Mapping[str, list[FmiValue]]
+    ) -> EnsembleLoop:
+        """The instances with their initial values; `failure` of those that cannot begin is not 0.
 
-        The FMUs themselves are initialised, one instance after another.
+        What they have in common is taken from the FMUs, initialised as the first instance that can begin.
         """
-        groups, lanes = connection_groups(prepared.system), next(iter(self._libraries.values())).lanes
-        rows: dict[str, list[np.ndarray | None]] = {name: [] for name in self._libraries}
-        failures = {}
-        for instance, own in enumerate(settings):
-            try:
-                self._load_or_reset()
-                initialise(prepared, groups, self._instances, own)
-                states = {name: self._words(name) for name in self._libraries}
-            except OrchestrationError as error:
-                failures[instance] = str(error)
-                states = dict.fromkeys(self._libraries)
-            for name, state in states.items():
-                rows[name].append(state)
-        if len(failures) == len(settings):
-            raise EnsembleError(f"no instance can begin; the first: {failures[0]}")
-        return {name: self._padded(name, values, lanes) for name, values in rows.items()}, failures
+        count, reason = len(next(iter(vary.values()))), ""
+        for instance in range(count):
+            reason = self._reason(prepared, groups, vary, instance)
+            if not reason:
+                break
+        if reason:
+            raise EnsembleError(f"none of {count} instances can begin; the last: {reason}")
+        common = {name: self._values(name) for name in self._libraries}
+        loop = build_loop(prepared, self._libraries, self.instructions, common, count)
+        for name, values in vary.items():
+            padded = np.pad(np.array(values, float), (0, -count % LANES), mode="edge")
+            loop.values(prepared.system.ports[name])[:] = padded.reshape(-1, LANES)
+        for name, library in self._libraries.items():
+            steps = loop.memory[name][:, LANES * library.internal_step :][:, :LANES]
+            if (steps != steps[0, 0]).any():
+                raise EnsembleError(
+                    f"{name}.internal_step: expected one for all instances; Simulator has many"
+                )
+        for group in groups:
+            loop.initialise(group)
+        loop.initialise()
+        return loop
+
+    def _reason(
+        self,
+        prepared: PreparedRun,
+        groups: Sequence[ConnectionGroup],
+        vary: Mapping[str, list[FmiValue]],
+        instance: int,
+    ) -> str:
+        """Why an instance cannot begin, empty if it can: the FMUs are initialised as it."""
+        own = {name: values[instance] for name, values in vary.items()}
+        settings = [(port, own.pop(port.name, value)) for port, value in prepared.settings]
+        settings += [(prepared.system.ports[name], value) for name, value in own.items()]
+        try:
+            self._load_or_reset()
+            initialise(prepared, groups, self._instances, settings)
+        except OrchestrationError as error:
+            return str(error)
+        return ""
 
     def _load_or_reset(self) -> None:
-        if self._instances and all(instance.is_fresh or instance.reset() for instance in self._instances.values()):
+        if self._instances and all(
+            instance.is_fresh or instance.reset() for instance in self._instances.values()
+        ):
             return
         self.close()
         for name, path in self.system.components.items():
             instance = FmuInstance(name, path, describe(path))
             self._instances[name] = self._loaded.enter_context(instance)
 
-    def _words(self, name: str) -> np.ndarray:
+    def _values(self, name: str) -> np.ndarray:
+        """The variables of an initialised FMU by value reference."""
         instance = self._instances[name]
         state = instance.get_fmu_state()
         try:
-            return self._libraries[name].initial_words(instance.serialize_fmu_state(state))
+            return self._libraries[name].values(instance.serialize_fmu_state(state))
         finally:
             instance.free_fmu_state(state)
-
-    def _padded(self, name: str, rows: Sequence[np.ndarray | None], lanes: int) -> np.ndarray:
-        """One row for each lane of whole groups: another instance's for one that cannot begin, and at the end."""
-        some = next(row for row in rows if row is not None)
-        table = np.array([some if row is None else row for row in rows] + [some] * (-len(rows) % lanes))
-        internal_steps = table[:, self._libraries[name].internal_step]
-        if (internal_steps != internal_steps[0]).any():
-            raise EnsembleError(f"{name}.internal_step: expected one value for all instances; Simulator takes several")
-        return table
 
     def close(self) -> None:
         """Free the FMUs; the next run loads them again."""
@@ -139,7 +168,7 @@ class Ensemble(AbstractContextManager["Ensemble"]):
         self.close()
 
 
-def check_supported(prepared: PreparedRun) -> None:
+def check_supported(prepared: PreparedRun, groups: Sequence[ConnectionGroup]) -> None:
     """EnsembleError for an experiment with something that steps of whole groups do not have."""
     experiment = prepared.experiment
     reasons = {
@@ -148,47 +177,28 @@ def check_supported(prepared: PreparedRun) -> None:
         "tolerance": experiment.tolerance,
         "faults": experiment.faults,
         "error_estimate": experiment.error_estimate,
+        "an algebraic loop of initial values": any(group.is_loop for group in groups),
+        "a connection of an Enumeration": any(
+            target.variable.type == "Enumeration" for _, target in prepared.system.connections
+        ),
     }
     for name, is_used in reasons.items():
         if is_used:
-            raise EnsembleError(f"{name}: an ensemble has none; Simulator.run does")
-    for _, target in prepared.system.connections:
-        if target.variable.type == "Enumeration":
-            raise EnsembleError(f"{target.name}: an ensemble has no connections of Enumerations; Simulator does")
+            raise EnsembleError(f"{name}: an Ensemble does not run it; a Simulator does")
 
 
-def _settings(prepared: PreparedRun, vary: Vary) -> list[list[Setting]]:
-    """The settings of each instance, in the order of those of the prepared run; new ones last."""
+def checked_values(prepared: PreparedRun, vary: Vary) -> dict[str, list[FmiValue]]:
+    """The values to vary as the FMUs take them; SystemDefinitionError for what cannot be varied so."""
     lengths = {name: len(values) for name, values in vary.items()}
     if not lengths or len({*lengths.values()}) > 1 or 0 in lengths.values():
         raise SystemDefinitionError(f"vary: expected lists of one length, at least 1, got {lengths}")
-    ports = {name: prepared.system.port(name, "vary") for name in vary}
     given = {port.name for port, _ in prepared.settings}
-    for name, port in ports.items():
-        is_constant_input = port.variable.causality == "input" and name in given
-        if not (is_constant_input or has_start_value(port.variable)):
-            kind = f"{port.variable.causality} that a connection or a signal drives, or that is calculated"
-            raise SystemDefinitionError(f"vary: {name}: expected a parameter or a constant input, got one of {kind}")
-    values = {name: [fmi_value(ports[name], value) for value in vary[name]] for name in vary}
-    common = [(port, value) for port, value in prepared.settings if port.name not in vary]
-    count = next(iter(lengths.values()))
-    return [[*common, *((ports[name], values[name][i]) for name in vary)] for i in range(count)]
-
-
-def _recording(loop: EnsembleLoop, count: int, failures: Mapping[int, str]) -> EnsembleRecording:
-    counts, reasons = loop.data.recorded[:count].copy(), dict(failures)
-    for instance in failures:
-        counts[instance] = 0
-    for instance in np.flatnonzero(loop.data.failure[:count]):
-        if int(instance) not in reasons:
-            reasons[int(instance)] = _reason(loop, int(instance), loop.data)
-    return EnsembleRecording(loop.prepared, loop.data.rows, counts, dict(sorted(reasons.items())))
-
-
-def _reason(loop: EnsembleLoop, instance: int, data: Any) -> str:
-    """Why an instance ended early."""
-    number, time = int(data.failure[instance]), float(data.points[data.recorded[instance] - 1])
-    if number < 0:
-        return f"{loop.connections[-1 - number]} at t = {time:.9g} s: a value that the input cannot have"
-    name = list(loop.libraries)[number - 1]
-    return f"{name} at t = {time:.9g} s: the step is refused; Simulator.run of this instance says why"
+    for name in vary:
+        variable = prepared.system.port(name, "vary").variable
+        if not (has_start_value(variable) or (variable.causality == "input" and name in given)):
+            driven = "one that is driven" if variable.causality == "input" else variable.causality
+            raise SystemDefinitionError(
+                f"vary: {name}: expected a parameter or a constant input, got {driven}"
+            )
+    ports = prepared.system.ports
+    return {name: [fmi_value(ports[name], value) for value in values] for name, values in vary.items()}

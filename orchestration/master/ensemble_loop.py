@@ -3,34 +3,36 @@
 import ctypes
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from orchestration.master.bus import component_of
+from fmus.lanes import LANES
+from orchestration.master.initialisation import ConnectionGroup
 from orchestration.master.lane_library import LaneLibrary, load_compiled
 from orchestration.system.experiment import Algorithm
 from orchestration.system.prepared_run import PreparedRun
+from orchestration.system.system import Port
 from orchestration.system.transformation import LinearTransformation
 
 Array = np.ndarray
 _UNCHANGED = LinearTransformation()
+_LARGEST = np.finfo(float).max
 
 
-class EnsembleData(NamedTuple):
-    """All data of the loop of an ensemble, which `ensemble.c` declares member by member.
+class GroupData(NamedTuple):
+    """All data of the loop for one group, which `ensemble.c` declares member by member.
 
-    n_points .. n_groups: of communication points, components, signals, recorded variables, groups
-    lanes: instances of a group; gauss_seidel: 1 for Gauss-Seidel, 0 for Jacobi; points: [s]
-    step, memory: of each component the address of its function and of its groups; size: of a group, in words
+    n_points .. n_columns: of communication points, components, signals, recorded variables
+    gauss_seidel: 1 for Gauss-Seidel, 0 for Jacobi; points: [s]
+    step, memory: of each component the addresses of its function and of the group
 
-    A variable is a component and a value reference. Connections into component c are first[c]..first[c+1]-1:
-    source_component, source, target; factor, offset: as in `Connections`; minimum, maximum: of the target
-    signal_values: one row for each signal, one column for each point; signal_component, signal: its input
-    column_component, column: the recorded variables
-    rows: their values, shape (groups, columns, points, lanes)
+    Variables are addresses of their lanes. Connections into component c are first[c]..first[c+1]-1:
+    source, target; source_component; factor, offset: as in `Connections`; minimum, maximum: of the target
+    signal_values: one row for each signal, one column for each point; signal: the inputs
+    column: the recorded variables; rows: their values, shape (columns, points, lanes)
     recorded: points that are recorded of each instance; failure: 0, or 1 + the component whose step it
     refused, or -1 - the connection whose value its target cannot have
     """
@@ -39,13 +41,10 @@ class EnsembleData(NamedTuple):
     n_components: int
     n_signals: int
     n_columns: int
-    n_groups: int
-    lanes: int
     gauss_seidel: int
     points: Array
     step: Array
     memory: Array
-    size: Array
     first: Array
     source_component: Array
     source: Array
@@ -55,9 +54,7 @@ class EnsembleData(NamedTuple):
     factor: Array
     offset: Array
     signal_values: Array
-    signal_component: Array
     signal: Array
-    column_component: Array
     column: Array
     rows: Array
     recorded: Array
@@ -68,104 +65,152 @@ class EnsembleData(NamedTuple):
 class EnsembleLoop:
     """The groups of an ensemble, ready to run.
 
-    connections: names of their targets, in the order of the data
+    memory: component -> its groups; see `LaneLibrary.memory`
+    rows: recorded values, shape (groups, columns, points, lanes)
+    recorded, failure: as in `GroupData`, shape (groups, lanes)
     """
 
     prepared: PreparedRun
     libraries: Mapping[str, LaneLibrary]
+    instructions: str
     memory: Mapping[str, Array]
-    data: EnsembleData
-    connections: Sequence[str]
+    rows: Array
+    recorded: Array
+    failure: Array
+
+    @property
+    def connections(self) -> list[tuple[str, str]]:
+        """Source and target of the connections, those into the first component first."""
+        order = {name: c for c, name in enumerate(self.libraries)}
+        connections = sorted(self.prepared.system.connections, key=lambda ends: order[ends[1].component])
+        return [(source.name, target.name) for source, target in connections]
 
     def run_group(self, group: int) -> None:
         """Run a group from the first communication point to the last, with the changes of events."""
-        members = [
-            member.ctypes.data if isinstance(member, np.ndarray) else member for member in self.data
-        ]
-        data = np.array(members, np.int64)
-        last = len(self.data.points) - 1
-        starts = sorted({0, *(point for point in self.prepared.changes if point <= last)})
+        data, last = self.data(group), len(self.prepared.points) - 1
+        members = [member.ctypes.data if isinstance(member, np.ndarray) else member for member in data]
+        address = (ctypes.c_int64 * len(members))(*members)
+        starts = sorted({0, *self.prepared.changes})
         for start, end in zip(starts, [*starts[1:], last], strict=True):
             self._change(group, start)
-            _library().ensemble_run(data.ctypes.data, group, start, end)
+            _library(self.instructions).ensemble_run(address, start, end)
+
+    def data(self, group: int) -> GroupData:
+        """The arrays of a group."""
+        prepared, experiment = self.prepared, self.prepared.experiment
+        components, connections = list(self.libraries), self.connections
+        owners = [prepared.system.ports[target].component for _, target in connections]
+        sources = [components.index(prepared.system.ports[source].component) for source, _ in connections]
+        changes = [prepared.system.transformations.get(target, _UNCHANGED) for _, target in connections]
+        limits = np.array([prepared.input_ranges[target] for _, target in connections]).reshape(-1, 2)
+        minimum, maximum = np.ascontiguousarray(limits.T).clip(-_LARGEST, _LARGEST)
+        return GroupData(
+            n_points=len(prepared.points),
+            n_components=len(components),
+            n_signals=len(experiment.signals),
+            n_columns=len(prepared.recorded),
+            gauss_seidel=int(experiment.algorithm is Algorithm.GAUSS_SEIDEL),
+            points=prepared.points,
+            step=_integers([library.step for library in self.libraries.values()]),
+            memory=_integers([self.memory[name][group].ctypes.data for name in components]),
+            first=_integers([0, *np.cumsum([owners.count(name) for name in components])]),
+            source_component=_integers(sources),
+            source=self._addresses(group, [source for source, _ in connections]),
+            target=self._addresses(group, [target for _, target in connections]),
+            minimum=minimum,
+            maximum=maximum,
+            factor=np.array([change.factor for change in changes], float),
+            offset=np.array([change.offset or -0.0 for change in changes], float),
+            signal_values=prepared.signal_values,
+            signal=self._addresses(group, list(experiment.signals)),
+            column=self._addresses(group, prepared.recorded),
+            rows=self.rows[group],
+            recorded=self.recorded[group],
+            failure=self.failure[group],
+        )
+
+    def _addresses(self, group: int, names: Sequence[str]) -> Array:
+        """Of the lanes of variables."""
+        ports = [self.prepared.system.ports[name] for name in names]
+        first = {name: memory[group].ctypes.data for name, memory in self.memory.items()}
+        return _integers([first[p.component] + 8 * LANES * int(p.variable.valueReference) for p in ports])
+
+    def reason(self, instance: int) -> str:
+        """Why an instance ended early."""
+        failure, count = self.failure.ravel()[instance], self.recorded.ravel()[instance]
+        time = f"t = {self.prepared.points[count - 1]:.9g} s"
+        if failure < 0:
+            source, target = self.connections[-1 - failure]
+            return f"{source} -> {target} at {time}: a value that the input cannot have"
+        component = list(self.libraries)[failure - 1]
+        return f"{component} at {time}: the step is refused; Simulator.run of this instance says why"
+
+    def values(self, port: Port) -> Array:
+        """A variable of all instances, shape (groups, lanes): a view of the memory."""
+        first = LANES * int(port.variable.valueReference)
+        return self.memory[port.component][:, first : first + LANES]
+
+    def initialise(self, group: ConnectionGroup | None = None) -> None:
+        """Compute what follows from parameters and inputs, and exchange it over connections.
+
+        group: of `connection_groups`, one connection; without one, every component is computed
+        """
+        connections = group.connections if group else ()
+        for component in {source.component for source, _ in connections} or self.libraries:
+            for index, memory in enumerate(self.memory[component]):
+                refused = self.libraries[component].initialise(memory, float(self.prepared.points[0]))
+                self._note_refused(index, component, refused, 0)
+        for source, target in connections:
+            value = self.values(source)
+            transformation = self.prepared.system.transformations.get(target.name)
+            arriving = transformation.factor * value + transformation.offset if transformation else value
+            low, high = self.prepared.input_ranges[target.name]
+            number = 1 + list(self.libraries).index(target.component)
+            self.values(target)[:] = arriving
+            bad = ~((arriving >= low) & (arriving <= high) & np.isfinite(arriving))
+            self.failure[bad], self.recorded[bad] = number, 0
 
     def _change(self, group: int, point: int) -> None:
         """Set what events change at a communication point."""
         for port, value in self.prepared.changes.get(point, ()):
-            library, memory = self.libraries[port.component], self.memory[port.component]
-            broken = library.set(memory[group], port.variable.valueReference, float(value))
-            number = 1 + list(self.libraries).index(port.component)
-            for lane in range(library.lanes):
-                instance = group * library.lanes + lane
-                if broken >> lane & 1 and not self.data.failure[instance]:
-                    self.data.failure[instance], self.data.recorded[instance] = number, point
+            self.values(port)[group] = float(value)
+            refused = self.libraries[port.component].parameters_changed(self.memory[port.component][group])
+            self._note_refused(group, port.component, refused, point)
+
+    def _note_refused(self, group: int, component: str, refused: int, recorded: int) -> None:
+        """End the instances whose lanes are refused, with so many recorded points."""
+        for lane in range(LANES) if refused else ():
+            if refused >> lane & 1 and not self.failure[group, lane]:
+                self.failure[group, lane] = 1 + list(self.libraries).index(component)
+                self.recorded[group, lane] = recorded
 
 
-def build_loop(prepared: PreparedRun, libraries: Mapping[str, LaneLibrary], initial: Mapping[str, Array]) -> EnsembleLoop:
-    """The arrays of an ensemble at its start time.
+def build_loop(
+    prepared: PreparedRun,
+    libraries: Mapping[str, LaneLibrary],
+    instructions: str,
+    values: Mapping[str, Array],
+    count: int,
+) -> EnsembleLoop:
+    """The groups of so many instances.
 
-    initial: component -> what its instances begin with, shape (groups * lanes, words); see `LaneLibrary.begin`
+    values: component -> its variables by value reference, which all instances have in common
     """
-    numbers = {name: c for c, name in enumerate(libraries)}
-    lanes = next(iter(libraries.values())).lanes
-    n_instances = len(next(iter(initial.values())))
-    groups = n_instances // lanes
-    memory = {name: library.memory(groups) for name, library in libraries.items()}
-    for name, library in libraries.items():
-        library.begin(memory[name], initial[name])
-    ports, system = prepared.system.ports, prepared.system
-    connections = sorted(system.connections, key=lambda ends: numbers[ends[1].component])
-    targets = [target.name for _, target in connections]
-    per_component = [sum(component_of(name) == component for name in targets) for component in libraries]
-    changes = [system.transformations.get(name, _UNCHANGED) for name in targets]
-
-    def variables(names: Sequence[str]) -> tuple[Array, Array]:
-        """Component and value reference of each."""
-        components = [numbers[ports[name].component] for name in names]
-        return _integers(components), _integers([ports[name].variable.valueReference for name in names])
-
-    source_component, source = variables([source.name for source, _ in connections])
-    ranges = [prepared.input_ranges[name] for name in targets]
-    largest = np.finfo(float).max
-    signals = list(prepared.experiment.signals)
-    shape = groups, len(prepared.recorded), len(prepared.points), lanes
-    data = EnsembleData(
-        len(prepared.points),
-        len(libraries),
-        len(signals),
-        len(prepared.recorded),
-        groups,
-        lanes,
-        int(prepared.experiment.algorithm is Algorithm.GAUSS_SEIDEL),
-        prepared.points,
-        _integers([library.step for library in libraries.values()]),
-        _integers([memory[name].ctypes.data for name in libraries]),
-        _integers([library.words for library in libraries.values()]),
-        _integers(np.cumsum([0, *per_component])),
-        source_component,
-        source,
-        variables(targets)[1],
-        np.array([max(low, -largest) for low, _ in ranges], float),
-        np.array([min(high, largest) for _, high in ranges], float),
-        np.array([change.factor for change in changes], float),
-        np.array([change.offset or -0.0 for change in changes], float),
-        np.ascontiguousarray(prepared.signal_values),
-        *variables(signals),
-        *variables(prepared.recorded),
-        np.empty(shape),
-        np.full(n_instances, len(prepared.points), np.int64),
-        np.zeros(n_instances, np.int64),
-    )
-    return EnsembleLoop(prepared, libraries, memory, data, targets)
+    groups = -(-count // LANES)
+    memory = {name: library.memory(groups, values[name]) for name, library in libraries.items()}
+    points = len(prepared.points)
+    rows = np.empty((groups, len(prepared.recorded), points, LANES))
+    recorded, failure = np.full((groups, LANES), points), np.zeros((groups, LANES), np.int64)
+    return EnsembleLoop(prepared, libraries, instructions, memory, rows, recorded, failure)
 
 
-def _integers(values: Sequence[int] | Array) -> Array:
+def _integers(values: Sequence[int]) -> Array:
     return np.array(values, np.int64)
 
 
-@cache
-def _library() -> ctypes.CDLL:
-    library = load_compiled(Path(__file__).with_name("ensemble.c"), [])
-    library.ensemble_run.argtypes = [ctypes.c_void_p, *[ctypes.c_int64] * 3]
+@lru_cache
+def _library(instructions: str) -> ctypes.CDLL:
+    library = load_compiled(Path(__file__).with_name("ensemble.c"), instructions)
+    library.ensemble_run.argtypes = [ctypes.c_void_p, *[ctypes.c_int64] * 2]
     library.ensemble_run.restype = None
     return library

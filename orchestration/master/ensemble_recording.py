@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fmus.errors import nearest
+from fmus.fmi_types import FmiValue
 from orchestration.errors import OrchestrationError
 from orchestration.master.run_recording import make_recording
 from orchestration.results.recording import Recording
@@ -16,12 +17,14 @@ from orchestration.system.prepared_run import PreparedRun
 class EnsembleRecording:
     """Signals of many instances over time.
 
-    prepared: the run that they share; values: shape (groups, signals, n, lanes), instances in groups of lanes
+    prepared: the run that they share; varied: variable -> its values, shape (instances,)
+    values: shape (groups, signals, n, lanes), instances in groups of lanes
     counts: recorded communication points of each instance, shape (instances,)
     failures: instance -> why it ended early
     """
 
     prepared: PreparedRun
+    varied: Mapping[str, Sequence[FmiValue]]
     values: np.ndarray
     counts: np.ndarray
     failures: Mapping[int, str]
@@ -54,7 +57,8 @@ class EnsembleRecording:
         return signal
 
     def recording(self, instance: int) -> Recording:
-        """That of one instance, as a `Simulator` returns it, until its end."""
+        """That of one instance, until its end, as a `Simulator` returns it; `varied` is in its provenance."""
         group, lane = divmod(range(len(self))[instance], self.values.shape[-1])
         rows = np.ascontiguousarray(self.values[group, :, :, lane].T)
-        return make_recording(self.prepared, rows, int(self.counts[instance]), is_final=True)
+        more = {"varied": {name: values[instance] for name, values in self.varied.items()}}
+        return make_recording(self.prepared, rows, int(self.counts[instance]), more=more, is_final=True)

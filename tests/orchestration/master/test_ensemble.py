@@ -1,0 +1,186 @@
+"""Each instance of an ensemble has the bits of its own run; what an ensemble cannot run is refused."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from orchestration import Ensemble, Event, Experiment, Fault, Offset, Ramps, Simulator, System
+from orchestration.errors import EnsembleError, OrchestrationError, SystemDefinitionError
+from orchestration.master.ensemble_recording import EnsembleRecording
+from tests.shared_builds import built_once, session_folder
+
+CONNECTIONS = [
+    ("plant.measured_depth", "controller.measured_depth"),
+    ("plant.depth_rate", "controller.measured_depth_rate"),
+    ("controller.voltage[1]", "plant.voltage[1]"),
+    ("controller.voltage[2]", "plant.voltage[2]", {"factor": 0.9, "offset": -0.05}),
+]
+REFERENCE = "controller.depth_reference"
+DIVE = Experiment(
+    stop_time=4.01,  # the last step is a shorter one
+    step_size=0.02,
+    parameters={"controller.augmentation": "pi", "plant.sensor_noise": 0.002},
+    signals={REFERENCE: Ramps([(0.0, 0.0), (1.0, 0.4), (10.0, 0.4)], smooth=False)},
+    open_inputs="start",
+)
+CHANGE = Event(2.0, {"plant.buoyancy_change": 0.3, "controller.filter_bandwidth": 5.0})
+
+Vary = Mapping[str, Sequence[float]]
+
+
+@pytest.fixture(scope="session")
+def system(built: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -> System:
+    """The vehicle and its controller, compiled for groups of instances once a session."""
+    vehicle = System({"plant": built["RovDepthPlant"], "controller": built["L1DepthController"]}, CONNECTIONS)
+    built_once(
+        session_folder(tmp_path_factory, "ensemble") / "vehicle", lambda path: Ensemble(vehicle).close()
+    )
+    return vehicle
+
+
+def varied(count: int) -> dict[str, list[Any]]:
+    """Parameters, seeds, start values, a choice of the law and a constant input, another of each instance."""
+    draw = np.random.default_rng(7)
+    return {
+        "plant.inertia": draw.uniform(5.0, 7.0, count).tolist(),
+        "plant.sensor_seed": draw.integers(1, 10_000, count).tolist(),
+        "plant.initial_depth": draw.uniform(-0.02, 0.5, count).tolist(),
+        "plant.thruster_rate_limit[1]": np.where(draw.random(count) < 0.5, 0.0, 30.0).tolist(),
+        "plant.sensor_period": draw.choice([0.04, 0.06], count).tolist(),
+        "plant.current_velocity": draw.normal(0.0, 0.05, count).tolist(),
+        "controller.augmentation": draw.choice(["none", "pi"], count).tolist(),
+    }
+
+
+def of_one(experiment: Experiment, vary: Mapping[str, Sequence[Any]], instance: int) -> Experiment:
+    """The experiment of one instance."""
+    own = {name: values[instance] for name, values in vary.items()}
+    inputs = {name: own.pop(name) for name in ("plant.current_velocity",) if name in own}
+    return replace(
+        experiment,
+        parameters={**experiment.parameters, **own},
+        inputs={**experiment.inputs, **inputs},
+    )
+
+
+def assert_same_bits(
+    system: System, experiment: Experiment, vary: Mapping[str, Sequence[Any]], **options: Any
+) -> None:
+    """Signal by signal and instance by instance."""
+    with Ensemble(system, **options) as ensemble, Simulator(system) as simulator:
+        recorded = ensemble.run(experiment, vary)
+        assert not recorded.failures
+        for instance in range(len(recorded)):
+            one, of_ensemble = simulator.run(of_one(experiment, vary, instance)), recorded.recording(instance)
+            assert of_ensemble.names == one.names
+            assert of_ensemble.values.tobytes() == one.values.tobytes()
+
+
+def test_37_instances_have_the_bits_of_37_runs(system: System) -> None:
+    """37: four groups and a part of one."""
+    assert_same_bits(system, DIVE, varied(37))
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"algorithm": "gauss-seidel"},
+        {"events": (CHANGE,)},
+        {"step_size": 0.05},  # internal steps
+        {"start_time": 1.0, "record": ("plant.inertia", "controller.depth_reference", "plant.sensor_ideal")},
+    ],
+)
+def test_other_experiments_too(system: System, more: dict[str, Any]) -> None:
+    assert_same_bits(system, replace(DIVE, **more), varied(3))
+
+
+def test_a_signal_has_a_row_for_each_point_and_a_column_for_each_instance(system: System) -> None:
+    with Ensemble(system) as ensemble:
+        recorded = ensemble.run(DIVE, {"plant.initial_depth": [0.0, 0.1, 0.2]})
+    assert recorded["plant.depth"].shape == (len(recorded.time), 3)
+    assert recorded["plant.depth"][0].tolist() == [0.0, 0.1, 0.2]
+    with pytest.raises(OrchestrationError, match=r"nearest is 'plant\.depth'"):
+        recorded["plant.dept"]
+
+
+def test_threads_and_progress_change_nothing(system: System) -> None:
+    done: list[tuple[int, int]] = []
+    with Ensemble(system) as ensemble:
+        first = ensemble.run(DIVE, varied(17))
+        second = ensemble.run(DIVE, varied(17), threads=2, progress=lambda *counts: done.append(counts))
+    assert done == [(8, 17), (16, 17), (17, 17)]
+    assert first["plant.depth"].tobytes() == second["plant.depth"].tobytes()
+
+
+def failed(system: System, experiment: Experiment, vary: Vary) -> EnsembleRecording:
+    """An ensemble of which only the instance of index 1 fails, and the others have the bits of their runs."""
+    with Ensemble(system) as ensemble, Simulator(system) as simulator:
+        recorded = ensemble.run(experiment, vary)
+        assert list(recorded.failures) == [1]
+        for instance in (0, 2):
+            one = simulator.run(of_one(experiment, vary, instance))
+            assert recorded.recording(instance).values.tobytes() == one.values.tobytes()
+    return recorded
+
+
+def test_an_instance_that_cannot_begin_is_named_and_disturbs_no_other(system: System) -> None:
+    recorded = failed(
+        system, DIVE, {"plant.net_weight": [-1.0, 30.0, -1.2], "plant.weight": [29.0, 29.0, 29.43]}
+    )
+    assert "net_weight" in recorded.failures[1]
+    assert np.isnan(recorded["plant.depth"][:, 1]).all()
+    assert len(recorded.recording(1).time) == 0
+
+
+def test_an_instance_that_cannot_go_on_ends_where_its_own_run_ends(system: System) -> None:
+    """A voltage beyond its input's range."""
+    far = replace(DIVE, parameters={**DIVE.parameters, "plant.sensor_noise": 0.0})
+    recorded = failed(system, far, {"plant.initial_depth": [0.0, 1e300, 0.1]})
+    with Simulator(system) as simulator, pytest.raises(OrchestrationError) as error:
+        simulator.run(of_one(far, {"plant.initial_depth": [1e300]}, 0))
+    assert recorded.recording(1).values.tobytes() == error.value.recording.values.tobytes()  # type: ignore[attr-defined]
+    assert np.isnan(recorded["plant.depth"][len(recorded.recording(1).time) :, 1]).all()
+
+
+@pytest.mark.parametrize(
+    ("more", "name"),
+    [
+        ({"extrapolation": 1}, "extrapolation"),
+        ({"tolerance": 1e-3, "stop_time": 4.0}, "tolerance"),
+        ({"step_sizes": {"controller": 0.04}}, "step_sizes"),
+        ({"faults": (Fault("controller.measured_depth", Offset(0.1)),)}, "faults"),
+        ({"error_estimate": True, "stop_time": 4.0}, "error_estimate"),
+    ],
+)
+def test_what_only_a_simulator_has_is_refused(system: System, more: dict[str, Any], name: str) -> None:
+    with Ensemble(system) as ensemble, pytest.raises(EnsembleError, match=f"{name}: .*Simulator"):
+        ensemble.run(replace(DIVE, **more), varied(2))
+
+
+@pytest.mark.parametrize(
+    ("vary", "problem"),
+    [
+        ({}, "expected lists of one length"),
+        ({"plant.inertia": [5.0], "plant.sensor_seed": [1, 2]}, "expected lists of one length"),
+        ({"plant.inertia": [5.0, -1.0]}, "plant.inertia = -1.0: expected 0.1..1e"),
+        ({"plant.inerta": [5.0]}, "nearest is 'plant.inertia'"),
+        ({"plant.voltage[1]": [1.0]}, "expected a parameter or a constant input"),
+        ({"plant.depth": [1.0]}, "expected a parameter or a constant input"),
+        ({"plant.internal_step": [0.02, 0.01]}, "plant.internal_step: expected one for all"),
+    ],
+)
+def test_what_cannot_be_varied_is_refused(system: System, vary: dict[str, Any], problem: str) -> None:
+    with (
+        Ensemble(system) as ensemble,
+        pytest.raises(SystemDefinitionError, match=problem.replace("[", r"\[")),
+    ):
+        ensemble.run(DIVE, vary)
+
+
+def test_unknown_instructions_are_refused(system: System) -> None:
+    with pytest.raises(EnsembleError, match="nearest is 'x86-64-v3'"):
+        Ensemble(system, "x86-64-v33")
