@@ -65,7 +65,7 @@ def test_the_architecture_lists_every_file_of_the_master() -> None:
     text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     table = text[text.index("| file | question |") : text.index("\nA run:\n")]
     files = {path.name for path in (ROOT / "orchestration" / "master").glob("*.py")} - {"__init__.py"}
-    assert files | {"loop.c"} == set(re.findall(r"`(\w+\.(?:py|c))`", table))
+    assert files | {"ensemble.c", "loop.c"} == set(re.findall(r"`(\w+\.(?:py|c))`", table))
 
 
 @pytest.mark.parametrize("page", TOOL_PAGES, ids=_name)
