@@ -24,7 +24,8 @@ class StepThreads:
 
     threads: how many, whatever that costs; None for as many as there are processors, decided by measurement.
     FMUs that are not known to leave each other alone (`is_independent`) then stay on one thread
-    clock: gives the time [s] by which it is measured
+    clocks: CPU time of this thread and wall clock [s]; steps without threads are measured by the first one,
+    so that what else runs on a processor is no reason for threads, which would wait for it too
     """
 
     def __init__(
@@ -33,22 +34,23 @@ class StepThreads:
         loop: LoopFunctions,
         threads: int | None,
         processors: int | None = None,
-        clock: Callable[[], float] = time.perf_counter,
+        clocks: tuple[Callable[[], float], Callable[[], float]] = (time.thread_time, time.perf_counter),
     ) -> None:
-        self._loop, self._team, self._clock = loop, wired.wiring.team, clock
+        self._loop, self._team, (self._cpu, self._clock) = loop, wired.wiring.team, clocks
         self._is_measured = threads is None
         most = _useful(wired, processors or _processors()) if threads is None else threads
         can_share = loop.help is not None and not wired.wiring.gauss_seidel
         self._threads = min(most, len(wired.instances)) if can_share else 1
         self._pool: ThreadPoolExecutor | None = None
-        self._single_s = 0.0  # of a step without threads, once it was measured
+        self._single_s, self._has_run = 0.0, False  # of a step without threads, after the first, slower batch
 
     def run(self, first: int, last: int) -> int:
         """`LoopFunctions.run`."""
         if self._threads < 2 or (self._is_measured and self._single_s < _LEAST_STEP_S):
-            start = self._clock()
+            start = self._cpu()
             reached = self._loop.run(first, last)
-            self._single_s = (self._clock() - start) / max(reached - first, 1)
+            self._single_s = (self._cpu() - start) / max(reached - first, 1) if self._has_run else 0.0
+            self._has_run = True
             return reached
         start = self._clock()
         reached = self._run_together(first, last)

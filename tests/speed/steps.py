@@ -3,11 +3,6 @@
 Each is a git revision, whose FMUs are built in a folder of their own, a clone, or a folder with FMUs.
 """
 
-import io
-import os
-import subprocess
-import sys
-import tarfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,10 +17,10 @@ from orchestration.errors import OrchestrationError
 from orchestration.fmi.description import describe, of_causality
 from tests.printing import print_tables
 from tests.speed.programs import C_SOURCES, compile_program, extracted, output_of, workplace
+from tests.speed.states import ROOT, python, sources
 
-_ROOT = Path(__file__).parents[2]
 _BLOCKS = ("RovDepthPlant", "L1DepthController")
-_BUILD = [sys.executable, "-P", "-c", "from orchestration.cli import main; main()", "build"]
+_BUILD = "import sys; sys.argv.insert(1, 'build'); from orchestration.cli import main; main()"
 
 
 @dataclass(frozen=True)
@@ -45,24 +40,13 @@ class Steps:
 
 def fmus(state: str, blocks: Sequence[str], folder: Path) -> Path:
     """A folder with the FMUs of blocks in a state of the project: a revision, a clone, or FMUs."""
-    source = Path(state).absolute()
-    if list(source.glob("*.fmu")):
-        return source
-    if not source.is_dir():
-        command = ["git", "-C", str(_ROOT), "archive", "--format=tar", state]
-        done = subprocess.run(command, capture_output=True, check=False)
-        if done.returncode:
-            raise OrchestrationError(
-                f"{state}: {done.stderr.decode().strip()}: expected a revision or a folder"
-            )
-        source = folder / "source"
-        with tarfile.open(fileobj=io.BytesIO(done.stdout)) as archive:
-            archive.extractall(source, filter="data")
-    environment = {**os.environ, "PYTHONPATH": str(source), "XDG_CACHE_HOME": str(folder / "cache")}
+    if list(Path(state).glob("*.fmu")):
+        return Path(state).absolute()
     built = folder / "built"
-    subprocess.run(
-        [*_BUILD, *blocks, "--out", str(built)], check=True, env=environment, cwd=folder, capture_output=True
-    )
+    process = python(_BUILD, sources(state, folder), folder, *blocks, "--out", str(built))
+    output, _ = process.communicate()
+    if process.returncode:
+        raise OrchestrationError(f"{state}: the build failed: {output}")
     return built
 
 
@@ -98,7 +82,7 @@ def table(measured: Sequence[Steps]) -> Table:
 
 def main(
     old: Annotated[str, typer.Argument(help="Revision, folder of a clone, or folder of FMUs.")],
-    new: Annotated[str, typer.Argument(help="The same; by default this clone.")] = str(_ROOT),
+    new: Annotated[str, typer.Argument(help="The same; by default this clone.")] = str(ROOT),
     block: Annotated[list[str] | None, typer.Option(help="Block with Real inputs and outputs.")] = None,
     count: Annotated[int, typer.Option(help="Steps of a round.", min=1)] = 20_000,
     rounds: Annotated[int, typer.Option(help="Of which the median is taken.", min=1)] = 101,

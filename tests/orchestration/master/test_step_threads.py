@@ -16,11 +16,11 @@ from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 
 Build = Callable[..., Path]
-LIGHT_S, HEAVY_S = 1e-6, 1e-3
+LIGHT_S, HEAVY_S, FIRST_S = 1e-6, 1e-3, 5e-3
 
 
 class Loop:
-    """A loop whose steps take a time on a clock of its own, which threads multiply.
+    """A loop whose steps take a time on clocks of its own, which threads multiply, and the first one longer.
 
     shared: of each batch whether threads shared its steps
     """
@@ -34,15 +34,18 @@ class Loop:
 
     def run(self, first: int, last: int) -> int:
         self.shared.append(bool(self.wired.wiring.team[0]))
-        self.now += (last - first) * self._costs[self.shared[-1]]
+        self.now += (last - first) * self._costs[self.shared[-1]] + (FIRST_S if not first else 0.0)
         return last
 
     def batches(self, count: int, threads: int | None = None) -> list[bool]:
         """Of so many batches whether threads shared the steps."""
         functions: Any = SimpleNamespace(run=self.run, help=lambda: None)
-        steps = StepThreads(self.wired, functions, threads, processors=2, clock=lambda: self.now)
+        steps = StepThreads(
+            self.wired, functions, threads, processors=2, clocks=(lambda: self.now, lambda: self.now)
+        )
         for batch in range(count):
-            assert steps.run(10 * batch, 10 * batch + 10) == 10 * batch + 10
+            first, last = 10 * batch - 9 if batch else 0, 10 * batch + 1
+            assert steps.run(first, last) == last
         steps.close()
         return self.shared
 
@@ -51,8 +54,8 @@ class Loop:
     ("step_s", "with_threads", "expected"),
     [
         (LIGHT_S, 0.5, [False, False, False, False]),
-        (HEAVY_S, 0.5, [False, True, True, True]),
-        (HEAVY_S, 1.1, [False, True, False, False]),
+        (HEAVY_S, 0.5, [False, False, True, True]),
+        (HEAVY_S, 1.1, [False, False, True, False]),
     ],
     ids=["light FMUs", "heavy FMUs", "heavy FMUs on busy processors"],
 )
@@ -67,7 +70,7 @@ def test_components_of_gauss_seidel_wait_for_each_other(built: Mapping[str, Path
 
 
 def test_fmus_that_may_share_memory_stay_on_one_thread_unless_threads_are_asked_for(linear: Build) -> None:
-    assert Loop(HEAVY_S, 0.5, linear()).batches(2) == [False, False]
+    assert Loop(HEAVY_S, 0.5, linear()).batches(3) == [False, False, False]
     assert Loop(LIGHT_S, 2.0, linear()).batches(2, threads=2) == [True, True]
 
 
