@@ -94,10 +94,12 @@ def too_large(members: Sequence[zipfile.ZipInfo], packed: int) -> str:
     return ""
 
 
-def extract_archive(path: Path, folder: Path) -> None:
-    """Unpack a zip; ValueError, with nothing written, if it is larger than any FMU that a tool writes."""
+def extract_archive(path: Path, folder: Path, members: Sequence[str] | None = None) -> None:
+    """Unpack all of a zip, or some members; ValueError, with nothing written, if it is larger than any FMU
+    that a tool writes.
+    """
     with zipfile.ZipFile(path) as archive:
         reason = too_large(archive.infolist(), path.stat().st_size)
         if reason:
             raise ValueError(reason)
-        archive.extractall(folder)
+        archive.extractall(folder, members)

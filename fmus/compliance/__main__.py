@@ -6,7 +6,9 @@ from fmus.errors import MissingExtraError
 
 try:
     from fmus.compliance.check import main
+
+    status = main()
 except MissingExtraError as error:
     sys.exit(f"python -m fmus.compliance: {error}")
 
-sys.exit(main())
+sys.exit(status)

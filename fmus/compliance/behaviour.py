@@ -48,7 +48,7 @@ from fmus.compliance.rule import (
     registered,
 )
 from fmus.errors import HostError
-from fmus.process import ProcessEndedError
+from fmus.process import ProcessEndedError, WorkerProcess
 
 MODULES = (
     lifecycle_rules, location_rules, reset_rules, initialization_rules, instance_rules, resource_rules,
@@ -68,19 +68,22 @@ _OF_THE_HOST = ("ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EMFILE", "ENFILE", "EIO",
 _START_S = 60.0  # for the interpreter, whatever the rules take
 
 
-def behaviour(fmu: FmuFile, timeout: float, earlier: Sequence[Result] = ()) -> Iterator[Result]:
+def behaviour(
+    fmu: FmuFile, timeout: float, earlier: Sequence[Result] = (), started: WorkerProcess | None = None
+) -> Iterator[Result]:
     """One result for each behaviour rule.
 
     timeout: seconds for one rule; earlier: what the rules of the other stages said
+    started: a process that does not know an FMU yet
     """
     rules = registered(Stage.BEHAVIOUR)
-    obstacle = _obstacle(fmu) or _broken_library(fmu, earlier)
-    if obstacle:
-        yield from (Result(rule, not_judged=obstacle) for rule in rules)
+    reason = obstacle(fmu) or _broken_library(fmu, earlier)
+    if reason:
+        yield from (Result(rule, not_judged=reason) for rule in rules)
         return
     results = {rule.name: Result(rule, not_applicable=rule.condition(fmu)) for rule in rules}
     names = [name for name, result in results.items() if not result.not_applicable]
-    yield from {**results, **_judged(fmu, _needs_first(names), timeout)}.values()
+    yield from {**results, **_judged(fmu, _needs_first(names), timeout, started)}.values()
 
 
 def _needs_first(names: Sequence[str]) -> list[str]:
@@ -99,7 +102,7 @@ def _needs_first(names: Sequence[str]) -> list[str]:
     return list(ordered)
 
 
-def _obstacle(fmu: FmuFile) -> str:
+def obstacle(fmu: FmuFile) -> str:
     """The reason why no behaviour can be judged, if there is one."""
     if fmu.archive_problem or fmu.too_large or fmu.description_problem:
         return "the FMU cannot be read"
@@ -116,7 +119,9 @@ def _broken_library(fmu: FmuFile, earlier: Sequence[Result]) -> str:
     )
 
 
-def _judged(fmu: FmuFile, names: Sequence[str], timeout: float) -> dict[str, Result]:
+def _judged(
+    fmu: FmuFile, names: Sequence[str], timeout: float, started: WorkerProcess | None
+) -> dict[str, Result]:
     """Rule name -> result. After a crash or a hang a new process goes on with the next rule."""
     results: dict[str, Result] = {}
     rules = {rule.name: rule for rule in registered(Stage.BEHAVIOUR)}
@@ -135,8 +140,10 @@ def _judged(fmu: FmuFile, names: Sequence[str], timeout: float) -> dict[str, Res
             if sum(_HUNG in text for text in texts if text.startswith("the FMU ")) >= _MOST_HANGS:
                 reason = f"{_MOST_HANGS} rules before {_HUNG} {timeout:g} s"
                 return results | {rule.name: Result(rule, not_judged=reason) for rule in remaining}
-            for result in _judged_by_one_process(fmu, folder, remaining, results, timeout, shared):
+            probe = Probe(fmu, folder, time.monotonic() + _START_S, shared, started)
+            for result in _judged_by_one_process(probe, remaining, results, timeout):
                 results[result.rule.name] = result
+            started = None
     return results
 
 
@@ -159,18 +166,12 @@ def host_errors() -> Iterator[None]:
 
 
 def _judged_by_one_process(
-    fmu: FmuFile,
-    folder: Path,
-    rules: Sequence[Rule],
-    results: Mapping[str, Result],
-    timeout: float,
-    shared: dict[str, Any],
+    probe: Probe, rules: Sequence[Rule], results: Mapping[str, Result], timeout: float
 ) -> Iterator[Result]:
     """Results, up to the first rule that the process does not survive, but one at least.
 
     results: of the rules before; it grows with what this yields
     """
-    probe = Probe(fmu, folder, time.monotonic() + _START_S, shared)
     rule, limit = rules[0], _START_S
     try:
         probe.process.calls([])  # it has started

@@ -1,6 +1,7 @@
 """Judge an FMU by every rule, stage after stage. Nothing that a file holds makes it raise."""
 
 from collections.abc import Iterator
+from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 
 from fmus.compliance import (
@@ -16,8 +17,9 @@ from fmus.compliance import (
     unit_rules,
     variable_rules,
 )
-from fmus.compliance.behaviour import DEFAULT_TIMEOUT_S, behaviour
+from fmus.compliance.behaviour import DEFAULT_TIMEOUT_S, behaviour, obstacle
 from fmus.compliance.fmu_file import FmuFile, UnreadableMemberError
+from fmus.compliance.probe import start_process
 from fmus.compliance.rule import Result, Rule, Stage, messages_of, registered
 
 MODULES = (
@@ -33,16 +35,23 @@ def all_rules() -> tuple[Rule, ...]:
 def examine(path: Path, timeout: float = DEFAULT_TIMEOUT_S) -> list[Result]:
     """One result for every rule, in the order of `all_rules`.
 
-    timeout: seconds that one behaviour may take. Raises OSError if there is no such file.
+    timeout: seconds that one behaviour may take. Raises OSError if there is no such file, MissingExtraError
+    without LIEF.
     """
     with path.open("rb"):
         fmu = FmuFile(path)
-    earlier = list(static_results(fmu))
-    return [*earlier, *behaviour(fmu, timeout, earlier)]
+    with ExitStack() as stack:
+        process = None
+        if not obstacle(fmu):
+            with suppress(OSError):  # which is told when its behaviour is judged
+                process = stack.enter_context(closing(start_process()))  # beside the import of LIEF
+        earlier = list(static_results(fmu))
+        return [*earlier, *behaviour(fmu, timeout, earlier, process)]
 
 
 def static_results(fmu: FmuFile) -> Iterator[Result]:
     """One result for every rule of what the file holds: no code of the FMU runs."""
+    library_rules.lief()
     unread = fmu.description_problem and "the model description cannot be read"
     unread = unread or (fmu.other_version and "it is no FMU of FMI 2.0")
     closed = {Stage.FILE: "", Stage.DESCRIPTION: unread, Stage.LIBRARY: unread}

@@ -37,7 +37,7 @@ class LoadedFmu:
 
     def __init__(self, library: Path, resources: Path, printed: Path) -> None:
         self._library, self._resources, self._printed = Library(library), resources, printed
-        self._called = printed.with_name(CALLED)
+        self._called = str(printed.with_name(CALLED))
         self._memory = CountingAllocator()
         self._settings = ProcessSettings()
         self._instances: dict[int, CalledInstance] = {}

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any
 
 from fmus.binding import platform_name
@@ -10,8 +10,6 @@ from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.rule import Level, Stage, rule
 from fmus.extras import require
 
-lief: Any = require("lief", "check", "a check of FMUs")
-lief.logging.disable()
 _BINARIES = "2.3 FMU Distribution (binaries)"
 _MACHINES = {
     "linux64": ("ELF", "X86_64"),
@@ -46,6 +44,14 @@ _FUNCTIONS = {
         GetNominalsOfContinuousStates
     """,
 }
+
+
+@cache
+def lief() -> Any:
+    """LIEF, which takes longer to import than all rules; MissingExtraError where it is missing."""
+    module: Any = require("lief", "check", "a check of FMUs")
+    module.logging.disable()
+    return module
 
 
 def no_library(fmu: FmuFile) -> str:
@@ -96,10 +102,10 @@ def _slices(content: bytes) -> Iterator[Any]:
     A slice is used before the next is asked for: it lives no longer than what LIEF read it from.
     """
     if content.startswith(_MACH_O):
-        universal: Any = lief.MachO.parse(list(content)) or ()
+        universal: Any = lief().MachO.parse(list(content)) or ()
         yield from (universal.at(i) for i in range(len(universal)))
         return
-    parsed = lief.parse(content)
+    parsed = lief().parse(content)
     if parsed is not None:
         yield parsed
 

@@ -29,18 +29,28 @@ class DiscardedStepError(NotJudgedError):
     """A step that the FMU discards, as 4.2.2 lets it."""
 
 
+def start_process() -> WorkerProcess:
+    """A process for calls of an FMU, which it does not know yet."""
+    from fmus.compliance.instance import call_fmu
+
+    return WorkerProcess(call_fmu, trusted=False)
+
+
 class FmuProcess:
     """The process that calls the FMU.
 
+    started: by `start_process`, else a new one
     deadline: of its answers, in `time.monotonic`; TimeoutError after that, ProcessEndedError after its end
     """
 
-    def __init__(self, library: Path, resources: Path, deadline: float) -> None:
-        from fmus.compliance.instance import CALLED, call_fmu
+    def __init__(
+        self, library: Path, resources: Path, deadline: float, started: WorkerProcess | None = None
+    ) -> None:
+        from fmus.compliance.instance import CALLED
 
         self.deadline = deadline
         self._numbers = itertools.count()
-        self._process = WorkerProcess(call_fmu, trusted=False)
+        self._process = started or start_process()
         self._called = self._process.folder / CALLED
         self._process.send((self._process.folder, library, resources))
 
@@ -83,9 +93,16 @@ class Probe:
     states_step_size: whether it states one
     """
 
-    def __init__(self, fmu: FmuFile, folder: Path, deadline: float, shared: dict[str, Any]) -> None:
+    def __init__(
+        self,
+        fmu: FmuFile,
+        folder: Path,
+        deadline: float,
+        shared: dict[str, Any],
+        started: WorkerProcess | None = None,
+    ) -> None:
         self.fmu = fmu
-        self.process = FmuProcess(folder / fmu.host_library, folder / "resources", deadline)
+        self.process = FmuProcess(folder / fmu.host_library, folder / "resources", deadline, started)
         self._instances = itertools.count(1)
         self._shared = shared
         experiment = fmu.root.find("DefaultExperiment")

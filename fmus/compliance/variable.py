@@ -67,7 +67,7 @@ class Variable:
         value = integer(self.attributes.get("valueReference"))
         return value if value is not None and 0 <= value < 2**32 else None
 
-    @property
+    @cached_property
     def base_kind(self) -> str:
         """The type of the getter: an Enumeration is read as an Integer."""
         return TRANSFER_TYPE.get(self.kind, self.kind)

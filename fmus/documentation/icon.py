@@ -28,8 +28,7 @@ def icon(block: Block) -> bytes:
     draw.text((side / 2, _px(_EDGE + _HEADER / 2)), block.name, _PAPER, name, "mm")
     _ports(draw, block)
     stream = io.BytesIO()
-    smooth = image.resize((SIZE, SIZE), Image.Resampling.LANCZOS)
-    smooth.quantize(_COLOURS, Image.Quantize.FASTOCTREE).save(stream, "PNG", optimize=True)
+    image.reduce(_SCALE).quantize(_COLOURS, Image.Quantize.FASTOCTREE).save(stream, "PNG")
     return stream.getvalue()
 
 

@@ -4,7 +4,7 @@ import gc
 import os
 import sys
 
-_ALLOCATIONS = 50_000  # between collections of garbage: an import makes many objects that stay
+_ALLOCATIONS = 200_000  # between collections of garbage: an import makes many objects that stay
 
 
 def main() -> None:

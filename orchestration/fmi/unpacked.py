@@ -68,7 +68,7 @@ def _entered(path: Path, description: ModelDescription) -> tuple[UnpackedFmu, Fi
 
 
 def _library(path: Path, description: ModelDescription, folder: Path) -> Library:
-    """Unpack an FMU and load its library for this platform."""
+    """Unpack an FMU, of an independent one its library alone, and load the library for this platform."""
     interface = description.coSimulation
     with zipfile.ZipFile(path) as archive:
         member = library_member(archive.namelist(), str(interface.modelIdentifier) if interface else "")
@@ -79,5 +79,5 @@ def _library(path: Path, description: ModelDescription, folder: Path) -> Library
         raise FmuLoadError(
             f"{path} has no binary for {fmpy.platform}: it has {', '.join(available) or 'none'}"
         )
-    extract_archive(path, folder)
+    extract_archive(path, folder, [member] if is_independent(description) else None)
     return Library(folder / member)

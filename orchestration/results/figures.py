@@ -8,12 +8,15 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from matplotlib import style
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import LayoutEngine
+from matplotlib.transforms import ScaledTranslation
 
 from fmus.files import open_atomically
 from orchestration.results.formats import FigureFormat
@@ -24,6 +27,11 @@ _COLOURS = (BLUE, ORANGE, GREEN, "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _LINES = ("-", "--", "-.", ":")
 _WIDTH_IN = 7.16  # both columns of an IEEE or IFAC page
 _DPI = 300
+_GAP_IN = 0.24  # between panels, which holds their letters
+_PAD_IN = 0.05  # around everything, and between the numbers of an axis and its label
+_MOST_BESIDE = 0.5  # of the width of a figure that is left to what stands beside its panels
+_RUN_LENGTHS = 3  # Z_RLE of zlib, which is as small for lines on white, and faster
+_PANEL_IN, _LEGEND_LINE_IN = 1.5, 0.22  # of which margins take a part
 _BINS = 1200  # of a dense curve: about two pixels each
 _METADATA: dict[FigureFormat, dict[str, Any]] = {
     FigureFormat.PNG: {"Software": None},
@@ -37,9 +45,56 @@ def figure_style() -> AbstractContextManager[None]:
     return style.context(["default", str(Path(__file__).with_name("figures.mplstyle"))])
 
 
+class StackedLayout(LayoutEngine):
+    """Places panels one below the other; each text that needs room outside of them is measured once.
+
+    Matplotlib's own layouts measure all texts several times, which takes longer than to draw them.
+    """
+
+    _adjust_compatible = _colorbar_gridspec = True  # which every layout of Matplotlib states
+
+    def execute(self, fig: Figure) -> None:
+        renderer, (width, height) = RendererAgg(1, 1, fig.dpi), fig.get_size_inches()
+        numbers, labels, right, bottom = (length / fig.dpi for length in _outside(fig.axes, renderer))
+        self._place_labels(fig, numbers + _PAD_IN)
+        left, right = numbers + labels + 2.0 * _PAD_IN, min(right + _PAD_IN, _MOST_BESIDE * width)
+        top, bottom = _PAD_IN + _GAP_IN, bottom + _PAD_IN
+        for title in fig.texts:
+            title.set_y(1.0 - _PAD_IN / height)
+            top += title.get_window_extent(renderer).height / fig.dpi
+        gaps = (len(fig.axes) - 1) * _GAP_IN
+        mean_panel = (height - top - bottom - gaps) / len(fig.axes)
+        fig.subplots_adjust(
+            left / width,
+            bottom / height,
+            1.0 - right / width,
+            1.0 - top / height,
+            hspace=_GAP_IN / mean_panel,
+        )
+
+    @staticmethod
+    def _place_labels(fig: Figure, left_in: float) -> None:
+        """Place the labels of the vertical axes as far left of their panels, one below the other."""
+        for panel in fig.axes:
+            offset = ScaledTranslation(-left_in, 0.0, fig.dpi_scale_trans)
+            panel.yaxis.set_label_coords(0.0, 0.5, panel.transAxes + offset)
+
+
+def _outside(panels: Sequence[Axes], renderer: RendererAgg) -> tuple[float, float, float, float]:
+    """What stands outside of panels [pixels]: numbers and labels on the left, all on the right, and below."""
+    below: Any = panels[-1].xaxis.get_tightbbox(renderer)
+    frame = panels[-1].bbox
+    numbers = [text for panel in panels for text in panel.yaxis.get_majorticklabels()]
+    labels = [panel.yaxis.label.get_window_extent(renderer).width for panel in panels]
+    legends = [legend for panel in panels if (legend := panel.get_legend())]
+    right = max([below.x1, *(legend.get_window_extent(renderer).x1 for legend in legends)])
+    left = min(text.get_window_extent(renderer).x0 for text in numbers)
+    return frame.x0 - left, max(labels), right - frame.x1, frame.y0 - below.y0
+
+
 def stacked_panels(heights_in: Sequence[float], x_label: str) -> tuple[Figure, list[Axes]]:
     """A figure as wide as a page: panels (a), (b), ... one below the other, with one horizontal axis."""
-    figure = Figure(figsize=(_WIDTH_IN, sum(heights_in) + 0.4), layout="constrained")
+    figure = Figure(figsize=(_WIDTH_IN, sum(heights_in) + 0.4), layout=StackedLayout())
     grid = figure.subplots(
         len(heights_in), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights_in}
     )
@@ -51,7 +106,6 @@ def stacked_panels(heights_in: Sequence[float], x_label: str) -> tuple[Figure, l
             f"({letter})", (0.0, 1.0), (-36.0, 4.0), "axes fraction", "offset points", fontweight="bold"
         )
     panels[-1].set_xlabel(x_label)
-    figure.align_ylabels()
     return figure, panels
 
 
@@ -100,8 +154,18 @@ def write_figure(figure: Figure, path: Path, formats: Sequence[FigureFormat]) ->
     files = [path.with_name(f"{path.name}.{ending}") for ending in formats]
     for file, ending in zip(files, formats, strict=True):
         with open_atomically(file) as stream:
-            figure.savefig(stream, format=ending, dpi=_DPI, metadata=_METADATA[ending])
+            if ending is FigureFormat.PNG:
+                _write_png(figure, stream)
+            else:
+                figure.savefig(stream, format=ending, metadata=_METADATA[ending])
     return files
+
+
+def _write_png(figure: Figure, stream: BinaryIO) -> None:
+    """As `savefig`, which goes through everything in a figure once more before it draws it."""
+    figure.set_dpi(_DPI)
+    options = {"compress_type": _RUN_LENGTHS}
+    FigureCanvasAgg(figure).print_png(stream, metadata=_METADATA[FigureFormat.PNG], pil_kwargs=options)
 
 
 def run_figure(
@@ -111,7 +175,9 @@ def run_figure(
     signals = [name for name in recording.numbers if not name.startswith(ERROR_ESTIMATE)]
     units = list(dict.fromkeys(map(recording.unit, signals)))
     with figure_style():
-        figure, panels = stacked_panels([1.5] * len(units), "Time [s]")
+        lines = [sum(recording.unit(name) == unit for name in signals) for unit in units]
+        heights = [max(_PANEL_IN, count * _LEGEND_LINE_IN) for count in lines]
+        figure, panels = stacked_panels(heights, "Time [s]")
         figure.suptitle(title)
         for unit, panel in zip(units, panels, strict=True):
             names = [name for name in signals if recording.unit(name) == unit]

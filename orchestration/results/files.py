@@ -30,6 +30,7 @@ _TITLE = re.compile(r"(.*) \[([^\[\]]*)\]", re.DOTALL)  # of a signal with its u
 _UNIT, _KIND, _PROVENANCE = b"unit", b"l1_depth.kind", b"l1_depth.provenance"
 _RECORDING = b"recording"
 _BLOCK = 1000  # rows that are text at a time
+_LEAST_PLAIN, _FIRST_LARGE = 1e-4, 1e16  # between which `repr` writes a number without an exponent
 _GROUP = 1 << 17  # rows of Parquet that are copied at a time
 _BYTES = {RecordingFormat.CSV: 20, RecordingFormat.PARQUET: 8}  # about, of a number in a file
 
@@ -130,16 +131,22 @@ def _write_csv(path: Path, content: Content) -> None:
             if content.texts:
                 writer.writerows(zip(content.time[rows].tolist(), *block.columns(), strict=True))
             else:
-                columns = map(_written, (content.time[rows], *block.values.T))
-                text.writelines(",".join(row) + "\n" for row in zip(*columns, strict=True))
+                text.writelines(_lines(np.column_stack([content.time[rows], block.values])))
 
 
-def _written(numbers: np.ndarray) -> list[str]:
-    """Numbers as the shortest text that is read back exactly; a value that is held is converted once."""
-    bits = np.ascontiguousarray(numbers, float).view(np.int64)  # which differ for 0.0 and -0.0
-    changes = np.append(True, bits[1:] != bits[:-1])
-    texts = [repr(number) for number in numbers[changes].tolist()]
-    return texts if changes.all() else [texts[index] for index in (np.cumsum(changes) - 1).tolist()]
+def _lines(rows: np.ndarray) -> list[str]:
+    """Rows of numbers as lines, each number as `repr` writes it: the shortest text that is read back exactly.
+
+    `to_json` writes numbers that need no exponent as `repr` does, in a fifth of its time.
+    """
+    from pydantic_core import to_json  # a run that writes no CSV does without it
+
+    numbers, sizes = rows.astype(float).tolist(), np.abs(rows)
+    lines = [f"{line}\n" for line in to_json(numbers).decode()[2:-2].split("],[")]
+    is_plain = (sizes >= _LEAST_PLAIN) & (sizes < _FIRST_LARGE) | (sizes == 0.0)
+    for row in np.flatnonzero(~is_plain.all(axis=1)).tolist():
+        lines[row] = ",".join(map(repr, numbers[row])) + "\n"
+    return lines
 
 
 def _title(name: str, unit: str) -> str:

@@ -1,7 +1,8 @@
 """Whole commands, from the start of their process to its end, beside the same loop in other importers.
 
 `python -m tests.speed.commands` prints medians with the least and the largest time; all take turns, so that
-they see the same machine. What a command does once, such as the FMUs of scenarios, comes before.
+they see the same machine. What a command does once comes before: the FMUs of scenarios, and the compiler's
+own libraries for each platform. A build anew finds neither FMUs nor anything of them that was compiled.
 """
 
 import os
@@ -11,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
@@ -59,16 +60,18 @@ class Command:
 
     name: str
     arguments: Sequence[str]
+    environment: Mapping[str, str] = field(default_factory=dict)
     prepare: Callable[[], object] = lambda: None
     wall: list[float] = field(default_factory=list)
     cpu: list[float] = field(default_factory=list)
 
-    def measure(self, folder: Path, environment: dict[str, str]) -> None:
-        """Run it once; RuntimeError if it fails."""
+    def measure(self, folder: Path, environment: Mapping[str, str]) -> None:
+        """Run it once; RuntimeError if it fails. environment: of all commands, to which it adds its own."""
         self.prepare()
+        variables = {**environment, **self.environment}
         before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
         done = subprocess.run(
-            self.arguments, cwd=folder, env=environment, capture_output=True, text=True, check=False
+            self.arguments, cwd=folder, env=variables, capture_output=True, text=True, check=False
         )
         self.wall.append(time.perf_counter() - start)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -83,16 +86,15 @@ def commands(folder: Path) -> list[Command]:
     catalogue.build_missing(chosen.system.components.values())
     components = {name: str(path) for name, path in chosen.system.components.items()}
     run = ("l1-depth", "run", SCENARIO, "--out", "results")
-    build = ("l1-depth", "build", *FIVE, "--out", "built")
     return [
         Command("python -c pass", (sys.executable, "-c", "pass")),
         Command("l1-depth --help", ("l1-depth", "--help")),
         Command("import, and a first simulate", (sys.executable, "-c", FIRST_RUN.format(**components))),
         Command(f"l1-depth run {SCENARIO} --formats none", (*run, "--formats", "none")),
         Command(f"l1-depth run {SCENARIO}, with its figure", run),
-        Command("l1-depth build of five FMUs, unchanged", build),
+        Command("l1-depth reproduce, with its figures", ("l1-depth", "reproduce", "--out", "results")),
+        *_builds(folder),
         Command("l1-depth check of one FMU", ("l1-depth", "check", components["controller"])),
-        Command("l1-depth reproduce", ("l1-depth", "reproduce", "--out", "results")),
         *_of_importers(packaged(chosen, folder)),
     ]
 
@@ -108,24 +110,28 @@ def _of_importers(job: ImporterJob) -> list[Command]:
     ]
 
 
-def builds(folder: Path, environment: dict[str, str]) -> list[Command]:
-    """Builds of five FMUs from nothing but the compiler's own libraries, for this platform and for all."""
-    libraries, cache = folder / "zig", Path(environment["ZIG_GLOBAL_CACHE_DIR"])
+def _builds(folder: Path) -> list[Command]:
+    """Builds of five FMUs: from nothing but the compiler's own libraries, and without a change."""
+    build, libraries = ("l1-depth", "build", *FIVE), folder / "libraries"
+    caches = {"XDG_CACHE_HOME": f"{folder}/cache", "ZIG_GLOBAL_CACHE_DIR": f"{folder}/cache/zig"}
+    of_unchanged = {"XDG_CACHE_HOME": f"{folder}/unchanged"}  # which holds the stamps of its FMUs
+
+    def compile_libraries() -> None:
+        if not libraries.exists():
+            variables = {**os.environ, **caches, "ZIG_GLOBAL_CACHE_DIR": str(libraries)}
+            compiled = _COMPILE.format(platforms=PLATFORMS, text=_COMPILED)
+            subprocess.run([sys.executable, "-c", compiled], env=variables, check=True)
 
     def forget() -> None:
-        for path in (cache, folder / "built", Path(environment["XDG_CACHE_HOME"], "l1-depth", "stamps")):
-            shutil.rmtree(path, ignore_errors=True)
-        if libraries.exists():
-            shutil.copytree(libraries, cache)
+        compile_libraries()
+        for name in ("cache", "built"):
+            shutil.rmtree(folder / name, ignore_errors=True)
+        shutil.copytree(libraries, folder / "cache" / "zig")
 
-    compiled = [sys.executable, "-c", _COMPILE.format(platforms=PLATFORMS, text=_COMPILED)]
-    forget()
-    subprocess.run(compiled, env=environment, check=True)
-    cache.rename(libraries)
-    build = ("l1-depth", "build", *FIVE, "--out", "built")
     return [
-        Command("l1-depth build of five FMUs, anew", build, forget),
-        Command("the same for all platforms", (*build, "--all-platforms"), forget),
+        Command("l1-depth build of five FMUs, anew", (*build, "--out", "built"), caches, forget),
+        Command("the same for all platforms", (*build, "--all-platforms", "--out", "built"), caches, forget),
+        Command("the same, unchanged", (*build, "--out", "unchanged"), of_unchanged),
     ]
 
 
@@ -136,18 +142,13 @@ for platform in {platforms!r}:
 """
 
 
-def measured(rounds: int, with_builds: bool) -> list[Command]:
-    """All commands in turns, after a round that does not count."""
+def measured(rounds: int, parts: Sequence[str]) -> list[Command]:
+    """All commands, or those with one of these parts in their names, after a round that does not count."""
     with tempfile.TemporaryDirectory(prefix="l1-depth-speed-") as name:
         folder = Path(name)
         environment = {**os.environ, "PYTHONPYCACHEPREFIX": str(folder / "bytecode")}
         environment.pop("PYTHONDONTWRITEBYTECODE", None)
-        if with_builds:
-            environment |= {
-                "XDG_CACHE_HOME": str(folder / "cache"),
-                "ZIG_GLOBAL_CACHE_DIR": f"{folder}/zig-cache",
-            }
-        chosen = builds(folder, environment) if with_builds else commands(folder)
+        chosen = [c for c in commands(folder) if not parts or any(part in c.name for part in parts)]
         for turn in range(rounds + 1):
             for command in chosen:
                 command.measure(folder, environment)
@@ -170,11 +171,13 @@ def table(chosen: Sequence[Command]) -> Table:
 
 def main(
     rounds: Annotated[int, typer.Option(help="Measurements of which the median is taken.", min=1)] = 5,
-    with_builds: Annotated[bool, typer.Option("--builds", help="Time builds from nothing instead.")] = False,
+    only: Annotated[
+        list[str] | None, typer.Option(help="Time commands alone whose names have this part; repeatable.")
+    ] = None,
     markdown: Annotated[bool, typer.Option(help="Print the table of docs/performance.md.")] = False,
 ) -> None:
     """Time whole commands and other importers, from the start of their processes to the end."""
-    print_tables([table(measured(rounds, with_builds))], markdown)
+    print_tables([table(measured(rounds, only or []))], markdown)
 
 
 if __name__ == "__main__":

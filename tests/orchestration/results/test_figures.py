@@ -55,6 +55,26 @@ def test_depth_points_down(recording: Recording, tmp_path: Path, monkeypatch: py
     assert [panel.yaxis_inverted() for panel in drawn[0].axes] == [True, False]
 
 
+def test_everything_has_room_in_the_figure(
+    recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Long numbers, long names, and more signals in a panel than its usual height has lines."""
+    drawn: list[figures.Figure] = []
+    monkeypatch.setattr(figures, "write_figure", lambda figure, *_: drawn.append(figure) or [])
+    names = [f"component.a_signal_with_a_long_name_{i}" for i in range(14)]
+    values = 123456.789 * np.column_stack([recording["a.y"]] * 14)
+    figures.run_figure("A run", Recording(tuple(names), ("m",) * 13 + ("N",), TIME, values), tmp_path / "run")
+    (figure,) = drawn
+    figure.savefig(tmp_path / "run.png")
+    box, (width, height) = figure.get_tightbbox(), figure.get_size_inches()
+    assert box.x0 >= 0.0
+    assert box.y0 >= 0.0
+    assert box.x1 <= width
+    assert box.y1 <= height
+    legends = [legend.get_window_extent() for panel in figure.axes if (legend := panel.get_legend())]
+    assert legends[0].y0 > legends[1].y1
+
+
 @pytest.mark.parametrize("ending", FigureFormat)
 def test_equal_data_give_the_same_file(recording: Recording, tmp_path: Path, ending: FigureFormat) -> None:
     files = [

@@ -209,6 +209,19 @@ def test_a_value_that_is_held_is_written_as_any_other(tmp_path: Path) -> None:
     ]
 
 
+def test_numbers_of_every_size_are_written_as_python_writes_them(tmp_path: Path) -> None:
+    """Where the exponent begins, beside powers of two and ten, and what is no number."""
+    powers = np.concatenate([10.0 ** np.arange(-7, 19), 2.0 ** np.arange(-20, 60)])
+    drawn = np.random.default_rng(5)
+    sizes = drawn.standard_normal(2000) * 10.0 ** drawn.integers(-8, 20, 2000)
+    numbers = np.concatenate([powers, np.nextafter(powers, 0.0), np.nextafter(powers, np.inf), sizes])
+    numbers = np.concatenate([numbers, -numbers, [np.nan, np.inf, -np.inf, 5e-324, 1.7976931348623157e308]])
+    run = Recording(("value",), ("",), np.arange(float(len(numbers))), numbers[:, None])
+    run.write(tmp_path / "run.csv")
+    written = [line.split(",")[1] for line in (tmp_path / "run.csv").read_text().splitlines()[1:]]
+    assert written == [repr(number) for number in numbers.tolist()]
+
+
 def test_an_unknown_signal_offers_the_nearest() -> None:
     with pytest.raises(OrchestrationError, match=r"nearest is 'a\.x'"):
         a_run()["a.z"]
