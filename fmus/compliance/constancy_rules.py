@@ -8,11 +8,11 @@ from fmus.compliance.script import Reading, Script
 from fmus.compliance.values import (
     accepted,
     other_values,
-    read_value,
     same,
     settable_while_stepping,
     start_value,
     texts,
+    unlike,
 )
 from fmus.compliance.variable import Variable
 
@@ -34,13 +34,9 @@ def constants_have_their_value(probe: Probe) -> Iterator[str]:
     script = probe.script().begin()
     readings = [script.step(count).read(constants) for count in _STEPS]
     script.play()
-    named = set()
-    for v, reading in ((v, reading) for reading in readings for v in constants):
-        value, expected = read_value(reading.values[v.name]), start_value(v)
-        if v.name not in named and not same(value, expected, _ROUNDED):
-            named.add(v.name)
-            shown = texts(value, expected)
-            yield f"{v.name} is {shown[0]}, a constant: expected {shown[1]}"
+    expected = [(v, start_value(v), reading) for reading in readings for v in constants]
+    for v, value, start in unlike(expected, _ROUNDED):
+        yield f"{v.name} is {value}, a constant: expected {start}"
 
 
 @rule(_VARIABLES, Stage.BEHAVIOUR, needs=["communication-points-may-be-rounded"])

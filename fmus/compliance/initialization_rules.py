@@ -10,11 +10,9 @@ from fmus.compliance.values import (
     differing,
     other_value,
     other_values,
-    read_value,
-    same,
     settable_in_initialization,
     start_value,
-    texts,
+    unlike,
 )
 from fmus.compliance.variable import Variable
 
@@ -87,13 +85,8 @@ def exact_values_remain_after_initialization(probe: Probe) -> Iterator[str]:
     expected += [
         (v, x, reading) for (v, x, script), reading in zip(tried, readings, strict=True) if script.succeeded
     ]
-    named = set()
-    for v, value, reading in expected:
-        got = read_value(reading.values[v.name])
-        if v.name not in named and not same(got, value, _ROUNDED):
-            named.add(v.name)
-            shown = texts(got, value)
-            yield f"{v.name} is {shown[0]} after initialisation: expected {shown[1]}, its exact value"
+    for v, value, exact in unlike(expected, _ROUNDED):
+        yield f"{v.name} is {value} after initialisation: expected {exact}, its exact value"
 
 
 @rule(_VALUES, Stage.BEHAVIOUR, needs=["values-that-are-set-are-read"])

@@ -1,25 +1,25 @@
 """What can be set, when, and what is read then."""
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 from fmus.binding import ERROR
 from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotApplicableError, Stage, rule
-from fmus.compliance.script import KINDS, Reply, Script
+from fmus.compliance.script import KINDS, Reading, Reply, Script
 from fmus.compliance.values import (
     RESTARTED,
     differing,
     far_values,
     other_value,
-    read_value,
+    other_values,
     readable_in_initialization,
-    same,
     settable_before,
     settable_in_initialization,
     settable_while_stepping,
     start_value,
-    texts,
+    unlike,
 )
 from fmus.compliance.variable import Variable
 
@@ -28,6 +28,10 @@ _INITIALIZATION = "2.1.6 Initialization, Termination, and Resetting an FMU"
 _VALUES = "2.1.7 Getting and Setting Variable Values"
 _MOST_VARIABLES = 50  # of one kind, each of which costs an instance
 _ROUNDED = 1e-6
+_EXACT = 1e-12
+_Setting = tuple[
+    Variable, Any, Script, Reading
+]  # a variable, its value, the script that sets it, what is read
 
 
 @rule(_INITIALIZATION, Stage.BEHAVIOUR, needs=["start-values-are-as-declared", "strings-are-copied"])
@@ -40,7 +44,7 @@ def values_that_are_set_are_read(probe: Probe) -> Iterator[str]:
 
 def _not_as_set(probe: Probe, variables: Sequence[Variable], when: str) -> Iterator[str]:
     tried = [(v, value) for v in variables[:_MOST_VARIABLES] if (value := other_value(v)) is not None]
-    scripts, readings = [], []
+    settings = list[_Setting]()
     for v, value in tried:
         script = probe.script()
         if when == "when instantiated":
@@ -49,18 +53,19 @@ def _not_as_set(probe: Probe, variables: Sequence[Variable], when: str) -> Itera
         else:
             script.initialise().set(v, value)
         if v.causality in {"output", "local"}:
-            readings.append(script.read([v]))
+            reading = script.read([v])
             script.exit_initialization_mode()
         else:
-            script.exit_initialization_mode()
-            readings.append(script.read([v]))
-        scripts.append(script)
-    probe.play_each(scripts)
-    for (v, value), script, reading in zip(tried, scripts, readings, strict=True):
-        got = read_value(reading.values[v.name]) if script.succeeded else value
-        if not same(got, value, 1e-12):
-            shown = texts(got, value)
-            yield f"{v.name} is {shown[0]} after it was set to {shown[1]} {when}: expected that"
+            reading = script.exit_initialization_mode().read([v])
+        settings.append((v, value, script, reading))
+    for v, got, given in _read_otherwise(probe, settings):
+        yield f"{v.name} is {got} after it was set to {given} {when}: expected that"
+
+
+def _read_otherwise(probe: Probe, settings: Sequence[_Setting]) -> Iterator[tuple[Variable, str, str]]:
+    """Variables that are not read as they were set, where the script succeeded, with both values as texts."""
+    probe.play_each([script for _, _, script, _ in settings])
+    return unlike(((v, x, reading) for v, x, script, reading in settings if script.succeeded), _EXACT)
 
 
 @rule(_PLATFORM, Stage.BEHAVIOUR)
@@ -182,19 +187,18 @@ def setting_the_same_changes_nothing(probe: Probe) -> Iterator[str]:
 @rule("4.1.2 Mathematical Model", Stage.BEHAVIOUR, needs=["fixed-values-stay"])
 def inputs_that_are_set_are_read(probe: Probe) -> Iterator[str]:
     """An input or tunable parameter that is set at a communication point has that value after the step."""
-    tried = []
-    for v in settable_while_stepping(probe.fmu)[:_MOST_VARIABLES]:
-        if (value := other_value(v)) is not None:
-            script = probe.script().begin().step()
-            script.set(v, value)
-            tried.append((v, value, script, script.step().read([v])))
-    probe.play_each([script for _, _, script, _ in tried])
-    for v, value, script, reading in tried:
-        got = read_value(reading.values[v.name]) if script.succeeded else value
-        if not same(got, value, 1e-12):
-            shown = texts(got, value)
-            when = "at a communication point: expected that"
-            yield f"{v.name} is {shown[0]} after it was set to {shown[1]} {when}"
+    chosen = settable_while_stepping(probe.fmu)[:_MOST_VARIABLES]
+    for v, got, given in _read_otherwise(
+        probe, [_set_after_a_step(probe, *pair) for pair in other_values(chosen)]
+    ):
+        yield f"{v.name} is {got} after it was set to {given} at a communication point: expected that"
+
+
+def _set_after_a_step(probe: Probe, v: Variable, value: Any) -> _Setting:
+    """A script that sets the value after a step and reads it after another."""
+    script = probe.script().begin().step()
+    script.set(v, value)
+    return v, value, script, script.step().read([v])
 
 
 @rule(_VALUES, Stage.BEHAVIOUR, needs=["inputs-that-are-set-are-read"])
@@ -202,15 +206,7 @@ def far_values_of_inputs_are_read(probe: Probe) -> Iterator[str]:
     """An input that is set far from its start value, within its range, or a String that is long or empty, is
     read as it was set, unless the FMU refuses it.
     """
-    tried = []
-    inputs = [v for v in settable_while_stepping(probe.fmu) if v.causality == "input"]
-    for v, value in [(u, x) for u in inputs[:_MOST_VARIABLES] for x in far_values(u)]:
-        script = probe.script().begin().step()
-        script.set(v, value)
-        tried.append((v, value, script, script.step().read([v])))
-    probe.play_each([script for _, _, script, _ in tried])
-    for v, value, script, reading in tried:
-        got = read_value(reading.values[v.name]) if script.succeeded else value
-        if not same(got, value, 1e-12):
-            shown = [text[:60] for text in texts(got, value)]
-            yield f"{v.name} is {shown[0]} after it was set to {shown[1]}: expected that"
+    inputs = [v for v in settable_while_stepping(probe.fmu) if v.causality == "input"][:_MOST_VARIABLES]
+    settings = [_set_after_a_step(probe, v, x) for v in inputs for x in far_values(v)]
+    for v, got, given in _read_otherwise(probe, settings):
+        yield f"{v.name} is {got[:60]} after it was set to {given[:60]}: expected that"

@@ -157,6 +157,19 @@ def same(a: Any, b: Any, tolerance: float = 0.0, scale: float = 0.0) -> bool:
     return abs(a - b) <= tolerance * max(abs(a), abs(b), scale)
 
 
+def unlike(
+    expected: Iterable[tuple[Variable, Any, Reading]], tolerance: float
+) -> Iterator[tuple[Variable, str, str]]:
+    """The first reading of each variable whose value is not the expected one, and both values as texts."""
+    named = set()
+    for v, value, reading in expected:
+        got = read_value(reading.values[v.name])
+        if v.name not in named and not same(got, value, tolerance):
+            named.add(v.name)
+            value_read, value_expected = texts(got, value)
+            yield v, value_read, value_expected
+
+
 def rows(readings: Iterable[Reading]) -> list[Row]:
     return [reading.values for reading in readings]
 

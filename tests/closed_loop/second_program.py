@@ -1,16 +1,18 @@
 """The L1 law in the loop of `second_loop`, from the equations alone: sampled, and as one continuous system.
 
     law       u = -k_m x + u_a + u_p,   x = (y, v),   u_p = -K_P e - K_I int e,   e = y - r
-              x_hat' = A_m x_hat + B (u_d + k_m x + theta |x|_inf + sigma)
+              x_hat' = A_m x_hat + B (omega u_ap + theta |x|_inf + sigma),   u_ap = u_d + k_m x
               theta' = G Proj(theta, -(x_tilde' P B) |x|_inf),   sigma' = G Proj(sigma, -(x_tilde' P B))
-              u_a'   = -w (u_a + theta |x|_inf + sigma - v)
+              omega' = G Proj(omega - omega_0, -(x_tilde' P B) u_w),   u_w = u_a, or u_ap; omega = omega_0
+              u_a'   = -w (omega u_a + theta |x|_inf + sigma - v)
     or        u_p = -a_1 |e|^alpha sgn(e) if |e| > delta, else -a_2 e / delta^(1 - alpha)
-    v         k_g r; with the feedforward f inside f; with f outside 0, and u = ... + f
+    v         k_g r; with the feedforward f inside f; with f outside (1 - omega) f, and u_a + f
+              in place of u_a in u and u_w
     or        x_hat' = A_m x + A_s x_tilde + B (u_d + k_m x) + s,   x_tilde = x_hat - x
               s = -Phi^-1 e^(A_s Ts) x_tilde every Ts,   Phi = A_s^-1 (e^(A_s Ts) - I),   sigma = s_2 / B_2
 
-u_d is the control that the vehicle receives. Source: Maalouf et al. (2013), (4)-(7), (10), (11), (13), with
-the errata of docs/fidelity.md.
+u_d is the control that the vehicle receives, u_ap what of it is not u_m of the state at the same time.
+Source: Maalouf et al. (2013), (4)-(7), (10), (11), (13), with the errata of docs/fidelity.md.
 
 Sampled, the law holds the measurement (`HELD`), and drives the predictor by the control that the vehicle
 received before that measurement: with the control of the step that follows it, the estimates would contain
@@ -42,18 +44,20 @@ class LawStep(Enum):
 class L1Case(Case):
     """augmentation: none, pi or nonlinear_p; feedforward: none, inside or outside the filter.
 
-    piecewise: A_s [1/s] times the identity and Ts [s] of the piecewise-constant law, if that adapts
+    learns_from_all: whether u_w is u_ap; piecewise: A_s [1/s] times the identity and Ts [s] of the
+    piecewise-constant law, if that adapts
     reference_rate: r' [m/s] of time [s]
     """
 
     augmentation: str
     feedforward: str
+    learns_from_all: bool
     piecewise: Pair | None
     reference_rate: Callable[[float], float]
 
 
 class Equations:
-    """The rates of the vehicle (z, w, F) and of the law (x_hat_1, x_hat_2, theta, sigma, u_a, int e)."""
+    """The rates of the vehicle (z, w, F) and of the law (x_hat, theta, sigma, omega, u_a, int e)."""
 
     def __init__(self, case: L1Case) -> None:
         self.case, p = case, case.law
@@ -67,8 +71,12 @@ class Equations:
 
     def control(self, x: Pair, e: float, u_a: float, integral: float, f: float) -> float:
         """f: of the reference of the measurement."""
-        u = u_a - self.k_m[0] * x[0] - self.k_m[1] * x[1] + self.extension(e, integral)
-        return u + f if self.case.feedforward == "outside" else u
+        u = self.learnt(u_a, f) - self.k_m[0] * x[0] - self.k_m[1] * x[1]
+        return u + self.extension(e, integral)
+
+    def learnt(self, u_a: float, f: float) -> float:
+        """u_w of the paper: what of the control precedes the extension."""
+        return u_a + f if self.case.feedforward == "outside" else u_a
 
     def extension(self, e: float, integral: float) -> float:
         """u_p."""
@@ -87,27 +95,31 @@ class Equations:
         damping = self.case.law["model_damping"] + self.k_m[1]
         return damping * self.case.reference_rate(t) + self.k_m[0] * self.case.reference(t)
 
-    def demand(self, t: float) -> float:
+    def demand(self, t: float, omega: float) -> float:
         """What the filter drives eta_hat to."""
-        demands = {"none": self.k_g * self.case.reference(t), "inside": self.feedforward(t), "outside": 0.0}
+        f = self.feedforward(t)
+        demands = {"none": self.k_g * self.case.reference(t), "inside": f, "outside": (1.0 - omega) * f}
         return demands[self.case.feedforward]
 
-    def predictor(self, state: State, x: Pair, u: float) -> State:
-        """Rates of (x_hat, theta, sigma) while the vehicle receives u."""
-        p, (x_1, x_2, theta, sigma) = self.case.law, state
+    def predictor(self, state: State, x: Pair, u: float, u_w: float) -> State:
+        """Rates of (x_hat, theta, sigma, omega) while the vehicle receives u, u_w of which precedes u_p."""
+        p, (x_1, x_2, theta, sigma, omega) = self.case.law, state
         norm, eps = max(abs(x[0]), abs(x[1])), p["projection_tolerance"]
         s = (x_1 - x[0]) * self.pb[0] + (x_2 - x[1]) * self.pb[1]
-        eta = u + self.k_m[0] * x[0] + self.k_m[1] * x[1] + theta * norm + sigma
+        u_ap = u + self.k_m[0] * x[0] + self.k_m[1] * x[1]
+        u_w = u_ap if self.case.learns_from_all else u_w
+        away, box = omega - p["input_gain"], p["input_gain_uncertainty"]
         return (
             x_2,
-            self.a[0] * x_1 + self.a[1] * x_2 + self.b * eta,
+            self.a[0] * x_1 + self.a[1] * x_2 + self.b * (omega * u_ap + theta * norm + sigma),
             p["adaptation_gain"] * projected(theta, -s * norm, p["theta_bound[1]"], eps),
             p["adaptation_gain"] * projected(sigma, -s, p["sigma_bound"], eps),
+            p["adaptation_gain"] * projected(away, -s * u_w, box, eps) if box else 0.0,
         )
 
-    def filter(self, u_a: float, known: float, demand: float) -> float:
+    def filter(self, u_a: float, known: float, omega: float, demand: float) -> float:
         """u_a', known = theta |x|_inf + sigma."""
-        return -self.case.law["filter_bandwidth"] * (u_a + known - demand)
+        return -self.case.law["filter_bandwidth"] * (omega * u_a + known - demand)
 
 
 def continuous(case: L1Case, times: np.ndarray) -> np.ndarray:
@@ -116,15 +128,20 @@ def continuous(case: L1Case, times: np.ndarray) -> np.ndarray:
 
     def rates(t: float, state: np.ndarray) -> State:
         values = tuple(state.tolist())
-        x, r, (theta, sigma, u_a) = values[:2], case.reference(t), values[5:8]
-        u = equations.control(x, x[0] - r, u_a, values[8], equations.feedforward(t))
+        x, r, (theta, sigma, omega, u_a), f = (
+            values[:2],
+            case.reference(t),
+            values[5:9],
+            equations.feedforward(t),
+        )
+        u = equations.control(x, x[0] - r, u_a, values[9], f)
         known = theta * max(abs(x[0]), abs(x[1])) + sigma
         body = vehicle(case.plant, values[:3], u, case.force(t))
-        law = equations.predictor(values[3:7], x, u)
-        return *body, *law, equations.filter(u_a, known, equations.demand(t)), x[0] - r
+        law = equations.predictor(values[3:8], x, u, equations.learnt(u_a, f))
+        return *body, *law, equations.filter(u_a, known, omega, equations.demand(t, omega)), x[0] - r
 
     z = case.plant["initial_depth"]
-    start = [z, 0.0, 0.0, z, 0.0, 0.0, 0.0, 0.0, 0.0]
+    start = [z, 0.0, 0.0, z, 0.0, 0.0, 0.0, case.law["input_gain"], 0.0, 0.0]
     solved = solve_ivp(
         rates, (times[0], times[-1]), start, t_eval=times, rtol=1e-8, atol=1e-10, max_step=0.05
     )
@@ -143,9 +160,10 @@ class _Law:
     def __init__(self, equations: Equations, step: float, kind: LawStep) -> None:
         self.equations, self.step, self.kind = equations, step, kind
         measured = equations.case.first_reading, 0.0
-        self.x, self.e, self.u_before = measured, measured[0] - equations.case.reference(0.0), 0.0
+        self.x, self.e = measured, measured[0] - equations.case.reference(0.0)
+        self.before = 0.0, 0.0  # u and u_w that the vehicle received before the measurement
         self.f = equations.feedforward(0.0)
-        self.estimates: State = (*measured, 0.0, 0.0)
+        self.estimates: State = (*measured, 0.0, 0.0, equations.case.law["input_gain"])
         self.u_a = self.integral = 0.0
         self.is_first = True
 
@@ -153,43 +171,53 @@ class _Law:
         return self.equations.control(self.x, self.e, self.u_a, self.integral, self.f)
 
     def advance(self, t: float, x: Pair, u: float) -> None:
-        r = self.equations.case.reference(t)
-        self.u_a = self.adapted(x, self.equations.demand(t))
+        r, before = self.equations.case.reference(t), (u, self.equations.learnt(self.u_a, self.f))
+        self.u_a = self.adapted(x, t)
         self.integral += self.step * (x[0] - r)
-        self.x, self.e, self.u_before, self.is_first = x, x[0] - r, u, False
+        self.x, self.e, self.before, self.is_first = x, x[0] - r, before, False
         self.f = self.equations.feedforward(t)
 
-    def adapted(self, x: Pair, demand: float) -> float:
-        """u_a after the step."""
-        return self._held(x, demand) if self.kind is LawStep.HELD else self._between(x, demand)
+    def adapted(self, x: Pair, t: float) -> float:
+        """u_a after the step from t on."""
+        return self._held(x, t) if self.kind is LawStep.HELD else self._between(x, t)
 
-    def _held(self, x: Pair, demand: float) -> float:
+    def _held(self, x: Pair, t: float) -> float:
         """u_a after the step; the estimates go with it, under the control that led to the measurement."""
         norm = max(abs(x[0]), abs(x[1]))
 
         def rates(state: State) -> State:
-            estimates = self.equations.predictor(state[:4], x, self.u_before)
-            return *estimates, self.equations.filter(state[4], state[2] * norm + state[3], demand)
+            *estimates, theta, sigma, omega, u_a = state
+            demand = self.equations.demand(t, omega)
+            return (
+                *self.equations.predictor((*estimates, theta, sigma, omega), x, *self.before),
+                self.equations.filter(u_a, theta * norm + sigma, omega, demand),
+            )
 
         *estimates, u_a = advanced(rates, (*self.estimates, self.u_a), self.step)
         self.estimates = tuple(estimates)
         return u_a
 
-    def _between(self, x: Pair, demand: float) -> float:
+    def _between(self, x: Pair, t: float) -> float:
         """u_a after the step; the estimates go to its beginning."""
         before, theta, sigma = self.x, 0.0, 0.0
 
         def rates(state: State) -> State:
-            part = state[6] / self.step
+            part = state[7] / self.step
             on_line = (before[0] + part * (x[0] - before[0]), before[1] + part * (x[1] - before[1]))
-            return *self.equations.predictor(state[:4], on_line, self.u_before), state[2], state[3], 1.0
+            return *self.equations.predictor(state[:5], on_line, *self.before), state[2], state[3], 1.0
 
         if not self.is_first:
             *estimates, theta, sigma, _ = advanced(rates, (*self.estimates, 0.0, 0.0, 0.0), self.step)
             self.estimates = tuple(estimates)
             theta, sigma = theta / self.step, sigma / self.step
         known = theta * max(abs(x[0]), abs(x[1])) + sigma
-        return advanced(lambda u: (self.equations.filter(u[0], known, demand),), (self.u_a,), self.step)[0]
+        return self.filtered(known, t)
+
+    def filtered(self, known: float, t: float) -> float:
+        """u_a after the step from t on, with known = theta |x|_inf + sigma and omega held."""
+        equations, omega = self.equations, self.estimates[4]
+        demand = equations.demand(t, omega)
+        return advanced(lambda u: (equations.filter(u[0], known, omega, demand),), (self.u_a,), self.step)[0]
 
 
 class _PiecewiseLaw(_Law):
@@ -198,20 +226,19 @@ class _PiecewiseLaw(_Law):
     x is held from one measurement to the next.
     """
 
-    def adapted(self, x: Pair, demand: float) -> float:
+    def adapted(self, x: Pair, t: float) -> float:
         equations, (rate, period) = self.equations, self.equations.case.piecewise or (0.0, 0.0)
         if self.is_first:
             self.x_hat, self.s, self.due = x, (0.0, 0.0), round(period / self.step)
         else:
-            u = self.u_before + equations.k_m[0] * self.x[0] + equations.k_m[1] * self.x[1]
+            u = self.before[0] + equations.k_m[0] * self.x[0] + equations.k_m[1] * self.x[1]
             self.x_hat = advanced(lambda x_hat: self._rates(x_hat, u, rate), self.x_hat, self.step)
             self.due -= 1
         if not self.due:
             gain = -math.exp(rate * period) * rate / (math.exp(rate * period) - 1.0)
             self.s = (gain * (self.x_hat[0] - x[0]), gain * (self.x_hat[1] - x[1]))
             self.due = round(period / self.step)
-        sigma = self.s[1] / equations.b
-        return advanced(lambda u: (equations.filter(u[0], sigma, demand),), (self.u_a,), self.step)[0]
+        return self.filtered(self.s[1] / equations.b, t)
 
     def _rates(self, x_hat: State, u: float, rate: float) -> State:
         a, x = self.equations.a, self.x

@@ -8,6 +8,7 @@ rounded the other way), and for MRAC by the explicit step of its estimates (0.3 
 import math
 import warnings
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -79,7 +80,7 @@ def both_figures(
         plant=values["plant"],
         law={**NO_OBSERVER, **values["controller"], **gains},
         ideal="plant.sensor_ideal" in settings,
-        reference=loaded.experiment.signals["controller.depth_reference"],
+        reference=cache(loaded.experiment.signals["controller.depth_reference"]),  # asked for more than once
         force=lambda t: 0.0,
         duration=stop,
     )

@@ -5,34 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orchestration.master import simulate
 from orchestration.scenarios import scenario
-from orchestration.scenarios.scenario import Scenario
 from orchestration.study.fmu_margins import DELAY_RESOLUTION, delay_margin
 from orchestration.study.hold import LoopSignal
 from tests.closed_loop.second_program import L1Case, LawStep, sampled
-from tests.closed_loop.shipped_case import shipped_case
+from tests.closed_loop.shipped_case import noisy_case
 
 STEP, END = 0.02, 140.0  # s: of communication; when the reference leaves 0.8 m
 JUDGED = 100.0  # s: since when the hold is judged
 QUIET, MOVED = 3e-3, 0.04  # m
 UNROUNDED = {"plant.sensor_resolution": 0.0}
-
-
-def noisy_case(loaded: Scenario) -> L1Case:
-    """The scenario until the end of its hold, with the noise that its sensor has.
-
-    Without rounding, what the sensor reads is depth and noise.
-    """
-    experiment = replace(
-        loaded.experiment,
-        stop_time=END,
-        parameters={**loaded.experiment.parameters, **UNROUNDED},
-        record=("plant.depth", "plant.measured_depth"),
-    )
-    run = simulate(loaded.system, experiment)
-    noise = (run["plant.measured_depth"] - run["plant.depth"])[::2]
-    return replace(shipped_case(loaded), duration=END, noise=tuple(noise.tolist()))
 
 
 def is_quiet(case: L1Case, signal: LoopSignal, delay: float) -> bool:
@@ -56,7 +38,8 @@ def test_a_second_program_loses_its_quietness_at_the_delay_that_was_measured(
     of the noise from then on; the deviation in the hold changes by a tenth with them.
     """
     loaded = scenario.load(scenario.find(name), {"parameters": settings})
-    scan, case = delay_margin(loaded, signal, only_first_loss=True), noisy_case(loaded)
+    scan = delay_margin(loaded, signal, only_first_loss=True)
+    case = noisy_case(replace(loaded, experiment=replace(loaded.experiment, stop_time=END)))
     apart = DELAY_RESOLUTION if settings else 2.0 * DELAY_RESOLUTION
     assert is_quiet(case, signal, scan.margin - apart)
     assert not is_quiet(case, signal, scan.lost + apart)

@@ -18,16 +18,8 @@ from fmus.export.symbolic import traced
 from fmus.instance import Instance
 from fmus.numerics import sampled
 
-from .small_blocks import (
-    REFUSED,
-    REFUSED_STATES,
-    WORKING,
-    Number,
-    Rule,
-    SampledMean,
-    block_of,
-    one_block_of_all,
-)
+from .refused_blocks import REFUSED, REFUSED_STATES
+from .small_blocks import WORKING, Number, Rule, SampledMean, block_of, one_block_of_all
 
 # where no line of the rule is at fault, but what it returns
 NAMED_BY_THE_FUNCTION = ("a list", "a state", "an argument", "an array", "an exception that is caught")

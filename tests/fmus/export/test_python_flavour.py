@@ -142,9 +142,9 @@ def _with_another_source(path: Path, folder: Path) -> Path:
     """Builds the FMU in a process whose benchmark plant feels twice the control."""
     script = (
         "import pathlib, sys, inspect, importlib\n"
-        "import fmus.export.sources as sources\n"
-        "read = sources._read\n"
-        "sources._read = lambda n: read(n).replace('p.omega * inputs.control', '2.0 * inputs.control')\n"
+        "from fmus.export import python\n"
+        "closure, old, new = python.source_closure, 'p.omega * inputs.control', '2.0 * inputs.control'\n"
+        "python.source_closure = lambda m: {n: s.replace(old, new) for n, s in closure(m).items()}\n"
         "from fmus import catalogue\n"
         "catalogue.build('ExamplePlant', pathlib.Path(sys.argv[1]), catalogue.Flavour.PYTHON)\n"
     )

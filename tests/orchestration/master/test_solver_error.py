@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from orchestration.errors import FmuError, FmuWarning, SimulationError
-from orchestration.master import Simulator, simulate
+from orchestration.master import Simulator, simulate, stepping
 from orchestration.master.checkpoint import Checkpoints, read_checkpoint
+from orchestration.master.loop_data import LoopFunctions
 from orchestration.master.snapshot import Snapshot
 from orchestration.master.split_step import step_together_and_split
 from orchestration.master.step_control import StepControl
+from orchestration.master.wiring import WiredRun
 from orchestration.results.recording import Recording
 from orchestration.system.experiment import Algorithm, Event, Experiment
 from orchestration.system.system import System
@@ -181,6 +183,19 @@ def test_the_error_of_an_output_with_feedthrough_is_no_mean_over_time(linear: Bu
     assert run.provenance["solver_error"]["estimated_error"] > tolerance
 
 
+@pytest.fixture
+def controlled(monkeypatch: pytest.MonkeyPatch) -> list[tuple[WiredRun, LoopFunctions]]:
+    """What each run gives the control of its steps."""
+    given: list[tuple[WiredRun, LoopFunctions]] = []
+
+    def step_control(run: WiredRun, loop: LoopFunctions) -> StepControl:
+        given.append((run, loop))
+        return StepControl(run, loop)
+
+    monkeypatch.setattr(stepping, "StepControl", step_control)
+    return given
+
+
 @pytest.mark.parametrize("failing", ["the whole step", "the second half"])
 @pytest.mark.parametrize(
     ("misdeed", "message"),
@@ -191,17 +206,21 @@ def test_the_error_of_an_output_with_feedthrough_is_no_mean_over_time(linear: Bu
     ],
 )
 def test_a_step_that_fails_to_find_the_solvers_error_ends_the_run(
-    linear: Build, rogue: Build, misdeed: Misdeed, message: str, failing: str
+    linear: Build,
+    rogue: Build,
+    controlled: list[tuple[WiredRun, LoopFunctions]],
+    misdeed: Misdeed,
+    message: str,
+    failing: str,
 ) -> None:
     """After a fatal error no state is set; a discarded step only leaves the error unknown."""
     misdeed_time = 0.0 if failing == "the whole step" else 0.05
     with Simulator(pair(linear, rogue)) as simulator:
         simulator.start(doing(misdeed, misdeed_time))
-        run = simulator._stepped
-        assert run
-        before = Snapshot(run.wired, run._loop)
+        ((run, loop),) = controlled
+        before = Snapshot(run, loop)
         before.take()
-        arguments = run.wired, run._loop, before, 0, 0.0, 0.1
+        arguments = run, loop, before, 0, 0.0, 0.1
         if message:
             with pytest.raises(FmuError, match=rf"rogue at t = {misdeed_time:g} s: {message}"):
                 step_together_and_split(*arguments)

@@ -1,0 +1,151 @@
+"""Derivatives of inputs, of outputs and by direction of the C layer, against closed forms."""
+
+from collections.abc import Callable
+
+import pytest
+
+from .native_block import EVERYTHING
+from .native_everything import REFERENCES, read, step, write
+from .native_model import DISCARD, ERROR, LAST_TIME, OK, WARNING
+from .native_session import Session, begin, saved, stepping, told
+
+
+@pytest.fixture
+def session(open_session: Callable[[str], Session]) -> Session:
+    return open_session(EVERYTHING.name)
+
+
+def test_output_derivatives_follow_parameters_and_inputs_that_have_just_been_set(session: Session) -> None:
+    """y = gain limit x, so y' = gain limit (force valve + 1 - gain / limit x + t), of the present values."""
+    stepping(session)
+    assert step(session, 0.0, 0.1) == OK
+    x = read(session, "y")[0] / 8.0
+    assert write(session, limit=5.0, force=2.0, valve=0.25) == OK
+    rate = 2.0 * 0.25 + 1.0 - 0.4 * x + 0.1
+    references = [REFERENCES["y"], REFERENCES["square"], REFERENCES["y"]]
+    answer = session("get_output_derivatives", 0, references, [1, 1, 1], "+")
+    expected = [10.0 * rate, 2.0 * x * rate + 1.0, 10.0 * rate]
+    assert [float.fromhex(v) for v in answer.values] == pytest.approx(expected, rel=1e-14)
+    assert read(session, "y", "product") == [8.0 * x, 8.0]  # of the last step, until the next one
+
+
+def test_contradictory_parameters_are_an_error_of_steps_and_derivatives_that_names_the_requirement(
+    session: Session,
+) -> None:
+    stepping(session)
+    assert session("get_state", 0, 0).status == OK
+    for values, expected in (
+        ({"gain": 9.0, "limit": 9.0}, "gain below limit"),
+        ({"gain": -20.0}, "gain limit above -50"),
+    ):
+        for call in (("get_output_derivatives", 0, [REFERENCES["y"]], [1], "+"), ("step", 0, 0.0, 0.1)):
+            assert write(session, **values) == OK
+            answer = session(*call)
+            assert answer.status == ERROR
+            assert told(answer).endswith(f"parameters of Everything: expected {expected}")
+            assert session("set_state", 0, 0).status == OK
+    assert session("free_state", 0, 0).status == OK
+    assert step(session, 0.0, 0.1) == OK
+
+
+def test_a_known_that_is_named_twice_counts_twice(session: Session) -> None:
+    """In both modes; d(product) = limit d(gain) + gain d(limit)."""
+    begin(session)
+    gain, limit, product = (REFERENCES[name] for name in ("gain", "limit", "product"))
+    for mode in ("initialization", "step"):
+        answer = session("directional_derivative", 0, [product], [gain, limit, gain], [1.0, 10.0, 2.0], "+")
+        assert [float.fromhex(v) for v in answer.values] == [4.0 * 3.0 + 2.0 * 10.0], mode
+        session("leave", 0)
+
+
+def test_contradictory_parameters_are_an_error_of_derivatives_of_the_initialisation(session: Session) -> None:
+    begin(session)
+    assert write(session, gain=4.0) == OK
+    references = [REFERENCES["product"]], [REFERENCES["gain"]]
+    answer = session("directional_derivative", 0, *references, [1.0], "+")
+    assert (answer.status, answer.values) == (ERROR, ["untouched"])
+    assert told(answer).endswith("expected gain below limit")
+
+
+def test_derivatives_by_inputs_are_those_of_the_mode(session: Session) -> None:
+    """x = start + force in initialisation mode; later no output depends directly on an input."""
+    begin(session)
+    arguments = [REFERENCES["y"], REFERENCES["square"]], [REFERENCES["force"], REFERENCES["start"]]
+    answer = session("directional_derivative", 0, *arguments, [1.0, 0.0], "+")
+    assert [float.fromhex(v) for v in answer.values] == [8.0, 2.0]
+    assert session("leave", 0).status == OK
+    for _ in range(2):  # while stepping, then terminated
+        answer = session("directional_derivative", 0, *arguments, [1.0, 1.0], "+")
+        assert [float.fromhex(v) for v in answer.values] == [0.0, 0.0]
+        rates = session("get_output_derivatives", 0, [REFERENCES["square"]], [1], "+").values
+        assert [float.fromhex(v) for v in rates] == [2.0]  # 2 x x' + 1, x' = 1 - ratio x
+        assert (session("get_status", 0, "R", LAST_TIME, "+").values) == ["0x0p+0"]
+        session("terminate", 0)
+
+
+def test_a_derivative_of_higher_order_is_0_of_an_output_and_left_out_of_an_input(session: Session) -> None:
+    """FMI 2.0.5, 4.2.1: above the order that is provided, the retrieved value is 0."""
+    stepping(session)
+    outputs = [REFERENCES["y"], REFERENCES["square"]]
+    first = session("get_output_derivatives", 0, outputs, [1, 1], "+").values
+    assert session("get_output_derivatives", 0, outputs, [2, 1], "+").values == ["0x0p+0", first[1]]
+    inputs = [REFERENCES["force"]] * 2
+    answer = session("set_input_derivatives", 0, inputs, [1, 2], [10.0, -5.0])
+    assert answer.status == WARNING
+    assert told(answer).endswith("force: order 2 is left out: expected 1")
+    assert step(session, 0.0, 0.1) == OK
+    assert read(session, "y")[0] == pytest.approx(
+        8.0 * (1.0 + 0.1 * (10.0 * 0.05 * 0.5 + 1.0 - 0.5)), rel=1e-15
+    )
+
+
+@pytest.mark.parametrize("order", [0, -1])
+def test_a_derivative_has_an_order_of_at_least_1(session: Session, order: int) -> None:
+    for call in (
+        ("set_input_derivatives", 0, [REFERENCES["force"]], [order], [1.0]),
+        ("get_output_derivatives", 0, [REFERENCES["y"]], [order], "+"),
+    ):
+        stepping(session)
+        answer = session(*call)
+        assert answer.status == ERROR
+        assert told(answer).endswith(f"order {order}: expected at least 1")
+        session("free", 0)
+
+
+def test_setting_no_derivatives_changes_nothing(session: Session) -> None:
+    stepping(session)
+    before = saved(session)
+    assert session("set_input_derivatives", 0, [], [], []).status == OK
+    assert saved(session) == before
+
+
+def test_a_refused_step_leaves_rates_and_the_next_one_uses_them(session: Session) -> None:
+    stepping(session)
+    assert session("set_input_derivatives", 0, [REFERENCES["force"]], [1], [10.0]).status == OK
+    assert write(session, limit=1e308) == OK
+    assert step(session, 0.0, 0.1) == DISCARD
+    assert write(session, limit=4.0) == OK
+    assert step(session, 0.0, 0.1) == OK
+    x = 1.0 + 0.1 * (10.0 * 0.05 * 0.5 + 1.0 - 0.5)
+    assert read(session, "y")[0] == pytest.approx(8.0 * x, rel=1e-15)
+
+
+def test_a_rate_ends_with_its_step_also_where_another_input_gets_one_then(session: Session) -> None:
+    stepping(session)
+    force, valve = REFERENCES["force"], REFERENCES["valve"]
+    assert session("set_input_derivatives", 0, [force, valve], [1, 1], [10.0, 1.0]).status == OK
+    assert step(session, 0.0, 0.1) == OK
+    assert session("set_input_derivatives", 0, [valve], [1], [1.0]).status == OK
+    assert step(session, 0.1, 0.1) == OK
+    x = 0.95 * 1.0 + 0.1 * (10.0 * 0.05 * 0.55 + 1.0)
+    x = 0.95 * x + 0.1 * (1.0 + 0.1)  # the force is 0 again
+    assert read(session, "y")[0] == pytest.approx(8.0 * x, rel=1e-14)
+
+
+@pytest.mark.parametrize(("rate", "limit"), [(20.0, 1.0), (-20.0, 0.0)])
+def test_an_input_with_a_rate_stays_within_its_range(session: Session, rate: float, limit: float) -> None:
+    stepping(session)
+    assert write(session, force=2.0) == OK
+    assert session("set_input_derivatives", 0, [REFERENCES["valve"]], [1], [rate]).status == OK
+    assert step(session, 0.0, 0.1) == OK
+    assert read(session, "y")[0] == pytest.approx(8.0 * (0.95 + 0.1 * (2.0 * limit + 1.0)), rel=1e-14)

@@ -1,0 +1,127 @@
+"""SSP packages that others changed: what is refused, and what stands in for what is missing."""
+
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import pytest
+
+from orchestration.cli.package_fmus import build_ramp_source
+from orchestration.errors import ScenarioError, SystemDefinitionError
+from orchestration.exchange import ssp_read, ssp_write
+from orchestration.exchange.ssp_xml import STRUCTURE
+from orchestration.master import simulate
+from orchestration.scenarios import scenario
+
+
+def test_a_scenario_with_events_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text('base = "nominal-l1"\n[[events]]\ntime = 1.0\nset = {"plant.roll" = 0.1}\n')
+    with pytest.raises(ScenarioError, match="mine with events: expected none"):
+        ssp_write.package(scenario.load(path), tmp_path / "mine.ssp", build_ramp_source)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("<ssd:Elements>", "<ssd:Connectors/><ssd:Elements>", "connectors of the system itself"),
+        ("<ssd:Elements>", '<ssd:Elements><ssd:System name="inner"/>', "a system inside the system"),
+        ('source="resources/', 'source="/etc/resources/', "expected a file in the package"),
+        ('source="resources/', 'source="file:resources/', "expected a file in the package"),
+        ("application/x-fmu-sharedlibrary", "application/x-ssp-package", "type 'application/x-ssp-package'"),
+        ('stopTime="310.0"', 'stopTime="soon"', "expected numbers of seconds"),
+        ('source="resources/', 'source="../resources/', "expected a file in the package"),
+        ("</ssd:ParameterValues>", "</ssd:ParameterValues><ssd:ParameterMapping/>", "a parameter mapping"),
+        ('stopTime="310.0"', "", "expected a default experiment with a stop time"),
+        ("</ssd:System>", "", "expected XML"),
+        (' version="1.0" name=', ' version="3.0" name=', "version '3.0': expected 1.0 or 2.0"),
+        ("<ssd:Connection start", '<ssd:Connection startIndices="0" start', "startIndices of a connection"),
+    ],
+)
+def test_what_is_not_understood_is_refused(
+    edited: Callable[[str, str, str], Path], old: str, new: str, message: str
+) -> None:
+    with (
+        pytest.raises(ScenarioError, match=message),
+        ssp_read.opened(edited(STRUCTURE, old, new)),
+    ):
+        pass
+
+
+def test_a_misspelt_parameter_is_answered_with_the_nearest(edited: Callable[[str, str, str], Path]) -> None:
+    path = edited(STRUCTURE, 'name="proportional_gain"', 'name="proportional_gian"')
+    with (
+        ssp_read.opened(path) as loop,
+        pytest.raises(SystemDefinitionError, match=r"nearest is 'controller\.proportional_gain'"),
+    ):
+        simulate(loop.system, loop.experiment)
+
+
+def test_an_unknown_parameter_set_is_answered_with_the_nearest(package: Path) -> None:
+    with (
+        pytest.raises(ScenarioError, match="nearest is 'nominal-extended'"),
+        ssp_read.opened(package, "nominal-extendet"),
+    ):
+        pass
+
+
+@pytest.mark.parametrize("name", ["../outside", "/etc/outside", "C:outside", "a\\\\b", "line\nbreak"])
+def test_a_parameter_set_whose_name_leads_out_of_the_folder_of_results_is_refused(
+    edited: Callable[[str, str, str], Path], name: str
+) -> None:
+    path = edited("parameters/nominal-l1.ssv", 'name="nominal-l1"', f"name={quoteattr(name)}")
+    with (
+        pytest.raises(ScenarioError, match=r"edited\.ssp: parameter set .*: expected a name of a file"),
+        ssp_read.opened(path, name),
+    ):
+        pass
+
+
+def test_a_package_larger_than_any_tool_writes_is_refused(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "bomb.ssp", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("zeros", bytes(110_000_000))
+    with (
+        pytest.raises(ScenarioError, match=r"bomb\.ssp: .* bytes unpacked from"),
+        ssp_read.opened(tmp_path / "bomb.ssp"),
+    ):
+        pass
+
+
+def test_what_is_no_package_is_said(package: Path, tmp_path: Path) -> None:
+    (tmp_path / "text.ssp").write_text("no zip")
+    with (
+        pytest.raises(ScenarioError, match="expected an SSP package, a zip"),
+        ssp_read.opened(tmp_path / "text.ssp"),
+    ):
+        pass
+    with (
+        pytest.raises(ScenarioError, match=r"nearest is 'loop\.ssp'"),
+        ssp_read.opened(package.parent / "lop.ssp"),
+    ):
+        pass
+
+
+def test_a_step_size_that_is_not_stated_is_the_smallest_that_an_fmu_suggests(
+    edited: Callable[[str, str, str], Path],
+) -> None:
+    path = edited(STRUCTURE, "osp:FixedStepAlgorithm", "osp:AnotherAlgorithm")
+    with ssp_read.opened(path) as loop:
+        assert loop.experiment.step_size == 0.02
+
+
+def test_values_of_the_system_go_over_those_of_its_components(
+    edited: Callable[[str, str, str], Path],
+) -> None:
+    source = '<ssd:ParameterBinding source="parameters/nominal-l1.ssv"/>'
+    bindings = f"<ssd:ParameterBindings>{source}</ssd:ParameterBindings>"
+    with ssp_read.opened(edited(STRUCTURE, "<ssd:Elements>", f"{bindings}<ssd:Elements>")) as loop:
+        assert loop.experiment.parameters["controller.augmentation"] == 1
+
+
+def test_an_input_that_nothing_drives_keeps_the_start_value_of_its_fmu(
+    edited: Callable[[str, str, str], Path],
+) -> None:
+    path = edited(STRUCTURE, '"thruster_efficiency[1]"', '"thruster_efficiency[2]"')
+    with ssp_read.opened(path) as loop:
+        assert loop.experiment.inputs["plant.thruster_efficiency[1]"] == 1.0
