@@ -45,11 +45,12 @@ _FORMS = {
         "choice": r"\(T \? T : T\) \+ 0\.0",
         "choice_or_zero": r"T \? T : (0)",
         "sign": r"T < 0 \? -1 : T > 0 \? 1 : T",
+        "remembered": r"remembered\((\w+), T, k \+ \d+\)",
         "call": r"([a-z]\w*)\(T(?:, T)?\)",
         "term": r"T",
     }.items()
 }
-_HEAD = re.compile(r"static void (\w+)\((.+)\) \{")
+_HEAD = re.compile(r"static (?:INLINED )?void (\w+)\((.+)\) \{")
 _ASSIGNMENT = re.compile(r"(\w+(?:\[\d+\])?) = (.+);")
 _BRANCH = re.compile(rf"if \((!?){_TERM}\) \{{")
 _CONSTANTS = re.compile(r"enum \{ N_STEP_CONSTANTS = \d+ \};")
@@ -115,6 +116,8 @@ class _LaneFunction:
         self._conditions: list[str] = []
 
     def text(self, name: str, arguments: str, body: list[str]) -> str:
+        if name == "model_step":  # which changes k in the FMU alone: calls here remember in `memory`
+            arguments = arguments.replace(", double *k", ", const double *k")
         arguments = arguments.replace("const double *", "const Lanes *restrict ")
         arguments = arguments.replace("double *", "Lanes *restrict ")
         lines = [self._line(line) for line in body]
@@ -175,6 +178,9 @@ class _LaneFunction:
 
     def _sign(self, term: str, *_: str) -> tuple[bool, str]:
         return False, f"sign({self._number(term)})"
+
+    def _remembered(self, function: str, term: str) -> tuple[bool, str]:
+        return self._call(function, term, None)
 
     def _call(self, function: str, first: str, second: str | None) -> tuple[bool, str]:
         arguments = [self._number(term) for term in (first, second) if term]

@@ -50,18 +50,22 @@ def _tables(functions: Traced, reals_only: bool) -> dict[str, object]:
         "requirements": len(functions.required),
         "internal_step": next(v.value_reference for v in block.variables if v.name == "internal_step"),
         "variables": ",\n".join(_row(v, reals_only) for v in block.variables),
+        "access": ", ".join(_access(v, reals_only) for v in block.variables),
         "required": ",\n".join(f"    {_string(text)}" for text in (*functions.required, "")),
     }
 
 
 def _row(v: ScalarVariable, reals_only: bool) -> str:
-    settable = "NEVER" if not v.settable else "BEFORE_STEPPING" if v.variability == "fixed" else "ALWAYS"
     is_converted = reals_only and v.type != "Real"
     items = [0, 1] if is_converted and v.type == "Boolean" else _items(v)
     values = (float(v.start), *_range(v), hex(sum(1 << item for item in items)), int(is_converted))
-    kind = "REAL" if is_converted else TRANSFER_TYPE[v.type].upper()
-    cells = (_string(v.name), kind, settable, *values, _string(v.expected))
+    cells = (_string(v.name), *values, _string(v.expected))
     return f"    {{{', '.join(map(str, cells))}}}"
+
+
+def _access(v: ScalarVariable, reals_only: bool) -> str:
+    settable = "NEVER" if not v.settable else "BEFORE_STEPPING" if v.variability == "fixed" else "ALWAYS"
+    return f"{{{'REAL' if reals_only else TRANSFER_TYPE[v.type].upper()}, {settable}}}"
 
 
 def _range(v: ScalarVariable) -> tuple[float, float]:

@@ -1,7 +1,7 @@
 """The operations of a function of CasADi, with their expressions in C."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi
 
@@ -30,6 +30,8 @@ _EXPRESSIONS = {
 _OPERATIONS = {
     getattr(casadi, f"OP_{name}"): (name, text) for name, text in _EXPRESSIONS.items() if name != "CHOICE"
 }
+_REMAINDER_BY_WHOLE = "fmod_by_whole({0}, {1})"
+_LARGEST_WHOLE = 2.0**53
 _QUICK_CALLS = {"SQRT", "FABS", "FLOOR", "CEIL", "COPYSIGN", "FMIN", "FMAX"}
 
 
@@ -44,10 +46,19 @@ class Operation:
     text: str
     arguments: tuple[int, ...] = ()
 
+    def remembered_in(self, place: str) -> "Operation":
+        """The same call of one argument, computed where that is another than before; place: of both in C."""
+        return replace(self, text=f"remembered({_CALLS[self.name]}, {{0}}, {place})")
+
+    @property
+    def is_dear_call(self) -> bool:
+        """Whether it calls a function of math.h that takes much longer than a sum or a product."""
+        return self.name in _CALLS and self.name not in _QUICK_CALLS
+
     @property
     def cost(self) -> int:
         """About how much longer than a sum or a product it takes."""
-        if self.name in _CALLS and self.name not in _QUICK_CALLS:
+        if self.is_dear_call:
             return 20
         return 5 if self.name in ("DIV", "INV", "SQRT") else int(bool(self.arguments))
 
@@ -71,7 +82,10 @@ def operations_of(function: casadi.Function) -> tuple[list[Operation], list[tupl
         elif code in _OPERATIONS:
             used = tuple(held[number] for number in function.instruction_input(i))
             choice = _choice(operations, used) if code == casadi.OP_ADD else None
-            operations.append(choice or Operation(*_OPERATIONS[code], used))
+            operation = choice or Operation(*_OPERATIONS[code], used)
+            if operation.name == "FMOD" and _is_whole(operations[used[1]]):
+                operation = replace(operation, text=_REMAINDER_BY_WHOLE)
+            operations.append(operation)
         else:
             raise ExportError(f"{function.name()}: operation {code} of CasADi has no expression in C")
         held[function.instruction_output(i)[0]] = len(operations) - 1
@@ -91,6 +105,14 @@ def _choice(operations: Sequence[Operation], terms: Sequence[int]) -> Operation 
                 used = (*one.arguments, other.arguments[1])
                 return Operation("CHOICE", _EXPRESSIONS["CHOICE"], used)
     return None
+
+
+def _is_whole(operation: Operation) -> bool:
+    """Whether it is a constant from 1 to 2^53 without a fraction."""
+    if operation.name != "CONST" or not operation.text[0].isdigit():
+        return False
+    value = float(operation.text)
+    return value.is_integer() and 1.0 <= value <= _LARGEST_WHOLE
 
 
 def _constant(value: float) -> str:

@@ -92,9 +92,9 @@ class Traced:
 
         What a step needs of its length and the parameters alone is computed apart, by model_step_constants.
         """
-        step, constants = c_functions(self.step, "model_step", held=("h", "p", "c"))
+        step, constants = c_functions(self.step, "model_step", held=("h", "p", "c"), inputs="u")
         others = {name: function for name, function in self.functions().items() if name != "step"}
-        codes = [c_function(function, f"model_{name}") for name, function in others.items()]
+        codes = [c_function(function, f"model_{name}", name == "output") for name, function in others.items()]
         return "\n".join([f"enum {{ N_STEP_CONSTANTS = {constants} }};\n", step, *codes])
 
     def _along(

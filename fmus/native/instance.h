@@ -15,6 +15,7 @@
 
 #include "model.h"
 
+#include "elementary.h"
 #include "model_code.h"
 
 /* Everything that a saved state holds: words of 64 bits, integers and doubles. */
@@ -26,10 +27,16 @@ typedef struct {
     double state[N_STATES + 1];
 } Data;
 
-/* What an internal step needs of its length h and the parameters alone. Stale once a parameter changes. */
+/* What internal steps need of their length h and the parameters alone, and calls that follow from inputs, as
+ * `remembered` has them. Importers take the length of a communication step as the difference of two times, so it is
+ * rounded to a few lengths in turn: each has numbers of its own. Stale once a parameter changes. */
+enum { N_LENGTHS = 4 };
+
 typedef struct {
-    int are_stale;
-    double h, number[N_STEP_CONSTANTS + 1];
+    int are_stale, last; /* index of the numbers that were used last */
+    struct {
+        double h, number[N_STEP_CONSTANTS + 1];
+    } of_length[N_LENGTHS];
 } StepConstants;
 
 typedef enum { DONE, CONTRADICTORY, TOO_MANY_STEPS, NOT_FINITE, NO_ITEM } Outcome;
@@ -44,7 +51,7 @@ static void data_reset(Data *d) {
 }
 
 static void data_set(Data *d, StepConstants *constants, int reference, double value) {
-    if (!memcmp(d->value + reference, &value, sizeof value)) return; /* 0 and -0 differ */
+    if (is_same(d->value[reference], value)) return;
     d->value[reference] = value;
     if (reference < FIRST_CALCULATED) d->parameters_are_stale = constants->are_stale = 1;
     if (d->mode != STEPPING) d->outputs_are_stale = 1;
@@ -73,11 +80,28 @@ static const double *data_calculated(const Data *d, double *fresh, int *broken) 
     return fresh;
 }
 
-/* A number minus itself is zero unless it is infinite or NaN. Without branches, compilers check several at a time. */
+/* The numbers for steps of length h, computed where they are of none of the last lengths. */
+static double *step_constants(StepConstants *constants, double h, const double *p, const double *c) {
+    if (constants->are_stale) memset(constants, 0, sizeof *constants); /* no step has the length 0 */
+    for (int i = 0; i < N_LENGTHS; i++) {
+        const int at = (constants->last + i) % N_LENGTHS;
+        if (constants->of_length[at].h != h) continue;
+        constants->last = at;
+        return constants->of_length[at].number;
+    }
+    constants->last = (constants->last + 1) % N_LENGTHS;
+    constants->of_length[constants->last].h = h;
+    model_step_constants(h, p, c, constants->of_length[constants->last].number);
+    return constants->of_length[constants->last].number;
+}
+
+/* The exponent of a number that is infinite or NaN is all ones, so one more overflows to the sign. Without branches,
+ * compilers check several at a time. */
 static int are_finite(const double *numbers, int count) {
-    int bad = 0;
-    for (int i = 0; i < count; i++) bad |= numbers[i] - numbers[i] != 0;
-    return !bad;
+    const uint64_t exponent = 0x7ffull << 52, one = 1ull << 52;
+    uint64_t bad = 0;
+    for (int i = 0; i < count; i++) bad |= (bits_of(numbers[i]) & exponent) + one;
+    return !(bad >> 63);
 }
 
 static int can_be_read(const double *outputs) {
@@ -142,17 +166,13 @@ static Outcome data_step(Data *d, StepConstants *constants, double t, double h, 
     if (!(steps <= MOST_INTERNAL_STEPS)) return TOO_MANY_STEPS;
     const int count = steps <= 1 ? 1 : (int)ceil(steps);
     const double internal = h / count;
-    if (constants->are_stale || constants->h != internal) {
-        model_step_constants(internal, p, c, constants->number);
-        constants->h = internal;
-        constants->are_stale = 0;
-    }
+    double *numbers = step_constants(constants, internal, p, c);
     for (int i = 0;; i++) {
         if (d->inputs_have_rates) {
             data_inputs_at(d, (i + 0.5) * internal, moving);
             u = moving;
         }
-        model_step(t + i * internal, internal, x, u, p, c, constants->number, next);
+        model_step(t + i * internal, internal, x, u, p, c, numbers, next);
         if (i + 1 == count) break;
         x = memcpy(reached, next, N_STATES * sizeof *next);
     }

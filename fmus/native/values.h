@@ -13,7 +13,7 @@ enum {
 };
 
 static int has_type(fmi2ValueReference reference, Type type) {
-    return reference < N_VARIABLES && VARIABLES[reference].type == type;
+    return reference < N_VARIABLES && ACCESS[reference].type == type;
 }
 
 static fmi2Status not_of_type(Instance *instance, Type type, fmi2ValueReference reference, const char *function) {
@@ -21,7 +21,7 @@ static fmi2Status not_of_type(Instance *instance, Type type, fmi2ValueReference 
         return refuse(instance, fmi2Error, "%s: value reference %u: expected 0..%d of " MODEL_NAME, function, reference,
                       N_VARIABLES - 1);
     return refuse(instance, fmi2Error, "%s: %s is %s: expected %s", function, VARIABLES[reference].name,
-                  TYPE_NAMES[VARIABLES[reference].type], TYPE_NAMES[type]);
+                  TYPE_NAMES[ACCESS[reference].type], TYPE_NAMES[type]);
 }
 
 static int are_given(Instance *instance, const fmi2ValueReference references[], size_t count, const void *values,
@@ -59,9 +59,10 @@ static fmi2Status refreshed(Instance *instance, const fmi2ValueReference referen
     return fmi2OK;
 }
 
+/* What a variable has already, it can have. */
 static int can_be_set(const Data *d, fmi2ValueReference reference, Type type, double value) {
-    return has_type(reference, type) && (d->mode & VARIABLES[reference].settable) &&
-           is_acceptable((int)reference, value);
+    return has_type(reference, type) && (d->mode & ACCESS[reference].settable) &&
+           (is_same(d->value[reference], value) || is_acceptable((int)reference, value));
 }
 
 /* Refuses the first wrong type, or else the value at `index`, which is the first refused value.
@@ -70,9 +71,9 @@ static fmi2Status cannot_be_set(Instance *instance, Type type, const fmi2ValueRe
                                 size_t index, double value, const char *function) {
     if (!are_of_type(instance, type, references, count, function)) return fmi2Error;
     const Variable *v = VARIABLES + references[index];
-    if (v->settable == NEVER)
+    if (!is_settable((int)references[index]))
         return refuse(instance, fmi2Error, "%s: %s can not be set, it is calculated", function, v->name);
-    if (!(instance->data.mode & v->settable))
+    if (!(instance->data.mode & ACCESS[references[index]].settable))
         return refuse(instance, fmi2Error, "%s: %s is fixed, set it before the initialization ends", function, v->name);
     return refuse(instance, fmi2Discard, "%s: %s = %s: expected %s", function, v->name, DECIMAL(value), v->expected);
 }

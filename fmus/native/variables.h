@@ -17,13 +17,16 @@ enum { NEVER = 0, BEFORE_STEPPING = INSTANTIATED | INITIALIZATION, ALWAYS = BEFO
 
 typedef struct {
     const char *name;
-    Type type;
-    int settable; /* NEVER, BEFORE_STEPPING or ALWAYS */
     double start, min, max;
     uint32_t items;       /* of an enumeration: bit i stands for the item i; 0 if it is none */
     int whole;            /* a Real that takes whole numbers alone, in an FMU of Reals only */
     const char *expected; /* of a value, in words */
 } Variable;
+
+/* What each call asks of each variable: in a table of its own, which is small and stays in the processor's cache. */
+typedef struct {
+    unsigned char type, settable; /* NEVER, BEFORE_STEPPING or ALWAYS */
+} Access;
 
 #include "model.h"
 
@@ -40,7 +43,7 @@ static const int INPUTS_FROM_TO[] = {FIRST_INPUT, FIRST_OUTPUT};
 
 static int is_input(int64_t reference) { return reference >= INPUTS_FROM_TO[0] && reference < INPUTS_FROM_TO[1]; }
 
-static int is_settable(int reference) { return VARIABLES[reference].settable != NEVER; }
+static int is_settable(int reference) { return ACCESS[reference].settable != NEVER; }
 
 /* Within range; false for what is not finite, as a variable without range has the range of double. */
 static int is_acceptable(int reference, double value) {
@@ -51,7 +54,7 @@ static int is_acceptable(int reference, double value) {
 
 /* An item of the enumeration, 0 or 1 of a Boolean; true for a variable of another type. */
 static int is_item(int reference, double value) {
-    const uint32_t items = VARIABLES[reference].type == BOOLEAN ? 3 : VARIABLES[reference].items;
+    const uint32_t items = ACCESS[reference].type == BOOLEAN ? 3 : VARIABLES[reference].items;
     return !items || (value >= 0 && value < 32 && value == (int)value && items >> (int)value & 1);
 }
 

@@ -108,6 +108,8 @@ INLINE Lanes lanes_fmod(Lanes x, Lanes y, Lanes *memory) {
     return choice((Mask)(rest < 0), rest + y, rest);
 }
 
+#define lanes_fmod_by_whole lanes_fmod
+
 #include "model_lanes.h"
 
 /* value: by value reference, as in `Data` of instance.h; state: the present one and the next, by turns;
@@ -147,7 +149,7 @@ static Mask parameters_changed(Group *group) {
     model_requirements(p, c, holds, group->memory);
     for (int i = 0; i < N_REQUIREMENTS; i++) broken |= (Mask)(holds[i] != 1);
     for (int i = 0; i < N_CALCULATED; i++)
-        if (VARIABLES[FIRST_CALCULATED + i].items || VARIABLES[FIRST_CALCULATED + i].type == BOOLEAN)
+        if (VARIABLES[FIRST_CALCULATED + i].items || ACCESS[FIRST_CALCULATED + i].type == BOOLEAN)
             EACH_LANE broken[lane] |= -(int64_t)!is_item(FIRST_CALCULATED + i, c[i][lane]);
     return broken;
 }

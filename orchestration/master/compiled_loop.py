@@ -42,6 +42,7 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "loop_read_outputs": (ctypes.c_int, (_INDEX,)),
     "loop_save": (ctypes.c_int, (ctypes.c_void_p,)),
     "loop_restore": (ctypes.c_int, (ctypes.c_void_p,)),
+    "loop_help": (None, ()),
 }
 
 

@@ -9,6 +9,11 @@
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
+#ifdef _WIN32
+__declspec(dllimport) int __stdcall SwitchToThread(void);
+#else
+#include <sched.h>
+#endif
 
 enum { HOLD, FMU_DERIVATIVE, MIDPOINT };
 enum { NO_FAILURE, SET_INPUTS, SET_DERIVATIVES, DO_STEP, GET_OUTPUTS, GET_STATE, SET_STATE, NOT_FINITE };
@@ -45,6 +50,16 @@ typedef struct {
     double *history;
 } Faults;
 
+/* Threads that share the steps of the components between two points; orchestration/master/step_threads.py. The low half
+   of `ticket` is the next component that nobody has taken, the high half counts the steps: a thread that is late by a
+   step takes nothing. */
+typedef struct {
+    int64_t is_used, is_over;
+    uint64_t ticket;
+    int64_t done, point;
+    double end;
+} Team;
+
 typedef struct {
     int64_t n_points, n_components, n_connections, n_signals, n_columns, n_memory;
     int64_t gauss_seidel, full_steps;
@@ -67,7 +82,26 @@ typedef struct {
     const int64_t *signal_index, *record_index;
     double *rows;
     int64_t *report;
+    int64_t *step_status;
+    Team *team;
 } Wiring;
+
+/* At first without leaving the processor: other threads are expected within microseconds. */
+static void wait_a_moment(int *waits) {
+    enum { SHORT_WAITS = 2000 };
+    if (*waits < SHORT_WAITS) {
+        ++*waits;
+#if defined(__x86_64__)
+        _mm_pause();
+#endif
+        return;
+    }
+#ifdef _WIN32
+    SwitchToThread();
+#else
+    sched_yield();
+#endif
+}
 
 /* A division takes longer than many a component of period 1. */
 static int is_multiple(int64_t point, int64_t period) { return period == 1 || point % period == 0; }
@@ -203,18 +237,23 @@ static int terminates_at(const Wiring *wiring, int64_t c, double end) {
     return fabs(reached - end) <= 1e-9 * (end - wiring->step_start[c]);
 }
 
-static int do_step(Wiring *wiring, int64_t c, double end) {
-    DoStep *function = (DoStep *)wiring->do_step[c];
+static int call_step(const Wiring *wiring, int64_t c, double end) {
     const double start = wiring->step_start[c];
     const double size = wiring->fixed_step_size[c] > 0.0 ? wiring->fixed_step_size[c] : end - start;
-    int status;
-    wiring->report[BUSY] = c + 1;
-    status = function((void *)wiring->instances[c], start, size, 1);
+    return ((DoStep *)wiring->do_step[c])((void *)wiring->instances[c], start, size, 1);
+}
+
+static int finish_step(Wiring *wiring, int64_t c, double end, int status) {
     if (status == DISCARD && !wiring->error_logged[c] && terminates_at(wiring, c, end)) {
         wiring->report[TERMINATED] = c + 1;
         status = OK;
     }
     return is_accepted(wiring, DO_STEP, c, 0, status);
+}
+
+static int do_step(Wiring *wiring, int64_t c, double end) {
+    wiring->report[BUSY] = c + 1;
+    return finish_step(wiring, c, end, call_step(wiring, c, end));
 }
 
 EXPORT int loop_read_outputs(Wiring *wiring, int64_t c) {
@@ -237,12 +276,64 @@ static int start_step(Wiring *wiring, int64_t c, int64_t point, double start, do
     return write_inputs(wiring, c, start, end - start);
 }
 
+/* The steps of the components that nobody has taken. */
+static void take_steps(Wiring *wiring) {
+    Team *team = wiring->team;
+    uint64_t ticket = __atomic_load_n(&team->ticket, __ATOMIC_ACQUIRE);
+    while ((int64_t)(uint32_t)ticket < wiring->n_components) {
+        if (!__atomic_compare_exchange_n(&team->ticket, &ticket, ticket + 1, 0, __ATOMIC_ACQ_REL, __ATOMIC_ACQUIRE))
+            continue;
+        const int64_t c = (uint32_t)ticket;
+        if (ends_step(wiring, c, team->point)) {
+            wiring->step_status[c] = call_step(wiring, c, team->end);
+            guard_restore_float_mode();
+        }
+        __atomic_add_fetch(&team->done, 1, __ATOMIC_RELEASE);
+        ticket = __atomic_load_n(&team->ticket, __ATOMIC_ACQUIRE);
+    }
+}
+
+/* All steps, on all threads, then their statuses in the order of the components. */
+static int step_together(Wiring *wiring, int64_t point, double end) {
+    Team *team = wiring->team;
+    const int64_t count = wiring->n_components;
+    wiring->report[BUSY] = count + 1;
+    team->point = point;
+    team->end = end;
+    team->done = 0;
+    __atomic_store_n(&team->ticket, ((team->ticket >> 32) + 1) << 32, __ATOMIC_RELEASE);
+    take_steps(wiring);
+    for (int waits = 0; __atomic_load_n(&team->done, __ATOMIC_ACQUIRE) < count;) wait_a_moment(&waits);
+    wiring->report[BUSY] = 0;
+    for (int64_t c = 0; c < count; c++)
+        if (ends_step(wiring, c, point) && !finish_step(wiring, c, end, (int)wiring->step_status[c])) return 0;
+    return 1;
+}
+
+/* Called by each other thread, until the loop ends. */
+EXPORT void loop_help(Wiring *wiring) {
+    const Team *team = wiring->team;
+    uint64_t step = 0;
+    guard_restore_float_mode();
+    for (int waits = 0; !__atomic_load_n(&team->is_over, __ATOMIC_ACQUIRE);) {
+        take_steps(wiring);
+        const uint64_t now = __atomic_load_n(&team->ticket, __ATOMIC_ACQUIRE) >> 32;
+        waits = now == step ? waits : 0;
+        step = now;
+        wait_a_moment(&waits);
+    }
+}
+
 static int jacobi_step(Wiring *wiring, int64_t point, double start, double end) {
     const int64_t count = wiring->n_components;
     for (int64_t c = 0; c < count; c++)
         if (is_multiple(point, wiring->periods[c]) && !start_step(wiring, c, point, start, end)) return 0;
-    for (int64_t c = 0; c < count; c++)
-        if (ends_step(wiring, c, point) && !do_step(wiring, c, end)) return 0;
+    if (wiring->team->is_used) {
+        if (!step_together(wiring, point, end)) return 0;
+    } else {
+        for (int64_t c = 0; c < count; c++)
+            if (ends_step(wiring, c, point) && !do_step(wiring, c, end)) return 0;
+    }
     for (int64_t c = 0; c < count; c++)
         if (ends_step(wiring, c, point) && !loop_read_outputs(wiring, c)) return 0;
     return 1;

@@ -25,6 +25,8 @@ Call = IntEnum(
 )
 # indices of Wiring.report
 Report = IntEnum("Report", "RECORDED FAILURE COMPONENT INDEX STATUS BUSY CALLS POSITION TERMINATED", start=0)
+# indices of Wiring.team
+Team = IntEnum("Team", "IS_USED IS_OVER TICKET DONE POINT END", start=0)
 
 
 class Calls(NamedTuple):
@@ -125,7 +127,8 @@ class Wiring(NamedTuple):
     report: RECORDED rows; the kind of FAILURE with its COMPONENT, the INDEX of its call or connection and its
     STATUS; BUSY: 1 + the component whose call is in progress, its negative while it is loaded, else 0;
     CALLS that have returned; POSITION: the present communication point; TERMINATED: 1 + the component that
-    terminated the simulation, else 0
+    terminated the simulation, else 0; while several are stepped at once, BUSY is 1 more than their number
+    step_status: of each component's step, where threads share the steps; team: what these threads share
     """
 
     gauss_seidel: int
@@ -158,6 +161,8 @@ class Wiring(NamedTuple):
     record_index: Array
     rows: Array
     report: Array
+    step_status: Array
+    team: Array
 
 
 @dataclass(frozen=True)
@@ -176,7 +181,10 @@ SavedMemory = ctypes.Array[ctypes.c_int64]
 
 
 class LoopFunctions(NamedTuple):
-    """The functions of the loop for one wiring: those of loop.py, without their first argument."""
+    """The functions of the loop for one wiring: those of loop.py, without their first argument.
+
+    help: called by each thread that shares the steps of `run`, until that ends; the loop in Python has none
+    """
 
     run: Callable[[int, int], int]
     exchange_and_record: Callable[[int], bool]
@@ -185,3 +193,4 @@ class LoopFunctions(NamedTuple):
     read_outputs: Callable[[int], bool]
     save: Callable[[SavedMemory], bool]
     restore: Callable[[SavedMemory], bool]
+    help: Callable[[], None] | None = None

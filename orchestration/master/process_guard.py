@@ -45,7 +45,7 @@ class ProcessGuard:
     has_restored = False
 
     def __init__(self, components: Iterable[str], report: np.ndarray) -> None:
-        names = list(components)
+        names = [*components, "one of several FMUs"]
         ends = " ended the process (it called exit): the run is lost; with a timeout FMUs have their own\n"
         lines = [f"l1-depth: {name}".encode()[:100] + ends.encode() for name in names]
         texts = b"".join(line.ljust(_TEXT_SIZE, b"\0") for line in lines)

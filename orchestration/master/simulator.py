@@ -37,11 +37,16 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
 
     The FMUs are loaded for the first run and reset for the next; after a failure they are loaded anew.
     compiled: whether the communication loop runs compiled, or in Python: slower, with the same results to the
-    last bit. Raises FmuLoadError for a file that is no FMU.
+    last bit
+    threads: that step the FMUs of a Jacobi run side by side, with the same results; 1 for one after another.
+    None for as many as make it faster, if that is measured, and one for FMUs that may share memory
+    Raises FmuLoadError for a file that is no FMU.
     """
 
-    def __init__(self, system: System, compiled: bool = True) -> None:
-        self.system = system
+    def __init__(self, system: System, compiled: bool = True, threads: int | None = None) -> None:
+        if threads is not None and threads < 1:
+            raise OrchestrationError(f"threads: {threads}: expected at least 1")
+        self.system, self._threads = system, threads
         self._loop = compiled_loop if compiled else python_loop
         self._descriptions = {name: describe(Path(path)) for name, path in system.components.items()}
         self._loaded = ExitStack()
@@ -82,7 +87,8 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
             if checkpoints or resume:
                 check_can_save(self._check(experiment.driven_inputs, experiment.open_inputs)[0])
             wired, groups, guard = self._prepare_run(experiment, (), storage)
-            run = RunInProgress(wired, self._loop(wired.wiring), guard)
+            threads = self._threads if storage is None else 1  # who watches a call asks for one
+            run = RunInProgress(wired, self._loop(wired.wiring), guard, threads)
             run.batch = self._first_batch
             recording = _run_to_end(run, groups, progress, pacing, checkpoints, resume, storage is None)
             self._first_batch = max(1, run.batch // GROWTH)  # the next run may be slower

@@ -20,6 +20,7 @@ from orchestration.master.process_guard import ProcessGuard
 from orchestration.master.run_recording import make_recording
 from orchestration.master.snapshot import Snapshot
 from orchestration.master.step_control import StepControl
+from orchestration.master.step_threads import StepThreads
 from orchestration.master.wiring import WiredRun
 from orchestration.results.recording import Recording
 from orchestration.system.faults import Pattern
@@ -41,12 +42,16 @@ class RunInProgress:
 
     step_control: None where steps cannot be repeated
     batch: steps of the next batch
+    threads: see `StepThreads`
     """
 
     batch = 1
 
-    def __init__(self, wired: WiredRun, loop: LoopFunctions, guard: ProcessGuard) -> None:
+    def __init__(
+        self, wired: WiredRun, loop: LoopFunctions, guard: ProcessGuard, threads: int | None = 1
+    ) -> None:
         self.wired, self._loop, self.guard = wired, loop, guard
+        self._threads = StepThreads(wired, loop, threads)
         self.prepared, self.instances, self.wiring = wired.prepared, wired.instances, wired.wiring
         self._termination: dict[str, Any] = {}
         self._changes = sorted(wired.prepared.changes)
@@ -125,7 +130,7 @@ class RunInProgress:
             return True
         if self._snapshot:
             self._snapshot.take()
-        start, reached = self.position, self._loop.run(self.position, end)
+        start, reached = self.position, self._threads.run(self.position, end)
         is_terminated = self._is_terminated()
         self.look_around(failed=reached < end)
         if reached < end and not is_terminated:
@@ -250,7 +255,8 @@ class RunInProgress:
         return make_recording(self.prepared, self.wiring.rows, count, self.wired.texts.table, more, is_final)
 
     def free(self) -> None:
-        """Free the states that were saved in the FMUs."""
+        """Free the states that were saved in the FMUs, and end the threads."""
+        self._threads.close()
         if self._snapshot and self.step_control:
             self._snapshot.free()
             self.step_control.free()

@@ -24,6 +24,7 @@ from orchestration.system.prepared_run import PreparedRun
 from orchestration.system.transformation import LinearTransformation
 
 _UNCHANGED = LinearTransformation()
+_NOTHING_TO_TAKE = 2**32 - 1  # `ticket` of loop.c
 # How much longer than usual a step may be than the interval from which its slope was taken. With a tolerance
 # the error is estimated, and a step may follow half a step and be five times as long as the whole.
 _SLOPE_VALIDITY, _SLOPE_VALIDITY_WITH_TOLERANCE = 2.0, 10.0
@@ -102,6 +103,8 @@ def build_wiring(prepared: PreparedRun, instances: Mapping[str, FmuInstance], st
         record_index=np.array([bus.index[name] for name in prepared.recorded], np.int64),
         rows=storage.rows,
         report=storage.report,
+        step_status=np.zeros(count, np.int64),
+        team=np.array([0, 0, _NOTHING_TO_TAKE, 0, 0, 0], np.int64),
     )
     functions |= {Call.DO_STEP: ["fmi2DoStep"]}
     functions |= {Call.GET_STATE: ["fmi2GetFMUstate"], Call.SET_STATE: ["fmi2SetFMUstate"]}

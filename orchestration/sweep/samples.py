@@ -119,7 +119,7 @@ class Samples(AbstractContextManager["Samples"]):
     def load(self) -> Simulator:
         """The simulator; OrchestrationError for FMUs that cannot be loaded."""
         if not self._simulator:
-            self._simulator = self._loaded.enter_context(Simulator(self._job.system))
+            self._simulator = self._loaded.enter_context(Simulator(self._job.system, threads=1))
         return self._simulator
 
     def run(self, settings: Settings) -> Outcome:

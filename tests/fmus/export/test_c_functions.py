@@ -4,6 +4,7 @@ import ctypes
 import math
 import random
 import re
+from importlib import resources
 
 import casadi
 import pytest
@@ -35,6 +36,23 @@ def choices() -> casadi.SX:
     )
 
 
+def remembering() -> casadi.Function:
+    """A function of held h, inputs u and a state x, with dear calls of each, one of them in a branch."""
+    h, u, x = (casadi.SX.sym(name) for name in "hux")
+    angle = h * u
+    chosen = casadi.if_else(x > 0.0, casadi.exp(angle) * casadi.tan(u), -1.0)
+    results = casadi.vertcat(casadi.cos(angle) * x, casadi.sin(angle), casadi.log(x), chosen)
+    return casadi.Function("f", [h, u, x], [results], ["h", "u", "x"], ["y"])
+
+
+REMEMBERING, NUMBERS = c_functions(remembering(), "f", held=("h",), inputs="u")
+CALL_REMEMBERING = """
+void called_f_constants(double h, double *k) { f_constants(h, k); }
+void called_f(double h, double *u, double *x, double *k, double *y) { f(h, u, x, k, y); }
+int numbers(void) { return NUMBERS; }
+"""
+
+
 def functions() -> dict[str, casadi.Function]:
     expressions = {name: getattr(casadi, name)(A) for name in UNARY}
     expressions |= {name: getattr(casadi, name)(A, B) for name in BINARY}
@@ -43,6 +61,16 @@ def functions() -> dict[str, casadi.Function]:
             A - 0.1, A * -3e-7, A + casadi.inf, A - casadi.inf, 2.0 * A, 1.0 / A, A * A
         ),
         "constant_power": A**2.5,
+        "remainders": casadi.vertcat(
+            *(
+                casadi.fmod(A * scale, divisor)
+                for scale in (1.0, 4e9, 1e16)
+                for divisor in (2.0, 1e9, 2.5, -3.0)
+            ),
+            casadi.fmod(casadi.floor(A * 4e9), 2147483563.0),
+            casadi.fmod(3.0, A),
+            casadi.fmod(A, casadi.inf),
+        ),
         "choices": choices(),
     }
     return {
@@ -59,9 +87,11 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
     ]
     folder = tmp_path_factory.mktemp("functions")
     file = folder / library_name("functions", host_platform()).rpartition("/")[2]
-    (folder / "functions.c").write_text("\n".join(["#include <math.h>", *codes, *calls]))
+    codes.append(f"enum {{ NUMBERS = {NUMBERS} }};\n{REMEMBERING}\n{CALL_REMEMBERING}")
+    (folder / "functions.c").write_text("\n".join(['#include "elementary.h"', *codes, *calls]))
     flags = [flag for flag in toolchain.FLAGS if "visibility" not in flag]
-    toolchain.zig(["cc", "-shared", *flags, "-o", str(file), "functions.c"], folder)
+    headers = f"-I{resources.files('fmus') / 'native'}"
+    toolchain.zig(["cc", "-shared", *flags, headers, "-o", str(file), "functions.c"], folder)
     return ctypes.CDLL(str(file))
 
 
@@ -82,6 +112,20 @@ def test_a_compiled_function_gives_the_numbers_of_casadi_bit_for_bit(name: str, 
         result = (ctypes.c_double * function.numel_out(0))()
         compiled(*((ctypes.c_double * 1)(x) for x in point), result)
         expected = [float(x) for x in function(*point).full().ravel()]
+        assert list(map(repr, result)) == list(map(repr, expected))
+
+
+def test_calls_of_inputs_are_computed_where_inputs_change_with_the_same_numbers(library: ctypes.CDLL) -> None:
+    """Also after an input that is -0, infinite or not a number, and in a branch that was not taken before."""
+    assert re.findall(r"remembered\((\w+)", REMEMBERING) == ["cos", "sin", "exp", "tan"]
+    function, numbers = remembering(), (ctypes.c_double * library.numbers())()
+    one, times = ctypes.c_double * 1, ctypes.c_double(0.7)
+    library.called_f_constants(times, numbers)
+    inputs = [math.nan, 0.0, 0.0, -0.0, 1.5, 1.5, math.inf, math.nan, 1.5, 0.0]
+    for u, x in [(u, x) for u in inputs for x in (2.0, 0.0)]:
+        result = (ctypes.c_double * 4)()
+        library.called_f(times, one(u), one(x), numbers, result)
+        expected = [float(value) for value in function(0.7, u, x).full().ravel()]
         assert list(map(repr, result)) == list(map(repr, expected))
 
 
@@ -106,11 +150,11 @@ def test_what_follows_from_held_arguments_alone_is_computed_by_a_function_of_its
     function = casadi.Function(
         "f", [h, x, p], [casadi.vertcat(decay * x, decay, unused)], ["h", "x", "p"], ["y"]
     )
-    code, count = c_functions(function, "f", held=("h", "p"))
+    code, count = c_functions(function, "f", held=("h", "p"), inputs="u")
     constants, rest = code.split("static void f(")
     assert (count, constants.count("exp("), rest.count("exp("), rest.count("sin(")) == (1, 1, 0, 1)
     assert "f_constants(double h, const double *p, double *k)" in constants
-    assert rest.startswith("double h, const double *x, const double *p, const double *k, double *y)")
+    assert rest.startswith("double h, const double *x, const double *p, double *k, double *y)")
 
 
 @pytest.mark.parametrize("is_first", [True, False])
@@ -119,6 +163,8 @@ def test_a_choice_of_which_one_alternative_varies_is_no_constant(is_first: bool)
     varying, constant = casadi.sin(x), casadi.exp(-h / p)
     first, second = (varying, constant) if is_first else (constant, varying)
     choice = casadi.if_else(p > 1.0, first, second)
-    code, _ = c_functions(casadi.Function("f", [h, x, p], [choice], ["h", "x", "p"], ["y"]), "f", ("h", "p"))
+    code, _ = c_functions(
+        casadi.Function("f", [h, x, p], [choice], ["h", "x", "p"], ["y"]), "f", ("h", "p"), "u"
+    )
     constants, rest = code.split("static void f(")
     assert ("exp(" in constants, "x[" in constants, "sin(x[0])" in rest) == (True, False, True)

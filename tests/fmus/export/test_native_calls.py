@@ -70,7 +70,7 @@ MUTANTS = {
         "return reference <= N_VARIABLES &&",
     ),
     "the time is not checked for infinity": ("!isfinite(t) ||", ""),
-    "what has diverged is kept": ("return !bad;", "return 1;"),
+    "what has diverged is kept": ("return !(bad >> 63);", "return 1;"),
     "rates outlive their step": (
         "    if (d->inputs_have_rates) memset(d->input_rate, 0, sizeof d->input_rate);\n"
         "    d->inputs_have_rates = 0;\n",

@@ -140,6 +140,19 @@ def test_a_step_follows_the_parameters_that_are_set_restored_and_reset(session: 
     reached(0.1, False, h=0.05)
 
 
+def test_steps_of_more_lengths_than_the_layer_keeps_numbers_for_are_each_of_their_own(
+    session: Session,
+) -> None:
+    """x' = 1 - gain / limit x + t: lengths in turn, and each of them again."""
+    stepping(session)
+    t, x = 0.0, read(session, "y")[0] / 8.0
+    for h in [0.05 + i / 256.0 for i in range(7)] * 3:
+        x += h * (1.0 - 0.5 * x + t)
+        assert step(session, t, h) == OK
+        assert read(session, "y")[0] == pytest.approx(8.0 * x, rel=1e-12)
+        t += h
+
+
 def test_the_sign_of_a_zero_is_set(session: Session) -> None:
     stepping(session)
     for value in (0.0, -0.0, 0.0):

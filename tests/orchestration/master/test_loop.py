@@ -1,4 +1,4 @@
-"""The compiled loop is the one in Python, to the last bit, whatever the wiring."""
+"""The compiled loop, also on threads, is the one in Python, to the last bit, whatever the wiring."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -29,11 +29,11 @@ FAULTS = [
 ]
 
 
-def both(system: System, experiment: Experiment) -> list[Any]:
-    """What each loop makes of it: recordings, or what they left of one that failed."""
+def in_each_way(system: System, experiment: Experiment) -> list[Any]:
+    """What each loop makes of it, compiled, in Python, on threads: recordings, or errors that hold them."""
     outcomes = []
-    for is_compiled in (True, False):
-        with Simulator(system, compiled=is_compiled) as simulator:
+    for is_compiled, threads in ((True, 1), (False, 1), (True, 3)):
+        with Simulator(system, is_compiled, threads) as simulator:
             try:
                 outcomes.append(simulator.run(experiment))
             except SimulationError as error:
@@ -53,7 +53,7 @@ def both(system: System, experiment: Experiment) -> list[Any]:
     step=st.sampled_from([0.05, 0.07]),
     factor=st.sampled_from([1.0, -0.3]),
 )
-def test_both_loops_agree(
+def test_all_loops_agree(
     linear: Build,
     algorithm: Algorithm,
     extrapolation: int,
@@ -89,9 +89,10 @@ def test_both_loops_agree(
         step_sizes={name: n * step for name, n in zip(("one", "two", "three"), periods, strict=True)},
         faults=tuple(fault({"input": name, **declared}, "here") for name, declared in faulty),
     )
-    fast, slow = both(system, experiment)
+    fast, slow, shared = in_each_way(system, experiment)
     assert fast.names == slow.names
     assert np.array_equal(fast.values, slow.values)
+    assert np.array_equal(fast.values, shared.values)
     assert fast["two.integer_out"][-1] == 7.0
     assert len(np.unique(fast["three.y[1]"])) > 2
 
@@ -118,16 +119,17 @@ def test_a_fault_that_changes_nothing_changes_nothing(
 @pytest.mark.parametrize(
     "misdeed", [Misdeed.ERROR, Misdeed.DISCARD, Misdeed.NAN_OUTPUT, Misdeed.REFUSE_INPUT]
 )
-def test_both_loops_fail_alike(rogue: Build, linear: Build, misdeed: Misdeed) -> None:
+def test_all_loops_fail_alike(rogue: Build, linear: Build, misdeed: Misdeed) -> None:
     system = System({"bad": rogue(), "good": linear()}, (("bad.y", "good.u[1]"), ("good.y[1]", "bad.u")))
     parameters = {"bad.misdeed": int(misdeed), "bad.misdeed_time": 0.5}
-    fast, slow = both(system, Experiment(1.0, 0.1, parameters=parameters))
-    assert str(fast) == str(slow)
+    fast, slow, shared = in_each_way(system, Experiment(1.0, 0.1, parameters=parameters))
+    assert str(fast) == str(slow) == str(shared)
     assert np.array_equal(fast.recording.values, slow.recording.values, equal_nan=True)
+    assert np.array_equal(fast.recording.values, shared.recording.values, equal_nan=True)
     assert 5 <= len(fast.recording.time) <= 7
 
 
-def test_both_loops_name_the_function_of_a_call_that_fails(linear: Build) -> None:
+def test_all_loops_name_the_function_of_a_call_that_fails(linear: Build) -> None:
     """Not the first one of its kind, which sets the Reals."""
     refusing = linear(passes_discrete=True, refuses_boolean_from=0.45)
     system = System(
@@ -142,6 +144,6 @@ def test_both_loops_name_the_function_of_a_call_that_fails(linear: Build) -> Non
         ],
     )
     inputs = {"source.u[1]": 1.0, "source.integer_in": 3, "source.boolean_in": True}
-    fast, slow = both(system, Experiment(1.0, 0.1, inputs=inputs))
-    assert str(fast) == str(slow)
+    fast, slow, shared = in_each_way(system, Experiment(1.0, 0.1, inputs=inputs))
+    assert str(fast) == str(slow) == str(shared)
     assert "refusing at t = 0.5 s: fmi2SetBoolean returned discard: no Boolean is taken any more" in str(fast)

@@ -31,13 +31,9 @@ void PART(advance)(double t, double h) {
     const double *p = data.value, *c = data.value + FIRST_CALCULATED, *u = data.value + FIRST_INPUT;
     const double internal = h / internal_steps;
     double next[N_STATES + 1];
-    if (constants.are_stale || constants.h != internal) {
-        model_step_constants(internal, p, c, constants.number);
-        constants.h = internal;
-        constants.are_stale = 0;
-    }
+    double *numbers = step_constants(&constants, internal, p, c);
     for (int i = 0;; i++) {
-        model_step(t + i * internal, internal, data.state, u, p, c, constants.number, next);
+        model_step(t + i * internal, internal, data.state, u, p, c, numbers, next);
         memcpy(data.state, next, N_STATES * sizeof *next);
         if (i + 1 == internal_steps) break;
     }

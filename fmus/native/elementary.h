@@ -1,0 +1,41 @@
+/* Functions of math.h as the equations call them: the same numbers bit for bit, in less time. */
+
+#ifndef ELEMENTARY_H
+#define ELEMENTARY_H
+
+#include <math.h>
+#include <stdint.h>
+#include <string.h>
+
+/* Inlined wherever it is called: what its caller computes too is computed once. */
+#ifdef __GNUC__
+#define INLINED inline __attribute__((always_inline))
+#else
+#define INLINED inline
+#endif
+
+static inline uint64_t bits_of(double x) {
+    uint64_t bits;
+    memcpy(&bits, &x, sizeof bits);
+    return bits;
+}
+
+/* Whether two numbers are the same bit for bit: 0 and -0 differ. */
+static inline int is_same(double x, double y) { return bits_of(x) == bits_of(y); }
+
+/* fmod(x, m) of a whole number m from 1 to 2^53, which a compiler knows: whole numbers x are divided as such. */
+static inline double fmod_by_whole(double x, double m) {
+    if (x > 0 && x < 9007199254740992.0 && x == (double)(int64_t)x) return (double)((int64_t)x % (int64_t)m);
+    return fmod(x, m);
+}
+
+/* function(x), computed where x is not, bit for bit, what it was before: `last` holds that and the result. */
+static inline double remembered(double (*function)(double), double x, double *last) {
+    if (!is_same(*last, x)) {
+        last[0] = x;
+        last[1] = function(x);
+    }
+    return last[1];
+}
+
+#endif
