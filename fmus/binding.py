@@ -26,7 +26,7 @@ _STATUS_NAMES = ("ok", "warning", "discard", "error", "fatal", "pending")
 ELEMENTS = {"Real": fmi2.fmi2Real, "Integer": fmi2.fmi2Integer, "Boolean": fmi2.fmi2Boolean}
 
 
-def _element(transfer_type: str) -> Any:
+def element_type(transfer_type: str) -> Any:
     return fmi2.fmi2String if transfer_type == "String" else ELEMENTS[transfer_type]
 
 
@@ -178,7 +178,7 @@ def _log_message(
     category: bytes | None,
     message: bytes | None,
 ) -> None:
-    log = _logs.get(environment or 0)
+    log = _logs.get(environment or 0, _logs.get(0))
     if log is not None:
         instance_name, category_name = (None if x is None else _text(x) for x in (instance, category))
         log.add(status, _text(message or b""), instance_name, category_name)
@@ -215,7 +215,7 @@ class Callbacks:
     """The callbacks of one instance, and the log that they fill until `close`.
 
     allocator: FMPy's by default; asynchronous: whether a step may return pending; log: a new one by default;
-    environment: of the callbacks, by which messages find their log
+    environment: of the callbacks, by which messages find their log; 0 for those that find no other
     """
 
     def __init__(
@@ -279,13 +279,13 @@ class BoundInstance(ABC):
 
     def get_values(self, transfer_type: str, references: Sequence[int]) -> list[Any]:
         """The values of variables of one type, in one call; Strings as bytes."""
-        buffer = (_element(transfer_type) * len(references))()
+        buffer = (element_type(transfer_type) * len(references))()
         self.call(f"fmi2Get{transfer_type}", reference_array(references), len(references), buffer)
         return list(buffer)
 
     def set_values(self, transfer_type: str, references: Sequence[int], values: Sequence[Any]) -> None:
         """Set variables of one type in one call; Strings are given as bytes."""
-        buffer = (_element(transfer_type) * len(references))(*values)
+        buffer = (element_type(transfer_type) * len(references))(*values)
         self.call(f"fmi2Set{transfer_type}", reference_array(references), len(references), buffer)
 
     def set_up_experiment(self, start_time: float, stop_time: float | None = None) -> None:

@@ -17,7 +17,9 @@ from fmus.compliance import (
     dependency_rules,
     derivative_rules,
     directional_rules,
+    discard_rules,
     initialization_rules,
+    input_slope_rules,
     instance_rules,
     lifecycle_rules,
     location_rules,
@@ -52,9 +54,10 @@ from fmus.process import ProcessEndedError, WorkerProcess
 
 MODULES = (
     lifecycle_rules, location_rules, reset_rules, initialization_rules, instance_rules, resource_rules,
-    call_rules, status_rules, value_rules, constancy_rules, setting_rules, step_rules, asynchronous_rules,
-    callback_rules, log_rules, message_rules, process_rules, state_rules, saved_value_rules, derivative_rules,
-    directional_rules, dependency_rules, step_dependency_rules, reference_rules,
+    call_rules, status_rules, discard_rules, value_rules, constancy_rules, setting_rules, step_rules,
+    asynchronous_rules, callback_rules, log_rules, message_rules, process_rules, state_rules,
+    saved_value_rules, derivative_rules, input_slope_rules, directional_rules, dependency_rules,
+    step_dependency_rules, reference_rules,
 )  # fmt: skip
 FUNDAMENTAL = (
     "library-loads", "instantiates-and-frees", "steps-and-terminates", "frees-in-every-state",
@@ -87,7 +90,7 @@ def behaviour(
 
 
 def _needs_first(names: Sequence[str]) -> list[str]:
-    """The names in their order, but each after those that its rule needs."""
+    """The names in their order, but each after those that its rule needs, and the last ones at the end."""
     rules = {rule.name: rule for rule in registered(Stage.BEHAVIOUR)}
     ordered: dict[str, None] = {}
 
@@ -97,7 +100,8 @@ def _needs_first(names: Sequence[str]) -> list[str]:
                 add(need)
         ordered.setdefault(name)
 
-    for name in (*(name for name in FUNDAMENTAL if name in names), *names):
+    fundamental = [name for name in FUNDAMENTAL if name in names]
+    for name in (*fundamental, *sorted(names, key=lambda name: rules[name].last)):
         add(name)
     return list(ordered)
 

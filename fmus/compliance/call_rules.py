@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from fmus.binding import DISCARD
+from fmus.binding import ERROR, FATAL
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, Stage, rule
 from fmus.compliance.script import KINDS, Reply, Script
@@ -13,7 +13,7 @@ from fmus.compliance.variable import Variable
 _STATES = "4.2.4 State Machine of Calling Sequence from Master to Slave"
 
 
-@rule(_STATES, Stage.BEHAVIOUR, needs=["reset-in-every-state"])
+@rule(_STATES, Stage.BEHAVIOUR, needs=["reset-in-every-state", "variables-can-be-read"])
 def allowed_calls_succeed(probe: Probe) -> Iterator[str]:
     """The functions that the FMU supports succeed in the states, instantiated to terminated, that allow
     them.
@@ -21,8 +21,8 @@ def allowed_calls_succeed(probe: Probe) -> Iterator[str]:
     named = set()
     played = session(probe)
     for reply in played.script.replies:
-        discarded = reply.status == DISCARD  # if it may not, `statuses_are_legal` tells
-        if reply.status is None or reply.ok or discarded or (reply.function, reply.state) in named:
+        refused = reply.status in (ERROR, FATAL)  # of other statuses `statuses_are_legal` tells
+        if not refused or (reply.function, reply.state) in named:
             continue
         named.add((reply.function, reply.state))
         yield f"in the state {reply.state!r}: {reply.problem}"
@@ -52,7 +52,7 @@ def _forbidden(probe: Probe) -> Iterator[tuple[Script, Reply]]:
     t, h = probe.start_time, probe.step_size
 
     def new() -> Script:
-        return probe.script(logging=True)
+        return probe.script(logging=True).forbidden()
 
     for script in (new(), new().initialise()):
         yield script, script.call("do_step", t, h)
@@ -91,7 +91,7 @@ def _forbidden_transfers(probe: Probe) -> Iterator[tuple[Script, Reply]]:
     """
 
     def new() -> Script:
-        return probe.script(logging=True)
+        return probe.script(logging=True).forbidden()
 
     for kind in KINDS:
         if setting := _setting(probe, "input", None, kind) or _setting(probe, "parameter", "tunable", kind):
@@ -147,7 +147,12 @@ def _named(reply: Reply, script: Script) -> str:
     return reply.function
 
 
-@rule("advice: an empty call has nothing to refuse", Stage.BEHAVIOUR, Level.WARNING)
+@rule(
+    "advice: an empty call has nothing to refuse",
+    Stage.BEHAVIOUR,
+    Level.WARNING,
+    needs=["allowed-calls-succeed"],
+)
 def empty_calls_succeed(probe: Probe) -> Iterator[str]:
     """Getting or setting no variables, with NULL for both arrays, succeeds."""
     script = probe.script(logging=True).begin()

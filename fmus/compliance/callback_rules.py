@@ -12,7 +12,7 @@ _OWN_MEMORY = "canNotUseMemoryManagementFunctions"
 _NAME = "instance with a name of its own"
 
 
-@rule(_CREATION, Stage.BEHAVIOUR, needs=["reset-in-every-state"])
+@rule(_CREATION, Stage.BEHAVIOUR, needs=["reset-in-every-state", "allowed-calls-succeed"])
 def arguments_of_instantiation_are_copied(probe: Probe) -> Iterator[str]:
     """Name, GUID, resource location and the structure of callbacks are not used after fmi2Instantiate
     returned.

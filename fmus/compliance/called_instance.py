@@ -17,13 +17,17 @@ from fmus.binding import (
     Callbacks,
     CountingAllocator,
     Library,
+    element_type,
     reference_array,
 )  # fmt: skip
 from fmus.compliance.observed_callbacks import MessageLog, RefusingAllocator
 from fmus.compliance.process_settings import ProcessSettings
 from fmus.compliance.saved_states import SavedStates
+from fmus.compliance.script import ARGUMENTS
 
 _UNWRITTEN = 77  # no fmi2Status
+_GUARD = 0xA5  # each byte behind an array
+_RETURN_ARRAYS = ("fmi2Get", "fmi2Serialize")  # by the last array among their arguments
 _STATUS_TYPES = {
     "": fmi2Status, "Real": fmi2Real, "Integer": fmi2Integer, "Boolean": fmi2.fmi2Boolean,
     "String": fmi2.fmi2String,
@@ -54,6 +58,7 @@ class CalledInstance(BoundInstance):
         self.finished_steps: list[list[Any]] = []
         self.last_status = self.pending_steps = 0
         self.watched = bool(options.get("watched"))
+        self._overwritten = False
         kind = options.get("callbacks", "usual")
         allocator = RefusingAllocator() if kind == "refused memory" else memory
         log = MessageLog(settings)
@@ -132,6 +137,15 @@ class CalledInstance(BoundInstance):
     def check_status(self, function: str, status: int) -> None:
         self.last_status = status
 
+    def call(self, function: str, *arguments: Any) -> None:
+        """Call a function, and note if one that is watched writes into an array that is constant to it."""
+        arrays = [x for x in arguments if self.watched and isinstance(x, ctypes.Array)]
+        if function.startswith(_RETURN_ARRAYS):
+            arrays = arrays[:-1]
+        before = [bytes(array) for array in arrays]
+        super().call(function, *arguments)
+        self._overwritten |= before != [bytes(array) for array in arrays]
+
     def new_messages(self) -> list[list[Any]]:
         """[status, message, instance, category, whether the environment is right] of each new message."""
         messages = self.messages.messages + self._unknown.messages
@@ -145,6 +159,9 @@ class CalledInstance(BoundInstance):
             self.messages.changed_in_callback = False
             changed.append(["floating-point control in a callback", "", ""])
         self._settings.restore()
+        if self._overwritten:
+            self._overwritten = False
+            changed.append([ARGUMENTS, "", ""])
         return changed
 
     # calls
@@ -160,8 +177,17 @@ class CalledInstance(BoundInstance):
 
     def get(self, kind: str, references: Sequence[int]) -> list[Any]:
         """Values; Strings as hexadecimal bytes, or nothing for NULL."""
-        values = self.get_values(kind, references)
+        values = self._guarded_values(kind, references)
         return values if kind != "String" else [None if x is None else bytes(x).hex() for x in values]
+
+    def _guarded_values(self, kind: str, references: Sequence[int]) -> list[Any]:
+        """The values, with an element behind them that the FMU may not write."""
+        count, size = len(references), ctypes.sizeof(element_type(kind))
+        buffer = (element_type(kind) * (count + 1))()
+        ctypes.memset(ctypes.addressof(buffer) + count * size, _GUARD, size)
+        self.call(f"fmi2Get{kind}", reference_array(references), count, buffer)
+        self._overwritten |= bytes(buffer)[-size:] != bytes([_GUARD]) * size
+        return buffer[:count]
 
     def set(self, kind: str, references: Sequence[int], values: Sequence[Any]) -> None:
         """Set values. Strings are hexadecimal bytes; their memory is overwritten after the call."""
@@ -231,6 +257,10 @@ class CalledInstance(BoundInstance):
     def call_plain(self, function: str) -> None:
         """Call a function of FMI that has no argument but the instance."""
         self.call(function)
+
+    def end(self) -> None:
+        """fmi2Terminate after a step that was discarded."""
+        self.call("fmi2Terminate")
 
     def status_of(self, kind: str, status_kind: int) -> Any:
         """The value of fmi2GetXXXStatus; XXX is the type `kind`."""

@@ -26,7 +26,7 @@ from fmus.compliance.variable import Variable, integer
 
 _TRANSFER = "4.2.1 Transfer of Input / Output Values and Parameters"
 _STATES = "4.2.4 State Machine of Calling Sequence from Master to Slave"
-_INTERPOLATES = "canInterpolateInputs"
+INTERPOLATES = "canInterpolateInputs"
 _MANY_STEPS, _INTEGRATED = 30, 0.02  # steps; relative: of an integral, beside the error of a coarse solver
 _ROUGH = 0.1  # relative: of slopes over a step, which is no limit
 
@@ -36,32 +36,32 @@ def _orders(fmu: FmuFile) -> str:
 
 
 def _no_derivatives(fmu: FmuFile) -> str:
-    return _orders(fmu) and unless_claimed(_INTERPOLATES)(fmu) and "no derivatives are claimed"
+    return _orders(fmu) and unless_claimed(INTERPOLATES)(fmu) and "no derivatives are claimed"
 
 
-def _derive(script: Script, v: Variable, value: float) -> None:
+def derive(script: Script, v: Variable, value: float) -> None:
     script.call("set_input_derivatives", references_of([v]), [1], [value])
 
 
-@rule(_TRANSFER, Stage.BEHAVIOUR, condition=unless_claimed(_INTERPOLATES), needs=["allowed-calls-succeed"])
+@rule(_TRANSFER, Stage.BEHAVIOUR, condition=unless_claimed(INTERPOLATES), needs=["allowed-calls-succeed"])
 def input_derivatives(probe: Probe) -> Iterator[str]:
     """The first derivative of every continuous Real input can be set before a step; zero, also after
     another value, changes nothing."""
     usual, script = probe.script().begin(), probe.script(logging=True).begin()
     expected = usual.run(2)
     for v in continuous_reals(probe, "input"):
-        _derive(script, v, 1.0)
-        _derive(script, v, 0.0)
+        derive(script, v, 1.0)
+        derive(script, v, 0.0)
     got = script.run(2)
     usual.play()
     script.play()
     yield from differing(expected, got, "where derivatives of inputs were set to 0", RESTARTED)
 
 
-@rule(_TRANSFER, Stage.BEHAVIOUR, condition=unless_claimed(_INTERPOLATES), needs=["input-derivatives"])
+@rule(_TRANSFER, Stage.BEHAVIOUR, condition=unless_claimed(INTERPOLATES), needs=["input-derivatives"])
 def input_derivatives_have_an_effect(probe: Probe) -> Iterator[str]:
     """The derivative of an input that outputs follow moves them, in the direction of the input itself."""
-    verdicts = probe.once("effects of derivatives", lambda: _effects(probe))
+    verdicts = probe.once("effects of derivatives", lambda: input_effects(probe))
     backwards = [name for name, verdict in verdicts if verdict == "backwards"]
     without = [name for name, verdict in verdicts if verdict == "not"]
     if backwards:
@@ -74,17 +74,17 @@ def input_derivatives_have_an_effect(probe: Probe) -> Iterator[str]:
     _TRANSFER,
     Stage.BEHAVIOUR,
     Level.WARNING,
-    condition=unless_claimed(_INTERPOLATES),
+    condition=unless_claimed(INTERPOLATES),
     needs=["input-derivatives-have-an-effect"],
 )
 def each_input_derivative_has_an_effect(probe: Probe) -> Iterator[str]:
     """If the derivative of one continuous input has an effect, that of each that outputs follow has one."""
-    for name, verdict in probe.once("effects of derivatives", lambda: _effects(probe)):
+    for name, verdict in probe.once("effects of derivatives", lambda: input_effects(probe)):
         if verdict == "not":
             yield f"the derivative of {name} has no effect in a step, where those of other inputs have one"
 
 
-def _effects(probe: Probe) -> list[tuple[str, str]]:
+def input_effects(probe: Probe) -> list[tuple[str, str]]:
     """Continuous inputs that take another value, each with what its derivative does to outputs."""
     verdicts = []
     for v in continuous_reals(probe, "input"):
@@ -95,7 +95,7 @@ def _effects(probe: Probe) -> list[tuple[str, str]]:
         raised, moving = probe.script().begin().step(), probe.script().begin().step()
         for script in (held, raised, moving):
             script.set(v, value if script is raised else start_value(v))
-        _derive(moving, v, change / probe.step_size)
+        derive(moving, v, change / probe.step_size)
         readings = [script.step().read(probe.outputs) for script in (held, raised, moving)]
         probe.play_each([held, raised, moving])
         if not (held.failure or raised.failure or moving.failure):
@@ -289,7 +289,13 @@ def derivatives_are_slopes(probe: Probe) -> Iterator[str]:
             yield f"{state.name} changes by {shown[0]} where the integral of {v.name} is {shown[1]}"
 
 
-@rule(_STATES, Stage.BEHAVIOUR, Level.WARNING, condition=unless_claimed(_INTERPOLATES))
+@rule(
+    _STATES,
+    Stage.BEHAVIOUR,
+    Level.WARNING,
+    condition=unless_claimed(INTERPOLATES),
+    needs=["allowed-calls-succeed"],
+)
 def input_derivatives_when_instantiated(probe: Probe) -> Iterator[str]:
     """Derivatives of inputs can be set when instantiated: 4.2.4 allows it, although 4.2.1 gives them the
     restrictions of fmi2SetReal, which cannot set inputs there.
@@ -311,7 +317,7 @@ def input_derivatives_when_instantiated(probe: Probe) -> Iterator[str]:
 def wrong_references_of_derivatives_are_refused(probe: Probe) -> Iterator[str]:
     """A value reference that no variable has is an error for derivatives too."""
     reference, calls = unknown_reference(probe), []
-    if probe.fmu.claims(_INTERPOLATES):
+    if probe.fmu.claims(INTERPOLATES):
         calls.append(("set_input_derivatives", [reference], [1], [0.0]))
     if probe.fmu.output_derivative_order > 0:
         calls.append(("output_derivatives", [reference], 1))

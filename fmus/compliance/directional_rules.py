@@ -9,10 +9,13 @@ from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotApplicableError, Stage, rule
 from fmus.compliance.script import Reading
 from fmus.compliance.values import (
+    accepted,
     continuous_reals,
     other_value,
     references_of,
+    same,
     settable_in_initialization,
+    settable_while_stepping,
     start_value,
     texts,
     unless_claimed,
@@ -20,10 +23,12 @@ from fmus.compliance.values import (
 from fmus.compliance.variable import Variable, integer
 
 _DIRECTIONAL = "2.1.9 Getting Partial Derivatives"
+_STRUCTURE = "2.2.8 Definition of the Model Structure (ModelStructure)"
 _PROVIDES = "providesDirectionalDerivative"
 _MOST_KNOWNS = 40  # of one FMU: each costs four evaluations
 _DIFFERENCE = 1e-6  # relative change for a difference quotient: half the digits for truncation and rounding
 _AGREEMENT = 1e-4  # relative; a wrong derivative is wrong by much more
+_LATER = 3  # steps after which a factor is looked at again
 _LINEAR = 1e-6  # relative: derivatives may be difference quotients
 
 
@@ -125,17 +130,28 @@ def directional_derivatives_are_linear(probe: Probe) -> Iterator[str]:
                 )
 
 
-@rule(_DIRECTIONAL, Stage.BEHAVIOUR, condition=unless_claimed(_PROVIDES), needs=["directional-derivatives"])
+@rule(
+    _DIRECTIONAL,
+    Stage.BEHAVIOUR,
+    condition=unless_claimed(_PROVIDES),
+    needs=["directional-derivatives", "initial-dependencies-are-declared"],
+)
 def directional_derivatives_are_zero_without_dependency(probe: Probe) -> Iterator[str]:
-    """The derivative with respect to an input that is not among the dependencies of an output is zero."""
-    knowns = continuous_reals(probe, "input")
-    for section, stepping in (("InitialUnknowns", False), ("Outputs", True)):
+    """The derivative with respect to an input, in step mode also to a continuous state, that is not among
+    the dependencies of an output or a state derivative is zero.
+    """
+    inputs = continuous_reals(probe, "input")
+    knowns = {"InitialUnknowns": inputs, "Outputs": [*inputs, *_states(probe.fmu)]}
+    knowns["Derivatives"] = knowns["Outputs"]
+    for section in knowns:
+        stepping = section != "InitialUnknowns"
         for index, element in probe.fmu.unknowns(section):
             unknown, stated = probe.fmu.variables[(index or 1) - 1], element.get("dependencies")
-            if stated is None or unknown.kind != "Real" or unknown.causality != "output":
+            observed = unknown.causality == "output" or section == "Derivatives"
+            if stated is None or unknown.kind != "Real" or not observed:
                 continue
-            listed = {integer(i) for i in stated.split()}
-            others = [v for v in knowns if v.index not in listed][:_MOST_KNOWNS]
+            listed = {integer(i) for i in stated.split()} | {unknown.index}
+            others = [v for v in knowns[section] if v.index not in listed][:_MOST_KNOWNS]
             script = probe.script(logging=True)
             script = script.begin().step() if stepping else script.initialise()
             replies = [
@@ -241,3 +257,58 @@ def _step_quotients(
                 f"d {v.name} / d {known.name} is {derivative:.9g} in step mode: expected "
                 f"{min(quotients):.9g}..{max(quotients):.9g}"
             )
+
+
+@rule(
+    _STRUCTURE,
+    Stage.BEHAVIOUR,
+    Level.WARNING,
+    condition=unless_claimed(_PROVIDES),
+    needs=["directional-derivatives", "directional-derivatives-are-linear"],
+)
+def factors_change_as_declared(probe: Probe) -> Iterator[str]:
+    """In step mode a factor that is constant or fixed is the same when inputs, states and tunable parameters
+    have changed, and a tunable one when inputs and states have.
+    """
+    factors = _declared_factors(probe.fmu)
+    if not factors:
+        raise NotApplicableError("no dependency is of the kind constant, fixed or tunable")
+    settable = [v for v in settable_while_stepping(probe.fmu) if other_value(v) is not None]
+    for kinds, chosen in (
+        (("constant", "fixed"), settable),
+        (("tunable",), [v for v in settable if v.causality == "input"]),
+    ):
+        judged = [factor for factor in factors if factor[2] in kinds][:_MOST_KNOWNS]
+        first, later = probe.script().begin().step(), probe.script().begin()
+        changes = [(v, other_value(v)) for v in chosen]
+        for v, x in accepted(probe, changes, lambda: probe.script().begin()) if judged else ():
+            later.set(v, x)
+        later.step(_LATER)
+        replies = [
+            [
+                script.call("directional_derivatives", [u.reference], [k.reference], [1.0])
+                for u, k, _ in judged
+            ]
+            for script in (first, later)
+        ]
+        probe.play_each([first, later])
+        for (u, k, kind), one, other in zip(judged, *replies, strict=True):
+            if one.ok and other.ok and not same(one.value[0], other.value[0], _AGREEMENT, 1e-12):
+                shown = texts(other.value[0], one.value[0])
+                yield f"d {u.name} / d {k.name} is {shown[0]} and was {shown[1]}: its factor is said {kind}"
+
+
+def _declared_factors(fmu: FmuFile) -> list[tuple[Variable, Variable, str]]:
+    """(unknown, known, kind) of the Real ones that change seldom, of Outputs and Derivatives."""
+    factors, initial = [], {index for index, _ in fmu.unknowns("InitialUnknowns")}
+    settable = settable_in_initialization(fmu)
+    for index, element in [*fmu.unknowns("Outputs"), *fmu.unknowns("Derivatives")]:
+        listed, kinds = (element.get(name, "").split() for name in ("dependencies", "dependenciesKind"))
+        unknown = fmu.variables[(index or 1) - 1]
+        for number, kind in zip(map(integer, listed), kinds, strict=False):
+            known = fmu.variables[number - 1] if number and number <= len(fmu.variables) else unknown
+            real = unknown.kind == known.kind == "Real" and known.causality != "independent"
+            told = kind == "constant" and index in initial and known in settable  # as one of initial values
+            if real and known is not unknown and kind in ("constant", "fixed", "tunable") and not told:
+                factors.append((unknown, known, kind))
+    return factors

@@ -12,6 +12,7 @@ from fmus.compliance import (
     implementation_rules,
     library_rules,
     name_rules,
+    source_rules,
     structure_rules,
     type_rules,
     unit_rules,
@@ -23,8 +24,8 @@ from fmus.compliance.probe import start_process
 from fmus.compliance.rule import Result, Rule, Stage, messages_of, registered
 
 MODULES = (
-    archive_rules, implementation_rules, documentation_rules, description_rules, unit_rules, type_rules,
-    name_rules, variable_rules, alias_rules, structure_rules, library_rules,
+    archive_rules, implementation_rules, source_rules, documentation_rules, description_rules, unit_rules,
+    type_rules, name_rules, variable_rules, alias_rules, structure_rules, library_rules,
 )  # fmt: skip
 
 

@@ -16,11 +16,11 @@ _PLATFORM = re.compile(
     r"|(?:aarch|riscv|ppc|x86_)(?:32|64)-(?P<new>windows|linux|darwin)(?:-\w+)?"
     r"|x86-(?P<x86>windows|linux|darwin)(?:-\w+)?)"
 )
-_HEADERS = ("fmi2TypesPlatform.h", "fmi2FunctionTypes.h", "fmi2Functions.h")
-_TO_COMPILE = (".c", ".cc", ".cpp", ".cxx")
+HEADERS = ("fmi2TypesPlatform.h", "fmi2FunctionTypes.h", "fmi2Functions.h")
+TO_COMPILE = (".c", ".cc", ".cpp", ".cxx")
 _INCLUDE = re.compile(rb"^[ \t]*#[ \t]*include[ \t]*<([^>\n]+)>", re.MULTILINE)
-_QUOTED_INCLUDE = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*"([^"\n]+)"', re.MULTILINE)
-_SOURCES = "sources/"
+QUOTED_INCLUDE = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*"([^"\n]+)"', re.MULTILINE)
+SOURCES = "sources/"
 
 
 def _extension(folder: str) -> str:
@@ -119,17 +119,17 @@ def tool_is_documented(fmu: FmuFile) -> Iterator[str]:
 def headers_of_fmi_are_left_out(fmu: FmuFile) -> Iterator[str]:
     """Below sources and binaries there are no header files of FMI: they are the importer's."""
     for path in fmu.names:
-        if path.startswith((_SOURCES, "binaries/")) and path.rpartition("/")[2] in _HEADERS:
+        if path.startswith((SOURCES, "binaries/")) and path.rpartition("/")[2] in HEADERS:
             yield f"{path}: expected it to be left out, the importer has it"
 
 
 def _has_sources(fmu: FmuFile) -> bool:
-    return any(path.startswith(_SOURCES) and path.endswith(_TO_COMPILE) for path in fmu.names)
+    return any(path.startswith(SOURCES) and path.endswith(TO_COMPILE) for path in fmu.names)
 
 
 def _source_path(name: str) -> str:
     """The path in the archive of a file that is listed relative to the directory sources."""
-    return posixpath.normpath(f"{_SOURCES}{name}")
+    return posixpath.normpath(f"{SOURCES}{name}")
 
 
 def _listed_sources(fmu: FmuFile) -> dict[str, list[str]]:
@@ -143,7 +143,7 @@ def _listed_sources(fmu: FmuFile) -> dict[str, list[str]]:
 @rule(CLAUSE, Stage.DESCRIPTION)
 def sources_are_listed(fmu: FmuFile) -> Iterator[str]:
     """SourceFiles, or buildDescription.xml, lists the C files below sources that are to be compiled."""
-    files = [path for path in fmu.names if path.startswith(_SOURCES) and path.endswith(_TO_COMPILE)]
+    files = [path for path in fmu.names if path.startswith(SOURCES) and path.endswith(TO_COMPILE)]
     if (
         files
         and fmu.interfaces
@@ -182,7 +182,7 @@ def source_files_are_compiled(fmu: FmuFile) -> Iterator[str]:
         included = {
             posixpath.normpath(posixpath.join(posixpath.dirname(path), other.decode("utf-8", "replace")))
             for path in paths
-            for other in _QUOTED_INCLUDE.findall(fmu.read(path))
+            for other in QUOTED_INCLUDE.findall(fmu.read(path))
         }
         for path, name in paths.items():
             if path.endswith((".h", ".hpp")) or path in included:
@@ -192,10 +192,8 @@ def source_files_are_compiled(fmu: FmuFile) -> Iterator[str]:
 @rule(CLAUSE, Stage.FILE, Level.WARNING, condition=unreadable)
 def includes_have_quotes(fmu: FmuFile) -> Iterator[str]:
     """Sources include the header files that the FMU holds by quotes, not by angle brackets."""
-    sources = [
-        path for path in fmu.names if path.startswith(_SOURCES) and path.endswith((*_TO_COMPILE, ".h"))
-    ]
-    headers = {path.removeprefix(_SOURCES) for path in sources}
+    sources = [path for path in fmu.names if path.startswith(SOURCES) and path.endswith((*TO_COMPILE, ".h"))]
+    headers = {path.removeprefix(SOURCES) for path in sources}
     for path in sources:
         included = {name.decode("utf-8", "replace").strip() for name in _INCLUDE.findall(fmu.read(path))}
         for name in sorted(included & headers):
@@ -217,19 +215,3 @@ def build_description(fmu: FmuFile) -> Iterator[str]:
         for file in configuration.iterfind("SourceFileSet/SourceFile"):
             if _source_path(file.get("name", "")) not in fmu.paths:
                 yield f"{BUILD_DESCRIPTION} lists {file.get('name')}: expected it below sources"
-
-
-_COMMENT = re.compile(rb"/\*.*?\*/", re.DOTALL)
-_PREFIX = re.compile(rb"^[ \t]*#[ \t]*define[ \t]+FMI2_FUNCTION_PREFIX[ \t]+(\w+)[ \t]*$", re.MULTILINE)
-
-
-@rule("2.1.1 Header Files and Naming of Functions", Stage.DESCRIPTION, condition=unreadable)
-def source_prefix(fmu: FmuFile) -> Iterator[str]:
-    """Sources that define FMI2_FUNCTION_PREFIX as a word define it as modelIdentifier with an underscore."""
-    expected = {f"{attributes.get('modelIdentifier', '')}_" for attributes in fmu.interfaces.values()}
-    for path in fmu.names:
-        if path.startswith(_SOURCES) and path.endswith(_TO_COMPILE):
-            source = _COMMENT.sub(b"", fmu.read(path))
-            prefixes = {name.decode("ascii", "replace") for name in _PREFIX.findall(source)}
-            for prefix in sorted(name for name in prefixes - expected if name.endswith("_")):
-                yield f"{path} defines the prefix {prefix}: expected {' or '.join(sorted(expected))}"

@@ -105,7 +105,8 @@ def values_are_set_together(probe: Probe) -> Iterator[str]:
     if not any(len(chosen) > 1 for chosen in taken.values()):
         raise NotJudgedError("no two variables of one type take other values")
     for kind, chosen in taken.items():
-        yield from _differently_set(probe, kind, chosen) if len(chosen) > 1 else ()
+        for ordered in (chosen, chosen[::-1]) if len(chosen) > 1 else ():
+            yield from _differently_set(probe, kind, ordered)
 
 
 def _differently_set(probe: Probe, kind: str, chosen: list[tuple[Variable, object]]) -> Iterator[str]:

@@ -3,6 +3,7 @@
 It judges nothing, and what it sends is not trusted: the FMU can do to it whatever it likes.
 """
 
+import ctypes
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -18,7 +19,7 @@ MOST_MEMORY = 4 << 30  # bytes
 MOST_OF_A_FILE = 1 << 30  # bytes
 CALLED = "called"  # a file of the working folder, of the time at which the call that is under way began
 _AFTER_A_FAILURE = {  # status -> methods of `CalledInstance` that FMI allows then
-    DISCARD: ("status_of", "free_fmu_state", "set_debug_logging"),
+    DISCARD: ("status_of", "free_fmu_state", "set_debug_logging", "get", "end"),
     ERROR: ("free_fmu_state", "set_debug_logging"),
 }
 
@@ -48,6 +49,11 @@ class LoadedFmu:
     def text(self, function: str) -> str:
         """What a function without arguments returns."""
         return getattr(self._library, function)().decode("utf-8", "replace")
+
+    def is_static(self, function: str) -> bool:
+        """Whether a function without arguments returns the same address two times."""
+        address = ctypes.cast(getattr(self._library, function), ctypes.CFUNCTYPE(ctypes.c_void_p))
+        return address() == address()
 
     def held_blocks(self) -> int:
         """How many blocks of memory of `allocateMemory` are in use."""

@@ -34,7 +34,7 @@ def declared_categories(probe: Probe) -> list[str]:
     return [c.get("name", "") for c in probe.fmu.root.iterfind("LogCategories/Category")]
 
 
-@rule(_CREATION, Stage.BEHAVIOUR)
+@rule(_CREATION, Stage.BEHAVIOUR, needs=["reset-in-every-state"])
 def messages_have_the_instance_name(probe: Probe) -> Iterator[str]:
     """Messages carry the name of the instance that sends them, and the environment of its callbacks."""
     messages = messages_of_a_session(probe)
@@ -45,7 +45,7 @@ def messages_have_the_instance_name(probe: Probe) -> Iterator[str]:
         yield "the logger was called without the componentEnvironment of its instance"
 
 
-@rule(_CREATION, Stage.BEHAVIOUR)
+@rule(_CREATION, Stage.BEHAVIOUR, needs=["reset-in-every-state"])
 def log_categories_are_declared(probe: Probe) -> Iterator[str]:
     """Messages have a category of LogCategories; without LogCategories it is NULL."""
     yield from _undeclared(probe, messages_of_a_session(probe))
@@ -125,7 +125,7 @@ def no_messages_with_logging_off(probe: Probe) -> Iterator[str]:
             yield f"a message arrives although logging is off {when}: {texts[0][:80]!r}"
 
 
-@rule(_CREATION, Stage.BEHAVIOUR, needs=["allowed-calls-succeed"])
+@rule(_CREATION, Stage.BEHAVIOUR, needs=["allowed-calls-succeed", "statuses-are-legal"])
 def debug_logging_can_be_set(probe: Probe) -> Iterator[str]:
     """fmi2SetDebugLogging accepts each declared category, and none at all, on and off; outputs stay the
     same.
@@ -197,12 +197,17 @@ def calls_that_log(probe: Probe, script: Script) -> None:
     script.terminate()
 
 
-@rule("advice: an unknown log category is no reason to fail", Stage.BEHAVIOUR, Level.WARNING)
+@rule(
+    "advice: an unknown log category is no reason to fail",
+    Stage.BEHAVIOUR,
+    Level.WARNING,
+    needs=["reset-in-every-state"],
+)
 def reset_works_after_unknown_categories(probe: Probe) -> Iterator[str]:
     """After fmi2SetDebugLogging with a category that is not declared, which may be refused, fmi2Reset
     works.
     """
-    script = probe.script(logging=True)
+    script = probe.script(logging=True).forbidden()
     script.call("set_debug_logging", True, ["no category of this FMU"])
     script.reset()
     script.begin().step().play(keep_going=True)

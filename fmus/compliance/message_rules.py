@@ -108,7 +108,12 @@ def _sent(probe: Probe, settings: list[tuple[bool, list[str]]]) -> set[str]:
     return {m.category for m in messages if m.category} & set(declared_categories(probe))
 
 
-@rule("4.2.4 State Machine of Calling Sequence from Master to Slave", Stage.BEHAVIOUR, Level.WARNING)
+@rule(
+    "4.2.4 State Machine of Calling Sequence from Master to Slave",
+    Stage.BEHAVIOUR,
+    Level.WARNING,
+    needs=["allowed-calls-succeed"],
+)
 def debug_logging_is_allowed_after_an_error(probe: Probe) -> Iterator[str]:
     """fmi2SetDebugLogging succeeds after another function returned error."""
     script = probe.script(logging=True).begin().step()

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 from fmus.binding import DISCARD, ERROR, TERMINATED, WARNING
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.rule import NotJudgedError
-from fmus.compliance.script import CallError, Message, Script
+from fmus.compliance.script import CallError, Message, Reply, Script
 from fmus.compliance.variable import Variable, number
 from fmus.process import WorkerProcess
 
@@ -23,6 +23,7 @@ T = TypeVar("T")
 _LICENCE = re.compile("licen[cs]e", re.IGNORECASE)
 _POLL_S = 0.01
 _REFUSED_STEPS, _DISCARDED_STEP = "refused steps", "discarded step"  # among what the rules share
+_REFUSALS = "refusals"
 
 
 class DiscardedStepError(NotJudgedError):
@@ -152,6 +153,7 @@ class Probe:
         ends = self.process.calls(freed)
         for script, creation, end in zip(scripts, created, ends, strict=True):
             script.fill_ends(creation, end)
+        self._note_refusals(scripts)
         self._judge_steps(scripts)
 
     def play_usual_steps(self, script: Script) -> None:
@@ -188,6 +190,21 @@ class Probe:
             if t + h > self.stop_time + 1e-9 * max(abs(t), h):
                 raise NotJudgedError("the FMU refuses steps beyond the stop time of its DefaultExperiment")
 
+    @property
+    def refusals(self) -> list[Reply]:
+        """Replies that were not ok to calls that FMI allows, with logging: one of each function and status,
+        with and without messages.
+        """
+        return list(self._shared.get(_REFUSALS, {}).values())
+
+    def _note_refusals(self, scripts: Sequence[Script]) -> None:
+        noted: dict[tuple[str, int, bool], Reply] = self._shared.setdefault(_REFUSALS, {})
+        for script in scripts:
+            judged = script.options.get("logging") and not script.is_forbidden
+            for reply in script.replies if judged else ():
+                if reply.status:
+                    noted.setdefault((reply.function, reply.status, bool(reply.messages)), reply)
+
     def find_discarded_step(self, steps: int) -> None:
         """Note, for all rules, whether the FMU discards one of some equal steps of the usual size."""
         script = self.script().begin().step(steps)
@@ -217,6 +234,7 @@ class Probe:
                 raise error
         for script, answers in zip(scripts, results[1::3], strict=True):
             script.fill(0, answers)
+        self._note_refusals(scripts)
         self._judge_steps(scripts)
 
     def hold(self, script: Script) -> int:

@@ -16,9 +16,20 @@ except ImportError:  # of Windows
 
 _LC_ALL = 6  # of glibc, musl; other C libraries have another number, and then no locale is compared
 _SIGNAL_LINES = ("SigIgn", "SigCgt")
-_NOTED = ("signal handlers", "signal mask", "environment", "standard streams", "timers", "limits", "priority")
+_NOTED = (
+    "signal handlers",
+    "signal mask",
+    "environment",
+    "standard streams",
+    "timers",
+    "limits",
+    "priority",
+    "processors",
+)
 _STREAMS = (0, 1, 2)  # file descriptors
 _SELF = Path("/proc/self")
+_LIMITS = sorted({getattr(resource, name) for name in dir(resource) if name.startswith("RLIMIT_")})
+_processors = getattr(os, "sched_getaffinity", lambda _: ())  # those that a process may run on: of Linux
 
 
 def _stream(number: int) -> str:
@@ -158,10 +169,9 @@ class ProcessSettings:
             "timers": " ".join(
                 str(signal.getitimer(kind)[1]) for kind in (signal.ITIMER_REAL, signal.ITIMER_VIRTUAL)
             ),
-            "limits": " ".join(
-                str(resource.getrlimit(kind)) for kind in (resource.RLIMIT_NOFILE, resource.RLIMIT_STACK)
-            ),
+            "limits": " ".join(str(resource.getrlimit(kind)) for kind in _LIMITS),
             "priority": str(os.getpriority(os.PRIO_PROCESS, 0)),
+            "processors": " ".join(map(str, sorted(_processors(0)))),
         }
 
     def _environment_now(self) -> str:

@@ -39,6 +39,7 @@ class Rule:
     check: Check
     condition: Condition
     needs: tuple[str, ...] = ()
+    last: bool = False
 
 
 class NotJudgedError(Exception):
@@ -85,11 +86,13 @@ def rule(
     level: Level = Level.ERROR,
     condition: Condition = _always,
     needs: Sequence[str] = (),
+    last: bool = False,
 ) -> Callable[[Check], Check]:
     """Make a function a rule: its name with dashes is the rule's, its docstring what the rule claims.
 
     clause: section of FMI 2.0.5 with its title's words, or who else demands it.
     needs: names of rules; if one of these has an error, this one is not judged: it would find the same.
+    last: it is judged after the rules of its stage that are not, as it judges what came of their calls.
     """
 
     def register(check: Check) -> Check:
@@ -97,7 +100,7 @@ def rule(
         claim = " ".join((inspect.getdoc(check) or "").split())
         if name in _RULES:
             raise ValueError(f"rule {name}: expected one function of that name, got a second")
-        _RULES[name] = Rule(name, clause, claim, level, stage, check, condition, tuple(needs))
+        _RULES[name] = Rule(name, clause, claim, level, stage, check, condition, tuple(needs), last)
         return check
 
     return register

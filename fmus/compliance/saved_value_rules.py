@@ -7,11 +7,13 @@ from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
 from fmus.compliance.script import Reading, Script
 from fmus.compliance.values import (
     accepted,
+    continuous_reals,
     differing,
     other_values,
     set_input_derivatives,
     settable_before,
     settable_while_stepping,
+    steadily,
     unless_claimed,
 )
 
@@ -26,69 +28,74 @@ def _every(script: Script, steps: int = _STEPS) -> list[Reading]:
     return [script.step().read(script.variables) for _ in range(steps)]
 
 
-def _steady(probe: Probe) -> set[str]:
-    """Names of the variables that are the same in every instance: no clock of the computer."""
-
-    def names() -> set[str]:
-        one, other = probe.script().begin(), probe.script().begin()
-        first, second = _every(one), _every(other)
-        probe.play_each([one, other])
-        if not one.succeeded or not other.succeeded:
-            raise NotJudgedError("a run fails")
-        others = {message.split(" is ", 1)[0] for message in differing(first, second, "")}
-        return {v.name for v in probe.fmu.variables} - others
-
-    return probe.once("comparison of two runs", names)
-
-
-def _steadily(probe: Probe, messages: Iterator[str]) -> Iterator[str]:
-    """The messages about variables that are the same in every instance."""
-    steady = _steady(probe)
-    return (message for message in messages if message.split(" is ", 1)[0] in steady)
-
-
 @rule(
-    _CLAUSE, Stage.BEHAVIOUR, condition=unless_claimed(_SAVES), needs=["state-restores", "input-derivatives"]
+    _CLAUSE,
+    Stage.BEHAVIOUR,
+    condition=unless_claimed(_SAVES),
+    needs=[
+        "state-restores",
+        "input-derivatives",
+        "questions-change-nothing",
+        "state-holds-inputs-and-parameters",
+    ],
 )
 def state_holds_every_value(probe: Probe) -> Iterator[str]:
     """Set back after inputs, tunable parameters and derivatives of inputs changed, a state gives all
     variables again, at once and in the steps that follow, as if it had not been saved.
     """
-    usual = probe.script().begin().step(2)
-    set_input_derivatives(probe, usual)
+    usual = _moving(probe)
     expected = _every(usual)
     script, before, after, got = _set_back(probe)
     usual.play(keep_going=True)
     if failure := script.failure or usual.failure:
         raise NotJudgedError(f"a run with other values fails: {failure.problem}")
-    yield from _steadily(probe, differing([before], [after], "in the state that was set back", _ROUNDING))
-    yield from _steadily(probe, differing(expected, got, "from a state that was set back", _ROUNDING))
+    yield from steadily(probe, differing(before, after, "in the state that was set back", _ROUNDING))
+    yield from steadily(probe, differing(expected, got, "from a state that was set back", _ROUNDING))
 
 
-def _set_back(probe: Probe) -> tuple[Script, Reading, Reading, list[Reading]]:
+def _set_back(probe: Probe) -> tuple[Script, list[Reading], list[Reading], list[Reading]]:
     pairs = other_values(settable_while_stepping(probe.fmu)[:_MOST_CHANGED])
     pairs = accepted(probe, pairs, lambda: probe.script().begin().step(2))
-    script = probe.script().begin().step(2)
-    before = script.read(script.variables)
-    set_input_derivatives(probe, script)
+    script = _moving(probe)
+    before, slopes = script.read(script.variables), _slopes(probe, script)
     script.call("get_fmu_state", 0)
     set_input_derivatives(probe, script, 0.0)
     for v, x in pairs:
         script.set(v, x)
     script.step(2)
     script.call("set_fmu_state", 0)
-    after = script.read(script.variables)
+    after, same_slopes = script.read(script.variables), _slopes(probe, script)
     script.go_to(2)
     got = _every(script)
     script.play(keep_going=True)
-    return script, before, after, got
+    return script, [before, *slopes], [after, *same_slopes], got
+
+
+def _moving(probe: Probe) -> Script:
+    """A run of two steps with derivatives of inputs before the second one and before the next."""
+    script = probe.script().begin().step()
+    set_input_derivatives(probe, script)
+    script.step()
+    set_input_derivatives(probe, script)
+    return script
+
+
+def _slopes(probe: Probe, script: Script) -> list[Reading]:
+    """The first derivatives of continuous outputs, as a reading, if they are claimed."""
+    chosen = continuous_reals(probe, "output") if probe.fmu.output_derivative_order else []
+    return [script.read_output_derivatives(chosen)] if chosen else []
 
 
 @rule(
     _CLAUSE,
     Stage.BEHAVIOUR,
     condition=unless_claimed(_SERIALISES),
-    needs=["state-holds-every-value", "serialised-state-restores", "strings-are-copied"],
+    needs=[
+        "state-holds-every-value",
+        "serialised-state-restores",
+        "strings-are-copied",
+        "inputs-that-are-set-are-read",
+    ],
 )
 def bytes_hold_every_value(probe: Probe) -> Iterator[str]:
     """Bytes of a state that was freed give all variables again, in an instance with other values; reading
@@ -125,10 +132,16 @@ def bytes_hold_every_value(probe: Probe) -> Iterator[str]:
         yield f"from bytes in another instance: {other.failure.problem}"
     else:
         yield from differing([untouched], [still], "after fmi2DeSerializeFMUstate, before fmi2SetFMUstate")
-        yield from _steadily(probe, differing(expected, got, "from bytes in another instance", _ROUNDING))
+        yield from steadily(probe, differing(expected, got, "from bytes in another instance", _ROUNDING))
 
 
-@rule(_CLAUSE, Stage.BEHAVIOUR, Level.WARNING, condition=unless_claimed(_SAVES), needs=["state-restores"])
+@rule(
+    _CLAUSE,
+    Stage.BEHAVIOUR,
+    Level.WARNING,
+    condition=unless_claimed(_SAVES),
+    needs=["state-restores", "state-holds-the-mode", "reset-in-every-state"],
+)
 def state_can_be_set_after_reset(probe: Probe) -> Iterator[str]:
     """A state that was saved before fmi2Reset can be set after it, and the steps that follow are the same."""
     script = probe.script(logging=True).begin().step(2)
@@ -180,11 +193,12 @@ def questions_change_nothing(probe: Probe) -> Iterator[str]:
         asked.step()
         asked.read(asked.variables)
         _ask(probe, asked)
-        got.append(asked.read(probe.outputs))
-        expected += usual.run(1)
+        got.append(asked.read(asked.variables))
+        expected += _every(usual, 1)
     probe.play_each([usual, asked])
     if usual.succeeded and asked.succeeded:
-        yield from differing(expected, got, "where values and derivatives are read more often", _ROUNDING)
+        when = "where values and derivatives are read more often"
+        yield from steadily(probe, differing(expected, got, when, _ROUNDING))
 
 
 def _ask(probe: Probe, script: Script) -> None:

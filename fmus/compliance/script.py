@@ -9,6 +9,7 @@ from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.variable import Variable
 
 KINDS = ("Real", "Integer", "Boolean", "String")
+ARGUMENTS = "arguments"  # among what a call changed
 _FUNCTIONS = {  # method of `CalledInstance` -> function of FMI, where the arguments do not name it
     "set_up_experiment": "fmi2SetupExperiment", "set_up_experiment_with": "fmi2SetupExperiment",
     "enter_initialization_mode": "fmi2EnterInitializationMode",
@@ -21,7 +22,7 @@ _FUNCTIONS = {  # method of `CalledInstance` -> function of FMI, where the argum
     "serialize_fmu_state": "fmi2SerializeFMUstate", "deserialize_fmu_state": "fmi2DeSerializeFMUstate",
     "serialized_fmu_state_size": "fmi2SerializedFMUstateSize",
     "copy_fmu_state": "fmi2DeSerializeFMUstate", "poll_step": "fmi2GetStatus",
-    "free": "fmi2FreeInstance", "derive_nothing": "fmi2GetDirectionalDerivative",
+    "free": "fmi2FreeInstance", "end": "fmi2Terminate", "derive_nothing": "fmi2GetDirectionalDerivative",
 }  # fmt: skip
 
 
@@ -116,6 +117,7 @@ class Script:
     """Calls on a new instance, in the order in which they are written down.
 
     number: of the instance, after it was played; creation, end: of the instance
+    is_forbidden: whether it makes calls that FMI forbids, or with arguments that it forbids
     """
 
     def __init__(self, probe: Examined, options: dict[str, Any]) -> None:
@@ -124,11 +126,16 @@ class Script:
         self.replies: list[Reply] = []
         self.creation, self.end = Reply("fmi2Instantiate", ""), Reply("fmi2FreeInstance", "")
         self.number = 0
+        self.is_forbidden = False
         self.state = "instantiated"
         self.parts = [0]
         self._step = 0
 
     # writing
+
+    def forbidden(self) -> "Script":
+        self.is_forbidden = True
+        return self
 
     def pause(self) -> "Script":
         """End a part: scripts that are played together take turns."""
@@ -215,6 +222,11 @@ class Script:
             kind: self.call("get", kind, [v.reference for v in members]) for kind, members in groups.items()
         }
         return Reading(groups, replies)
+
+    def read_output_derivatives(self, outputs: Sequence[Variable]) -> Reading:
+        """The first derivatives of continuous Real outputs."""
+        reply = self.call("output_derivatives", [v.reference or 0 for v in outputs], 1)
+        return Reading({"Real": list(outputs)}, {"Real": reply})
 
     @property
     def variables(self) -> Sequence[Variable]:

@@ -102,8 +102,10 @@ def constants_cannot_be_set(probe: Probe) -> Iterator[str]:
 
 @rule("advice: 4.2.4 allows to set no other variables", Stage.BEHAVIOUR, Level.WARNING)
 def calculated_values_cannot_be_set(probe: Probe) -> Iterator[str]:
-    """Setting a variable that is calculated is refused."""
-    chosen = [v for v in probe.fmu.variables if v.initial == "calculated" or v.causality == "independent"]
+    """Setting a variable that is calculated is refused, unless it is the alias of one that can be set."""
+    settable = {(v.base_kind, v.reference) for v in probe.fmu.variables if v.is_settable}
+    calculated = [v for v in probe.fmu.variables if v.initial == "calculated" or v.causality == "independent"]
+    chosen = [v for v in calculated if (v.base_kind, v.reference) not in settable]
     for v in chosen[:_MOST_VARIABLES]:
         if v.base_kind in ("Real", "Integer", "Boolean"):
             script = probe.script(logging=True).initialise()
@@ -114,7 +116,7 @@ def calculated_values_cannot_be_set(probe: Probe) -> Iterator[str]:
                 return
 
 
-@rule(_PLATFORM, Stage.BEHAVIOUR)
+@rule(_PLATFORM, Stage.BEHAVIOUR, needs=["allowed-calls-succeed"])
 def strings_are_copied(probe: Probe) -> Iterator[str]:
     """A String that is set is copied: it is read as it was although its memory was overwritten."""
     chosen = [
@@ -134,7 +136,7 @@ def strings_are_copied(probe: Probe) -> Iterator[str]:
             )
 
 
-@rule(_VALUES, Stage.BEHAVIOUR)
+@rule(_VALUES, Stage.BEHAVIOUR, needs=["questions-change-nothing"])
 def initial_values_follow_what_is_set(probe: Probe) -> Iterator[str]:
     """In initialization mode, values follow what is set, also if they had been read before that."""
     readable, tried = readable_in_initialization(probe.fmu), []
@@ -160,7 +162,12 @@ def _set_all(script: Script, variables: Sequence[Variable]) -> list[tuple[Variab
 @rule(
     "4.1.2 Mathematical Model",
     Stage.BEHAVIOUR,
-    needs=["allowed-calls-succeed", "start-values-are-as-declared"],
+    needs=[
+        "allowed-calls-succeed",
+        "start-values-are-as-declared",
+        "strings-are-copied",
+        "statuses-are-legal",
+    ],
 )
 def setting_the_same_changes_nothing(probe: Probe) -> Iterator[str]:
     """Inputs and tunable parameters can be set at communication points; set to what they are, no state
@@ -184,7 +191,7 @@ def setting_the_same_changes_nothing(probe: Probe) -> Iterator[str]:
         )
 
 
-@rule("4.1.2 Mathematical Model", Stage.BEHAVIOUR, needs=["fixed-values-stay"])
+@rule("4.1.2 Mathematical Model", Stage.BEHAVIOUR, needs=["fixed-values-stay", "strings-are-copied"])
 def inputs_that_are_set_are_read(probe: Probe) -> Iterator[str]:
     """An input or tunable parameter that is set at a communication point has that value after the step."""
     chosen = settable_while_stepping(probe.fmu)[:_MOST_VARIABLES]

@@ -39,7 +39,12 @@ def _restored(probe: Probe) -> tuple[list[Reading], list[Reading]]:
     return before, after
 
 
-@rule(_CLAUSE, Stage.BEHAVIOUR, condition=_saves, needs=["communication-points-may-be-rounded"])
+@rule(
+    _CLAUSE,
+    Stage.BEHAVIOUR,
+    condition=_saves,
+    needs=["communication-points-may-be-rounded", "allowed-calls-succeed"],
+)
 def state_restores(probe: Probe) -> Iterator[str]:
     """A state that is set back gives the same outputs at once and in the steps that follow, up to
     rounding.
@@ -86,7 +91,12 @@ def state_holds_inputs_and_parameters(probe: Probe) -> Iterator[str]:
     yield from differing(expected, got, "from a state that was set back after inputs changed", _ROUNDING)
 
 
-@rule(_CLAUSE, Stage.BEHAVIOUR, condition=_saves, needs=["state-restores", "allowed-calls-succeed"])
+@rule(
+    _CLAUSE,
+    Stage.BEHAVIOUR,
+    condition=_saves,
+    needs=["state-restores", "allowed-calls-succeed", "questions-change-nothing"],
+)
 def state_in_initialization_mode(probe: Probe) -> Iterator[str]:
     """A state can be saved and set back when instantiated and in initialization mode, with what was set
     there.
@@ -120,7 +130,7 @@ def state_in_initialization_mode(probe: Probe) -> Iterator[str]:
         )
 
 
-@rule(_CLAUSE, Stage.BEHAVIOUR, condition=_saves, needs=["state-restores"])
+@rule(_CLAUSE, Stage.BEHAVIOUR, condition=_saves, needs=["state-restores", "allowed-calls-succeed"])
 def state_holds_the_mode(probe: Probe) -> Iterator[str]:
     """A state holds internal status information: set back while stepping, one of initialization mode is
     in that mode.
@@ -138,30 +148,42 @@ def state_holds_the_mode(probe: Probe) -> Iterator[str]:
         yield from differing(first, again, "from a state of initialization mode", _ROUNDING)
 
 
-@rule(_CLAUSE, Stage.BEHAVIOUR, condition=_saves, needs=["state-restores", "allowed-calls-succeed"])
+@rule(
+    _CLAUSE,
+    Stage.BEHAVIOUR,
+    condition=_saves,
+    needs=[
+        "state-restores",
+        "allowed-calls-succeed",
+        "state-holds-the-mode",
+        "step-beyond-the-stop-time-is-an-error",
+    ],
+)
 def state_restores_after_the_end(probe: Probe) -> Iterator[str]:
     """A state can be set back after fmi2Terminate and after an error, and steps go on from it."""
-    for failed in (False, True):
-        script = probe.script(logging=True).begin().step(2)
+    ends = ("fmi2Terminate", "an error of fmi2GetReal", "a step beyond the stop time")
+    for end in ends:
+        script = probe.script(logging=True).set_up(stop=probe.point(4) if end == ends[2] else None)
+        script.enter_initialization_mode().exit_initialization_mode().step(2)
         script.call("get_fmu_state", 0)
         expected = script.run(2)
-        error = script.call("get", "Real", [unknown_reference(probe)]) if failed else script.terminate()
+        last = (
+            script.terminate() if end == ends[0]
+            else script.call("get", "Real", [unknown_reference(probe)]) if end == ends[1]
+            else script.call("do_step", probe.point(4), probe.step_size)
+        )  # fmt: skip
         script.call("set_fmu_state", 0)
         script.go_to(2)
         got = script.run(2)
         script.play(keep_going=True)
-        if failed and error.status != ERROR:
+        if last.status != ERROR and end != ends[0]:
+            continue
+        replies = [reply for reply in script.replies if reply.status is not None and reply is not last]
+        failure = next((reply for reply in replies if not reply.ok), None)
+        if failure:
+            yield f"after {end}: {failure.problem}"
             return
-        failures = [
-            reply
-            for reply in script.replies
-            if not reply.ok and reply.status is not None and reply is not error
-        ]
-        when = "after an error" if failed else "after fmi2Terminate"
-        if failures:
-            yield f"{when}: {failures[0].problem}"
-        else:
-            yield from differing(expected, got, f"from a state set back {when}", _ROUNDING)
+        yield from differing(expected, got, f"from a state set back after {end}", _ROUNDING)
 
 
 @rule(_CLAUSE, Stage.BEHAVIOUR, condition=_saves, needs=["state-restores"])
@@ -215,7 +237,12 @@ def free_of_null_state_is_ignored(probe: Probe) -> Iterator[str]:
         yield f"with a state that is NULL: {script.failure.problem}"
 
 
-@rule(_CLAUSE, Stage.BEHAVIOUR, condition=unless_claimed(_SERIALISES), needs=["state-restores"])
+@rule(
+    _CLAUSE,
+    Stage.BEHAVIOUR,
+    condition=unless_claimed(_SERIALISES),
+    needs=["state-restores", "allowed-calls-succeed"],
+)
 def serialised_state_restores(probe: Probe) -> Iterator[str]:
     """A state as bytes gives the same outputs in an instance of its own."""
     script = probe.script(logging=True).begin().step(2)

@@ -1,17 +1,14 @@
 """What fmi2GetXXXStatus gives, and which statuses functions return."""
 
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
 
-from fmus.binding import DISCARD, PENDING, status_name
-from fmus.compliance.instance_rules import unknown_reference
+from fmus.binding import DISCARD, LAST_SUCCESSFUL_TIME, OK, PENDING, TERMINATED, status_name
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotApplicableError, NotJudgedError, Stage, rule
+from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
 from fmus.compliance.script import Reply
 from fmus.compliance.session import session
 
 _STATUS = "2.1.3 Status Returned by Functions"
-_LAST_SUCCESSFUL_TIME = 2
 _STATUS_KINDS = ("fmi2DoStepStatus", "fmi2PendingStatus", "fmi2LastSuccessfulTime", "fmi2Terminated")
 _NO_STATUS = {
     "": (1, 2, 3),
@@ -20,7 +17,6 @@ _NO_STATUS = {
     "Boolean": (0, 1, 2),
     "String": (0, 2, 3),
 }
-_MANY_STEPS = 16
 
 
 def _may_discard(reply: Reply) -> bool:
@@ -28,12 +24,8 @@ def _may_discard(reply: Reply) -> bool:
     return setter or reply.function == "fmi2DoStep" or reply.function.endswith("Status")
 
 
-@rule(_STATUS, Stage.BEHAVIOUR)
-def statuses_are_legal(probe: Probe) -> Iterator[str]:
-    """Discard and pending come only from functions that may return them; every status is one of
-    fmi2Status.
-    """
-    for reply in session(probe).script.replies:
+def _illegal(replies: Iterable[Reply]) -> Iterator[str]:
+    for reply in replies:
         if reply.status is None:
             continue
         if not 0 <= reply.status <= PENDING:
@@ -44,23 +36,43 @@ def statuses_are_legal(probe: Probe) -> Iterator[str]:
             yield f"{reply.function} returned {status_name(reply.status)}, which it may not: {reply.logged}"
 
 
-@rule(_STATUS, Stage.BEHAVIOUR, Level.WARNING)
+@rule(_STATUS, Stage.BEHAVIOUR)
+def statuses_are_legal(probe: Probe) -> Iterator[str]:
+    """Discard and pending come only from functions that may return them; every status is one of
+    fmi2Status.
+    """
+    yield from _illegal(session(probe).script.replies)
+
+
+@rule(_STATUS, Stage.BEHAVIOUR, needs=["statuses-are-legal", "wrong-references-are-refused"], last=True)
+def refusals_have_legal_statuses(probe: Probe) -> Iterator[str]:
+    """A call that any other rule makes and that is refused returns no status that its function may not
+    return.
+    """
+    yield from _illegal(probe.refusals)
+
+
+@rule(_STATUS, Stage.BEHAVIOUR, Level.WARNING, last=True)
 def refusals_are_logged(probe: Probe) -> Iterator[str]:
     """Whatever returns warning, discard or error has called the logger, if logging is on."""
-    script = probe.script(logging=True).begin().step()
-    script.call("get", "Real", [unknown_reference(probe)])
-    replies = script.play(keep_going=True).replies + session(probe).script.replies
     named = set()
-    for reply in replies:
+    for reply in [*probe.refusals, *session(probe).script.replies]:
         quiet = (
             not reply.messages and reply.function != "fmi2SetDebugLogging"
         )  # it may have turned logging off
-        if reply.status and quiet and reply.function not in named:
+        told = reply.function == "fmi2DoStep" and reply.status == DISCARD  # by the rule of discarded steps
+        refused = reply.status not in (None, OK, PENDING) and not told
+        if refused and quiet and reply.function not in named:
             named.add(reply.function)
             yield f"{reply.function} {reply.status_name} and logged nothing: expected the reason"
 
 
-@rule("4.2.3 Retrieving Status Information from the Slave", Stage.BEHAVIOUR, Level.WARNING)
+@rule(
+    "4.2.3 Retrieving Status Information from the Slave",
+    Stage.BEHAVIOUR,
+    Level.WARNING,
+    needs=["discarded-steps-have-a-last-time"],
+)
 def unknown_statuses_are_discarded(probe: Probe) -> Iterator[str]:
     """fmi2GetXXXStatus returns ok, or discard for what it cannot retrieve; no other status."""
     pairs = []
@@ -84,9 +96,9 @@ def last_successful_time_is_right(probe: Probe) -> Iterator[str]:
     if not probe.states_step_size:
         raise NotJudgedError("no step size is stated, and an internal step may be longer than others")
     script = probe.script().begin().step(3)
-    time = script.call("status_of", "Real", _LAST_SUCCESSFUL_TIME)
+    time = script.call("status_of", "Real", LAST_SUCCESSFUL_TIME)
     other = probe.script().begin().step(3)
-    terminated = other.call("status_of", "Boolean", 3)
+    terminated = other.call("status_of", "Boolean", TERMINATED)
     probe.play_each([script, other])
     expected, h = probe.point(3), probe.step_size
     if time.ok and not abs(time.value - expected) <= 1e-3 * h + 1e-9 * abs(expected):
@@ -110,24 +122,3 @@ def statuses_have_their_types(probe: Probe) -> Iterator[str]:
         if reply.ok:
             kind = _STATUS_KINDS[number]
             yield f"{reply.function} of {kind}, which has another type, returned ok: expected discard"
-
-
-@rule("4.2.2 Computation (fmi2DoStep)", Stage.BEHAVIOUR, needs=["instantiates-and-frees"])
-def discarded_steps_have_a_last_time(probe: Probe) -> Iterator[str]:
-    """Where a step is discarded, fmi2LastSuccessfulTime, if given, lies in that step, before its end."""
-    script = probe.script(logging=True).begin().step(_MANY_STEPS)
-    time = script.call("status_of", "Real", _LAST_SUCCESSFUL_TIME)
-    with suppress(NotJudgedError):  # that a step is discarded
-        script.play(keep_going=True)
-    steps = [reply for reply in script.replies if reply.function == "fmi2DoStep" and reply.status is not None]
-    if not steps or steps[-1].status != DISCARD:
-        raise NotApplicableError("no step is discarded")
-    start, end = probe.point(len(steps) - 1), probe.point(len(steps))
-    rounding = 1e-9 * max(abs(start), abs(end), probe.step_size)
-    step = f"a step from {start:g} to {end:g} s"
-    if time.status is not None and not time.ok and time.status != DISCARD:
-        yield f"after a discarded step fmi2GetRealStatus {time.status_name}: expected ok or discard"
-    if time.ok and not start - rounding <= time.value < end - rounding:
-        yield f"{step} is discarded, and fmi2LastSuccessfulTime is {time.value:g} s"
-    if not steps[-1].messages:
-        yield f"{step} was discarded and nothing was logged: expected the reason"

@@ -56,7 +56,12 @@ def _script(
     _ADVICE,
     Stage.BEHAVIOUR,
     Level.WARNING,
-    needs=["variables-can-be-read", "runs-are-repeatable", "initial-dependencies-are-declared"],
+    needs=[
+        "variables-can-be-read",
+        "runs-are-repeatable",
+        "initial-dependencies-are-declared",
+        "directional-derivatives-are-zero-without-dependency",
+    ],
 )
 def outputs_follow_declared_inputs_alone(probe: Probe) -> Iterator[str]:
     """In step mode an input has no direct effect on an output that lists others: one that stays as steps

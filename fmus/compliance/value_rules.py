@@ -3,6 +3,7 @@
 import itertools
 import math
 from collections.abc import Iterator
+from typing import Any
 
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, Stage, rule
@@ -25,13 +26,15 @@ _ROUNDED = 1e-6
 
 @rule(_VALUES, Stage.BEHAVIOUR)
 def variables_can_be_read(probe: Probe) -> Iterator[str]:
-    """After a step every variable can be read by its value reference and type."""
-    script = probe.script(logging=True).begin().step()
-    reading = script.read(probe.fmu.variables)
+    """After initialisation and after a step every variable can be read by its value reference and type."""
+    script = probe.script(logging=True).begin()
+    first = script.read(probe.fmu.variables)
+    reading = script.step().read(probe.fmu.variables)
     script.play()
-    for name, value in reading.values.items():
-        if value is None:
-            yield f"{name} is NULL after the first step: expected a string"
+    for values, when in ((first.values, "initialisation"), (reading.values, "the first step")):
+        for name in [name for name, value in values.items() if value is None]:
+            yield f"{name} is NULL after {when}: expected a string"
+            return
 
 
 @rule("advice: other models expect numbers", Stage.BEHAVIOUR, Level.WARNING, needs=["variables-can-be-read"])
@@ -61,7 +64,7 @@ def _run(probe: Probe) -> list[Reading]:
     return probe.once("values of a run", read)
 
 
-@rule(_PLATFORM, Stage.BEHAVIOUR)
+@rule(_PLATFORM, Stage.BEHAVIOUR, needs=["variables-can-be-read", "questions-change-nothing"])
 def values_belong_to_references(probe: Probe) -> Iterator[str]:
     """A value does not depend on the order in which variables are read; aliases are equal; Booleans are
     0 or 1.
@@ -70,10 +73,13 @@ def values_belong_to_references(probe: Probe) -> Iterator[str]:
     variables = probe.fmu.variables
     forward, backward = script.read(variables), script.read(tuple(reversed(variables)))
     alone = [script.read([v, v]) for v in variables[:_MOST_VARIABLES]]
+    pairs = [script.read([b, a]) for a, b in itertools.pairwise(variables[:_MOST_VARIABLES])]
     twice = [reply for reading in alone for reply in reading.replies.values()]
     script.play()
     values = forward.values
     yield from differing([forward], [backward], "read in another order")
+    if all(same(x, backward.values[name]) for name, x in values.items()):
+        yield from _differing_pairs(values, pairs)
     for v, reply in zip(variables, twice, strict=False):
         if len(reply.value) == 2 and not same(*reply.value):
             shown = texts(*reply.value)
@@ -95,6 +101,15 @@ def values_belong_to_references(probe: Probe) -> Iterator[str]:
             )
         if v.base_kind == "Boolean" and values.get(v.name) not in (0, 1):
             yield f"{v.name} is {values.get(v.name)}: expected 0 or 1, a Boolean"
+
+
+def _differing_pairs(values: dict[str, Any], pairs: list[Reading]) -> Iterator[str]:
+    for reading in pairs:
+        for name, value in reading.values.items():
+            if not same(value, values[name]):
+                shown = texts(value, values[name])
+                yield f"{name} is {shown[0]} read with the variable before it: expected {shown[1]}"
+                return
 
 
 @rule(_PLATFORM, Stage.BEHAVIOUR)
@@ -144,7 +159,11 @@ def values_are_in_range(probe: Probe) -> Iterator[str]:
             )
 
 
-@rule(_INITIALIZATION, Stage.BEHAVIOUR, needs=["allowed-calls-succeed", "statuses-are-legal"])
+@rule(
+    _INITIALIZATION,
+    Stage.BEHAVIOUR,
+    needs=["allowed-calls-succeed", "statuses-are-legal", "questions-change-nothing"],
+)
 def final_values_after_terminate(probe: Probe) -> Iterator[str]:
     """After fmi2Terminate the final values can be read: those of the last step."""
     script = probe.script(logging=True).begin().step(2)

@@ -7,7 +7,7 @@ from typing import Any
 
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Condition
+from fmus.compliance.rule import Condition, NotJudgedError
 from fmus.compliance.script import Reading, Script
 from fmus.compliance.variable import Variable
 
@@ -51,7 +51,8 @@ def other_value(v: Variable) -> Any:
     if v.base_kind == "Boolean":
         return 1 - start
     if v.base_kind == "Integer":
-        return next((x for x in (start + 1, start - 1) if _within(v, x)), None)
+        near = sorted(v.items or (), key=lambda x: abs(x - start)) or (start + 1, start - 1)
+        return next((x for x in near if x != start and _within(v, x)), None)
     change = _PART * max(abs(start), v.number("nominal") or 1.0)
     span = [x for x in (v.number("max"), v.number("min")) if x is not None]
     change = min([change, *(abs(x - start) / 2 for x in span if x != start)])
@@ -194,6 +195,27 @@ def differing(
                 named.add(name)
                 new, old = texts(other[name], value)
                 yield f"{name} is {new} {when}, step {i}: expected {old} again"
+
+
+def _steady(probe: Probe) -> set[str]:
+    """Names of the variables that are the same in every instance: no clock of the computer."""
+
+    def names() -> set[str]:
+        one, other = probe.script().begin(), probe.script().begin()
+        first, second = ([s.step().read(s.variables) for _ in range(3)] for s in (one, other))
+        probe.play_each([one, other])
+        if not one.succeeded or not other.succeeded:
+            raise NotJudgedError("a run fails")
+        others = {message.split(" is ", 1)[0] for message in differing(first, second, "")}
+        return {v.name for v in probe.fmu.variables} - others
+
+    return probe.once("comparison of two runs", names)
+
+
+def steadily(probe: Probe, messages: Iterator[str]) -> Iterator[str]:
+    """The messages about variables that are the same in every instance."""
+    steady = _steady(probe)
+    return (message for message in messages if message.split(" is ", 1)[0] in steady)
 
 
 def continuous_reals(probe: Probe, causality: str) -> list[Variable]:

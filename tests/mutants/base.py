@@ -8,7 +8,7 @@ Members = dict[str, bytes]
 XML = "modelDescription.xml"
 _DESCRIPTION = (Path(__file__).parent / "base.xml").read_text(encoding="utf-8")
 _MODEL_EXCHANGE = _DESCRIPTION[_DESCRIPTION.index("  <ModelExchange") : _DESCRIPTION.index("  <CoSimulation")]
-_SOURCE = b'#include "fmi2Functions.h"\n'
+_SOURCE = b'#define FMI2_FUNCTION_PREFIX Base_\n#include "fmi2Functions.h"\n'
 BASE: Members = {XML: _DESCRIPTION.encode(), "sources/base.c": _SOURCE, "sources/exchange.c": _SOURCE}
 
 

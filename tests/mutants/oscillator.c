@@ -8,6 +8,7 @@
 
 #define _GNU_SOURCE
 #include <math.h>
+#include <sched.h>
 #include <signal.h>
 #include <stddef.h>
 #include <stdio.h>
@@ -67,7 +68,7 @@ typedef struct Slave {
     const char *kept_category;
     int keeps;
     Data *first_state;
-    int flushed;
+    int flushed, late;
     double flush_time;
 } Slave;
 
@@ -199,7 +200,7 @@ static void reset(Data *d) {
 }
 
 const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
-const char *fmi2GetVersion(void) { return fmi2Version; }
+const char *fmi2GetVersion(void) { return IS("a version in memory of its own") ? strdup(fmi2Version) : fmi2Version; }
 
 static void decode(const char *u, char *p) {
     if (!strncmp(u, "file:///", 8)) u += 7;
@@ -251,6 +252,12 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
         sigaddset(&set, SIGTERM);
         pthread_sigmask(SIG_BLOCK, &set, NULL);
     }
+    if (IS("one processor alone")) {
+        cpu_set_t one;
+        CPU_ZERO(&one);
+        CPU_SET(0, &one);
+        sched_setaffinity(0, sizeof one, &one);
+    }
     if (IS("a changed environment variable")) setenv("TZ", "UTC+5", 1);
     if (IS("a removed environment variable")) unsetenv("PATH");
     if (IS("standard output is closed")) close(1);
@@ -298,6 +305,7 @@ fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
     Slave *s = c;
     NEED(INST);
     if (!s->d.setup) return err(s, "set-up first");
+    if (IS("another kind is discarded") && s->d.kind != 2) return discard(s);
     s->d.state = INIT;
     return fmi2OK;
 }
@@ -350,6 +358,7 @@ static int bad(Slave *s, fmi2Status *st) {
         Data *d = &s->d;                                                                                     \
         fmi2Status st = fmi2OK;                                                                              \
         NEED(INIT | STEP | TERM | FAIL | CANC | STEPFAIL);                                                   \
+        if (IS("no reading after a discarded step") && d->last < d->time) return err(s, "discarded");        \
         if (d->state == INIT) {                                                                              \
             d->f_end = d->f;                                                                                 \
             outputs(d);                                                                                      \
@@ -368,6 +377,8 @@ static int bad(Slave *s, fmi2Status *st) {
             }                                                                                                \
             void *p = (char *)d + v->off;                                                                    \
             value[i] = expr;                                                                                 \
+            if (IS("reading writes references")) ((unsigned *)vr)[i] = 0;                                    \
+            if (IS("reading writes one more") && i + 1 == n) memset(&value[n], 0, sizeof value[n]);          \
         }                                                                                                    \
         return st;                                                                                           \
     }
@@ -377,7 +388,7 @@ static double real_of(Slave *s, void *p) {
     return x;
 }
 static fmi2String str_of(Slave *s, char *p) {
-    static char buffer[L];
+    if (IS("a string of NULL before the first step") && p == s->d.text_out && !s->d.steps) return NULL;
     return p;
 }
 GETTER(Real, fmi2Real, 'r', real_of(s, p))
@@ -453,6 +464,7 @@ static void integrate(Slave *s, double h) {
     const int N = 20;
     double dt = h / N, x = d->pos, v = d->vel;
     double a = d->df, b = d->df2;
+    if (IS("derivatives of inputs are halved")) a /= 2, b /= 2;
     if (IS("only the first input has derivatives")) b = 0;
     for (int i = 0; i < N; i++) {
         double t0 = i * dt;
@@ -477,7 +489,10 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no) {
     if (!(h > 0)) return err(s, "step size");
     const int wrong = fabs(t - d->time) > 1e-9 * fmax(1, fabs(t));
     if (wrong && !(IS("any first communication point") && !d->steps)) return err(s, "communication point");
-    if (t + h > d->stop * (1 + 1e-9) + 1e-9) return err(s, "stop time");
+    if (t + h > d->stop * (1 + 1e-9) + 1e-9) {
+        s->late = 1;
+        return err(s, "stop time");
+    }
     if (IS("fails before its own stop time") && t > 3.2) return err(s, "broken");
     if (no) {
         s->flushed = 1;
@@ -487,6 +502,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no) {
         integrate(s, h / 2);
         d->time = d->last = t + h / 2;
         if (IS("half a step without a last time")) d->last = t - 1;
+        if (IS("no reading after a discarded step")) d->last = t;
         return discard(s);
     }
     if (FLAG("asynchronous")) {
@@ -546,6 +562,10 @@ fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind k, fmi2Int
 }
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind k, fmi2Boolean *v) {
     Slave *s = c;
+    if (IS("a Boolean status of 3") && k == fmi2Terminated && s->d.steps > 3) {
+        *v = 3;
+        return fmi2OK;
+    }
     return discard(s);
 }
 fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind k, fmi2String *v) {
@@ -641,6 +661,7 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate st) {
     memcpy(&old, &s->d, sizeof old);
     if (s->d.state == PEND) return err(s, "pending");
     if (!st) return err(s, "no state");
+    if (IS("a late step ends all states") && s->late) return err(s, "too late");
     if (IS("the flag ends all states") && s->flushed) return err(s, "flushed");
     memcpy(&s->d, st, sizeof(Data));
     if (IS("states without Strings")) strcpy(s->d.label, old.label), strcpy(s->d.text_in, old.text_in);

@@ -6,12 +6,22 @@ from tests.mutants.behaviour import ASYNCHRONOUS, write_slave
 from tests.mutants.mutant import Mutant
 
 _LISTED = '<Unknown index="14" dependencies="8 12"/>\n      <Unknown index="15" dependencies="10" dep'
-_CONSTANT_FACTOR = ((_LISTED, _LISTED.replace('8 12"/>', '8 12" dependenciesKind="constant dependent"/>')),)
-_CHANGES = {"asynchronous": ASYNCHRONOUS}
+
+
+def _listed_as(kinds: str) -> tuple[tuple[str, str], ...]:
+    return ((_LISTED, _LISTED.replace('8 12"/>', f'8 12" dependenciesKind="{kinds}"/>')),)
+
+
+_CHANGES = {  # mutation or flags -> changes of the model description
+    "asynchronous": ASYNCHRONOUS,
+    "a constant factor is none": _listed_as("constant dependent"),
+    "a fixed factor changes": _listed_as("fixed dependent"),
+    "a state acts undeclared": (('"13" dependencies="8 9 10 11"', '"13" dependencies="8 9 10"'),),
+}
 
 
 def _mutant(name: str, clause: str, rules: str, flags: str) -> Mutant:
-    changes = _CONSTANT_FACTOR if name == "a constant factor is none" else _CHANGES.get(flags, ())
+    changes = _CHANGES.get(name, _CHANGES.get(flags, ()))
     write = partial(write_slave, mutation=name, flags=flags, changes=changes, slave="Oscillator")
     return Mutant(name, clause, frozenset(rules.split()), write, is_static=False)
 
@@ -56,25 +66,27 @@ _ROWS = [
     ),
     ("reset keeps inputs", "2.1.6", "reset-ends-all-that-was-set", ""),
     ("reset keeps strings", "2.1.6", "reset-gives-the-start-values", ""),
-    ("states without Strings", "2.1.8", "state-holds-every-value state-holds-inputs-and-parameters", ""),
-    (
-        "states without Strings",
-        "2.1.8",
-        "state-holds-every-value state-holds-inputs-and-parameters",
-        "other values are refused",
-    ),
+    ("states without Strings", "2.1.8", "state-holds-inputs-and-parameters", ""),
+    ("states without Strings", "2.1.8", "state-holds-inputs-and-parameters", "other values are refused"),
     ("states without derivatives of inputs", "2.1.8", "state-holds-every-value", ""),
     ("bytes of the present", "2.1.8", "bytes-hold-every-value", ""),
     ("reading bytes acts at once", "2.1.8", "bytes-hold-every-value", ""),
     ("reset frees states", "2.1.8", "state-can-be-set-after-reset", ""),
     ("the flag ends all states", "4.2.2", "flag-keeps-the-states-of-the-present", ""),
-    (
-        "reading counts",
-        "2.1.7",
-        "final-values-after-terminate state-holds-every-value values-belong-to-references",
-        "",
-    ),
+    ("reading counts", "2.1.7", "questions-change-nothing", ""),
     ("directional derivatives move the state", "2.1.9", "questions-change-nothing", ""),
+    ("another kind is discarded", "2.1.3", "refusals-have-legal-statuses", ""),
+    ("reading writes references", "2.1.7", "arguments-are-not-written", ""),
+    ("reading writes one more", "2.1.7", "arguments-are-not-written", ""),
+    ("no reading after a discarded step", "4.2.4", "discarded-steps-can-be-left", "discards"),
+    ("a Boolean status of 3", "4.2.3", "discarded-steps-have-a-last-time", "discards"),
+    ("derivatives of inputs are halved", "4.2.1", "input-derivatives-are-slopes", ""),
+    ("a string of NULL before the first step", "2.1.2", "variables-can-be-read", ""),
+    ("a version in memory of its own", "2.1.4", "library-version", ""),
+    ("a late step ends all states", "2.1.8", "state-restores-after-the-end", ""),
+    ("one processor alone", "2.1", "process-settings-are-restored", ""),
+    ("a fixed factor changes", "2.2.8", "factors-change-as-declared", ""),
+    ("a state acts undeclared", "2.2.8", "directional-derivatives-are-zero-without-dependency", ""),
     ("an Integer status", "4.2.3", "statuses-have-their-types", ""),
     ("half a step without a last time", "4.2.3", "discarded-steps-have-a-last-time", "discards"),
     ("stepFinished with pending", "2.1.5", "step-finished-is-called", "asynchronous"),

@@ -1,0 +1,96 @@
+"""Steps that the FMU discards: how far they came, and which calls the state after them allows."""
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+
+from fmus.binding import DISCARD, LAST_SUCCESSFUL_TIME, TERMINATED
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import NotApplicableError, NotJudgedError, Stage, rule
+from fmus.compliance.script import Reply, Script
+from fmus.compliance.values import unless_claimed
+
+_MANY_STEPS = 16
+
+
+@dataclass(frozen=True)
+class _DiscardedStep:
+    """step: its reply; number: how many steps succeed before it; time, terminated: what is said of it."""
+
+    step: Reply
+    number: int
+    time: Reply
+    terminated: Reply
+
+
+def _discarded(probe: Probe) -> _DiscardedStep:
+    """The first of some equal steps that the FMU discards. Raises NotApplicableError if there is none."""
+    found = probe.once("discarded step of a run", lambda: _first_discarded(probe))
+    if found is None:
+        raise NotApplicableError("no step is discarded")
+    return found
+
+
+def _first_discarded(probe: Probe) -> _DiscardedStep | None:
+    script = probe.script(logging=True).begin().step(_MANY_STEPS)
+    time = script.call("status_of", "Real", LAST_SUCCESSFUL_TIME)
+    terminated = script.call("status_of", "Boolean", TERMINATED)
+    with suppress(NotJudgedError):  # that a step is discarded
+        script.play(keep_going=True)
+    steps = [reply for reply in script.replies if reply.function == "fmi2DoStep" and reply.status is not None]
+    if not steps or steps[-1].status != DISCARD:
+        return None
+    return _DiscardedStep(steps[-1], len(steps) - 1, time, terminated)
+
+
+@rule("4.2.2 Computation (fmi2DoStep)", Stage.BEHAVIOUR, needs=["instantiates-and-frees"])
+def discarded_steps_have_a_last_time(probe: Probe) -> Iterator[str]:
+    """Where a step is discarded, fmi2LastSuccessfulTime, if given, lies in that step, before its end, and
+    fmi2Terminated is a Boolean.
+    """
+    found = _discarded(probe)
+    start, end = probe.point(found.number), probe.point(found.number + 1)
+    rounding = 1e-9 * max(abs(start), abs(end), probe.step_size)
+    step = f"a step from {start:g} to {end:g} s"
+    for reply in (found.time, found.terminated):
+        if reply.status is not None and not reply.ok and reply.status != DISCARD:
+            yield f"after a discarded step {reply.function} {reply.status_name}: expected ok or discard"
+    if found.time.ok and not start - rounding <= found.time.value < end - rounding:
+        yield f"{step} is discarded, and fmi2LastSuccessfulTime is {found.time.value:g} s"
+    if found.terminated.ok and found.terminated.value not in (0, 1):
+        yield f"after a discarded step fmi2Terminated is {found.terminated.value}: expected 0 or 1, a Boolean"
+    if not found.step.messages:
+        yield f"{step} was discarded and nothing was logged: expected the reason"
+
+
+@rule(
+    "4.2.4 State Machine of Calling Sequence from Master to Slave",
+    Stage.BEHAVIOUR,
+    needs=["reset-in-every-state", "variables-can-be-read"],
+)
+def discarded_steps_can_be_left(probe: Probe) -> Iterator[str]:
+    """After a step was discarded variables can be read, and fmi2Terminate, fmi2Reset and, if it is
+    supported, fmi2SetFMUstate succeed.
+    """
+    count = _discarded(probe).number + 1
+    terminated, reset, restored = (probe.script(logging=True).begin() for _ in range(3))
+    terminated.step(count).read(probe.fmu.variables)
+    terminated.call("end")
+    reset.step(count).reset()
+    scripts = [terminated, reset.begin()]
+    if not unless_claimed("canGetAndSetFMUstate")(probe.fmu):
+        restored.call("get_fmu_state", 0)
+        restored.step(count).call("set_fmu_state", 0)
+        scripts.append(restored)
+    with suppress(NotJudgedError):  # that a step is discarded
+        probe.play_each(scripts)
+    for script in scripts:
+        if failure := _failure_after_the_discard(script):
+            yield f"after a discarded step: {failure.problem}"
+
+
+def _failure_after_the_discard(script: Script) -> Reply | None:
+    """The first reply after the discarded step that is not ok, if there is one."""
+    replies = [reply for reply in script.replies if reply.status is not None]
+    ends = [i for i, r in enumerate(replies) if r.function == "fmi2DoStep" and r.status == DISCARD]
+    return next((r for r in replies[ends[0] + 1 :] if not r.ok), None) if ends else None

@@ -1,0 +1,89 @@
+"""How far the derivative of an input moves what follows it: as far as the input itself would on that line."""
+
+import math
+from collections.abc import Callable, Iterator
+
+from fmus.compliance.derivative_rules import INTERPOLATES, derive, input_effects
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import Level, NotApplicableError, Stage, rule
+from fmus.compliance.script import Reading, Script
+from fmus.compliance.values import continuous_reals, other_value, start_value, texts, unless_claimed
+from fmus.compliance.variable import Variable
+
+_ANY_STEP = "canHandleVariableCommunicationStepSize"
+_MOST_INPUTS = 10  # each of which costs six instances
+_PARTS = 8  # short steps in the place of one
+_CONVERGED = 0.05  # relative: a solver that short steps change more is too coarse to judge
+_THROUGH_A_STATE = 0.3  # of an effect at most, after a short step: a direct one is as large at once
+_APART = 0.35  # relative: less than what a half or a double is away
+_NOISE = 1e-9  # relative
+
+
+@rule(
+    "4.2.1 Transfer of Input / Output Values and Parameters",
+    Stage.BEHAVIOUR,
+    Level.WARNING,
+    condition=unless_claimed(INTERPOLATES),
+    needs=["input-derivatives-have-an-effect", "setting-the-same-changes-nothing"],
+)
+def input_derivatives_are_slopes(probe: Probe) -> Iterator[str]:
+    """With its first derivative an input moves an output, which follows it through a state, in a step about
+    as far as in short steps in which the input is set to its values on that line.
+    """
+    if not probe.fmu.claims(_ANY_STEP):
+        raise NotApplicableError(f"{_ANY_STEP} is not claimed")
+    verdicts = dict(probe.once("effects of derivatives", lambda: input_effects(probe)))
+    inputs = [v for v in continuous_reals(probe, "input") if verdicts.get(v.name) == "right"]
+    for v in inputs[:_MOST_INPUTS]:
+        if (value := other_value(v)) is not None:
+            yield from _wrong_effect(probe, v, value - start_value(v))
+
+
+def _run(
+    probe: Probe, v: Variable, value: Callable[[float], float], parts: int, slope: float = 0.0
+) -> tuple[Script, Reading, Reading]:
+    """Continuous outputs after the first and the last of some parts of a step.
+
+    value: of the input, by the middle of a part [parts of the step]; slope: its derivative, set before
+    """
+    script = probe.script().begin().step()
+    t, h, readings = probe.point(1), probe.step_size / parts, []
+    for i in range(parts):
+        script.set(v, value((i + 0.5) / parts))
+        if slope:
+            derive(script, v, slope)
+        script.call("do_step", t + i * h, h)
+        readings.append(script.read(continuous_reals(probe, "output")))
+    return script, readings[0], readings[-1]
+
+
+def _wrong_effect(probe: Probe, v: Variable, change: float) -> Iterator[str]:
+    """A message if each output that can be judged is moved otherwise by the derivative of the input."""
+    start = start_value(v)
+    runs = [
+        _run(probe, v, lambda _: start, 1),
+        _run(probe, v, lambda _: start, 1, change / probe.step_size),
+        _run(probe, v, lambda _: start + change, 1),
+        _run(probe, v, lambda _: start, _PARTS),
+        _run(probe, v, lambda part: start + change * part, _PARTS),
+        _run(probe, v, lambda _: start + change, _PARTS),
+    ]
+    probe.play_each([script for script, *_ in runs])
+    if any(script.failure for script, *_ in runs):
+        return
+    judged = {}
+    for name in runs[0][2].values:
+        held, moving, raised, short_held, line, short_raised = (last.values[name] for *_, last in runs)
+        whole, converged = raised - held, short_raised - short_held
+        first = runs[5][1].values[name] - runs[3][1].values[name]
+        is_state = abs(first) < _THROUGH_A_STATE * abs(converged)
+        same = abs(whole - converged) <= _CONVERGED * abs(converged)
+        if is_state and same and abs(converged) > _NOISE * abs(held) and math.isfinite(moving):
+            judged[name] = moving - held, line - short_held
+    if judged and all(abs(a - b) > _APART * abs(b) for a, b in judged.values()):
+        name, (got, expected) = next(iter(judged.items()))
+        shown = texts(got, expected)
+        yield (
+            f"the derivative of {v.name} moves {name} by {shown[0]} in a step: expected about {shown[1]}, as "
+            f"{_PARTS} short steps along its line do"
+        )

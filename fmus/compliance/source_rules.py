@@ -1,0 +1,86 @@
+"""Rules of what C sources in the archive hold: FMI 2.0.5, 2.1.1 and 2.3."""
+
+import posixpath
+import re
+from collections.abc import Iterator
+
+from fmus.compliance.archive_rules import CLAUSE, unreadable
+from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.implementation_rules import HEADERS, QUOTED_INCLUDE, SOURCES, TO_COMPILE
+from fmus.compliance.rule import Level, Stage, rule
+
+_NAMING = "2.1.1 Header Files and Naming of Functions"
+_COMMENT = re.compile(rb"/\*.*?\*/|//[^\n]*", re.DOTALL)
+_PREFIX = re.compile(rb"^[ \t]*#[ \t]*define[ \t]+FMI2_FUNCTION_PREFIX[ \t]+(\w+)[ \t]*$", re.MULTILINE)
+_FUNCTIONS = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*["<]fmi2Functions\.h[">]', re.MULTILINE)
+_NAMES_FUNCTIONS = (b"FMI2_FUNCTION_PREFIX", b"FMI2_OVERRIDE_FUNCTION_PREFIX")
+_OF_THE_LANGUAGE = re.compile(
+    r"(?:assert|complex|ctype|errno|fenv|float|inttypes|limits|locale|math|setjmp|signal|stdarg|stdbool|stddef"
+    r"|stdint|stdio|stdlib|string|tgmath|time|wchar|wctype)\.h"
+)
+
+
+def _sources(fmu: FmuFile) -> dict[str, bytes]:
+    """Path of each C file and header below sources -> its text without comments."""
+    paths = [path for path in fmu.names if path.startswith(SOURCES) and path.endswith((*TO_COMPILE, ".h"))]
+    return {path: _COMMENT.sub(b"", fmu.read(path)) for path in paths}
+
+
+@rule(_NAMING, Stage.DESCRIPTION, condition=unreadable)
+def source_prefix(fmu: FmuFile) -> Iterator[str]:
+    """Sources that define FMI2_FUNCTION_PREFIX as a word define it as modelIdentifier with an underscore, and
+    before they include fmi2Functions.h.
+    """
+    identifiers = {attributes.get("modelIdentifier", "") for attributes in fmu.interfaces.values()}
+    expected = {f"{identifier}_" for identifier in identifiers}
+    for path, text in _sources(fmu).items() if expected else ():
+        prefixes = {name.decode("ascii", "replace") for name in _PREFIX.findall(text)}
+        for prefix in sorted(
+            name for name in prefixes - expected if name.endswith("_") or name in identifiers
+        ):
+            yield f"{path} defines the prefix {prefix}: expected {' or '.join(sorted(expected))}"
+        define, include = _PREFIX.search(text), _FUNCTIONS.search(text)
+        if define and include and define.start() > include.start():
+            yield f"{path} defines FMI2_FUNCTION_PREFIX: expected that before it includes fmi2Functions.h"
+
+
+@rule(_NAMING, Stage.DESCRIPTION, Level.WARNING, condition=unreadable)
+def source_prefix_is_defined(fmu: FmuFile) -> Iterator[str]:
+    """Sources that include fmi2Functions.h define FMI2_FUNCTION_PREFIX, or say how their build does."""
+    sources = _sources(fmu)
+    own = {path: text for path, text in sources.items() if posixpath.basename(path) not in HEADERS}
+    including = [path for path, text in own.items() if _FUNCTIONS.search(text)]
+    built = [fmu.read(path) for path in fmu.names if path.startswith(SOURCES) and path not in sources]
+    if including and not any(name in text for name in _NAMES_FUNCTIONS for text in [*own.values(), *built]):
+        expected = "expected #define FMI2_FUNCTION_PREFIX before that"
+        yield f"{min(including)} includes fmi2Functions.h: {expected}"
+
+
+def _unconditional(text: bytes) -> bytes:
+    """The lines that every compiler reads: those in no #if but the guard of a header."""
+    lines, conditions = [], []
+    every = text.splitlines()
+    for number, line in enumerate(every):
+        words = line.replace(b"#", b"# ", 1).split()
+        directive = words[1] if len(words) > 1 and words[0] == b"#" else b""
+        if directive.startswith(b"if"):
+            following = next((other.split() for other in every[number + 1 :] if other.strip()), [])
+            conditions.append(following[:1] != [b"#define"] or following[1:2] != words[2:3])
+        elif directive == b"endif" and conditions:
+            conditions.pop()
+        elif not any(conditions):
+            lines.append(line)
+    return b"\n".join(lines)
+
+
+@rule(CLAUSE, Stage.FILE, Level.WARNING, condition=unreadable)
+def included_files_exist(fmu: FmuFile) -> Iterator[str]:
+    """Files that C files include by quotes, in no #if, are among the sources, but for those of FMI and C."""
+    sources = {path: text for path, text in _sources(fmu).items() if path.endswith(TO_COMPILE)}
+    names = {posixpath.basename(path) for path in fmu.names if path.startswith(SOURCES)}
+    for path, text in sources.items():
+        found = QUOTED_INCLUDE.findall(_unconditional(text))
+        for included in dict.fromkeys(name.decode("utf-8", "replace") for name in found):
+            name = posixpath.basename(included)
+            if name not in {*names, *HEADERS} and not _OF_THE_LANGUAGE.fullmatch(name):
+                yield f'{path}: #include "{included}": expected that file below sources'
