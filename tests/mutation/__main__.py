@@ -11,7 +11,6 @@ import signal
 import subprocess
 import tempfile
 import time
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -24,15 +23,9 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from tests.mutation.collected import BrokenEnvironmentError, CollectedTests
 from tests.mutation.mutants import Mutant, chosen, mutants_of
-from tests.mutation.verdict import (
-    SURVIVED,
-    TIME_LIMIT,
-    BrokenEnvironmentError,
-    CollectedTests,
-    check_killers,
-    verdict,
-)
+from tests.mutation.verdict import KILLED_BY, SAME_CODE, SURVIVED, TIME_LIMIT, Judge, check_killers
 
 _OF_THE_C_LAYER = (
     "small_block",
@@ -55,7 +48,7 @@ TESTS = {
     "orchestration/master": ["tests/orchestration/master", "tests/orchestration/fmi", "tests/closed_loop"],
 }
 _SOURCES = (".py", ".c", ".h")
-_TIMES_THE_BASELINE = 4.0  # after which the tests of a mutant are ended: it may never return
+_RECENT_S = 2.5  # after which a file that was copied counts as one that nobody changes
 
 
 def main(
@@ -65,12 +58,9 @@ def main(
     count: Annotated[int, typer.Option(help="Mutants a folder.", min=1)] = 110,
     seed: Annotated[int, typer.Option(help="Which mutants are drawn.")] = 1,
     workers: Annotated[int, typer.Option(help="Mutants at a time.", min=1)] = os.cpu_count() or 1,
-    limit: Annotated[
-        float | None,
-        typer.Option(
-            metavar="S", help="Longest time for a mutant; by default four times that without one.", min=1
-        ),
-    ] = None,
+    budget: Annotated[
+        float, typer.Option(metavar="S", help="CPU time of the tests that a mutant may meet.", min=1)
+    ] = 60.0,
     results: Annotated[Path, typer.Option(help="File of results.")] = Path("mutation.json"),
 ) -> None:
     """Count the mutants that the tests notice, and list the others; `verdict.py` says what counts."""
@@ -78,20 +68,21 @@ def main(
     verdicts: dict[str, str] = json.loads(results.read_text()) if results.exists() else {}
     with tempfile.TemporaryDirectory() as folder, Progress(console=Console(stderr=True)) as progress:
         copies = [_copy(Path(folder) / str(number) / "project") for number in range(workers)]
+        time.sleep(_RECENT_S)
         for room in rooms or TESTS:
             bar = progress.add_task(f"{room}: the tests without a mutant", total=None)
-            with ExitStack() as open_tests:
+            with ExitStack() as open_tests, ThreadPoolExecutor(workers) as pool:
                 try:
-                    judges = [
-                        (copy, open_tests.enter_context(CollectedTests(copy, TESTS[room]))) for copy in copies
+                    collected = [
+                        open_tests.enter_context(CollectedTests(copy, TESTS[room])) for copy in copies
                     ]
-                    seconds = limit or _TIMES_THE_BASELINE * _baseline(room, judges)
+                    measured, *_ = pool.map(CollectedTests.measured, collected, [room] * workers)
                     drawn = _drawn(room, count, seed)
                     progress.update(bar, description=room, total=len(drawn))
-                    for _ in _judged(drawn, judges, seconds, verdicts):
+                    for _ in _judged(drawn, collected, Judge(measured, budget), verdicts, pool):
                         progress.advance(bar)
                         _write(verdicts, results)
-                    check_killers(verdicts, room, judges[0][1], seconds)
+                    check_killers(verdicts, room, collected[0], measured)
                 except BrokenEnvironmentError as error:
                     _write(verdicts, results)
                     raise SystemExit(f"{room}: {error}; what is done is kept in {results}") from error
@@ -100,27 +91,26 @@ def main(
 
 def _judged(
     drawn: Sequence[Mutant],
-    judges: Sequence[tuple[Path, CollectedTests]],
-    seconds: float,
+    collected: Sequence[CollectedTests],
+    judge: Judge,
     verdicts: dict[str, str],
+    pool: ThreadPoolExecutor,
 ) -> Iterator[None]:
     """Judge the mutants that have no verdict, as many at a time as there are copies of the project."""
-    free: Queue[tuple[Path, CollectedTests]] = Queue()
-    for judge in judges:
-        free.put(judge)
+    free: Queue[CollectedTests] = Queue()
+    for tests in collected:
+        free.put(tests)
 
     def judge_one(mutant: Mutant) -> None:
-        content = mutant.path.read_text()
-        name = mutant.describe(content)
+        name = mutant.describe(mutant.path.read_text())
         if name not in verdicts:
-            copy, tests = free.get()
+            tests = free.get()
             try:
-                verdicts[name] = verdict(copy, mutant.path, mutant.source(content), tests, seconds)
+                verdicts[name] = judge.verdict(mutant, tests)
             finally:
-                free.put((copy, tests))
+                free.put(tests)
 
-    with ThreadPoolExecutor(len(judges)) as pool:
-        yield from pool.map(judge_one, drawn)
+    yield from pool.map(judge_one, drawn)
 
 
 def _write(verdicts: dict[str, str], results: Path) -> None:
@@ -146,29 +136,22 @@ def _drawn(room: str, count: int, seed: int) -> list[Mutant]:
     return chosen([mutant for path in files for mutant in mutants_of(path, path.read_text())], count, seed)
 
 
-def _baseline(room: str, judges: Sequence[tuple[Path, CollectedTests]]) -> float:
-    """How long [s] the tests of a folder take without a mutant; the quickest files run first from then on."""
-    (_, first), *others = judges
-    start = time.monotonic()
-    if test := first.first_failure():
-        raise SystemExit(f"{room}: {test} fails without a mutant")
-    for _, tests in others:
-        tests.files = first.files
-    return time.monotonic() - start
-
-
 def _print(verdicts: dict[str, str]) -> None:
-    table = Table("folder", "mutants", "killed", "of them by the time limit", "%")
+    table = Table("folder", "mutants", "the same machine code", "killed", "of them without end", "%")
     for room in TESTS:
-        counts = Counter(outcome for name, outcome in verdicts.items() if name.startswith(room))
-        total, killed = counts.total(), counts.total() - counts[SURVIVED]
-        if total:
-            numbers = (total, killed, counts[TIME_LIMIT], round(100 * killed / total))
+        outcomes = [outcome for name, outcome in verdicts.items() if name.startswith(room)]
+        same, survived, endless = (
+            sum(outcome.startswith(kind) for outcome in outcomes)
+            for kind in (SAME_CODE, SURVIVED, TIME_LIMIT)
+        )
+        if judged := len(outcomes) - same:
+            killed = judged - survived
+            numbers = len(outcomes), same, killed, endless, round(100 * killed / judged)
             table.add_row(room, *map(str, numbers))
     console = Console()
     console.print(table)
-    for name, outcome in verdicts.items():
-        if outcome in (SURVIVED, TIME_LIMIT):
+    for name, outcome in sorted(verdicts.items()):
+        if not outcome.startswith(KILLED_BY):
             console.print(f"{outcome}  {name}", highlight=False, soft_wrap=True)
 
 

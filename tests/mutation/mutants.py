@@ -63,9 +63,12 @@ class Mutant:
     def source(self, content: str) -> str:
         return content[: self.start] + self.replacement + content[self.end :]
 
+    def line(self, content: str) -> int:
+        return content.count("\n", 0, self.start) + 1
+
     def describe(self, content: str) -> str:
         """File, line, column, and what became what."""
-        line, column = content.count("\n", 0, self.start) + 1, self.start - content.rfind("\n", 0, self.start)
+        line, column = self.line(content), self.start - content.rfind("\n", 0, self.start)
         before = " ".join(content[self.start : self.end].split())
         return f"{self.path}:{line}:{column}: {before} -> {' '.join(self.replacement.split()) or 'nothing'}"
 
@@ -77,9 +80,21 @@ def mutants_of(path: Path, content: str) -> list[Mutant]:
 
 
 def chosen(mutants: list[Mutant], count: int, seed: int) -> list[Mutant]:
-    """`count` of them, drawn without regard to the file, in the order of the files."""
-    drawn = random.Random(seed).sample(mutants, min(count, len(mutants)))
-    return sorted(drawn, key=lambda mutant: (mutant.path, mutant.start, mutant.replacement))
+    """`count` of them, drawn without regard to the file, in an order by chance: fewer are a draw as well."""
+    drawn = list(mutants)
+    random.Random(seed).shuffle(drawn)
+    return drawn[:count]
+
+
+def statement_lines(content: str, line: int) -> range:
+    """The lines of the statement in Python that a line is in, without the statements in that."""
+    lines = range(line, line + 1)
+    for node in ast.walk(ast.parse(content)):  # those that are further inside come later
+        if isinstance(node, ast.stmt) and node.lineno <= line <= (node.end_lineno or 0):
+            inner: list[ast.stmt] = getattr(node, "body", [])
+            end = inner[0].lineno if inner else (node.end_lineno or 0) + 1
+            lines = range(node.lineno, max(end, node.lineno + 1)) if line < end else lines
+    return lines
 
 
 def _of_c(content: str) -> Iterator[tuple[int, int, str]]:

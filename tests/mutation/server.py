@@ -1,4 +1,4 @@
-"""A plugin of pytest: it collects the tests once, and runs them in a new process for each mutant.
+"""A plugin of pytest: it collects the tests once, and runs some of them in a new process for each mutant.
 
 So a mutant costs the tests that notice it, and not the imports and the collection of all. A mutant of Python
 is put into the functions that are imported already: mutants are within functions. The file has it too, for
@@ -11,7 +11,6 @@ import os
 import signal
 import sys
 import tempfile
-import time
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -21,8 +20,12 @@ from typing import Any
 
 import pytest
 
+from tests.mutation import measurement
+
 PIPES = "L1_DEPTH_MUTATION_PIPES"  # descriptors: requests are read from the first, answers go to the second
-NOTE, TIMES = "test-that-runs.txt", "times.json"
+NOTE, MEASURED = "test-that-runs.txt", "measured.json"
+_LEAST_S, _TIMES = 30.0, 20.0  # of CPU time; a test that takes longer and so many times as long never ends
+_WALL_PER_CPU = 10.0  # where other processes have the processors, or a test sleeps
 
 
 def pytest_runtestloop(session: pytest.Session) -> bool:
@@ -34,7 +37,6 @@ def pytest_runtestloop(session: pytest.Session) -> bool:
             pid = os.fork()
             if not pid:
                 _run(session, **json.loads(line))
-            print(pid, file=answers, flush=True)
             os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
             with suppress(ProcessLookupError, PermissionError):
                 os.killpg(pid, signal.SIGKILL)  # what the tests left behind, while the number is theirs
@@ -43,12 +45,12 @@ def pytest_runtestloop(session: pytest.Session) -> bool:
 
 
 def _run(
-    session: pytest.Session, folder: str, only: str, first: Sequence[str], files: Sequence[str], mutant: Any
+    session: pytest.Session, folder: str, seconds: Mapping[str, float], mutant: Any, measured: str
 ) -> None:
-    """Run the tests in a folder for temporary files, until one fails, and end the process.
+    """Run tests in a folder for temporary files, until one fails, and end the process.
 
-    only: the test to run; first: those to run before the others; files: with tests, in their order
-    mutant: path and content of a source in Python
+    seconds: of CPU time that each test takes without a mutant, in the order in which they run; by default all
+    mutant: path and content of a source in Python; measured: folder whose lines are noted for each test
     """
     status = 3
     try:
@@ -57,25 +59,33 @@ def _run(
         _move(Path(folder), session.config)
         if mutant:
             _put(*mutant)
-        items = [item for item in session.items if only in ("", item.nodeid)]
-        order = {name: index for index, name in enumerate(files)}
-        items.sort(key=lambda item: (item.nodeid not in first, order.get(_file(item), len(order))))
-        times: dict[str, float] = defaultdict(float)
-        for item, following in zip(items, [*items[1:], None], strict=True):
-            Path(folder, NOTE).write_text(item.nodeid)
-            start = time.monotonic()
-            item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
-            times[_file(item)] += time.monotonic() - start
-            if session.testsfailed:
-                break
-        Path(folder, TIMES).write_text(json.dumps(times))
+        items = [item for item in session.items if not seconds or item.nodeid in seconds]
+        order = {name: index for index, name in enumerate(seconds)}
+        items.sort(key=lambda item: order.get(item.nodeid, 0))
+        measuring = (
+            measurement.begin(session.config, measured, Path(folder, "lines.txt")) if measured else None
+        )
+        _run_until_failure(session, items, Path(folder), seconds)
+        if measuring:
+            tests = {name: (part.seconds, sorted(part.lines)) for name, part in measuring.tests.items()}
+            Path(folder, MEASURED).write_text(json.dumps(tests))
         status = int(bool(session.testsfailed or not items))
     finally:
         os._exit(status)
 
 
-def _file(item: pytest.Item) -> str:
-    return item.nodeid.partition("::")[0]
+def _run_until_failure(
+    session: pytest.Session, items: Sequence[pytest.Item], folder: Path, seconds: Mapping[str, float]
+) -> None:
+    for item, following in zip(items, [*items[1:], None], strict=True):
+        (folder / NOTE).write_text(item.nodeid)
+        if item.nodeid in seconds:
+            limit = max(_LEAST_S, _TIMES * seconds[item.nodeid])
+            signal.setitimer(signal.ITIMER_PROF, limit)  # of this process alone: it ends by a signal
+            signal.setitimer(signal.ITIMER_REAL, _WALL_PER_CPU * limit)
+        item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
+        if session.testsfailed:
+            break
 
 
 def _move(folder: Path, config: Any) -> None:
@@ -93,6 +103,7 @@ def _move(folder: Path, config: Any) -> None:
 
 def _put(path: str, content: str) -> None:
     """Give the functions of a file that is imported the code of other content."""
+    gc.unfreeze()  # else what was there after the collection of tests is not among the objects
     functions: Mapping[str, list[FunctionType]] = defaultdict(list)
     for candidate in gc.get_objects():
         if isinstance(candidate, FunctionType) and candidate.__code__.co_filename == path:
@@ -104,7 +115,8 @@ def _put(path: str, content: str) -> None:
         lines = sorted({function.__code__.co_firstlineno for function in own})
         if len(lines) == len(codes[name]):  # several of one name: a property and its setter
             for function in own:
-                function.__code__ = codes[name][lines.index(function.__code__.co_firstlineno)]
+                with suppress(ValueError):  # a mutant that uses fewer variables of the function around it
+                    function.__code__ = codes[name][lines.index(function.__code__.co_firstlineno)]
 
 
 def _codes(code: CodeType) -> Iterator[CodeType]:
