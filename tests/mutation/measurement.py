@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from resource import RUSAGE_CHILDREN, RUSAGE_SELF, getrusage
 from typing import Any
 
 import pytest
@@ -101,4 +102,5 @@ def begin(config: pytest.Config, folder: str, notes: Path) -> Measurement:
 
 def _cpu() -> float:
     """CPU time [s] of this process and of its children that have ended."""
-    return sum(os.times()[:4])
+    usages = map(getrusage, (RUSAGE_SELF, RUSAGE_CHILDREN))
+    return sum(usage.ru_utime + usage.ru_stime for usage in usages)
