@@ -28,10 +28,12 @@ class BrokenEnvironmentError(Exception):
 class Measured:
     """What the tests do without a mutant.
 
-    seconds: of CPU time, of each test; lines: (path in the project, line) -> the tests that execute it
+    seconds: of CPU time, of each test, with what it shares with others; own: without
+    lines: (path in the project, line) -> the tests that execute it
     """
 
     seconds: dict[str, float]
+    own: dict[str, float]
     lines: dict[tuple[str, int], set[str]]
 
 
@@ -83,16 +85,16 @@ class CollectedTests(AbstractContextManager["CollectedTests"]):
         self._make_folder()
         if self._failure({}, None, str(self.folder / room)):
             raise BrokenEnvironmentError(f"{self._note()} fails without a mutant")
-        seconds, lines = dict[str, float](), dict[tuple[str, int], set[str]]()
-        for test, (cost, executed) in json.loads((self._temporary / MEASURED).read_text()).items():
-            seconds[test] = cost
+        seconds, owned, lines = dict[str, float](), dict[str, float](), dict[tuple[str, int], set[str]]()
+        for test, (own, shared, executed) in json.loads((self._temporary / MEASURED).read_text()).items():
+            seconds[test], owned[test] = own + shared, own
             for file, line in executed:
                 lines.setdefault((str(Path(file).relative_to(self.folder)), line), set()).add(test)
         self._machine_code = _machine_code(self._temporary)
         shutil.rmtree(self._built, ignore_errors=True)
         shutil.move(self._temporary, self._built)
         _remove_all_but_fmus(self._built)
-        return Measured(seconds, lines)
+        return Measured(seconds, owned, lines)
 
     def first_failure(
         self, seconds: Mapping[str, float], mutant: tuple[Path, str] | None = None, again: bool = False

@@ -16,13 +16,17 @@ from tests.mutation.lines import FILE, FOLDER, Line, noted, trace, trace_this_pr
 
 @dataclass
 class Part:
-    """CPU time [s] of a part of a test, its child processes included, and the lines that it executes."""
+    """CPU time [s] of a part of a test, its child processes included, and the lines that it executes.
+
+    shared: CPU time of what is made once for several tests
+    """
 
     seconds: float = 0.0
+    shared: float = 0.0
     lines: set[Line] = field(default_factory=set)
 
-    def add(self, other: "Part") -> None:
-        self.seconds += other.seconds
+    def add_shared(self, other: "Part") -> None:
+        self.shared += other.seconds + other.shared
         self.lines |= other.lines
 
 
@@ -69,14 +73,14 @@ class Measurement:
         with self._measured() as part:
             result = yield
         for name in item.fixturenames:
-            part.add(self._shared.get(name, Part()))
+            part.add_shared(self._shared.get(name, Part()))
         self.tests[item.nodeid] = part
         return result
 
     def built_once(self, path: Path, build: Callable[[Path], Any]) -> Path:
         with self._measured() as part:
             result = _BUILT_ONCE(path, build)
-        self._current.add(self._shared.setdefault(path, part))
+        self._current.add_shared(self._shared.setdefault(path, part))
         return result
 
 

@@ -67,8 +67,11 @@ def _run(
         )
         _run_until_failure(session, items, Path(folder), seconds)
         if measuring:
-            tests = {name: (part.seconds, sorted(part.lines)) for name, part in measuring.tests.items()}
-            Path(folder, MEASURED).write_text(json.dumps(tests))
+            parts = {
+                name: (part.seconds, part.shared, sorted(part.lines))
+                for name, part in measuring.tests.items()
+            }
+            Path(folder, MEASURED).write_text(json.dumps(parts))
         status = int(bool(session.testsfailed or not items))
     finally:
         os._exit(status)

@@ -21,7 +21,8 @@ class Judge:
     """Runs for each mutant the tests that execute its statement, the cheapest first, until one fails.
 
     Those that killed its neighbours run before the others. For a source in C these are all tests.
-    budget: CPU time [s] of the tests that are chosen for a mutant; others that could notice it do not run
+    budget: CPU time [s] of the tests that are chosen for a mutant, without what they share; others that
+        could notice it do not run
     """
 
     def __init__(self, measured: Measured, budget: float) -> None:
@@ -61,7 +62,7 @@ class Judge:
         first = [test for _, test in killers[:_NEIGHBOURS] if test in tests]
         chosen, total = dict[str, float](), 0.0
         for test in dict.fromkeys((*first, *sorted(tests, key=seconds.__getitem__))):
-            total += seconds[test]
+            total += self._measured.own[test]
             if chosen and total > self._budget:
                 break
             chosen[test] = seconds[test]
