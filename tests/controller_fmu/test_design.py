@@ -76,6 +76,11 @@ def test_the_smallest_bandwidth_is_on_the_edge_of_the_condition(order: FilterOrd
     assert design.l1_condition(A_M, B, order, 0.99 * w, lipschitz) > 1.0
 
 
+def test_the_lipschitz_constant_is_that_of_the_regressor() -> None:
+    constants = {kind: design.lipschitz_constant(kind, (10.0, 3.0)) for kind in Regressor}
+    assert constants == {Regressor.INFINITY_NORM: 10.0, Regressor.STATE: 13.0}
+
+
 def test_bad_designs_are_refused() -> None:
     with pytest.raises(ValueError, match="must be Hurwitz"):
         design.lyapunov_matrix(-A_M, np.eye(2))

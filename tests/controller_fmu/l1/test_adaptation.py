@@ -238,6 +238,23 @@ def test_the_projection_slows_what_moves_outwards_over_the_step(side: float) -> 
     assert 0.0 < slowed < 0.5
 
 
+def test_the_projection_goes_by_the_middle_of_a_step_in_which_s_changes_its_sign() -> None:
+    """s grows from -3/4 to 1/4 of `growth`: its mean moves sigma_hat upwards."""
+    p = parameters(theta_bound=(0.0, 0.0), sigma_bound=5.0)
+    matrices, h = siso_controller.calculate(p), 1e-4
+    pb = np.array(matrices.adaptation_vector)
+    growth = h * float(pb @ B)  # with eta = 1
+    x_1, x_2 = (-0.75 * growth * pb / (pb @ pb)).tolist()
+    moved = {}
+    for sigma in (4.9, -4.9):
+        start = Estimates(x_tilde=(x_1, x_2), sigma_hat=sigma)
+        after, _ = adapt(start, Interval(h, (0.0, 0.0), (0.0, 0.0), 1.0 - sigma, 0.0), p, matrices)
+        moved[sigma] = after.sigma_hat - sigma
+    slowed = project(4.9, 1.0, p.sigma_bound, p.projection_tolerance)
+    assert moved[4.9] == pytest.approx(slowed * moved[-4.9], rel=1e-3)  # A_m acts for h, of 3/4 and 1/4
+    assert moved[-4.9] > 0.0
+
+
 @pytest.mark.parametrize("u_a", [2.0, -2.0])
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_the_projection_slows_an_input_gain_that_moves_outwards_whatever_the_sign_of_u_a(

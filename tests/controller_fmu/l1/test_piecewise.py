@@ -34,14 +34,14 @@ def parameters(a_s: Matrix, period: float, **values: Any) -> siso_controller.Par
 
 
 def estimated(
-    p: siso_controller.Parameters, lengths: list[float], matched: float, unmatched: float
+    p: siso_controller.Parameters, lengths: list[float], matched: float, unmatched: float, b: np.ndarray = B
 ) -> list[Estimates]:
-    """The estimates at every measurement of x' = A_m x + B (omega u + matched) + B_u unmatched, u = 0.8.
+    """The estimates at every measurement of x' = A_m x + b (omega u + matched) + B_u unmatched, u = 0.8.
 
     x by the implicit midpoint rule: a straight line between two measurements, as the law takes it.
     """
     matrices = siso_controller.calculate(p)
-    drive = B * (p.input_gain * 0.8 + matched) + B_U * unmatched
+    drive = b * (p.input_gain * 0.8 + matched) + B_U * unmatched
     x, sample, estimates, result = (0.3, -0.2), Sample((0.3, -0.2)), Estimates(), []
     for h in lengths:
         explicit = np.array(x) + h * (0.5 * A_M @ x + drive)
@@ -56,12 +56,18 @@ def estimated(
 
 @pytest.mark.parametrize("a_s", KINDS)
 @pytest.mark.parametrize("count", [1, 4])
-def test_the_estimate_of_a_constant_disturbance_is_its_exponential_share(a_s: Matrix, count: int) -> None:
-    """e^(A_s Ts) d from the first sample on, exactly, in however many steps a period is measured."""
-    period, d = 0.02, np.array([-0.3, 1.7])  # of x_1, unmatched, and of x_2, matched
-    p = parameters(a_s, period)
-    shares = expm(np.array(a_s) * period) @ d
-    history = estimated(p, [period / count] * 5 * count, matched=1.7, unmatched=-0.3)
+@pytest.mark.parametrize("length", [1.0, 2.5])
+def test_the_estimate_of_a_constant_disturbance_is_its_exponential_share(
+    a_s: Matrix, count: int, length: float
+) -> None:
+    """e^(A_s Ts) d from the first sample on, exactly, in however many steps a period is measured.
+
+    length: of B_m, whose multiple the matched disturbance is; B_u has the length 1.
+    """
+    period, d = 0.02, np.array([-0.3, 1.7 * length])  # of x_1, unmatched, and of x_2, matched
+    p = parameters(a_s, period, input_vector=(0.0, length))
+    shares = expm(np.array(a_s) * period) @ d / (1.0, length)
+    history = estimated(p, [period / count] * 5 * count, matched=1.7, unmatched=-0.3, b=length * B)
     for estimates in history[: count - 1]:
         assert estimates == Estimates()  # no sample yet
     for estimates in history[count - 1 :]:

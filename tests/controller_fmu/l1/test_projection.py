@@ -1,7 +1,7 @@
 """Proj keeps the set invariant, is the identity inside, and never hurts the Lyapunov argument."""
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from controller_fmu.l1.projection import boundary_function, keep_within, project, projection_factor
@@ -61,6 +61,7 @@ def test_the_layer_begins_and_ends_where_it_should(tolerance: float) -> None:
 
 
 @given(st.floats(1e-9, 1e6), TOLERANCES, SHARES)
+@example(1e-9, 0.1, 0.5)
 def test_the_layer_scales_with_its_bound_however_small(bound: float, tolerance: float, share: float) -> None:
     same = boundary_function(share, 1.0, tolerance)
     assert boundary_function(share * bound, bound, tolerance) == pytest.approx(same, rel=1e-9, abs=1e-12)

@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fmus.errors import ExportError
 from orchestration.errors import SimulationError
-from orchestration.master import Simulator
+from orchestration.master import Simulator, compiled_loop, simulate
 from orchestration.scenarios.declarations import fault
 from orchestration.system.experiment import Algorithm, Experiment
 from orchestration.system.signals import Cosine
@@ -127,6 +128,21 @@ def test_all_loops_fail_alike(rogue: Build, linear: Build, misdeed: Misdeed) -> 
     assert np.array_equal(fast.recording.values, slow.recording.values, equal_nan=True)
     assert np.array_equal(fast.recording.values, shared.recording.values, equal_nan=True)
     assert 5 <= len(fast.recording.time) <= 7
+
+
+def test_without_a_compiler_the_loop_in_python_runs_with_a_warning(
+    linear: Build, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    experiment = Experiment(1.0, 0.1)
+    expected = simulate(coupled(linear), experiment)
+
+    def refuse() -> None:
+        raise ExportError("no compiler")
+
+    monkeypatch.setattr(compiled_loop, "library", refuse)
+    with pytest.warns(UserWarning, match="the communication loop runs in Python, which is slower: no compil"):
+        recording = simulate(coupled(linear), experiment)
+    assert np.array_equal(recording.values, expected.values)
 
 
 def test_all_loops_name_the_function_of_a_call_that_fails(linear: Build) -> None:

@@ -89,6 +89,15 @@ def test_a_run_ends_within_a_step_as_with_that_stop_time(
         check_same(Recording(recording.names, recording.units, recording.time[:6], recording.values[:6]),
                    run(system, replace(stopped, stop_time=0.5), compiled))  # fmt: skip
     assert recording.provenance["terminated"]["time_s"] == recording.time[-1]
+    assert recording.provenance["terminated"]["component"] == "rogue"
+
+
+def test_a_run_that_is_over_at_its_start_is_no_shorter_step(
+    linear: Build, rogue: Build, compiled: bool
+) -> None:
+    recording = run(pair(linear, rogue), doing(Misdeed.TERMINATE, 0.0), compiled)
+    assert recording.time.tolist() == [0.0]
+    assert recording.provenance["discarded_steps"] == 1
 
 
 def test_the_last_point_has_the_signals_and_faults_of_its_time(rogue: Build, compiled: bool) -> None:

@@ -146,6 +146,15 @@ def test_strings_are_connected_and_recorded(foreign: Mapping[str, Path], compile
     assert recording["two.page"].tolist() == ["begun", "begun|", "Mon,day||", "Mon,day||", "Tuesday ä||"]
 
 
+def test_a_string_that_is_recorded_can_be_read_at_every_point(
+    foreign: Mapping[str, Path], compiled: bool
+) -> None:
+    with Simulator(diaries(foreign), compiled=compiled) as simulator:
+        simulator.start(MONDAY)
+        simulator.step()
+        assert (simulator.get("one.page"), simulator.get("one.length")) == ("Mon,day|", 16)
+
+
 def test_local_variables_and_parameters_are_recorded(foreign: Mapping[str, Path], compiled: bool) -> None:
     """An event's value is recorded from its time on; what an FMU computes of it, after the next step."""
     recording = run(diaries(foreign), MONDAY, compiled)
