@@ -119,6 +119,7 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
             except (KeyboardInterrupt, Exception) as error:
                 run.free()
                 raise SimulationError(reason_of(error), run.recording()) from error
+            guard.note_handlers()  # with that of SIGINT between the steps
             self._must_reload = False
             self._stepped = run
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from fmus.errors import ExportError
@@ -54,6 +54,8 @@ def in_each_way(system: System, experiment: Experiment) -> list[Any]:
     step=st.sampled_from([0.05, 0.07]),
     factor=st.sampled_from([1.0, -0.3]),
 )
+@example(Algorithm.JACOBI, 1, True, ["one", "two", "three"], (2, 3, 1), [], 0.07, 1.0)
+@example(Algorithm.JACOBI, 1, False, ["one", "two", "three"], (3, 2, 2), [], 0.07, 1.0)
 def test_all_loops_agree(
     linear: Build,
     algorithm: Algorithm,

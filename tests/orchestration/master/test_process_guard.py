@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from orchestration.errors import FmuWarning, OrchestrationError
-from orchestration.master import simulate
+from orchestration.master import Simulator, simulate
 from orchestration.master.loop_data import Report
 from orchestration.master.process_guard import ProcessGuard
 from orchestration.system.experiment import Experiment
@@ -88,6 +88,19 @@ def test_what_an_fmu_changes_is_restored_with_a_warning(
         simulate(pair(linear, rogue), doing(misdeed))
     assert Path.cwd() == tmp_path
     assert "UTF-8" in locale.setlocale(locale.LC_CTYPE)
+    with pytest.raises(KeyboardInterrupt):
+        os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_after_a_run_that_is_led_step_by_step_an_interrupt_is_one_again(linear: Build, rogue: Build) -> None:
+    def lead() -> None:
+        with Simulator(pair(linear, rogue)) as simulator:
+            simulator.start(doing(Misdeed.IGNORE_INTERRUPTS))
+            for _ in range(10):
+                simulator.step()
+
+    with pytest.warns(FmuWarning, match="changed the handler of SIGINT of this process"):
+        lead()
     with pytest.raises(KeyboardInterrupt):
         os.kill(os.getpid(), signal.SIGINT)
 
