@@ -44,6 +44,7 @@ TESTS = {
     "fmus/native": [
         *(f"tests/fmus/export/test_native_{claim}.py" for claim in _OF_THE_C_LAYER),
         "tests/fmus/export/test_whole_numbers.py",
+        "tests/fmus/export/test_reals_only.py",
     ],
     "orchestration/master": ["tests/orchestration/master", "tests/orchestration/fmi", "tests/closed_loop"],
 }

@@ -122,6 +122,30 @@ def test_a_null_where_a_state_belongs_is_an_error(open_session: Open) -> None:
     assert session("free_state", 0, 0).status == OK
 
 
+def test_derivatives_without_their_orders_are_an_error(open_session: Open) -> None:
+    references = _references(EVERYTHING.name)
+    for call in (
+        ("set_input_derivatives", 0, [references["force"]], Null(1), [1.0]),
+        ("get_output_derivatives", 0, [references["y"]], Null(1), "+"),
+    ):
+        session = stepping(open_session(EVERYTHING.name))
+        answer = session(*call)
+        assert answer.status == ERROR
+        assert "order" in told(answer)
+
+
+@pytest.mark.parametrize("calls", [0, 1, 2, 3], ids=["instantiated", "set up", "initialization", "stepping"])
+def test_what_is_calculated_is_set_in_no_state(open_session: Open, calls: int) -> None:
+    for name in ("product", "y"):
+        session = open_session(EVERYTHING.name)
+        assert session("instantiate", 0, "it", 1, GUID, "all", True).status == OK
+        for call in (("setup", 0, 0.0, False, 0.0), ("enter", 0), ("leave", 0))[:calls]:
+            assert session(*call).status == OK
+        answer = session("set", 0, "R", [_references(EVERYTHING.name)[name]], [1.0])
+        assert answer.status == ERROR
+        assert told(answer).endswith(f"{name} can not be set, it is calculated")
+
+
 def test_strings_there_are_none(open_session: Open) -> None:
     session = begin(open_session("ExamplePlant"))
     assert session("get", 0, "S", [], NOTHING).status == OK
