@@ -28,7 +28,10 @@ from tests.mutation.mutants import Mutant, chosen, mutants_of
 from tests.mutation.verdict import KILLED_BY, SAME_CODE, SURVIVED, TIME_LIMIT, Judge, check_killers
 
 _OF_THE_C_LAYER = (
-    "small_block",
+    "steps",
+    "derivatives",
+    "forged_states",
+    "numbers",
     "refusals",
     "states",
     "rare_calls",

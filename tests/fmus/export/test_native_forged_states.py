@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from .native_block import EVERYTHING
-from .native_everything import REFERENCES, write
+from .native_everything import REFERENCES, read, step, write
 from .native_model import ERROR, OK
 from .native_session import GUID, Session, begin, saved, stepping, told, with_checksum
 
@@ -105,3 +105,15 @@ def _forged(session: Session, content: bytes, position: int, word: bytes) -> boo
     session("free_state", 0, 0)
     session("free_state", 0, 1)
     return answer.status == OK
+
+
+def test_a_state_whose_parameters_were_just_set_can_be_restored_from_its_bytes(session: Session) -> None:
+    stepping(session)
+    assert write(session, gain=3.0) == OK
+    content = saved(session)
+    assert session("reset", 0).status == OK
+    assert session("deserialize", 0, content, 1).status == OK
+    assert session("set_state", 0, 1).status == OK
+    assert session("free_state", 0, 1).status == OK
+    assert step(session, 0.0, 0.1) == OK
+    assert read(session, "product") == [12.0]

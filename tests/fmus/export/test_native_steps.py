@@ -54,6 +54,14 @@ def test_internal_steps_are_equal_and_inputs_move_through_their_middles(session:
     assert read(session, "y")[0] == pytest.approx(8.0 * x, rel=1e-15)
 
 
+def test_the_start_time_reaches_outputs_that_were_read_before(session: Session) -> None:
+    """square = x^2 + t."""
+    session("instantiate", 0, "it", 1, GUID, "all", True)
+    assert read(session, "square") == [1.0]
+    assert session("setup", 0, 2.0, False, 0.0).status == OK
+    assert read(session, "square") == [3.0]
+
+
 def test_a_step_may_pass_the_stop_time_by_rounding_and_by_no_more(session: Session) -> None:
     assert session("instantiate", 0, "it", 1, GUID, "all", True).status == OK
     assert session("setup", 0, 0.0, True, 0.3).status == OK
