@@ -76,15 +76,12 @@ def lane_sources(fmu: Path) -> dict[str, str]:
 
 def lane_code(code: str) -> str:
     """`model_code.h` of an FMU with vectors in place of numbers; ExportError for an unknown statement."""
-    constants, functions, memory = _CONSTANTS.search(code), [], 0
+    constants, lanes = _CONSTANTS.search(code), _LaneCode()
     bodies = dict(_functions(code))
     if constants is None or not bodies.keys() >= {*_FUNCTIONS}:
         raise ExportError(f"expected N_STEP_CONSTANTS and {', '.join(_FUNCTIONS)}")
-    for name in _FUNCTIONS:
-        function = _LaneFunction(memory)
-        functions.append(function.text(name, *bodies[name]))
-        memory = function.memory
-    return "\n".join([constants[0], f"enum {{ N_MEMORY = {memory} }};\n", *functions])
+    functions = [lanes.function(name, *bodies[name]) for name in _FUNCTIONS]
+    return "\n".join([constants[0], f"enum {{ N_MEMORY = {lanes.memory} }};\n", *functions])
 
 
 def _functions(code: str) -> Iterator[tuple[str, tuple[str, list[str]]]]:
@@ -103,26 +100,28 @@ def _functions(code: str) -> Iterator[tuple[str, tuple[str, list[str]]]]:
             yield head[1], (head[2], [line for line in body if line])
 
 
-class _LaneFunction:
-    """One function on its way to vectors; a number is a vector of doubles, a condition a mask.
+class _LaneCode:
+    """Functions on their way to vectors; a number becomes a vector of doubles, a condition a mask.
 
     memory: how many vectors the calls of all functions until now remember
     """
 
-    def __init__(self, memory: int) -> None:
-        self.memory = memory
+    def __init__(self) -> None:
+        self.memory = 0
+        self._stored: set[str] = set()  # step constants that are masks
         self._masks: set[str] = set()
         self._numbers: set[str] = set()
         self._conditions: list[str] = []
 
-    def text(self, name: str, arguments: str, body: list[str]) -> str:
+    def function(self, name: str, arguments: str, body: list[str]) -> str:
+        self._masks, self._numbers = set(), set()
         if name == "model_step":  # which changes k in the FMU alone: calls here remember in `memory`
             arguments = arguments.replace(", double *k", ", const double *k")
         arguments = arguments.replace("const double *", "const Lanes *restrict ")
         arguments = arguments.replace("double *", "Lanes *restrict ")
         lines = [self._line(line) for line in body]
         kinds = {"Lanes": self._numbers, "Mask": self._masks}
-        declared = [f"{kind} {v} = {{0}};" for kind, names in kinds.items() for v in sorted(names)]
+        declared = [f"{kind} {v} = ANY({kind});" for kind, names in kinds.items() for v in sorted(names)]
         code = "\n".join(f"    {line}" for line in (*declared, *lines))
         return f"static void {name}({arguments}, Lanes *restrict memory) {{\n{code}\n}}\n"
 
@@ -140,6 +139,9 @@ class _LaneFunction:
             target, (is_mask, value) = assignment[1], self._value(assignment[2])
             if "[" not in target:
                 (self._masks if is_mask else self._numbers).add(target)
+            elif is_mask and target.startswith("k["):
+                self._stored.add(target)
+                value = f"(Lanes)({value})"
             elif is_mask:
                 value = f"number({value})"
             return f"{target} = {value};"
@@ -196,9 +198,11 @@ class _LaneFunction:
         return "[" in term or term in self._masks or term in self._numbers
 
     def _number(self, term: str) -> str:
-        if term in self._masks:
-            return f"number({term})"
+        if term in self._masks or term in self._stored:
+            return f"number({self._mask(term)})"
         return term if self._is_vector(term) else f"all({term})"
 
     def _mask(self, term: str) -> str:
+        if term in self._stored:
+            return f"((Mask){term})"
         return term if term in self._masks else f"is_true({self._number(term)})"

@@ -27,6 +27,9 @@ typedef int64_t Mask __attribute__((vector_size(8 * LANES))); /* of each lane al
 #define EACH_LANE for (int lane = 0; lane < LANES; lane++)
 #define INLINE static inline __attribute__((always_inline, unused))
 
+/* Of a variable that a branch sets: it is chosen in the lanes that need the branch, and in these it was set. */
+#define ANY(type) __builtin_nondeterministic_value((type){0})
+
 INLINE Lanes all(double number) { return number - (Lanes){0}; } /* -0 stays -0 */
 INLINE int any(Mask mask) { return __builtin_reduce_or(mask) != 0; }
 INLINE Mask is_true(Lanes numbers) { return (Mask)(numbers != 0); }
@@ -97,7 +100,8 @@ DEFINE_FUNCTION_OF_TWO(remainder)
  * the difference are whole numbers below 2^53, too. */
 INLINE Lanes lanes_fmod(Lanes x, Lanes y, Lanes *memory) {
     const Mask is_whole = (Mask)(x == lanes_floor(x)) & (Mask)(y == lanes_floor(y));
-    const Mask is_quick = is_whole & (Mask)(x >= 0) & (Mask)(x < 0x1p53) & (Mask)(y >= 1) & (Mask)(y < 0x1p53);
+    const Mask is_positive = (Mask)((Mask)x >= 0); /* -0 is not */
+    const Mask is_quick = is_whole & is_positive & (Mask)(x < 0x1p53) & (Mask)(y >= 1) & (Mask)(y < 0x1p53);
     (void)memory;
     if (any(~is_quick)) {
         Lanes results;
@@ -168,9 +172,14 @@ static const Lanes *constants_of(Group *group, double internal) {
 
 /* Lanes of which a number is not finite, or an output none of its items. */
 static Mask refused(const Lanes *state, const Lanes *outputs) {
+    Lanes sum = {0};
     Mask bad = {0};
-    for (int i = 0; i < N_STATES; i++) bad |= (Mask)(state[i] - state[i] != 0);
-    for (int i = 0; i < N_OUTPUTS; i++) bad |= (Mask)(outputs[i] - outputs[i] != 0);
+    for (int i = 0; i < N_STATES; i++) sum += state[i];
+    for (int i = 0; i < N_OUTPUTS; i++) sum += outputs[i];
+    if (any((Mask)(sum - sum != 0))) { /* a number may not be finite */
+        for (int i = 0; i < N_STATES; i++) bad |= (Mask)(state[i] - state[i] != 0);
+        for (int i = 0; i < N_OUTPUTS; i++) bad |= (Mask)(outputs[i] - outputs[i] != 0);
+    }
     for (int i = 0; i < N_WHOLE_OUTPUTS; i++) {
         const int output = WHOLE_OUTPUTS[i];
         bad |= (Mask)(lanes_fabs(outputs[output]) > INT_MAX);

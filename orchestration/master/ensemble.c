@@ -5,7 +5,6 @@
 
 #include <float.h>
 #include <stdint.h>
-#include <string.h>
 
 #ifdef _WIN32
 #define EXPORT __declspec(dllexport)
@@ -13,9 +12,8 @@
 #define EXPORT __attribute__((visibility("default")))
 #endif
 
-#define EACH_LANE for (int lane = 0; lane < LANES; lane++)
-
-typedef double Lanes[LANES];
+typedef double Lanes __attribute__((vector_size(8 * LANES)));
+typedef int64_t Mask __attribute__((vector_size(8 * LANES)));
 typedef int64_t StepGroup(void *memory, double start, double size);
 
 typedef struct {
@@ -41,31 +39,30 @@ static void note_failure(Group *group, int lane, int64_t point, int64_t failure)
 }
 
 static void transfer(Group *group, int64_t k, int64_t point, int is_set) {
-    const double *source = *group->source[k], factor = group->factor[k], offset = group->offset[k];
     const double minimum = is_set ? group->minimum[k] : -DBL_MAX, maximum = is_set ? group->maximum[k] : DBL_MAX;
-    Lanes value;
-    int good = 1;
-    EACH_LANE value[lane] = source[lane] * factor + offset;
-    EACH_LANE good &= (value[lane] >= minimum) & (value[lane] <= maximum);
-    memcpy(*group->target[k], value, sizeof value);
-    if (good) return;
-    EACH_LANE if (!(value[lane] >= minimum && value[lane] <= maximum)) note_failure(group, lane, point, -1 - k);
+    const Lanes value = *group->source[k] * group->factor[k] + group->offset[k];
+    const Mask good = (Mask)(value >= minimum) & (Mask)(value <= maximum);
+    *group->target[k] = value;
+    if (__builtin_reduce_and(good)) return;
+    for (int lane = 0; lane < LANES; lane++)
+        if (!good[lane]) note_failure(group, lane, point, -1 - k);
 }
 
 static void exchange_and_record(Group *group, int64_t point) {
     Lanes *row = group->rows + point;
     for (int64_t signal = 0; signal < group->n_signals; signal++)
-        EACH_LANE(*group->signal[signal])[lane] = group->signal_values[signal * group->n_points + point];
+        *group->signal[signal] = group->signal_values[signal * group->n_points + point] - (Lanes){0};
     for (int64_t k = 0; k < group->first[group->n_components]; k++)
         transfer(group, k, point, point + 1 < group->n_points);
     for (int64_t column = 0; column < group->n_columns; column++, row += group->n_points)
-        memcpy(*row, *group->column[column], sizeof *row);
+        *row = *group->column[column];
 }
 
 static void step_component(Group *group, int64_t c, int64_t point) {
     const double start = group->points[point], end = group->points[point + 1];
     const int64_t refused = group->step[c](group->memory[c], start, end - start);
-    if (refused) EACH_LANE if (refused >> lane & 1) note_failure(group, lane, point, 1 + c);
+    for (int lane = 0; refused && lane < LANES; lane++)
+        if (refused >> lane & 1) note_failure(group, lane, point, 1 + c);
 }
 
 /* From one communication point to another; the last one of all is exchanged and recorded, too. */

@@ -11,7 +11,7 @@ import numpy as np
 
 from fmus.lanes import LANES
 from orchestration.master.initialisation import ConnectionGroup
-from orchestration.master.lane_library import LaneLibrary, load_compiled
+from orchestration.master.lane_library import LaneLibrary, aligned_zeros, load_compiled
 from orchestration.system.experiment import Algorithm
 from orchestration.system.prepared_run import PreparedRun
 from orchestration.system.system import Port
@@ -199,7 +199,7 @@ def build_loop(
     groups = -(-count // LANES)
     memory = {name: library.memory(groups, values[name]) for name, library in libraries.items()}
     points = len(prepared.points)
-    rows = np.empty((groups, len(prepared.recorded), points, LANES))
+    rows = aligned_zeros(groups, len(prepared.recorded), points, LANES)
     recorded, failure = np.full((groups, LANES), points), np.zeros((groups, LANES), np.int64)
     return EnsembleLoop(prepared, libraries, instructions, memory, rows, recorded, failure)
 

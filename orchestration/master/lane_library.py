@@ -1,6 +1,7 @@
 """A native FMU whose instances step in groups: its equations for vectors, and the memory of the groups."""
 
 import ctypes
+import math
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,7 +17,6 @@ from orchestration.fmi.description import FileVersion
 
 _MAGIC, _FORMAT, _HEAD = b"L1-STATE", 2, 52  # snapshot.h: magic, format and GUID
 _FIRST_VALUE = 5  # word of `Data` in instance.h
-_ALIGNMENT = 64
 _MOST_LIBRARIES = 64
 
 
@@ -40,13 +40,11 @@ class LaneLibrary:
         self._change.restype = self._initialize.restype = ctypes.c_int64
 
     def memory(self, groups: int, values: np.ndarray) -> np.ndarray:
-        """Memory of so many groups, shape (groups, words), each at an address that vectors need.
+        """Memory of so many groups, shape (groups, words).
 
         values: of the variables by value reference, those of every instance
         """
-        memory = np.zeros(groups * self.words + _ALIGNMENT // 8)
-        first = -memory.ctypes.data % _ALIGNMENT // 8
-        memory = memory[first:][: groups * self.words].reshape(groups, self.words)
+        memory = aligned_zeros(groups, self.words)
         memory[:, : self.variables * LANES] = np.repeat(values, LANES)
         for group in memory:
             self._clear(group.ctypes.data)
@@ -66,6 +64,13 @@ class LaneLibrary:
         if not state.startswith(_MAGIC + bytes([_FORMAT])) or len(words) < self.variables + self.states:
             raise EnsembleError("a state of another version of l1-depth: build the FMU again")
         return words[_FIRST_VALUE : _FIRST_VALUE + self.variables]
+
+
+def aligned_zeros(*shape: int) -> np.ndarray:
+    """An array at an address that vectors need."""
+    memory, count = np.zeros(math.prod(shape) + LANES), math.prod(shape)
+    first = -memory.ctypes.data % (8 * LANES) // 8
+    return memory[first : first + count].reshape(shape)
 
 
 def lane_library(component: str, fmu: Path, instructions: str) -> LaneLibrary:

@@ -1,0 +1,133 @@
+"""Every function, choice and type of a block has the bits of a single run, the signs of zeros included."""
+
+import itertools
+from dataclasses import dataclass
+from enum import IntEnum
+
+import pytest
+
+from fmus import numerics as n
+from fmus.block import Block, variable
+from fmus.export import native
+from fmus.files import write_archive
+from fmus.platforms import instruction_sets
+from orchestration import Ensemble, Experiment, Simulator, System
+
+pytestmark = pytest.mark.slow
+
+
+class Gear(IntEnum):
+    """A choice with a gap."""
+
+    LOW = 1
+    HIGH = 3
+
+
+@dataclass(frozen=True)
+class Parameters:
+    a: float = variable(0.5, "A number")
+    is_on: bool = variable(True, "A switch")
+    gear: Gear = variable(Gear.LOW, "A choice")
+
+
+@dataclass(frozen=True)
+class Inputs:
+    u: float = variable(0.5, "A number")
+
+
+@dataclass(frozen=True)
+class Sample:
+    value: float = 0.0
+    clock: n.Clock = n.Clock()
+
+
+@dataclass(frozen=True)
+class State:
+    """x: a number of 0..1 that never repeats; count: how often it was large"""
+
+    x: float = 0.3
+    sample: Sample = Sample()
+    count: int = 0
+
+
+def of_one(x: float) -> tuple[float, ...]:
+    """The functions of one number, of 0..1."""
+    smooth = (n.exp, n.expm1, n.log1p, n.sin, n.cos, n.tan, n.asin, n.acos, n.atan, n.sinh, n.cosh, n.tanh)
+    others = (n.sqrt, n.asinh, n.erf, n.floor, n.ceil, n.sign, n.cbrt, n.trunc, n.round, abs)
+    return tuple(function(x) for function in (*smooth, *others))
+
+
+def of_two(x: float, y: float) -> tuple[float, ...]:
+    """The functions of two numbers, of 0..1 and any."""
+    powers = [n.power(base, exponent) for base, exponent in ((2.0, y), (10.0, y), (x, y), (x, 0.5), (x, 3.0))]
+    steps = (n.fmod(y, 0.3), n.fmod(1e6 * y, 7.0), n.fmod(n.floor(1e9 * x), 2147483563.0), n.remainder(y, x))
+    limits = (n.minimum(y, 0.0), n.maximum(y, 0.0), n.minimum(-y, y), n.maximum(-y, y), n.clip(y, -0.5, x))
+    return (*powers, *steps, *limits, n.atan2(y, x), n.atan2(x, y), n.copysign(x, y), n.hypot(x, y))
+
+
+FUNCTIONS = len(of_one(0.5)) + len(of_two(0.5, 0.5))
+
+
+@dataclass(frozen=True)
+class Outputs:
+    functions: tuple[float, ...] = variable((0.0,) * FUNCTIONS, "Functions of a number")
+    chosen: float = variable(0.0, "What the choice and the switch leave")
+    held: float = variable(0.0, "The last sample")
+    count: int = variable(0, "How often a number was large")
+    is_large: bool = variable(False, "Whether it is")
+    taken: Gear = variable(Gear.LOW, "What is chosen")
+
+
+def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, c: object) -> State:
+    x = 3.9 * state.x * (1.0 - state.x)
+    sample = n.sampled(t, 0.25, state.sample, Sample(n.log(x) + n.sin(inputs.u * x)))
+    count = n.where(n.logical_and(p.is_on, x > 0.5), state.count + 1, state.count)
+    return State(x, sample, count)
+
+
+def output(t: float, state: State, p: Parameters, c: object) -> Outputs:
+    functions = (*of_one(state.x), *of_two(state.x, p.a * (state.x - 0.5)))
+    is_high = n.logical_or(p.gear == Gear.HIGH, n.logical_not(p.is_on))
+    chosen = n.where(
+        is_high, lambda: n.exp(-p.a * state.x) / state.x, lambda: p.a * n.tanh(state.sample.value)
+    )
+    gear = n.where(is_high, Gear.HIGH, Gear.LOW)
+    return Outputs(functions, chosen, state.sample.value, state.count, state.x > 0.5, gear)
+
+
+BLOCK = Block(
+    "Functions",
+    "Functions of a number",
+    parameters=Parameters,
+    inputs=Inputs,
+    state=State,
+    outputs=Outputs,
+    step=step,
+    output=output,
+    step_size=0.1,
+)
+
+
+@pytest.fixture(scope="module")
+def system(tmp_path_factory: pytest.TempPathFactory) -> System:
+    path = tmp_path_factory.mktemp("functions") / "Functions.fmu"
+    _, members = native.content(BLOCK)
+    write_archive(path, members | native.libraries(BLOCK.name, members, ()))
+    return System({"block": path})
+
+
+@pytest.mark.parametrize("instructions", instruction_sets())
+def test_functions_choices_and_types_have_the_bits_of_single_runs(system: System, instructions: str) -> None:
+    numbers = (0.0, -0.0, 1.0, -2.5, 1e-310, 200.0)
+    cases = list(itertools.product(numbers, (True, False), (Gear.LOW, Gear.HIGH), (0.5, -3.0)))
+    names = ("block.a", "block.is_on", "block.gear", "block.u")
+    experiment = Experiment(20.0, 0.1, open_inputs="start")
+    with Ensemble(system, instructions) as ensemble, Simulator(system) as simulator:
+        recorded = ensemble.run(experiment, dict(zip(names, zip(*cases, strict=True), strict=True)))
+        assert not recorded.failures
+        for instance, case in enumerate(cases):
+            values = dict(zip(names, case, strict=True))
+            inputs = {"block.u": values.pop("block.u")}
+            one = simulator.run(Experiment(20.0, 0.1, parameters=values, inputs=inputs))
+            of_ensemble = recorded.recording(instance)
+            assert not [name for name in one.names if one[name].tobytes() != of_ensemble[name].tobytes()]
