@@ -13,6 +13,7 @@ from importlib import resources
 from pathlib import Path
 
 from fmus.errors import ExportError
+from fmus.statement_order import as_late_as_possible
 
 SOURCE = "lanes.c"
 LANES = 8
@@ -119,7 +120,7 @@ class _LaneCode:
             arguments = arguments.replace(", double *k", ", const double *k")
         arguments = arguments.replace("const double *", "const Lanes *restrict ")
         arguments = arguments.replace("double *", "Lanes *restrict ")
-        lines = [self._line(line) for line in body]
+        lines = [self._line(line) for line in as_late_as_possible(body)]
         kinds = {"Lanes": self._numbers, "Mask": self._masks}
         declared = [f"{kind} {v} = ANY({kind});" for kind, names in kinds.items() for v in sorted(names)]
         code = "\n".join(f"    {line}" for line in (*declared, *lines))
