@@ -3,6 +3,7 @@
 import itertools
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 import pytest
 
@@ -126,7 +127,7 @@ def test_functions_choices_and_types_have_the_bits_of_single_runs(system: System
         recorded = ensemble.run(experiment, dict(zip(names, zip(*cases, strict=True), strict=True)))
         assert not recorded.failures
         for instance, case in enumerate(cases):
-            values = dict(zip(names, case, strict=True))
+            values: dict[str, Any] = dict(zip(names, case, strict=True))
             inputs = {"block.u": values.pop("block.u")}
             one = simulator.run(Experiment(20.0, 0.1, parameters=values, inputs=inputs))
             of_ensemble = recorded.recording(instance)
