@@ -6,7 +6,6 @@ settings of the caller are touched. The same data give the same file, byte by by
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -26,7 +25,7 @@ BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#666666"  # told a
 _COLOURS = (BLUE, ORANGE, GREEN, "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _LINES = ("-", "--", "-.", ":")
 _WIDTH_IN = 7.16  # both columns of an IEEE or IFAC page
-_DPI = 300
+_DPI, _DPI_OF_RUNS = 300, 200  # in print, and to look at
 _GAP_IN = 0.24  # between panels, which holds their letters
 _PAD_IN = 0.05  # around everything, and between the numbers of an axis and its label
 _MOST_BESIDE = 0.5  # of the width of a figure that is left to what stands beside its panels
@@ -126,13 +125,14 @@ def draw_curve(panel: Axes, time: np.ndarray, values: np.ndarray, **line: Any) -
 
 def _extremes(values: np.ndarray) -> np.ndarray:
     """Indices, ascending, of the first, the last, and each interval's smallest and largest value."""
-    if len(values) <= 2 * _BINS:
+    size = -(-len(values) // _BINS)  # points in an interval
+    if size <= 2:
         return np.arange(len(values))
-    edges = np.linspace(0, len(values), _BINS + 1).astype(int)
-    pairs = [
-        (low + values[low:high].argmin(), low + values[low:high].argmax()) for low, high in pairwise(edges)
-    ]
-    return np.unique(np.append(np.ravel(pairs), (0, len(values) - 1)))
+    starts = np.arange(0, len(values) - size + 1, size)
+    rest = np.arange(starts[-1] + size, len(values))
+    intervals = values[: rest[0] if len(rest) else None].reshape(-1, size)
+    pairs = starts + intervals.argmin(axis=1), starts + intervals.argmax(axis=1)
+    return np.unique(np.concatenate([*pairs, rest, (0, len(values) - 1)]))
 
 
 def draw_noisy(panel: Axes, time: np.ndarray, values: np.ndarray, window: float, **line: Any) -> None:
@@ -149,21 +149,23 @@ def draw_noisy(panel: Axes, time: np.ndarray, values: np.ndarray, window: float,
     panel.plot(time[::step], windows.mean(axis=1), **line)
 
 
-def write_figure(figure: Figure, path: Path, formats: Sequence[FigureFormat]) -> list[Path]:
+def write_figure(
+    figure: Figure, path: Path, formats: Sequence[FigureFormat], dots_per_inch: int = _DPI
+) -> list[Path]:
     """Write `path` with the ending of each format; returns the files."""
     files = [path.with_name(f"{path.name}.{ending}") for ending in formats]
     for file, ending in zip(files, formats, strict=True):
         with open_atomically(file) as stream:
             if ending is FigureFormat.PNG:
-                _write_png(figure, stream)
+                _write_png(figure, stream, dots_per_inch)
             else:
                 figure.savefig(stream, format=ending, metadata=_METADATA[ending])
     return files
 
 
-def _write_png(figure: Figure, stream: BinaryIO) -> None:
+def _write_png(figure: Figure, stream: BinaryIO, dots_per_inch: int) -> None:
     """As `savefig`, which goes through everything in a figure once more before it draws it."""
-    figure.set_dpi(_DPI)
+    figure.set_dpi(dots_per_inch)
     options = {"compress_type": _RUN_LENGTHS}
     FigureCanvasAgg(figure).print_png(stream, metadata=_METADATA[FigureFormat.PNG], pil_kwargs=options)
 
@@ -195,7 +197,7 @@ def run_figure(
                 panel.invert_yaxis()
             panel.set_ylabel(f"[{unit or '1'}]")
             panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.02))
-        return write_figure(figure, path, formats)
+        return write_figure(figure, path, formats, _DPI_OF_RUNS)
 
 
 def _roughness(values: np.ndarray) -> float:

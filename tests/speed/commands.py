@@ -51,7 +51,10 @@ FMPY = """
 from fmpy.ssp.simulation import simulate_ssp
 simulate_ssp({package!r}, 0.0, {stop!r}, {step!r})
 """
-_COMPILED = "int a_function(void) { return 0; }\n"
+# exported, as Zig ends with a fault where a library for macOS exports nothing
+_COMPILED = (
+    '#include <math.h>\n__attribute__((visibility("default"))) double f(double x) { return sin(x); }\n'
+)
 
 
 @dataclass
