@@ -10,6 +10,7 @@ from orchestration.cli.changes import Changes, ControllerOption, MapOption, Open
 from orchestration.cli.shared import (
     FlavourOption,
     ScenarioArgument,
+    check_writable,
     print_table,
     progress,
     refuse_without_effect,
@@ -65,6 +66,8 @@ def margins(
     repeated = _values(over)
     if theory:
         refuse_without_effect("--theory", {"--over": over})
+    if out:
+        check_writable(out)
     chosen = chosen_scenario.load(name, flavour, changes)
     hold = Hold(signal, *window, quiet) if window else None
     with progress("margins", runs_needed(repeated)) as bar:

@@ -11,6 +11,7 @@ from orchestration.cli.shared import (
     FigureFormatsOption,
     FlavourOption,
     OutFolder,
+    check_writable,
     figure_formats,
     print_table,
     progress,
@@ -29,6 +30,7 @@ def reproduce(
     from orchestration.scenarios.paper_tables import comparison_table
 
     written_formats = figure_formats(formats)
+    check_writable(out)
     scenarios = reproduction.reproduced(flavour)
     build_missing_fmus(scenarios.values())
     with progress("reproduce", len(scenarios)) as bar:
@@ -51,6 +53,7 @@ def identify(
     from orchestration.results.tables import metrics_table, values_table
     from orchestration.scenarios import identify as identification
 
+    check_writable(out.parent)
     scenarios = {name: chosen_scenario.load(name) for name in identification.SCENARIOS}
     with progress("identify", evaluations) as bar:
         fit = identification.identify(
@@ -76,6 +79,7 @@ def identifiability(
     from orchestration.study import identifiability_tables
 
     written_formats = figure_formats(formats)
+    check_writable(out)
     build_missing_fmus([scenario.load(path) for path in scenario.shipped().values()])
     with progress("identifiability", identifiability_study.FULL.stages) as bar:
         document, points = identifiability_study.study(out, lambda name: bar.advance(note=name))

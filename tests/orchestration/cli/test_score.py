@@ -73,9 +73,14 @@ def test_what_cannot_be_scored_is_refused(
     assert complaint in refused("score", *arguments, "--protocol", protocol_file)
 
 
-def test_a_comparison_that_cannot_be_written_is_refused_before_it_runs(refused: Callable[..., str]) -> None:
-    """With the protocol that ships: its runs take minutes."""
-    complaint = refused("compare", "--out", f"{__file__}/results")
+@pytest.mark.parametrize(
+    "arguments", ["compare", "margins nominal-l1", "identify", "identifiability", "reproduce"]
+)
+def test_what_cannot_be_written_is_refused_before_it_runs(
+    refused: Callable[..., str], arguments: str
+) -> None:
+    """The runs of most take minutes."""
+    complaint = refused(*arguments.split(), "--out", f"{__file__}/results/file")
     assert "Not a directory: expected a folder that can be written" in complaint
 
 
