@@ -62,7 +62,7 @@ typedef struct {
 
 typedef struct {
     int64_t n_points, n_components, n_connections, n_signals, n_columns, n_memory;
-    int64_t gauss_seidel, full_steps;
+    int64_t gauss_seidel, full_steps, independent;
     const double *points;
     double *bus, *slopes;
     int32_t *integers;
@@ -107,7 +107,7 @@ static void wait_a_moment(int *waits) {
 static int is_multiple(int64_t point, int64_t period) { return period == 1 || point % period == 0; }
 
 static int is_accepted(Wiring *wiring, int kind, int64_t c, int64_t index, int status) {
-    guard_restore_float_mode();
+    if (!wiring->independent) guard_restore_float_mode();
     wiring->report[BUSY] = 0;
     wiring->report[CALLS]++;
     if (status <= WARNING && !wiring->error_logged[c]) {
@@ -286,7 +286,7 @@ static void take_steps(Wiring *wiring) {
         const int64_t c = (uint32_t)ticket;
         if (ends_step(wiring, c, team->point)) {
             wiring->step_status[c] = call_step(wiring, c, team->end);
-            guard_restore_float_mode();
+            if (!wiring->independent) guard_restore_float_mode();
         }
         __atomic_add_fetch(&team->done, 1, __ATOMIC_RELEASE);
         ticket = __atomic_load_n(&team->ticket, __ATOMIC_ACQUIRE);

@@ -108,6 +108,7 @@ class Wiring(NamedTuple):
     """All data of the communication loop.
 
     gauss_seidel: 1 for Gauss-Seidel, 0 for Jacobi
+    independent: 1 if all FMUs are known to change nothing in this process (`fmi.description.is_independent`)
     full_steps: 1 if every step ends at a communication point; 0 with a tolerance, where a faulted connection
     carries the sample of the last communication point throughout
     points: communication points [s]
@@ -133,6 +134,7 @@ class Wiring(NamedTuple):
 
     gauss_seidel: int
     full_steps: int
+    independent: int
     points: Array
     bus: Array
     slopes: Array

@@ -1,6 +1,7 @@
 """What an FMU changes in this process beside its own state is put back, or ends the run; an exit is told.
 
-After each call of an FMU the floating-point mode (rounding, denormals) is that of before. After each FMU is
+None of this is done for native FMUs of this exporter, which are known to change nothing. After each call of
+another FMU the floating-point mode (rounding, denormals) is that of before. After each such FMU is
 loaded and after each batch of steps, working directory, locale and handlers of signals are compared and put
 back; a run whose FMU has closed files of this process ends, since nobody knows which. In a run that the
 caller leads step by step, they are compared around one step in a millisecond, and after the first change

@@ -11,6 +11,7 @@ import numpy as np
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.fmi.description import describe
 from orchestration.fmi.instance import FmuInstance
+from orchestration.master.bus import BusLayout
 from orchestration.master.checkpoint import Checkpoint, Checkpoints, check_can_save, restore
 from orchestration.master.compiled_loop import compiled_loop
 from orchestration.master.error_estimate import with_error_estimate
@@ -28,7 +29,7 @@ from orchestration.master.wiring import WiredRun, build_wiring
 from orchestration.results.recording import Recording
 from orchestration.system.experiment import Experiment, OpenInputsName
 from orchestration.system.open_inputs import OpenInputs
-from orchestration.system.prepared_run import prepare_checked
+from orchestration.system.prepared_again import PreparedRuns
 from orchestration.system.system import CheckedSystem, System, check
 
 
@@ -57,6 +58,8 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
         # of the run that is led step by step: what was set, the recorded values, and these with an estimate
         self._estimated: tuple[list[Any], np.ndarray, Recording] | None = None
         self._first_batch = 1
+        self._prepared_runs = PreparedRuns()
+        self._bus: BusLayout | None = None
         self._checked: dict[
             tuple[tuple[str, ...], str], tuple[CheckedSystem, tuple[ConnectionGroup, ...]]
         ] = {}
@@ -176,13 +179,16 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
         """Check an experiment, load or reset the FMUs and wire them."""
         driven = (*experiment.driven_inputs, *(name for name in external if name not in experiment.inputs))
         system, groups = self._check(driven, experiment.open_inputs)
-        prepared = prepare_checked(system, experiment, external)
+        runs = self._prepared_runs
+        prepared = runs.prepare(system, experiment, external)
         storage = storage or Storage(np.empty(prepared.shape), new_report())
         if self._guard:
             self._guard.close()
         guard = self._guard = ProcessGuard(self.system.components, storage.report)
         self._load_or_reset(storage.report, guard)
-        return build_wiring(prepared, self._instances, storage), groups, guard
+        wired = build_wiring(prepared, self._instances, storage, self._bus if runs.is_again else None)
+        self._bus = wired.bus
+        return wired, groups, guard
 
     def _check(
         self, driven: tuple[str, ...], open_inputs: OpenInputsName

@@ -222,7 +222,9 @@ class RunInProgress:
                 wiring.faults.put(row, index, Pattern(*(x[-1] for x in pattern)))
 
     def restore_process(self) -> None:
-        """Put back what FMUs changed in this process beside their own state."""
+        """Put back what FMUs changed in this process beside their own state, if they may have done so."""
+        if self.wiring.independent:
+            return
         names = ", ".join(self.instances)
         self.guard.restore(f"one of {names}" if len(self.instances) > 1 else names)
 

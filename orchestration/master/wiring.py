@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from orchestration.fmi.description import is_independent
 from orchestration.fmi.instance import FmuInstance
 from orchestration.master.bus import SIGNAL, BusLayout, VariableGroup, component_of, lay_out_bus
 from orchestration.master.loop_data import (
@@ -48,9 +49,14 @@ class WiredRun:
     texts: Texts
 
 
-def build_wiring(prepared: PreparedRun, instances: Mapping[str, FmuInstance], storage: Storage) -> WiredRun:
-    """The arrays of a run at its start time."""
-    bus, experiment = lay_out_bus(prepared), prepared.experiment
+def build_wiring(
+    prepared: PreparedRun,
+    instances: Mapping[str, FmuInstance],
+    storage: Storage,
+    bus: BusLayout | None = None,
+) -> WiredRun:
+    """The arrays of a run at its start time; bus: that of an equal run."""
+    bus, experiment = bus or lay_out_bus(prepared), prepared.experiment
     count, periods = len(instances), np.array([prepared.periods[name] for name in instances], np.int64)
     fixed = prepared.system.components_without("canHandleVariableCommunicationStepSize")
     unable = prepared.system.components_without("canGetAndSetFMUstate")
@@ -75,6 +81,7 @@ def build_wiring(prepared: PreparedRun, instances: Mapping[str, FmuInstance], st
     wiring = Wiring(
         gauss_seidel=int(experiment.algorithm is Algorithm.GAUSS_SEIDEL),
         full_steps=int(not experiment.tolerance),
+        independent=int(all(is_independent(instance.description) for instance in instances.values())),
         points=prepared.points,
         bus=values,
         slopes=slopes,

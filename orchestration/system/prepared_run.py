@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -80,6 +80,16 @@ class PreparedRun:
                     f"signal {name} is {value:g} at t = {t:.9g} s: expected {expected}"
                 )
         return table
+
+    def with_values(self, experiment: Experiment) -> "PreparedRun":
+        """The same with the parameters and constant inputs of an experiment that is equal otherwise.
+
+        Times and signals are copies.
+        """
+        settings = _settings(self.system, experiment)
+        again = replace(self, experiment=experiment, settings=settings, points=self.points.copy())
+        vars(again)["signal_values"] = self.signal_values.copy()
+        return again
 
     @cached_property
     def fault_patterns(self) -> dict[str, Pattern]:

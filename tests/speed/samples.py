@@ -14,6 +14,7 @@ import time
 from pathlib import Path
 from typing import Annotated
 
+import pyarrow.parquet as pq
 import typer
 
 from fmus import catalogue
@@ -21,7 +22,16 @@ from orchestration.scenarios import scenario
 
 _ROOT = Path(__file__).parents[2]
 _COMMAND = [sys.executable, "-P", "-c", "from orchestration.cli import main; main()", "sweep"]
-_SCENARIO = 'base = "monte-carlo"\n[experiment]\nstop_time = 5.0\n[sweep]\nsamples = {}\n'
+_SCENARIO = """
+base = "monte-carlo"
+[experiment]
+stop_time = 5.0
+[metrics]
+holding_thrust = false
+lag = false
+[sweep]
+samples = {}
+"""
 
 
 class Sweep:
@@ -75,7 +85,7 @@ def main(
         _print(f"half of {numbers[-1]}, interrupted", last.run(until=numbers[-1] // 2))
         _print("continued", last.run())
         tables = [next((folder / str(part)).glob("*.parquet")) for part in (numbers[-1], "continued")]
-        equal = tables[0].read_bytes() == tables[1].read_bytes()
+        equal = pq.read_table(tables[0]).equals(pq.read_table(tables[1]))
         print(f"both tables are {'equal' if equal else 'different'}: {tables[0].stat().st_size / 1e6:.1f} MB")
 
 

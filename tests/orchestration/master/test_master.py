@@ -141,15 +141,18 @@ def test_a_slave_that_fails_in_mid_run_keeps_what_was_recorded(
 
 
 def test_an_interruption_keeps_what_was_recorded(foreign: Mapping[str, Path], temporary: Path) -> None:
+    reached = 0
+
     def interrupt(done: int, total: int) -> None:
+        nonlocal reached
+        reached = done
         if done >= 3:
             raise KeyboardInterrupt
 
     with pytest.raises(SimulationError, match=r"interrupted") as caught:
         simulate(System({"lag": foreign["Lag"]}), Experiment(1.0, 0.1, inputs={"lag.u": 0.0}), interrupt)
-    assert caught.value.recording.time == pytest.approx(
-        0.1 * np.arange(10)
-    )  # looked at after 1 and 1 + 8 steps
+    assert 3 <= reached <= 10  # after 1 + 8 steps, or others where the first one took long
+    assert caught.value.recording.time == pytest.approx(0.1 * np.arange(reached + 1))
     assert not list(temporary.iterdir())
 
 
