@@ -1,0 +1,86 @@
+"""What the commands build and new write, and which blocks they refuse."""
+
+import re
+from collections.abc import Callable, Mapping
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fmus import catalogue, registry
+from orchestration.results.recording import Recording
+
+Command = Callable[..., Any]
+
+
+def test_build_check_inspect(command: Command, built: Mapping[str, Path]) -> None:
+    done = command("build", "ExamplePlant", "--flavour", "python", "--out", "out")
+    assert done.stdout == "out/ExamplePlant.fmu\n"
+    assert "disturbance" in command("inspect", "out/ExamplePlant.fmu").stdout
+    judged = command("check", built["L1Controller"]).stdout
+    assert " passed" in judged
+    assert "error" not in judged
+    lines = command("inspect", built["L1Controller"]).stdout.splitlines()
+    (augmentation,) = [line for line in lines if "augmentation" in line]
+    assert "1 (none), 2 (pi), 3 (nonlinear_p)" in augmentation
+
+
+def test_build_with_reference_writes_the_files_of_the_cross_check(command: Command, tmp_path: Path) -> None:
+    options = ("--flavour", "python", "--out", "out", "--with-reference")
+    printed = command("build", "ExamplePlant", *options).stdout.split()
+    files = sorted(f"ExamplePlant{end}" for end in (".fmu", "_in.csv", "_ref.csv", "_ref.opt"))
+    assert sorted(printed) == [str(Path("out") / file) for file in files]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == files
+
+
+def test_new_and_build_make_the_fmu_of_a_file_beside_that_of_an_installed_block(command: Command) -> None:
+    assert command("new", "pid").stdout == "pid.py\ntest_pid.py\n"
+    done = command("build", "pid.py", "DepthReference", "--flavour", "python", "--out", "out")
+    assert done.stdout == "out/Pid.fmu\nout/DepthReference.fmu\n"
+
+
+def test_the_block_that_new_writes_runs_in_the_papers_loop_and_passes_every_rule(
+    command: Command, short_scenario: Command
+) -> None:
+    command("new", "pid")
+    command("run", short_scenario(stop=4.0), "--controller", "pid.py", "--out", "results")
+    recording = Recording.read(Path("results", "short-Pid.csv"))
+    assert 0.0 < recording["plant.total_force"][-1] <= 6.0
+    fmu = catalogue.fmu_of_file(Path("pid.py"))
+    assert re.search(r": \d+ passed, \d+ not applicable\n$", command("check", fmu).stdout)
+
+
+def test_a_broken_block_of_another_package_is_named_and_stops_no_other(
+    command: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    points = registry.block_entry_points()
+    broken = EntryPoint("Broken", "no_such_package:BLOCK", registry.GROUP)
+    offered = [broken, points["DepthReference"]]
+    monkeypatch.setattr(registry, "entry_points", lambda group: offered)
+    done = command("build", "--flavour", "python", "--out", "out", expect=1)
+    assert done.stdout == "out/DepthReference.fmu\n"
+    assert "'Broken': its entry point no_such_package:BLOCK cannot be loaded" in done.stderr
+
+
+def test_two_blocks_that_would_be_written_to_one_file_are_refused(command: Command, refused: Command) -> None:
+    command("new", "pid")
+    text = Path("pid.py").read_text()
+    Path("a").mkdir()
+    Path("a", "pid.py").write_text(text.replace('"Pid"', '"PID"'))
+    message = refused("build", "pid.py", "a/pid.py")
+    assert (
+        "a/pid.py: block 'PID' would replace the FMU of block 'Pid' of pid.py: expected names that differ"
+        in message
+    )
+    assert not Path("fmus-built").exists()
+
+
+@pytest.mark.slow
+def test_build_without_names_builds_all_that_ship(command: Command, tmp_path: Path) -> None:
+    command("build", "--out", "out")
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        "AdrcDepthController.fmu", "DepthReference.fmu", "ExamplePlant.fmu", "L1Controller.fmu",
+        "L1DepthController.fmu", "MracDepthController.fmu", "PidDepthController.fmu", "RovDepthPlant.fmu",
+        "SlidingModeDepthController.fmu", "SuperTwistingDepthController.fmu", "ThrustAllocation.fmu",
+    ]  # fmt: skip
