@@ -77,6 +77,7 @@ def test_forged_flags_values_and_outputs_that_no_instance_has_are_refused(sessio
             good = is_mode if word == 0 else number in (0, 1)
             assert _forged(session, content, FIRST_WORD + 8 * word, struct.pack("<q", number)) is good
     for name, good, bad in (
+        ("internal_step", (1e-3, 10.0), (0.0, 11.0)),
         ("gain", (-100.0, 100.0), (-100.1, 100.1, math.nan)),
         ("mode", (0.0, 3.0), (1.0, 2.0, 4.0, -1.0, math.nan)),
         ("enabled", (0.0, 1.0), (2.0, -1.0)),

@@ -144,6 +144,7 @@ def test_an_instance_that_cannot_go_on_ends_where_its_own_run_ends(system: Syste
         simulator.run(of_one(far, {"plant.initial_depth": [1e300]}, 0))
     assert recorded.recording(1).values.tobytes() == error.value.recording.values.tobytes()  # type: ignore[attr-defined]
     assert np.isnan(recorded["plant.depth"][len(recorded.recording(1).time) :, 1]).all()
+    assert f"controller at t = {recorded.recording(1).time[-1]:.9g} s: " in recorded.failures[1]
 
 
 @pytest.mark.parametrize(

@@ -129,6 +129,13 @@ def test_real_time_is_kept_and_missed_deadlines_are_told(linear: Build) -> None:
     assert 0.1 <= rushed["worst_at_s"] <= 1.0
 
 
+def test_real_time_begins_with_the_run_whenever_that_starts(linear: Build) -> None:
+    """At t = 100 s, on the clock of simulated seconds 50 s after t = 0."""
+    later = Experiment(100.2, 0.1, start_time=100.0)
+    paced = simulate(coupled(linear), later, real_time=2.0).provenance["real_time"]
+    assert paced["worst_lateness_s"] < 50.0
+
+
 @pytest.mark.parametrize("factor", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_real_time_factor_must_be_positive(linear: Build, factor: float) -> None:
     with pytest.raises(SystemDefinitionError, match=r"real time factor .* expected more than 0"):
