@@ -1,7 +1,7 @@
 """Make mutants of the laws, the vehicle, the C layer and the master, and run the tests that should notice.
 
-Run `python -m tests.mutation` in the project's root, with the extra `test` installed; it takes hours. What is
-done is kept in the file of results; the same command goes on from there.
+Run `python -m tests.mutation` in the project's root, with the extra `test` installed; it takes an hour or so.
+What is done is kept in the file of results; the same command goes on from there.
 """
 
 import json
