@@ -8,7 +8,17 @@ from tests.speed.importers import Entry
 from tests.speed.layers import Layer
 from tests.speed.scenarios import MONOLITH, PYTHON, Loop
 
-_NUMBERS = {"ns by FMI", "ns in bare C", "ratio", "ms", "us a step", "of python", "of one C program", "us"}
+_NUMBERS = {
+    "ns by FMI",
+    "ns in bare C",
+    "ratio",
+    "ms",
+    "us a step",
+    "of python",
+    "of one C program",
+    "ns a step more",
+    "us",
+}
 _NUMBERS |= {"us overhead", "times the FMUs"}
 
 
@@ -20,7 +30,7 @@ def tables(layers: Sequence[Layer], loops: Sequence[Loop], entries: Sequence[Ent
         _table("One communication step", ("Block", "ns by FMI", "ns in bare C", "ratio"), map(_step, layers)),
         _table(
             "A whole scenario",
-            ("Scenario", "How", "ms", "us a step", "of python", "of one C program"),
+            ("Scenario", "How", "ms", "us a step", "of python", "of one C program", "ns a step more"),
             (row for loop in loops for row in _ways(loop)),
         ),
         _table(title, headings, map(_importer, sorted(entries, key=lambda e: (bool(e.problem), e.per_step)))),
@@ -36,7 +46,8 @@ def _ways(loop: Loop) -> Iterable[tuple[str, ...]]:
     for way, seconds in loop.seconds.items():
         speed, ratio = loop.seconds[PYTHON] / seconds, seconds / loop.seconds[MONOLITH]
         times = f"{1e3 * seconds:.2f}", f"{1e6 * seconds / loop.steps:.2f}"
-        yield loop.scenario, way, *times, f"1/{speed:.0f}", f"{ratio:.2f}"
+        more = 1e9 * (seconds - loop.seconds[MONOLITH]) / loop.steps
+        yield loop.scenario, way, *times, f"1/{speed:.0f}", f"{ratio:.2f}", f"{more:.0f}"
 
 
 def _importer(entry: Entry) -> tuple[str, ...]:

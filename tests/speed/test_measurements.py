@@ -51,9 +51,9 @@ def test_the_tables_have_the_ratios() -> None:
     rows = [[cell.strip() for cell in line.split("│")[1:-1]] for line in console.export_text().splitlines()]
     assert [row for row in rows if row] == [
         ["Block", "30", "20", "1.50"],
-        ["scenario", "python FMUs, this master", "2000.00", "2000.00", "1/1", "500.00"],
-        ["scenario", "native FMUs, this master", "8.00", "8.00", "1/250", "2.00"],
-        ["scenario", "native FMUs, its loop alone", "6.00", "6.00", "1/333", "1.50"],
-        ["scenario", "native FMUs, a host in C", "5.00", "5.00", "1/400", "1.25"],
-        ["scenario", "the same equations, one C program", "4.00", "4.00", "1/500", "1.00"],
+        ["scenario", "python FMUs, this master", "2000.00", "2000.00", "1/1", "500.00", "1996000"],
+        ["scenario", "native FMUs, this master", "8.00", "8.00", "1/250", "2.00", "4000"],
+        ["scenario", "native FMUs, its loop alone", "6.00", "6.00", "1/333", "1.50", "2000"],
+        ["scenario", "native FMUs, a host in C", "5.00", "5.00", "1/400", "1.25", "1000"],
+        ["scenario", "the same equations, one C program", "4.00", "4.00", "1/500", "1.00", "0"],
     ]
