@@ -68,10 +68,11 @@ def _entered(path: Path, description: ModelDescription) -> tuple[UnpackedFmu, Fi
 
 
 def _library(path: Path, description: ModelDescription, folder: Path) -> Library:
-    """Unpack an FMU, of an independent one its library alone, and load the library for this platform."""
+    """Unpack an FMU, of an independent one its library and resources, and load it for this platform."""
     interface = description.coSimulation
     with zipfile.ZipFile(path) as archive:
-        member = library_member(archive.namelist(), str(interface.modelIdentifier) if interface else "")
+        names = archive.namelist()
+    member = library_member(names, str(interface.modelIdentifier) if interface else "")
     if member is None:
         available = [
             "C sources" if name == "c-code" else name for name in fmpy.supported_platforms(str(path))
@@ -79,5 +80,6 @@ def _library(path: Path, description: ModelDescription, folder: Path) -> Library
         raise FmuLoadError(
             f"{path} has no binary for {fmpy.platform}: it has {', '.join(available) or 'none'}"
         )
-    extract_archive(path, folder, [member] if is_independent(description) else None)
+    needed = [name for name in names if name == member or name.startswith("resources/")]
+    extract_archive(path, folder, needed if is_independent(description) else None)
     return Library(folder / member)

@@ -119,17 +119,14 @@ def _builds(folder: Path) -> list[Command]:
     caches = {"XDG_CACHE_HOME": f"{folder}/cache", "ZIG_GLOBAL_CACHE_DIR": f"{folder}/cache/zig"}
     of_unchanged = {"XDG_CACHE_HOME": f"{folder}/unchanged"}  # which holds the stamps of its FMUs
 
-    def compile_libraries() -> None:
-        if not libraries.exists():
-            variables = {**os.environ, **caches, "ZIG_GLOBAL_CACHE_DIR": str(libraries)}
-            compiled = _COMPILE.format(platforms=PLATFORMS, text=_COMPILED)
-            subprocess.run([sys.executable, "-c", compiled], env=variables, check=True)
-
     def forget() -> None:
-        compile_libraries()
         for name in ("cache", "built"):
             shutil.rmtree(folder / name, ignore_errors=True)
-        shutil.copytree(libraries, folder / "cache" / "zig")
+        if not libraries.exists():  # made where they are used, as Zig finds them by their paths
+            compiled = _COMPILE.format(platforms=PLATFORMS, text=_COMPILED)
+            subprocess.run([sys.executable, "-c", compiled], env={**os.environ, **caches}, check=True)
+            shutil.move(folder / "cache" / "zig", libraries)
+        shutil.copytree(libraries, folder / "cache" / "zig", symlinks=True)
 
     return [
         Command("l1-depth build of five FMUs, anew", (*build, "--out", "built"), caches, forget),

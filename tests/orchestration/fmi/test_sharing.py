@@ -1,6 +1,7 @@
 """Instances of one FMU of ours share what cannot differ between them; those of another FMU share nothing."""
 
 import os
+import zipfile
 from collections.abc import Callable, Mapping
 from itertools import pairwise
 from pathlib import Path
@@ -61,6 +62,18 @@ def test_a_chain_of_one_file_is_unpacked_loaded_and_parsed_once(
     assert set(work.values()) == {1}
     outputs = [recording[f"p{i}.output"][-1] for i in range(3)]
     assert len(set(outputs)) == 3  # each has a state of its own
+
+
+@pytest.mark.parametrize("flavour", ["built", "python_built"])
+def test_of_an_fmu_of_ours_what_a_run_needs_is_unpacked(flavour: str, request: pytest.FixtureRequest) -> None:
+    """Its library and its resources, not its documentation and sources."""
+    fmu = request.getfixturevalue(flavour)["ExamplePlant"]
+    with unpacked.unpacked(fmu, describe(fmu)) as opened, zipfile.ZipFile(fmu) as archive:
+        files = {path.relative_to(opened.folder) for path in opened.folder.rglob("*") if path.is_file()}
+        resources = {Path(name) for name in archive.namelist() if name.startswith("resources/")}
+        (library,) = files - resources
+        assert library.parts[0] == "binaries"
+        assert resources <= files
 
 
 def test_an_instance_keeps_its_state_when_another_of_its_library_is_freed(
