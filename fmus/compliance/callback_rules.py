@@ -9,13 +9,17 @@ from fmus.compliance.values import differing, unless_claimed
 
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
 _OWN_MEMORY = "canNotUseMemoryManagementFunctions"
-_NAME = "instance with a name of its own"
+_NAME = "system.subsystem[2].'instance with a name of its own'.part"
 
 
-@rule(_CREATION, Stage.BEHAVIOUR, needs=["reset-in-every-state", "allowed-calls-succeed"])
+@rule(
+    _CREATION,
+    Stage.BEHAVIOUR,
+    needs=["reset-in-every-state", "allowed-calls-succeed", "messages-have-the-instance-name"],
+)
 def arguments_of_instantiation_are_copied(probe: Probe) -> Iterator[str]:
     """Name, GUID, resource location and the structure of callbacks are not used after fmi2Instantiate
-    returned.
+    returned; a long name is kept whole.
     """
     usual = probe.script().begin()
     expected = usual.run(2)
@@ -38,6 +42,8 @@ def arguments_of_instantiation_are_copied(probe: Probe) -> Iterator[str]:
     names = {m.instance for reply in script.replies for m in reply.messages} - {_NAME}
     if any(name is not None and name.strip("#") == "" for name in names):
         yield "messages carry the overwritten instance name: expected a copy of it"
+    elif cut := sorted(name for name in names if name and _NAME.startswith(name)):
+        yield f"messages carry the instance name {cut[0]!r}: expected {_NAME!r}"
 
 
 @rule(_CREATION, Stage.BEHAVIOUR)

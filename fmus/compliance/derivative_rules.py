@@ -273,8 +273,8 @@ def derivatives_are_slopes(probe: Probe) -> Iterator[str]:
     continuous = [(v, w) for v, w in pairs if v.variability == w.variability == "continuous"]
     if not continuous:
         raise NotApplicableError("no continuous variable is marked as a derivative")
-    script = probe.script().begin()
-    readings = [script.step().read([x for pair in continuous for x in pair]) for _ in range(_MANY_STEPS)]
+    script, chosen = probe.script().begin(), [x for pair in continuous for x in pair]
+    readings = [script.read(chosen), *(script.step().read(chosen) for _ in range(_MANY_STEPS))]
     script.play()
     for v, state in continuous:
         values, slopes = ([reading.values[x.name] for reading in readings] for x in (state, v))

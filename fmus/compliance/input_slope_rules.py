@@ -5,9 +5,18 @@ from collections.abc import Callable, Iterator
 
 from fmus.compliance.derivative_rules import INTERPOLATES, derive, input_effects
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotApplicableError, Stage, rule
+from fmus.compliance.rule import Level, NotApplicableError, NotJudgedError, Stage, rule
 from fmus.compliance.script import Reading, Script
-from fmus.compliance.values import continuous_reals, other_value, start_value, texts, unless_claimed
+from fmus.compliance.values import (
+    continuous_reals,
+    differing,
+    other_value,
+    other_values,
+    references_of,
+    start_value,
+    texts,
+    unless_claimed,
+)
 from fmus.compliance.variable import Variable
 
 _ANY_STEP = "canHandleVariableCommunicationStepSize"
@@ -87,3 +96,27 @@ def _wrong_effect(probe: Probe, v: Variable, change: float) -> Iterator[str]:
             f"the derivative of {v.name} moves {name} by {shown[0]} in a step: expected about {shown[1]}, as "
             f"{_PARTS} short steps along its line do"
         )
+
+
+@rule(
+    "4.2.1 Transfer of Input / Output Values and Parameters",
+    Stage.BEHAVIOUR,
+    condition=unless_claimed(INTERPOLATES),
+    needs=["input-derivatives-have-an-effect", "variables-can-be-read"],
+)
+def input_derivatives_are_set_together(probe: Probe) -> Iterator[str]:
+    """Derivatives of several inputs that are set in one call act as if each is set in a call of its own."""
+    chosen = [(v, x - start_value(v)) for v, x in other_values(continuous_reals(probe, "input"))]
+    if len(chosen) < 2:
+        raise NotApplicableError("fewer than two continuous inputs take another value")
+    alone, together = probe.script().begin().step(), probe.script().begin().step()
+    slopes = [change / probe.step_size for _, change in chosen]
+    for (v, _), slope in zip(chosen, slopes, strict=True):
+        derive(alone, v, slope)
+    references = references_of([v for v, _ in chosen])
+    together.call("set_input_derivatives", references, [1] * len(references), slopes)
+    expected, got = alone.run(2), together.run(2)
+    probe.play_each([alone, together])
+    if failure := alone.failure or together.failure:
+        raise NotJudgedError(f"a run with derivatives of inputs fails: {failure.problem}")
+    yield from differing(expected, got, f"where one call sets the derivatives of {len(chosen)} inputs")

@@ -167,7 +167,7 @@ class ProcessSettings:
             "environment": self._environment_now(),
             "standard streams": " ".join(map(_stream, _STREAMS)),
             "timers": " ".join(
-                str(signal.getitimer(kind)[1]) for kind in (signal.ITIMER_REAL, signal.ITIMER_VIRTUAL)
+                str(signal.getitimer(kind)[0] > 0.0) for kind in (signal.ITIMER_REAL, signal.ITIMER_VIRTUAL)
             ),
             "limits": " ".join(str(resource.getrlimit(kind)) for kind in _LIMITS),
             "priority": str(os.getpriority(os.PRIO_PROCESS, 0)),

@@ -19,18 +19,25 @@ _APART = 0.4  # of the change over two steps: a rough solver, but not half a ste
 
 @rule(_SETUP, Stage.BEHAVIOUR)
 def step_beyond_the_stop_time_is_an_error(probe: Probe) -> Iterator[str]:
-    """If a stop time is defined, steps up to it succeed and a step past it returns error."""
+    """If a stop time is defined, steps up to it succeed and a step past it returns error; fmi2Reset brings
+    the instance back.
+    """
     script = probe.script(logging=True).set_up(stop=probe.point(3))
     script.enter_initialization_mode().exit_initialization_mode().step(3)
     beyond = script.call("do_step", probe.point(3), probe.step_size)
-    script.play(keep_going=True)
-    if script.failure not in (None, beyond):
+    script.reset()
+    script.begin().step().play(keep_going=True)
+    after = script.replies[script.replies.index(beyond) + 1 :]
+    failed = next((reply for reply in after if reply.status is not None and not reply.ok), None)
+    if script.failure not in (None, beyond, failed):
         yield f"with the stop time {probe.point(3):g} s, before it: {script.failure.problem}"
     elif beyond.status != ERROR:
         yield (
             f"fmi2DoStep to {probe.point(4):g} s {beyond.status_name}: expected error beyond the "
             f"stop time {probe.point(3):g} s"
         )
+    elif failed:
+        yield f"after fmi2Reset from a step beyond the stop time: {failed.problem}"
 
 
 @rule(_SETUP, Stage.BEHAVIOUR)

@@ -67,7 +67,8 @@ def far_values(v: Variable) -> list[Any]:
     if v.base_kind == "String":
         return ["", _LONG_TEXT]
     if v.base_kind == "Integer":
-        return sorted((v.items or set()) - {start})
+        limits = {int(x) for x in (v.number("min"), v.number("max")) if x is not None}
+        return sorted((v.items or limits) - {start})
     if v.base_kind == "Boolean":
         return [1 - start]
     low, high, width = v.number("min"), v.number("max"), 3 * (abs(start) or v.number("nominal") or 1.0)
