@@ -41,6 +41,12 @@ def sweep(
             "--isolated", help="Run FMUs in processes apart, also those that are known to need none."
         ),
     ] = False,
+    ensemble: Annotated[
+        bool,
+        typer.Option(
+            "--ensemble", help="Step samples of native FMUs together, in vectors: faster, with the same rows."
+        ),
+    ] = False,
     scheduler: Annotated[
         str,
         typer.Option(
@@ -74,11 +80,14 @@ def sweep(
 
     changes = Changes.of_options(controller, settings, mapped, open_inputs)
     alone = {"--workers": workers, "--isolated": isolated, "--scheduler": scheduler}
-    alone |= {"--recordings": recordings, "--restart": restart}
+    alone |= {"--recordings": recordings, "--restart": restart, "--ensemble": ensemble}
     if sample is not None:
         refuse_without_effect("--sample", alone)
     if scheduler:
-        refuse_without_effect("--scheduler", {"--workers": workers, "--isolated": isolated})
+        local_options = {"--workers": workers, "--isolated": isolated, "--ensemble": ensemble}
+        refuse_without_effect("--scheduler", local_options)
+    if ensemble:
+        refuse_without_effect("--ensemble", {"--isolated": isolated, "--recordings": recordings})
     planned = plan(chosen_scenario.load(name, flavour, changes))
     if sample is not None:
         _run_one(planned, sample, out)
@@ -89,7 +98,7 @@ def sweep(
     from orchestration.sweep.run import sweep as run_samples
     from orchestration.sweep.summary import summary_table
 
-    started = _workers(workers, isolated, scheduler)
+    started = _workers(workers, isolated, ensemble, scheduler)
     with progress("sweep", planned.count) as bar:
         try:
             path = run_samples(planned, out, started, recorded, restart, bar.advance)
@@ -105,11 +114,17 @@ def sweep(
         print(path.with_suffix(".recordings"))
 
 
-def _workers(count: int | None, isolated: bool, scheduler: str) -> "AbstractContextManager[Workers]":
+def _workers(
+    count: int | None, isolated: bool, ensemble: bool, scheduler: str
+) -> "AbstractContextManager[Workers]":
     if scheduler:
         from orchestration.sweep import cluster  # Dask is slow to import
 
         return cluster.remote(scheduler)
+    if ensemble:
+        from orchestration.sweep.ensemble import ensemble as together
+
+        return together(count or os.cpu_count() or 1)
     from orchestration.sweep.local import local
 
     return local(count or os.cpu_count() or 1, isolated)

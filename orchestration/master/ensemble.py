@@ -73,7 +73,8 @@ class Ensemble(AbstractContextManager["Ensemble"]):
         progress: called with the instances that are done, and all of them
 
         An instance that cannot begin, or cannot go on, is in `failures` of the result and disturbs no other.
-        Raises SystemDefinitionError for what does not fit, EnsembleError for what only a `Simulator` can run.
+        Raises SystemDefinitionError for what does not fit, EnsembleError for what only a `Simulator` can run,
+        OrchestrationError if no instance can begin.
         """
         prepared = prepare(self.system, experiment)
         groups = connection_groups(prepared.system)
@@ -105,7 +106,7 @@ class Ensemble(AbstractContextManager["Ensemble"]):
             if not reason:
                 break
         if reason:
-            raise EnsembleError(f"none of {count} instances can begin; the last: {reason}")
+            raise OrchestrationError(f"none of {count} instances can begin; the last: {reason}")
         common = {name: self._values(name) for name in self._libraries}
         loop = build_loop(prepared, self._libraries, self.instructions, common, count)
         for name, values in vary.items():

@@ -11,6 +11,7 @@ import pytest
 from fmus.fmi_types import FmiValue
 from orchestration.scenarios import scenario
 from orchestration.sweep import table
+from orchestration.sweep.ensemble import ensemble
 from orchestration.sweep.local import LocalWorkers, local
 from orchestration.sweep.plan import Plan, plan
 from orchestration.sweep.run import sweep
@@ -186,3 +187,10 @@ def test_what_is_left_of_a_batch_is_handed_out_again_first() -> None:
     assert batches.left == 9
     assert batches.take(1) == [1, 2, 3]
     assert batches.take(1) == [4, 5]
+
+
+@pytest.mark.slow
+def test_an_ensemble_gives_the_same_table(vehicle: Plan, tmp_path: Path, scenario_fmus: None) -> None:
+    """Also where a sample cannot begin: it is run alone."""
+    together = sweep(vehicle, tmp_path / "together", ensemble(2)).read_bytes()
+    assert together == swept(vehicle, tmp_path / "threads", 2)[0]
