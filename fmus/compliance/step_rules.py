@@ -17,7 +17,7 @@ _MOST_STEPS = 100  # of a default experiment that is run
 _APART = 0.4  # of the change over two steps: a rough solver, but not half a step
 
 
-@rule(_SETUP, Stage.BEHAVIOUR)
+@rule(_SETUP, Stage.BEHAVIOUR, needs=["reset-in-every-state"])
 def step_beyond_the_stop_time_is_an_error(probe: Probe) -> Iterator[str]:
     """If a stop time is defined, steps up to it succeed and a step past it returns error; fmi2Reset brings
     the instance back.
