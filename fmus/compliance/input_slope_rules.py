@@ -33,7 +33,7 @@ _NOISE = 1e-9  # relative
     Stage.BEHAVIOUR,
     Level.WARNING,
     condition=unless_claimed(INTERPOLATES),
-    needs=["input-derivatives-have-an-effect", "setting-the-same-changes-nothing"],
+    needs=["input-derivatives-have-an-effect", "setting-the-same-changes-nothing", "variable-step-size"],
 )
 def input_derivatives_are_slopes(probe: Probe) -> Iterator[str]:
     """With its first derivative an input moves an output, which follows it through a state, in a step about

@@ -291,30 +291,30 @@ fmi2Status fmi2CancelStep(fmi2Component c) { return refuse(c, fmi2Error, "fmi2Ca
 fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value) {
     Slave *s = c;
     MUST_BE(STEPPING | TERMINATED | STEP_FAILED, "fmi2GetRealStatus");
-    if (kind != fmi2LastSuccessfulTime) return fmi2Discard;
+    if (kind != fmi2LastSuccessfulTime) return refuse(s, fmi2Discard, "fmi2GetRealStatus: no such status");
     *value = s->data.last_successful_time;
     return model_tells_time(s);
 }
 
 fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value) {
-    (void)c, (void)kind, (void)value;
-    return fmi2Discard;
+    (void)kind, (void)value;
+    return refuse(c, fmi2Discard, "fmi2GetStatus: no such status");
 }
 
 fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Integer *value) {
-    (void)c, (void)kind, (void)value;
-    return fmi2Discard;
+    (void)kind, (void)value;
+    return refuse(c, fmi2Discard, "fmi2GetIntegerStatus: no such status");
 }
 
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value) {
-    if (kind != fmi2Terminated) return fmi2Discard;
+    if (kind != fmi2Terminated) return refuse(c, fmi2Discard, "fmi2GetBooleanStatus: no such status");
     *value = ((Slave *)c)->data.terminates;
     return fmi2OK;
 }
 
 fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2String *value) {
-    (void)c, (void)kind, (void)value;
-    return fmi2Discard;
+    (void)kind, (void)value;
+    return refuse(c, fmi2Discard, "fmi2GetStringStatus: no such status");
 }
 
 /* Saved states: copies of the data */
