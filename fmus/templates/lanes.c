@@ -124,7 +124,7 @@ typedef struct {
     Lanes constants[STEP_SIZES][N_STEP_CONSTANTS + 1];
     Lanes memory[N_MEMORY + 1];
     double size_of_constants[STEP_SIZES]; /* s; NaN: of none */
-    int64_t present, oldest_constants;
+    int64_t present, oldest_constants, parameters_are_stale;
 } Group;
 
 static const double MOST_INTERNAL_STEPS = 1e9;
@@ -135,19 +135,25 @@ static int64_t bits(Mask mask) {
     return result;
 }
 
-/* What the caller has to know: how many variables, states, and bytes of a group; its internal step. */
-EXPORT void lanes_sizes(int64_t sizes[4]) {
-    const int64_t known[] = {N_VARIABLES, N_STATES, sizeof(Group), INTERNAL_STEP};
+/* What the caller has to know: how many variables, states, and bytes of a group; its internal step; how many Reals take
+ * whole numbers alone. */
+EXPORT void lanes_sizes(int64_t sizes[5]) {
+    int64_t known[] = {N_VARIABLES, N_STATES, sizeof(Group), INTERNAL_STEP, 0};
+    for (int i = 0; i < N_VARIABLES; i++) known[4] += VARIABLES[i].whole;
     memcpy(sizes, known, sizeof known);
 }
+
+/* Of the FMU whose equations these are. */
+EXPORT const char *lanes_guid(void) { return MODEL_GUID; }
 
 /* Of new memory, before anything else: nothing is remembered yet. */
 EXPORT void lanes_clear(Group *group) { memset(group->memory, 0xff, sizeof group->memory); } /* NaN of NaN */
 
-/* After parameters were changed: what follows from them. Lanes whose parameters contradict each other. */
-static Mask parameters_changed(Group *group) {
+/* What follows from the parameters. Lanes whose parameters contradict each other. */
+static Mask calculate(Group *group) {
     Lanes holds[N_REQUIREMENTS + 1], *p = group->value, *c = p + FIRST_CALCULATED;
     Mask broken = {0};
+    group->parameters_are_stale = 0;
     for (int i = 0; i < STEP_SIZES; i++) group->size_of_constants[i] = NAN;
     model_calculate(p, c, group->memory);
     model_requirements(p, c, holds, group->memory);
@@ -158,7 +164,8 @@ static Mask parameters_changed(Group *group) {
     return broken;
 }
 
-EXPORT int64_t lanes_parameters_changed(Group *group) { return bits(parameters_changed(group)); }
+/* The next step begins with what follows from them, as that of the FMU. */
+EXPORT void lanes_parameters_changed(Group *group) { group->parameters_are_stale = 1; }
 
 static const Lanes *constants_of(Group *group, double internal) {
     for (int i = 0; i < STEP_SIZES; i++)
@@ -192,7 +199,7 @@ static Mask refused(const Lanes *state, const Lanes *outputs) {
 EXPORT int64_t lanes_initialize(Group *group, double time) {
     const Lanes *p = group->value, *c = p + FIRST_CALCULATED, *u = p + FIRST_INPUT;
     Lanes *outputs = group->value + FIRST_OUTPUT;
-    const Mask broken = parameters_changed(group);
+    const Mask broken = calculate(group);
     group->present = 0;
     model_initial_state(time, u, p, c, group->state[0], group->memory);
     model_output(time, group->state[0], p, c, outputs, group->memory);
@@ -203,6 +210,7 @@ EXPORT int64_t lanes_initialize(Group *group, double time) {
 EXPORT int64_t lanes_step(Group *group, double start, double size) {
     const Lanes *p = group->value, *c = p + FIRST_CALCULATED, *u = p + FIRST_INPUT;
     Lanes *outputs = group->value + FIRST_OUTPUT;
+    const Mask broken = group->parameters_are_stale ? calculate(group) : (Mask){0};
     const double steps = size / p[INTERNAL_STEP][0] * (1 - 1e-9);
     if (!(steps <= MOST_INTERNAL_STEPS)) return -1;
     const int count = steps <= 1 ? 1 : (int)ceil(steps);
@@ -215,5 +223,5 @@ EXPORT int64_t lanes_step(Group *group, double start, double size) {
     }
     next = group->state[group->present];
     model_output(start + size, next, p, c, outputs, group->memory);
-    return bits(refused(next, outputs));
+    return bits(broken | refused(next, outputs));
 }

@@ -1,5 +1,6 @@
 """Many instances of one system, which step together."""
 
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack
@@ -10,19 +11,18 @@ from fmus.errors import nearest
 from fmus.fmi_types import FmiValue
 from fmus.lanes import LANES
 from fmus.platforms import INSTRUCTION_SETS, instruction_sets
-from orchestration.errors import EnsembleError, OrchestrationError, SystemDefinitionError
+from orchestration.errors import EnsembleError, OrchestrationError
 from orchestration.fmi.description import describe, is_independent
 from orchestration.fmi.instance import FmuInstance
-from orchestration.master.ensemble_loop import EnsembleLoop, build_loop
+from orchestration.master.ensemble_checks import Vary, check_supported, checked_values
+from orchestration.master.ensemble_loop import EnsembleLoop, build_loop, check_memory, loop_library
 from orchestration.master.ensemble_recording import EnsembleRecording
 from orchestration.master.initialisation import ConnectionGroup, connection_groups, initialise
 from orchestration.master.lane_library import lane_library
 from orchestration.system.experiment import Experiment
-from orchestration.system.prepared_run import PreparedRun, has_start_value, prepare
-from orchestration.system.system import System
-from orchestration.system.values import Value, fmi_value
-
-Vary = Mapping[str, Sequence[Value] | np.ndarray]
+from orchestration.system.open_inputs import OpenInputs
+from orchestration.system.prepared_run import PreparedRun, prepare_checked
+from orchestration.system.system import System, check
 
 
 class Ensemble(AbstractContextManager["Ensemble"]):
@@ -49,14 +49,23 @@ class Ensemble(AbstractContextManager["Ensemble"]):
             raise EnsembleError(f"instructions {instructions!r}: this processor has {', '.join(available)}")
         self._loaded = ExitStack()
         self._instances: dict[str, FmuInstance] = {}
-        for name, path in system.components.items():
-            if not is_independent(describe(path)):
+        self._running = threading.Lock()
+        self._descriptions = {name: describe(path) for name, path in system.components.items()}
+        for name, description in self._descriptions.items():
+            if not is_independent(description):
                 raise EnsembleError(
-                    f"{name}: {path}: expected a native FMU of l1-depth; Simulator runs any FMU"
+                    f"{name}: {system.components[name]}: expected a native FMU of l1-depth; "
+                    "Simulator runs any FMU"
                 )
+        loop_library(self.instructions)
         self._libraries = {
             name: lane_library(name, path, self.instructions) for name, path in system.components.items()
         }
+        for name, library in self._libraries.items():
+            if library.wholes:
+                raise EnsembleError(
+                    f"{name}: an Ensemble has no whole numbers of an FMU of Reals alone; a Simulator has"
+                )
 
     def run(
         self,
@@ -76,12 +85,30 @@ class Ensemble(AbstractContextManager["Ensemble"]):
         Raises SystemDefinitionError for what does not fit, EnsembleError for what only a `Simulator` can run,
         OrchestrationError if no instance can begin.
         """
-        prepared = prepare(self.system, experiment)
-        groups = connection_groups(prepared.system)
+        if threads < 1:
+            raise OrchestrationError(f"threads: {threads}: expected at least 1")
+        if not self._running.acquire(blocking=False):
+            raise OrchestrationError("this ensemble is running: expected another one for a run meanwhile")
+        try:
+            return self._run(experiment, vary, threads, progress)
+        finally:
+            self._running.release()
+
+    def _run(
+        self,
+        experiment: Experiment,
+        vary: Vary,
+        threads: int,
+        progress: Callable[[int, int], object] | None,
+    ) -> EnsembleRecording:
+        open_inputs = OpenInputs(experiment.open_inputs)
+        system = check(self.system, experiment.driven_inputs, self._descriptions, open_inputs)
+        prepared, groups = prepare_checked(system, experiment), connection_groups(system)
         check_supported(prepared, groups)
         values = checked_values(prepared, vary)
-        loop = self._started(prepared, groups, values)
         count = len(next(iter(values.values())))
+        check_memory(prepared, self._libraries, count)
+        loop = self._started(prepared, groups, values)
         begun = ~loop.failure.ravel()[:count].astype(bool)
         reasons = {i: self._reason(prepared, groups, values, i) for i in np.flatnonzero(~begun).tolist()}
         with ThreadPoolExecutor(threads) as pool:
@@ -134,8 +161,8 @@ class Ensemble(AbstractContextManager["Ensemble"]):
         own = {name: values[instance] for name, values in vary.items()}
         settings = [(port, own.pop(port.name, value)) for port, value in prepared.settings]
         settings += [(prepared.system.ports[name], value) for name, value in own.items()]
+        self._load_or_reset()
         try:
-            self._load_or_reset()
             initialise(prepared, groups, self._instances, settings)
         except OrchestrationError as error:
             return str(error)
@@ -147,9 +174,12 @@ class Ensemble(AbstractContextManager["Ensemble"]):
         ):
             return
         self.close()
-        for name, path in self.system.components.items():
-            instance = FmuInstance(name, path, describe(path))
-            self._instances[name] = self._loaded.enter_context(instance)
+        with ExitStack() as loading:
+            instances = {}
+            for name, path in self.system.components.items():
+                instance = FmuInstance(name, path, self._descriptions[name])
+                instances[name] = loading.enter_context(instance)
+            self._instances, self._loaded = instances, loading.pop_all()
 
     def _values(self, name: str) -> np.ndarray:
         """The variables of an initialised FMU by value reference."""
@@ -167,39 +197,3 @@ class Ensemble(AbstractContextManager["Ensemble"]):
 
     def __exit__(self, *error: object) -> None:
         self.close()
-
-
-def check_supported(prepared: PreparedRun, groups: Sequence[ConnectionGroup]) -> None:
-    """EnsembleError for an experiment with something that steps of whole groups do not have."""
-    experiment = prepared.experiment
-    reasons = {
-        "extrapolation": experiment.extrapolation,
-        "step_sizes": any(period > 1 for period in prepared.periods.values()),
-        "tolerance": experiment.tolerance,
-        "faults": experiment.faults,
-        "error_estimate": experiment.error_estimate,
-        "an algebraic loop of initial values": any(group.is_loop for group in groups),
-        "a connection of an Enumeration": any(
-            target.variable.type == "Enumeration" for _, target in prepared.system.connections
-        ),
-    }
-    for name, is_used in reasons.items():
-        if is_used:
-            raise EnsembleError(f"{name}: an Ensemble does not run it; a Simulator does")
-
-
-def checked_values(prepared: PreparedRun, vary: Vary) -> dict[str, list[FmiValue]]:
-    """The values to vary as the FMUs take them; SystemDefinitionError for what cannot be varied so."""
-    lengths = {name: len(values) for name, values in vary.items()}
-    if not lengths or len({*lengths.values()}) > 1 or 0 in lengths.values():
-        raise SystemDefinitionError(f"vary: expected lists of one length, at least 1, got {lengths}")
-    given = {port.name for port, _ in prepared.settings}
-    for name in vary:
-        variable = prepared.system.port(name, "vary").variable
-        if not (has_start_value(variable) or (variable.causality == "input" and name in given)):
-            driven = "one that is driven" if variable.causality == "input" else variable.causality
-            raise SystemDefinitionError(
-                f"vary: {name}: expected a parameter or a constant input, got {driven}"
-            )
-    ports = prepared.system.ports
-    return {name: [fmi_value(ports[name], value) for value in values] for name, values in vary.items()}

@@ -9,10 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fmus.errors import ExportError
 from fmus.lanes import LANES
+from orchestration.errors import EnsembleError
 from orchestration.master.initialisation import ConnectionGroup
 from orchestration.master.lane_library import LaneLibrary, aligned_zeros, load_compiled
 from orchestration.system.experiment import Algorithm
+from orchestration.system.experiment_checks import check_fits
 from orchestration.system.prepared_run import PreparedRun
 from orchestration.system.system import Port
 from orchestration.system.transformation import LinearTransformation
@@ -93,7 +96,7 @@ class EnsembleLoop:
         starts = sorted({0, *self.prepared.changes})
         for start, end in zip(starts, [*starts[1:], last], strict=True):
             self._change(group, start)
-            _library(self.instructions).ensemble_run(address, start, end)
+            loop_library(self.instructions).ensemble_run(address, start, end)
 
     def data(self, group: int) -> GroupData:
         """The arrays of a group."""
@@ -159,7 +162,7 @@ class EnsembleLoop:
         for component in {source.component for source, _ in connections} or self.libraries:
             for index, memory in enumerate(self.memory[component]):
                 refused = self.libraries[component].initialise(memory, float(self.prepared.points[0]))
-                self._note_refused(index, component, refused, 0)
+                self._note_refused(index, component, refused)
         for source, target in connections:
             value = self.values(source)
             transformation = self.prepared.system.transformations.get(target.name)
@@ -172,17 +175,29 @@ class EnsembleLoop:
 
     def _change(self, group: int, point: int) -> None:
         """Set what events change at a communication point."""
-        for port, value in self.prepared.changes.get(point, ()):
+        changes = self.prepared.changes.get(point, ())
+        for port, value in changes:
             self.values(port)[group] = float(value)
-            refused = self.libraries[port.component].parameters_changed(self.memory[port.component][group])
-            self._note_refused(group, port.component, refused, point)
+        for component in {port.component for port, _ in changes}:
+            self.libraries[component].parameters_changed(self.memory[component][group])
 
-    def _note_refused(self, group: int, component: str, refused: int, recorded: int) -> None:
-        """End the instances whose lanes are refused, with so many recorded points."""
+    def _note_refused(self, group: int, component: str, refused: int) -> None:
+        """The instances of the refused lanes do not begin."""
         for lane in range(LANES) if refused else ():
             if refused >> lane & 1 and not self.failure[group, lane]:
                 self.failure[group, lane] = 1 + list(self.libraries).index(component)
-                self.recorded[group, lane] = recorded
+                self.recorded[group, lane] = 0
+
+
+def check_memory(prepared: PreparedRun, libraries: Mapping[str, LaneLibrary], count: int) -> None:
+    """SystemDefinitionError for so many instances that their recording does not fit into this machine."""
+    groups, (points, columns) = -(-count // LANES), prepared.shape
+    words = LANES * points * columns + sum(library.words for library in libraries.values())
+    check_fits(
+        8 * groups * words,
+        f"{count} instances of {points} communication points of {columns} variables",
+        "record fewer variables, or run fewer instances at once",
+    )
 
 
 def build_loop(
@@ -209,8 +224,12 @@ def _integers(values: Sequence[int]) -> Array:
 
 
 @lru_cache
-def _library(instructions: str) -> ctypes.CDLL:
-    library = load_compiled(Path(__file__).with_name("ensemble.c"), instructions)
+def loop_library(instructions: str) -> ctypes.CDLL:
+    """The compiled loop, for every ensemble of these instructions; EnsembleError if it cannot be compiled."""
+    try:
+        library = load_compiled(Path(__file__).with_name("ensemble.c"), instructions)
+    except (ExportError, OSError) as error:
+        raise EnsembleError(f"no ensemble: {error}; a Simulator runs the system") from error
     library.ensemble_run.argtypes = [ctypes.c_void_p, *[ctypes.c_int64] * 2]
     library.ensemble_run.restype = None
     return library

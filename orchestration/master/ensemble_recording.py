@@ -50,8 +50,7 @@ class EnsembleRecording:
         """
         if name not in self.names:
             raise OrchestrationError(f"{name!r} was not recorded; {nearest(name, self.names)}")
-        groups = self.values[:, self.names.index(name)]
-        signal = groups.swapaxes(0, 1).reshape(len(self.time), -1)[:, : len(self)]
+        signal = np.concatenate([*self.values[:, self.names.index(name)]], axis=1)[:, : len(self)]
         for instance in self.failures:
             signal[self.counts[instance] :, instance] = np.nan
         return signal

@@ -15,7 +15,7 @@ from fmus.lanes import LANES, SOURCE, lane_sources
 from orchestration.errors import EnsembleError
 from orchestration.fmi.description import FileVersion
 
-_MAGIC, _FORMAT, _HEAD = b"L1-STATE", 2, 52  # snapshot.h: magic, format and GUID
+_MAGIC, _FORMAT, _GUID, _HEAD = b"L1-STATE", 2, 16, 52  # snapshot.h: magic, format, then the GUID
 _FIRST_VALUE = 5  # word of `Data` in instance.h
 _MOST_LIBRARIES = 64
 
@@ -24,20 +24,23 @@ class LaneLibrary:
     """variables, states: how many an instance has; words: of 8 bytes, of a group
 
     internal_step: value reference of the parameter; step: address of the function that steps a group
+    wholes: how many Reals take whole numbers alone, as in FMUs of Reals only
     """
 
     def __init__(self, library: ctypes.CDLL) -> None:
-        sizes = (ctypes.c_int64 * 4)()
+        sizes = (ctypes.c_int64 * 5)()
         library.lanes_sizes(sizes)
-        self.variables, self.states, n_bytes, self.internal_step = sizes
+        self.variables, self.states, n_bytes, self.internal_step, self.wholes = sizes
         self.words = n_bytes // 8
+        library.lanes_guid.restype = ctypes.c_char_p
+        self._guid: bytes = library.lanes_guid()
         self.step = ctypes.cast(library.lanes_step, ctypes.c_void_p).value or 0
         self._clear, self._change = library.lanes_clear, library.lanes_parameters_changed
         self._initialize = library.lanes_initialize
         self._clear.argtypes = self._change.argtypes = [ctypes.c_void_p]
         self._initialize.argtypes = [ctypes.c_void_p, ctypes.c_double]
-        self._clear.restype = None
-        self._change.restype = self._initialize.restype = ctypes.c_int64
+        self._clear.restype = self._change.restype = None
+        self._initialize.restype = ctypes.c_int64
 
     def memory(self, groups: int, values: np.ndarray) -> np.ndarray:
         """Memory of so many groups, shape (groups, words).
@@ -50,9 +53,9 @@ class LaneLibrary:
             self._clear(group.ctypes.data)
         return memory
 
-    def parameters_changed(self, group: np.ndarray) -> int:
-        """Take over what was written to the parameters; the lanes where they contradict, as bits."""
-        return self._change(group.ctypes.data)
+    def parameters_changed(self, group: np.ndarray) -> None:
+        """Parameters were written: the next step begins with what follows from them."""
+        self._change(group.ctypes.data)
 
     def initialise(self, group: np.ndarray, time: float) -> int:
         """Compute states and outputs at the start time [s]; the lanes that are refused, as bits."""
@@ -63,6 +66,8 @@ class LaneLibrary:
         words = np.frombuffer(state, "<f8", offset=_HEAD, count=(len(state) - _HEAD) // 8)
         if not state.startswith(_MAGIC + bytes([_FORMAT])) or len(words) < self.variables + self.states:
             raise EnsembleError("a state of another version of l1-depth: build the FMU again")
+        if state[_GUID:_HEAD] != self._guid:
+            raise EnsembleError("the FMU was built again: expected a new Ensemble of it")
         return words[_FIRST_VALUE : _FIRST_VALUE + self.variables]
 
 

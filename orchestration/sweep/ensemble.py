@@ -8,7 +8,8 @@ from tempfile import TemporaryDirectory
 
 from fmus.fmi_types import FmiValue
 from orchestration.errors import EnsembleError, OrchestrationError, SweepError
-from orchestration.master.ensemble import Ensemble, check_supported
+from orchestration.master.ensemble import Ensemble
+from orchestration.master.ensemble_checks import check_supported
 from orchestration.master.initialisation import connection_groups
 from orchestration.results import metrics
 from orchestration.sweep.plan import Plan

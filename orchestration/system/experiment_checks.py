@@ -119,14 +119,23 @@ def check_changeable(system: CheckedSystem, name: str, purpose: str, driven: Col
 
 def check_memory(system: CheckedSystem, experiment: Experiment) -> None:
     """SystemDefinitionError for a recording that does not fit into the memory of this machine."""
-    if not hasattr(os, "sysconf"):  # Windows
-        return
     points = math.ceil((experiment.stop_time - experiment.start_time) / experiment.step_size) + 1
     outputs = (port for port in system.ports.values() if port.variable.causality == "output")
     columns = len(experiment.record) or sum(1 for _ in outputs)
-    size, memory = 8 * points * (1 + columns), os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    check_fits(
+        8 * points * (1 + columns),
+        f"{points:.3g} communication points of {columns} variables",
+        "record fewer variables, or take longer steps",
+    )
+
+
+def check_fits(size: int, what: str, advice: str) -> None:
+    """SystemDefinitionError for more bytes than the memory of this machine has."""
+    if not hasattr(os, "sysconf"):  # Windows
+        return
+    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     if size > memory:
         raise SystemDefinitionError(
-            f"{points:.3g} communication points of {columns} variables take {size / 1e9:.3g} GB: expected at "
-            f"most the {memory / 1e9:.3g} GB of this machine; record fewer variables, or take longer steps"
+            f"{what} take {size / 1e9:.3g} GB: expected at most the {memory / 1e9:.3g} GB of this machine; "
+            f"{advice}"
         )

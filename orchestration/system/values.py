@@ -47,11 +47,16 @@ def _number(port: Port, value: FmiValue) -> float | int | bool:
 
 
 def _item_number(port: Port, name: str) -> int:
+    numbers = items(port)
+    if name not in numbers:
+        raise SystemDefinitionError(f"{port.name} = {name!r}: expected one of {', '.join(numbers)}")
+    return numbers[name]
+
+
+def items(port: Port) -> dict[str, int]:
+    """Name -> number of the items of an enumeration."""
     declared = port.variable.declaredType
-    items = {str(item.name): int(str(item.value)) for item in (declared.items or [])} if declared else {}
-    if name not in items:
-        raise SystemDefinitionError(f"{port.name} = {name!r}: expected one of {', '.join(items)}")
-    return items[name]
+    return {str(item.name): int(str(item.value)) for item in (declared.items or [])} if declared else {}
 
 
 def possible_values(port: Port, values: np.ndarray) -> tuple[str, np.ndarray]:

@@ -1,5 +1,7 @@
 """Each instance of an ensemble has the bits of its own run; what an ensemble cannot run is refused."""
 
+import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -8,9 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fmus.errors import ExportError
+from fmus.platforms import instruction_sets
 from orchestration import Ensemble, Event, Experiment, Fault, Offset, Ramps, Simulator, System
-from orchestration.errors import EnsembleError, OrchestrationError, SystemDefinitionError
+from orchestration.errors import EnsembleError, OrchestrationError, SimulationError, SystemDefinitionError
+from orchestration.fmi.description import describe
+from orchestration.fmi.instance import FmuInstance
+from orchestration.master import ensemble_loop
 from orchestration.master.ensemble_recording import EnsembleRecording
+from orchestration.master.lane_library import lane_library
+from orchestration.results.recording import Recording
 from tests.shared_builds import built_once, session_folder
 
 CONNECTIONS = [
@@ -28,6 +37,10 @@ DIVE = Experiment(
     open_inputs="start",
 )
 CHANGE = Event(2.0, {"plant.buoyancy_change": 0.3, "controller.filter_bandwidth": 5.0})
+HEAVIER = Event(2.0, {"plant.net_weight": 30.0, "plant.weight": 40.0})  # contradictory until both are set
+STIFFER = Event(2.0, {"controller.depth_feedback_gain": 3.0})
+WITHOUT_BUOYANCY = {"plant.net_weight": 29.2}  # of instances that weigh less
+WEIGHTS = {"plant.weight": [29.5, 29.0, 29.43]}
 
 Vary = Mapping[str, Sequence[float]]
 
@@ -90,6 +103,9 @@ def test_37_instances_have_the_bits_of_37_runs(system: System) -> None:
     [
         {"algorithm": "gauss-seidel"},
         {"events": (CHANGE,)},
+        {"events": (HEAVIER,)},
+        {"events": (STIFFER,), "record": ("controller.feedforward_gain", "plant.depth")},  # calculated
+        {"events": (Event(DIVE.stop_time, {"plant.net_weight": 50.0}),)},  # no step takes it
         {"step_size": 0.05},  # internal steps
         {"start_time": 1.0, "record": ("plant.inertia", "controller.depth_reference", "plant.sensor_ideal")},
     ],
@@ -105,6 +121,38 @@ def test_a_signal_has_a_row_for_each_point_and_a_column_for_each_instance(system
     assert recorded["plant.depth"][0].tolist() == [0.0, 0.1, 0.2]
     with pytest.raises(OrchestrationError, match=r"nearest is 'plant\.depth'"):
         recorded["plant.dept"]
+    recorded["plant.depth"][:] = 0.0  # the caller's own
+    assert recorded.recording(2)["plant.depth"][0] == 0.2
+
+
+def test_less_than_a_thread_and_a_run_within_a_run_are_refused(system: System) -> None:
+    vary = {"plant.initial_depth": [0.0]}
+    with Ensemble(system) as ensemble:
+        with pytest.raises(OrchestrationError, match="threads: 0: expected at least 1"):
+            ensemble.run(DIVE, vary, threads=0)
+        with pytest.raises(OrchestrationError, match="this ensemble is running"):
+            ensemble.run(DIVE, vary, progress=lambda *_: ensemble.run(DIVE, vary))
+        assert not ensemble.run(DIVE, vary).failures
+
+
+def test_recordings_larger_than_the_memory_are_refused(
+    system: System, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = replace(DIVE, record=("plant.depth",))
+    with Ensemble(system) as ensemble:
+        monkeypatch.setattr(os, "sysconf", lambda _: 64, raising=False)  # 4096 bytes, enough for one run
+        with pytest.raises(SystemDefinitionError, match=r"9 instances of 202 .* fewer instances"):
+            ensemble.run(one, {"plant.initial_depth": [0.0] * 9})
+
+
+def test_without_a_compiler_the_ensemble_is_refused(system: System, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise ExportError("no compiler")
+
+    monkeypatch.setattr(ensemble_loop, "load_compiled", refuse)
+    ensemble_loop.loop_library.cache_clear()
+    with pytest.raises(EnsembleError, match=r"no compiler.*Simulator"):
+        Ensemble(system)
 
 
 def test_threads_and_progress_change_nothing(system: System) -> None:
@@ -136,13 +184,38 @@ def test_an_instance_that_cannot_begin_is_named_and_disturbs_no_other(system: Sy
     assert len(recorded.recording(1).time) == 0
 
 
+def test_the_state_of_another_fmu_is_refused(system: System) -> None:
+    controller, plant = system.components["controller"], system.components["plant"]
+    library = lane_library("plant", plant, instruction_sets()[0])
+    with (
+        FmuInstance("controller", controller, describe(controller)) as instance,
+        pytest.raises(EnsembleError, match="built again"),
+    ):
+        library.values(instance.serialize_fmu_state(instance.get_fmu_state()))
+
+
+def until_failure(system: System, experiment: Experiment) -> Recording:
+    """What a run records that fails."""
+    with Simulator(system) as simulator, pytest.raises(SimulationError) as error:
+        simulator.run(experiment)
+    return error.value.recording
+
+
+def test_an_instance_whose_parameters_become_contradictory_ends_where_its_own_run_ends(
+    system: System,
+) -> None:
+    experiment = replace(DIVE, events=(Event(2.0, WITHOUT_BUOYANCY),))
+    recorded = failed(system, experiment, WEIGHTS)
+    alone = until_failure(system, of_one(experiment, WEIGHTS, 1))
+    assert recorded.recording(1).values.tobytes() == alone.values.tobytes()
+
+
 def test_an_instance_that_cannot_go_on_ends_where_its_own_run_ends(system: System) -> None:
     """A voltage beyond its input's range."""
     far = replace(DIVE, parameters={**DIVE.parameters, "plant.sensor_noise": 0.0})
     recorded = failed(system, far, {"plant.initial_depth": [0.0, 1e300, 0.1]})
-    with Simulator(system) as simulator, pytest.raises(OrchestrationError) as error:
-        simulator.run(of_one(far, {"plant.initial_depth": [1e300]}, 0))
-    assert recorded.recording(1).values.tobytes() == error.value.recording.values.tobytes()  # type: ignore[attr-defined]
+    alone = until_failure(system, of_one(far, {"plant.initial_depth": [1e300]}, 0))
+    assert recorded.recording(1).values.tobytes() == alone.values.tobytes()
     assert np.isnan(recorded["plant.depth"][len(recorded.recording(1).time) :, 1]).all()
     assert f"controller at t = {recorded.recording(1).time[-1]:.9g} s: " in recorded.failures[1]
 
@@ -168,6 +241,7 @@ def test_what_only_a_simulator_has_is_refused(system: System, more: dict[str, An
         ({}, "expected lists of one length"),
         ({"plant.inertia": [5.0], "plant.sensor_seed": [1, 2]}, "expected lists of one length"),
         ({"plant.inertia": [5.0, -1.0]}, "plant.inertia = -1.0: expected 0.1..1e"),
+        ({"controller.augmentation": ["none", 7]}, "controller.augmentation = 7: expected one of none (1), "),
         ({"plant.inerta": [5.0]}, "nearest is 'plant.inertia'"),
         ({"plant.voltage[1]": [1.0]}, "expected a parameter or a constant input"),
         ({"plant.depth": [1.0]}, "expected a parameter or a constant input"),
@@ -177,7 +251,7 @@ def test_what_only_a_simulator_has_is_refused(system: System, more: dict[str, An
 def test_what_cannot_be_varied_is_refused(system: System, vary: dict[str, Any], problem: str) -> None:
     with (
         Ensemble(system) as ensemble,
-        pytest.raises(SystemDefinitionError, match=problem.replace("[", r"\[")),
+        pytest.raises(SystemDefinitionError, match=re.escape(problem)),
     ):
         ensemble.run(DIVE, vary)
 

@@ -1,8 +1,9 @@
 """Every function, choice and type of a block has the bits of a single run, the signs of zeros included."""
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,7 +13,8 @@ from fmus.block import Block, variable
 from fmus.export import native
 from fmus.files import write_archive
 from fmus.platforms import instruction_sets
-from orchestration import Ensemble, Experiment, Simulator, System
+from orchestration import Ensemble, Event, Experiment, Simulator, System
+from orchestration.errors import EnsembleError, OrchestrationError
 
 pytestmark = pytest.mark.slow
 
@@ -34,6 +36,7 @@ class Parameters:
 @dataclass(frozen=True)
 class Inputs:
     u: float = variable(0.5, "A number")
+    asked: Gear = variable(Gear.LOW, "A choice")
 
 
 @dataclass(frozen=True)
@@ -109,12 +112,15 @@ BLOCK = Block(
 )
 
 
+def build(path: Path, block: Block = BLOCK, **options: bool) -> System:
+    _, members = native.content(block, **options)
+    write_archive(path, members | native.libraries(block.name, members, ()))
+    return System({"block": path})
+
+
 @pytest.fixture(scope="module")
 def system(tmp_path_factory: pytest.TempPathFactory) -> System:
-    path = tmp_path_factory.mktemp("functions") / "Functions.fmu"
-    _, members = native.content(BLOCK)
-    write_archive(path, members | native.libraries(BLOCK.name, members, ()))
-    return System({"block": path})
+    return build(tmp_path_factory.mktemp("functions") / "Functions.fmu")
 
 
 @pytest.mark.parametrize("instructions", instruction_sets())
@@ -129,6 +135,33 @@ def test_functions_choices_and_types_have_the_bits_of_single_runs(system: System
         for instance, case in enumerate(cases):
             values: dict[str, Any] = dict(zip(names, case, strict=True))
             inputs = {"block.u": values.pop("block.u")}
-            one = simulator.run(Experiment(20.0, 0.1, parameters=values, inputs=inputs))
+            one = simulator.run(replace(experiment, parameters=values, inputs=inputs))
             of_ensemble = recorded.recording(instance)
             assert not [name for name in one.names if one[name].tobytes() != of_ensemble[name].tobytes()]
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"events": (Event(10.0, {"block.asked": 2}),)},
+        {"signals": {"block.asked": lambda t: 1.0 + (t > 10.0)}},
+    ],
+)
+def test_what_is_no_item_is_refused(system: System, more: dict[str, Any]) -> None:
+    experiment = Experiment(20.0, 0.1, open_inputs="start", **more)
+    with Ensemble(system) as ensemble, pytest.raises(EnsembleError, match="no item"):
+        ensemble.run(experiment, {"block.a": [0.5]})
+
+
+def test_an_fmu_of_reals_alone_is_refused(tmp_path: Path) -> None:
+    system = build(tmp_path / "reals.fmu", reals_only=True)
+    with pytest.raises(EnsembleError, match=r"block: .* Reals"):
+        Ensemble(system)
+
+
+def test_an_fmu_that_is_built_again_is_not_mixed_with_the_old_one(tmp_path: Path) -> None:
+    path = tmp_path / "Functions.fmu"
+    with Ensemble(build(path)) as ensemble:
+        build(path, replace(BLOCK, description="Others"))
+        with pytest.raises(OrchestrationError, match="GUID"):
+            ensemble.run(Experiment(20.0, 0.1, open_inputs="start"), {"block.a": [0.5]})
