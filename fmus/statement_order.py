@@ -76,7 +76,7 @@ def _lines(branch: Branch) -> Iterator[str]:
 
 
 def _used(item: str | Branch) -> list[str]:
-    """The variables that a statement or a branch reads, or that it sets inside."""
+    """The variables that a statement reads, or a branch in its head and inside."""
     if isinstance(item, str):
         return _VARIABLE.findall(item.partition(" = ")[2])
     inside = [variable for other in (*item.taken, *item.other) for variable in _used(other)]

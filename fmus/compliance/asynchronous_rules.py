@@ -63,7 +63,7 @@ def step_finished_is_called(probe: Probe) -> Iterator[str]:
 @rule(_COMPUTATION, Stage.BEHAVIOUR, condition=unless_claimed(_ASYNCHRONOUS))
 def cancelled_step_can_be_left(probe: Probe) -> Iterator[str]:
     """A pending step can be cancelled; fmi2Reset is allowed then."""
-    script = probe.script(logging=True).begin()
+    script = probe.script(logging=True).forbidden().begin()  # where the step ends at once
     pending = script.call("begin_step", probe.start_time, probe.step_size)
     script.plain("fmi2CancelStep")
     script.reset()
@@ -110,11 +110,11 @@ def status_of_a_pending_step_is_given(probe: Probe) -> Iterator[str]:
 @rule(_COMPUTATION, Stage.BEHAVIOUR, Level.WARNING, condition=unless_claimed(_ASYNCHRONOUS))
 def cancelled_step_ends_stepping(probe: Probe) -> Iterator[str]:
     """After fmi2CancelStep no step is accepted, and a saved state can be set."""
-    script = probe.script(logging=True).begin()
+    script = probe.script(logging=True).forbidden().begin()  # where the step ends at once
     pending = script.call("begin_step", probe.start_time, probe.step_size)
     script.plain("fmi2CancelStep")
     step = script.call("do_step", probe.start_time, probe.step_size)
-    other = probe.script(logging=True).begin()
+    other = probe.script(logging=True).forbidden().begin()
     saves = probe.fmu.claims("canGetAndSetFMUstate")
     if saves:
         other.call("get_fmu_state", 0)

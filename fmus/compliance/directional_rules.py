@@ -26,6 +26,7 @@ _DIRECTIONAL = "2.1.9 Getting Partial Derivatives"
 _STRUCTURE = "2.2.8 Definition of the Model Structure (ModelStructure)"
 _PROVIDES = "providesDirectionalDerivative"
 _MOST_KNOWNS = 40  # of one FMU: each costs four evaluations
+_MOST_CHANGED = 50  # variables of one run
 _DIFFERENCE = 1e-6  # relative change for a difference quotient: half the digits for truncation and rounding
 _AGREEMENT = 1e-4  # relative; a wrong derivative is wrong by much more
 _LATER = 3  # steps after which a factor is looked at again
@@ -150,8 +151,9 @@ def directional_derivatives_are_zero_without_dependency(probe: Probe) -> Iterato
             observed = unknown.causality == "output" or section == "Derivatives"
             if stated is None or unknown.kind != "Real" or not observed:
                 continue
-            listed = {integer(i) for i in stated.split()} | {unknown.index}
-            others = [v for v in knowns[section] if v.index not in listed][:_MOST_KNOWNS]
+            indices = {integer(i) for i in stated.split()} | {unknown.index}
+            listed = {(v.base_kind, v.reference) for v in probe.fmu.variables if v.index in indices}
+            others = [v for v in knowns[section] if (v.base_kind, v.reference) not in listed][:_MOST_KNOWNS]
             script = probe.script(logging=True)
             script = script.begin().step() if stepping else script.initialise()
             replies = [
@@ -280,7 +282,7 @@ def factors_change_as_declared(probe: Probe) -> Iterator[str]:
     ):
         judged = [factor for factor in factors if factor[2] in kinds][:_MOST_KNOWNS]
         first, later = probe.script().begin().step(), probe.script().begin()
-        changes = [(v, other_value(v)) for v in chosen]
+        changes = [(v, other_value(v)) for v in chosen[:_MOST_CHANGED]]
         for v, x in accepted(probe, changes, lambda: probe.script().begin()) if judged else ():
             later.set(v, x)
         later.step(_LATER)
@@ -308,7 +310,7 @@ def _declared_factors(fmu: FmuFile) -> list[tuple[Variable, Variable, str]]:
         for number, kind in zip(map(integer, listed), kinds, strict=False):
             known = fmu.variables[number - 1] if number and number <= len(fmu.variables) else unknown
             real = unknown.kind == known.kind == "Real" and known.causality != "independent"
-            told = kind == "constant" and index in initial and known in settable  # as one of initial values
-            if real and known is not unknown and kind in ("constant", "fixed", "tunable") and not told:
+            is_initial = kind == "constant" and index in initial and known in settable  # it has its own rule
+            if real and known is not unknown and kind in ("constant", "fixed", "tunable") and not is_initial:
                 factors.append((unknown, known, kind))
     return factors

@@ -25,10 +25,10 @@ class _DiscardedStep:
 
 def _discarded(probe: Probe) -> _DiscardedStep:
     """The first of some equal steps that the FMU discards. Raises NotApplicableError if there is none."""
-    found = probe.once("discarded step of a run", lambda: _first_discarded(probe))
-    if found is None:
+    discarded = probe.once("discarded step of a run", lambda: _first_discarded(probe))
+    if discarded is None:
         raise NotApplicableError("no step is discarded")
-    return found
+    return discarded
 
 
 def _first_discarded(probe: Probe) -> _DiscardedStep | None:
@@ -43,23 +43,24 @@ def _first_discarded(probe: Probe) -> _DiscardedStep | None:
     return _DiscardedStep(steps[-1], len(steps) - 1, time, terminated)
 
 
-@rule("4.2.2 Computation (fmi2DoStep)", Stage.BEHAVIOUR, needs=["instantiates-and-frees"])
+@rule("4.2.2 Computation (fmi2DoStep)", Stage.BEHAVIOUR)
 def discarded_steps_have_a_last_time(probe: Probe) -> Iterator[str]:
     """Where a step is discarded, fmi2LastSuccessfulTime, if given, lies in that step, before its end, and
     fmi2Terminated is a Boolean.
     """
-    found = _discarded(probe)
-    start, end = probe.point(found.number), probe.point(found.number + 1)
+    discarded = _discarded(probe)
+    time, terminated = discarded.time, discarded.terminated
+    start, end = probe.point(discarded.number), probe.point(discarded.number + 1)
     rounding = 1e-9 * max(abs(start), abs(end), probe.step_size)
     step = f"a step from {start:g} to {end:g} s"
-    for reply in (found.time, found.terminated):
+    for reply in (time, terminated):
         if reply.status is not None and not reply.ok and reply.status != DISCARD:
             yield f"after a discarded step {reply.function} {reply.status_name}: expected ok or discard"
-    if found.time.ok and not start - rounding <= found.time.value < end - rounding:
-        yield f"{step} is discarded, and fmi2LastSuccessfulTime is {found.time.value:g} s"
-    if found.terminated.ok and found.terminated.value not in (0, 1):
-        yield f"after a discarded step fmi2Terminated is {found.terminated.value}: expected 0 or 1, a Boolean"
-    if not found.step.messages:
+    if time.ok and not start - rounding <= time.value < end - rounding:
+        yield f"{step} is discarded, and fmi2LastSuccessfulTime is {time.value:g} s"
+    if terminated.ok and terminated.value not in (0, 1):
+        yield f"after a discarded step fmi2Terminated is {terminated.value}: expected 0 or 1, a Boolean"
+    if not discarded.step.messages:
         yield f"{step} was discarded and nothing was logged: expected the reason"
 
 

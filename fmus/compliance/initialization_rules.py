@@ -106,7 +106,10 @@ def values_are_set_together(probe: Probe) -> Iterator[str]:
         raise NotJudgedError("no two variables of one type take other values")
     for kind, chosen in taken.items():
         for ordered in (chosen, chosen[::-1]) if len(chosen) > 1 else ():
-            yield from _differently_set(probe, kind, ordered)
+            messages = list(_differently_set(probe, kind, ordered))
+            yield from messages
+            if messages:  # the other order has the same cause
+                break
 
 
 def _differently_set(probe: Probe, kind: str, chosen: list[tuple[Variable, object]]) -> Iterator[str]:

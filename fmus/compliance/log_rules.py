@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator, Sequence
 from functools import cache
+from itertools import takewhile
 
 from fmus.binding import WARNING
 from fmus.compliance.instance_rules import unknown_reference
@@ -18,14 +19,14 @@ _KINDS = {"r": "Real", "i": "Integer", "b": "Boolean", "s": "String"}
 
 
 def messages_of_a_session(probe: Probe) -> list[Message]:
-    """Of the session and of a call that fails."""
+    """Of the session, up to its reset, and of a call that fails."""
 
     def collected() -> list[Message]:
         script = probe.script(name=NAME, logging=True).begin().step()
         script.call("get", "Real", [unknown_reference(probe)])
         script.play(keep_going=True)
-        replies = session(probe).script.everything + script.everything
-        return [m for reply in replies for m in reply.messages]
+        before = takewhile(lambda reply: reply.function != "fmi2Reset", session(probe).script.everything)
+        return [m for reply in (*before, *script.everything) for m in reply.messages]
 
     return probe.once("log", collected)
 
@@ -34,7 +35,7 @@ def declared_categories(probe: Probe) -> list[str]:
     return [c.get("name", "") for c in probe.fmu.root.iterfind("LogCategories/Category")]
 
 
-@rule(_CREATION, Stage.BEHAVIOUR, needs=["reset-in-every-state"])
+@rule(_CREATION, Stage.BEHAVIOUR)
 def messages_have_the_instance_name(probe: Probe) -> Iterator[str]:
     """Messages carry the name of the instance that sends them, and the environment of its callbacks."""
     messages = messages_of_a_session(probe)
@@ -45,7 +46,7 @@ def messages_have_the_instance_name(probe: Probe) -> Iterator[str]:
         yield "the logger was called without the componentEnvironment of its instance"
 
 
-@rule(_CREATION, Stage.BEHAVIOUR, needs=["reset-in-every-state"])
+@rule(_CREATION, Stage.BEHAVIOUR)
 def log_categories_are_declared(probe: Probe) -> Iterator[str]:
     """Messages have a category of LogCategories; without LogCategories it is NULL."""
     yield from _undeclared(probe, messages_of_a_session(probe))

@@ -192,8 +192,10 @@ class Probe:
 
     @property
     def refusals(self) -> list[Reply]:
-        """Replies that were not ok to calls that FMI allows, with logging: one of each function and status,
-        with and without messages.
+        """Replies that were not ok to calls with logging, of scripts without calls that FMI forbids: one of
+        each function and status, with and without messages.
+
+        Those of `hold`, of a script that a failed call ends, and after fmi2SetDebugLogging are left out.
         """
         return list(self._shared.get(_REFUSALS, {}).values())
 
@@ -204,6 +206,8 @@ class Probe:
             for reply in script.replies if judged else ():
                 if reply.status:
                     noted.setdefault((reply.function, reply.status, bool(reply.messages)), reply)
+                if reply.function == "fmi2SetDebugLogging":  # it may turn logging off
+                    break
 
     def find_discarded_step(self, steps: int) -> None:
         """Note, for all rules, whether the FMU discards one of some equal steps of the usual size."""

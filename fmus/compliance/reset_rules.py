@@ -122,7 +122,7 @@ def _reset_after_other_values(probe: Probe) -> Script:
     return script.initialise()
 
 
-@rule(_INITIALIZATION, Stage.BEHAVIOUR, needs=["reset-gives-the-start-values", "runs-are-repeatable"])
+@rule(_INITIALIZATION, Stage.BEHAVIOUR, needs=["reset-gives-the-start-values"])
 def reset_ends_all_that_was_set(probe: Probe) -> Iterator[str]:
     """After other values, a stop time, changed inputs and fmi2Reset, every variable is in the same steps as
     in a new instance.

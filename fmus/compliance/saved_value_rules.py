@@ -176,11 +176,7 @@ def flag_keeps_the_states_of_the_present(probe: Probe) -> Iterator[str]:
         yield f"after noSetFMUStatePriorToCurrentPoint: {script.failure.problem}"
 
 
-@rule(
-    "2.1.7 Getting and Setting Variable Values",
-    Stage.BEHAVIOUR,
-    needs=["allowed-calls-succeed", "runs-are-repeatable"],
-)
+@rule("2.1.7 Getting and Setting Variable Values", Stage.BEHAVIOUR, needs=["allowed-calls-succeed"])
 def questions_change_nothing(probe: Probe) -> Iterator[str]:
     """Reading values and derivatives, or saving a state, changes nothing in the steps that follow."""
     usual, asked = probe.script().begin(), probe.script().begin()

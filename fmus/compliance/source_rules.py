@@ -3,6 +3,8 @@
 import posixpath
 import re
 from collections.abc import Iterator
+from functools import lru_cache
+from itertools import zip_longest
 
 from fmus.compliance.archive_rules import CLAUSE, unreadable
 from fmus.compliance.fmu_file import FmuFile
@@ -11,15 +13,17 @@ from fmus.compliance.rule import Level, Stage, rule
 
 _NAMING = "2.1.1 Header Files and Naming of Functions"
 _COMMENT = re.compile(rb"/\*.*?\*/|//[^\n]*", re.DOTALL)
-_PREFIX = re.compile(rb"^[ \t]*#[ \t]*define[ \t]+FMI2_FUNCTION_PREFIX[ \t]+(\w+)[ \t]*$", re.MULTILINE)
+_PREFIX = re.compile(rb"^[ \t]*#[ \t]*define[ \t]+FMI2_FUNCTION_PREFIX[ \t]+(\w+)[ \t\r]*$", re.MULTILINE)
 _FUNCTIONS = re.compile(rb'^[ \t]*#[ \t]*include[ \t]*["<]fmi2Functions\.h[">]', re.MULTILINE)
 _NAMES_FUNCTIONS = (b"FMI2_FUNCTION_PREFIX", b"FMI2_OVERRIDE_FUNCTION_PREFIX")
 _OF_THE_LANGUAGE = re.compile(
-    r"(?:assert|complex|ctype|errno|fenv|float|inttypes|limits|locale|math|setjmp|signal|stdarg|stdbool|stddef"
-    r"|stdint|stdio|stdlib|string|tgmath|time|wchar|wctype)\.h"
+    r"(?:assert|complex|ctype|errno|fenv|float|inttypes|iso646|limits|locale|math|setjmp|signal|stdalign"
+    r"|stdarg|stdatomic|stdbool|stddef|stdint|stdio|stdlib|stdnoreturn|string|tgmath|threads|time|uchar"
+    r"|wchar|wctype)\.h"
 )
 
 
+@lru_cache(maxsize=1)
 def _sources(fmu: FmuFile) -> dict[str, bytes]:
     """Path of each C file and header below sources -> its text without comments."""
     paths = [path for path in fmu.names if path.startswith(SOURCES) and path.endswith((*TO_COMPILE, ".h"))]
@@ -39,7 +43,8 @@ def source_prefix(fmu: FmuFile) -> Iterator[str]:
             name for name in prefixes - expected if name.endswith("_") or name in identifiers
         ):
             yield f"{path} defines the prefix {prefix}: expected {' or '.join(sorted(expected))}"
-        define, include = _PREFIX.search(text), _FUNCTIONS.search(text)
+        lines = _unconditional(text)
+        define, include = _PREFIX.search(lines), _FUNCTIONS.search(lines)
         if define and include and define.start() > include.start():
             yield f"{path} defines FMI2_FUNCTION_PREFIX: expected that before it includes fmi2Functions.h"
 
@@ -59,13 +64,15 @@ def source_prefix_is_defined(fmu: FmuFile) -> Iterator[str]:
 def _unconditional(text: bytes) -> bytes:
     """The lines that every compiler reads: those in no #if but the guard of a header."""
     lines, conditions = [], []
-    every = text.splitlines()
-    for number, line in enumerate(every):
+    written = [line for line in text.splitlines() if line.strip()]
+    for line, after in zip_longest(written, written[1:], fillvalue=b""):
         words = line.replace(b"#", b"# ", 1).split()
         directive = words[1] if len(words) > 1 and words[0] == b"#" else b""
         if directive.startswith(b"if"):
-            following = next((other.split() for other in every[number + 1 :] if other.strip()), [])
+            following = after.split()
             conditions.append(following[:1] != [b"#define"] or following[1:2] != words[2:3])
+        elif directive.startswith(b"el") and conditions:
+            conditions[-1] = True
         elif directive == b"endif" and conditions:
             conditions.pop()
         elif not any(conditions):
@@ -79,8 +86,8 @@ def included_files_exist(fmu: FmuFile) -> Iterator[str]:
     sources = {path: text for path, text in _sources(fmu).items() if path.endswith(TO_COMPILE)}
     names = {posixpath.basename(path) for path in fmu.names if path.startswith(SOURCES)}
     for path, text in sources.items():
-        found = QUOTED_INCLUDE.findall(_unconditional(text))
-        for included in dict.fromkeys(name.decode("utf-8", "replace") for name in found):
+        names_included = QUOTED_INCLUDE.findall(_unconditional(text))
+        for included in dict.fromkeys(name.decode("utf-8", "replace") for name in names_included):
             name = posixpath.basename(included)
             if name not in {*names, *HEADERS} and not _OF_THE_LANGUAGE.fullmatch(name):
                 yield f'{path}: #include "{included}": expected that file below sources'

@@ -44,10 +44,20 @@ def statuses_are_legal(probe: Probe) -> Iterator[str]:
     yield from _illegal(session(probe).script.replies)
 
 
-@rule(_STATUS, Stage.BEHAVIOUR, needs=["statuses-are-legal", "wrong-references-are-refused"], last=True)
+@rule(
+    _STATUS,
+    Stage.BEHAVIOUR,
+    needs=[
+        "statuses-are-legal",
+        "wrong-references-are-refused",
+        "discarded-steps-can-be-left",
+        "free-of-null-state-is-ignored",
+    ],
+    last=True,
+)
 def refusals_have_legal_statuses(probe: Probe) -> Iterator[str]:
-    """A call that any other rule makes and that is refused returns no status that its function may not
-    return.
+    """A refused call of another rule, which FMI allows and which does not end that rule, returns no status
+    that its function may not return.
     """
     yield from _illegal(probe.refusals)
 
@@ -60,8 +70,8 @@ def refusals_are_logged(probe: Probe) -> Iterator[str]:
         quiet = (
             not reply.messages and reply.function != "fmi2SetDebugLogging"
         )  # it may have turned logging off
-        told = reply.function == "fmi2DoStep" and reply.status == DISCARD  # by the rule of discarded steps
-        refused = reply.status not in (None, OK, PENDING) and not told
+        is_discarded_step = reply.function == "fmi2DoStep" and reply.status == DISCARD  # it has its own rule
+        refused = reply.status not in (None, OK, PENDING) and not is_discarded_step
         if refused and quiet and reply.function not in named:
             named.add(reply.function)
             yield f"{reply.function} {reply.status_name} and logged nothing: expected the reason"

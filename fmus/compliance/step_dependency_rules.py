@@ -58,7 +58,6 @@ def _script(
     Level.WARNING,
     needs=[
         "variables-can-be-read",
-        "runs-are-repeatable",
         "initial-dependencies-are-declared",
         "directional-derivatives-are-zero-without-dependency",
     ],
@@ -120,7 +119,7 @@ def _remains(probe: Probe, v: Variable, value: Any, name: str) -> bool:
     "advice: 2.2.8, dependencies may list more",
     Stage.BEHAVIOUR,
     Level.WARNING,
-    needs=["allowed-calls-succeed", "variables-can-be-read", "runs-are-repeatable"],
+    needs=["allowed-calls-succeed", "variables-can-be-read"],
 )
 def listed_inputs_move_outputs(probe: Probe) -> Iterator[str]:
     """An output that lists inputs as dependencies changes with one of them in steps, somewhere."""

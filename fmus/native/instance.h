@@ -80,7 +80,7 @@ static const double *data_calculated(const Data *d, double *fresh, int *broken) 
     return fresh;
 }
 
-/* The numbers for steps of length h, computed where they are of none of the last lengths. */
+/* The numbers for steps of length h: those of N_LENGTHS lengths are kept, others are computed. */
 static double *step_constants(StepConstants *constants, double h, const double *p, const double *c) {
     if (constants->are_stale) memset(constants, 0, sizeof *constants); /* no step has the length 0 */
     for (int i = 0; i < N_LENGTHS; i++) {

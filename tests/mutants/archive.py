@@ -106,6 +106,8 @@ ARCHIVE_MUTANTS = (
     _mutant("a file that is no zip", "archive-is-zip", _not_a_zip),
     _mutant("another function prefix in the sources", "source-prefix",
             partial(written, BASE | {"sources/base.c": b"#define FMI2_FUNCTION_PREFIX Other_\n"}), "2.1.1"),
+    _mutant("another function prefix before a carriage return", "source-prefix",
+            partial(written, BASE | {"sources/base.c": b"#define FMI2_FUNCTION_PREFIX Other_\r\n"}), "2.1.1"),
     _mutant("a function prefix without its underscore", "source-prefix",
             partial(written, BASE | {"sources/base.c": b"#define FMI2_FUNCTION_PREFIX Base\n"}), "2.1.1"),
     _mutant("a function prefix too late", "source-prefix",

@@ -45,7 +45,8 @@ typedef struct {
 
 static const char GUID[] = "{5ba0ed5f-5d2c-4f3d-9a0b-2f1a0a1b9a5e}";
 static char mutation[64];
-static int own_memory, asynchronous, finishes_all, one_step_size, discards_all, discards_late; /* from the second line of the file */
+/* from the second line of the file */
+static int own_memory, asynchronous, finishes_all, one_step_size, discards_all, discards_late, warns;
 static Data shared;
 static int instances;
 
@@ -75,6 +76,11 @@ static void send(Slave *s, fmi2Status status, unsigned category, const char *tex
         IS("keeps the pointer to the callbacks") ? s->structure->logger : s->callbacks.logger;
     logger(environment, name, status, label, "%s", text);
     if (IS("rounds in a callback")) fesetround(FE_TONEAREST);
+}
+
+static fmi2Status discard(Slave *s, const char *text) {
+    send(s, fmi2Discard, DISCARDS, text);
+    return fmi2Discard;
 }
 
 static fmi2Status error(Slave *s, const char *text) {
@@ -179,6 +185,7 @@ static int read_mutation(const char *uri) {
     one_step_size = !!strstr(flags, "one step size");
     discards_all = !!strstr(flags, "discards all");
     discards_late = !!strstr(flags, "discards late");
+    warns = !!strstr(flags, "warns");
     if (!IS("files stay open")) fclose(file);
     return 1;
 }
@@ -300,10 +307,7 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
     if (IS("values set in initialization mode are lost")) s->data.real[U] = 0.8;
     outputs(&s->data, s->data.real[U]);
     s->data.state = STEPPING;
-    if (IS("initialisation is discarded")) {
-        send(s, fmi2Discard, DISCARDS, "discarded");
-        return fmi2Discard;
-    }
+    if (IS("initialisation is discarded")) return discard(s, "discarded");
     return fmi2OK;
 }
 
@@ -313,10 +317,7 @@ fmi2Status fmi2Terminate(fmi2Component c) {
     s->data.state = TERMINATED;
     if (IS("final values are lost")) s->data.real[X] = 0;
     if (IS("terminate fails")) return error(s, "no end");
-    if (IS("terminate is discarded")) {
-        send(s, fmi2Discard, DISCARDS, "discarded");
-        return fmi2Discard;
-    }
+    if (IS("terminate is discarded")) return discard(s, "discarded");
     return fmi2OK;
 }
 
@@ -343,10 +344,7 @@ fmi2Status fmi2Reset(fmi2Component c) {
 
 static fmi2Status bad_reference(Slave *s) {
     if (IS("unknown references are ignored")) return fmi2OK;
-    if (IS("unknown references are discarded")) {
-        send(s, fmi2Discard, DISCARDS, "no such variable");
-        return fmi2Discard;
-    }
+    if (IS("unknown references are discarded")) return discard(s, "no such variable");
     return error(s, "no such variable");
 }
 
@@ -491,10 +489,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_re
     if (fabs(t - d->real[TIME]) > rounding && !IS("the start time is ignored")) return error(s, "communication point");
     if (t + h > s->stop_time + 1e-9 * fmax(1, fabs(t)) && !IS("steps beyond the stop time")) return error(s, "stop time");
     if (one_step_size && fabs(h - 0.1) > 1e-9) return error(s, "another step size than 0.1 s");
-    if (discards_all || (discards_late && d->steps >= 6)) {
-        send(s, fmi2Discard, DISCARDS, "discarded");
-        return fmi2Discard;
-    }
+    if (discards_all || (discards_late && d->steps >= 6)) return discard(s, "discarded");
     if (!d->first_step) d->first_step = h;
     if (IS("one step size") && fabs(h - d->first_step) > 1e-9) return error(s, "another step size");
     if (IS("a discarded step that tells the future") && fabs(h - d->first_step) > 1e-9) {
@@ -506,9 +501,10 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_re
     if (IS("a tool by the search path") && !*getenv("PATH")) return error(s, "no tool");
     if (IS("steps crash") && d->steps == 1) abort();
     if (IS("steps fail") && d->steps == 2) return error(s, "no more steps");
-    if (IS("warnings without a message")) {
+    if (warns || IS("warnings without a message")) {
         integrate(s, h);
         d->real[TIME] = d->last_successful_time = t + h;
+        if (warns) send(s, fmi2Warning, WARNINGS, "inexact");
         return fmi2Warning;
     }
     integrate(s, h);
@@ -532,7 +528,7 @@ fmi2Status fmi2CancelStep(fmi2Component c) {
         return IS("a step cannot be cancelled") ? error(s, "no") : fmi2OK;
     }
     if (IS("forbidden calls succeed")) return fmi2OK;
-    return error(s, "no step is pending");
+    return finishes_all ? discard(s, "no step is pending") : error(s, "no step is pending");
 }
 
 fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value) {
@@ -545,8 +541,7 @@ fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status 
         return fmi2OK;
     }
     if (IS("statuses fail")) return error(s, "no status");
-    send(s, fmi2Discard, DISCARDS, "no step is pending");
-    return fmi2Discard;
+    return discard(s, "no step is pending");
 }
 
 fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value) {
@@ -555,14 +550,12 @@ fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Rea
         *value = s->data.last_successful_time;
         return fmi2OK;
     }
-    send(s, fmi2Discard, DISCARDS, "no such status");
-    return fmi2Discard;
+    return discard(s, "no such status");
 }
 
 fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Integer *value) {
     (void)kind, (void)value;
-    send(c, fmi2Discard, DISCARDS, "no such status");
-    return fmi2Discard;
+    return discard(c, "no such status");
 }
 
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value) {
@@ -570,14 +563,12 @@ fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2
         *value = IS("terminated without a reason");
         return fmi2OK;
     }
-    send(c, fmi2Discard, DISCARDS, "no such status");
-    return fmi2Discard;
+    return discard(c, "no such status");
 }
 
 fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2String *value) {
     (void)kind, (void)value;
-    send(c, fmi2Discard, DISCARDS, "no such status");
-    return fmi2Discard;
+    return discard(c, "no such status");
 }
 
 /* Derivatives */
@@ -602,6 +593,7 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
     NEEDS(STEPPING | TERMINATED);
     if (IS("derivatives of outputs are refused")) return error(s, "no derivatives");
     for (size_t i = 0; i < n; i++) {
+        if (IS("unknown references of derivatives are discarded") && vr[i] >= N_REALS) return discard(s, "unknown");
         if ((vr[i] != X && vr[i] != Y) || order[i] < 1) return error(s, "no output, or order 0");
         value[i] = order[i] == 1 ? s->data.real[DER_X] : 0;
         if (IS("wrong derivatives of outputs")) value[i] *= 2;
@@ -672,6 +664,7 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) {
 fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state) {
     (void)c;
     if (IS("free of a NULL state fails") && !*state) return error(c, "no state");
+    if (IS("free of a NULL state is discarded") && !*state) return discard(c, "no state");
     if (IS("free of a NULL state crashes") && !*state) abort();
     if (!IS("a single state") && !IS("states leak")) free(*state);
     if (!IS("the address of a state stays")) *state = NULL;

@@ -74,6 +74,7 @@ _PLAIN = [
     ("prints", "2.1", "nothing-is-printed"),
     ("unknown references are ignored", "2.1.2", "wrong-references-are-refused"),
     ("unknown references are discarded", "2.1.2", "wrong-references-are-refused"),
+    ("unknown references of derivatives are discarded", "2.1.3", "refusals-have-legal-statuses"),
     ("constants can be set", "2.1.2", "constants-cannot-be-set"),
     ("values by place", "2.1.2", "values-belong-to-references start-values-are-as-declared"),
     ("Booleans of 2", "2.1.2", "values-belong-to-references"),
@@ -194,6 +195,7 @@ _PLAIN = [
     ("a single state", "2.1.8", "state-can-be-saved-often"),
     ("states are not written over", "2.1.8", "state-can-be-saved-often"),
     ("free of a NULL state fails", "2.1.8", "free-of-null-state-is-ignored"),
+    ("free of a NULL state is discarded", "2.1.8", "free-of-null-state-is-ignored"),
     ("free of a NULL state crashes", "2.1.8", "free-of-null-state-is-ignored"),
     ("the address of a state stays", "2.1.8", "freed-state-is-null"),
     ("another size each time", "2.1.8", "serialised-state-restores"),
@@ -303,11 +305,24 @@ BEHAVIOUR_MUTANTS = tuple(_mutant(*entry) for entry in [*_PLAIN, *_FLAGGED])
 _ANY_STEP = "canHandleVariableCommunicationStepSize"
 _ONE_STEP_SIZE = ((f'{_ANY_STEP}="true"', f'{_ANY_STEP}="false"'),)
 _STATES_NO_STEP_SIZE = (*_ONE_STEP_SIZE, (' stepSize="0.1"', ""))
+_ALIAS_OF_THE_STATE = (
+    (
+        '<Unknown index="7" dependencies="4 5"/>\n      <Unknown index="13"',
+        '<Unknown index="7" dependencies="4 19"/>\n      <Unknown index="13"',
+    ),
+    (
+        "  </ModelVariables>",
+        '<ScalarVariable name="x_alias" valueReference="4" initial="calculated"><Real/></ScalarVariable>\n'
+        '<ScalarVariable name="der(x_alias)" valueReference="5" initial="calculated"><Real derivative="19"/>'
+        "</ScalarVariable>\n  </ModelVariables>",
+    ),
+)
 LEGAL = (
     ("", (), ()),
     ("callbacks", _CALLBACK_MEMORY, (_MALLOC,)),
     ("asynchronous", ASYNCHRONOUS, ()),
-    ("asynchronous finishes all", ASYNCHRONOUS, ()),
+    ("finishes all", ASYNCHRONOUS, ()),
+    ("warns", _ALIAS_OF_THE_STATE, ()),
     ("one step size", _STATES_NO_STEP_SIZE, ()),
     ("discards all", _ONE_STEP_SIZE, ()),
     ("discards late", _ONE_STEP_SIZE, ()),

@@ -93,7 +93,7 @@ static void say(Slave *s, fmi2Status st, int cat, const char *text) {
         s->cb.logger(e, s->name, st, CAT[cat], "done: 100 %");
         return;
     }
-    if (IS("legal formats")) {
+    if (IS("legal formats, a new string of the version")) {
         s->cb.logger(e, s->name, st, CAT[cat], "100%% done, % d left", 5);
         return;
     }
@@ -199,8 +199,8 @@ static void reset(Data *d) {
     outputs(d);
 }
 
-const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
-const char *fmi2GetVersion(void) { return IS("a version in memory of its own") ? strdup(fmi2Version) : fmi2Version; }
+const char *fmi2GetTypesPlatform(void) { return IS("types in memory of their own") ? strdup(fmi2TypesPlatform) : fmi2TypesPlatform; }
+const char *fmi2GetVersion(void) { return IS("legal formats, a new string of the version") ? strdup(fmi2Version) : fmi2Version; }
 
 static void decode(const char *u, char *p) {
     if (!strncmp(u, "file:///", 8)) u += 7;

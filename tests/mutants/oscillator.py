@@ -82,7 +82,7 @@ _ROWS = [
     ("a Boolean status of 3", "4.2.3", "discarded-steps-have-a-last-time", "discards"),
     ("derivatives of inputs are halved", "4.2.1", "input-derivatives-are-slopes", ""),
     ("a string of NULL before the first step", "2.1.2", "variables-can-be-read", ""),
-    ("a version in memory of its own", "2.1.4", "library-version", ""),
+    ("types in memory of their own", "2.1.4", "library-version", ""),
     ("a late step ends all states", "2.1.8", "state-restores-after-the-end", ""),
     ("only the first derivative of a call is set", "4.2.1", "input-derivatives-are-set-together", ""),
     ("a late step ends reset", "2.1.3", "step-beyond-the-stop-time-is-an-error", ""),

@@ -36,7 +36,8 @@ def test_the_slave_that_does_nothing_wrong_breaks_no_rule(index: int, tmp_path: 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("feature", "flags"), [("", ""), ("legal formats", ""), ("", "other values are refused")]
+    ("feature", "flags"),
+    [("", ""), ("legal formats, a new string of the version", ""), ("", "other values are refused")],
 )
 def test_a_second_slave_that_refuses_what_is_not_allowed_breaks_no_rule(
     feature: str, flags: str, tmp_path: Path
