@@ -1,7 +1,6 @@
 """Building the FMUs of the installed blocks, which `fmus.registry` names, and of the blocks of a file."""
 
 import keyword
-import os
 import re
 import zipfile
 import zlib
@@ -26,11 +25,11 @@ from fmus.export.samples import check_samples
 from fmus.export.symbolic import traced
 from fmus.files import packed, write_bytes_atomically
 from fmus.instance import BlockError, Instance
-from fmus.platforms import host_platform, library_name
+from fmus.platforms import host_platform, library_name, usable_processors
 from fmus.registry import FOLDER_VARIABLE, Flavour, block_entry_points, block_fmus, block_names, fmu_folder
 from fmus.stamp import Order, Stamps, order_of_file
 
-_AT_ONCE = os.cpu_count() or 1  # orders that are compiled
+_AT_ONCE = usable_processors()  # orders that are compiled
 _EXPORTS = {Flavour.NATIVE: native_flavour, Flavour.PYTHON: python_flavour}
 
 

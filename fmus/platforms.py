@@ -1,5 +1,9 @@
-"""The platforms of FMI 2.0 that native FMUs are built for, and where a library stands inside an FMU."""
+"""The platforms of FMI 2.0 that native FMUs are built for, and where a library stands inside an FMU.
 
+Also what this machine has: its platform, instruction sets and processors.
+"""
+
+import os
 import platform
 import sys
 from collections.abc import Sequence
@@ -26,6 +30,11 @@ INSTRUCTION_SETS = {
     "x86-64-v3": _V3,
     "portable": "",
 }
+
+
+def usable_processors() -> int:
+    """How many processors this process may use: in a container they may be fewer than the machine has."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def host_platform() -> str:

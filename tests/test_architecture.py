@@ -229,7 +229,7 @@ DISTRIBUTIONS = {
     "PIL": "pillow",
     "annotated_types": "pydantic",
     "distributed": "dask",
-    "pydantic_core": "pydantic",
+    "pydantic_core": "pydantic-core",
     "tomli_w": "tomli-w",
 }
 EXTRAS = {
@@ -268,6 +268,11 @@ def test_what_is_imported_is_declared_for_its_room() -> None:
             continue
         allowed = declared[""].union(*(declared[extra] for extra in EXTRAS.get(room(name), set())))
         assert third_party(path) <= allowed, f"{name} imports {third_party(path) - allowed}"
+
+
+def test_one_function_counts_the_processors() -> None:
+    counting = {name for name, path in MODULES.items() if "cpu_count" in path.read_text(encoding="utf-8")}
+    assert counting == {"fmus.platforms"}
 
 
 def test_what_is_declared_is_imported() -> None:

@@ -1,11 +1,11 @@
 """Commands reproduce, identify and identifiability."""
 
-import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from fmus.platforms import usable_processors
 from fmus.registry import Flavour
 from orchestration.cli.shared import (
     FigureFormatsOption,
@@ -20,7 +20,7 @@ from orchestration.cli.shared import (
 
 def reproduce(
     out: OutFolder = Path("results"),
-    workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = os.cpu_count() or 1,
+    workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = usable_processors(),
     flavour: FlavourOption = Flavour.NATIVE,
     formats: FigureFormatsOption = "png",
 ) -> None:

@@ -1,12 +1,12 @@
 """Command score: a controller in every case of the protocol, beside the built-in ones."""
 
-import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fmus.platforms import usable_processors
 from orchestration.cli.changes import MapOption, OpenInputsOption, SetOption
 from orchestration.cli.shared import OutFolder, check_writable, console, print_table, progress
 
@@ -41,7 +41,7 @@ def score(
         float | None,
         typer.Option(metavar="S", help="End a run that takes longer; by default that of the protocol."),
     ] = None,
-    workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = os.cpu_count() or 1,
+    workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = usable_processors(),
 ) -> None:
     """Score a controller on the simulated vehicle: terminal tables, score.json and an interactive page."""
     from orchestration.cli.scored_controllers import scored_controllers

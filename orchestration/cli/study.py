@@ -1,6 +1,5 @@
 """Commands tune and compare: gains by the same search for every controller, and all controllers at once."""
 
-import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fmus.errors import nearest
+from fmus.platforms import usable_processors
 from orchestration.cli.changes import MapOption, OpenInputsOption, SetOption
 from orchestration.cli.interrupts import INTERRUPTED
 from orchestration.cli.score import ProtocolOption, write_page
@@ -47,7 +47,7 @@ def tune(
         int, typer.Option(metavar="NUMBER", help="Evaluate so many for each free gain and seed.", min=1)
     ] = 100,
     seeds: Annotated[int, typer.Option(metavar="NUMBER", help="Search from so many seeds.", min=1)] = 5,
-    workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = os.cpu_count() or 1,
+    workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = usable_processors(),
     out: OutFolder = Path("results"),
     restart: Annotated[
         bool, typer.Option("--restart", help="Discard the evaluations of an earlier tuning of that name.")
@@ -166,7 +166,7 @@ def compare(
     full: Annotated[
         bool, typer.Option("--full", help="Run the plants of the protocol too, and compare on each.")
     ] = False,
-    workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = os.cpu_count() or 1,
+    workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = usable_processors(),
     out: OutFolder = Path("results"),
     protocol_file: ProtocolOption = None,
 ) -> None:

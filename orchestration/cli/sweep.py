@@ -1,11 +1,11 @@
 """Command sweep: a scenario many times, with other values each time."""
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fmus.platforms import usable_processors
 from fmus.registry import Flavour
 from orchestration.cli.changes import Changes, ControllerOption, MapOption, OpenInputsOption, SetOption
 from orchestration.cli.interrupts import INTERRUPTED
@@ -124,10 +124,10 @@ def _workers(
     if ensemble:
         from orchestration.sweep.ensemble import ensemble as together
 
-        return together(count or os.cpu_count() or 1)
+        return together(count or usable_processors())
     from orchestration.sweep.local import local
 
-    return local(count or os.cpu_count() or 1, isolated)
+    return local(count or usable_processors(), isolated)
 
 
 def _run_one(planned: "Plan", sample: int, out: Path) -> None:

@@ -72,14 +72,14 @@ def _read(path: Path, version: FileVersion) -> ModelDescription:
 
 
 def is_independent(description: ModelDescription) -> bool:
-    """Whether an FMU is a native one of this exporter.
+    """Whether an FMU is a native one of this exporter: only these list sources to compile.
 
     The instances of these have no memory in common, also within one library, and change nothing in the
-    process, as `tests/fmus/export/test_no_globals.py` proves. Instances of other FMUs may share memory.
+    process, as `tests/fmus/export/test_no_globals.py` proves. Instances of other FMUs may share memory, and
+    the Python of a block may do anything.
     """
-    interface = description.coSimulation
     is_ours = (description.generationTool or "").startswith(f"{GENERATION_TOOL} ")
-    return is_ours and not (interface is None or interface.needsExecutionTool)
+    return is_ours and bool(description.buildConfigurations)  # fmpy's name for SourceFiles
 
 
 def of_causality(description: ModelDescription, causality: str) -> list[ScalarVariable]:

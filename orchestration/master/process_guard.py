@@ -1,13 +1,15 @@
 """What an FMU changes in this process beside its own state is put back, or ends the run; an exit is told.
 
-None of this is done for native FMUs of this exporter, which are known to change nothing. After each call of
-another FMU the floating-point mode (rounding, denormals) is that of before. After each such FMU is
-loaded and after each batch of steps, working directory, locale and handlers of signals are compared and put
-back; a run whose FMU has closed files of this process ends, since nobody knows which. In a run that the
-caller leads step by step, they are compared around one step in a millisecond, and after the first change
-around each. What changes between two such steps may be the caller's own doing, and stays; where other steps
-were in between, a warning names it. `exit` has status 70 at once; for `_exit` see `fmus/watched.py`. FMUs in
-a process of their own (`timeout`) need none of this.
+After each call of an FMU the floating-point mode (rounding, denormals) is that of before. After each FMU is
+loaded, after the initialisation and after each batch of steps, working directory, locale and handlers of
+signals are compared and put back; a run whose FMU has closed files of this process ends, since nobody knows
+which. In a run that the caller leads step by step, they are compared around one step in a millisecond, and
+after the first change around each. What changes between two such steps may be the caller's own doing, and
+stays; where other steps were in between, a warning names it. `exit` has status 70 at once; for `_exit` see
+`fmus/watched.py`. FMUs in a process of their own (`timeout`) need none of this.
+
+Of a system of native FMUs of this exporter alone, which are known to change nothing, only the loading is
+looked at, and the floating-point mode after calls outside the communication loop.
 """
 
 import atexit

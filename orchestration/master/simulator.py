@@ -40,7 +40,8 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
     compiled: whether the communication loop runs compiled, or in Python: slower, with the same results to the
     last bit
     threads: that step the FMUs of a Jacobi run side by side, with the same results; 1 for one after another.
-    None for as many as make it faster, if that is measured, and one for FMUs that may share memory
+    None for as many as make it faster, if that is measured, and one for FMUs that may share memory. Of `run`
+    alone: what is led step by step has one thread
     Raises FmuLoadError for a file that is no FMU.
     """
 
@@ -181,12 +182,14 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
         system, groups = self._check(driven, experiment.open_inputs)
         runs = self._prepared_runs
         prepared = runs.prepare(system, experiment, external)
+        if not runs.is_again:
+            self._bus = None  # that of another run, also if this one is never wired
         storage = storage or Storage(np.empty(prepared.shape), new_report())
         if self._guard:
             self._guard.close()
         guard = self._guard = ProcessGuard(self.system.components, storage.report)
         self._load_or_reset(storage.report, guard)
-        wired = build_wiring(prepared, self._instances, storage, self._bus if runs.is_again else None)
+        wired = build_wiring(prepared, self._instances, storage, self._bus)
         self._bus = wired.bus
         return wired, groups, guard
 

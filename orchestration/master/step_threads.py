@@ -6,11 +6,11 @@ components. For light FMUs, waiting for each other would cost more than the step
 threads only after one without them took long, and goes on with them only if they were faster.
 """
 
-import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
+from fmus.platforms import usable_processors
 from orchestration.fmi.description import is_independent
 from orchestration.master.loop_data import LoopFunctions, Team
 from orchestration.master.wiring import WiredRun
@@ -38,7 +38,7 @@ class StepThreads:
     ) -> None:
         self._loop, self._team, (self._cpu, self._clock) = loop, wired.wiring.team, clocks
         self._is_measured = threads is None
-        most = _useful(wired, processors or _processors()) if threads is None else threads
+        most = _useful(wired, processors or usable_processors()) if threads is None else threads
         can_share = loop.help is not None and not wired.wiring.gauss_seidel
         self._threads = min(most, len(wired.instances)) if can_share else 1
         self._pool: ThreadPoolExecutor | None = None
@@ -81,8 +81,3 @@ def _useful(wired: WiredRun, processors: int) -> int:
     """The processors; 1 unless all FMUs are known to be independent of each other."""
     independent = all(is_independent(instance.description) for instance in wired.instances.values())
     return processors if independent else 1
-
-
-def _processors() -> int:
-    """How many this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -4,10 +4,10 @@ Names of rows: "start/l1" has the start values of its FMU, which for L1 are the 
 paper; "tuned/l1" has those of gains/l1.toml. The tables are made for docs/explanation/comparison.md.
 """
 
-import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
+from fmus.platforms import usable_processors
 from orchestration.study import score_view
 from orchestration.study.loop import Controller, built_in
 from orchestration.study.protocol import Protocol
@@ -32,7 +32,7 @@ def controllers(protocol: Protocol) -> list[Controller]:
 def compare(
     protocol: Protocol,
     full: bool = False,
-    workers: int = os.cpu_count() or 1,
+    workers: int = usable_processors(),
     progress: Callable[[int], object] = lambda done: None,
 ) -> ScoreResult:
     """The score of them all; with `full` on every plant, each compared with the paper's controller, tuned."""

@@ -4,13 +4,13 @@ result = score([Controller("mine", "my.fmu")])
 result.document.figure(result.document.scored[0], "nominal", "rmse")
 """
 
-import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 
+from fmus.platforms import usable_processors
 from orchestration.errors import ScenarioError
 from orchestration.study.loop import Controller, Loop
 from orchestration.study.protocol import Protocol, read_protocol
@@ -38,7 +38,7 @@ def score(
     beside: Sequence[Controller] | None = None,
     full: bool = False,
     timeout: float | None = None,
-    workers: int = os.cpu_count() or 1,
+    workers: int = usable_processors(),
     progress: Progress = lambda done: None,
 ) -> ScoreResult:
     """Run every case, with `full` every plant too, and compare with the controllers of the protocol.

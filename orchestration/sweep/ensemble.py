@@ -7,9 +7,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from fmus.fmi_types import FmiValue
+from fmus.lanes import LANES
 from orchestration.errors import EnsembleError, OrchestrationError, SweepError
 from orchestration.master.ensemble import Ensemble
 from orchestration.master.ensemble_checks import check_supported
+from orchestration.master.ensemble_recording import EnsembleRecording
 from orchestration.master.initialisation import connection_groups
 from orchestration.results import metrics
 from orchestration.sweep.plan import Plan
@@ -35,7 +37,7 @@ class EnsembleWorkers:
             folder = Path(stack.enter_context(temporary))
             job = job.with_packed_fmus().with_unpacked_fmus(folder)
             ensemble, alone = stack.enter_context(Ensemble(job.system)), stack.enter_context(Samples(job))
-            while batch := missing.take(1):
+            while batch := missing.take(1, LANES * self._threads):
                 start, values = time.perf_counter(), plan.block(batch)
                 outcomes = self._outcomes(ensemble, alone, plan, job, values)
                 missing.note(len(batch), time.perf_counter() - start)
@@ -44,7 +46,11 @@ class EnsembleWorkers:
     def _outcomes(
         self, ensemble: Ensemble, alone: Samples, plan: Plan, job: Job, values: Sequence[dict[str, FmiValue]]
     ) -> list[Outcome]:
-        """Those of an ensemble; an instance that fails is run by a simulator, which may try shorter steps."""
+        """Those of an ensemble.
+
+        An instance that fails is run by a simulator, which may try shorter steps; so is one of which a metric
+        fails, whose row has the error of `Samples`.
+        """
         vary = {name: [sample[name] for sample in values] for name in values[0]}
         try:
             recorded = ensemble.run(job.experiment, vary, threads=self._threads)
@@ -53,11 +59,19 @@ class EnsembleWorkers:
         except OrchestrationError:  # of values that no instance can have
             return [alone.run(plan.settings(sample)) for sample in values]
         return [
-            alone.run(plan.settings(sample))
-            if instance in recorded.failures
-            else Outcome(metrics.evaluate(recorded.recording(instance), job.metrics))
+            _measured(recorded, instance, job) or alone.run(plan.settings(sample))
             for instance, sample in enumerate(values)
         ]
+
+
+def _measured(recorded: EnsembleRecording, instance: int, job: Job) -> Outcome | None:
+    """The outcome of an instance; None if it failed, or a metric of it."""
+    if instance in recorded.failures:
+        return None
+    try:
+        return Outcome(metrics.evaluate(recorded.recording(instance), job.metrics))
+    except Exception:  # whatever the reason, as in `Samples`
+        return None
 
 
 def _check(plan: Plan, job: Job) -> None:

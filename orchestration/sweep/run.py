@@ -24,15 +24,14 @@ def sweep(
 
     workers: `local.local` or `cluster.remote`, entered if a sample is missing
     recorded: signals to record of each sample; empty for all, None for no recordings
-    restart: discard what an earlier sweep of that name has left
+    restart: discard what an earlier sweep of that name has left, as soon as the first samples are done: what
+        cannot be run at all, by these workers, discards nothing
     progress: called with how many more samples are done, at first with those of an earlier start
     Raises SweepError if the folder holds another sweep, if another process runs the same one, or if
     samples cannot be run at all. A sample that fails is a row, and raises nothing.
     """
     with Store(folder, schema(plan, recorded)) as store:
-        if restart:
-            store.discard()
-        done = store.begin()
+        done = set[int]() if restart else store.begin()
         progress(len(done))
         missing = (sample for sample in range(plan.count) if sample not in done)
         batches = Batches(missing, plan.count - len(done))
@@ -42,6 +41,10 @@ def sweep(
                 closing(started.run(plan, Job.of(plan, recorded), batches)) as all_finished,
             ):
                 for finished in all_finished:
+                    if restart:
+                        store.discard()
+                        store.begin()
+                        restart = False
                     store.add(_rows(finished), [outcome.recording for outcome in finished.outcomes])
                     progress(len(finished.numbers))
         store.finish()

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from orchestration.fmi import description, unpacked
-from orchestration.fmi.description import describe
+from orchestration.fmi.description import describe, is_independent
 from orchestration.fmi.instance import FmuInstance
 from orchestration.master import Simulator, simulate
 from orchestration.system.experiment import Experiment
@@ -64,10 +64,9 @@ def test_a_chain_of_one_file_is_unpacked_loaded_and_parsed_once(
     assert len(set(outputs)) == 3  # each has a state of its own
 
 
-@pytest.mark.parametrize("flavour", ["built", "python_built"])
-def test_of_an_fmu_of_ours_what_a_run_needs_is_unpacked(flavour: str, request: pytest.FixtureRequest) -> None:
+def test_of_an_fmu_of_ours_what_a_run_needs_is_unpacked(built: Mapping[str, Path]) -> None:
     """Its library and its resources, not its documentation and sources."""
-    fmu = request.getfixturevalue(flavour)["ExamplePlant"]
+    fmu = built["ExamplePlant"]
     with unpacked.unpacked(fmu, describe(fmu)) as opened, zipfile.ZipFile(fmu) as archive:
         files = {path.relative_to(opened.folder) for path in opened.folder.rglob("*") if path.is_file()}
         resources = {Path(name) for name in archive.namelist() if name.startswith("resources/")}
@@ -121,3 +120,11 @@ def test_instances_of_another_tools_fmu_have_a_library_each(
     with FmuInstance("a", fmu, describe(fmu)) as a, FmuInstance("b", fmu, describe(fmu)) as b:
         assert a.library is not b.library
     assert work["extract_archive"] == 2
+
+
+def test_only_native_fmus_of_ours_are_known_to_be_independent(
+    built: Mapping[str, Path], python_built: Mapping[str, Path], linear: Callable[..., Path]
+) -> None:
+    """A block of the python flavour may be anybody's Python."""
+    fmus = (built["ExamplePlant"], python_built["ExamplePlant"], linear())
+    assert [is_independent(describe(fmu)) for fmu in fmus] == [True, False, False]

@@ -9,6 +9,9 @@ import psutil
 import pytest
 
 from fmus.fmi_types import FmiValue
+from orchestration.errors import OrchestrationError, SweepError
+from orchestration.results import metrics
+from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 from orchestration.sweep import table
 from orchestration.sweep.ensemble import ensemble
@@ -29,6 +32,9 @@ settling_time = false
 overshoot = false
 holding_thrust = false
 lag = false
+[metrics.first]
+function = "mean"
+signal = "plant.measured_depth"
 [sweep]
 samples = {COUNT}
 [sweep.vary."plant.sensor_seed"]
@@ -124,7 +130,7 @@ def test_a_sample_that_fails_in_a_thread_is_a_row_and_the_next_one_runs(
     for finished in LocalWorkers(1).run(vehicle, Job.of(vehicle, None), Batches(range(2), 2)):
         outcomes += finished.outcomes
     assert "plant.inertia = -1.0: expected" in (outcomes[0].error or "")
-    assert (outcomes[1].error, len(outcomes[1].metrics)) == (None, 3)
+    assert (outcomes[1].error, len(outcomes[1].metrics)) == (None, 4)
 
 
 @pytest.mark.filterwarnings("ignore:plant is Plant.fmu")
@@ -189,8 +195,42 @@ def test_what_is_left_of_a_batch_is_handed_out_again_first() -> None:
     assert batches.take(1) == [4, 5]
 
 
+def test_a_batch_of_groups_is_whole_groups_until_the_last() -> None:
+    batches = Batches(range(100), 100)
+    assert len(batches.take(1, 16)) == 16
+    batches.note(16, 2.0)  # a group takes as long as two batches may
+    assert len(batches.take(1, 16)) == 16
+    batches.note(16, 0.16)
+    assert len(batches.take(1, 8)) == 16  # of the 23 that are a third of what is left
+    assert [len(batches.take(1, 32)) for _ in range(3)] == [32, 20, 0]
+
+
+def test_a_restart_that_cannot_run_discards_nothing(vehicle: Plan, tmp_path: Path) -> None:
+    path = sweep(vehicle, tmp_path, local(1))
+    before = path.read_bytes()
+    with pytest.raises(SweepError, match="no recordings and no timeout"):
+        sweep(vehicle, tmp_path, ensemble(1), recorded=(), restart=True)
+    assert path.read_bytes() == before
+    done: list[int] = []
+    assert sweep(vehicle, tmp_path, local(1), restart=True, progress=done.append).read_bytes() == before
+    assert (done[0], sum(done)) == (0, COUNT)
+
+
 @pytest.mark.slow
-def test_an_ensemble_gives_the_same_table(vehicle: Plan, tmp_path: Path, scenario_fmus: None) -> None:
-    """Also where a sample cannot begin: it is run alone."""
-    together = sweep(vehicle, tmp_path / "together", ensemble(2)).read_bytes()
-    assert together == swept(vehicle, tmp_path / "threads", 2)[0]
+def test_an_ensemble_gives_the_same_table(
+    vehicle: Plan, tmp_path: Path, scenario_fmus: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where a metric fails, here of half the samples by the sign of the noise: each is run alone."""
+
+    def refuse_positive(recording: Recording, signal: str) -> float:
+        if recording[signal][0] > 0.0:
+            raise OrchestrationError("positive")
+        return 0.0
+
+    monkeypatch.setitem(metrics.FUNCTIONS, "mean", refuse_positive)
+    batches: list[int] = []
+    together = sweep(vehicle, tmp_path / "together", ensemble(2), progress=batches.append)
+    assert batches == [0, 16, 14]  # the vectors of two threads at least
+    errors = table.read(together)[0]["error"].to_pylist()
+    assert set(errors) == {None, "metric first: positive"}
+    assert together.read_bytes() == swept(vehicle, tmp_path / "threads", 2)[0]
