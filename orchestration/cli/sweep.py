@@ -20,6 +20,7 @@ from orchestration.cli.shared import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from contextlib import AbstractContextManager
 
     from orchestration.sweep.plan import Plan
@@ -42,11 +43,13 @@ def sweep(
         ),
     ] = False,
     ensemble: Annotated[
-        bool,
+        bool | None,
         typer.Option(
-            "--ensemble", help="Step samples of native FMUs together, in vectors: faster, with the same rows."
+            "--ensemble/--no-ensemble",
+            help="Step samples of native FMUs together, in vectors, with the same rows; "
+            "by default where it is faster.",
         ),
-    ] = False,
+    ] = None,
     scheduler: Annotated[
         str,
         typer.Option(
@@ -98,7 +101,8 @@ def sweep(
     from orchestration.sweep.run import sweep as run_samples
     from orchestration.sweep.summary import summary_table
 
-    started = _workers(workers, isolated, ensemble, scheduler)
+    notes: list[str] = []
+    started = _workers(workers, isolated, ensemble, scheduler, notes.append)
     with progress("sweep", planned.count) as bar:
         try:
             path = run_samples(planned, out, started, recorded, restart, bar.advance)
@@ -109,25 +113,26 @@ def sweep(
                 INTERRUPTED,
             )
     print_table(summary_table(*table.read(path)))
+    print(*notes, sep="\n", end="\n" * bool(notes))
     print(path)
     if recordings:
         print(path.with_suffix(".recordings"))
 
 
 def _workers(
-    count: int | None, isolated: bool, ensemble: bool, scheduler: str
+    count: int | None,
+    isolated: bool,
+    ensemble: bool | None,
+    scheduler: str,
+    note: "Callable[[str], object]",
 ) -> "AbstractContextManager[Workers]":
     if scheduler:
         from orchestration.sweep import cluster  # Dask is slow to import
 
         return cluster.remote(scheduler)
-    if ensemble:
-        from orchestration.sweep.ensemble import ensemble as together
-
-        return together(count or usable_processors())
     from orchestration.sweep.local import local
 
-    return local(count or usable_processors(), isolated)
+    return local(count or usable_processors(), isolated, ensemble, note)
 
 
 def _run_one(planned: "Plan", sample: int, out: Path) -> None:

@@ -10,6 +10,7 @@ from fmus.fmi_types import FmiValue
 from orchestration.errors import OrchestrationError
 from orchestration.master.run_recording import make_recording
 from orchestration.results.recording import Recording
+from orchestration.results.recordings import Recordings
 from orchestration.system.prepared_run import PreparedRun
 
 
@@ -32,6 +33,20 @@ class EnsembleRecording:
     def __len__(self) -> int:
         """Number of instances."""
         return len(self.counts)
+
+    @property
+    def complete(self) -> list[int]:
+        """The instances that did not fail."""
+        return [instance for instance in range(len(self)) if instance not in self.failures]
+
+    def recordings(self) -> Recordings:
+        """Those of `complete`, at least one, for metrics of all at once."""
+        complete, (_, signals, points, _) = self.complete, self.values.shape
+        values = np.ascontiguousarray(self.values.transpose(1, 0, 3, 2)).reshape(signals, -1, points)
+        is_all = len(complete) == len(self)
+        return Recordings(
+            self.recording(complete[0]), values[:, : len(self)] if is_all else values[:, complete]
+        )
 
     @property
     def names(self) -> Sequence[str]:

@@ -2,6 +2,8 @@
 
 import ctypes
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,6 +14,7 @@ from platformdirs import user_cache_path
 from fmus import compiled_library
 from fmus.errors import ExportError
 from fmus.lanes import LANES, SOURCE, lane_sources
+from fmus.platforms import host_platform
 from orchestration.errors import EnsembleError
 from orchestration.fmi.description import FileVersion
 
@@ -89,17 +92,42 @@ def lane_library(component: str, fmu: Path, instructions: str) -> LaneLibrary:
         raise EnsembleError(f"{component}: no ensemble of {error}; Simulator runs it") from error
 
 
+def is_compiled(fmu: Path, instructions: str) -> bool:
+    """Whether the library of an FMU is in the user's cache; not that of an FMU that can have none."""
+    try:
+        with _written_source(fmu) as source:
+            found = compiled_library.find(
+                source, _cache(), host_platform(), only_own=True, options=_options(instructions)
+            )
+    except (ExportError, OSError):
+        return False
+    return found is not None
+
+
 @lru_cache(_MOST_LIBRARIES)
 def _loaded(fmu: FileVersion, instructions: str) -> LaneLibrary:
+    with _written_source(fmu.path) as source:
+        return LaneLibrary(load_compiled(source, instructions))
+
+
+@contextmanager
+def _written_source(fmu: Path) -> Iterator[Path]:
+    """The C source of the library of an FMU, in a folder with its headers while the context lasts."""
     with TemporaryDirectory(prefix="l1-depth-", ignore_cleanup_errors=True) as name:
-        for file, text in lane_sources(fmu.path).items():
+        for file, text in lane_sources(fmu).items():
             Path(name, file).write_text(text, encoding="utf-8", newline="\n")
-        return LaneLibrary(load_compiled(Path(name, SOURCE), instructions))
+        yield Path(name, SOURCE)
 
 
 def load_compiled(source: Path, instructions: str) -> ctypes.CDLL:
     """The library of a C source for groups of instances, from this user's cache if it is there."""
-    options = [f"-DLANES={LANES}"]
-    if instructions != "portable":
-        options.append(f"-mcpu={instructions.replace('-', '_')}")
-    return compiled_library.load(source, user_cache_path("l1-depth") / "libraries", options)
+    return compiled_library.load(source, _cache(), _options(instructions))
+
+
+def _cache() -> Path:
+    return user_cache_path("l1-depth") / "libraries"
+
+
+def _options(instructions: str) -> list[str]:
+    machine = [] if instructions == "portable" else [f"-mcpu={instructions.replace('-', '_')}"]
+    return [f"-DLANES={LANES}", *machine]

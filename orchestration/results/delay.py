@@ -15,62 +15,70 @@ from typing import Any
 import numpy as np
 
 from orchestration.errors import ScenarioError
-from orchestration.results.recording import Recording
+from orchestration.results.recordings import Runs, of_all
 
 _PARTS = 60  # of the search: a signal leads if it is nearer at one part of lead than at 0
 _LAG_ERROR_S = 1e-4  # of the search where points are not equally spaced
 _NEAR, _EQUAL = 1e-9, 1e-6  # of a communication step: rounding of a delay, and of the distance of points
 
 
-def shift_lag(recording: Recording, signal: str, reference: str, largest: float) -> float:
+@of_all
+def shift_lag(recording: Runs, signal: str, reference: str, largest: float) -> Any:
     """Delay [s], 0..largest, of the reference at which it is nearest to the signal (least RMSE).
 
     Judged from `largest` seconds after the start, so that every delay sees the same points. Not a number if
     the nearest is at an edge of the search, but for a signal that neither lags nor leads: 0.
     """
-    time, values, target = recording.time, recording[signal], recording[reference]
+    time, values, target = recording.time, np.atleast_2d(recording[signal]), recording[reference]
     if not time[-1] >= time[0] + largest:
         raise ScenarioError(
             f"largest = {largest:g}: expected less than the {time[-1] - time[0]:g} s of the run"
         )
+    if target.ndim > 1 and (target == target[0]).all():
+        target = target[0]  # of all runs
+    targets = np.broadcast_to(target, values.shape)
     step = float(time[-1] - time[0]) / (len(time) - 1)
     if (np.abs(np.diff(time) - step) <= _EQUAL * step).all():
         steps = largest / step
-        nearest = step * _nearest_delay(values, target, math.ceil(steps - _NEAR), steps)
+        nearest = step * _nearest_delays(values, target, math.ceil(steps - _NEAR), steps)
     else:
-        nearest = _searched_delay(time, values, target, largest)
-    at_start = nearest * _PARTS < largest and _leads(time, values, target, largest)
-    return math.nan if at_start or not nearest <= largest - 2.0 * _LAG_ERROR_S else nearest
+        nearest = np.array(
+            [_searched_delay(time, *run, largest) for run in zip(values, targets, strict=True)]
+        )
+    is_lag = nearest <= largest - 2.0 * _LAG_ERROR_S
+    for run in np.flatnonzero(nearest * _PARTS < largest):
+        is_lag[run] &= not _leads(time, values[run], targets[run], largest)
+    return np.where(is_lag, nearest, math.nan).reshape(recording[signal].shape[:-1])
 
 
-def _nearest_delay(signal: np.ndarray, reference: np.ndarray, count: int, largest: float) -> float:
-    """The delay, 0..largest in steps, of the least distance; not a number if all are equally far.
+def _nearest_delays(signals: np.ndarray, reference: np.ndarray, count: int, largest: float) -> np.ndarray:
+    """The delay of each signal, 0..largest in steps, of the least distance; NaN if all are equally far.
 
+    signals: shape (runs, n); reference: the same, or shape (n,)
     count: of steps that have delays of the search
     """
-    level = reference.mean()  # less of it is lost to rounding
-    signal, reference = signal[count:] - level, reference - level
-    changes = _moving_sums(np.diff(reference) ** 2, count, len(signal))
-    if not changes.any():
-        return math.nan
-    length = 1 << (len(reference) - 1).bit_length()  # holds all: no delay wraps around
-    padded = np.zeros(length)
-    padded[count : count + len(signal)] = signal
-    spectrum = np.fft.rfft(padded) * np.fft.rfft(reference, length).conj()
-    products = np.fft.irfft(spectrum, length)[: count + 1]
-    distances = _moving_sums(reference**2, count + 1, len(signal)) - 2.0 * products
+    level = reference.mean(axis=-1, keepdims=True)  # less of it is lost to rounding
+    signals, reference = signals[:, count:] - level, reference - level
+    judged = signals.shape[-1]
+    changes = _moving_sums(np.diff(reference) ** 2, count, judged)
+    length = 1 << (reference.shape[-1] - 1).bit_length()  # holds all: no delay wraps around
+    padded = np.zeros((len(signals), length))
+    padded[:, count : count + judged] = signals
+    spectra = np.fft.rfft(padded) * np.fft.rfft(reference, length).conj()
+    products = np.fft.irfft(spectra, length)[:, : count + 1]
+    distances = _moving_sums(reference**2, count + 1, judged) - 2.0 * products
     ends = np.minimum(largest - np.arange(count), 1.0)
-    slopes = distances[1:] - distances[:-1] - changes
+    slopes = distances[:, 1:] - distances[:, :-1] - changes
     parts = (-0.5 * slopes / np.where(changes > 0.0, changes, 1.0)).clip(0.0, ends)
-    best = int(np.argmin(distances[:-1] + parts * (slopes + parts * changes)))
-    return float(best + parts[best])
+    best = np.argmin(distances[:, :-1] + parts * (slopes + parts * changes), axis=-1)
+    return np.where(changes.any(axis=-1), best + parts[np.arange(len(parts)), best], math.nan)
 
 
 def _moving_sums(values: np.ndarray, count: int, length: int) -> np.ndarray:
     """Sums of the last `length` values, and of as many that begin 1, 2 .. count - 1 values earlier."""
-    sums = np.concatenate([[0.0], np.cumsum(values)])
-    ends = len(values) - np.arange(count)
-    return sums[ends] - sums[ends - length]
+    sums = np.concatenate([np.zeros((*values.shape[:-1], 1)), np.cumsum(values, axis=-1)], axis=-1)
+    ends = values.shape[-1] - np.arange(count)
+    return sums[..., ends] - sums[..., ends - length]
 
 
 def _searched_delay(time: np.ndarray, signal: np.ndarray, reference: np.ndarray, largest: float) -> float:

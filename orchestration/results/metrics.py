@@ -2,6 +2,7 @@
 
 Every function takes the recording, the names of signals, and what else it needs; a scenario names
 the function and its arguments. Windows are [start, end] in seconds and default to the whole run.
+Those with `@of_all` take `Recordings` too, compute along the last axis, and return a number for each run.
 """
 
 import math
@@ -16,13 +17,14 @@ from orchestration.errors import OrchestrationError, ScenarioError, ScenarioWarn
 from orchestration.results.delay import shift_lag
 from orchestration.results.power import energy_residuals
 from orchestration.results.recording import Recording
+from orchestration.results.recordings import Runs, of_all
 
 SIGNALS = ("signal", "reference", "flow")
 """Arguments of metrics that name signals."""
 _ROUNDING = 1e-9  # of an amplitude, relative to the mean: what is below it is rounding
 
 
-def _window(recording: Recording, window: list[float] | None) -> slice:
+def _window(recording: Runs, window: list[float] | None) -> slice:
     """The communication points of a window, whose times ascend."""
     if window is None:
         return slice(0, len(recording.time))
@@ -37,105 +39,115 @@ def _window(recording: Recording, window: list[float] | None) -> slice:
     return slice(first, last)
 
 
+@of_all
 def settling_time(
-    recording: Recording, signal: str, target: float, band: float, window: list[float] | None = None
-) -> float:
+    recording: Runs, signal: str, target: float, band: float, window: list[float] | None = None
+) -> Any:
     """Last time [s] in the window at which |signal - target| > band; its beginning if never.
 
     Not a number if the signal is outside the band at the end of the window.
     """
     inside = _window(recording, window)
     time = recording.time[inside]
-    outside = ~(np.abs(recording[signal][inside] - target) <= band)  # as is what is not a number
-    if outside[-1]:
-        return math.nan
-    return float(time[outside][-1]) if outside.any() else float(time[0])
+    outside = ~(np.abs(recording[signal][..., inside] - target) <= band)  # as is what is not a number
+    last = len(time) - 1 - np.argmax(outside[..., ::-1], axis=-1)
+    return np.where(outside[..., -1], math.nan, np.where(outside.any(axis=-1), time[last], time[0]))
 
 
+@of_all
 def rmse(
-    recording: Recording,
+    recording: Runs,
     signal: str,
     reference: str,
     window: list[float] | None = None,
     scale: float = 1.0,
-) -> float:
+) -> Any:
     """scale * sqrt(mean((signal - reference)^2)) over the communication points of the window."""
     inside = _window(recording, window)
-    error = (recording[signal] - recording[reference])[inside]
-    return float(scale * np.sqrt(np.mean(error**2)))
+    error = (recording[signal] - recording[reference])[..., inside]
+    return scale * np.sqrt(np.mean(error**2, axis=-1))
 
 
-def recovery_time(
-    recording: Recording, signal: str, target: float, band: float, window: list[float]
-) -> float:
+@of_all
+def recovery_time(recording: Runs, signal: str, target: float, band: float, window: list[float]) -> Any:
     """`settling_time` from the beginning of the window on, at which a disturbance sets in [s]."""
     begin = recording.time[_window(recording, window)][0]
     return settling_time(recording, signal, target, band, window) - float(begin)
 
 
-def std(recording: Recording, signal: str, window: list[float] | None = None, scale: float = 1.0) -> float:
+@of_all
+def std(recording: Runs, signal: str, window: list[float] | None = None, scale: float = 1.0) -> Any:
     """scale * standard deviation about the mean, over the communication points of the window."""
-    return float(scale * recording[signal][_window(recording, window)].std())
+    return scale * recording[signal][..., _window(recording, window)].std(axis=-1)
 
 
-def overshoot(recording: Recording, signal: str, target: float, window: list[float] | None = None) -> float:
+@of_all
+def overshoot(recording: Runs, signal: str, target: float, window: list[float] | None = None) -> Any:
     """How far the signal goes beyond the target, in percent of it, 0 if it does not; the target is not 0."""
     if target == 0.0:
         raise ScenarioError("overshoot: target = 0: expected another, the overshoot is relative to it")
-    farthest = (math.copysign(1.0, target) * recording[signal][_window(recording, window)]).max()
-    return float(max(0.0, 100.0 * (farthest - abs(target)) / abs(target)))
+    farthest = (math.copysign(1.0, target) * recording[signal][..., _window(recording, window)]).max(axis=-1)
+    excess = 100.0 * (farthest - abs(target)) / abs(target)
+    return np.where(excess > 0.0, excess, 0.0)
 
 
-def mean(recording: Recording, signal: str, window: list[float] | None = None) -> float:
+@of_all
+def mean(recording: Runs, signal: str, window: list[float] | None = None) -> Any:
     """Mean over the communication points of the window."""
-    return float(recording[signal][_window(recording, window)].mean())
+    return recording[signal][..., _window(recording, window)].mean(axis=-1)
 
 
-def effort(recording: Recording, signal: str, window: list[float] | None = None) -> float:
+@of_all
+def effort(recording: Runs, signal: str, window: list[float] | None = None) -> Any:
     """Integral of |signal| dt, trapezoidal rule."""
     inside = _window(recording, window)
-    return float(np.trapezoid(np.abs(recording[signal][inside]), recording.time[inside]))
+    return np.trapezoid(np.abs(recording[signal][..., inside]), recording.time[inside])
 
 
-def peak(recording: Recording, signal: str, window: list[float] | None = None, scale: float = 1.0) -> float:
+@of_all
+def peak(recording: Runs, signal: str, window: list[float] | None = None, scale: float = 1.0) -> Any:
     """scale * largest |signal| at the communication points of the window."""
-    return float(scale * np.abs(recording[signal][_window(recording, window)]).max())
+    return scale * np.abs(recording[signal][..., _window(recording, window)]).max(axis=-1)
 
 
+@of_all
 def peak_error(
-    recording: Recording, signal: str, reference: str, window: list[float] | None = None, scale: float = 1.0
-) -> float:
+    recording: Runs, signal: str, reference: str, window: list[float] | None = None, scale: float = 1.0
+) -> Any:
     """scale * largest |signal - reference| at the communication points of the window."""
-    return float(scale * np.abs(_error(recording, signal, reference, window)[1]).max())
+    return scale * np.abs(_error(recording, signal, reference, window)[1]).max(axis=-1)
 
 
-def iae(recording: Recording, signal: str, reference: str, window: list[float] | None = None) -> float:
+@of_all
+def iae(recording: Runs, signal: str, reference: str, window: list[float] | None = None) -> Any:
     """Integral of the absolute error, |signal - reference| dt, trapezoidal rule."""
     time, error = _error(recording, signal, reference, window)
-    return float(np.trapezoid(np.abs(error), time))
+    return np.trapezoid(np.abs(error), time)
 
 
-def ise(recording: Recording, signal: str, reference: str, window: list[float] | None = None) -> float:
+@of_all
+def ise(recording: Runs, signal: str, reference: str, window: list[float] | None = None) -> Any:
     """Integral of the squared error, (signal - reference)^2 dt, trapezoidal rule."""
     time, error = _error(recording, signal, reference, window)
-    return float(np.trapezoid(error**2, time))
+    return np.trapezoid(error**2, time)
 
 
-def itae(recording: Recording, signal: str, reference: str, window: list[float] | None = None) -> float:
+@of_all
+def itae(recording: Runs, signal: str, reference: str, window: list[float] | None = None) -> Any:
     """Integral of the absolute error times time, t |signal - reference| dt, trapezoidal rule.
 
     t: since the beginning of the window, which is the run by default
     """
     time, error = _error(recording, signal, reference, window)
-    return float(np.trapezoid((time - time[0]) * np.abs(error), time))
+    return np.trapezoid((time - time[0]) * np.abs(error), time)
 
 
 def _error(
-    recording: Recording, signal: str, reference: str, window: list[float] | None
+    recording: Runs, signal: str, reference: str, window: list[float] | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """(time, signal - reference) of the window."""
     inside = _window(recording, window)
-    return recording.time[inside], (recording[signal] - recording[reference])[inside]
+    return recording.time[inside], (recording[signal] - recording[reference])[..., inside]
 
 
 def energy_residual(recording: Recording, signal: str, flow: str, window: list[float] | None = None) -> float:
@@ -163,17 +175,19 @@ def time_below(
     return float((share * np.diff(time)).sum())  # not BLAS, whose threads wait for each other
 
 
+@of_all
 def total_variation(
-    recording: Recording, signal: str, every: float | None = None, window: list[float] | None = None
-) -> float:
+    recording: Runs, signal: str, every: float | None = None, window: list[float] | None = None
+) -> Any:
     """Sum of |change| between communication points, or between points `every` seconds apart."""
     inside = _window(recording, window)
-    time, values = recording.time[inside], recording[signal][inside]
+    time, values = recording.time[inside], recording[signal][..., inside]
     if every is not None:
         count = round((time[-1] - time[0]) / every)
         sampling_times = time[0] + every * np.arange(count + 1)
-        values = values[np.searchsorted(time, sampling_times - 1e-6 * every).clip(max=len(time) - 1)]
-    return float(np.abs(np.diff(values)).sum())
+        indices = np.searchsorted(time, sampling_times - 1e-6 * every).clip(max=len(time) - 1)
+        values = np.take(values, indices, axis=-1)  # in C order, unlike values[..., indices]
+    return np.abs(np.diff(values)).sum(axis=-1)
 
 
 def phase_lag(

@@ -35,13 +35,13 @@ class Batches:
         self._samples, self.left, self._sample_s = iter(samples), count, math.inf
         self._returned: deque[int] = deque()
 
-    def take(self, workers: int, group: int = 1) -> list[int]:
+    def take(self, workers: int, group: int = 1, most: int = _MOST_OF_A_BATCH) -> list[int]:
         """The next samples for one of so many workers; none if none are left.
 
-        group: how many run at once: batches are whole groups, until the last
+        group: how many run at once: batches are whole groups, until the last; most: of a batch
         """
         share = math.ceil(self.left / (_SPREAD * workers))
-        count = max(1, min(int(BATCH_S / self._sample_s), share, _MOST_OF_A_BATCH))
+        count = max(1, min(int(BATCH_S / self._sample_s), share, most))
         count = max(group, count - count % group)
         batch = [self._returned.popleft() for _ in range(min(count, len(self._returned)))]
         batch += islice(self._samples, count - len(batch))

@@ -3,6 +3,7 @@
 import math
 import reprlib
 import sys
+from functools import lru_cache
 
 import numpy as np
 
@@ -76,9 +77,11 @@ def possible_values(port: Port, values: np.ndarray) -> tuple[str, np.ndarray]:
 def value_range(port: Port) -> tuple[float, float]:
     """The smallest and the largest value, as declared and as the type can hold."""
     variable = port.variable
-    of_type = (-math.inf, math.inf) if variable.type == "Real" else _INTEGER_RANGE
-    low, high = (
-        limit if text is None else float(text)
-        for text, limit in zip((variable.min, variable.max), of_type, strict=True)
-    )
-    return low, high
+    return _range(variable.type, variable.min, variable.max)
+
+
+@lru_cache
+def _range(kind: str, least: str | None, largest: str | None) -> tuple[float, float]:
+    """For types and texts of a model description, of which thousands of values are checked."""
+    low, high = (-math.inf, math.inf) if kind == "Real" else _INTEGER_RANGE
+    return low if least is None else float(least), high if largest is None else float(largest)

@@ -184,6 +184,20 @@ def test_an_instance_that_cannot_begin_is_named_and_disturbs_no_other(system: Sy
     assert len(recorded.recording(1).time) == 0
 
 
+@pytest.mark.parametrize("weights", [[30.0, 29.0], [29.0, 30.0], [29.5] * 11])
+def test_recordings_of_all_that_did_not_fail_are_in_c_order(system: System, weights: list[float]) -> None:
+    """As one run has them: where a sum along time rounds."""
+    with Ensemble(system) as ensemble:
+        net = {"plant.net_weight": [29.2] * len(weights)}
+        recorded = ensemble.run(DIVE, {"plant.weight": weights, **net})
+    together = recorded.recordings()
+    assert recorded.complete == [i for i, weight in enumerate(weights) if weight > 29.2]
+    for run, instance in enumerate(recorded.complete):
+        assert together.run(run).values.tobytes() == recorded.recording(instance).values.tobytes()
+    assert {signal.strides[-1] for signal in together.values} == {8}
+    assert (len(together), len(together.time)) == (len(recorded.complete), len(recorded.time))
+
+
 def test_the_state_of_another_fmu_is_refused(system: System) -> None:
     controller, plant = system.components["controller"], system.components["plant"]
     library = lane_library("plant", plant, instruction_sets()[0])

@@ -1,4 +1,4 @@
-"""A sweep on this machine without a cluster: threads or processes, one or several, the rows are the same."""
+"""A sweep on this machine without a cluster: threads, processes or ensembles, the rows are the same."""
 
 import threading
 from collections.abc import Callable, Mapping
@@ -9,12 +9,13 @@ import psutil
 import pytest
 
 from fmus.fmi_types import FmiValue
-from orchestration.errors import OrchestrationError, SweepError
+from orchestration.errors import EnsembleError, OrchestrationError
+from orchestration.master.ensemble import Ensemble
 from orchestration.results import metrics
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 from orchestration.sweep import table
-from orchestration.sweep.ensemble import ensemble
+from orchestration.sweep.ensemble import ensemble_samples
 from orchestration.sweep.local import LocalWorkers, local
 from orchestration.sweep.plan import Plan, plan
 from orchestration.sweep.run import sweep
@@ -61,7 +62,10 @@ def swept(made: Plan, folder: Path, workers: int, isolated: bool = False) -> tup
     """The table, and how many processes ran samples."""
     before, started = children(), set()
     path = sweep(
-        made, folder, local(workers, isolated), progress=lambda done: started.update(children() - before)
+        made,
+        folder,
+        local(workers, isolated, ensemble=False),
+        progress=lambda done: started.update(children() - before),
     )
     assert children() <= before
     return path.read_bytes(), len(started)
@@ -91,13 +95,13 @@ def test_what_was_done_before_an_interrupt_is_not_run_again(vehicle: Plan, tmp_p
 
     before = threading.active_count()
     with pytest.raises(KeyboardInterrupt):
-        sweep(vehicle, tmp_path / "again", local(2), progress=interrupt)
+        sweep(vehicle, tmp_path / "again", local(2, ensemble=False), progress=interrupt)
     assert threading.active_count() == before
     assert COUNT // 3 <= sum(done) < COUNT
     more: list[int] = []
-    path = sweep(vehicle, tmp_path / "again", local(2), progress=more.append)
+    path = sweep(vehicle, tmp_path / "again", local(2, ensemble=False), progress=more.append)
     assert (more[0], sum(more)) == (sum(done), COUNT)
-    assert path.read_bytes() == sweep(vehicle, tmp_path / "once", local(1)).read_bytes()
+    assert path.read_bytes() == swept(vehicle, tmp_path / "once", 1)[0]
 
 
 @pytest.mark.cluster
@@ -127,7 +131,7 @@ def test_a_sample_that_fails_in_a_thread_is_a_row_and_the_next_one_runs(
     monkeypatch.setattr(Plan, "block", lambda plan, numbers: [refused[number] for number in numbers])
     monkeypatch.setattr(Plan, "settings", lambda plan, values: {"parameters": values})
     outcomes: list[Outcome] = []
-    for finished in LocalWorkers(1).run(vehicle, Job.of(vehicle, None), Batches(range(2), 2)):
+    for finished in LocalWorkers(1, ensemble=False).run(vehicle, Job.of(vehicle, None), Batches(range(2), 2)):
         outcomes += finished.outcomes
     assert "plant.inertia = -1.0: expected" in (outcomes[0].error or "")
     assert (outcomes[1].error, len(outcomes[1].metrics)) == (None, 4)
@@ -147,7 +151,9 @@ def test_a_file_that_is_replaced_meanwhile_changes_no_sample(
     monkeypatch.setattr(Plan, "block", lambda plan, numbers: [inertias[number] for number in numbers])
     monkeypatch.setattr(Plan, "settings", lambda plan, values: {"parameters": values})
     outcomes: list[Outcome] = []
-    for finished in LocalWorkers(1, isolated).run(made, Job.of(made, None), Batches(range(3), 3)):
+    for finished in LocalWorkers(1, isolated, ensemble=False).run(
+        made, Job.of(made, None), Batches(range(3), 3)
+    ):
         outcomes += finished.outcomes
         fmu.write_bytes(b"no FMU")
     assert "plant.inertia = -1.0: expected" in (outcomes[1].error or "")
@@ -164,7 +170,8 @@ def test_a_batch_ends_after_its_time_and_the_rest_is_run_in_others(vehicle: Plan
         return 0.001 * reading if reading < 5 else 0.15 * reading
 
     batches, numbers = [], []
-    for finished in LocalWorkers(1, clock=clock).run(vehicle, Job.of(vehicle, None), Batches(range(9), 9)):
+    workers = LocalWorkers(1, ensemble=False, clock=clock)
+    for finished in workers.run(vehicle, Job.of(vehicle, None), Batches(range(9), 9)):
         batches.append(len(finished.numbers))
         numbers += finished.numbers
         assert len(finished.numbers) == len(finished.values) == len(finished.outcomes)
@@ -205,19 +212,74 @@ def test_a_batch_of_groups_is_whole_groups_until_the_last() -> None:
     assert [len(batches.take(1, 32)) for _ in range(3)] == [32, 20, 0]
 
 
+def test_a_batch_of_groups_has_at_most_the_samples_that_it_may_have() -> None:
+    batches = Batches(range(1000), 1000)
+    batches.note(1, 1e-6)
+    assert [len(batches.take(1, 8, most)) for most in (8, 64, 333)] == [8, 64, 304]
+
+
 def test_a_restart_that_cannot_run_discards_nothing(vehicle: Plan, tmp_path: Path) -> None:
-    path = sweep(vehicle, tmp_path, local(1))
+    alone = local(1, ensemble=False), local(1, ensemble=False)
+    path = sweep(vehicle, tmp_path, alone[0])
     before = path.read_bytes()
-    with pytest.raises(SweepError, match="no recordings and no timeout"):
-        sweep(vehicle, tmp_path, ensemble(1), recorded=(), restart=True)
+    with pytest.raises(EnsembleError, match="no recordings and no timeout"):
+        sweep(vehicle, tmp_path, local(1, ensemble=True), recorded=(), restart=True)
     assert path.read_bytes() == before
     done: list[int] = []
-    assert sweep(vehicle, tmp_path, local(1), restart=True, progress=done.append).read_bytes() == before
+    assert sweep(vehicle, tmp_path, alone[1], restart=True, progress=done.append).read_bytes() == before
     assert (done[0], sum(done)) == (0, COUNT)
 
 
+def made_of(tmp_path: Path, text: str) -> Plan:
+    path = tmp_path / "other.toml"
+    path.write_text(text)
+    return plan(scenario.load(path))
+
+
+def varying(name: str, low: float, high: float) -> str:
+    """Another variable in place of the inertia."""
+    varied = VEHICLE.replace("plant.inertia", name)
+    return varied.replace("low = 5.0", f"low = {low}").replace("high = 6.0", f"high = {high}")
+
+
+@pytest.mark.parametrize(
+    ("text", "recorded", "reason"),
+    [
+        (VEHICLE, (), "no recordings and no timeout"),
+        (VEHICLE.replace("[sweep]", "[sweep]\ntimeout = 9.0"), None, "no recordings and no timeout"),
+        (varying("experiment.step_size", 0.01, 0.02), None, "experiment.step_size is varied"),
+        (varying("plant.internal_step", 0.01, 0.02), None, "plant.internal_step is varied"),
+        (
+            VEHICLE.replace("stop_time", "tolerance = 1e-4\nstop_time"),
+            None,
+            "tolerance: an Ensemble does not",
+        ),
+        (VEHICLE.replace(f"= {COUNT}", "= 7"), None, "7 samples are less than the 8 that step at once"),
+        (VEHICLE.replace("stop_time = 4.0", "stop_time = 3e4"), None, "8 samples at once record"),
+        (VEHICLE, None, "takes longer than 6000 steps save"),
+    ],
+)
+def test_where_an_ensemble_cannot_run_samples_or_does_not_pay_simulators_do(
+    text: str, recorded: tuple[str, ...] | None, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing is compiled for these."""
+    monkeypatch.setattr(Ensemble, "is_compiled", lambda system: False)
+    made = made_of(tmp_path, text)
+    with pytest.raises(EnsembleError, match=reason):
+        ensemble_samples(made, Job.of(made, recorded), made.count, is_asked_for=False, threads=1)
+
+
+def test_the_note_says_what_runs_the_samples(planned: Make, tmp_path: Path) -> None:
+    """A foreign FMU in a process; an ensemble that is asked for is refused."""
+    notes: list[str] = []
+    sweep(planned(), tmp_path, local(1, note=notes.append))
+    assert notes == ["1 processes of simulators: r is no native FMU of l1-depth"]
+    with pytest.raises(EnsembleError, match=r"r is no native FMU of l1-depth"):
+        sweep(planned(), tmp_path, local(1, ensemble=True), restart=True)
+
+
 @pytest.mark.slow
-def test_an_ensemble_gives_the_same_table(
+def test_ensembles_give_the_same_table(
     vehicle: Plan, tmp_path: Path, scenario_fmus: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also where a metric fails, here of half the samples by the sign of the noise: each is run alone."""
@@ -228,9 +290,28 @@ def test_an_ensemble_gives_the_same_table(
         return 0.0
 
     monkeypatch.setitem(metrics.FUNCTIONS, "mean", refuse_positive)
+    monkeypatch.setattr(Ensemble, "is_compiled", lambda system: True)
     batches: list[int] = []
-    together = sweep(vehicle, tmp_path / "together", ensemble(2), progress=batches.append)
-    assert batches == [0, 16, 14]  # the vectors of two threads at least
-    errors = table.read(together)[0]["error"].to_pylist()
+    notes: list[str] = []
+    path = sweep(vehicle, tmp_path / "together", local(2, note=notes.append), progress=batches.append)
+    assert notes == ["2 threads of ensembles"]
+    assert sorted(batches) == [0, 6, 8, 8, 8]  # groups, until the last
+    errors = table.read(path)[0]["error"].to_pylist()
     assert set(errors) == {None, "metric first: positive"}
-    assert together.read_bytes() == swept(vehicle, tmp_path / "threads", 2)[0]
+    assert path.read_bytes() == swept(vehicle, tmp_path / "threads", 2)[0]
+
+
+@pytest.mark.slow
+def test_simulators_continue_what_ensembles_began(vehicle: Plan, tmp_path: Path, scenario_fmus: None) -> None:
+    """The table is that of a sweep in one go."""
+
+    def interrupt(more: int) -> None:
+        if more:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        sweep(vehicle, tmp_path / "again", local(1, ensemble=True), progress=interrupt)
+    done: list[int] = []
+    path = sweep(vehicle, tmp_path / "again", local(1, ensemble=False), progress=done.append)
+    assert (done[0], sum(done)) == (8, COUNT)
+    assert path.read_bytes() == swept(vehicle, tmp_path / "once", 1)[0]
