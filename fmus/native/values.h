@@ -48,11 +48,12 @@ static int are_allowed(Instance *instance, int modes, Type type, const fmi2Value
 }
 
 /* 2.1.7: until stepping begins, calculated values follow the values that are set, also after an error; later they
- * are those of the last step, and nothing is stale (4.2.4: no fmi2GetXXX after fmi2SetXXX without a step). */
-static fmi2Status refreshed(Instance *instance, const fmi2ValueReference references[], size_t count,
+ * are those of the last step, and nothing is stale (4.2.4: no fmi2GetXXX after fmi2SetXXX without a step). Called
+ * when something is stale. */
+static fmi2Status refreshed(Instance *instance, Type type, const fmi2ValueReference references[], size_t count,
                             const char *function) {
     int broken = 0;
-    if (!instance->data.outputs_are_stale) return fmi2OK;
+    if (!are_of_type(instance, type, references, count, function)) return fmi2Error;
     for (size_t i = 0; i < count; i++)
         if (!is_settable((int)references[i]))
             return report(instance, data_refresh(&instance->data, &broken), &broken, function, 0);
@@ -82,11 +83,16 @@ static fmi2Status cannot_be_set(Instance *instance, Type type, const fmi2ValueRe
 #define DEFINE_GET(Name, CType, TYPE)                                                                           \
     fmi2Status fmi2Get##Name(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, CType value[]) {       \
         Instance *instance = c;                                                                                 \
-        fmi2Status status;                                                                                      \
-        if (!are_allowed(instance, READABLE, TYPE, vr, nvr, value, "fmi2Get" #Name)) return fmi2Error;          \
-        status = refreshed(instance, vr, nvr, "fmi2Get" #Name);                                                 \
-        if (status != fmi2OK) return status;                                                                    \
-        for (size_t i = 0; i < nvr; i++) value[i] = (CType)instance->data.value[vr[i]];                         \
+        if (!is_allowed(instance, READABLE, "fmi2Get" #Name)) return fmi2Error;                                 \
+        if (!are_given(instance, vr, nvr, value, "fmi2Get" #Name)) return fmi2Error;                            \
+        if (instance->data.outputs_are_stale) {                                                                 \
+            const fmi2Status status = refreshed(instance, TYPE, vr, nvr, "fmi2Get" #Name);                      \
+            if (status != fmi2OK) return status;                                                                \
+        }                                                                                                       \
+        for (size_t i = 0; i < nvr; i++) {                                                                      \
+            if (!has_type(vr[i], TYPE)) return not_of_type(instance, TYPE, vr[i], "fmi2Get" #Name);             \
+            value[i] = (CType)instance->data.value[vr[i]];                                                      \
+        }                                                                                                       \
         return fmi2OK;                                                                                          \
     }
 

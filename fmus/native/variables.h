@@ -45,10 +45,11 @@ static int is_input(int64_t reference) { return reference >= INPUTS_FROM_TO[0] &
 
 static int is_settable(int reference) { return ACCESS[reference].settable != NEVER; }
 
-/* Within range; false for what is not finite, as a variable without range has the range of double. */
+/* Within range, which for whole numbers is one of int; false for what is not finite, as a variable without range has
+ * the range of double. */
 static int is_acceptable(int reference, double value) {
     const Variable *v = VARIABLES + reference;
-    if (!(value >= v->min && value <= v->max) || (v->whole && value != floor(value))) return 0;
+    if (!(value >= v->min && value <= v->max) || (v->whole && value != (int)value)) return 0;
     return !v->items || v->items >> (int)value & 1;
 }
 

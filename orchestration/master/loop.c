@@ -86,6 +86,9 @@ typedef struct {
     Team *team;
 } Wiring;
 
+/* Of what every step does: as long as a call of it. */
+#define INLINED static inline __attribute__((always_inline))
+
 /* At first without leaving the processor: other threads are expected within microseconds. */
 static void wait_a_moment(int *waits) {
     enum { SHORT_WAITS = 2000 };
@@ -104,9 +107,9 @@ static void wait_a_moment(int *waits) {
 }
 
 /* A division takes longer than many a component of period 1. */
-static int is_multiple(int64_t point, int64_t period) { return period == 1 || point % period == 0; }
+INLINED int is_multiple(int64_t point, int64_t period) { return period == 1 || point % period == 0; }
 
-static int is_accepted(Wiring *wiring, int kind, int64_t c, int64_t index, int status) {
+INLINED int is_accepted(Wiring *wiring, int kind, int64_t c, int64_t index, int status) {
     if (!wiring->independent) guard_restore_float_mode();
     wiring->report[BUSY] = 0;
     wiring->report[CALLS]++;
@@ -124,7 +127,7 @@ static int is_accepted(Wiring *wiring, int kind, int64_t c, int64_t index, int s
     return 0;
 }
 
-static int transfer(Wiring *wiring, int64_t k, int64_t point, double time, int is_new) {
+INLINED int transfer(Wiring *wiring, int64_t k, int64_t point, double time, int is_new) {
     Connections *connections = &wiring->connections;
     Faults *faults = &wiring->faults;
     const int64_t fault = connections->fault[k];
@@ -161,7 +164,7 @@ EXPORT int loop_exchange(Wiring *wiring, int64_t point, double time, int on_poin
     for (int64_t k = 0; k < wiring->n_connections; k++) {
         const int64_t source = connections->source_component[k];
         const int has_fault = connections->fault[k] >= 0;
-        const int is_new = source < 0 || is_last || is_multiple(point, wiring->periods[source]);
+        const int is_new = source < 0 || is_multiple(point, wiring->periods[source]) || is_last;
         if ((has_fault ? on_point : is_new) && !transfer(wiring, k, point, time, is_new)) is_finite = 0;
     }
     return is_finite;
@@ -179,11 +182,11 @@ EXPORT int loop_exchange_and_record(Wiring *wiring, int64_t point) {
     return is_finite;
 }
 
-static int ends_step(const Wiring *wiring, int64_t c, int64_t point) {
+INLINED int ends_step(const Wiring *wiring, int64_t c, int64_t point) {
     return is_multiple(point + 1, wiring->periods[c]) || point + 2 == wiring->n_points;
 }
 
-static int exchange_values(Wiring *wiring, const Calls *calls, int kind, int64_t c, int64_t g) {
+INLINED int exchange_values(Wiring *wiring, const Calls *calls, int kind, int64_t c, int64_t g) {
     void *instance = (void *)wiring->instances[c], *buffer = (void *)calls->buffer[g];
     const void *references = (const void *)calls->references[g];
     const size_t size = (size_t)calls->size[g];
@@ -211,7 +214,7 @@ static void extrapolate(Wiring *wiring, int64_t k, double start, double size) {
     wiring->bus[connections->target[k]] = value;
 }
 
-static int write_inputs(Wiring *wiring, int64_t c, double start, double size) {
+INLINED int write_inputs(Wiring *wiring, int64_t c, double start, double size) {
     const Connections *connections = &wiring->connections;
     const Calls *calls = &wiring->input_calls;
     for (int64_t k = connections->first[c]; k < connections->first[c + 1]; k++)
@@ -237,13 +240,13 @@ static int terminates_at(const Wiring *wiring, int64_t c, double end) {
     return fabs(reached - end) <= 1e-9 * (end - wiring->step_start[c]);
 }
 
-static int call_step(const Wiring *wiring, int64_t c, double end) {
+INLINED int call_step(const Wiring *wiring, int64_t c, double end) {
     const double start = wiring->step_start[c];
     const double size = wiring->fixed_step_size[c] > 0.0 ? wiring->fixed_step_size[c] : end - start;
     return ((DoStep *)wiring->do_step[c])((void *)wiring->instances[c], start, size, 1);
 }
 
-static int finish_step(Wiring *wiring, int64_t c, double end, int status) {
+INLINED int finish_step(Wiring *wiring, int64_t c, double end, int status) {
     if (status == DISCARD && !wiring->error_logged[c] && terminates_at(wiring, c, end)) {
         wiring->report[TERMINATED] = c + 1;
         status = OK;
@@ -251,7 +254,7 @@ static int finish_step(Wiring *wiring, int64_t c, double end, int status) {
     return is_accepted(wiring, DO_STEP, c, 0, status);
 }
 
-static int do_step(Wiring *wiring, int64_t c, double end) {
+INLINED int do_step(Wiring *wiring, int64_t c, double end) {
     wiring->report[BUSY] = c + 1;
     return finish_step(wiring, c, end, call_step(wiring, c, end));
 }
@@ -267,7 +270,7 @@ EXPORT int loop_read_outputs(Wiring *wiring, int64_t c) {
     return 1;
 }
 
-static int start_step(Wiring *wiring, int64_t c, int64_t point, double start, double end) {
+INLINED int start_step(Wiring *wiring, int64_t c, int64_t point, double start, double end) {
     wiring->step_start[c] = start;
     if (wiring->periods[c] > 1) {
         const int64_t until = point + wiring->periods[c], last = wiring->n_points - 1;

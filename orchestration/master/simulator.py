@@ -11,7 +11,6 @@ import numpy as np
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.fmi.description import describe
 from orchestration.fmi.instance import FmuInstance
-from orchestration.master.bus import BusLayout
 from orchestration.master.checkpoint import Checkpoint, Checkpoints, check_can_save, restore
 from orchestration.master.compiled_loop import compiled_loop
 from orchestration.master.error_estimate import with_error_estimate
@@ -24,7 +23,7 @@ from orchestration.master.pacing import Pacing
 from orchestration.master.process_guard import ProcessGuard, new_report
 from orchestration.master.step_by_step import StepByStep, replay
 from orchestration.master.stepped_run import SteppedRun
-from orchestration.master.stepping import GROWTH, Progress, RunInProgress
+from orchestration.master.stepping import Progress, RunInProgress
 from orchestration.master.wiring import WiredRun, build_wiring
 from orchestration.results.recording import Recording
 from orchestration.system.experiment import Experiment, OpenInputsName
@@ -60,7 +59,7 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
         self._estimated: tuple[list[Any], np.ndarray, Recording] | None = None
         self._first_batch = 1
         self._prepared_runs = PreparedRuns()
-        self._bus: BusLayout | None = None
+        self._wired: WiredRun | None = None  # of the run before
         self._checked: dict[
             tuple[tuple[str, ...], str], tuple[CheckedSystem, tuple[ConnectionGroup, ...]]
         ] = {}
@@ -95,7 +94,7 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
             run = RunInProgress(wired, self._loop(wired.wiring), guard, threads)
             run.batch = self._first_batch
             recording = _run_to_end(run, groups, progress, pacing, checkpoints, resume, storage is None)
-            self._first_batch = max(1, run.batch // GROWTH)  # the next run may be slower
+            self._first_batch = max(1, run.batch // 2)  # the next run may be slower
             self._must_reload = False
         return (
             with_error_estimate(recording, wired.prepared, lambda coarser: self.run(coarser, progress))
@@ -182,15 +181,18 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
         system, groups = self._check(driven, experiment.open_inputs)
         runs = self._prepared_runs
         prepared = runs.prepare(system, experiment, external)
-        if not runs.is_again:
-            self._bus = None  # that of another run, also if this one is never wired
+        earlier = self._wired if runs.is_again else None
+        self._wired = None  # of another run, also if this one is never wired
         storage = storage or Storage(np.empty(prepared.shape), new_report())
         if self._guard:
             self._guard.close()
         guard = self._guard = ProcessGuard(self.system.components, storage.report)
         self._load_or_reset(storage.report, guard)
-        wired = build_wiring(prepared, self._instances, storage, self._bus)
-        self._bus = wired.bus
+        if earlier and earlier.instances is self._instances:
+            wired = earlier.again(prepared, storage)
+        else:
+            wired = build_wiring(prepared, self._instances, storage)
+        self._wired = wired.without_rows()
         return wired, groups, guard
 
     def _check(
@@ -262,7 +264,8 @@ def _run_to_end(
 
 
 def _initialise(run: RunInProgress, groups: Sequence[ConnectionGroup]) -> None:
-    run.guard.note_handlers()  # with that of SIGINT
+    if not run.wiring.independent:
+        run.guard.note_handlers()  # with that of SIGINT
     initialise(run.prepared, groups, run.instances)
     run.read_outputs()
     run.restore_process()

@@ -27,7 +27,7 @@ from orchestration.system.faults import Pattern
 from orchestration.system.system import Port
 
 _BATCH_S = 0.05
-GROWTH = 8  # largest growth of a batch from one to the next: the first ones measure how long a step takes
+_GROWTH = 8  # largest growth of a batch from one to the next: the first ones measure how long a step takes
 MOST_STEPS = 1_000_000  # in a batch
 
 
@@ -98,7 +98,7 @@ class RunInProgress:
             start, first = time.perf_counter(), self.position
             repeated = self._run_batch(self._batch_end(first + most))
             steps_a_second = (self.position - first) / max(time.perf_counter() - start, 1e-9)
-            longer = min(GROWTH * self.batch, int(_BATCH_S * steps_a_second), MOST_STEPS)
+            longer = min(_GROWTH * self.batch, int(_BATCH_S * steps_a_second), MOST_STEPS)
             self.batch = 1 if repeated else max(1, longer)
         check_interrupt()
         self._finish(pacing)

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -48,23 +48,33 @@ class WiredRun:
     references: Sequence[np.ndarray]
     texts: Texts
 
+    def without_rows(self) -> "WiredRun":
+        """The same for `again`: it does not keep what was recorded in memory."""
+        return replace(self, wiring=self.wiring._replace(rows=np.empty((0, 0))))
 
-def build_wiring(
-    prepared: PreparedRun,
-    instances: Mapping[str, FmuInstance],
-    storage: Storage,
-    bus: BusLayout | None = None,
-) -> WiredRun:
-    """The arrays of a run at its start time; bus: that of an equal run."""
-    bus, experiment = bus or lay_out_bus(prepared), prepared.experiment
+    def again(self, prepared: PreparedRun, storage: Storage) -> "WiredRun":
+        """That of a run which differs in settings alone, with the same instances; this one has ended."""
+        if self.texts.table != Texts().table:
+            return build_wiring(prepared, self.instances, storage)
+        wiring = self.wiring._replace(
+            points=prepared.points,
+            signal_values=prepared.signal_values,
+            rows=storage.rows,
+            report=storage.report,
+            error_logged=_report_calls(self.instances, storage.report),
+        )
+        _set_start(wiring, prepared)
+        return replace(self, prepared=prepared, wiring=wiring)
+
+
+def build_wiring(prepared: PreparedRun, instances: Mapping[str, FmuInstance], storage: Storage) -> WiredRun:
+    """The arrays of a run at its start time."""
+    bus, experiment = lay_out_bus(prepared), prepared.experiment
     count, periods = len(instances), np.array([prepared.periods[name] for name in instances], np.int64)
     fixed = prepared.system.components_without("canHandleVariableCommunicationStepSize")
     unable = prepared.system.components_without("canGetAndSetFMUstate")
     memory, parts = _memory(bus, count)
     values, slopes, integers = parts["bus"], parts["slopes"], parts["integers"]
-    for name, value in prepared.external.items():
-        values[bus.index[f"{SIGNAL}{name}"]] = value
-    parts["step_start"][:] = experiment.start_time
     ones = np.ones(len(bus.index), np.int32)
     groups = {
         Call.SET_INPUTS: [(group, f"fmi2Set{group.type}") for group in bus.inputs],
@@ -115,7 +125,17 @@ def build_wiring(
     )
     functions |= {Call.DO_STEP: ["fmi2DoStep"]}
     functions |= {Call.GET_STATE: ["fmi2GetFMUstate"], Call.SET_STATE: ["fmi2SetFMUstate"]}
+    _set_start(wiring, prepared)
+    for name, value in prepared.external.items():
+        values[bus.index[f"{SIGNAL}{name}"]] = value
     return WiredRun(prepared, instances, wiring, bus, functions, references, texts)
+
+
+def _set_start(wiring: Wiring, prepared: PreparedRun) -> None:
+    """Set what a step changes to what it is at the start time, without external values."""
+    wiring.memory[:] = 0.0
+    wiring.step_start[:] = prepared.experiment.start_time
+    wiring.connections.sample_time[:] = -np.inf
 
 
 def _memory(bus: BusLayout, count: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
@@ -123,7 +143,7 @@ def _memory(bus: BusLayout, count: int) -> tuple[np.ndarray, dict[str, np.ndarra
     n, n_connections, n_integers = len(bus.index), len(bus.connections), bus.integer_count
     sizes = dict.fromkeys(CHANGING_OF_CONNECTIONS, n_connections)
     sizes |= {"bus": n, "slopes": n, "step_start": count, "warning": count, "integers": -(-n_integers // 2)}
-    memory = np.zeros(sum(sizes.values()))
+    memory = np.empty(sum(sizes.values()))
     parts: dict[str, np.ndarray] = dict(
         zip(sizes, np.split(memory, np.cumsum([*sizes.values()])[:-1]), strict=True)
     )
@@ -179,7 +199,6 @@ def _connections(prepared: PreparedRun, bus: BusLayout, parts: Mapping[str, np.n
     faults = {name: row for row, name in enumerate(prepared.fault_patterns)}
     validity = _SLOPE_VALIDITY_WITH_TOLERANCE if prepared.experiment.tolerance else _SLOPE_VALIDITY
     targets = [component_of(target) for _, target in bus.connections]
-    parts["sample_time"][:] = -np.inf
     indices, limits = [], []
     for (source, target), own, mode in zip(bus.connections, targets, bus.input_modes, strict=True):
         owner, ends = component_of(source), (bus.index[source], bus.index[target])
