@@ -90,7 +90,7 @@ class Traced:
     def c_code(self) -> str:
         """All functions as static C99 functions called model_FUNCTION, with the arguments of this class.
 
-        What a step needs of its length and the parameters alone is computed apart, by model_step_constants.
+        What a step needs of its size and the parameters alone is computed apart, by model_step_constants.
         """
         step, constants = c_functions(self.step, "model_step", held=("h", "p", "c"), inputs="u")
         others = {name: function for name, function in self.functions().items() if name != "step"}

@@ -60,7 +60,7 @@ static void cannot_instantiate(const fmi2CallbackFunctions *functions, fmi2Strin
 
 static void instance_reset(Instance *instance) {
     data_reset(&instance->data);
-    instance->step_constants.are_stale = 1;
+    instance->step_cache.is_stale = 1;
     instance->stop_time = DBL_MAX;
 }
 

@@ -27,17 +27,17 @@ typedef struct {
     double state[N_STATES + 1];
 } Data;
 
-/* What internal steps need of their length h and the parameters alone, and calls that follow from inputs, as
- * `remembered` has them. Importers take the length of a communication step as the difference of two times, so it is
- * rounded to a few lengths in turn: each has numbers of its own. Stale once a parameter changes. */
-enum { N_LENGTHS = 4 };
+/* What internal steps need of their size h and the parameters alone, and calls that follow from inputs, as
+ * `remembered` has them. Importers take the size of a communication step as the difference of two times, so it is
+ * rounded to a few sizes in turn: each has numbers of its own. Stale once a parameter changes. */
+enum { N_STEP_SIZES = 4 };
 
 typedef struct {
-    int are_stale, last; /* index of the numbers that were used last */
+    int is_stale, last; /* index of the numbers that were used last */
     struct {
         double h, number[N_STEP_CONSTANTS + 1];
-    } of_length[N_LENGTHS];
-} StepConstants;
+    } of_size[N_STEP_SIZES];
+} StepCache;
 
 typedef enum { DONE, CONTRADICTORY, TOO_MANY_STEPS, NOT_FINITE, NO_ITEM } Outcome;
 
@@ -50,10 +50,10 @@ static void data_reset(Data *d) {
     for (int i = 0; i < N_VARIABLES; i++) d->value[i] = VARIABLES[i].start;
 }
 
-static void data_set(Data *d, StepConstants *constants, int reference, double value) {
+static void data_set(Data *d, StepCache *cache, int reference, double value) {
     if (is_same(d->value[reference], value)) return;
     d->value[reference] = value;
-    if (reference < FIRST_CALCULATED) d->parameters_are_stale = constants->are_stale = 1;
+    if (reference < FIRST_CALCULATED) d->parameters_are_stale = cache->is_stale = 1;
     if (d->mode != STEPPING) d->outputs_are_stale = 1;
 }
 
@@ -80,19 +80,19 @@ static const double *data_calculated(const Data *d, double *fresh, int *broken) 
     return fresh;
 }
 
-/* The numbers for steps of length h: those of N_LENGTHS lengths are kept, others are computed. */
-static double *step_constants(StepConstants *constants, double h, const double *p, const double *c) {
-    if (constants->are_stale) memset(constants, 0, sizeof *constants); /* no step has the length 0 */
-    for (int i = 0; i < N_LENGTHS; i++) {
-        const int at = (constants->last + i) % N_LENGTHS;
-        if (constants->of_length[at].h != h) continue;
-        constants->last = at;
-        return constants->of_length[at].number;
+/* The numbers for steps of size h: those of N_STEP_SIZES sizes are kept, others are computed. */
+static double *step_numbers(StepCache *cache, double h, const double *p, const double *c) {
+    if (cache->is_stale) memset(cache, 0, sizeof *cache); /* no step has the size 0 */
+    for (int i = 0; i < N_STEP_SIZES; i++) {
+        const int at = (cache->last + i) % N_STEP_SIZES;
+        if (cache->of_size[at].h != h) continue;
+        cache->last = at;
+        return cache->of_size[at].number;
     }
-    constants->last = (constants->last + 1) % N_LENGTHS;
-    constants->of_length[constants->last].h = h;
-    model_step_constants(h, p, c, constants->of_length[constants->last].number);
-    return constants->of_length[constants->last].number;
+    cache->last = (cache->last + 1) % N_STEP_SIZES;
+    cache->of_size[cache->last].h = h;
+    model_step_constants(h, p, c, cache->of_size[cache->last].number);
+    return cache->of_size[cache->last].number;
 }
 
 /* The exponent of a number that is infinite or NaN is all ones, so one more overflows to the sign. Without branches,
@@ -156,7 +156,7 @@ static void data_inputs_at(const Data *d, double elapsed, double *inputs) {
 /* From t to t + h in equal internal steps. Inputs are held over an internal step; those with a rate
  * at what they are in its middle. Outputs follow the last step at once, so that a compiler computes once what
  * both need. */
-static Outcome data_step(Data *d, StepConstants *constants, double t, double h, int *broken) {
+static Outcome data_step(Data *d, StepCache *cache, double t, double h, int *broken) {
     double fresh[N_CALCULATED + 1], moving[N_INPUTS + 1], reached[N_STATES + 1], next[N_STATES + 1];
     double outputs[N_OUTPUTS + 1];
     const double *p = d->value, *u = d->value + FIRST_INPUT, *x = d->state;
@@ -166,7 +166,7 @@ static Outcome data_step(Data *d, StepConstants *constants, double t, double h, 
     if (!(steps <= MOST_INTERNAL_STEPS)) return TOO_MANY_STEPS;
     const int count = steps <= 1 ? 1 : (int)ceil(steps);
     const double internal = h / count;
-    double *numbers = step_constants(constants, internal, p, c);
+    double *numbers = step_numbers(cache, internal, p, c);
     for (int i = 0;; i++) {
         if (d->inputs_have_rates) {
             data_inputs_at(d, (i + 0.5) * internal, moving);

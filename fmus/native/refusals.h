@@ -8,7 +8,7 @@
 
 typedef struct {
     Data data;
-    StepConstants step_constants;
+    StepCache step_cache;
     double stop_time; /* of the setup: no saved state changes it */
     Log log;
     fmi2StepFinished step_finished;

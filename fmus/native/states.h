@@ -32,7 +32,7 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate FMUstate) {
     const Snapshot *snapshot = own_snapshot(c, FMUstate, "fmi2SetFMUstate");
     if (!snapshot) return fmi2Error;
     ((Instance *)c)->data = snapshot->data;
-    ((Instance *)c)->step_constants.are_stale = 1;
+    ((Instance *)c)->step_cache.is_stale = 1;
     return fmi2OK;
 }
 

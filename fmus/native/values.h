@@ -107,7 +107,7 @@ static fmi2Status cannot_be_set(Instance *instance, Type type, const fmi2ValueRe
             if (!can_be_set(&instance->data, vr[i], TYPE, (double)value[i]))                                    \
                 return cannot_be_set(instance, TYPE, vr, nvr, i, (double)value[i], "fmi2Set" #Name);            \
         for (size_t i = 0; i < nvr; i++)                                                                        \
-            data_set(&instance->data, &instance->step_constants, (int)vr[i], (double)value[i]);                 \
+            data_set(&instance->data, &instance->step_cache, (int)vr[i], (double)value[i]);                     \
         return fmi2OK;                                                                                          \
     }
 

@@ -19,7 +19,7 @@
 #define EXPORT __attribute__((visibility("default")))
 #endif
 
-enum { STEP_SIZES = 4 };
+enum { N_STEP_SIZES = 4 };
 
 typedef double Lanes __attribute__((vector_size(8 * LANES)));
 typedef int64_t Mask __attribute__((vector_size(8 * LANES))); /* of each lane all bits, or none */
@@ -121,9 +121,9 @@ INLINE Lanes lanes_fmod(Lanes x, Lanes y, Lanes *memory) {
 typedef struct {
     Lanes value[N_VARIABLES];
     Lanes state[2][N_STATES + 1];
-    Lanes constants[STEP_SIZES][N_STEP_CONSTANTS + 1];
+    Lanes constants[N_STEP_SIZES][N_STEP_CONSTANTS + 1];
     Lanes memory[N_MEMORY + 1];
-    double size_of_constants[STEP_SIZES]; /* s; NaN: of none */
+    double size_of_constants[N_STEP_SIZES]; /* s; NaN: of none */
     int64_t present, oldest_constants, parameters_are_stale;
 } Group;
 
@@ -154,7 +154,7 @@ static Mask calculate(Group *group) {
     Lanes holds[N_REQUIREMENTS + 1], *p = group->value, *c = p + FIRST_CALCULATED;
     Mask broken = {0};
     group->parameters_are_stale = 0;
-    for (int i = 0; i < STEP_SIZES; i++) group->size_of_constants[i] = NAN;
+    for (int i = 0; i < N_STEP_SIZES; i++) group->size_of_constants[i] = NAN;
     model_calculate(p, c, group->memory);
     model_requirements(p, c, holds, group->memory);
     for (int i = 0; i < N_REQUIREMENTS; i++) broken |= (Mask)(holds[i] != 1);
@@ -168,10 +168,10 @@ static Mask calculate(Group *group) {
 EXPORT void lanes_parameters_changed(Group *group) { group->parameters_are_stale = 1; }
 
 static const Lanes *constants_of(Group *group, double internal) {
-    for (int i = 0; i < STEP_SIZES; i++)
+    for (int i = 0; i < N_STEP_SIZES; i++)
         if (group->size_of_constants[i] == internal) return group->constants[i];
     const int64_t i = group->oldest_constants;
-    group->oldest_constants = (i + 1) % STEP_SIZES;
+    group->oldest_constants = (i + 1) % N_STEP_SIZES;
     group->size_of_constants[i] = internal;
     model_step_constants(internal, group->value, group->value + FIRST_CALCULATED, group->constants[i], group->memory);
     return group->constants[i];

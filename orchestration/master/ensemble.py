@@ -114,13 +114,13 @@ class Ensemble(AbstractContextManager["Ensemble"]):
         count = len(next(iter(values.values())))
         check_memory(prepared, self._libraries, count)
         loop = self._started(prepared, groups, values)
-        begun = ~loop.failure.ravel()[:count].astype(bool)
-        reasons = {i: self._reason(prepared, groups, values, i) for i in np.flatnonzero(~begun).tolist()}
+        can_begin = ~loop.failure.ravel()[:count].astype(bool)
+        reasons = {i: self._reason(prepared, groups, values, i) for i in np.flatnonzero(~can_begin).tolist()}
         with ThreadPoolExecutor(threads) as pool:
             for group, _ in enumerate(pool.map(loop.run_group, range(len(loop.rows)))):
                 if progress:
                     progress(min(count, (group + 1) * LANES), count)
-        for instance in np.flatnonzero(begun & (loop.failure.ravel()[:count] != 0)).tolist():
+        for instance in np.flatnonzero(can_begin & (loop.failure.ravel()[:count] != 0)).tolist():
             reasons[instance] = loop.reason(instance)
         counts = loop.recorded.ravel()[:count]
         return EnsembleRecording(prepared, values, loop.rows, counts, dict(sorted(reasons.items())))

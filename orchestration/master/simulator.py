@@ -181,7 +181,7 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
         system, groups = self._check(driven, experiment.open_inputs)
         runs = self._prepared_runs
         prepared = runs.prepare(system, experiment, external)
-        earlier = self._wired if runs.is_again else None
+        earlier = self._wired if runs.only_values_differ else None
         self._wired = None  # of another run, also if this one is never wired
         storage = storage or Storage(np.empty(prepared.shape), new_report())
         if self._guard:

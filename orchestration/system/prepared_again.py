@@ -16,10 +16,11 @@ _VALUES = ("parameters", "inputs")
 class PreparedRuns:
     """Prepares run after run, as `prepare_checked`.
 
-    is_again: whether the last one is as the one before but for values of parameters and constant inputs
+    only_values_differ: whether the last one is as the one before but for values of parameters and constant
+    inputs
     """
 
-    is_again = False
+    only_values_differ = False
 
     def __init__(self) -> None:
         self._first: PreparedRun | None = None
@@ -30,8 +31,8 @@ class PreparedRuns:
     ) -> PreparedRun:
         """The prepared run; arrays of its own, which a run may change."""
         key = _key(system, experiment) if not external else None
-        self.is_again = key is not None and key == self._key
-        if not (self.is_again and self._first):
+        self.only_values_differ = key is not None and key == self._key
+        if not (self.only_values_differ and self._first):
             self._key, self._first = None, None  # should anything be refused
             first = prepare_checked(system, experiment, external)
             if key is None:

@@ -53,7 +53,7 @@ def test_any_sequence_of_calls_is_answered_as_fmi_wants_it(tmp_path: Path, name:
 MUTANTS = {
     "values are set before all of them are checked": (
         "if (!can_be_set(&instance->data,",
-        "if ((i ? data_set(&instance->data, &instance->step_constants, (int)vr[i - 1], value[i - 1]) "
+        "if ((i ? data_set(&instance->data, &instance->step_cache, (int)vr[i - 1], value[i - 1]) "
         ": (void)0), "
         "!can_be_set(&instance->data,",
     ),

@@ -18,6 +18,7 @@ from orchestration.system.system import System, check
 FIRST = Experiment(
     0.5,
     0.01,
+    start_time=0.1,
     parameters={"p.omega": 1.5},
     inputs={"p.disturbance": 0.1},
     signals={"p.control": Cosine(1.0, 9.0)},
@@ -29,7 +30,7 @@ CHANGES: dict[str, Callable[[Experiment], Experiment]] = {
     "input": lambda e: replace(e, inputs={"p.disturbance": -1.0}),
     "signal": lambda e: replace(e, signals={"p.control": Constant(2.0)}),
     "function": lambda e: replace(e, signals={"p.control": lambda t: t}),
-    "times": lambda e: replace(e, start_time=0.1, stop_time=0.8, step_size=0.02),
+    "times": lambda e: replace(e, start_time=0.2, stop_time=0.8, step_size=0.02),
     "record": lambda e: replace(e, record=("p.output",)),
     "event": lambda e: replace(e, events=(Event(0.2, {"p.omega": 2.0}),)),
     "fault": lambda e: replace(e, faults=(Fault("p.control", Offset(0.5)),)),
@@ -41,10 +42,13 @@ def system(built: Mapping[str, Path]) -> System:
     return System({"p": built["ExamplePlant"]})
 
 
-def test_runs_after_another_are_those_of_a_new_simulator(system: System) -> None:
+@pytest.mark.parametrize("extrapolation", [0, 1])
+def test_runs_after_another_are_those_of_a_new_simulator(system: System, extrapolation: int) -> None:
+    """An extrapolation begins without an earlier sample, too."""
+    first = replace(FIRST, extrapolation=extrapolation)
     with Simulator(system) as simulator:
         for change in (lambda e: e, *CHANGES.values()):
-            for experiment in (FIRST, change(FIRST), change(FIRST)):
+            for experiment in (first, change(first), change(first)):
                 recording, expected = simulator.run(experiment), simulate(system, experiment)
                 assert recording.names == expected.names
                 assert np.array_equal(recording.time, expected.time)
@@ -69,12 +73,12 @@ def test_signals_that_changed_meanwhile_are_evaluated_again(system: System) -> N
 
 def test_only_runs_that_differ_in_values_are_prepared_again(system: System) -> None:
     checked, runs = check(system, FIRST.driven_inputs), PreparedRuns()
-    is_again = {}
+    only_values_differ = {}
     for name, change in CHANGES.items():
         runs.prepare(checked, FIRST)
         runs.prepare(checked, change(FIRST))
-        is_again[name] = runs.is_again
-    assert [name for name, again in is_again.items() if again] == [
+        only_values_differ[name] = runs.only_values_differ
+    assert [name for name, again in only_values_differ.items() if again] == [
         "parameter", "another parameter", "no parameter", "input"
     ]  # fmt: skip
 

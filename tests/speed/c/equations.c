@@ -6,7 +6,7 @@
 #include "instance.h"
 
 static Data data;
-static StepConstants constants;
+static StepCache cache;
 static int internal_steps;
 
 double *PART(values)(void) { return data.value; }
@@ -24,14 +24,14 @@ int PART(refresh)(double t) {
 /* Communication steps are of h seconds from now on. */
 void PART(begin)(double h) {
     internal_steps = (int)fmax(1, ceil(h / data.value[INTERNAL_STEP] * (1 - 1e-9)));
-    constants.are_stale = 1;
+    cache.is_stale = 1;
 }
 
 void PART(advance)(double t, double h) {
     const double *p = data.value, *c = data.value + FIRST_CALCULATED, *u = data.value + FIRST_INPUT;
     const double internal = h / internal_steps;
     double next[N_STATES + 1];
-    double *numbers = step_constants(&constants, internal, p, c);
+    double *numbers = step_numbers(&cache, internal, p, c);
     for (int i = 0;; i++) {
         model_step(t + i * internal, internal, data.state, u, p, c, numbers, next);
         memcpy(data.state, next, N_STATES * sizeof *next);
