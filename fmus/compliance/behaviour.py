@@ -66,6 +66,8 @@ FUNDAMENTAL = (
 """Without these no behaviour is judged: what else would be found has the same cause."""
 DEFAULT_TIMEOUT_S = 30.0
 _IS_BROKEN = " is broken"
+_ENDED = "the FMU ended the process with"
+_FORMATS = "formats-of-messages-are-legal"  # a wrong format crashes whatever logs
 _HUNG, _MOST_HANGS = "took more than", 3  # then the rest is not judged: it would take minutes
 _OF_THE_HOST = ("ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EMFILE", "ENFILE", "EIO", "ENOMEM", "EAGAIN")
 _START_S = 60.0  # for the interpreter, whatever the rules take
@@ -148,6 +150,13 @@ def _judged(
             for result in _judged_by_one_process(probe, remaining, results, timeout):
                 results[result.rule.name] = result
             started = None
+            last = list(results.values())[-1]
+            if any(m.startswith(_ENDED) for m in last.messages) and _FORMATS in set(names) - set(results):
+                probe = Probe(fmu, folder, time.monotonic() + _START_S, {}, None)
+                (formats,) = _judged_by_one_process(probe, [rules[_FORMATS]], {}, timeout)
+                if formats.messages and not formats.messages[0].startswith(_ENDED):
+                    results[last.rule.name] = Result(last.rule, not_judged=f"{_FORMATS}{_IS_BROKEN}")
+                    results[_FORMATS] = formats
     return results
 
 
@@ -189,7 +198,7 @@ def _judged_by_one_process(
         else:
             yield Result(rule, not_judged=f"the FMU is slow: its calls {_HUNG} {limit:g} s")
     except ProcessEndedError as ended:
-        yield Result(rule, (f"the FMU ended the process with {ended}",))
+        yield Result(rule, (f"{_ENDED} {ended}",))
     finally:
         probe.process.close()
 

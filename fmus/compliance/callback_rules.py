@@ -65,6 +65,7 @@ def optional_callbacks_may_be_null(probe: Probe) -> Iterator[str]:
     "4.3.1 Co-Simulation FMU (CoSimulation): canNotUseMemoryManagementFunctions",
     Stage.BEHAVIOUR,
     condition=unless_claimed(_OWN_MEMORY),
+    needs=["state-can-be-saved-often"],
 )
 def memory_functions_may_be_null(probe: Probe) -> Iterator[str]:
     """With canNotUseMemoryManagementFunctions, allocateMemory and freeMemory may be NULL, and are not

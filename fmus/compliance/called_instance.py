@@ -4,7 +4,10 @@ import ctypes
 import math
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
 from fmpy import fmi2
 from fmpy.fmi2 import fmi2DoStepStatus, fmi2Integer, fmi2Real, fmi2Status
@@ -199,6 +202,10 @@ class CalledInstance(BoundInstance):
         self.set_values(kind, references, [ctypes.cast(b, ctypes.c_char_p) for b in buffers])
         for buffer in buffers:
             ctypes.memset(buffer, ord("#"), len(buffer) - 1)
+
+    def remove_link(self, location: str) -> None:
+        """Remove the link through which the resources were found: their path is no more."""
+        Path(url2pathname(urlsplit(location).path)).parent.unlink()
 
     def transfer_nothing(self, function: str) -> None:
         """Get or set no values, with NULL for both arrays."""

@@ -9,9 +9,10 @@ from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotApplicableError, Stage, rule
 from fmus.compliance.script import Reading
 from fmus.compliance.values import (
-    accepted,
+    accepted_together,
     continuous_reals,
     other_value,
+    other_values,
     references_of,
     same,
     settable_in_initialization,
@@ -98,18 +99,27 @@ def _quotients(
     return {name: (after.values[name] - x) / (value - before) for name, x in middle.values.items()}
 
 
-@rule(_DIRECTIONAL, Stage.BEHAVIOUR, condition=unless_claimed(_PROVIDES), needs=["directional-derivatives"])
+@rule(
+    _DIRECTIONAL,
+    Stage.BEHAVIOUR,
+    condition=unless_claimed(_PROVIDES),
+    needs=["directional-derivatives", "questions-change-nothing"],
+)
 def directional_derivatives_are_linear(probe: Probe) -> Iterator[str]:
     """A directional derivative is the sum of the partial derivatives, each times its seed, in every mode."""
     initial = [probe.fmu.variables[(i or 1) - 1] for i, _ in probe.fmu.unknowns("InitialUnknowns")]
     initial = [v for v in initial if v.kind == "Real"]
-    outputs, knowns = continuous_reals(probe, "output"), continuous_reals(probe, "input")[:_MOST_KNOWNS]
-    if not (initial or outputs) or not knowns:
-        raise NotApplicableError("there is no continuous input, or neither an output nor an initial unknown")
-    seed = [2.5 + 0.5 * i for i in range(len(knowns))]
-    for unknowns, stepping in ((initial, False), (outputs, True)):
-        if not unknowns:
+    outputs, states = continuous_reals(probe, "output"), _states(probe.fmu)
+    inputs = {v.index: v for v in continuous_reals(probe, "input")}
+    at_first = inputs | {i: probe.fmu.variables[i - 1] for i in _pairs(probe.fmu)}
+    later = inputs | {v.index: v for v in states}
+    if not (initial and at_first) and not (outputs and later):
+        raise NotApplicableError("there is no Real known, or neither an output nor an initial unknown")
+    for unknowns, by_index, stepping in ((initial, at_first, False), (outputs, later, True)):
+        knowns = list(by_index.values())[:_MOST_KNOWNS]
+        if not unknowns or not knowns:
             continue
+        seed = [2.5 + 0.5 * i for i in range(len(knowns))]
         script = probe.script(logging=True)
         script = script.begin().step() if stepping else script.initialise()
         alone = [
@@ -182,20 +192,14 @@ def directional_derivatives_in_step_mode(probe: Probe) -> Iterator[str]:
     """After initialisation with other values, the derivatives of outputs and state derivatives in step mode
     lie near difference quotients: those of runs with other inputs and states at first.
     """
-    point = [(v, x) for v in settable_in_initialization(probe.fmu) if (x := other_value(v)) is not None]
-    point = [(v, x) for v, x in point if _accepted(probe, v, x)]
-    states = _states(probe.fmu)
+    settable = [v for v in settable_in_initialization(probe.fmu) if v.kind == "Real"]
+    pairs = other_values(settable[:_MOST_CHANGED])
+    point, states = accepted_together(probe, pairs, lambda: probe.script().initialise()), _states(probe.fmu)
     for known, unknowns in list(_step_pairs(probe.fmu, states).items())[:_MOST_KNOWNS]:
         v = probe.fmu.variables[known - 1]
         start = {w.index: x for w, x in point}.get(known, start_value(v))
         if isinstance(start, float):
             yield from _step_quotients(probe, point, v, start, unknowns, states)
-
-
-def _accepted(probe: Probe, v: Variable, value: object) -> bool:
-    script = probe.script().initialise()
-    script.set(v, value)
-    return script.exit_initialization_mode().play(keep_going=True).succeeded and v.kind == "Real"
 
 
 def _states(fmu: FmuFile) -> list[Variable]:
@@ -283,7 +287,7 @@ def factors_change_as_declared(probe: Probe) -> Iterator[str]:
         judged = [factor for factor in factors if factor[2] in kinds][:_MOST_KNOWNS]
         first, later = probe.script().begin().step(), probe.script().begin()
         changes = [(v, other_value(v)) for v in chosen[:_MOST_CHANGED]]
-        for v, x in accepted(probe, changes, lambda: probe.script().begin()) if judged else ():
+        for v, x in accepted_together(probe, changes, lambda: probe.script().begin()) if judged else ():
             later.set(v, x)
         later.step(_LATER)
         replies = [

@@ -193,9 +193,10 @@ def call_fmu(parent: Parent) -> None:
 
 
 def _print_to(file: Path) -> Path:
-    """Let standard output go to a file."""
+    """Let standard output and standard error go to a file."""
     with file.open("wb") as stream:
-        os.dup2(stream.fileno(), sys.stdout.fileno())
+        for standard in (sys.stdout, sys.stderr):
+            os.dup2(stream.fileno(), standard.fileno())
     return file
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
 from fmus.compliance.script import CallError, Reading
@@ -10,8 +11,14 @@ from fmus.compliance.values import (
     if_not_claimed,
 )
 
+_RESOURCES = "resources/"
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
 _FLAGS = "4.3.1 Co-Simulation FMU (CoSimulation)"
+
+
+def _without_resources(fmu: FmuFile) -> str:
+    has_resources = any(n.startswith(_RESOURCES) and not n.endswith("/") for n in fmu.names)
+    return "" if has_resources else "it has no resources"
 
 
 @rule(_CREATION, Stage.BEHAVIOUR)
@@ -35,6 +42,26 @@ def resource_location_is_decoded(probe: Probe) -> Iterator[str]:
     except CallError as error:  # an operating system without links
         raise NotJudgedError(str(error)) from error
     yield from _with_location(probe, location, first)
+
+
+@rule("2.3 FMU Distribution (resources)", Stage.BEHAVIOUR, condition=_without_resources)
+def resources_are_read_in_initialization(probe: Probe) -> Iterator[str]:
+    """Resources are read before fmi2ExitInitializationMode returns: the steps need them no more."""
+    usual = probe.script().begin()
+    expected = usual.run(2)
+    usual.play()
+    try:
+        location = probe.ask("link", "linked")
+        script = probe.script(location=location, logging=True).begin()
+        script.call("remove_link", location)
+        got = script.run(2)
+        script.play(keep_going=True)
+    except CallError as error:  # an operating system without links, or an FMU that does not follow them
+        raise NotJudgedError(str(error)) from error
+    if script.failure:
+        yield f"without its resources after initialisation: {script.failure.problem}"
+    else:
+        yield from differing(expected, got, "without its resources after initialisation")
 
 
 def _with_location(probe: Probe, location: str, expected: list[Reading]) -> Iterator[str]:

@@ -16,10 +16,12 @@ _CONVERSION = re.compile(  # of C, POSIX, glibc and Microsoft, without %n, which
     rf"%(?:\d+\$)?[-+ #0'I]*{_NUMBER}?(?:\.{_NUMBER}?)?(?:hh|h|ll|l|j|z|t|L|q|w|I32|I64)?"
     "[diouxXeEfFgGaAcCsSpm]"
 )
+_NAME_WITH_A_PERCENT_SIGN = "tank at 5%d"
+_BLANK_OF_TEXT = re.compile(r"%[-+#0]* [-+#0 ]*[scp]")  # no conversion of C has it: as in "100 % sure"
 _BLANK_FLAG = re.compile(r"%[-+#0]* [-+#0]*[a-zA-Z](?=[a-zA-Z])")  # as in "100 % done"
 
 
-@rule(_CREATION, Stage.BEHAVIOUR)
+@rule(_CREATION, Stage.BEHAVIOUR, needs=["formats-of-messages-are-legal"])
 def messages_are_utf_8(probe: Probe) -> Iterator[str]:
     """Messages are UTF-8, as every string of FMI."""
     for text in dict.fromkeys(m.text for m in messages_of_a_session(probe) if "\ufffd" in m.text):
@@ -36,9 +38,16 @@ def messages_have_a_text(probe: Probe) -> Iterator[str]:
 
 @rule(_CREATION, Stage.BEHAVIOUR)
 def formats_of_messages_are_legal(probe: Probe) -> Iterator[str]:
-    """A message is a format of printf: each % begins a conversion or is doubled, and none writes (%n)."""
+    """A message is a format of printf: each % begins a conversion or is doubled, also one of the instance's
+    name, and none writes (%n).
+    """
     for text in _formats(probe):
-        if "%" in _CONVERSION.sub("", text.replace("%%", "")):
+        if _NAME_WITH_A_PERCENT_SIGN in text:
+            shown = repr(_NAME_WITH_A_PERCENT_SIGN)
+            yield f"the format {text[:80]!r} holds the instance name {shown}: expected its % doubled"
+            return
+        plain = text.replace("%%", "")
+        if "%" in _CONVERSION.sub("", plain) or _BLANK_OF_TEXT.search(plain):
             yield f"the format {text[:80]!r} of a message has a single %: expected %% or a conversion"
             return
 
@@ -47,7 +56,8 @@ def formats_of_messages_are_legal(probe: Probe) -> Iterator[str]:
 def percent_signs_before_words_are_doubled(probe: Probe) -> Iterator[str]:
     """No format of a message has a conversion with a blank inside a word, as "100 % done" has."""
     for text in _formats(probe):
-        if _BLANK_FLAG.search(text.replace("%%", "")):
+        plain = text.replace("%%", "").replace(_NAME_WITH_A_PERCENT_SIGN, "")
+        if _BLANK_FLAG.search(_BLANK_OF_TEXT.sub("", plain)):
             yield f"the format {text[:80]!r} of a message has a single % before a word: expected %%"
             return
 
@@ -56,8 +66,9 @@ def _formats(probe: Probe) -> list[str]:
     """The formats of messages, as they are before printf."""
 
     def collected() -> list[str]:
-        script = probe.script(name=NAME, logging=True, callbacks="formats")
+        script = probe.script(name=_NAME_WITH_A_PERCENT_SIGN, logging=True, callbacks="formats")
         calls_that_log(probe, script)
+        script.call("get", "Real", [unknown_reference(probe)])
         script.play(keep_going=True)
         return list(dict.fromkeys(m.text for reply in script.everything for m in reply.messages))
 

@@ -52,8 +52,8 @@ def arguments_are_not_written(probe: Probe) -> Iterator[str]:
 
 @rule("advice: messages belong to the logger", Stage.BEHAVIOUR, Level.WARNING)
 def nothing_is_printed(probe: Probe) -> Iterator[str]:
-    """Nothing is printed to standard output."""
+    """Nothing is printed to standard output or standard error."""
     printing = {reply.function: reply.printed for reply in session(probe).script.everything if reply.printed}
     for function, count in printing.items():
-        yield f"{function} prints {count} bytes to standard output: expected none"
+        yield f"{function} prints {count} bytes to standard output or standard error: expected none"
         return

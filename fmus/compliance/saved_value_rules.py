@@ -1,21 +1,24 @@
 """Which values a saved state holds, and what asking an FMU for values may not change."""
 
 from collections.abc import Iterator
+from typing import Any
 
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
 from fmus.compliance.script import Reading, Script
 from fmus.compliance.values import (
-    accepted,
+    accepted_together,
     continuous_reals,
     differing,
     other_values,
     set_input_derivatives,
     settable_before,
     settable_while_stepping,
+    start_value,
     steadily,
     unless_claimed,
 )
+from fmus.compliance.variable import Variable
 
 _CLAUSE = "2.1.8 Getting and Setting the Complete FMU State"
 _SAVES, _SERIALISES = "canGetAndSetFMUstate", "canSerializeFMUstate"
@@ -40,12 +43,14 @@ def _every(script: Script, steps: int = _STEPS) -> list[Reading]:
     ],
 )
 def state_holds_every_value(probe: Probe) -> Iterator[str]:
-    """Set back after inputs, tunable parameters and derivatives of inputs changed, a state gives all
-    variables again, at once and in the steps that follow, as if it had not been saved.
+    """Set back after inputs, tunable parameters and derivatives of inputs went back to their start values, a
+    state gives all variables again, at once and in the steps that follow, as if it had not been saved.
     """
-    usual = _moving(probe)
+    pairs = other_values(settable_while_stepping(probe.fmu)[:_MOST_CHANGED])
+    pairs = accepted_together(probe, pairs, lambda: probe.script().begin().step())
+    usual = _moving(probe, pairs)
     expected = _every(usual)
-    script, before, after, got = _set_back(probe)
+    script, before, after, got = _set_back(probe, pairs)
     usual.play(keep_going=True)
     if failure := script.failure or usual.failure:
         raise NotJudgedError(f"a run with other values fails: {failure.problem}")
@@ -53,15 +58,15 @@ def state_holds_every_value(probe: Probe) -> Iterator[str]:
     yield from steadily(probe, differing(expected, got, "from a state that was set back", _ROUNDING))
 
 
-def _set_back(probe: Probe) -> tuple[Script, list[Reading], list[Reading], list[Reading]]:
-    pairs = other_values(settable_while_stepping(probe.fmu)[:_MOST_CHANGED])
-    pairs = accepted(probe, pairs, lambda: probe.script().begin().step(2))
-    script = _moving(probe)
+def _set_back(
+    probe: Probe, pairs: list[tuple[Variable, Any]]
+) -> tuple[Script, list[Reading], list[Reading], list[Reading]]:
+    script = _moving(probe, pairs)
     before, slopes = script.read(script.variables), _slopes(probe, script)
     script.call("get_fmu_state", 0)
     set_input_derivatives(probe, script, 0.0)
-    for v, x in pairs:
-        script.set(v, x)
+    for v, _ in pairs:
+        script.set(v, start_value(v))
     script.step(2)
     script.call("set_fmu_state", 0)
     after, same_slopes = script.read(script.variables), _slopes(probe, script)
@@ -71,9 +76,13 @@ def _set_back(probe: Probe) -> tuple[Script, list[Reading], list[Reading], list[
     return script, [before, *slopes], [after, *same_slopes], got
 
 
-def _moving(probe: Probe) -> Script:
-    """A run of two steps with derivatives of inputs before the second one and before the next."""
+def _moving(probe: Probe, pairs: list[tuple[Variable, Any]]) -> Script:
+    """A run of two steps with values that are set before the second one, and derivatives of inputs before
+    that and before the next.
+    """
     script = probe.script().begin().step()
+    for v, x in pairs:
+        script.set(v, x)
     set_input_derivatives(probe, script)
     script.step()
     set_input_derivatives(probe, script)
@@ -98,10 +107,15 @@ def _slopes(probe: Probe, script: Script) -> list[Reading]:
     ],
 )
 def bytes_hold_every_value(probe: Probe) -> Iterator[str]:
-    """Bytes of a state that was freed give all variables again, in an instance with other values; reading
-    them changes nothing until the state is set.
+    """Bytes of a state with other values, that was freed, give all variables again in an instance with start
+    values; reading them changes nothing until the state is set.
     """
-    script = probe.script().begin().step(2)
+    script = probe.script()
+    for v, x in accepted_together(
+        probe, other_values(settable_before(probe.fmu)[:_MOST_CHANGED]), probe.script
+    ):
+        script.set(v, x)
+    script.begin().step(2)
     script.call("get_fmu_state", 0)
     expected = [script.read(script.variables), *_every(script)]
     content = script.call("serialize_fmu_state", 0)
@@ -114,10 +128,7 @@ def bytes_hold_every_value(probe: Probe) -> Iterator[str]:
     if not content.value[0]:
         yield "a serialised state has no bytes"
         return
-    other = probe.script()
-    for v, x in accepted(probe, other_values(settable_before(probe.fmu)[:_MOST_CHANGED]), probe.script):
-        other.set(v, x)
-    other.begin().step()
+    other = probe.script().begin().step()
     untouched = other.read(other.variables)
     preparation = len(other.replies)
     other.call("deserialize_fmu_state", 0, content.value[0])

@@ -23,6 +23,7 @@ _FUNCTIONS = {  # method of `CalledInstance` -> function of FMI, where the argum
     "serialized_fmu_state_size": "fmi2SerializedFMUstateSize",
     "copy_fmu_state": "fmi2DeSerializeFMUstate", "poll_step": "fmi2GetStatus",
     "free": "fmi2FreeInstance", "end": "fmi2Terminate", "derive_nothing": "fmi2GetDirectionalDerivative",
+    "remove_link": "removing a link",
 }  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from fmus.binding import ERROR
+from fmus.binding import ERROR, OK
 from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotApplicableError, Stage, rule
@@ -15,11 +15,14 @@ from fmus.compliance.values import (
     other_value,
     other_values,
     readable_in_initialization,
+    same,
     settable_before,
     settable_in_initialization,
     settable_while_stepping,
     start_value,
+    texts,
     unlike,
+    values_out_of_range,
 )
 from fmus.compliance.variable import Variable
 
@@ -209,11 +212,41 @@ def _set_after_a_step(probe: Probe, v: Variable, value: Any) -> _Setting:
 
 
 @rule(_VALUES, Stage.BEHAVIOUR, needs=["inputs-that-are-set-are-read"])
-def far_values_of_inputs_are_read(probe: Probe) -> Iterator[str]:
-    """An input that is set far from its start value, within its range, or a String that is long or empty, is
-    read as it was set, unless the FMU refuses it.
+def far_values_are_read(probe: Probe) -> Iterator[str]:
+    """An input or tunable parameter that is set far from its start value, within its range, or a String that
+    is long or empty, is read as it was set, unless the FMU refuses it.
     """
-    inputs = [v for v in settable_while_stepping(probe.fmu) if v.causality == "input"][:_MOST_VARIABLES]
-    settings = [_set_after_a_step(probe, v, x) for v in inputs for x in far_values(v)]
+    chosen = settable_while_stepping(probe.fmu)[:_MOST_VARIABLES]
+    settings = [_set_after_a_step(probe, v, x) for v in chosen for x in far_values(v)]
     for v, got, given in _read_otherwise(probe, settings):
         yield f"{v.name} is {got[:60]} after it was set to {given[:60]}: expected that"
+
+
+@rule(
+    "advice: 2.2.3, what to do with a value beyond its range",
+    Stage.BEHAVIOUR,
+    Level.WARNING,
+    needs=["values-that-are-set-are-read"],
+)
+def values_out_of_range_are_not_dropped(probe: Probe) -> Iterator[str]:
+    """A parameter that is set below its min or above its max in initialization mode has that value, unless
+    fmi2SetXXX refuses it, warns or logs a message.
+    """
+    settings = []
+    for v in [v for v in settable_in_initialization(probe.fmu) if v.causality == "parameter"]:
+        for x in values_out_of_range(v):
+            script = probe.script(logging=True).initialise()
+            reply = script.set(v, x)
+            reading = script.exit_initialization_mode().read([v])
+            settings.append((reply, (v, x, script, reading)))
+    settings = settings[:_MOST_VARIABLES]
+    probe.play_each([script for _, (_, _, script, _) in settings])
+    silent = [setting for reply, setting in settings if reply.status == OK and not reply.messages]
+    for v, x, got in ((v, x, reading.values[v.name]) for v, x, script, reading in silent if script.succeeded):
+        if not same(got, x, _EXACT):
+            shown = texts(got, x)
+            yield (
+                f"{v.name} is {shown[0]} after fmi2Set{v.base_kind} of {shown[1]}, beyond its range, "
+                "returned ok: expected discard, a message, or that value"
+            )
+            return

@@ -8,7 +8,7 @@ from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
 from fmus.compliance.script import Reading
 from fmus.compliance.values import (
-    accepted,
+    accepted_together,
     differing,
     other_value,
     other_values,
@@ -70,7 +70,7 @@ def state_holds_inputs_and_parameters(probe: Probe) -> Iterator[str]:
     expected = usual.run(_STEPS)
     chosen = settable_while_stepping(probe.fmu)
     pairs = other_values(chosen[:_MOST_CHANGED])
-    pairs = accepted(probe, pairs, lambda: probe.script().begin().step(2))
+    pairs = accepted_together(probe, pairs, lambda: probe.script().begin().step(2))
     script = probe.script().begin().step(2)
     script.call("get_fmu_state", 0)
     for v, x in pairs:
@@ -95,7 +95,7 @@ def state_holds_inputs_and_parameters(probe: Probe) -> Iterator[str]:
     _CLAUSE,
     Stage.BEHAVIOUR,
     condition=_saves,
-    needs=["state-restores", "allowed-calls-succeed", "questions-change-nothing"],
+    needs=["state-can-be-saved-often", "allowed-calls-succeed", "questions-change-nothing"],
 )
 def state_in_initialization_mode(probe: Probe) -> Iterator[str]:
     """A state can be saved and set back when instantiated and in initialization mode, with what was set
@@ -160,10 +160,12 @@ def state_holds_the_mode(probe: Probe) -> Iterator[str]:
     ],
 )
 def state_restores_after_the_end(probe: Probe) -> Iterator[str]:
-    """A state can be set back after fmi2Terminate and after an error, and steps go on from it."""
+    """A state can be set back after fmi2Terminate and after an error, and steps go on from it, up to the stop
+    time.
+    """
     ends = ("fmi2Terminate", "an error of fmi2GetReal", "a step beyond the stop time")
     for end in ends:
-        script = probe.script(logging=True).set_up(stop=probe.point(4) if end == ends[2] else None)
+        script = probe.script(logging=True).set_up(stop=probe.point(4))
         script.enter_initialization_mode().exit_initialization_mode().step(2)
         script.call("get_fmu_state", 0)
         expected = script.run(2)
@@ -175,15 +177,23 @@ def state_restores_after_the_end(probe: Probe) -> Iterator[str]:
         script.call("set_fmu_state", 0)
         script.go_to(2)
         got = script.run(2)
+        calls = list(script.replies)
+        beyond = script.call("do_step", probe.point(4), probe.step_size)
         script.play(keep_going=True)
         if last.status != ERROR and end != ends[0]:
             continue
-        replies = [reply for reply in script.replies if reply.status is not None and reply is not last]
+        replies = [reply for reply in calls if reply.status is not None and reply is not last]
         failure = next((reply for reply in replies if not reply.ok), None)
         if failure:
             yield f"after {end}: {failure.problem}"
             return
         yield from differing(expected, got, f"from a state set back after {end}", _ROUNDING)
+        if beyond.status != ERROR:
+            yield (
+                f"from a state set back after {end}: fmi2DoStep to {probe.point(5):g} s "
+                f"{beyond.status_name}: expected error beyond the stop time {probe.point(4):g} s"
+            )
+            return
 
 
 @rule(_CLAUSE, Stage.BEHAVIOUR, condition=_saves, needs=["state-restores"])

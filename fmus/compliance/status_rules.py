@@ -64,7 +64,9 @@ def refusals_have_legal_statuses(probe: Probe) -> Iterator[str]:
 
 @rule(_STATUS, Stage.BEHAVIOUR, Level.WARNING, last=True)
 def refusals_are_logged(probe: Probe) -> Iterator[str]:
-    """Whatever returns warning, discard or error has called the logger, if logging is on."""
+    """Whatever returns warning, discard or error has called the logger, if logging is on, and not with the
+    status ok alone, which is that of pure information.
+    """
     named = set()
     for reply in [*probe.refusals, *session(probe).script.replies]:
         quiet = (
@@ -75,6 +77,12 @@ def refusals_are_logged(probe: Probe) -> Iterator[str]:
         if refused and quiet and reply.function not in named:
             named.add(reply.function)
             yield f"{reply.function} {reply.status_name} and logged nothing: expected the reason"
+        elif refused and reply.messages and all(m.status == OK for m in reply.messages):
+            yield (
+                f"{reply.function} {reply.status_name} and logged {reply.logged[:60]!r} with the status ok: "
+                f"expected {status_name(reply.status or 0)}"
+            )
+            return
 
 
 @rule(

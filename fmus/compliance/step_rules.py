@@ -1,19 +1,22 @@
 """Steps: their times, their sizes, the stop time, and what a step does."""
 
+import itertools
 from collections.abc import Iterator
 
 from fmus.binding import DISCARD, ERROR
 from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotApplicableError, NotJudgedError, Stage, rule
 from fmus.compliance.script import Reading, Reply, Script
-from fmus.compliance.values import differing, steadily, texts, unless_claimed
+from fmus.compliance.values import continuous_reals, differing, steadily, texts, unless_claimed
 
 _SETUP = "2.1.6 Initialization, Termination, and Resetting an FMU (fmi2SetupExperiment)"
 _COMPUTATION = "4.2.2 Computation (fmi2DoStep)"
 _FLAGS = "4.3.1 Co-Simulation FMU (CoSimulation)"
 _ANY_STEP = "canHandleVariableCommunicationStepSize"
 _MOST_STEPS = 100  # of a default experiment that is run
+_MORE_STEPS = (13, 47, 211)  # instead of two: for each internal step from the usual size to a hundredth
 _APART = 0.4  # of the change over two steps: a rough solver, but not half a step
 
 
@@ -36,8 +39,18 @@ def step_beyond_the_stop_time_is_an_error(probe: Probe) -> Iterator[str]:
             f"fmi2DoStep to {probe.point(4):g} s {beyond.status_name}: expected error beyond the "
             f"stop time {probe.point(3):g} s"
         )
-    elif failed:
+    elif failed and _recovers(probe):
         yield f"after fmi2Reset from a step beyond the stop time: {failed.problem}"
+
+
+def _recovers(probe: Probe) -> bool:
+    """Whether fmi2Reset brings an instance back after another error."""
+    script = probe.script().begin().step()
+    script.call("get", "Real", [unknown_reference(probe)])
+    first = len(script.replies)
+    script.reset()
+    script.begin().step().play(keep_going=True)
+    return all(reply.ok for reply in script.replies[first:])
 
 
 @rule(_SETUP, Stage.BEHAVIOUR)
@@ -76,23 +89,22 @@ def _without_independent(fmu: FmuFile) -> str:
     condition=_without_independent,
 )
 def time_is_the_communication_point(probe: Probe) -> Iterator[str]:
-    """The independent variable is the start time in initialization mode, and then the end of the last
-    step.
+    """The independent variable is the start time after initialisation, and then the end of the last step,
+    also of steps of other sizes.
     """
     independent = [v for v in probe.fmu.variables if v.causality == "independent"]
     if not probe.states_step_size:
         raise NotJudgedError("no step size is stated, and an internal step may be longer than others")
+    factors = (1.0, 2.0, 0.5) if probe.fmu.claims(_ANY_STEP) else (1.0, 1.0, 1.0)
     for start in (probe.start_time, probe.start_time + 3 * probe.step_size):
-        script = probe.script().begin(start)
-        readings, expected = [script.read(independent)], [start]
-        for i in range(3):
-            script.call("do_step", start + i * probe.step_size, probe.step_size)
-            readings.append(script.read(independent))
-            expected.append(start + (i + 1) * probe.step_size)
+        script, t = probe.script().begin(start), start
+        rows = [(script.replies[-1], script.read(independent), start)]
+        for factor in factors:
+            step = script.call("do_step", t, factor * probe.step_size)
+            t += factor * probe.step_size
+            rows.append((step, script.read(independent), t))
         script.play(keep_going=True)
-        if script.failure and start != probe.start_time:
-            return  # a model need not be valid at another start time
-        for reading, t in zip(readings, expected, strict=True):
+        for _, reading, t in itertools.takewhile(lambda row: row[0].ok and row[1].ok, rows):
             (got,) = reading.values.values()
             if not abs(got - t) <= 1e-3 * probe.step_size + 1e-9 * abs(t):
                 yield (
@@ -165,33 +177,49 @@ def _discarded(
         yield f"a step from {t:g} to {end:g} s is discarded, and fmi2LastSuccessfulTime is {last.value:g} s"
 
 
-@rule(f"{_FLAGS}: {_ANY_STEP}", Stage.BEHAVIOUR, Level.WARNING, condition=unless_claimed(_ANY_STEP))
+@rule(
+    f"{_FLAGS}: {_ANY_STEP}",
+    Stage.BEHAVIOUR,
+    Level.WARNING,
+    condition=unless_claimed(_ANY_STEP),
+    needs=["variable-step-size"],
+)
 def two_steps_are_one_of_twice_the_size(probe: Probe) -> Iterator[str]:
     """A step reaches its end: after a step, two more bring continuous outputs about as far as one of twice
-    the size."""
-    chosen = [v for v in probe.real("output") if v.variability == "continuous"]
-    small, large = probe.script().begin(), probe.script().begin()
+    the size, or many of no simple fraction of it.
+    """
+    chosen = continuous_reals(probe, "output")
+    small, others = probe.script().begin(), [(n, probe.script().begin()) for n in (1, *_MORE_STEPS)]
     before = small.step().read(chosen)
     two = small.step(2).read(chosen)
-    large.step().call("do_step", probe.point(1), 2 * probe.step_size)
-    one = large.read(chosen)
+    readings = [_in_steps(probe, script, n).read(chosen) for n, script in others]
     small.play()
-    large.play(keep_going=True)
-    if large.failure or not chosen:
+    probe.play_each([script for _, script in others])
+    if not chosen or not any(script.succeeded for _, script in others):
         raise NotJudgedError("there is no continuous output, or no step of twice the size")
     names = [v.name for v in chosen if abs(_change(before, two, v.name)) > 1e-9 * abs(two.values[v.name])]
-    wrong = [
-        name
-        for name in names
-        if abs(one.values[name] - two.values[name]) > _APART * abs(_change(before, two, name))
-    ]
-    if wrong and len(wrong) == len(names):
-        name = wrong[0]
-        shown = texts(one.values[name], two.values[name])
-        yield (
-            f"{name} is {shown[0]} after one step of {2 * probe.step_size:g} s: expected about "
-            f"{shown[1]}, as after two steps"
-        )
+    for (n, script), got in zip(others, readings, strict=True):
+        if script.succeeded and names and all(_is_elsewhere(before, two, got, name) for name in names):
+            shown = texts(got.values[names[0]], two.values[names[0]])
+            steps = "one step" if n == 1 else f"{n} steps"
+            yield (
+                f"{names[0]} is {shown[0]} after {steps} of {2 * probe.step_size / n:g} s: expected about "
+                f"{shown[1]}, as after two of {probe.step_size:g} s"
+            )
+            return
+
+
+def _in_steps(probe: Probe, script: Script, count: int) -> Script:
+    """A script that goes two usual steps further, after the first, in equal steps of a number."""
+    h = 2 * probe.step_size / count
+    script.step()
+    for i in range(count):
+        script.call("do_step", probe.point(1) + i * h, h)
+    return script
+
+
+def _is_elsewhere(before: Reading, two: Reading, got: Reading, name: str) -> bool:
+    return abs(got.values[name] - two.values[name]) > _APART * abs(_change(before, two, name))
 
 
 def _change(before: Reading, after: Reading, name: str) -> float:

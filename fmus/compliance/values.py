@@ -15,6 +15,7 @@ Row = dict[str, Any]
 _SMALL = 0.01  # of the largest variable: what is smaller is compared against that
 _TRUE = {"true": 1, "1": 1, "false": 0, "0": 0}
 RESTARTED = 1e-2  # relative: what a solver that begins anew at an event may change
+_LARGEST_INTEGER = 2**31 - 1
 _STAYS = 0.3  # how often a random value is the start value
 _LONG_TEXT = "Tiefe ä, \N{GREEK SMALL LETTER PI}, \N{GRINNING FACE}; " * 20
 _PART = 0.01  # of a value or its nominal value: a change that is felt, and seldom refused
@@ -77,6 +78,17 @@ def far_values(v: Variable) -> list[Any]:
         max(start - width, -math.inf if low is None else low),
     ]
     return [x for x in values if _within(v, x) and x != start]
+
+
+def values_out_of_range(v: Variable) -> list[Any]:
+    """Numbers just below the min and just above the max of a variable."""
+    if v.kind not in ("Real", "Integer") or start_value(v) is None:
+        return []
+    low, high = v.number("min"), v.number("max")
+    limits = [(low, -1), (high, 1)]
+    if v.kind == "Integer":
+        return [int(x) + sign for x, sign in limits if x is not None and abs(x) < _LARGEST_INTEGER]
+    return [x + sign * _PART * max(abs(x), 1.0) for x, sign in limits if x is not None]
 
 
 def read_value(value: Any) -> Any:
@@ -248,6 +260,22 @@ def accepted(
         return list(pairs)
     succeeded = _takes(probe, [[pair] for pair in pairs], begun)
     return [pair for pair, ok in zip(pairs, succeeded, strict=True) if ok]
+
+
+def accepted_together(
+    probe: Probe, pairs: Sequence[tuple[Variable, Any]], begun: Callable[[], Script]
+) -> list[tuple[Variable, Any]]:
+    """The variables and values with which the FMU takes a step at once: those accepted alone, less those
+    that it refuses beside others.
+    """
+    alone = accepted(probe, pairs, begun)
+    if not alone or _takes(probe, [alone], begun)[0]:
+        return alone
+    together = list[tuple[Variable, Any]]()
+    for pair in alone:
+        if _takes(probe, [[*together, pair]], begun)[0]:
+            together.append(pair)
+    return together
 
 
 def _takes(

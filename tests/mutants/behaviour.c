@@ -325,7 +325,7 @@ fmi2Status fmi2Reset(fmi2Component c) {
     Slave *s = c;
     const double gain = s->data.real[GAIN], x = s->data.real[X];
     const int state = s->data.state;
-    if (IS("no reset after an error") && state == FAILED) return fmi2Error;
+    if (IS("no reset after an error") && state == FAILED) return error(s, "no reset");
     if (IS("no reset when terminated") && state == TERMINATED) return error(s, "no reset");
     if (IS("no reset in initialization mode") && state == INITIALIZATION) return error(s, "no reset");
     if (IS("reset keeps the mode")) {
@@ -647,7 +647,7 @@ fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) {
 fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) {
     Slave *s = c;
     const Data old = s->data;
-    if (IS("no state after an error") && old.state == FAILED) return fmi2Error;
+    if (IS("no state after an error") && old.state == FAILED) return error(s, "no state");
     if (IS("no state after the end") && old.state == TERMINATED) return error(s, "no state");
     memcpy(&s->data, state, sizeof(Data));
     if (IS("states without continuous states")) s->data.real[X] = old.real[X];

@@ -68,8 +68,9 @@ typedef struct Slave {
     const char *kept_category;
     int keeps;
     Data *first_state;
-    int flushed, late;
+    int flushed, late, states;
     double flush_time;
+    char mutation_file[3100];
 } Slave;
 
 static char mutation[100], flags[200];
@@ -87,6 +88,20 @@ static void say(Slave *s, fmi2Status st, int cat, const char *text) {
     fmi2ComponentEnvironment e = s->cb.componentEnvironment;
     if (IS("a single percent sign")) {
         s->cb.logger(e, s->name, st, CAT[cat], "100 % done");
+        return;
+    }
+    if (IS("a blank of a text") && st == fmi2Error) {
+        s->cb.logger(e, s->name, st, CAT[cat], "an error, 100% sure");
+        return;
+    }
+    if (IS("the instance name is part of the format")) {
+        char format[900];
+        snprintf(format, sizeof format, "%s: %%s", s->name);
+        s->cb.logger(e, s->name, st, CAT[cat], format, text);
+        return;
+    }
+    if (IS("errors are information")) {
+        s->cb.logger(e, s->name, fmi2OK, CAT[cat], "%s", text);
         return;
     }
     if (IS("a percent sign at the end")) {
@@ -262,6 +277,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     if (IS("a changed environment variable")) setenv("TZ", "UTC+5", 1);
     if (IS("a removed environment variable")) unsetenv("PATH");
     if (IS("standard output is closed")) close(1);
+    strcpy(s->mutation_file, path);
     reset(&s->d);
     say(s, fmi2OK, 0, "instantiated");
     return s;
@@ -297,6 +313,7 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean td, fmi2Real tol, fm
     if (IS("a second set-up is refused") && s->d.setup) return err(s, "again");
     if (IS("an undefined tolerance counts") && !td && !(tol > 0)) return err(s, "tolerance");
     s->d.setup = 1;
+    if (IS("runs begin at 0")) start = 0;
     s->d.time = s->d.last = start;
     s->d.stop_defined = sd;
     s->d.stop = sd ? stop : INFINITY;
@@ -386,6 +403,7 @@ static int bad(Slave *s, fmi2Status *st) {
     }
 static double real_of(Slave *s, void *p) {
     double x = *(double *)p;
+    if (IS("time of equal steps") && p == &s->d.time) x = s->d.time - s->d.h + 0.05;
     if (IS("not a number later") && p == &s->d.power && s->d.steps > 2) x = NAN;
     return x;
 }
@@ -438,6 +456,8 @@ static int refused(const Var *v, char *p) {
     }
 static void set_real(Slave *s, void *p, double x) {
     if (IS("inputs are clipped") && p == &s->d.f) x = fmin(x, 0.5);
+    if (IS("tunable parameters are clipped") && p == &s->d.k) x = fmin(x, 6);
+    if (IS("parameters below their minimum are dropped") && p == &s->d.m && x < 0.1) return;
     *(double *)p = x;
     if (p == &s->d.f) s->d.f_end = x;
 }
@@ -462,6 +482,7 @@ static void integrate(Slave *s, double h) {
         if (!d->h) d->h = h;
         h = d->h;
     }
+    if (IS("whole internal steps alone")) h = 0.01 * floor(h / 0.01 + 1e-9);
     if (IS("steps of a grid")) h = 0.03 * floor(h / 0.03 + 1e-9) + 0.03;
     const int N = 20;
     double dt = h / N, x = d->pos, v = d->vel;
@@ -495,6 +516,12 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no) {
         s->late = 1;
         return err(s, "stop time");
     }
+    if (IS("resources are read in steps")) {
+        FILE *file = fopen(s->mutation_file, "r");
+        if (!file) return err(s, "no resources");
+        fclose(file);
+    }
+    if (IS("writes to standard error")) fprintf(stderr, "step\n");
     if (IS("fails before its own stop time") && t > 3.2) return err(s, "broken");
     if (no) {
         s->flushed = 1;
@@ -515,6 +542,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no) {
         return fmi2Pending;
     }
     integrate(s, h);
+    if (IS("time of equal steps")) d->h = h;
     d->time = t + h;
     d->last = t + h;
     say(s, fmi2OK, 0, "stepped");
@@ -643,6 +671,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
             if (a == 103) J = b == 102 ? 0.5 / sqrt(d->k * mm) : b == 101 ? -0.5 * sqrt(d->k / mm) / mm : J;
             if (a == 104) J = b == 101 ? 0.5 : J;
             if (IS("no derivatives of calculated parameters") && (a == 104 || a == 103)) J = 0;
+            if (IS("the last parameter alone has a derivative") && a == 103) sum = 0;
             sum += J * seed[k];
         }
         out[i] = sum;
@@ -653,6 +682,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *st) {
     Slave *s = c;
     if (s->d.state == PEND) return err(s, "pending");
+    if (IS("a second state crashes") && !*st && s->states++) abort();
     if (!*st) *st = calloc(1, sizeof(Data));
     memcpy(*st, &s->d, sizeof(Data));
     if (!s->first_state) s->first_state = *st;
@@ -668,6 +698,8 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate st) {
     if (IS("the flag ends all states") && s->flushed) return err(s, "flushed");
     memcpy(&s->d, st, sizeof(Data));
     if (IS("states without Strings")) strcpy(s->d.label, old.label), strcpy(s->d.text_in, old.text_in);
+    if (IS("states with the start value of a parameter")) s->d.k = 4;
+    if (IS("states without the stop time")) s->d.stop = INFINITY;
     if (IS("states without derivatives of inputs")) s->d.df = old.df, s->d.df2 = old.df2;
     return fmi2OK;
 }
@@ -675,6 +707,7 @@ fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *st) {
     Slave *s = c;
     if (!*st) return fmi2OK;
     if (s->first_state == *st) s->first_state = NULL;
+    s->states--;
     free(*st);
     *st = NULL;
     return fmi2OK;
@@ -694,5 +727,6 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte b[], size_t n
     if (IS("reading bytes acts at once")) memcpy(&s->d, b, sizeof(Data));
     if (!*st) *st = calloc(1, sizeof(Data));
     memcpy(*st, b, n < sizeof(Data) ? n : sizeof(Data));
+    if (IS("bytes without a fixed parameter")) ((Data *)*st)->m = 1.5;
     return fmi2OK;
 }
