@@ -3,8 +3,9 @@
 import errno
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,7 @@ from fmus.compliance import (
     value_rules,
 )  # fmt: skip
 from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.instance_rules import ONLY_ONCE
 from fmus.compliance.library_rules import no_co_simulation
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import (
@@ -68,6 +70,7 @@ DEFAULT_TIMEOUT_S = 30.0
 _IS_BROKEN = " is broken"
 _ENDED = "the FMU ended the process with"
 _FORMATS = "formats-of-messages-are-legal"  # a wrong format crashes whatever logs
+_AFTER_OTHERS, _MOST_CRASHES = "instances-follow-each-other", 2
 _HUNG, _MOST_HANGS = "took more than", 3  # then the rest is not judged: it would take minutes
 _OF_THE_HOST = ("ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EMFILE", "ENFILE", "EIO", "ENOMEM", "EAGAIN")
 _START_S = 60.0  # for the interpreter, whatever the rules take
@@ -102,8 +105,8 @@ def _needs_first(names: Sequence[str]) -> list[str]:
                 add(need)
         ordered.setdefault(name)
 
-    fundamental = [name for name in FUNDAMENTAL if name in names]
-    for name in (*fundamental, *sorted(names, key=lambda name: rules[name].last)):
+    first = [name for name in (*FUNDAMENTAL, _AFTER_OTHERS) if name in names]
+    for name in (*first, *sorted(names, key=lambda name: rules[name].last)):
         add(name)
     return list(ordered)
 
@@ -141,6 +144,7 @@ def _judged(
         except Exception as error:  # an archive that is damaged anywhere: `archive-is-zip` tells more
             return {name: Result(rules[name], not_judged=f"it cannot be unpacked: {error}") for name in names}
         shared: dict[str, Any] = {}
+        shared_alone: dict[str, Any] = {}  # of instances that are alone in their processes
         while remaining := [rules[name] for name in names if name not in results]:
             texts = [text for r in results.values() for text in (*r.messages, r.not_judged)]
             if sum(_HUNG in text for text in texts if text.startswith("the FMU ")) >= _MOST_HANGS:
@@ -148,7 +152,8 @@ def _judged(
                 return results | {rule.name: Result(rule, not_judged=reason) for rule in remaining}
             probe = Probe(fmu, folder, time.monotonic() + _START_S, shared, started)
             for result in _judged_by_one_process(probe, remaining, results, timeout):
-                results[result.rule.name] = result
+                judge_alone = partial(_judged_alone, result.rule, fmu, folder, shared_alone, results)
+                results |= _without_instances_before(result, results, fmu.claims(ONLY_ONCE), judge_alone)
             started = None
             last = list(results.values())[-1]
             if any(m.startswith(_ENDED) for m in last.messages) and _FORMATS in set(names) - set(results):
@@ -158,6 +163,37 @@ def _judged(
                     results[last.rule.name] = Result(last.rule, not_judged=f"{_FORMATS}{_IS_BROKEN}")
                     results[_FORMATS] = formats
     return results
+
+
+def _without_instances_before(
+    result: Result, results: Mapping[str, Result], only_once: bool, judge_alone: Callable[[], Result]
+) -> dict[str, Result]:
+    """The results that follow from a rule's: a crash that instances before it cause is a finding of one rule.
+
+    only_once: whether the FMU asks for a process for each instance
+    judge_alone: judges the rule where no instance was before
+    """
+    rule, follow = result.rule, results.get(_AFTER_OTHERS)
+    crashes = [message for message in result.messages if message.startswith(_ENDED)]
+    if only_once and result.messages:
+        return {rule.name: judge_alone()}
+    if only_once or not crashes or follow is None:
+        return {rule.name: result}
+    if len(follow.messages) >= _MOST_CRASHES:
+        return {rule.name: Result(rule, not_judged=f"{_AFTER_OTHERS}{_IS_BROKEN}")}
+    alone = judge_alone()
+    if any(message in alone.messages for message in crashes):
+        return {rule.name: result}
+    messages = (*follow.messages, f"{rule.name}, after other instances: {crashes[0]}")
+    return {rule.name: alone, _AFTER_OTHERS: Result(follow.rule, messages)}
+
+
+def _judged_alone(
+    rule: Rule, fmu: FmuFile, folder: Path, shared: dict[str, Any], results: Mapping[str, Result]
+) -> Result:
+    """The verdict where no instance was in the process before, as 4.3.1 lets an FMU ask for."""
+    probe = Probe(fmu, folder, time.monotonic() + _START_S, shared, one_instance=True)
+    return next(_judged_by_one_process(probe, [rule], results, _START_S))
 
 
 def _temporary_folder() -> tempfile.TemporaryDirectory[str]:

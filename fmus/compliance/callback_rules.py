@@ -15,7 +15,12 @@ _NAME = "system.subsystem[2].'instance with a name of its own'.part"
 @rule(
     _CREATION,
     Stage.BEHAVIOUR,
-    needs=["reset-in-every-state", "allowed-calls-succeed", "messages-have-the-instance-name"],
+    needs=[
+        "reset-in-every-state",
+        "allowed-calls-succeed",
+        "statuses-are-legal",
+        "messages-have-the-instance-name",
+    ],
 )
 def arguments_of_instantiation_are_copied(probe: Probe) -> Iterator[str]:
     """Name, GUID, resource location and the structure of callbacks are not used after fmi2Instantiate

@@ -24,6 +24,7 @@ _MOST_TESTED = 40  # knowns without an effect at the start values, each of which
 _PARTS = (0.05, 0.1, 0.3, 1.0)  # of the other knowns that are changed: many FMUs refuse most sets
 _MOST_SWITCHED = 20  # items of parameters that choose something
 _NOISE = 1e-9  # relative: an iteration may stop elsewhere
+_CLOSE, _SHARE = 1e-6, 0.1  # of a change: two values that are as close give changes that are as equal
 Point = list[tuple[Variable, Any]]
 
 
@@ -74,10 +75,31 @@ def initial_dependencies_are_declared(probe: Probe) -> Iterator[str]:
     """An initial unknown changes only with the knowns that its dependencies list."""
     declared = _declared(probe)
     for known, changes in _influences(probe):
-        for name in sorted(changes):
-            if name in declared and name != known.name and known.index not in declared[name]:
-                expected = "expected that among its dependencies"
-                yield f"{name} changes with {known.name} in initialization mode: {expected}"
+        named = changes & declared.keys() - {known.name}
+        unlisted = {name for name in named if known.index not in declared[name]}
+        for name in sorted(unlisted - _noise(probe, known, unlisted)):
+            expected = "expected that among its dependencies"
+            yield f"{name} changes with {known.name} in initialization mode: {expected}"
+
+
+def _noise(probe: Probe, known: Variable, names: set[str]) -> set[str]:
+    """The unknowns that change as much between two values that are almost one: an iteration leaves it."""
+    start, value = start_value(known), other_value(known)
+    if not names or not isinstance(start, float) or not isinstance(value, float):
+        return set()
+    scripts = [probe.script().initialise() for _ in range(3)]
+    for script, x in zip(scripts, (start, value, value + _CLOSE * (value - start)), strict=True):
+        script.set(known, x)
+    readings = [script.read([v for v in _unknowns(probe) if v.name in names]) for script in scripts]
+    probe.play_each(scripts)
+    if not all(script.succeeded for script in scripts):
+        return set()
+    values = {name: [reading.values[name] for reading in readings] for name in names}
+    return {
+        name
+        for name, (a, b, c) in values.items()
+        if isinstance(a, float) and abs(c - b) > _SHARE * abs(b - a)
+    }
 
 
 @rule(_STRUCTURE, Stage.BEHAVIOUR, Level.WARNING, needs=["variables-can-be-read"])

@@ -142,8 +142,11 @@ def _listed_sources(fmu: FmuFile) -> dict[str, list[str]]:
 
 @rule(CLAUSE, Stage.DESCRIPTION)
 def sources_are_listed(fmu: FmuFile) -> Iterator[str]:
-    """SourceFiles, or buildDescription.xml, lists the C files below sources that are to be compiled."""
-    files = [path for path in fmu.names if path.startswith(SOURCES) and path.endswith(TO_COMPILE)]
+    """SourceFiles, or buildDescription.xml, lists the C files below sources that are to be compiled; beside
+    a library, files of other languages may be there to be read.
+    """
+    extensions = (".c",) if fmu.libraries() else TO_COMPILE
+    files = [path for path in fmu.names if path.startswith(SOURCES) and path.endswith(extensions)]
     if (
         files
         and fmu.interfaces

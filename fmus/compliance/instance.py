@@ -76,7 +76,7 @@ class LoadedFmu:
 
     def link(self, name: str) -> str:
         """The location of the resources, as a URI, through a link of that name."""
-        link = self._printed.parent / name
+        link = self._resources.parent.parent / name
         if not link.exists():
             link.symlink_to(self._resources.parent, target_is_directory=True)
         return (link / self._resources.name).as_uri()

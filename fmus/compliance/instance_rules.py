@@ -16,13 +16,13 @@ from fmus.compliance.values import (
 _STATUS = "2.1.3 Status Returned by Functions"
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
 _FLAGS = "4.3.1 Co-Simulation FMU (CoSimulation)"
-_ONLY_ONCE = "canBeInstantiatedOnlyOncePerProcess"
-_STEPS = 5
+ONLY_ONCE = "canBeInstantiatedOnlyOncePerProcess"
+_STEPS, _INSTANCES = 5, 10
 _MOST_CHANGED = 50  # variables
 _LARGEST_REFERENCE = 2**32 - 1
 
 
-@rule(f"{_FLAGS}: {_ONLY_ONCE}", Stage.BEHAVIOUR, condition=if_not_claimed(_ONLY_ONCE))
+@rule(f"{_FLAGS}: {ONLY_ONCE}", Stage.BEHAVIOUR, condition=if_not_claimed(ONLY_ONCE))
 def several_instances(probe: Probe) -> Iterator[str]:
     """Instances live side by side: values and steps of one change nothing in another."""
     alone = probe.script().begin()
@@ -47,6 +47,14 @@ def several_instances(probe: Probe) -> Iterator[str]:
     yield from differing(expected, first, "beside another instance")
 
 
+@rule(_CREATION, Stage.BEHAVIOUR, condition=if_not_claimed(ONLY_ONCE))
+def instances_follow_each_other(probe: Probe) -> Iterator[str]:
+    """After some instances that were used and freed, another one takes a step."""
+    for _ in range(_INSTANCES):
+        probe.script().begin().step().play()
+    yield from ()
+
+
 @rule(_STATUS, Stage.BEHAVIOUR, needs=["several-instances", "reset-gives-the-start-values"])
 def error_leaves_other_instances_unchanged(probe: Probe) -> Iterator[str]:
     """After an error, other instances go on as before, and fmi2Reset brings the instance back."""
@@ -60,7 +68,7 @@ def error_leaves_other_instances_unchanged(probe: Probe) -> Iterator[str]:
     failing.reset()
     failing.begin()
     again = failing.run(3)
-    others = [] if probe.fmu.claims(_ONLY_ONCE) else [probe.script().begin()]
+    others = [] if probe.fmu.claims(ONLY_ONCE) else [probe.script().begin()]
     readings = others[0].run(1) + others[0].pause().pause().run(2) if others else []
     probe.play(failing, *others, keep_going=True)
     if error.status != ERROR:
@@ -84,7 +92,7 @@ def unknown_reference(probe: Probe) -> int:
     return far if far <= _LARGEST_REFERENCE else next(i for i in itertools.count() if i not in used)
 
 
-@rule(_CREATION, Stage.BEHAVIOUR, condition=if_not_claimed(_ONLY_ONCE), needs=["several-instances"])
+@rule(_CREATION, Stage.BEHAVIOUR, condition=if_not_claimed(ONLY_ONCE), needs=["several-instances"])
 def freed_instance_changes_no_other(probe: Probe) -> Iterator[str]:
     """Where one instance is freed, others go on as before."""
     alone, freed, other = probe.script().begin(), probe.script().begin(), probe.script(name="other").begin()

@@ -42,21 +42,49 @@ class FmuProcess:
 
     started: by `start_process`, else a new one
     deadline: of its answers, in `time.monotonic`; TimeoutError after that, ProcessEndedError after its end
+    one_instance: whether an instance is created in a new process, but beside others that it is called with
     """
 
     def __init__(
-        self, library: Path, resources: Path, deadline: float, started: WorkerProcess | None = None
+        self,
+        library: Path,
+        resources: Path,
+        deadline: float,
+        started: WorkerProcess | None = None,
+        one_instance: bool = False,
     ) -> None:
+        self.deadline = deadline
+        self._files, self._one_instance = (library, resources), one_instance
+        self._numbers = itertools.count()
+        self._start(started or start_process())
+
+    def _start(self, process: WorkerProcess) -> None:
         from fmus.compliance.instance import CALLED
 
-        self.deadline = deadline
-        self._numbers = itertools.count()
-        self._process = started or start_process()
-        self._called = self._process.folder / CALLED
-        self._process.send((self._process.folder, library, resources))
+        self._process = process
+        self._has_created, self._alive = False, set[int]()
+        self._called = process.folder / CALLED
+        process.send((process.folder, *self._files))
 
     def calls(self, calls: Sequence[Call]) -> list[Any]:
         """The results of calls of `LoadedFmu`. Raises CallError for the first that fails."""
+        if not self._one_instance:
+            return self._calls(calls)
+        results = []
+        for call in calls:
+            match call:
+                case "create", int(number), _:
+                    if self._has_created and not self._alive:
+                        self.close()
+                        self._start(start_process())
+                    self._has_created = True
+                    self._alive.add(number)
+                case "free", int(number):
+                    self._alive.discard(number)
+            results += self._calls([call])
+        return results
+
+    def _calls(self, calls: Sequence[Call]) -> list[Any]:
         expected = next(self._numbers)
         self._process.send((expected, calls))
         answer = self._process.receive(max(0.0, self.deadline - time.monotonic()))
@@ -90,6 +118,7 @@ class FmuProcess:
 class Probe:
     """An unpacked FMU in a process of its own.
 
+    one_instance: of `FmuProcess`
     start_time, stop_time, step_size: of the default experiment [s], infinite if it states no stop time;
     states_step_size: whether it states one
     """
@@ -101,9 +130,11 @@ class Probe:
         deadline: float,
         shared: dict[str, Any],
         started: WorkerProcess | None = None,
+        one_instance: bool = False,
     ) -> None:
         self.fmu = fmu
-        self.process = FmuProcess(folder / fmu.host_library, folder / "resources", deadline, started)
+        library, resources = folder / fmu.host_library, folder / "resources"
+        self.process = FmuProcess(library, resources, deadline, started, one_instance)
         self._instances = itertools.count(1)
         self._shared = shared
         experiment = fmu.root.find("DefaultExperiment")

@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Callable, Iterator
+from functools import partial
 
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, Stage, rule
 from fmus.compliance.script import CallError, Reading, Script
 from fmus.compliance.values import (
     differing,
+    keeps_its_value,
     other_value,
     readable_in_initialization,
     set_input_derivatives,
@@ -26,8 +28,10 @@ _MOST_CHANGED = 50  # variables
 
 @rule("2.1.7 Getting and Setting Variable Values", Stage.BEHAVIOUR)
 def start_values_are_as_declared(probe: Probe) -> Iterator[str]:
-    """In initialization mode, variables with initial exact and inputs have their start values."""
-    yield from _not_at_start(probe, lambda: probe.script().initialise(), keep_going=False)
+    """Variables with initial exact and inputs have their start values: in initialization mode, or after it
+    where only then they can be read.
+    """
+    yield from _not_at_start(probe, lambda: probe.script().initialise(), "at first")
 
 
 def _with_start(probe: Probe) -> list[Variable]:
@@ -39,42 +43,37 @@ def _with_start(probe: Probe) -> list[Variable]:
     return [v for v in chosen if start_value(v) is not None]
 
 
-def _not_at_start(probe: Probe, initialise: Callable[[], Script], keep_going: bool) -> Iterator[str]:
+def _not_at_start(
+    probe: Probe, initialise: Callable[[], Script], when: str, keep_going: bool = False
+) -> Iterator[str]:
     """Messages of values that are not the start values.
 
     initialise: a new script, up to initialization mode; keep_going: whether its calls may fail
     """
     script = initialise()
-    reading = script.read(_with_start(probe))
-    script.play(keep_going=True)
-    if reading.ok:
-        yield from _other_values(probe, reading)
-        return
-    readable = readable_in_initialization(probe.fmu)  # 4.2.4 lets only these be read there
-    script = initialise()
-    at_first = script.read(v for v in _with_start(probe) if v in readable)
+    at_first = script.read(v for v in _with_start(probe) if v in readable_in_initialization(probe.fmu))
     script.play(keep_going=True)
     script = initialise().exit_initialization_mode()
-    later = script.read(v for v in _with_start(probe) if v.causality in ("parameter", "input"))
+    later = script.read(v for v in _with_start(probe) if keeps_its_value(v))
     script.play(keep_going=keep_going)
     for reading in (at_first, later):
         if reading.ok:
-            yield from _other_values(probe, reading)
+            yield from _other_values(probe, reading, when)
 
 
-def _other_values(probe: Probe, reading: Reading) -> Iterator[str]:
+def _other_values(probe: Probe, reading: Reading, when: str) -> Iterator[str]:
     variables = {v.name: v for v in probe.fmu.variables}
     for name, got in reading.values.items():
         expected = start_value(variables[name])
         if isinstance(got, bytes):
             if got.decode("utf-8", "replace") != expected:
                 yield (
-                    f"{name} is {got.decode('utf-8', 'replace')!r} at first: expected its start "
+                    f"{name} is {got.decode('utf-8', 'replace')!r} {when}: expected its start "
                     f"value {expected!r}"
                 )
         elif got is None or not math.isclose(got, expected, rel_tol=_ROUNDED, abs_tol=1e-300):
             shown = texts(got, expected)
-            yield f"{name} is {shown[0]} at first: expected its start value {shown[1]}"
+            yield f"{name} is {shown[0]} {when}: expected its start value {shown[1]}"
 
 
 @rule("4.2.4 State Machine of Calling Sequence from Master to Slave", Stage.BEHAVIOUR)
@@ -111,7 +110,8 @@ def reset_gives_the_start_values(probe: Probe) -> Iterator[str]:
     again = script.run(_STEPS)
     script.play()
     yield from differing(first, again, "after fmi2Reset")
-    yield from _not_at_start(probe, lambda: _reset_after_other_values(probe), keep_going=True)
+    initialise = partial(_reset_after_other_values, probe)
+    yield from _not_at_start(probe, initialise, "after other values and fmi2Reset", keep_going=True)
 
 
 def _reset_after_other_values(probe: Probe) -> Script:

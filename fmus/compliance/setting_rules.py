@@ -12,6 +12,7 @@ from fmus.compliance.values import (
     RESTARTED,
     differing,
     far_values,
+    keeps_its_value,
     other_value,
     other_values,
     readable_in_initialization,
@@ -47,7 +48,7 @@ def values_that_are_set_are_read(probe: Probe) -> Iterator[str]:
 
 def _not_as_set(probe: Probe, variables: Sequence[Variable], when: str) -> Iterator[str]:
     tried = [(v, value) for v in variables[:_MOST_VARIABLES] if (value := other_value(v)) is not None]
-    settings = list[_Setting]()
+    settings, readable = list[_Setting](), readable_in_initialization(probe.fmu)
     for v, value in tried:
         script = probe.script()
         if when == "when instantiated":
@@ -55,11 +56,13 @@ def _not_as_set(probe: Probe, variables: Sequence[Variable], when: str) -> Itera
             script.initialise()
         else:
             script.initialise().set(v, value)
-        if v.causality in {"output", "local"}:
+        if v in readable:
             reading = script.read([v])
             script.exit_initialization_mode()
-        else:
+        elif keeps_its_value(v):
             reading = script.exit_initialization_mode().read([v])
+        else:
+            continue
         settings.append((v, value, script, reading))
     for v, got, given in _read_otherwise(probe, settings):
         yield f"{v.name} is {got} after it was set to {given} {when}: expected that"

@@ -149,6 +149,11 @@ def readable_in_initialization(fmu: FmuFile) -> list[Variable]:
     return [v for v in fmu.variables if v.causality == "output" or v.index in indices]
 
 
+def keeps_its_value(v: Variable) -> bool:
+    """Whether initialization leaves what was set: an event may change an output or a discrete state."""
+    return v.causality in ("parameter", "input") or (v.causality == "local" and v.variability == "continuous")
+
+
 def texts(*values: Any) -> list[str]:
     """Numbers with as few digits as show that they differ, six at least."""
     if not all(isinstance(value, (int, float)) for value in values):

@@ -46,7 +46,7 @@ typedef struct {
 static const char GUID[] = "{5ba0ed5f-5d2c-4f3d-9a0b-2f1a0a1b9a5e}";
 static char mutation[64];
 /* from the second line of the file */
-static int own_memory, asynchronous, finishes_all, one_step_size, discards_all, discards_late, warns;
+static int own_memory, asynchronous, finishes_all, one_step_size, discards_all, discards_late, warns, once, iterates;
 static Data shared;
 static int instances;
 
@@ -115,6 +115,7 @@ static double slope(const Data *d, double u) { return d->real[RATE] * (d->real[G
 static void outputs(Data *d, double u) {
     d->real[DER_X] = slope(d, u);
     d->real[Y] = d->real[X] + u;
+    if (iterates && d->state == INITIALIZATION) d->real[Y] += 1e-7 * sin(1e12 * d->real[GAIN]);
     d->real[Z] = d->real[X] / 2;
     if (d->state != STEPPING) d->real[TWICE] = 2 * d->real[GAIN];
     d->integer[COUNT] = d->steps + d->integer[N];
@@ -186,6 +187,8 @@ static int read_mutation(const char *uri) {
     discards_all = !!strstr(flags, "discards all");
     discards_late = !!strstr(flags, "discards late");
     warns = !!strstr(flags, "warns");
+    once = !!strstr(flags, "once");
+    iterates = !!strstr(flags, "iterates");
     if (!IS("files stay open")) fclose(file);
     return 1;
 }
@@ -212,6 +215,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
         return NULL;
     }
     if (IS("no second life") && instances++) return NULL;
+    if (IS("an instance after others crashes") && instances++ > 15) abort();
     Slave *s = functions->allocateMemory && functions->freeMemory && !own_memory
                    ? functions->allocateMemory(1, sizeof *s)
                    : calloc(1, sizeof *s);
@@ -229,6 +233,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     s->enabled = logging ? 15 : 0;
     s->stop_time = INFINITY;
     reset(&s->data);
+    if (once && shared.real[GAIN]) s->data.real[GAIN] = shared.real[GAIN]; /* of the instance before it */
     if (IS("keeps the pointer to the location")) s->given_location = location;
     if (IS("a changed working directory")) (void)!chdir("/");
     if (IS("a changed locale")) setlocale(LC_ALL, "C.UTF-8");

@@ -16,6 +16,7 @@ _HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
 _OWN_MEMORY = 'canNotUseMemoryManagementFunctions="true"'
 _CALLBACK_MEMORY = ((_OWN_MEMORY, 'canNotUseMemoryManagementFunctions="false"'),)
 _MALLOC = "memory-functions-are-callbacks"  # warns: it holds both kinds of memory
+_ONLY_ONCE = ((_OWN_MEMORY, f'{_OWN_MEMORY} canBeInstantiatedOnlyOncePerProcess="true"'),)
 ASYNCHRONOUS = ((_OWN_MEMORY, f'{_OWN_MEMORY} canRunAsynchronuously="true"'),)
 _NO_CATEGORIES = (
     (
@@ -98,6 +99,7 @@ _PLAIN = [
     ("no second life", "2.1.5", "instantiates-and-frees"),
     ("only one instance at a time", "2.1.5", "several-instances"),
     ("states of all instances", "2.1.5", "runs-are-repeatable"),
+    ("an instance after others crashes", "2.1.5", "instances-follow-each-other"),
     ("keeps the pointer to its name", "2.1.5", "arguments-of-instantiation-are-copied"),
     ("keeps the pointer to the location", "2.1.5", "arguments-of-instantiation-are-copied"),
     ("keeps the pointer to the callbacks", "2.1.5", "arguments-of-instantiation-are-copied"),
@@ -319,6 +321,8 @@ LEGAL = (
     ("asynchronous", ASYNCHRONOUS, ()),
     ("finishes all", ASYNCHRONOUS, ()),
     ("warns", _ALIAS_OF_THE_STATE, ()),
+    ("once", _ONLY_ONCE, ()),
+    ("iterates", (), ()),
     ("one step size", _STATES_NO_STEP_SIZE, ()),
     ("discards all", _ONE_STEP_SIZE, ()),
     ("discards late", _ONE_STEP_SIZE, ()),

@@ -34,6 +34,12 @@ def test_the_slave_that_does_nothing_wrong_breaks_no_rule(index: int, tmp_path: 
     assert set(broken) == set(allowed)
 
 
+def test_sources_of_another_language_beside_a_library_need_not_be_listed(tmp_path: Path) -> None:
+    """2.3: names of C sources have to be; the others of this FMU are there to be read."""
+    content = members(write_slave(tmp_path)) | {"sources/model.cpp": b""}
+    assert broken_rules(write(content, tmp_path / "read.fmu")) == {}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("feature", "flags"),
