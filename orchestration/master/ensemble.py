@@ -18,7 +18,7 @@ from orchestration.master.ensemble_checks import Vary, check_supported, checked_
 from orchestration.master.ensemble_loop import EnsembleLoop, build_loop, check_memory, loop_library
 from orchestration.master.ensemble_recording import EnsembleRecording
 from orchestration.master.initialisation import ConnectionGroup, connection_groups, initialise
-from orchestration.master.lane_library import is_compiled, lane_library
+from orchestration.master.lane_library import lane_library
 from orchestration.system.experiment import Experiment
 from orchestration.system.open_inputs import OpenInputs
 from orchestration.system.prepared_run import PreparedRun, prepare_checked
@@ -66,11 +66,6 @@ class Ensemble(AbstractContextManager["Ensemble"]):
                 raise EnsembleError(
                     f"{name}: an Ensemble has no whole numbers of an FMU of Reals alone; a Simulator has"
                 )
-
-    @staticmethod
-    def is_compiled(system: System) -> bool:
-        """Whether the libraries of an ensemble on this processor are in the user's cache."""
-        return all(is_compiled(path, instruction_sets()[0]) for path in system.components.values())
 
     def run(
         self,

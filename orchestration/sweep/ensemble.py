@@ -6,15 +6,11 @@ from contextlib import AbstractContextManager
 from fmus.fmi_types import FmiValue
 from fmus.lanes import LANES
 from orchestration.errors import EnsembleError, OrchestrationError
-from orchestration.fmi.description import describe, is_independent
 from orchestration.master.ensemble import Ensemble
-from orchestration.master.ensemble_checks import check_supported
-from orchestration.master.initialisation import connection_groups
+from orchestration.master.ensemble_choice import check_ensemble
 from orchestration.results.metrics_of_all import evaluate_all
 from orchestration.sweep.plan import Plan
 from orchestration.sweep.samples import Job, Outcome, Samples
-from orchestration.system.prepared_run import PreparedRun, prepare
-from orchestration.system.system import System
 
 _BATCH_BYTES = 2**24  # of recorded values, if a group has less
 _MOST_BYTES = 2**28  # of recorded values of a group
@@ -71,22 +67,6 @@ def ensemble_samples(
     is_asked_for: whether the user wants an ensemble, also where it does not pay
     Raises EnsembleError for samples that are for simulators, with the reason.
     """
-    _check(plan, job)
-    prepared = prepare(job.system, job.experiment)
-    check_supported(prepared, connection_groups(prepared.system))
-    points, columns = prepared.shape
-    group_bytes = 8 * LANES * points * columns
-    if not is_asked_for:
-        _check_pays(job.system, prepared, count, group_bytes)
-    most = LANES * max(1, _BATCH_BYTES // group_bytes)
-    return [EnsembleSamples(plan, job, most) for _ in range(threads)]
-
-
-def _check(plan: Plan, job: Job) -> None:
-    """EnsembleError for what samples of an ensemble do not have."""
-    for name, path in job.system.components.items():
-        if not is_independent(describe(path)):
-            raise EnsembleError(f"{name} is no native FMU of l1-depth")
     for entry in plan.varied:
         if entry.target.table not in ("parameters", "inputs") or entry.target.key.endswith(".internal_step"):
             raise EnsembleError(
@@ -94,14 +74,6 @@ def _check(plan: Plan, job: Job) -> None:
             )
     if job.recorded is not None or job.timeout is not None:
         raise EnsembleError("samples of an ensemble have no recordings and no timeout")
-
-
-def _check_pays(system: System, prepared: PreparedRun, count: int, group_bytes: int) -> None:
-    """EnsembleError for samples that simulators run about as fast, or in much less memory."""
-    steps = count * prepared.experiment.step_count
-    if count < LANES:
-        raise EnsembleError(f"{count} samples are less than the {LANES} that step at once")
-    if group_bytes > _MOST_BYTES:
-        raise EnsembleError(f"{LANES} samples at once record {group_bytes / 1e6:.0f} MB")
-    if steps < _STEPS_WORTH_COMPILING and not Ensemble.is_compiled(system):
-        raise EnsembleError(f"to compile the FMUs takes longer than {steps} steps save")
+    group_bytes = check_ensemble(job.system, job.experiment, count, is_asked_for)
+    most = LANES * max(1, _BATCH_BYTES // group_bytes)
+    return [EnsembleSamples(plan, job, most) for _ in range(threads)]

@@ -1,8 +1,9 @@
 """Memory and time of sweeps that grow: `python -m tests.speed.samples`.
 
 The shipped Monte Carlo over 5 s, so that a sample takes about a millisecond, by the command line in a
-process of its own: what all of it holds at most, and its CPU time. The last sweep is interrupted when half of
-its samples are done, and continued.
+process of its own: what all of it holds at most, and its CPU time. Sweeps of at most 10,000 samples are run
+with simulators alone too (`--no-ensemble`), as all were before samples stepped together. The last sweep is
+interrupted when half of its samples are done, and continued.
 """
 
 import os
@@ -22,6 +23,7 @@ from orchestration.scenarios import scenario
 
 _ROOT = Path(__file__).parents[2]
 _COMMAND = [sys.executable, "-P", "-c", "from orchestration.cli import main; main()", "sweep"]
+_MOST_ALONE = 10_000
 _SCENARIO = """
 base = "monte-carlo"
 [experiment]
@@ -37,8 +39,8 @@ samples = {}
 class Sweep:
     """A sweep of so many samples by the command line, in a folder."""
 
-    def __init__(self, samples: int, folder: Path) -> None:
-        self.samples, self.folder = samples, folder
+    def __init__(self, samples: int, folder: Path, *options: str) -> None:
+        self.folder, self.options = folder, options
         folder.mkdir()
         self.file = folder / "many.toml"
         self.file.write_text(_SCENARIO.format(samples), encoding="utf-8")
@@ -51,13 +53,13 @@ class Sweep:
         environment = {**os.environ, "PYTHONPATH": str(_ROOT)}
         start = time.perf_counter()
         process = subprocess.Popen(
-            [*_COMMAND, str(self.file), "--out", str(self.folder)],
+            [*_COMMAND, str(self.file), "--out", str(self.folder), *self.options],
             env=environment,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
         while until and self._done() < until and process.poll() is None:
-            time.sleep(0.5)
+            time.sleep(0.1)
         if until:
             process.send_signal(signal.SIGINT)
         _, status, used = os.wait4(process.pid, 0)
@@ -80,8 +82,11 @@ def main(
     with tempfile.TemporaryDirectory(prefix="l1-depth-speed-") as name:
         folder = Path(name)
         for count in numbers:
-            _print(f"{count} samples", Sweep(count, folder / str(count)).run())
-        last = Sweep(numbers[-1], folder / "continued")
+            _print(f"{count} samples", Sweep(count, folder / str(count), "--ensemble").run())
+            if count <= _MOST_ALONE:
+                alone = Sweep(count, folder / f"{count}-alone", "--no-ensemble")
+                _print(f"{count} samples, simulators", alone.run())
+        last = Sweep(numbers[-1], folder / "continued", "--ensemble")
         _print(f"half of {numbers[-1]}, interrupted", last.run(until=numbers[-1] // 2))
         _print("continued", last.run())
         tables = [next((folder / str(part)).glob("*.parquet")) for part in (numbers[-1], "continued")]

@@ -1,7 +1,9 @@
 """What the samples of the Monte Carlo cost beside their runs: `python -m tests.speed.sweeps`.
 
-A sample is a run and its metrics. Of the command `l1-depth sweep`, CPU time is that of all its processes. On
-a Dask cluster of this machine, the loss is the part of the workers' time in which they run no sample.
+A sample is a run and its metrics. Of the command `l1-depth sweep`, CPU time is that of all its processes: by
+turns with simulators alone (`--no-ensemble`), as before samples stepped together, and with ensembles, as by
+default once their FMUs are compiled. On a Dask cluster of this machine, the loss is the part of the workers'
+time in which they run no sample.
 """
 
 import os
@@ -10,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 from typing import Annotated
@@ -18,6 +20,7 @@ from typing import Annotated
 import typer
 
 from fmus import catalogue
+from fmus.lanes import LANES
 from orchestration.master import Simulator
 from orchestration.results import metrics
 from orchestration.scenarios import scenario
@@ -62,6 +65,19 @@ def command(name: str, samples: int, *options: str) -> tuple[float, float]:
         return time.perf_counter() - start, _children_s() - before
 
 
+def compile_s(chosen: Scenario) -> float:
+    """CPU seconds to compile the libraries of an ensemble, with empty caches."""
+    program = "import sys; from pathlib import Path; from orchestration import Ensemble, System\n"
+    program += "Ensemble(System({str(i): Path(fmu) for i, fmu in enumerate(sys.argv[1:])}))"
+    with tempfile.TemporaryDirectory() as folder:
+        caches = {"XDG_CACHE_HOME": folder, "ZIG_GLOBAL_CACHE_DIR": f"{folder}/zig"}
+        environment = {**os.environ, **caches, "PYTHONPATH": str(_ROOT)}
+        fmus = map(str, chosen.system.components.values())
+        before = _children_s()
+        subprocess.run([sys.executable, "-P", "-c", program, *fmus], check=True, env=environment)
+        return _children_s() - before
+
+
 def _children_s() -> float:
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     return usage.ru_utime + usage.ru_stime
@@ -96,6 +112,7 @@ def main(
     name: Annotated[str, typer.Argument(help="A scenario with a sweep.")] = "monte-carlo",
     samples: Annotated[int, typer.Option(min=20)] = 1000,
     workers: Annotated[int, typer.Option(min=1)] = os.cpu_count() or 1,
+    rounds: Annotated[int, typer.Option(help="Measurements of which the median is taken.", min=1)] = 3,
     dask: Annotated[bool, typer.Option(help="Measure a Dask cluster of this machine too.")] = True,
 ) -> None:
     """Measure a sweep beside its bare runs."""
@@ -105,15 +122,22 @@ def main(
     print(f"a run {1e3 * run_s:.2f} ms of CPU, its metrics {1e3 * metrics_s:.2f} ms: {metrics_s / run_s:.3f}")
     bound = 1.3 * samples * run_s + 2.0
     print(f"{samples} bare runs {samples * run_s:.1f} s of CPU; 1.3 times that and 2 s: {bound:.1f} s")
-    ways: dict[str, Callable[[], tuple[float, float]]] = {
-        "one thread": lambda: command(name, samples, "--workers", "1"),
-        f"{workers} threads": lambda: command(name, samples, "--workers", str(workers)),
-        f"{workers} processes": lambda: command(name, samples, "--workers", str(workers), "--isolated"),
+    print(f"to compile for ensembles: {compile_s(chosen):.1f} s of CPU, once")
+    ways = {
+        "one thread of simulators": ["--workers", "1", "--no-ensemble"],
+        f"{workers} threads of simulators": ["--workers", str(workers), "--no-ensemble"],
+        f"{workers} processes of simulators": ["--workers", str(workers), "--isolated"],
+        "one thread of ensembles": ["--workers", "1", "--ensemble"],
+        f"{workers} threads of ensembles": ["--workers", str(workers), "--ensemble"],
     }
-    for way, measure in ways.items():
-        wall, cpu = measure()
+    command(name, LANES, "--ensemble")  # which are compiled now
+    turns = [[command(name, samples, *options) for options in ways.values()] for _ in range(rounds)]
+    for way, measured in zip(ways, zip(*turns, strict=True), strict=True):
+        wall, cpu = (median(part) for part in zip(*measured, strict=True))
+        least, most = min(part[1] for part in measured), max(part[1] for part in measured)
         ratio = cpu / (samples * run_s)
-        print(f"l1-depth sweep, {way:12}: {wall:6.1f} s, CPU {cpu:6.1f} s, {ratio:.2f} of the bare runs")
+        spread = f"({least:.1f} to {most:.1f})"
+        print(f"{way:27}: {wall:5.1f} s, CPU {cpu:5.1f} s {spread}, {ratio:.2f} of the bare runs")
     if dask:
         sample_s, loss = loss_on_a_cluster(chosen, samples, workers)
         print(f"Dask, {workers} workers: {1e3 * sample_s:.1f} ms a sample, {100 * loss:.1f} % lost")

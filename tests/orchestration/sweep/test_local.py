@@ -10,7 +10,7 @@ import pytest
 
 from fmus.fmi_types import FmiValue
 from orchestration.errors import EnsembleError, OrchestrationError
-from orchestration.master.ensemble import Ensemble
+from orchestration.master import ensemble_choice
 from orchestration.results import metrics
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
@@ -254,8 +254,8 @@ def varying(name: str, low: float, high: float) -> str:
             None,
             "tolerance: an Ensemble does not",
         ),
-        (VEHICLE.replace(f"= {COUNT}", "= 7"), None, "7 samples are less than the 8 that step at once"),
-        (VEHICLE.replace("stop_time = 4.0", "stop_time = 3e4"), None, "8 samples at once record"),
+        (VEHICLE.replace(f"= {COUNT}", "= 7"), None, "7 runs are less than the 8 that step at once"),
+        (VEHICLE.replace("stop_time = 4.0", "stop_time = 3e4"), None, "8 runs at once record"),
         (VEHICLE, None, "takes longer than 6000 steps save"),
     ],
 )
@@ -263,7 +263,7 @@ def test_where_an_ensemble_cannot_run_samples_or_does_not_pay_simulators_do(
     text: str, recorded: tuple[str, ...] | None, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nothing is compiled for these."""
-    monkeypatch.setattr(Ensemble, "is_compiled", lambda system: False)
+    monkeypatch.setattr(ensemble_choice, "is_compiled", lambda *_: False)
     made = made_of(tmp_path, text)
     with pytest.raises(EnsembleError, match=reason):
         ensemble_samples(made, Job.of(made, recorded), made.count, is_asked_for=False, threads=1)
@@ -290,7 +290,7 @@ def test_ensembles_give_the_same_table(
         return 0.0
 
     monkeypatch.setitem(metrics.FUNCTIONS, "mean", refuse_positive)
-    monkeypatch.setattr(Ensemble, "is_compiled", lambda system: True)
+    monkeypatch.setattr(ensemble_choice, "is_compiled", lambda *_: True)
     batches: list[int] = []
     notes: list[str] = []
     path = sweep(vehicle, tmp_path / "together", local(2, note=notes.append), progress=batches.append)
