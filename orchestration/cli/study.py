@@ -66,7 +66,7 @@ def tune(
     from orchestration.study import tune_file, tune_problem, tune_space
     from orchestration.study.loop import Loop
     from orchestration.study.protocol import read_protocol
-    from orchestration.study.tune_processes import processes
+    from orchestration.study.tune_ensembles import evaluations as started
 
     protocol = read_protocol()
     controller = _controller(name, league, settings, mapped, open_inputs, protocol)
@@ -78,7 +78,7 @@ def tune(
     total = evaluations * len(problem.gains) * (seeds + 1)
     with (
         progress(f"tune {controller.name}", total) as bar,
-        processes(controller, protocol, workers) as evaluate,
+        started(controller, protocol, workers, total) as evaluate,
     ):
         tuning = _search(problem, range(1, seeds + 1), evaluations, journal, evaluate, bar)
     provenance = tune_problem.provenance(tuning, controller, protocol)

@@ -97,10 +97,11 @@ def answer_calls(parent: Parent) -> None:
             answer = function(loop, *arguments), ""
         except Exception as error:  # whatever the reason, it is a row of the score
             loop.close()
-            answer = None, _error_line(error)
+            answer = None, error_line(error)
         parent.send(answer)
 
 
-def _error_line(error: Exception) -> str:
+def error_line(error: Exception) -> str:
+    """Why there is no result, in one line."""
     text = str(error) if isinstance(error, OrchestrationError) else f"{type(error).__name__}: {error}"
     return " ".join(text.split())

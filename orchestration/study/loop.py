@@ -102,11 +102,15 @@ class Loop(AbstractContextManager["Loop"]):
         if self._simulator is None or self._simulator.system != loaded.system:
             self.close()
             self._simulator = Simulator(loaded.system)
-        nominal = _start_values(loaded.system.components["plant"])
+        return self.judged(case, experiment, self._simulator.run(experiment))
+
+    def judged(self, case: Case, experiment: Experiment, recording: Recording) -> Recording:
+        """The signals that figures are computed of, from a recording of the experiment of a case."""
+        nominal = _start_values(self.scenario(case).system.components["plant"])
         given = {**nominal, **{n.removeprefix("plant."): v for n, v in experiment.parameters.items()}}
         limits = [float(given[f"thruster_voltage_limit[{i}]"]) for i in (1, 2)]
         thrust = [float(nominal[f"thruster_gain[{i}]"]) for i in (1, 2)]
-        return judged_signals(self._simulator.run(experiment), experiment.record, limits, thrust)
+        return judged_signals(recording, experiment.record, limits, thrust)
 
     def scenario(self, case: Case) -> Scenario:
         """The case as a scenario with this controller; its own values and gains are not in it."""

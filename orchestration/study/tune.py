@@ -6,8 +6,7 @@ cost is flat there.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -25,8 +24,8 @@ LARGEST_IMPROVEMENT = 0.02  # of the cost, in the last part
 LARGEST_SPREAD = 0.05  # of the lowest cost: where most of the seeds come so near to it, they agree
 
 
-Evaluate = Callable[[dict[str, float]], Future[Mapping[str, Any]]]
-"""{gain: value} -> in the future, {"cost": a finite number, and what else is of interest}."""
+Evaluate = Callable[[Sequence[dict[str, float]]], Iterable[Mapping[str, Any]]]
+"""Several {gain: value} -> in their order {"cost": a finite number, and what else is of interest}."""
 
 
 @dataclass(frozen=True)
@@ -145,17 +144,15 @@ def _evaluated(
     journal: Journal,
 ) -> Iterator[dict[str, Any]]:
     """The rows in their order, each completed with its cost, of the journal or evaluated and added there."""
-    pending = [
-        (row, None if (row["seed"], row["evaluation"]) in done else evaluate(row["gains"])) for row in rows
-    ]
-    for row, future in pending:
-        if future is None:
-            finished = done[row["seed"], row["evaluation"]]
+    stored = [done.get((row["seed"], row["evaluation"])) for row in rows]
+    missing = [row["gains"] for row, finished in zip(rows, stored, strict=True) if finished is None]
+    costs = iter(evaluate(missing))
+    for row, finished in zip(rows, stored, strict=True):
+        if finished:
             _check_same(row, finished, journal.path)
-        else:
-            finished = {**row, **future.result()}
-            journal.add(finished)
-        row.update(finished)
+        row.update(finished or next(costs))
+        if not finished:
+            journal.add(row)
         yield row
 
 

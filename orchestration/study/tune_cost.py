@@ -6,7 +6,7 @@ delay margin is one more run, in which the measured depth is late by that much: 
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -22,29 +22,45 @@ LARGEST = 1000.0  # cost of a run that ends early; finite, so that the search go
 _SLOPE = 10.0
 
 Figures = Mapping[str, float]
+Gains = Mapping[str, float]
 
 
-def cost_of(loop: Loop, gains: Mapping[str, float], every_seed: bool = False) -> dict[str, Any]:
+def cost_of(loop: Loop, gains: Gains, every_seed: bool = False) -> dict[str, Any]:
     """The cost of gains over those of the controller, with the mean figures of each case.
 
     every_seed: each case with every practice seed, not with one
     """
+    names, cases = figure_names(loop.protocol), practice_cases(loop.protocol, every_seed)
+    return cost_of_runs(loop, gains, ((case.name, loop.figures(case, gains, names)) for case in cases))
+
+
+def cost_of_runs(loop: Loop, gains: Gains, measured: Iterable[tuple[str, Figures]]) -> dict[str, Any]:
+    """The same of the figures of the runs, each with the name of its case."""
     table = loop.protocol.tables.cost
-    bounds = {name: bound for name, bound in table.bounds.items() if name != DELAY_MARGIN}
     figures: dict[str, list[Figures]] = {}
     try:
-        for case in practice_cases(loop.protocol, every_seed):
-            measured = loop.figures(case, gains, {table.figure, *bounds})
-            figures.setdefault(case.name, []).append(measured)
+        for case, of_run in measured:
+            figures.setdefault(case, []).append(of_run)
         unrest = _unrest(loop, gains, table.bounds[DELAY_MARGIN]) if DELAY_MARGIN in table.bounds else 0.0
     except SimulationError as error:
         return {"cost": LARGEST, "failure": str(error)}
+    bounds = _figure_bounds(loop.protocol)
     runs = [run_cost(run, table.figure, bounds) for case in figures.values() for run in case]
     return {
         "cost": min(sum(runs) / len(runs) + _SLOPE * max(0.0, unrest / QUIET - 1.0), LARGEST),
         "figures": {case: _mean(measured) for case, measured in figures.items()},
         "unrest": unrest,
     }
+
+
+def figure_names(protocol: Protocol) -> set[str]:
+    """The figures of a run that the cost depends on."""
+    return {protocol.tables.cost.figure, *_figure_bounds(protocol)}
+
+
+def _figure_bounds(protocol: Protocol) -> dict[str, float]:
+    bounds = protocol.tables.cost.bounds
+    return {name: bound for name, bound in bounds.items() if name != DELAY_MARGIN}
 
 
 def practice_cases(protocol: Protocol, every_seed: bool = False) -> list[Case]:
@@ -74,7 +90,7 @@ def delayed(case: Case, delay: float, variable: str) -> Case:
     return replace(case, layer={**case.layer, "faults": faults, "experiment": experiment})
 
 
-def _unrest(loop: Loop, gains: Mapping[str, float], delay: float) -> float:
+def _unrest(loop: Loop, gains: Gains, delay: float) -> float:
     """Standard deviation [m] of the depth at the end of the nominal hold, the measurement being late."""
     nominal = next(iter(loop.protocol.cases.values()))
     signals = loop.run(delayed(nominal, delay, loop.controller.variable("measured_depth")), gains)

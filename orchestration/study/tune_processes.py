@@ -40,4 +40,4 @@ def processes(controller: Controller, protocol: Protocol, count: int) -> Iterato
         for _ in range(count):
             start()
         stack.callback(threads.shutdown, wait=False, cancel_futures=True)
-        yield lambda gains: threads.submit(cost, gains)
+        yield lambda gains: threads.map(cost, gains)

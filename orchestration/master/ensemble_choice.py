@@ -1,0 +1,46 @@
+"""Whether an ensemble runs instances of an experiment, or simulators one after another."""
+
+from fmus.lanes import LANES
+from fmus.platforms import instruction_sets
+from orchestration.errors import EnsembleError
+from orchestration.fmi.description import describe, is_independent
+from orchestration.master.ensemble_checks import check_supported
+from orchestration.master.initialisation import connection_groups
+from orchestration.master.lane_library import is_compiled
+from orchestration.system.experiment import Experiment
+from orchestration.system.prepared_run import prepare
+from orchestration.system.system import System
+
+_MOST_BYTES = 2**28  # of recorded values of a group
+_STEPS_WORTH_COMPILING = (
+    1e7  # each costs 0.25 us more an FMU in a Simulator; to compile an FMU takes 2 to 3 s
+)
+
+
+def check_ensemble(system: System, experiment: Experiment, instances: int, is_asked_for: bool = False) -> int:
+    """Bytes of the values that a group of an ensemble records.
+
+    instances: how many are run in all; is_asked_for: also where it does not pay
+    Raises EnsembleError, which says why simulators run them: an ensemble cannot, or it does not pay.
+    """
+    for name, path in system.components.items():
+        if not is_independent(describe(path)):
+            raise EnsembleError(f"{name} is no native FMU of l1-depth")
+    prepared = prepare(system, experiment)
+    check_supported(prepared, connection_groups(prepared.system))
+    points, columns = prepared.shape
+    group_bytes = 8 * LANES * points * columns
+    if not is_asked_for:
+        _check_pays(system, instances, instances * experiment.step_count, group_bytes)
+    return group_bytes
+
+
+def _check_pays(system: System, instances: int, steps: int, group_bytes: int) -> None:
+    """EnsembleError where simulators run as fast, or in much less memory."""
+    if instances < LANES:
+        raise EnsembleError(f"{instances} runs are less than the {LANES} that step at once")
+    if group_bytes > _MOST_BYTES:
+        raise EnsembleError(f"{LANES} runs at once record {group_bytes / 1e6:.0f} MB")
+    best = instruction_sets()[0]
+    if steps < _STEPS_WORTH_COMPILING and not all(is_compiled(p, best) for p in system.components.values()):
+        raise EnsembleError(f"to compile the FMUs takes longer than {steps} steps save")

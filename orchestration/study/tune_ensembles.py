@@ -1,0 +1,109 @@
+"""Evaluations as instances of ensembles, which step together; with the costs of evaluations one by one."""
+
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from queue import SimpleQueue
+from typing import Any
+
+from fmus.lanes import LANES
+from orchestration.errors import EnsembleError, FmuWarning, OrchestrationError
+from orchestration.master.ensemble import Ensemble
+from orchestration.master.ensemble_choice import check_ensemble
+from orchestration.study.figures import figures_of
+from orchestration.study.isolated_loop import error_line
+from orchestration.study.loop import OWN, Controller, Loop
+from orchestration.study.protocol import Case, Protocol
+from orchestration.study.tune import Evaluate
+from orchestration.study.tune_cost import (
+    LARGEST,
+    Figures,
+    Gains,
+    cost_of,
+    cost_of_runs,
+    figure_names,
+    practice_cases,
+)
+from orchestration.study.tune_processes import processes
+
+
+@contextmanager
+def evaluations(controller: Controller, protocol: Protocol, workers: int, count: int) -> Iterator[Evaluate]:
+    """So many evaluations side by side: by ensembles where they can be and that pays, else by processes."""
+    with ExitStack() as stack:
+        try:
+            evaluate = stack.enter_context(ensembles(controller, protocol, workers, count))
+        except EnsembleError:
+            evaluate = stack.enter_context(processes(controller, protocol, workers))
+        yield evaluate
+
+
+@contextmanager
+def ensembles(
+    controller: Controller, protocol: Protocol, threads: int, count: int, is_asked_for: bool = False
+) -> Iterator[Evaluate]:
+    """So many threads, each with an ensemble of its own; EnsembleError where processes are to evaluate.
+
+    count: of evaluations; is_asked_for: also where ensembles do not pay
+    """
+    cases = practice_cases(protocol)
+    with ExitStack() as stack:
+        idle: SimpleQueue[tuple[Loop, Ensemble]] = SimpleQueue()
+        for _ in range(threads):
+            loop = stack.enter_context(Loop(controller, protocol))
+            system = loop.scenario(cases[0]).system
+            for case in cases:
+                if loop.scenario(case).system != system:
+                    raise EnsembleError(f"{case.name} has another system than {cases[0].name}")
+                check_ensemble(system, loop.experiment(case), count * len(cases), is_asked_for)
+            idle.put((loop, stack.enter_context(Ensemble(system))))
+        stack.enter_context(warnings.catch_warnings())
+        warnings.simplefilter("ignore", FmuWarning)  # of thousands of runs; results have the errors
+
+        def costs(group: Sequence[Gains]) -> list[dict[str, Any]]:
+            loop, ensemble = idle.get()
+            try:
+                return costs_of_all(loop, ensemble, group)
+            finally:
+                idle.put((loop, ensemble))
+
+        pool = stack.enter_context(ThreadPoolExecutor(threads))
+        stack.callback(pool.shutdown, wait=False, cancel_futures=True)
+
+        def evaluate(gains: Sequence[Gains]) -> Iterable[Mapping[str, Any]]:
+            groups = [gains[first : first + LANES] for first in range(0, len(gains), LANES)]
+            return (cost for group in pool.map(costs, groups) for cost in group)
+
+        yield evaluate
+
+
+def costs_of_all(loop: Loop, ensemble: Ensemble, gains: Sequence[Gains]) -> list[dict[str, Any]]:
+    """`cost_of` of several gains; of those that give none, the largest cost and the reason."""
+    cases = practice_cases(loop.protocol)
+    figures = [_figures_of_all(loop, ensemble, case, gains) for case in cases]
+    costs: list[dict[str, Any]] = []
+    for one, *runs in zip(gains, *figures, strict=True):
+        complete = [(case.name, run) for case, run in zip(cases, runs, strict=True) if run is not None]
+        try:
+            is_complete = len(complete) == len(cases)
+            costs.append(cost_of_runs(loop, one, complete) if is_complete else cost_of(loop, one))
+        except Exception as error:  # whatever the reason, as in a process
+            costs.append({"cost": LARGEST, "failure": error_line(error)})
+    return costs
+
+
+def _figures_of_all(
+    loop: Loop, ensemble: Ensemble, case: Case, gains: Sequence[Gains]
+) -> list[Figures | None]:
+    """The figures of a case with each of the gains; None for a run that fails."""
+    vary = {f"{OWN}{name}": [one[name] for one in gains] for name in gains[0]}
+    experiment, figures = loop.experiment(case), list[Figures | None]([None] * len(gains))
+    try:
+        recorded = ensemble.run(experiment, vary)
+    except OrchestrationError:  # of gains that no instance can have
+        return figures
+    for instance in recorded.complete:
+        signals = loop.judged(case, experiment, recorded.recording(instance))
+        figures[instance] = figures_of(signals, case, loop.protocol, figure_names(loop.protocol))
+    return figures
