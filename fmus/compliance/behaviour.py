@@ -41,6 +41,7 @@ from fmus.compliance import (
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.instance_rules import ONLY_ONCE
 from fmus.compliance.library_rules import no_co_simulation
+from fmus.compliance.lifecycle_rules import RANDOM
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import (
     NotApplicableError,
@@ -70,6 +71,7 @@ DEFAULT_TIMEOUT_S = 30.0
 _IS_BROKEN = " is broken"
 _ENDED = "the FMU ended the process with"
 _FORMATS = "formats-of-messages-are-legal"  # a wrong format crashes whatever logs
+_RANDOM_RUNS = "runs-are-not-random"
 _AFTER_OTHERS, _MOST_CRASHES = "instances-follow-each-other", 2
 _HUNG, _MOST_HANGS = "took more than", 3  # then the rest is not judged: it would take minutes
 _OF_THE_HOST = ("ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EMFILE", "ENFILE", "EIO", "ENOMEM", "EAGAIN")
@@ -243,12 +245,13 @@ def _breach(result: Result) -> str:
     """Why what needs a rule is not judged: it has an error, or is not judged because another one has."""
     if result.outcome == "error":
         return f"{result.rule.name}{_IS_BROKEN}"
-    return result.not_judged if result.not_judged.endswith(_IS_BROKEN) else ""
+    return result.not_judged if result.not_judged.endswith((_IS_BROKEN, RANDOM)) else ""
 
 
 def _judge(rule: Rule, probe: Probe, results: Mapping[str, Result]) -> Result:
     needed = [results[name] for name in (*FUNDAMENTAL, *rule.needs) if name in results]
-    if reason := next(filter(None, map(_breach, needed)), ""):
+    reason = next(filter(None, map(_breach, needed)), "")
+    if reason and not (reason == RANDOM and rule.name == _RANDOM_RUNS):
         return Result(rule, not_judged=reason)
     try:
         return Result(rule, messages_of(rule.check(probe)))

@@ -13,6 +13,7 @@ _NAMING = "2.1.1 Header Files and Naming of Functions"
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
 _WRONG_GUID = "{00000000-0000-0000-0000-000000000000}"
 _STEPS, _MANY_STEPS = 5, 30
+RANDOM = "the outputs are random"
 
 
 @rule(_NAMING, Stage.BEHAVIOUR)
@@ -76,7 +77,35 @@ def frees_in_every_state(probe: Probe) -> Iterator[str]:
 
 @rule("4.1.2 Mathematical Model", Stage.BEHAVIOUR)
 def runs_are_repeatable(probe: Probe) -> Iterator[str]:
-    """The same calls give the same outputs in every instance."""
+    """The same calls give the same outputs in every instance, if they do so in every process."""
+    different, is_random = _compared(probe)
+    if is_random:
+        raise NotJudgedError(RANDOM)
+    yield from different
+
+
+@rule("advice: 4.1.2 knows no random numbers", Stage.BEHAVIOUR, Level.WARNING)
+def runs_are_not_random(probe: Probe) -> Iterator[str]:
+    """The same calls give the same outputs in every process; otherwise nothing else is judged."""
+    different, is_random = _compared(probe)
+    if is_random:
+        yield from different
+
+
+def _compared(probe: Probe) -> tuple[list[str], bool]:
+    """How the outputs of a second instance differ, and whether they do so too in a process of its own."""
+
+    def compare() -> tuple[list[str], bool]:
+        different = list(_differences(probe))
+        if not different or probe.process.one_instance:
+            return different, bool(different)
+        with probe.process.in_new_processes():
+            return different, bool(list(_differences(probe)))
+
+    return probe.once("comparison of two instances", compare)
+
+
+def _differences(probe: Probe) -> Iterator[str]:
     one, other = probe.script().begin(), probe.script(visible=False).begin()
     first, second = one.run(5), other.run(5)
     one.play()

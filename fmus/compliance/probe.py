@@ -6,8 +6,8 @@ import itertools
 import math
 import re
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -54,7 +54,7 @@ class FmuProcess:
         one_instance: bool = False,
     ) -> None:
         self.deadline = deadline
-        self._files, self._one_instance = (library, resources), one_instance
+        self._files, self.one_instance = (library, resources), one_instance
         self._numbers = itertools.count()
         self._start(started or start_process())
 
@@ -68,7 +68,7 @@ class FmuProcess:
 
     def calls(self, calls: Sequence[Call]) -> list[Any]:
         """The results of calls of `LoadedFmu`. Raises CallError for the first that fails."""
-        if not self._one_instance:
+        if not self.one_instance:
             return self._calls(calls)
         results = []
         for call in calls:
@@ -83,6 +83,15 @@ class FmuProcess:
                     self._alive.discard(number)
             results += self._calls([call])
         return results
+
+    @contextmanager
+    def in_new_processes(self) -> Iterator[None]:
+        """A context in which each instance is the first one of its process."""
+        before, self.one_instance, self._has_created = self.one_instance, True, True
+        try:
+            yield
+        finally:
+            self.one_instance = before
 
     def _calls(self, calls: Sequence[Call]) -> list[Any]:
         expected = next(self._numbers)

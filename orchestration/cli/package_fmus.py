@@ -26,15 +26,18 @@ def build_ramp_source(source: RampSource, folder: Path) -> Path:
 
 
 def build_started(fmu: Path, starts: Mapping[str, FmiValue], folder: Path) -> Path:
-    """The FMU with other start values, written to a folder; as it is if it is not an installed block's."""
+    """The FMU with other start values, written to a folder; as it is if it is no native one of an installed
+    block: the python flavour carries the modules of its block, which state the start values.
+    """
     known = block_fmus([fmu])
     numbers = {name: value for name, value in starts.items() if not isinstance(value, str)}
     if not known or not numbers:
         return fmu
     ((name, flavour),) = known
+    if flavour is not Flavour.NATIVE:
+        return fmu
     block = with_start_values(catalogue.load_block(name), numbers)
-    platforms = _platforms(fmu) if flavour is Flavour.NATIVE else ()
-    return catalogue.build_block(block, folder, flavour, platforms)
+    return catalogue.build_block(block, folder, platforms=_platforms(fmu))
 
 
 def _platforms(fmu: Path) -> Sequence[str]:

@@ -197,9 +197,10 @@ class StepControl:
     def _solver_warning(self, output: str, time: float, size: float) -> str:
         assert self.tolerance
         return (
-            f"tolerance = {self.tolerance.relative:g} is not met: at t = {time:.9g} s the error of {output} "
-            f"does not fall with the step, here {size:.3g} s, as its FMU's own solver leaves it; the step "
-            "stays as long, and the recording holds the error that is reached (provenance: solver_error)"
+            f"tolerance = {self.tolerance.relative:g} may not be met: at t = {time:.9g} s the error of "
+            f"{output} does not fall with the step, here {size:.3g} s, as its FMU's own solver leaves it; "
+            "the step stays as long, and the recording holds the error that is reached "
+            "(provenance: solver_error)"
         )
 
     def _check_can_be_shorter(self, start: float, size: float) -> None:

@@ -77,6 +77,26 @@ def test_every_block_runs_without_an_error_or_a_warning(
         assert least_difference(answer, ours, own)[1] < ROUNDING
 
 
+@pytest.mark.parametrize("importer", IMPORTERS)
+def test_fmus_of_the_python_flavour_run_in_importers_that_python_calls(
+    importer: str, python_built: Mapping[str, Path], tmp_path: Path
+) -> None:
+    """PythonFMU's library takes the interpreter of the process, which an importer without Python lacks."""
+    plant, controller = (python_built[name] for name in ("RovDepthPlant", "PidDepthController"))
+    (tmp_path / "python.toml").write_text(
+        'connections = [["plant.measured_depth", "controller.measured_depth"],'
+        ' ["controller.voltage[1]", "plant.voltage[1]"], ["controller.voltage[2]", "plant.voltage[2]"]]\n'
+        f'[components]\nplant = "{plant}"\ncontroller = "{controller}"\n'
+        '[experiment]\nstop_time = 1.0\nstep_size = 0.02\nopen_inputs = "start"\n'
+    )
+    chosen = scenario.load(tmp_path / "python.toml")
+    job = replace(packaged(chosen, tmp_path), output="plant.depth")
+    answer = run_isolated(importer, job)
+    assert isinstance(answer, Trajectory), answer
+    assert np.ptp(answer.values) > 0.0
+    assert least_difference(answer, simulate(chosen.system, chosen.experiment), job)[1] < ROUNDING
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_a_native_fmu_breaks_no_rule(built: Mapping[str, Path], name: str) -> None:
     """No error, no warning: of what is built by default, for this platform."""

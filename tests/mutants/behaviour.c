@@ -15,6 +15,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
+#include <time.h>
 #include <unistd.h>
 
 #include "fmi2Functions.h"
@@ -480,6 +481,11 @@ static void integrate(Slave *s, double h) {
     if (!IS("derivatives of inputs have no effect")) u = d->real[U] + (IS("derivatives of inputs backwards") ? -1 : 1) * d->input_rate * h;
     d->steps++;
     if (IS("steps at random")) d->real[X] += 1e-3 * rand() / RAND_MAX;
+    if (IS("steps follow the clock")) {
+        struct timespec now;
+        clock_gettime(CLOCK_REALTIME, &now);
+        d->real[X] += 1e-12 * (double)now.tv_nsec;
+    }
     d->input_rate = 0;
     outputs(d, u);
 }

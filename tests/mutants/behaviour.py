@@ -99,6 +99,7 @@ _PLAIN = [
     ("no second life", "2.1.5", "instantiates-and-frees"),
     ("only one instance at a time", "2.1.5", "several-instances"),
     ("states of all instances", "2.1.5", "runs-are-repeatable"),
+    ("steps follow the clock", "4.1.2", "runs-are-not-random"),
     ("an instance after others crashes", "2.1.5", "instances-follow-each-other"),
     ("keeps the pointer to its name", "2.1.5", "arguments-of-instantiation-are-copied"),
     ("keeps the pointer to the location", "2.1.5", "arguments-of-instantiation-are-copied"),

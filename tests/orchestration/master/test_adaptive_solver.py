@@ -62,7 +62,9 @@ def test_steps_get_no_shorter_for_the_error_of_the_solver(
     motor: Build, linear: Build, tolerance: float
 ) -> None:
     """A solver of 1e-2 leaves up to that in each of its steps, in long and in short communication steps."""
-    with pytest.warns(FmuWarning, match=r"tolerance = .* is not met: .* error of motor\.\w+ does not fall"):
+    with pytest.warns(
+        FmuWarning, match=r"tolerance = .* may not be met: .* error of motor\.\w+ does not fall"
+    ):
         run = run_with(motor, linear, 1e-2, tolerance)
     reached, steps = run.provenance["solver_error"], run.provenance["steps_between_points"]
     assert 0 < reached["steps"] <= steps
