@@ -90,12 +90,12 @@ def _without_independent(fmu: FmuFile) -> str:
 )
 def time_is_the_communication_point(probe: Probe) -> Iterator[str]:
     """The independent variable is the start time after initialisation, and then the end of the last step,
-    also of steps of other sizes.
+    also of its multiples: after a fraction, an FMU of fixed internal steps may be behind.
     """
     independent = [v for v in probe.fmu.variables if v.causality == "independent"]
     if not probe.states_step_size:
         raise NotJudgedError("no step size is stated, and an internal step may be longer than others")
-    factors = (1.0, 2.0, 0.5) if probe.fmu.claims(_ANY_STEP) else (1.0, 1.0, 1.0)
+    factors = (1.0, 2.0, 3.0) if probe.fmu.claims(_ANY_STEP) else (1.0, 1.0, 1.0)
     for start in (probe.start_time, probe.start_time + 3 * probe.step_size):
         script, t = probe.script().begin(start), start
         rows = [(script.replies[-1], script.read(independent), start)]

@@ -47,7 +47,7 @@ typedef struct {
 static const char GUID[] = "{5ba0ed5f-5d2c-4f3d-9a0b-2f1a0a1b9a5e}";
 static char mutation[64];
 /* from the second line of the file */
-static int own_memory, asynchronous, finishes_all, one_step_size, discards_all, discards_late, warns, once, iterates;
+static int own_memory, asynchronous, finishes_all, one_step_size, discards_all, discards_late, warns, once, iterates, internal_steps;
 static Data shared;
 static int instances;
 
@@ -190,6 +190,7 @@ static int read_mutation(const char *uri) {
     warns = !!strstr(flags, "warns");
     once = !!strstr(flags, "once");
     iterates = !!strstr(flags, "iterates");
+    internal_steps = !!strstr(flags, "internal steps");
     if (!IS("files stay open")) fclose(file);
     return 1;
 }
@@ -390,6 +391,7 @@ static double real_of(Slave *s, const Data *d, unsigned reference, size_t place)
     if (IS("fixed values that move") && reference == TWICE) return d->real[TWICE] + d->steps;
     if (IS("inputs that are forgotten") && reference == U && d->steps) return 0;
     if (IS("time stands still") && reference == TIME) return 0;
+    if (internal_steps && reference == TIME) return 0.1 * floor(d->real[TIME] / 0.1 + 1e-6);
     (void)s;
     return d->real[reference];
 }

@@ -324,6 +324,7 @@ LEGAL = (
     ("warns", _ALIAS_OF_THE_STATE, ()),
     ("once", _ONLY_ONCE, ()),
     ("iterates", (), ()),
+    ("internal steps", (), ()),
     ("one step size", _STATES_NO_STEP_SIZE, ()),
     ("discards all", _ONE_STEP_SIZE, ()),
     ("discards late", _ONE_STEP_SIZE, ()),
