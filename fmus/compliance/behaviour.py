@@ -44,6 +44,7 @@ from fmus.compliance.library_rules import no_co_simulation
 from fmus.compliance.lifecycle_rules import RANDOM
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import (
+    Level,
     NotApplicableError,
     NotJudgedError,
     Result,
@@ -181,8 +182,11 @@ def _without_instances_before(
         return {rule.name: judge_alone()}
     if only_once or not crashes or follow is None:
         return {rule.name: result}
-    if len(follow.messages) >= _MOST_CRASHES:
+    is_advice = rule.level is Level.WARNING  # it may have made calls that FMI forbids
+    if len(follow.messages) >= (1 if is_advice else _MOST_CRASHES):
         return {rule.name: Result(rule, not_judged=f"{_AFTER_OTHERS}{_IS_BROKEN}")}
+    if is_advice:
+        return {rule.name: result}
     alone = judge_alone()
     if any(message in alone.messages for message in crashes):
         return {rule.name: result}

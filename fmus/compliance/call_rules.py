@@ -121,7 +121,7 @@ def _forbidden_transfers(probe: Probe) -> Iterator[tuple[Script, Reply]]:
         yield script, script.call("directional_derivatives", outputs, inputs, [1.0])
 
 
-@rule("advice: calls that 4.2.4 and 4.2.2 forbid to importers", Stage.BEHAVIOUR, Level.WARNING)
+@rule("advice: calls that 4.2.4 and 4.2.2 forbid to importers", Stage.BEHAVIOUR, Level.WARNING, last=True)
 def forbidden_calls_are_refused(probe: Probe) -> Iterator[str]:
     """A call that its state forbids, a fixed parameter or an output set while stepping, a step that is not
     above 0 or does not start at the present, or a derivative of order 0 is refused.
