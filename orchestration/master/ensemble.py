@@ -14,15 +14,16 @@ from fmus.platforms import INSTRUCTION_SETS, instruction_sets
 from orchestration.errors import EnsembleError, OrchestrationError
 from orchestration.fmi.description import describe, is_independent
 from orchestration.fmi.instance import FmuInstance
+from orchestration.master.checked_systems import CheckedSystems
 from orchestration.master.ensemble_checks import Vary, check_supported, checked_values
 from orchestration.master.ensemble_loop import EnsembleLoop, build_loop, check_memory, loop_library
 from orchestration.master.ensemble_recording import EnsembleRecording
-from orchestration.master.initialisation import ConnectionGroup, connection_groups, initialise
+from orchestration.master.initialisation import ConnectionGroup, initialise
 from orchestration.master.lane_library import lane_library
 from orchestration.system.experiment import Experiment
-from orchestration.system.open_inputs import OpenInputs
-from orchestration.system.prepared_run import PreparedRun, prepare_checked
-from orchestration.system.system import System, check
+from orchestration.system.prepared_again import PreparedRuns
+from orchestration.system.prepared_run import PreparedRun
+from orchestration.system.system import System
 
 
 class Ensemble(AbstractContextManager["Ensemble"]):
@@ -51,6 +52,7 @@ class Ensemble(AbstractContextManager["Ensemble"]):
         self._instances: dict[str, FmuInstance] = {}
         self._running = threading.Lock()
         self._descriptions = {name: describe(path) for name, path in system.components.items()}
+        self._checked, self._prepared_runs = CheckedSystems(system, self._descriptions), PreparedRuns()
         for name, description in self._descriptions.items():
             if not is_independent(description):
                 raise EnsembleError(
@@ -101,9 +103,8 @@ class Ensemble(AbstractContextManager["Ensemble"]):
         threads: int,
         progress: Callable[[int, int], object] | None,
     ) -> EnsembleRecording:
-        open_inputs = OpenInputs(experiment.open_inputs)
-        system = check(self.system, experiment.driven_inputs, self._descriptions, open_inputs)
-        prepared, groups = prepare_checked(system, experiment), connection_groups(system)
+        system, groups = self._checked.check(experiment)
+        prepared = self._prepared_runs.prepare(system, experiment)
         check_supported(prepared, groups)
         values = checked_values(prepared, vary)
         count = len(next(iter(values.values())))
@@ -112,7 +113,8 @@ class Ensemble(AbstractContextManager["Ensemble"]):
         can_begin = ~loop.failure.ravel()[:count].astype(bool)
         reasons = {i: self._reason(prepared, groups, values, i) for i in np.flatnonzero(~can_begin).tolist()}
         with ThreadPoolExecutor(threads) as pool:
-            for group, _ in enumerate(pool.map(loop.run_group, range(len(loop.rows)))):
+            apply = pool.map if threads > 1 else map
+            for group, _ in enumerate(apply(loop.run_group, range(len(loop.rows)))):
                 if progress:
                     progress(min(count, (group + 1) * LANES), count)
         for instance in np.flatnonzero(can_begin & (loop.failure.ravel()[:count] != 0)).tolist():
@@ -137,7 +139,7 @@ class Ensemble(AbstractContextManager["Ensemble"]):
         common = {name: self._values(name) for name in self._libraries}
         loop = build_loop(prepared, self._libraries, self.instructions, common, count)
         for name, values in vary.items():
-            padded = np.pad(np.array(values, float), (0, -count % LANES), mode="edge")
+            padded = np.array([*values, *values[-1:] * (-count % LANES)], float)
             loop.values(prepared.system.ports[name])[:] = padded.reshape(-1, LANES)
         for name, library in self._libraries.items():
             steps = loop.memory[name][:, LANES * library.internal_step :][:, :LANES]

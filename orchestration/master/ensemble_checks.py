@@ -9,7 +9,7 @@ from orchestration.errors import EnsembleError, SystemDefinitionError
 from orchestration.master.initialisation import ConnectionGroup
 from orchestration.system.prepared_run import PreparedRun, has_start_value
 from orchestration.system.system import Port
-from orchestration.system.values import Value, fmi_value, items
+from orchestration.system.values import Value, fmi_values, items
 
 Vary = Mapping[str, Sequence[Value] | np.ndarray]
 
@@ -31,7 +31,7 @@ def check_supported(prepared: PreparedRun, groups: Sequence[ConnectionGroup]) ->
             _not_items(port, [value]) for changes in prepared.changes.values() for port, value in changes
         ),
         "a signal with a number that is no item": any(
-            _not_items(prepared.system.ports[name], values.tolist())
+            _not_items(prepared.system.ports[name], values)
             for name, values in zip(experiment.signals, prepared.signal_values, strict=True)
         ),
     }
@@ -54,7 +54,7 @@ def checked_values(prepared: PreparedRun, vary: Vary) -> dict[str, list[FmiValue
                 f"vary: {name}: expected a parameter or a constant input, got {driven}"
             )
     ports = prepared.system.ports
-    checked = {name: [fmi_value(ports[name], value) for value in values] for name, values in vary.items()}
+    checked = {name: fmi_values(ports[name], values) for name, values in vary.items()}
     for name, values in checked.items():
         for value in _not_items(ports[name], values):
             numbers = ", ".join(f"{item} ({number})" for item, number in items(ports[name]).items())
@@ -62,6 +62,6 @@ def checked_values(prepared: PreparedRun, vary: Vary) -> dict[str, list[FmiValue
     return checked
 
 
-def _not_items(port: Port, values: Iterable[FmiValue]) -> set[FmiValue]:
+def _not_items(port: Port, values: Iterable[FmiValue] | np.ndarray) -> set[FmiValue]:
     """The numbers that an Enumeration does not have: none for another type."""
     return {*values} - {*items(port).values()} if port.variable.type == "Enumeration" else set()

@@ -13,7 +13,7 @@ from fmus.errors import ExportError
 from fmus.lanes import LANES
 from orchestration.errors import EnsembleError
 from orchestration.master.initialisation import ConnectionGroup
-from orchestration.master.lane_library import LaneLibrary, aligned_zeros, load_compiled
+from orchestration.master.lane_library import LaneLibrary, aligned, load_compiled
 from orchestration.system.experiment import Algorithm
 from orchestration.system.experiment_checks import check_fits
 from orchestration.system.prepared_run import PreparedRun
@@ -214,7 +214,7 @@ def build_loop(
     groups = -(-count // LANES)
     memory = {name: library.memory(groups, values[name]) for name, library in libraries.items()}
     points = len(prepared.points)
-    rows = aligned_zeros(groups, len(prepared.recorded), points, LANES)
+    rows = aligned(groups, len(prepared.recorded), points, LANES)
     recorded, failure = np.full((groups, LANES), points), np.zeros((groups, LANES), np.int64)
     return EnsembleLoop(prepared, libraries, instructions, memory, rows, recorded, failure)
 

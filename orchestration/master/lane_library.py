@@ -50,7 +50,8 @@ class LaneLibrary:
 
         values: of the variables by value reference, those of every instance
         """
-        memory = aligned_zeros(groups, self.words)
+        memory = aligned(groups, self.words)
+        memory[:] = 0.0
         memory[:, : self.variables * LANES] = np.repeat(values, LANES)
         for group in memory:
             self._clear(group.ctypes.data)
@@ -74,9 +75,9 @@ class LaneLibrary:
         return words[_FIRST_VALUE : _FIRST_VALUE + self.variables]
 
 
-def aligned_zeros(*shape: int) -> np.ndarray:
-    """An array at an address that vectors need."""
-    memory, count = np.zeros(math.prod(shape) + LANES), math.prod(shape)
+def aligned(*shape: int) -> np.ndarray:
+    """An array at an address that vectors need, of any values."""
+    memory, count = np.empty(math.prod(shape) + LANES), math.prod(shape)
     first = -memory.ctypes.data % (8 * LANES) // 8
     return memory[first : first + count].reshape(shape)
 

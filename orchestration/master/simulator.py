@@ -11,11 +11,12 @@ import numpy as np
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.fmi.description import describe
 from orchestration.fmi.instance import FmuInstance
+from orchestration.master.checked_systems import CheckedSystems
 from orchestration.master.checkpoint import Checkpoint, Checkpoints, check_can_save, restore
 from orchestration.master.compiled_loop import compiled_loop
 from orchestration.master.error_estimate import with_error_estimate
 from orchestration.master.failure import reason_of
-from orchestration.master.initialisation import ConnectionGroup, connection_groups, initialise
+from orchestration.master.initialisation import ConnectionGroup, initialise
 from orchestration.master.interrupt import deferred_interrupt
 from orchestration.master.loop import python_loop
 from orchestration.master.loop_data import Report, Storage
@@ -26,10 +27,9 @@ from orchestration.master.stepped_run import SteppedRun
 from orchestration.master.stepping import Progress, RunInProgress
 from orchestration.master.wiring import WiredRun, build_wiring
 from orchestration.results.recording import Recording
-from orchestration.system.experiment import Experiment, OpenInputsName
-from orchestration.system.open_inputs import OpenInputs
+from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_again import PreparedRuns
-from orchestration.system.system import CheckedSystem, System, check
+from orchestration.system.system import System
 
 
 class Simulator(StepByStep, AbstractContextManager["Simulator"]):
@@ -60,9 +60,7 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
         self._first_batch = 1
         self._prepared_runs = PreparedRuns()
         self._wired: WiredRun | None = None  # of the run before
-        self._checked: dict[
-            tuple[tuple[str, ...], str], tuple[CheckedSystem, tuple[ConnectionGroup, ...]]
-        ] = {}
+        self._checked = CheckedSystems(system, self._descriptions)
 
     def run(
         self,
@@ -88,7 +86,7 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
         with self._begin_run():
             pacing = None if real_time is None else Pacing(real_time)
             if checkpoints or resume:
-                check_can_save(self._check(experiment.driven_inputs, experiment.open_inputs)[0])
+                check_can_save(self._checked.check(experiment)[0])
             wired, groups, guard = self._prepare_run(experiment, (), storage)
             threads = self._threads if storage is None else 1  # who watches a call asks for one
             run = RunInProgress(wired, self._loop(wired.wiring), guard, threads)
@@ -177,8 +175,7 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
         self, experiment: Experiment, external: tuple[str, ...], storage: Storage | None = None
     ) -> tuple[WiredRun, tuple[ConnectionGroup, ...], ProcessGuard]:
         """Check an experiment, load or reset the FMUs and wire them."""
-        driven = (*experiment.driven_inputs, *(name for name in external if name not in experiment.inputs))
-        system, groups = self._check(driven, experiment.open_inputs)
+        system, groups = self._checked.check(experiment, external)
         runs = self._prepared_runs
         prepared = runs.prepare(system, experiment, external)
         earlier = self._wired if runs.only_values_differ else None
@@ -194,16 +191,6 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
             wired = build_wiring(prepared, self._instances, storage)
         self._wired = wired.without_rows()
         return wired, groups, guard
-
-    def _check(
-        self, driven: tuple[str, ...], open_inputs: OpenInputsName
-    ) -> tuple[CheckedSystem, tuple[ConnectionGroup, ...]]:
-        """The checked system and its groups of initial values, computed once for the same driven inputs."""
-        key = driven, open_inputs
-        if key not in self._checked:
-            system = check(self.system, driven, self._descriptions, OpenInputs(open_inputs))
-            self._checked[key] = system, connection_groups(system)
-        return self._checked[key]
 
     def _load_or_reset(self, report: np.ndarray, guard: ProcessGuard) -> None:
         """Load the FMUs that are not loaded, and reset the used ones."""

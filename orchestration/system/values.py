@@ -3,6 +3,7 @@
 import math
 import reprlib
 import sys
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -29,6 +30,16 @@ def fmi_value(port: Port, value: Value) -> FmiValue:
     if variable.type == "String":
         return str(plain)
     return _number(port, plain)
+
+
+def fmi_values(port: Port, values: Sequence[Value] | np.ndarray) -> list[FmiValue]:
+    """The values as the FMU takes them, as `fmi_value`."""
+    if port.variable.type == "Real" and all(type(value) is float for value in values):
+        low, high = value_range(port)
+        numbers = np.array(values)
+        if (np.isfinite(numbers) & (low <= numbers) & (numbers <= high)).all():
+            return numbers.tolist()
+    return [fmi_value(port, value) for value in values]
 
 
 def _number(port: Port, value: FmiValue) -> float | int | bool:
