@@ -18,6 +18,7 @@ from fmus.statement_order import as_late_as_possible
 SOURCE = "lanes.c"
 LANES = 8
 """Instances of a group: a vector of as many doubles is one register of some processors, two of others."""
+_OWN_HEADERS = ("lane_functions.h", "lane_sine.h")
 _HEADERS = ("variables.h", "model.h")  # of the FMU, that the source includes
 _CODE = "model_code.h"
 _FUNCTIONS = tuple(
@@ -71,8 +72,9 @@ def lane_sources(fmu: Path) -> dict[str, str]:
         code = lane_code(texts.pop(_CODE))
     except ExportError as error:
         raise ExportError(f"{fmu}: sources/{_CODE}: {error}; build the FMU again") from None
-    source = (resources.files("fmus") / "templates" / SOURCE).read_text("utf-8")
-    return texts | {SOURCE: source, "model_lanes.h": code}
+    templates = resources.files("fmus") / "templates"
+    own = {name: (templates / name).read_text("utf-8") for name in (SOURCE, *_OWN_HEADERS)}
+    return texts | own | {"model_lanes.h": code}
 
 
 def lane_code(code: str) -> str:

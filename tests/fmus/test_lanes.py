@@ -25,7 +25,8 @@ def changed(fmu: Path, path: Path, old: str, new: str) -> Path:
 
 def test_the_sources_of_an_fmu_become_those_of_its_lane_library(built: Mapping[str, Path]) -> None:
     sources = lane_sources(built["ExamplePlant"])
-    assert {SOURCE, "model.h", "variables.h", "model_lanes.h"} == {*sources}
+    own = {SOURCE, "lane_functions.h", "lane_sine.h", "model_lanes.h"}
+    assert {"model.h", "variables.h"} | own == {*sources}
     assert "double *" not in sources["model_lanes.h"]
 
 

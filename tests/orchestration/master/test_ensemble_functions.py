@@ -1,11 +1,13 @@
 """Every function, choice and type of a block has the bits of a single run, the signs of zeros included."""
 
 import itertools
+import math
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from fmus import numerics as n
@@ -112,6 +114,50 @@ BLOCK = Block(
 )
 
 
+@dataclass(frozen=True)
+class WaveParameters:
+    frequency: float = variable(1.0, "Factor of the number")
+
+
+@dataclass(frozen=True)
+class WaveInputs:
+    """None."""
+
+
+@dataclass(frozen=True)
+class WaveState:
+    """x: a number of 0..1 that never repeats"""
+
+    x: float = 0.3
+
+
+@dataclass(frozen=True)
+class WaveOutputs:
+    waves: tuple[float, ...] = variable((0.0,) * 4, "sin and cos of a number, and next to their zeros")
+
+
+def wave_step(t: float, h: float, state: WaveState, inputs: WaveInputs, p: object, c: object) -> WaveState:
+    return WaveState(3.9 * state.x * (1.0 - state.x))
+
+
+def wave_output(t: float, state: WaveState, p: WaveParameters, c: object) -> WaveOutputs:
+    angle, zero = p.frequency * state.x, n.floor(6.0 * p.frequency * state.x) * (math.pi / 2.0)
+    return WaveOutputs((n.sin(angle), n.cos(angle), n.sin(zero), n.cos(zero)))
+
+
+WAVES = Block(
+    "Waves",
+    "Waves of a number",
+    parameters=WaveParameters,
+    inputs=WaveInputs,
+    state=WaveState,
+    outputs=WaveOutputs,
+    step=wave_step,
+    output=wave_output,
+    step_size=0.1,
+)
+
+
 def build(path: Path, block: Block = BLOCK, **options: bool) -> System:
     _, members = native.content(block, **options)
     write_archive(path, members | native.libraries(block.name, members, ()))
@@ -138,6 +184,18 @@ def test_functions_choices_and_types_have_the_bits_of_single_runs(system: System
             one = simulator.run(replace(experiment, parameters=values, inputs=inputs))
             of_ensemble = recorded.recording(instance)
             assert not [name for name in one.names if one[name].tobytes() != of_ensemble[name].tobytes()]
+
+
+@pytest.mark.parametrize("instructions", instruction_sets())
+def test_sin_and_cos_have_the_bits_of_single_runs(tmp_path: Path, instructions: str) -> None:
+    """Of small and large angles, of zeros, and where a result lies in the middle between two numbers."""
+    frequencies = [0.0, 1e-300, 1e-9, 1e-4, -1e-2, 0.1, 1e5, 1e10, 1e300, *np.linspace(-9.0, 9.0, 55)]
+    system, experiment = build(tmp_path / "Waves.fmu", WAVES), Experiment(150.0, 0.1)
+    with Ensemble(system, instructions) as ensemble, Simulator(system) as simulator:
+        recorded = ensemble.run(experiment, {"block.frequency": frequencies})
+        for instance, frequency in enumerate(frequencies):
+            one = simulator.run(replace(experiment, parameters={"block.frequency": frequency}))
+            assert recorded.recording(instance).values.tobytes() == one.values.tobytes()
 
 
 @pytest.mark.parametrize(

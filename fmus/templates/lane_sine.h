@@ -1,0 +1,114 @@
+/* sin and cos of all lanes at once, with the bits of the C library.
+ *
+ * A result of glibc differs from the exact number by less than 0.55 of its last place (sysdeps/ieee754/dbl-64/s_sin.c).
+ * Here that number is high + low to 0.006 of the last place of `high`, the double next to it. Where `low` is below 0.44
+ * of that place, any other double is too far away for glibc, and `high` is its result; in the other lanes, every eighth,
+ * it is called. The arithmetic is that of two doubles (Dekker 1971), which needs the instruction of a fused product. */
+
+#if defined(__GLIBC__) && defined(__FMA__)
+
+INLINE Lanes lanes_fma(Lanes x, Lanes y, Lanes z) { return __builtin_elementwise_fma(x, y, z); }
+
+/* first + second = result + rest, where the first one is the larger. */
+INLINE Lanes two_sum(Lanes first, Lanes second, Lanes *rest) {
+    const Lanes result = first + second;
+    *rest = first - result + second;
+    return result;
+}
+
+/* first * second = result + rest */
+INLINE Lanes two_product(Lanes first, Lanes second, Lanes *rest) {
+    const Lanes result = first * second;
+    *rest = lanes_fma(first, second, -result);
+    return result;
+}
+
+enum { N_TERMS = 7 };
+
+INLINE Lanes polynomial(Lanes x, const double coefficients[N_TERMS]) {
+    Lanes result = all(coefficients[0]);
+    for (int i = 1; i < N_TERMS; i++) result = lanes_fma(result, x, all(coefficients[i]));
+    return result;
+}
+
+/* sin(x + rest) = result + low, |x| <= pi / 4, by Taylor's series; square + square_rest = (x + rest)^2. */
+INLINE Lanes sin_kernel(Lanes x, Lanes rest, Lanes square, Lanes square_rest, Lanes *low) {
+    static const double coefficients[N_TERMS] = {1 / 355687428096000., -1 / 1307674368000., 1 / 6227020800.,
+                                                 -1 / 39916800.,       1 / 362880.,         -1 / 5040.,
+                                                 1 / 120.};
+    Lanes inner_rest, outer_rest, last;
+    const Lanes inner = two_sum(all(-0x1.5555555555555p-3), square * polynomial(square, coefficients), &inner_rest);
+    const Lanes outer = two_product(square, inner, &outer_rest);
+    const Lanes more = two_product(x, outer, &last);
+    const Lanes result = two_sum(x, more, low);
+    inner_rest += -0x1.5555555555555p-57; /* of -1/6 */
+    outer_rest += square * inner_rest + square_rest * inner;
+    *low += last + (x * outer_rest + (rest + rest * outer));
+    return result;
+}
+
+/* cos of the same */
+INLINE Lanes cos_kernel(Lanes square, Lanes square_rest, Lanes *low) {
+    static const double coefficients[N_TERMS] = {1 / 6402373705728000., -1 / 20922789888000., 1 / 87178291200.,
+                                                 -1 / 479001600.,       1 / 3628800.,         -1 / 40320.,
+                                                 1 / 720.};
+    Lanes inner_rest, outer_rest, last, first_rest;
+    const Lanes inner = two_sum(all(0x1.5555555555555p-5), -(square * polynomial(square, coefficients)), &inner_rest);
+    const Lanes outer = two_product(square, inner, &outer_rest);
+    const Lanes more = two_product(square, outer, &last);
+    const Lanes first = two_sum(all(1), square * -0.5, &first_rest);
+    const Lanes result = two_sum(first, more, low);
+    inner_rest += 0x1.5555555555555p-59; /* of 1/24 */
+    outer_rest += square * inner_rest + square_rest * inner;
+    *low += first_rest + (last + (square * outer_rest + square_rest * (outer - 0.5)));
+    return result;
+}
+
+/* sin(x + quarters pi / 2), and the lanes where it is certain. Of pi / 2 there are two doubles. x less a multiple of the
+ * first one is exact; what lacks in the second one is below 2^-66 of the difference, for the x and differences that are
+ * let through. */
+INLINE Mask turned_sin(Lanes x, int quarters, Lanes *result) {
+    static const double half_pi = 0x1.921fb54442d18p+0, half_pi_rest = 0x1.1a62633145c07p-54, to_integer = 0x1.8p52;
+    Lanes rest, square_rest, high = {0}, low = {0};
+    const Lanes shifted = x * 0x1.45f306dc9c883p-1 + to_integer, multiple = shifted - to_integer;
+    const Lanes difference = lanes_fma(multiple, all(-half_pi), x);
+    const Lanes y = two_sum(difference, multiple * -half_pi_rest, &rest);
+    const Lanes square = two_product(y, y, &square_rest);
+    const Mask quadrant = (Mask)shifted + quarters, is_cosine = (quadrant & 1) != 0;
+    square_rest += 2 * y * rest;
+    if (any(~is_cosine)) high = sin_kernel(y, rest, square, square_rest, &low);
+    if (any(is_cosine)) {
+        Lanes cos_low;
+        const Lanes cos_high = cos_kernel(square, square_rest, &cos_low);
+        high = choice(is_cosine, cos_high, high);
+        low = choice(is_cosine, cos_low, low);
+    }
+    high = two_sum(high, low, &low);
+    *result = (Lanes)((Mask)high ^ ((quadrant & 2) << 62)); /* the sign */
+    const Mask is_reduced = (Mask)(lanes_fabs(x) < 0x1p20) & (Mask)(lanes_fabs(difference) > 0x1p-20);
+    return (Mask)(high + low * 1.140625 == high) & is_reduced;
+}
+
+#define DEFINE_SINE(name, quarters)                                                          \
+    INLINE Lanes lanes_##name(Lanes x, Lanes *memory) {                                      \
+        if (any((Mask)x != (Mask)memory[0])) {                                               \
+            Lanes results = {0};                                                             \
+            Mask is_certain = {0};                                                           \
+            memory[0] = x;                                                                   \
+            HIDE(x);                                                                         \
+            if (!__builtin_constant_p(x[0])) is_certain = turned_sin(x, quarters, &results); \
+            EACH_LANE if (!is_certain[lane]) results[lane] = name(x[lane]);                  \
+            memory[1] = results;                                                             \
+        }                                                                                    \
+        return memory[1];                                                                    \
+    }
+
+DEFINE_SINE(sin, 0)
+DEFINE_SINE(cos, 1)
+
+#else
+
+DEFINE_FUNCTION(sin)
+DEFINE_FUNCTION(cos)
+
+#endif
