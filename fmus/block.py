@@ -273,15 +273,17 @@ def flatten(value: Any) -> list[Any]:
 
 def _collect(value: Any, scalars: list[Any]) -> None:
     if isinstance(value, tuple):
-        for element in value:
-            _collect(element, scalars)
-        return
-    names = _member_names(value if isinstance(value, type) else type(value))
-    if names is None:
-        scalars.append(value)
+        members = value
+    elif (names := _member_names(value if isinstance(value, type) else type(value))) is not None:
+        members = [getattr(value, name) for name in names]
     else:
-        for name in names:
-            _collect(getattr(value, name), scalars)
+        scalars.append(value)
+        return
+    for member in members:
+        if member.__class__ is float:  # as most are: no call for each
+            scalars.append(member)
+        else:
+            _collect(member, scalars)
 
 
 @cache
@@ -306,13 +308,19 @@ def unflatten(template: Any, scalars: list[Any]) -> Any:
 
 
 def _fill(template: Any, scalars: Iterator[Any]) -> Any:
+    if template.__class__ is float:
+        return next(scalars)
     if isinstance(template, tuple):
         return tuple([_fill(element, scalars) for element in template])
-    if is_dataclass(template):
-        cls = template if isinstance(template, type) else type(template)
-        return cls(*[_fill(_default(template, member), scalars) for member in fields(template)])
-    return next(scalars)
+    cls = template if isinstance(template, type) else type(template)
+    if (names := _member_names(cls)) is None:
+        return next(scalars)
+    if template is cls:
+        return cls(*[_fill(member, scalars) for member in _defaults(cls)])
+    return cls(*[_fill(getattr(template, name), scalars) for name in names])
 
 
-def _default(template: Any, member: Field) -> Any:
-    return member.default if isinstance(template, type) else getattr(template, member.name)
+@cache
+def _defaults(cls: type) -> tuple[Any, ...]:
+    """Of the members of a dataclass."""
+    return tuple(member.default for member in fields(cls))

@@ -213,6 +213,8 @@ class _Comparison:
         self, result: Any, numbers: list[float], others: list[float], allowed: list[float], how: str
     ) -> None:
         """ExportError for the first number that is not near the other; `how` says where that is from."""
+        if all(map(_are_near, numbers, others, allowed)):
+            return
         names = _names(result) if is_dataclass(result) else (f"({text})" for _, text in result)
         for name, x, y, difference in zip(names, numbers, others, allowed, strict=True):
             if not _are_near(x, y, difference):
