@@ -1,33 +1,29 @@
-"""The FMI 2.0 binding: the library of an unpacked FMU, callbacks of an instance, calls of its functions."""
+"""The FMI 2.0 binding: the library of an unpacked FMU, and calls of its functions for an instance."""
 
 import contextlib
 import ctypes
-import functools
-import itertools
-import shutil
-import tempfile
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
-import fmpy
-import numpy as np
-from fmpy import fmi2
-
+from fmus.callbacks import Callbacks
 from fmus.errors import ExportError
-from fmus.platforms import host_platform, library_name
+from fmus.platforms import SHARED_LIBRARY_SUFFIX, SYSTEM_PLATFORM, host_platform, library_name
 
 OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)  # fmi2Status
-LAST_SUCCESSFUL_TIME, TERMINATED = 2, 3  # fmi2StatusKind
+DO_STEP_STATUS, LAST_SUCCESSFUL_TIME, TERMINATED = 0, 2, 3  # fmi2StatusKind
 _STATUS_NAMES = ("ok", "warning", "discard", "error", "fatal", "pending")
 
-# type of the functions that transfer numbers -> ctypes element
-ELEMENTS = {"Real": fmi2.fmi2Real, "Integer": fmi2.fmi2Integer, "Boolean": fmi2.fmi2Boolean}
+# type of the functions that transfer numbers -> ctypes element, as fmi2TypesPlatform.h has it
+ELEMENTS = {"Real": ctypes.c_double, "Integer": ctypes.c_int, "Boolean": ctypes.c_int}
+_FALSE, _TRUE = 0, 1  # fmi2Boolean
+CO_SIMULATION = 1  # fmi2Type
 
 
 def element_type(transfer_type: str) -> Any:
-    return fmi2.fmi2String if transfer_type == "String" else ELEMENTS[transfer_type]
+    return ctypes.c_char_p if transfer_type == "String" else ELEMENTS[transfer_type]
 
 
 def status_name(status: int) -> str:
@@ -36,19 +32,20 @@ def status_name(status: int) -> str:
 
 
 def platform_name() -> str:
-    """The FMI name of this machine's platform, or else FMPy's name of it."""
+    """The FMI name of this machine's platform, or else the name of its system and address size."""
     try:
         return host_platform()
     except ExportError:
-        return fmpy.platform
+        return SYSTEM_PLATFORM
 
 
 def library_member(members: Collection[str], model_identifier: str) -> str | None:
     """The path inside an FMU of the library that this machine loads; None if there is none.
 
-    members: the paths in the FMU. The folder of the FMI platform comes first, then the folder that FMPy uses.
+    members: the paths in the FMU. The folder of the FMI platform comes first, then the folder that FMPy uses,
+    which tells no processor.
     """
-    candidates = [f"binaries/{fmpy.platform}/{model_identifier}{fmpy.sharedLibraryExtension}"]
+    candidates = [f"binaries/{SYSTEM_PLATFORM}/{model_identifier}{SHARED_LIBRARY_SUFFIX}"]
     with contextlib.suppress(ExportError):
         candidates.insert(0, library_name(model_identifier, host_platform()))
     return next((path for path in candidates if path in members), None)
@@ -56,7 +53,7 @@ def library_member(members: Collection[str], model_identifier: str) -> str | Non
 
 def reference_array(references: Sequence[int]) -> Any:
     """Value references as the functions of FMI take them."""
-    return (fmi2.fmi2ValueReference * len(references))(*references)
+    return (ctypes.c_uint * len(references))(*references)
 
 
 # Functions of FMI 2.0 by the types of their arguments: p(ointer), s(ize), d(ouble), i(nt). They return a
@@ -115,130 +112,10 @@ class Library:
         return getattr(self._functions, name)
 
     def unload(self) -> None:
-        fmpy.freeLibrary(self._functions._handle)
-
-
-class Log(list[tuple[int, str]]):
-    """The (status, message) pairs that an instance logged since the last `clear`, without repetitions.
-
-    error_logged: shape (1,), not 0 after a message of status error or fatal; the communication loop reads it
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.error_logged = np.zeros(1, np.int64)
-
-    def add(
-        self, status: int, message: str, instance: str | None = None, category: str | None = None
-    ) -> None:
-        """Add a message. instance, category: as the FMU gave them, for a log that keeps these too."""
-        entry = status, " ".join(message.split())
-        if not self or self[-1] != entry:
-            self.append(entry)
-        if status in (ERROR, FATAL):
-            self.error_logged[0] = 1
-
-    def clear(self) -> None:
-        super().clear()
-        self.error_logged[0] = 0
-
-
-class CountingAllocator:
-    """Memory for FMUs that is counted.
-
-    held: address -> block, of those in use; foreign_frees: how often another address was freed
-    """
-
-    def __init__(self) -> None:
-        self.held: dict[int, Any] = {}
-        self.foreign_frees = 0
-        self.allocate = fmi2.fmi2CallbackAllocateMemoryTYPE(self._allocate)
-        self.free = fmi2.fmi2CallbackFreeMemoryTYPE(self._free)
-
-    def _allocate(self, count: int, size: int) -> int:
-        block = ctypes.create_string_buffer(max(count * size, 1))
-        address = ctypes.addressof(block)
-        self.held[address] = block
-        return address
-
-    def _free(self, address: int | None) -> None:
-        if address and self.held.pop(address, None) is None:
-            self.foreign_frees += 1
-
-
-# Logs by the environment that the callbacks carry: two instances in a process may have the same name.
-_logs: dict[int, Log] = {}
-_environments = itertools.count(1)
-
-
-def _log_message(
-    environment: int | None,
-    instance: bytes | None,
-    status: int,
-    category: bytes | None,
-    message: bytes | None,
-) -> None:
-    log = _logs.get(environment or 0, _logs.get(0))
-    if log is not None:
-        instance_name, category_name = (None if x is None else _text(x) for x in (instance, category))
-        log.add(status, _text(message or b""), instance_name, category_name)
-
-
-def _text(content: bytes) -> str:
-    return content.decode("utf-8", "replace")
-
-
-_python_logger = fmi2.fmi2CallbackLoggerTYPE(_log_message)
-
-
-@functools.cache
-def _logger() -> Any:
-    """A logger that formats messages (their arguments do not reach Python) and passes them to `_log_message`.
-
-    It is FMPy's, in a library copied and loaded for this module alone: FMPy's own copy serves the logger that
-    was registered last in the process. Where the copy cannot be loaded, messages arrive without arguments.
-    """
-    callbacks = fmi2.fmi2CallbackFunctions(logger=_python_logger)
-    name = f"logging{fmpy.sharedLibraryExtension}"
-    original = Path(fmpy.__file__).parent / "logging" / fmpy.platform / name
-    with (
-        contextlib.suppress(OSError),
-        tempfile.TemporaryDirectory(prefix="l1-depth-", ignore_cleanup_errors=True) as folder,
-    ):
-        formatter = ctypes.CDLL(shutil.copy(original, folder))
-        formatter.addLoggerProxy.argtypes, formatter.addLoggerProxy.restype = [ctypes.c_void_p], None
-        formatter.addLoggerProxy(ctypes.byref(callbacks))
-    return callbacks.logger
-
-
-class Callbacks:
-    """The callbacks of one instance, and the log that they fill until `close`.
-
-    allocator: FMPy's by default; asynchronous: whether a step may return pending; log: a new one by default;
-    environment: of the callbacks, by which messages find their log; 0 for those that find no other
-    """
-
-    def __init__(
-        self,
-        allocator: CountingAllocator | None = None,
-        asynchronous: bool = False,
-        log: Log | None = None,
-        environment: int | None = None,
-    ) -> None:
-        self._environment = next(_environments) if environment is None else environment
-        self.log = _logs[self._environment] = Log() if log is None else log
-        self.structure = fmi2.fmi2CallbackFunctions(
-            logger=_logger(),
-            allocateMemory=allocator.allocate if allocator else fmi2.defaultCallbacks.allocateMemory,
-            freeMemory=allocator.free if allocator else fmi2.defaultCallbacks.freeMemory,
-            componentEnvironment=self._environment,
-        )
-        if asynchronous:
-            self.structure.stepFinished = fmi2.fmi2StepFinishedTYPE(lambda *_: None)
-
-    def close(self) -> None:
-        """Messages that come later are dropped."""
-        _logs.pop(self._environment, None)
+        system = ctypes.windll.kernel32 if sys.platform == "win32" else ctypes.CDLL(None)
+        free = system.FreeLibrary if sys.platform == "win32" else system.dlclose
+        free.argtypes = [ctypes.c_void_p]
+        free(self._functions._handle)
 
 
 class BoundInstance(ABC):
@@ -259,11 +136,11 @@ class BoundInstance(ABC):
         """Create the instance; False if the FMU returns NULL."""
         address = self.library.fmi2Instantiate(
             name.encode(),
-            fmi2.fmi2CoSimulation,
+            CO_SIMULATION,
             guid.encode(),
             resources.as_uri().encode(),
             ctypes.byref(self.callbacks.structure),
-            fmi2.fmi2False,
+            _FALSE,
             logging_on,
         )
         self.handle = ctypes.c_void_p(address) if address else None
@@ -289,8 +166,8 @@ class BoundInstance(ABC):
         self.call(f"fmi2Set{transfer_type}", reference_array(references), len(references), buffer)
 
     def set_up_experiment(self, start_time: float, stop_time: float | None = None) -> None:
-        stop = (fmi2.fmi2False, 0.0) if stop_time is None else (fmi2.fmi2True, stop_time)
-        self.call("fmi2SetupExperiment", fmi2.fmi2False, 0.0, start_time, *stop)
+        stop = (_FALSE, 0.0) if stop_time is None else (_TRUE, stop_time)
+        self.call("fmi2SetupExperiment", _FALSE, 0.0, start_time, *stop)
 
     def enter_initialization_mode(self) -> None:
         self.call("fmi2EnterInitializationMode")

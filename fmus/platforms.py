@@ -9,6 +9,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 
 from fmus.errors import ExportError, nearest
@@ -22,6 +23,13 @@ TARGETS = {
     "aarch64-darwin": (("aarch64-macos.11.0",), "dylib"),
 }
 PLATFORMS = tuple(TARGETS)
+
+_SYSTEM = {"win32": "win", "darwin": "darwin"}.get(sys.platform, "linux")
+SYSTEM_PLATFORM = f"{_SYSTEM}{64 if sys.maxsize > 2**32 else 32}"
+"""The platform of this machine in FMPy's words, and the standard's but for the processor."""
+SHARED_LIBRARY_SUFFIX = {"win": ".dll", "darwin": ".dylib", "linux": ".so"}[_SYSTEM]
+FMPY = Path(getattr(find_spec("fmpy"), "origin", None) or "").parent
+"""The folder of FMPy, which has FMI's headers and schemas, and takes long to import."""
 
 # levels of the x86-64 ABI, the best first -> what Linux calls their features, beside those of the level below
 _V3 = "avx avx2 bmi1 bmi2 f16c fma abm movbe"

@@ -72,5 +72,8 @@ def fmu_path(block: str, flavour: Flavour = Flavour.NATIVE) -> Path:
 
 def block_fmus(paths: Iterable[Path]) -> list[tuple[str, Flavour]]:
     """(block, flavour) of those paths that `fmu_path` gives."""
-    known = {fmu_path(name, flavour): (name, flavour) for flavour in Flavour for name in block_names()}
+    folders = {flavour: fmu_folder(flavour) for flavour in Flavour}
+    known = {
+        folders[flavour] / f"{name}.fmu": (name, flavour) for flavour in Flavour for name in block_names()
+    }
     return sorted({known[path] for path in paths if path in known})

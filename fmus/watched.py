@@ -42,7 +42,9 @@ def run_watched(program: Callable[[], int]) -> int:
     child = os.fork()
     if child:
         os.close(lifeline)
-        return _status_of(child, _page)
+        status = _status_of(child, _page)
+        _end_without_clearing_up(status)
+        return status
     os.close(end)
     _thread.start_new_thread(_interrupt_without_parent, (lifeline,))
     try:

@@ -9,20 +9,18 @@ from typing import Any
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
-from fmpy import fmi2
-from fmpy.fmi2 import fmi2DoStepStatus, fmi2Integer, fmi2Real, fmi2Status
-
 from fmus.binding import (
+    CO_SIMULATION,
+    DO_STEP_STATUS,
     ERROR,
     FATAL,
     PENDING,
     BoundInstance,
-    Callbacks,
-    CountingAllocator,
     Library,
     element_type,
     reference_array,
 )  # fmt: skip
+from fmus.callbacks import AllocateMemory, Callbacks, CountingAllocator, FreeMemory, Logger, StepFinished
 from fmus.compliance.observed_callbacks import MessageLog, RefusingAllocator
 from fmus.compliance.process_settings import ProcessSettings
 from fmus.compliance.saved_states import SavedStates
@@ -32,8 +30,7 @@ _UNWRITTEN = 77  # no fmi2Status
 _GUARD = 0xA5  # each byte behind an array
 _RETURN_ARRAYS = ("fmi2Get", "fmi2Serialize")  # by the last array among their arguments
 _STATUS_TYPES = {
-    "": fmi2Status, "Real": fmi2Real, "Integer": fmi2Integer, "Boolean": fmi2.fmi2Boolean,
-    "String": fmi2.fmi2String,
+    "": ctypes.c_int, **{name: element_type(name) for name in ("Real", "Integer", "Boolean", "String")},
 }  # fmt: skip
 
 
@@ -76,7 +73,7 @@ class CalledInstance(BoundInstance):
         if kind == "fewest":
             structure.componentEnvironment = None
         else:
-            structure.stepFinished = fmi2.fmi2StepFinishedTYPE(
+            structure.stepFinished = StepFinished(
                 lambda environment, status: self.finished_steps.append(
                     [status, environment == structure.componentEnvironment]
                 )
@@ -84,8 +81,8 @@ class CalledInstance(BoundInstance):
         if kind == "formats":
             structure.logger = self._logger_of_formats()
         if kind == "no memory":
-            structure.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE()
-            structure.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE()
+            structure.allocateMemory = AllocateMemory()
+            structure.freeMemory = FreeMemory()
 
     def _logger_of_formats(self) -> Any:
         """A logger that keeps the format of each message, as arguments do not reach Python."""
@@ -94,7 +91,7 @@ class CalledInstance(BoundInstance):
             texts = [None if text is None else text.decode("utf-8", "replace") for text in (name, category)]
             self.messages.add(status, (message or b"").decode("utf-8", "replace"), *texts)
 
-        return fmi2.fmi2CallbackLoggerTYPE(log)
+        return Logger(log)
 
     def create(self) -> bool:
         """Call fmi2Instantiate; False if it returns NULL."""
@@ -106,7 +103,7 @@ class CalledInstance(BoundInstance):
         structure = type(self.callbacks.structure).from_buffer_copy(self.callbacks.structure)
         name, guid, location = strings
         address = self.library.fmi2Instantiate(
-            name, fmi2.fmi2CoSimulation, guid, location, ctypes.byref(structure),
+            name, CO_SIMULATION, guid, location, ctypes.byref(structure),
             int(options.get("visible", False)), int(options.get("logging", False)),
         )  # fmt: skip
         self.handle = ctypes.c_void_p(address) if address else None
@@ -132,9 +129,9 @@ class CalledInstance(BoundInstance):
             self.traps.append("freeMemory")
             usual.freeMemory(address)
 
-        structure.logger = fmi2.fmi2CallbackLoggerTYPE(log)
-        structure.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(allocate)
-        structure.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(free)
+        structure.logger = Logger(log)
+        structure.allocateMemory = AllocateMemory(allocate)
+        structure.freeMemory = FreeMemory(free)
         self._kept += [structure.logger, structure.allocateMemory, structure.freeMemory]
 
     def check_status(self, function: str, status: int) -> None:
@@ -230,10 +227,10 @@ class CalledInstance(BoundInstance):
 
     def wait(self) -> None:
         """Wait until a pending step has ended; the time limit of the rule ends a wait without end."""
-        status = fmi2Status(PENDING)
+        status = ctypes.c_int(PENDING)
         while status.value == PENDING:
             time.sleep(0.001)
-            self.call("fmi2GetStatus", fmi2DoStepStatus, ctypes.byref(status))
+            self.call("fmi2GetStatus", DO_STEP_STATUS, ctypes.byref(status))
             if self.last_status:
                 self.last_status = ERROR  # there is no status, which is no discarded step
                 return
@@ -249,11 +246,11 @@ class CalledInstance(BoundInstance):
     def poll_step(self) -> list[list[int]]:
         """[status of fmi2GetStatus, status of the step] of each question, until a pending step has ended."""
         answers: list[list[int]] = []
-        step = fmi2Status(PENDING)
+        step = ctypes.c_int(PENDING)
         while step.value == PENDING and not self.last_status:
             time.sleep(0.001)
             step.value = _UNWRITTEN
-            self.call("fmi2GetStatus", fmi2DoStepStatus, ctypes.byref(step))
+            self.call("fmi2GetStatus", DO_STEP_STATUS, ctypes.byref(step))
             answers = [*answers[-1:], [self.last_status, step.value]]
         return answers
 
@@ -278,10 +275,12 @@ class CalledInstance(BoundInstance):
     def directional_derivatives(
         self, unknowns: Sequence[int], knowns: Sequence[int], seed: Sequence[float]
     ) -> list[float]:
-        result = (fmi2Real * len(unknowns))(*[math.nan] * len(unknowns))  # so that each must be written
+        result = (ctypes.c_double * len(unknowns))(
+            *[math.nan] * len(unknowns)
+        )  # so that each must be written
         arguments = (
             reference_array(unknowns), len(unknowns), reference_array(knowns), len(knowns),
-            (fmi2Real * len(seed))(*seed), result,
+            (ctypes.c_double * len(seed))(*seed), result,
         )  # fmt: skip
         self.call("fmi2GetDirectionalDerivative", *arguments)
         return list(result)
@@ -290,12 +289,15 @@ class CalledInstance(BoundInstance):
         self, references: Sequence[int], orders: Sequence[int], values: Sequence[float]
     ) -> None:
         count = len(references)
-        arrays = (fmi2Integer * count)(*orders), (fmi2Real * count)(*values)
+        arrays = (ctypes.c_int * count)(*orders), (ctypes.c_double * count)(*values)
         self.call("fmi2SetRealInputDerivatives", reference_array(references), count, *arrays)
 
     def output_derivatives(self, references: Sequence[int], order: int) -> list[float]:
         count = len(references)
-        result, orders = (fmi2Real * count)(*[math.nan] * count), (fmi2Integer * count)(*[order] * count)
+        result, orders = (
+            (ctypes.c_double * count)(*[math.nan] * count),
+            (ctypes.c_int * count)(*[order] * count),
+        )
         self.call("fmi2GetRealOutputDerivatives", reference_array(references), count, orders, result)
         return list(result)
 

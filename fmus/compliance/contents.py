@@ -4,14 +4,13 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import fmpy
-
 from fmus.compliance.fmu_file import FmuFile, etree, parsed_xml
 from fmus.compliance.rule import Condition
+from fmus.platforms import FMPY
 
 BUILD_DESCRIPTION = "sources/buildDescription.xml"
 TERMINALS = "terminalsAndIcons/terminalsAndIcons.xml"
-SCHEMAS = Path(fmpy.__file__).parent / "schema"
+SCHEMAS = FMPY / "schema"
 _LARGEST = 100_000_000  # bytes
 
 

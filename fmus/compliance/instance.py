@@ -10,7 +10,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from fmus.binding import DISCARD, ERROR, FATAL, WARNING, CountingAllocator, Library
+from fmus.binding import DISCARD, ERROR, FATAL, WARNING, Library
+from fmus.callbacks import CountingAllocator
 from fmus.compliance.called_instance import CalledInstance
 from fmus.compliance.process_settings import ProcessSettings
 from fmus.process import Parent

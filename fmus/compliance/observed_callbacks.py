@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from fmus.binding import CountingAllocator, Log
+from fmus.callbacks import CountingAllocator, Log
 from fmus.compliance.process_settings import ProcessSettings
 
 _MOST_MESSAGES = 1000

@@ -3,11 +3,10 @@
 import hashlib
 import re
 import uuid
-from importlib import resources
 from importlib.metadata import distributions
 
 from fmus.errors import ExportError
-from fmus.export.toolchain import COMPILER
+from fmus.export.toolchain import COMPILER, FMI_HEADERS
 
 # They stand for the GUID, and for a part of it in Python names, until it is known.
 GUID, GUID_IN_NAMES = "GUID-of-this-FMU", "GUID_of_this_FMU"
@@ -57,5 +56,5 @@ def _license(project: str, file: str) -> str:
                 f"expected it as pip installs it (pip install --force-reinstall {project})"
             )
         return text
-    header = (resources.files(project) / "c-code" / "fmi2Functions.h").read_text("utf-8")
+    header = (FMI_HEADERS / "fmi2Functions.h").read_text("utf-8")
     return "".join(re.findall(r"Copyright.*?(?=\*/)", header, re.DOTALL)[:1])

@@ -17,10 +17,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import IO
 
-import fmpy
-
 from fmus.errors import ExportError
-from fmus.platforms import TARGETS
+from fmus.platforms import FMPY, TARGETS
 
 FLAGS = (
     "-DFMI2_OVERRIDE_FUNCTION_PREFIX",
@@ -32,7 +30,7 @@ FLAGS = (
     "-g0",
     "-s",
 )
-FMI_HEADERS = Path(fmpy.__file__).parent / "c-code"  # of FMI 2.0, which no FMU carries
+FMI_HEADERS = FMPY / "c-code"  # of FMI 2.0, which no FMU carries
 _PATIENCE_S = 600  # the first build for Windows takes a minute: its C library is compiled too
 COMPILER = ("ziglang", version("ziglang"))
 

@@ -7,7 +7,6 @@ help, completion and the message about a mistyped command do not wait for NumPy 
 import os
 from collections.abc import Iterable, Sequence
 from importlib import import_module
-from importlib.metadata import version as version_of
 from typing import Annotated
 
 import typer
@@ -49,6 +48,8 @@ def application(names: Iterable[str] = COMMANDS) -> typer.Typer:
 
 def _print_version(asked: bool) -> None:
     if asked:
+        from importlib.metadata import version as version_of
+
         print(f"l1-depth {version_of('l1-depth')}")
         raise typer.Exit
 

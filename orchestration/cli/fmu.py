@@ -14,7 +14,7 @@ from fmus.stamp import Order, Stamps
 from orchestration.cli.shared import FlavourOption, fail, print_table, progress, refuse_without_effect
 
 if TYPE_CHECKING:
-    from fmpy.model_description import ScalarVariable
+    from orchestration.fmi.model_description import ScalarVariable
 
 _FOLDERS = {Flavour.NATIVE: Path("fmus-built"), Flavour.PYTHON: Path("fmus-built", "python")}
 Current = Mapping[Order, Sequence[Path] | None]

@@ -61,9 +61,9 @@ def identify(
         )
     identification.write(fit, out)
     for name, metrics in fit.metrics.items():
-        print_table(metrics_table(name, metrics, fit.metric_units, scenarios[name].metrics))
+        print(metrics_table(name, metrics, fit.metric_units, scenarios[name].metrics))
     units = {gain.name: gain.unit for gain in identification.GAINS}
-    print_table(values_table("Fitted gains", "Gain", fit.gains, units))
+    print(values_table("Fitted gains", "Gain", fit.gains, units))
     print(out)
 
 

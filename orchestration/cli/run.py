@@ -15,7 +15,6 @@ from orchestration.cli.shared import (
     FlavourOption,
     OutFolder,
     figure_formats,
-    print_table,
     progress,
     shipped_scenarios,
 )
@@ -78,7 +77,7 @@ def run(
     from orchestration.cli import chosen_scenario
     from orchestration.master.checkpoint import Checkpoints, read_checkpoint
     from orchestration.results.tables import metrics_table
-    from orchestration.scenarios import reproduce
+    from orchestration.scenarios import run_files
 
     written_formats = figure_formats(formats)
     changes = Changes.of_options(controller, settings, mapped, open_inputs)
@@ -88,7 +87,7 @@ def run(
         chosen_scenario.opened(name, parameters, flavour, changes) as chosen,
         progress(chosen.name, 1, _SHORT_S) as bar,
     ):
-        result = reproduce.run(
+        result = run_files.run(
             _with_error_estimate(chosen) if error_estimate else chosen,
             out,
             bar.update,
@@ -100,7 +99,7 @@ def run(
         )
     figures = _figures(chosen.title, result.recording, out / chosen.name, written_formats)
     if result.metrics:
-        print_table(metrics_table(chosen.title, result.metrics, result.metric_units, chosen.metrics))
+        print(metrics_table(chosen.title, result.metrics, result.metric_units, chosen.metrics))
     _print_error_estimate(result.recording)
     _print_end(result.recording)
     _print_pace(result.recording)
@@ -131,7 +130,7 @@ def _print_error_estimate(recording: "Recording") -> None:
     estimate = recording.provenance.get("error_estimate")
     if estimate:
         units = dict(zip(recording.names, recording.units, strict=True))
-        print_table(error_table(estimate["quantities"], units))
+        print(error_table(estimate["quantities"], units))
 
 
 def _print_end(recording: "Recording") -> None:

@@ -137,13 +137,13 @@ def _workers(
 
 def _run_one(planned: "Plan", sample: int, out: Path) -> None:
     from orchestration.results.tables import metrics_table, values_table
-    from orchestration.scenarios import reproduce
+    from orchestration.scenarios import run_files
 
     drawn = planned.of_sample(sample)
-    result = reproduce.run(drawn, out)
+    result = run_files.run(drawn, out)
     if result.metrics:
-        print_table(metrics_table(drawn.title, result.metrics, result.metric_units, drawn.metrics))
+        print(metrics_table(drawn.title, result.metrics, result.metric_units, drawn.metrics))
     units = {entry.target.name: entry.target.unit for entry in planned.varied}
-    print_table(values_table(drawn.title, "Varied", planned.values(sample), units))
+    print(values_table(drawn.title, "Varied", planned.values(sample), units))
     print(out / f"{drawn.name}.csv")
     print(out / f"{drawn.name}.json")

@@ -9,11 +9,9 @@ from graphlib import CycleError, TopologicalSorter
 from importlib import resources
 from pathlib import Path
 
-import fmpy
-from fmpy.model_description import ModelDescription
-
 from fmus.files import extract_archive
 from fmus.fmi_types import NUMBERS
+from fmus.platforms import FMPY
 from orchestration.errors import ScenarioError
 from orchestration.exchange.limits import (
     check_plain_connections,
@@ -32,6 +30,7 @@ from orchestration.exchange.modelica_blocks import (
 )
 from orchestration.exchange.template_files import filled
 from orchestration.fmi.description import describe
+from orchestration.fmi.model_description import ModelDescription
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.prepared_run import PreparedRun, Setting, prepare
 from orchestration.system.system import CheckedSystem
@@ -77,7 +76,7 @@ def write(scenario: Scenario, folder: Path) -> Path:
         (root / path).write_text(text, encoding="utf-8", newline="\n")
     own = resources.files("orchestration.exchange")
     sources = [own / "modelica_fmu.h", own / "load.h"]
-    for source in sources + [resources.files(fmpy) / "c-code" / name for name in _HEADERS]:
+    for source in sources + [FMPY / "c-code" / name for name in _HEADERS]:
         (include / source.name).write_bytes(source.read_bytes())
     for fmu in scenario.system.components.values():
         extract_archive(fmu, root / "Resources" / "FMUs" / identifier(describe(fmu)))

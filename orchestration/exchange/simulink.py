@@ -7,8 +7,6 @@ import re
 from pathlib import Path
 from shutil import copyfile
 
-from fmpy.model_description import ScalarVariable
-
 from fmus.fmi_types import NUMBERS, FmiValue
 from orchestration.errors import ScenarioError
 from orchestration.exchange.limits import (
@@ -19,6 +17,7 @@ from orchestration.exchange.limits import (
 )
 from orchestration.exchange.template_files import filled
 from orchestration.fmi.description import of_causality, start_value
+from orchestration.fmi.model_description import ScalarVariable
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.prepared_run import Setting, prepare
 from orchestration.system.system import CheckedSystem, Port

@@ -14,8 +14,6 @@ from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
 
-from fmpy.model_description import ModelDescription
-
 from fmus.errors import nearest
 from fmus.files import extract_archive
 from orchestration.errors import ScenarioError
@@ -23,6 +21,7 @@ from orchestration.exchange.ssp_package import OpenedPackage
 from orchestration.exchange.ssp_parameters import Values, bound_values, chosen_values
 from orchestration.exchange.ssp_xml import STRUCTURE, tag
 from orchestration.fmi.description import describe, of_causality, start_value
+from orchestration.fmi.model_description import ModelDescription
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System

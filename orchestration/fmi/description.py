@@ -4,15 +4,14 @@ import zipfile
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
-
-import fmpy
-from fmpy.model_description import ModelDescription, ScalarVariable
+from typing import NamedTuple
+from xml.etree import ElementTree
 
 from fmus.errors import nearest
 from fmus.fmi_types import FmiValue
 from fmus.registry import GENERATION_TOOL, block_fmus
 from orchestration.errors import FmuLoadError
+from orchestration.fmi.model_description import ModelDescription, ScalarVariable, model_description
 
 _MOST_DESCRIPTIONS = 256  # that stay in memory
 
@@ -52,23 +51,31 @@ def describe(path: Path) -> ModelDescription:
 @lru_cache(_MOST_DESCRIPTIONS)
 def _read(path: Path, version: FileVersion) -> ModelDescription:
     try:
-        description: Any = fmpy.read_model_description(str(path), validate=False)
+        with zipfile.ZipFile(path) as archive:
+            root = ElementTree.fromstring(archive.read("modelDescription.xml"))
     except (zipfile.BadZipFile, EOFError, KeyError) as error:
         raise FmuLoadError(
             f"{path} is not an FMU: expected a zip with a modelDescription.xml: {error}"
         ) from error
-    except Exception as error:  # fmpy raises bare exceptions on malformed XML
-        reason = " ".join(str(error).split())
-        raise FmuLoadError(f"{path}: the model description cannot be read: {reason}") from error
-    if description.fmiVersion != "2.0":
-        raise FmuLoadError(f"{path} is an FMU of FMI {description.fmiVersion}: expected FMI 2.0")
+    except Exception as error:  # whatever unpacking and parsing a damaged file raise
+        raise _unreadable(path, error) from error
+    if (fmi_version := root.get("fmiVersion")) != "2.0":
+        raise FmuLoadError(f"{path} is an FMU of FMI {fmi_version}: expected FMI 2.0")
+    try:
+        description = model_description(root)
+    except ValueError as error:
+        raise _unreadable(path, error) from error
     if description.coSimulation is None:
         raise FmuLoadError(f"{path} is for model exchange alone: expected an FMU for co-simulation")
-    identifier = str(description.coSimulation.modelIdentifier)
+    identifier = description.coSimulation.modelIdentifier
     if not (identifier.isascii() and identifier.isidentifier()):  # a path would lead out of the archive
         raise FmuLoadError(f"{path}: modelIdentifier {identifier!r}: expected a C identifier")
     _take_over_declared_types(description)
     return description
+
+
+def _unreadable(path: Path, error: Exception) -> FmuLoadError:
+    return FmuLoadError(f"{path}: the model description cannot be read: {' '.join(str(error).split())}")
 
 
 def is_independent(description: ModelDescription) -> bool:
@@ -79,7 +86,7 @@ def is_independent(description: ModelDescription) -> bool:
     the Python of a block may do anything.
     """
     is_ours = (description.generationTool or "").startswith(f"{GENERATION_TOOL} ")
-    return is_ours and bool(description.buildConfigurations)  # fmpy's name for SourceFiles
+    return is_ours and description.coSimulation is not None and bool(description.coSimulation.sourceFiles)
 
 
 def of_causality(description: ModelDescription, causality: str) -> list[ScalarVariable]:

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from fmpy.model_description import ModelDescription, ScalarVariable
 
 from fmus.binding import (
     DISCARD,
@@ -25,6 +24,7 @@ from fmus.binding import (
 )
 from fmus.fmi_types import TRANSFER_TYPE, FmiValue
 from orchestration.errors import FmuError, FmuLoadError, FmuWarning
+from orchestration.fmi.model_description import ModelDescription, ScalarVariable
 from orchestration.fmi.unpacked import unpacked
 
 _MOST_MESSAGES = 10  # in an error or a warning

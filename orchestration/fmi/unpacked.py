@@ -7,13 +7,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import fmpy
-from fmpy.model_description import ModelDescription
-
-from fmus.binding import Library, library_member
+from fmus.binding import Library, library_member, platform_name
 from fmus.files import extract_archive
 from orchestration.errors import FmuLoadError
 from orchestration.fmi.description import FileVersion, is_independent
+from orchestration.fmi.model_description import ModelDescription
 
 
 class UnpackedFmu:
@@ -74,11 +72,11 @@ def _library(path: Path, description: ModelDescription, folder: Path) -> Library
         names = archive.namelist()
     member = library_member(names, str(interface.modelIdentifier) if interface else "")
     if member is None:
-        available = [
-            "C sources" if name == "c-code" else name for name in fmpy.supported_platforms(str(path))
-        ]
+        folders = {name.split("/")[1] for name in names if name.startswith("binaries/") and name[-1] != "/"}
+        sources = ["C sources"] if any(name.startswith("sources/") for name in names) else []
+        available = [*sources, *sorted(folders)]
         raise FmuLoadError(
-            f"{path} has no binary for {fmpy.platform}: it has {', '.join(available) or 'none'}"
+            f"{path} has no binary for {platform_name()}: it has {', '.join(available) or 'none'}"
         )
     needed = [name for name in names if name == member or name.startswith("resources/")]
     extract_archive(path, folder, needed if is_independent(description) else None)

@@ -4,9 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from fmpy.model_description import ScalarVariable
-
 from fmus.fmi_types import TRANSFER_TYPE
+from orchestration.fmi.model_description import ScalarVariable
 from orchestration.master.loop_data import InputMode
 from orchestration.system.prepared_run import PreparedRun
 from orchestration.system.system import Port

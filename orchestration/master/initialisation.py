@@ -12,11 +12,11 @@ from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
 
 import numpy as np
-from fmpy.model_description import ScalarVariable
 
 from fmus.fmi_types import FmiValue
 from orchestration.errors import OrchestrationError
 from orchestration.fmi.instance import FmuInstance
+from orchestration.fmi.model_description import ScalarVariable
 from orchestration.master.algebraic_loop import (
     Connection,
     NoSolutionError,

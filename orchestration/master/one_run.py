@@ -10,7 +10,6 @@ from orchestration.errors import SystemDefinitionError
 from orchestration.master.checkpoint import Checkpoint, Checkpoints
 from orchestration.master.simulator import Simulator
 from orchestration.master.stepping import Progress
-from orchestration.master.subprocess_run import simulate_in_subprocess
 from orchestration.results.recording import Recording
 from orchestration.system.experiment import (
     AlgorithmName,
@@ -84,6 +83,8 @@ def simulate(
             )
     options: dict[str, Any] = {"real_time": real_time, "checkpoints": checkpoints, "resume": resume}
     if timeout is not None:
+        from orchestration.master.subprocess_run import simulate_in_subprocess  # few runs start processes
+
         return simulate_in_subprocess(system, experiment, timeout, progress, options)
     with Simulator(system) as simulator:
         return simulator.run(experiment, progress, **options)

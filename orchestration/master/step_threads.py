@@ -8,12 +8,15 @@ threads only after one without them took long, and goes on with them only if the
 
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING
 
 from fmus.platforms import usable_processors
 from orchestration.fmi.description import is_independent
 from orchestration.master.loop_data import LoopFunctions, Team
 from orchestration.master.wiring import WiredRun
+
+if TYPE_CHECKING:
+    from concurrent.futures import ThreadPoolExecutor
 
 _LEAST_STEP_S = 1e-4  # of all components together; waiting for each other takes some microseconds
 _FASTER = 0.9  # of the time without threads
@@ -60,6 +63,8 @@ class StepThreads:
         return reached
 
     def _run_together(self, first: int, last: int) -> int:
+        from concurrent.futures import ThreadPoolExecutor  # few runs have steps that take long
+
         self._pool = self._pool or ThreadPoolExecutor(self._threads - 1, "l1-depth-step")
         assert self._loop.help
         self._team[Team.IS_USED], self._team[Team.IS_OVER] = 1, 0

@@ -3,7 +3,6 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,6 +70,8 @@ class Recording:
         return summary.as_text(self.units, self.time, {name: self[name] for name in self.names})
 
     def _repr_html_(self) -> str:
+        from html import escape  # of a notebook alone
+
         return f"<pre>{escape(repr(self))}</pre>"
 
     def to_pandas(self) -> "pd.DataFrame":

@@ -4,11 +4,10 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from fmpy.model_description import ModelDescription
-
 from fmus.errors import nearest
 from orchestration.errors import OrchestrationError
 from orchestration.fmi.description import of_causality
+from orchestration.fmi.model_description import ModelDescription
 
 _DIGITS = 4  # of a gain: what is written is what was run
 _AT_A_LIMIT = 0.01  # of the range of a search: a gain this near to its end was stopped by it

@@ -47,7 +47,7 @@ class Effect:
 
     for_every_type: ClassVar[bool] = True
 
-    def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
+    def on(self, inside: np.ndarray, times: np.ndarray, stream: "np.random.Generator") -> Pattern:
         """The pattern of the samples `inside`, consecutive ones and at least one."""
         raise NotImplementedError
 
@@ -56,7 +56,7 @@ class Effect:
 class Freeze(Effect):
     """The value at the first communication point of the window holds."""
 
-    def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
+    def on(self, inside: np.ndarray, times: np.ndarray, stream: "np.random.Generator") -> Pattern:
         return Pattern.of_one(np.full(inside.shape, inside[0]), np.zeros(inside.shape))
 
 
@@ -70,7 +70,7 @@ class Stuck(Effect):
         if not isinstance(self.value, bool):
             _check_number("value", self.value)
 
-    def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
+    def on(self, inside: np.ndarray, times: np.ndarray, stream: "np.random.Generator") -> Pattern:
         return Pattern.of_one(np.full(inside.shape, -1), np.full(inside.shape, float(self.value)))
 
 
@@ -84,7 +84,7 @@ class Offset(Effect):
     def __post_init__(self) -> None:
         _check_number("value", self.value)
 
-    def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
+    def on(self, inside: np.ndarray, times: np.ndarray, stream: "np.random.Generator") -> Pattern:
         return Pattern.of_one(inside, np.full(inside.shape, float(self.value)))
 
 
@@ -98,7 +98,7 @@ class Drift(Effect):
     def __post_init__(self) -> None:
         _check_number("rate", self.rate)
 
-    def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
+    def on(self, inside: np.ndarray, times: np.ndarray, stream: "np.random.Generator") -> Pattern:
         return Pattern.of_one(inside, self.rate * (times[inside] - times[inside[0]]))
 
 
@@ -114,7 +114,7 @@ class Noise(Effect):
         _check_number("standard_deviation", self.standard_deviation, "a finite number, 0 or more", 0.0)
         _check_number("seed", self.seed, "an integer, 0 or more", 0, of_type=int)
 
-    def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
+    def on(self, inside: np.ndarray, times: np.ndarray, stream: "np.random.Generator") -> Pattern:
         return Pattern.of_one(inside, self.standard_deviation * stream.standard_normal(len(inside)))
 
 
@@ -132,7 +132,7 @@ class DropOut(Effect):
         _check_number("probability", self.probability, "0..1", 0.0, 1.0)
         _check_number("seed", self.seed, "an integer, 0 or more", 0, of_type=int)
 
-    def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
+    def on(self, inside: np.ndarray, times: np.ndarray, stream: "np.random.Generator") -> Pattern:
         is_lost = stream.random(len(inside)) < self.probability
         before = max(inside[0] - 1, 0)
         held = np.maximum.accumulate(np.where(is_lost, before, inside))
@@ -148,7 +148,7 @@ class Delay(Effect):
     def __post_init__(self) -> None:
         _check_number("delay", self.delay, "a finite number of seconds, more than 0", math.ulp(0.0))
 
-    def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
+    def on(self, inside: np.ndarray, times: np.ndarray, stream: "np.random.Generator") -> Pattern:
         middles = 0.5 * (times[1:] + times[:-1])
         nearest = np.searchsorted(middles, times[inside] - self.delay)
         return Pattern.of_one(nearest, np.zeros(inside.shape))
@@ -164,7 +164,7 @@ class InterpolatedDelay(Effect):
     def __post_init__(self) -> None:
         _check_number("delay", self.delay, "a finite number of seconds, 0 or more", 0.0)
 
-    def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
+    def on(self, inside: np.ndarray, times: np.ndarray, stream: "np.random.Generator") -> Pattern:
         sent = np.interp(times[inside] - self.delay, times, np.arange(len(times)))  # as a fractional index
         before = np.floor(sent).astype(int)
         source = np.column_stack([before, np.minimum(before + 1, inside)])
@@ -182,7 +182,7 @@ class Scale(Effect):
     def __post_init__(self) -> None:
         _check_number("factor", self.factor)
 
-    def on(self, inside: np.ndarray, times: np.ndarray, stream: np.random.Generator) -> Pattern:
+    def on(self, inside: np.ndarray, times: np.ndarray, stream: "np.random.Generator") -> Pattern:
         one = Pattern.of_one(inside, np.zeros(inside.shape))
         return one._replace(weight=np.full(one.weight.shape, float(self.factor)))
 
@@ -231,7 +231,7 @@ class Fault:
         source[inside], weight[inside] = window.source, window.weight
         return Pattern(source, weight, everywhere.addition)
 
-    def stream(self) -> np.random.Generator:
+    def stream(self) -> "np.random.Generator":
         """Random numbers that follow from seed, input and kind alone."""
         key = f"{type(self.effect).__name__} {self.input}".encode()
         seed = getattr(self.effect, "seed", 0)

@@ -8,11 +8,11 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from fmpy.model_description import ScalarVariable
 
 from fmus.fmi_types import NUMBERS, FmiValue
 from orchestration.errors import SystemDefinitionError
 from orchestration.fmi.description import start_value
+from orchestration.fmi.model_description import ScalarVariable
 from orchestration.system.coarser import coarser
 from orchestration.system.experiment import Experiment
 from orchestration.system.experiment_checks import (

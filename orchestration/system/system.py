@@ -7,11 +7,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from fmpy.model_description import ModelDescription, ScalarVariable
-
 from fmus.errors import nearest
 from orchestration.errors import SystemDefinitionError
 from orchestration.fmi.description import describe, of_causality
+from orchestration.fmi.model_description import ModelDescription, ScalarVariable
 from orchestration.system.open_inputs import OpenInputs
 from orchestration.system.transformation import LinearTransformation
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from orchestration.scenarios import reproduce
-from orchestration.scenarios.reproduce import Result
+from orchestration.scenarios.run_files import Result
 from tests.shared_builds import LIKE_ANOTHER, built_once, session_folder
 
 

@@ -16,7 +16,7 @@ from controller_fmu.l1.feedforward import ReferenceFeedforward, reference_feedfo
 from orchestration.master import simulate
 from orchestration.results import metrics
 from orchestration.scenarios import scenario
-from orchestration.scenarios.reproduce import Result
+from orchestration.scenarios.run_files import Result
 from plant_fmu import example_plant
 
 ORACLES = {"l1": (1.403, 19.80), "extended": (0.048, 0.798)}

@@ -10,7 +10,7 @@ from orchestration.master import simulate
 from orchestration.results import metrics
 from orchestration.results.recording import Recording
 from orchestration.scenarios import reproduce, scenario
-from orchestration.scenarios.reproduce import Result
+from orchestration.scenarios.run_files import Result
 
 # Python and C make the same double-precision operations in the same order, none contracted. A constant
 # that CasADi inverted (x / 6 as x * (1 / 6)) or an elementary function may differ in its last bit, 1e-16;

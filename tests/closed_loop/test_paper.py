@@ -14,7 +14,8 @@ from fmus import catalogue
 from orchestration.scenarios import scenario
 from orchestration.scenarios.identify import GAINS
 from orchestration.scenarios.published import PUBLISHED
-from orchestration.scenarios.reproduce import Result, reproduced
+from orchestration.scenarios.reproduce import reproduced
+from orchestration.scenarios.run_files import Result
 
 VEHICLE_UNITS = {
     "settling_time": "s",

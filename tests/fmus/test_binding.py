@@ -1,10 +1,10 @@
 """The binding of FMI 2.0: names of statuses, the library for a machine, logs, counted memory."""
 
-import fmpy
 import pytest
 
 from fmus import binding
-from fmus.binding import CountingAllocator, Log, library_member, status_name
+from fmus.binding import library_member, status_name
+from fmus.callbacks import CountingAllocator, Log
 
 MEMBERS = ("binaries/aarch64-linux/m.so", "binaries/linux64/m.so", "sources/m.c")
 
@@ -25,8 +25,8 @@ def test_the_library_of_the_fmi_platform_goes_before_that_of_fmpy(
     monkeypatch: pytest.MonkeyPatch, host: str, fmpy_platform: str, path: str | None
 ) -> None:
     monkeypatch.setattr(binding, "host_platform", lambda: host)
-    monkeypatch.setattr(fmpy, "platform", fmpy_platform)
-    monkeypatch.setattr(fmpy, "sharedLibraryExtension", ".so")
+    monkeypatch.setattr(binding, "SYSTEM_PLATFORM", fmpy_platform)
+    monkeypatch.setattr(binding, "SHARED_LIBRARY_SUFFIX", ".so")
     assert library_member(MEMBERS, "m") == path
 
 

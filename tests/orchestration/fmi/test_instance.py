@@ -12,6 +12,7 @@ import fmpy
 import numpy as np
 import pytest
 
+from fmus import binding
 from fmus.binding import Library
 from orchestration.errors import FmuError, FmuWarning, SimulationError
 from orchestration.fmi.description import describe
@@ -185,7 +186,7 @@ def test_the_library_of_this_very_platform_is_loaded(
     built: Mapping[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """FMPy looks on ARM where x86 libraries lie: as if it did not know this platform here."""
-    monkeypatch.setattr(fmpy, "platform", "elsewhere")
+    monkeypatch.setattr(binding, "SYSTEM_PLATFORM", "elsewhere")
     inputs = {"p.control": 0.0, "p.disturbance": 0.0}
     run = simulate(System({"p": built["ExamplePlant"]}), Experiment(0.1, 0.01, inputs=inputs))
     assert run.time[-1] == 0.1

@@ -17,7 +17,7 @@ from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 
 COUNT = 40
-WORK = ((unpacked, "extract_archive"), (unpacked, "Library"), (description.fmpy, "read_model_description"))
+WORK = ((unpacked, "extract_archive"), (unpacked, "Library"), (description, "model_description"))
 
 
 @pytest.fixture
@@ -96,7 +96,7 @@ def test_a_changed_file_is_read_again(
     assert describe(path).modelName == describe(path).modelName == "ExamplePlant"
     path.write_bytes(built["DepthReference"].read_bytes())
     assert describe(path).modelName == "DepthReference"
-    assert work["read_model_description"] == 2
+    assert work["model_description"] == 2
 
 
 def test_another_file_of_the_same_size_and_time_is_read_again(
@@ -109,7 +109,7 @@ def test_another_file_of_the_same_size_and_time_is_read_again(
     path.write_bytes(content)
     os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
     describe(path)
-    assert work["read_model_description"] == 2
+    assert work["model_description"] == 2
 
 
 def test_instances_of_another_tools_fmu_have_a_library_each(

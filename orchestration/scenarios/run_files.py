@@ -1,0 +1,91 @@
+"""Running one scenario into a folder: its recording, and what was run and measured."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from fmus.files import lasting_folder, write_json_atomically
+from orchestration.errors import OrchestrationError, SimulationError
+from orchestration.master import simulate
+from orchestration.master.checkpoint import Checkpoint, Checkpoints
+from orchestration.results import metrics
+from orchestration.results.files import reserved
+from orchestration.results.formats import RecordingFormat
+from orchestration.results.metric_units import MetricDocument, metric_units, with_units
+from orchestration.results.recording import Recording
+from orchestration.scenarios.scenario import Scenario
+from orchestration.system.prepared_run import prepare
+
+
+@dataclass(frozen=True)
+class Result:
+    """A finished run: its recording and the metrics that its scenario declares."""
+
+    scenario: Scenario
+    recording: Recording
+    metrics: dict[str, float]
+
+    @property
+    def metric_units(self) -> dict[str, str]:
+        """Unit of each metric, "" where it is not known."""
+        signals = dict(zip(self.recording.names, self.recording.units, strict=True))
+        return metric_units(self.scenario.metrics, signals)
+
+    @property
+    def metrics_with_units(self) -> MetricDocument:
+        """The metrics as the files hold them."""
+        return with_units(self.metrics, self.metric_units)
+
+
+def run(
+    loaded: Scenario,
+    folder: Path,
+    progress: Callable[[int, int], None] | None = None,
+    file_format: RecordingFormat = RecordingFormat.CSV,
+    *,
+    timeout: float | None = None,
+    real_time: float | None = None,
+    checkpoints: Checkpoints | None = None,
+    resume: Checkpoint | None = None,
+) -> Result:
+    """Run one scenario and write NAME.csv or .parquet and NAME.json (settings, FMUs, metrics) to `folder`.
+
+    progress .. resume: of `simulate`. A run that ends early leaves its recording as NAME.partial.csv or
+    .parquet. The room for the recording is reserved before the run; where it cannot be written all the same,
+    it is in a temporary folder, which the error names.
+    """
+    file = folder / f"{loaded.name}.{file_format}"
+    try:
+        with reserved(file, prepare(loaded.system, loaded.experiment).shape):
+            recording = simulate(
+                loaded.system,
+                loaded.experiment,
+                progress,
+                timeout=timeout,
+                real_time=real_time,
+                checkpoints=checkpoints,
+                resume=resume,
+            )
+    except SimulationError as error:
+        if len(error.recording.time):
+            _write(error.recording, file.with_name(f"{loaded.name}.partial.{file_format}"))
+        raise
+    _write(recording, file)
+    result = Result(loaded, recording, metrics.evaluate(recording, loaded.metrics))
+    document = {
+        "recording": file.name,
+        "scenario": loaded.resolved,
+        "run": recording.provenance,
+        "metrics": result.metrics_with_units,
+    }
+    write_json_atomically(folder / f"{loaded.name}.json", document)
+    return result
+
+
+def _write(recording: Recording, file: Path) -> None:
+    try:
+        recording.write(file)
+    except OSError as error:
+        elsewhere = lasting_folder() / file.name
+        recording.write(elsewhere)
+        raise OrchestrationError(f"{file}: {error.strerror}; the recording is in {elsewhere}") from error
