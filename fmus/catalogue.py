@@ -160,23 +160,28 @@ def _reference_run(block: Block) -> ReferenceRun:
         raise ExportError(f"block {block.name!r}: {where}the reference run ends: {error}") from error
 
 
-def build_orders(orders: Iterable[Order]) -> Iterator[list[Path]]:
-    """Write the FMUs of each order, whatever stands there, and stamp them; gives the files of each.
+def build_orders(orders: Iterable[Order]) -> Iterator[list[Path] | ExportError]:
+    """Write the FMUs of each order, whatever stands there, and stamp them.
 
-    Some are compiled while the next are traced; the first order that cannot be built ends this, and those
-    before it are written.
+    Gives the files of each, or why it cannot be built. Some are compiled while the next are traced.
     """
-    compiling: deque[_CompilingOrder] = deque()
+    compiling: deque[_CompilingOrder | ExportError] = deque()
     with ExitStack() as stack:
         for order in orders:
             try:
                 compiling.append(_CompilingOrder(order, stack))
-            except ExportError:
-                yield from (earlier.written() for earlier in compiling)
-                raise
+            except ExportError as error:
+                compiling.append(error)
             if len(compiling) > _AT_ONCE:
-                yield compiling.popleft().written()
-        yield from (last.written() for last in compiling)
+                yield _ended(compiling.popleft())
+        yield from map(_ended, compiling)
+
+
+def _ended(order: "_CompilingOrder | ExportError") -> list[Path] | ExportError:
+    try:
+        return order if isinstance(order, ExportError) else order.written()
+    except ExportError as error:
+        return error
 
 
 class _CompilingOrder:

@@ -14,6 +14,7 @@ from hypothesis import settings
 
 from fmus import catalogue, platforms
 from fmus.block import Block
+from fmus.errors import ExportError
 from fmus.export import toolchain
 from fmus.instance import Instance
 from fmus.registry import FOLDER_VARIABLE, Flavour, block_names, fmu_folder
@@ -110,8 +111,9 @@ def _lazily_built(flavour: Flavour) -> LazyFmus:
     """With stamps: a command that runs them then traces no block."""
 
     def build(name: str, folder: Path) -> Path:
-        ((fmu,),) = catalogue.build_orders([Order(name, folder, flavour)])
-        return fmu
+        (files,) = catalogue.build_orders([Order(name, folder, flavour)])
+        assert not isinstance(files, ExportError), files
+        return files[0]
 
     return LazyFmus(block_names(), fmu_folder(flavour), build)
 

@@ -8,7 +8,6 @@ import os
 import signal
 import struct
 import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -16,6 +15,8 @@ from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import IO
+
+import ziglang
 
 from fmus.errors import ExportError
 from fmus.platforms import FMPY, TARGETS
@@ -33,6 +34,7 @@ FLAGS = (
 FMI_HEADERS = FMPY / "c-code"  # of FMI 2.0, which no FMU carries
 _PATIENCE_S = 600  # the first build for Windows takes a minute: its C library is compiled too
 COMPILER = ("ziglang", version("ziglang"))
+_ZIG = Path(ziglang.__file__).parent / ("zig.exe" if os.name == "nt" else "zig")
 
 
 def compile_library(
@@ -89,11 +91,10 @@ def zig(arguments: Sequence[str], folder: Path) -> None:
 @contextmanager
 def _running(arguments: Sequence[str], folder: Path) -> Iterator[Callable[[], None]]:
     """Zig at work; the function that this gives waits for its end. It does not outlive the context."""
-    command = [sys.executable, "-m", "ziglang", *arguments]
     with (
         tempfile.TemporaryFile() as output,
         subprocess.Popen(
-            command, cwd=folder, start_new_session=True, stdout=output, stderr=subprocess.STDOUT
+            [_ZIG, *arguments], cwd=folder, start_new_session=True, stdout=output, stderr=subprocess.STDOUT
         ) as process,
     ):
         try:

@@ -24,8 +24,8 @@ def where(condition: bool | float, if_true: T | Callable[[], T], if_false: T | C
     if_true, if_false: numbers, or tuples or dataclasses of one shape; or functions that return them
     """
     if condition.__class__ is bool or are_numbers(condition):
-        taken: Any = if_true if condition else if_false
-        return taken() if callable(taken) else taken
+        taken = if_true if condition else if_false
+        return taken() if callable(taken) else taken  # type: ignore[return-value]
     first, second = _value(if_true), _value(if_false)
     _check_shapes(first, second)
     if isinstance(first, tuple) or hasattr(first, "__dataclass_fields__"):

@@ -16,7 +16,7 @@ def casadi() -> Any:
 
 def are_numbers(*values: object) -> bool:
     """Whether no value is a symbol. NumPy's numbers and truth values, which have a dtype, are none either."""
-    for value in values:  # a loop, as this is called at every step: `all` takes twice as long
+    for value in values:  # noqa: SIM110  (called at each step many times, where `all` takes twice as long)
         if not isinstance(value, _NUMBERS) and not hasattr(value, "dtype"):
             return False
     return True

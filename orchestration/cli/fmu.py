@@ -1,7 +1,8 @@
 """Commands on FMUs: build, check, inspect."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -104,45 +105,49 @@ def build(
     ]
     stamps = Stamps()
     current = {} if with_reference else {order: stamps.current(order) for order in orders}
-    refused = _refused(orders, current, bool(names))
-    with progress("build", len(orders) - len(refused)) as bar:
-        for files in _built([order for order in orders if order not in refused], current):
-            print(*files, sep="\n")
+    _check_names(orders, current)
+    refused: list[str] = []
+    with progress("build", len(orders)) as bar, closing(_built(orders, current)) as built:
+        for files in built:
+            if not isinstance(files, ExportError):
+                print(*files, sep="\n")
+            elif names:
+                raise files
+            else:
+                refused.append(str(files))
             bar.advance()
     if refused:
-        fail("; ".join(refused.values()))
+        fail("; ".join(refused))
 
 
-def _refused(orders: Sequence[Order], current: Current, named: bool) -> dict[Order, str]:
-    """Order -> why it cannot be built; of those that the user named, the first raises ExportError."""
-    refused: dict[Order, str] = {}
+def _check_names(orders: Sequence[Order], current: Current) -> None:
+    """ExportError for two blocks whose FMUs would have one name, before anything is built."""
     sources: dict[str, str] = {}  # name of an FMU in lower case, as some file systems know no other -> block
     for order in orders:
-        try:
-            for name in [fmu.stem for fmu in current.get(order) or ()] or _names(order):
-                if first := sources.get(name.casefold()):
-                    raise ExportError(
-                        f"{order.source}: block {name!r} would replace the FMU of {first}: "
-                        "expected names that differ, in upper case too"
-                    )
-                sources[name.casefold()] = f"block {name!r} of {order.source}"
-        except ExportError as error:
-            if named:
-                raise
-            refused[order] = str(error)
-    return refused
+        for name in [fmu.stem for fmu in current.get(order) or ()] or _names(order):
+            if first := sources.get(name.casefold()):
+                raise ExportError(
+                    f"{order.source}: block {name!r} would replace the FMU of {first}: "
+                    "expected names that differ, in upper case too"
+                )
+            sources[name.casefold()] = f"block {name!r} of {order.source}"
 
 
 def _names(order: Order) -> list[str]:
-    """The names of the blocks of an order, which are verified."""
+    """The names of the blocks of an order: an installed one has that of its entry point."""
+    if order.source in block_names():
+        return [order.source]
     from fmus import catalogue
+    from fmus.block_file import blocks_in
 
-    with catalogue.loaded(order.source) as blocks:
+    if not order.file:
+        return [catalogue.load_block(order.source).name]  # raises ExportError
+    with blocks_in(Path(order.source)) as blocks:
         return [block.name for block in blocks]
 
 
-def _built(orders: Sequence[Order], current: Current) -> Iterator[Sequence[Path]]:
-    """What each order makes; only those that are not as they would be built are built."""
+def _built(orders: Sequence[Order], current: Current) -> Generator[Sequence[Path] | ExportError, None, None]:
+    """What each order makes, or why it cannot; only those that are not as they would be built are built."""
     stale = [order for order in orders if not current.get(order)]
     if stale:
         from fmus import catalogue  # which loads what builds FMUs

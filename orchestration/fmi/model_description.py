@@ -97,10 +97,15 @@ class CoSimulation:
 
     modelIdentifier: str
     sourceFiles: list[str]
-    canHandleVariableCommunicationStepSize: bool = False
-    canInterpolateInputs: bool = False
-    canBeInstantiatedOnlyOncePerProcess: bool = False
-    canGetAndSetFMUstate: bool = False
+    needsExecutionTool: bool
+    canHandleVariableCommunicationStepSize: bool
+    canInterpolateInputs: bool
+    canRunAsynchronuously: bool
+    canBeInstantiatedOnlyOncePerProcess: bool
+    canNotUseMemoryManagementFunctions: bool
+    canGetAndSetFMUstate: bool
+    canSerializeFMUstate: bool
+    providesDirectionalDerivative: bool
 
 
 @dataclass(eq=False)
