@@ -61,7 +61,10 @@ def other_value(v: Variable) -> Any:
 
 
 def far_values(v: Variable) -> list[Any]:
-    """Legal values of an input far from its start value: Reals three times as large or the limits, texts."""
+    """Legal values far from the start value: Reals three times as large or the limits, texts.
+
+    A parameter gets no other sign beyond what its limits tell: many, such as a period, mean nothing there.
+    """
     start = start_value(v)
     if start is None:
         return []
@@ -77,7 +80,8 @@ def far_values(v: Variable) -> list[Any]:
         min(start + width, math.inf if high is None else high),
         max(start - width, -math.inf if low is None else low),
     ]
-    return [x for x in values if _within(v, x) and x != start]
+    is_meant = [v.causality == "input" or x * start >= 0.0 or x in (low, high) for x in values]
+    return [x for x, meant in zip(values, is_meant, strict=True) if meant and _within(v, x) and x != start]
 
 
 def values_out_of_range(v: Variable) -> list[Any]:

@@ -47,7 +47,7 @@ typedef struct {
 static const char GUID[] = "{5ba0ed5f-5d2c-4f3d-9a0b-2f1a0a1b9a5e}";
 static char mutation[64];
 /* from the second line of the file */
-static int own_memory, asynchronous, finishes_all, one_step_size, discards_all, discards_late, warns, once, iterates, internal_steps;
+static int own_memory, asynchronous, finishes_all, one_step_size, discards_all, discards_late, warns, once, iterates, internal_steps, needs_rate;
 static Data shared;
 static int instances;
 
@@ -191,6 +191,7 @@ static int read_mutation(const char *uri) {
     once = !!strstr(flags, "once");
     iterates = !!strstr(flags, "iterates");
     internal_steps = !!strstr(flags, "internal steps");
+    needs_rate = !!strstr(flags, "needs a rate");
     if (!IS("files stay open")) fclose(file);
     return 1;
 }
@@ -503,6 +504,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_re
     if (t + h > s->stop_time + 1e-9 * fmax(1, fabs(t)) && !IS("steps beyond the stop time")) return error(s, "stop time");
     if (one_step_size && fabs(h - 0.1) > 1e-9) return error(s, "another step size than 0.1 s");
     if (discards_all || (discards_late && d->steps >= 6)) return discard(s, "discarded");
+    if (needs_rate && d->real[RATE] < 0) abort();
     if (!d->first_step) d->first_step = h;
     if (IS("one step size") && fabs(h - d->first_step) > 1e-9) return error(s, "another step size");
     if (IS("a discarded step that tells the future") && fabs(h - d->first_step) > 1e-9) {

@@ -325,6 +325,7 @@ LEGAL = (
     ("once", _ONLY_ONCE, ()),
     ("iterates", (), ()),
     ("internal steps", (), ()),
+    ("needs a rate", (), ()),
     ("one step size", _STATES_NO_STEP_SIZE, ()),
     ("discards all", _ONE_STEP_SIZE, ()),
     ("discards late", _ONE_STEP_SIZE, ()),
