@@ -14,6 +14,7 @@ from fmus.binding import (
     DO_STEP_STATUS,
     ERROR,
     FATAL,
+    OK,
     PENDING,
     BoundInstance,
     Library,
@@ -24,7 +25,7 @@ from fmus.callbacks import AllocateMemory, Callbacks, CountingAllocator, FreeMem
 from fmus.compliance.observed_callbacks import MessageLog, RefusingAllocator
 from fmus.compliance.process_settings import ProcessSettings
 from fmus.compliance.saved_states import SavedStates
-from fmus.compliance.script import ARGUMENTS
+from fmus.compliance.script import ARGUMENTS, UNWRITTEN
 
 _UNWRITTEN = 77  # no fmi2Status
 _GUARD = 0xA5  # each byte behind an array
@@ -58,7 +59,7 @@ class CalledInstance(BoundInstance):
         self.finished_steps: list[list[Any]] = []
         self.last_status = self.pending_steps = 0
         self.watched = bool(options.get("watched"))
-        self._overwritten = False
+        self._overwritten = self._unwritten = False
         kind = options.get("callbacks", "usual")
         allocator = RefusingAllocator() if kind == "refused memory" else memory
         log = MessageLog(settings)
@@ -162,6 +163,9 @@ class CalledInstance(BoundInstance):
         if self._overwritten:
             self._overwritten = False
             changed.append([ARGUMENTS, "", ""])
+        if self._unwritten:
+            self._unwritten = False
+            changed.append([UNWRITTEN, "", ""])
         return changed
 
     # calls
@@ -184,9 +188,13 @@ class CalledInstance(BoundInstance):
         """The values, with an element behind them that the FMU may not write."""
         count, size = len(references), ctypes.sizeof(element_type(kind))
         buffer = (element_type(kind) * (count + 1))()
+        mark = bytes([_GUARD]) * size if self.watched and kind != "String" else b""
+        ctypes.memmove(buffer, mark * count, len(mark) * count)
         ctypes.memset(ctypes.addressof(buffer) + count * size, _GUARD, size)
         self.call(f"fmi2Get{kind}", reference_array(references), count, buffer)
         self._overwritten |= bytes(buffer)[-size:] != bytes([_GUARD]) * size
+        values = [bytes(buffer)[i * size : (i + 1) * size] for i in range(count)] if mark else []
+        self._unwritten |= self.last_status == OK and mark in values
         return buffer[:count]
 
     def set(self, kind: str, references: Sequence[int], values: Sequence[Any]) -> None:

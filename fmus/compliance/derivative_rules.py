@@ -160,6 +160,7 @@ def output_derivatives_are_finite(probe: Probe) -> Iterator[str]:
             yield f"{name}: derivative of order {order} is {value}: expected a finite number"
 
 
+_FAR = 10.0  # times: a derivative of one communication point, and not of the next
 _TO_COMPARE = ["output-derivatives", "variables-can-be-read", "communication-points-may-be-rounded"]
 
 
@@ -169,7 +170,10 @@ def output_derivatives_are_right(probe: Probe) -> Iterator[str]:
     quotients before and after it.
     """
     for name, comparisons in probe.once("slopes of outputs", lambda: _slopes(probe)).items():
-        yield from _wrong_slope(name, comparisons, [c for c in comparisons if c[0] != 0.0])
+        wrong = list(_wrong_slope(name, comparisons, [c for c in comparisons if c[0] != 0.0]))
+        yield from wrong
+        if not wrong and _are_late(comparisons):
+            yield f"{name}: its derivative is that of the step's begin: expected that of its end"
 
 
 @rule(
@@ -215,6 +219,17 @@ def _wrong_slope(name: str, every: list[Comparison], judged: list[Comparison]) -
     if len(wrong) > (len(every) + 1) // 2:  # a jump or an event is not a wrong derivative
         shown = texts(*wrong[0][:3])
         yield f"{name}: its derivative is {shown[0]}: expected about {shown[1]}..{shown[2]}, its slopes"
+
+
+def _are_late(comparisons: list[Comparison]) -> bool:
+    """Whether each derivative is the mean slope around the communication point before, and not around its
+    own: nearer by far, and not for rounding.
+    """
+    means = [(before + after) / 2 for _, before, after, _ in comparisons]
+    own = [abs(c[0] - mean) for c, mean in zip(comparisons[1:], means[1:], strict=True)]
+    late = [abs(c[0] - mean) for c, mean in zip(comparisons[1:], means, strict=False)]
+    rounding = max((c[3] for c in comparisons), default=0.0)
+    return bool(own) and min(own) > _FAR * max([rounding, *late])
 
 
 def _is_wrong(derivative: float, before: float, after: float, rounding: float) -> bool:

@@ -14,6 +14,7 @@ from fmus.compliance.session import NAME, session
 from fmus.compliance.values import differing
 
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
+_ONLY_ONCE = "canBeInstantiatedOnlyOncePerProcess"
 _REFERENCE = re.compile(r"#([ribs])(\d+)#")
 _KINDS = {"r": "Real", "i": "Integer", "b": "Boolean", "s": "String"}
 
@@ -44,6 +45,26 @@ def messages_have_the_instance_name(probe: Probe) -> Iterator[str]:
         yield f"a message carries the instance name {shown}: expected {NAME!r}, its instance"
     if any(not m.right_environment for m in messages):
         yield "the logger was called without the componentEnvironment of its instance"
+    elif all(m.instance == NAME for m in messages) and not probe.fmu.claims(_ONLY_ONCE):
+        yield from _of_another(probe)
+
+
+def _of_another(probe: Probe) -> Iterator[str]:
+    """A message that carries the name of another instance, of two that live side by side."""
+    first, second = (probe.script(name=f"instance {i} of two", logging=True).forbidden() for i in (1, 2))
+    for script in (first, second):
+        script.begin().step().pause()
+        script.call("get", "Real", [unknown_reference(probe)])
+    probe.play(first, second, keep_going=True)
+    for script in (first, second):
+        name = script.options["name"]
+        for message in [m for reply in script.replies for m in reply.messages]:
+            if message.instance != name:
+                yield (
+                    f"a message to the environment of {name!r} carries the instance name "
+                    f"{message.instance!r} beside another instance: expected its own"
+                )
+                return
 
 
 @rule(_CREATION, Stage.BEHAVIOUR)
@@ -113,7 +134,9 @@ def _unwanted(category: str | None) -> str:
 
 @rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING)
 def no_messages_with_logging_off(probe: Probe) -> Iterator[str]:
-    """With loggingOn = fmi2False, and after fmi2SetDebugLogging with it, no debug messages arrive."""
+    """With loggingOn = fmi2False, and after fmi2SetDebugLogging with it, no debug messages arrive, and none
+    from calls that return ok.
+    """
     created_off = probe.script().begin().step(2)
     turned_off = probe.script(logging=True)
     off = turned_off.call("set_debug_logging", False, [])
@@ -121,7 +144,9 @@ def no_messages_with_logging_off(probe: Probe) -> Iterator[str]:
     probe.play_each([created_off, turned_off])
     for script, when in ((created_off, "at fmi2Instantiate"), (turned_off, "by fmi2SetDebugLogging")):
         replies = script.replies[script.replies.index(off) + 1 :] if script is turned_off else script.replies
-        texts = [m.text for reply in replies if reply.ok for m in reply.messages if m.status == 0]
+        texts = [
+            m.text for reply in replies if reply.ok for m in reply.messages if not reply.status * m.status
+        ]
         if texts:
             yield f"a message arrives although logging is off {when}: {texts[0][:80]!r}"
 

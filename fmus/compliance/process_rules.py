@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, Stage, rule
-from fmus.compliance.script import ARGUMENTS
+from fmus.compliance.script import ARGUMENTS, UNWRITTEN
 from fmus.compliance.session import session
 
 _GENERAL = "2.1 FMI Application Programming Interface"
@@ -35,7 +35,7 @@ def process_settings_are_restored(probe: Probe) -> Iterator[str]:
     named = set()
     for reply in session(probe).script.everything:
         for setting, before, after in reply.changed:
-            if not setting.startswith((_FLOATING_POINT, ARGUMENTS)) and setting not in named:
+            if not setting.startswith((_FLOATING_POINT, ARGUMENTS, UNWRITTEN)) and setting not in named:
                 named.add(setting)
                 yield f"{reply.function} changes the {setting}: {after}, expected {before}"
 
@@ -48,6 +48,14 @@ def arguments_are_not_written(probe: Probe) -> Iterator[str]:
     everything = session(probe).script.everything
     for name in dict.fromkeys(r.function for r in everything for row in r.changed if row[0] == ARGUMENTS):
         yield f"{name} writes into an array that is constant, or behind one: expected that unchanged"
+
+
+@rule("2.1.7 Getting and Setting Variable Values", Stage.BEHAVIOUR)
+def values_are_written(probe: Probe) -> Iterator[str]:
+    """fmi2GetXXX that returns ok has written each value."""
+    everything = session(probe).script.everything
+    for name in dict.fromkeys(r.function for r in everything for row in r.changed if row[0] == UNWRITTEN):
+        yield f"{name} returned ok and left a value unwritten: expected each written"
 
 
 @rule("advice: messages belong to the logger", Stage.BEHAVIOUR, Level.WARNING)

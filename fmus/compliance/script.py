@@ -9,6 +9,7 @@ from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.variable import Variable
 
 KINDS = ("Real", "Integer", "Boolean", "String")
+UNWRITTEN = "values"  # among what a call changed: those that were asked for were not
 ARGUMENTS = "arguments"  # among what a call changed
 _FUNCTIONS = {  # method of `CalledInstance` -> function of FMI, where the arguments do not name it
     "set_up_experiment": "fmi2SetupExperiment", "set_up_experiment_with": "fmi2SetupExperiment",

@@ -51,7 +51,9 @@ def source_prefix(fmu: FmuFile) -> Iterator[str]:
 
 @rule(_NAMING, Stage.DESCRIPTION, Level.WARNING, condition=unreadable)
 def source_prefix_is_defined(fmu: FmuFile) -> Iterator[str]:
-    """Sources that include fmi2Functions.h define FMI2_FUNCTION_PREFIX, or say how their build does."""
+    """Sources that include fmi2Functions.h define FMI2_FUNCTION_PREFIX directly before that, or say how their
+    build does.
+    """
     sources = _sources(fmu)
     own = {path: text for path, text in sources.items() if posixpath.basename(path) not in HEADERS}
     including = [path for path, text in own.items() if _FUNCTIONS.search(text)]
@@ -59,6 +61,13 @@ def source_prefix_is_defined(fmu: FmuFile) -> Iterator[str]:
     if including and not any(name in text for name in _NAMES_FUNCTIONS for text in [*own.values(), *built]):
         expected = "expected #define FMI2_FUNCTION_PREFIX before that"
         yield f"{min(including)} includes fmi2Functions.h: {expected}"
+    for path in sorted(including):
+        lines = _unconditional(own[path])
+        define, include = _PREFIX.search(lines), _FUNCTIONS.search(lines)
+        between = lines[define.end() : include.start()].split() if define and include else []
+        if between:
+            word = b" ".join(between)[:40].decode("utf-8", "replace")
+            yield f"{path}: {word} follows FMI2_FUNCTION_PREFIX: expected fmi2Functions.h directly after it"
 
 
 def _unconditional(text: bytes) -> bytes:

@@ -39,7 +39,9 @@ def start_value(v: Variable) -> Any:
     if v.base_kind == "Boolean":
         return _TRUE.get(text)
     value = v.number("start") if v.typed.get("start") == text else None
-    return int(value) if value is not None and v.base_kind == "Integer" else value
+    if v.base_kind != "Integer":
+        return value
+    return int(value) if value is not None and abs(value) <= _LARGEST_INTEGER else None
 
 
 def other_value(v: Variable) -> Any:

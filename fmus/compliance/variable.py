@@ -57,9 +57,10 @@ class Variable:
 
     @property
     def initial(self) -> str:
-        """As stated, else the default; empty where there is none."""
-        allowed = INITIAL.get((self.causality, self.variability), ())
-        return self.attributes.get("initial") or (allowed[0] if allowed else "")
+        """As stated, if that is legal here, else the default; empty where there is none."""
+        stated, pair = self.attributes.get("initial", ""), (self.causality, self.variability)
+        allowed = INITIAL.get(pair, (stated,))
+        return stated if stated in allowed else next(iter(allowed), "")
 
     @cached_property
     def reference(self) -> int | None:

@@ -113,6 +113,9 @@ ARCHIVE_MUTANTS = (
     _mutant("a function prefix too late", "source-prefix",
             partial(written, BASE | {"sources/base.c": _FUNCTIONS + b"#define FMI2_FUNCTION_PREFIX Base_\n"}),
             "2.1.1"),
+    _mutant("a function prefix not directly before the functions", "source-prefix-is-defined",
+            partial(written, BASE | {"sources/base.c":
+                    b"#define FMI2_FUNCTION_PREFIX Base_\n#include <math.h>\n" + _FUNCTIONS}), "2.1.1"),
     _mutant("no function prefix in the sources", "source-prefix-is-defined",
             partial(written, BASE | {"sources/base.c": _FUNCTIONS, "sources/exchange.c": b""}), "2.1.1"),
     _mutant("a header that is not there", "included-files-exist",

@@ -112,6 +112,17 @@ _ROWS = [
     ("not a number later", "2.1.7", "outputs-are-finite", ""),
     ("any first communication point", "4.2.2", "forbidden-calls-are-refused", ""),
     ("outputs can be set at communication points", "4.2.4", "forbidden-calls-are-refused", ""),
+    ("messages go to the latest instance", "2.1.5", "messages-have-the-instance-name", ""),
+    ("messages carry the latest name", "2.1.5", "messages-have-the-instance-name", ""),
+    ("derivatives of outputs of the step's begin", "4.2.1", "output-derivatives-are-right", ""),
+    ("values are not written", "2.1.7", "values-are-written", ""),
+    (
+        "warns in each step",
+        "2.1.5",
+        "no-messages-with-logging-off only-chosen-categories-are-logged "
+        "disabled-categories-alone-are-disabled",
+        "",
+    ),
     ("runs begin at 0", "2.1.6", "time-is-the-communication-point", ""),
     ("time of equal steps", "2.2.7", "time-is-the-communication-point", ""),
     ("whole internal steps alone", "4.2.2", "two-steps-are-one-of-twice-the-size", ""),
