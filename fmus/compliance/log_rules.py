@@ -36,7 +36,7 @@ def declared_categories(probe: Probe) -> list[str]:
     return [c.get("name", "") for c in probe.fmu.root.iterfind("LogCategories/Category")]
 
 
-@rule(_CREATION, Stage.BEHAVIOUR)
+@rule(_CREATION, Stage.BEHAVIOUR, needs=["several-instances"])
 def messages_have_the_instance_name(probe: Probe) -> Iterator[str]:
     """Messages carry the name of the instance that sends them, and the environment of its callbacks."""
     messages = messages_of_a_session(probe)
@@ -145,7 +145,7 @@ def no_messages_with_logging_off(probe: Probe) -> Iterator[str]:
     for script, when in ((created_off, "at fmi2Instantiate"), (turned_off, "by fmi2SetDebugLogging")):
         replies = script.replies[script.replies.index(off) + 1 :] if script is turned_off else script.replies
         texts = [
-            m.text for reply in replies if reply.ok for m in reply.messages if not reply.status * m.status
+            m.text for reply in replies if reply.ok for m in reply.messages if 0 in (reply.status, m.status)
         ]
         if texts:
             yield f"a message arrives although logging is off {when}: {texts[0][:80]!r}"
