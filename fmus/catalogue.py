@@ -1,5 +1,6 @@
 """Building the FMUs of the installed blocks, which `fmus.registry` names, and of the blocks of a file."""
 
+import io
 import keyword
 import re
 import zipfile
@@ -217,7 +218,7 @@ def fmu_of_file(path: Path, flavour: Flavour = Flavour.NATIVE) -> Path:
 def _built_if_stale(order: Order) -> Path:
     """The FMU of the only block of an order."""
     stamps = Stamps()
-    if current := stamps.current(order):
+    if current := stamps.current(order, to_run=True):
         return current[0]
     sources = stamps.sources(order)
     with loaded(order.source) as blocks:
@@ -231,10 +232,12 @@ def _built_if_stale(order: Order) -> Path:
         guid, _ = _EXPORTS[order.flavour].content(block)
         native = order.flavour is Flavour.NATIVE
         needed = library_name(block.name, host_platform()) if native else None
-        if not _is_present(path, guid, needed):  # its GUID does not tell its icon, for one: no stamp for it
+        found = path.read_bytes() if path.is_file() else b""
+        fits = _fits(found, guid, needed)
+        if not fits:
             with _building(block, order) as write:
-                written = write()
-            stamps.write(order, sources and sources.if_loaded, {path.name: written[path]})
+                found = write()[path]
+        stamps.write(order, sources and sources.if_loaded, {path.name: found}, was_built=not fits)
     return path
 
 
@@ -250,11 +253,12 @@ def build_missing(paths: Iterable[Path]) -> None:
             ) from error
 
 
-def _is_present(path: Path, guid: str, library: str | None) -> bool:
+def _fits(fmu: bytes, guid: str, library: str | None) -> bool:
+    """Whether an FMU runs as what was traced; its GUID does not tell its icon, for one."""
     try:
-        with zipfile.ZipFile(path) as archive:
+        with zipfile.ZipFile(io.BytesIO(fmu)) as archive:
             root = ElementTree.fromstring(archive.read("modelDescription.xml"))
             is_complete = not archive.testzip() and (library is None or library in archive.namelist())
-    except (OSError, zipfile.BadZipFile, zlib.error, KeyError, ElementTree.ParseError):
+    except (zipfile.BadZipFile, zlib.error, KeyError, ElementTree.ParseError):
         return False
     return is_complete and root.get("guid") == guid

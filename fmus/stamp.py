@@ -80,7 +80,7 @@ def stale(paths: Iterable[Path]) -> list[Path]:
         fmu_path(name, flavour): Order(name, fmu_folder(flavour), flavour)
         for name, flavour in block_fmus(paths)
     }
-    return [path for path, order in orders.items() if not stamps.current(order)]
+    return [path for path, order in orders.items() if not stamps.current(order, to_run=True)]
 
 
 @dataclass(frozen=True)
@@ -114,15 +114,19 @@ class Stamps:
         self._files: dict[str, tuple[bytes, float]] = {}
         self._specs: dict[tuple[str, str], ModuleSpec | None] = {}
 
-    def current(self, order: Order) -> list[Path] | None:
-        """The FMUs of an order, if they are what would be built now; None if that is not known."""
+    def current(self, order: Order, to_run: bool = False) -> list[Path] | None:
+        """The FMUs of an order, if they are what would be built now; None if that is not known.
+
+        to_run: whether they may differ in what runs do not need, such as their icons
+        """
         damaged = ValueError, TypeError, KeyError, AttributeError
         with suppress(_UnknownError, OSError, *damaged):
             stamp = json.loads(_stamp_file(order).read_text(encoding="utf-8"))
             files = {order.folder / name: digest for name, digest in stamp["fmus"].items()}
             modules = {name: (file, digest) for name, (file, digest) in stamp["modules"].items()}
             unchanged = (
-                stamp["recipe"] == self._recipe(order)
+                (to_run or stamp["was_built"])
+                and stamp["recipe"] == self._recipe(order)
                 and all(self._module(name, order) == modules[name] for name in modules)
                 and all(_digest(path.read_bytes()) == digest for path, digest in files.items())
             )
@@ -138,18 +142,22 @@ class Stamps:
             return None
         return Sources(recipe, modules, max(changed for _, changed in self._files.values()))
 
-    def write(self, order: Order, sources: Sources | None, built: Mapping[str, bytes]) -> None:
+    def write(
+        self, order: Order, sources: Sources | None, fmus: Mapping[str, bytes], was_built: bool = True
+    ) -> None:
         """Stamp FMUs, unless one of the sources may have changed since it was imported.
 
         sources: from before they were imported, and only if they were loaded
-        built: what was written, by the name of the file: another process may have written there since
+        fmus: content by the name of the file, where another process may have written since
+        was_built: otherwise they were found, and run as what was traced
         """
         if sources is None or sources.changed > self._begun - _RECENT_S:
             return
         if Stamps(self._package, self._begun).sources(order) != sources:
             return
-        digests = {name: _digest(fmu) for name, fmu in built.items()}
+        digests = {name: _digest(fmu) for name, fmu in fmus.items()}
         content = {"recipe": sources.recipe, "modules": sources.modules, "fmus": digests}
+        content["was_built"] = was_built
         with suppress(OSError):  # without a cache that can be written, the next build traces again
             write_json_atomically(_stamp_file(order), content)
 

@@ -254,7 +254,7 @@ def test_an_fmu_that_another_process_wrote_meanwhile_is_not_current(order: Order
     assert current(order, tmp_path) is None
 
 
-def test_an_fmu_that_was_found_and_not_built_gets_no_stamp(
+def test_an_fmu_that_was_found_and_not_built_is_stamped_for_runs_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its GUID tells neither its icon nor whether it has terminals, with which `build --cache` wrote it."""
@@ -265,7 +265,9 @@ def test_an_fmu_that_was_found_and_not_built_gets_no_stamp(
         path = catalogue.build("ExamplePlant", tmp_path / "built", with_terminals=True)
     older = path.read_bytes()
     order = Order("ExamplePlant", tmp_path / "built")
+    assert Stamps().current(order, to_run=True) is None
     assert catalogue.build_if_stale("ExamplePlant", tmp_path / "built").read_bytes() == older
+    assert Stamps().current(order, to_run=True) == [path]
     assert Stamps().current(order) is None
     path.unlink()
     catalogue.build_if_stale("ExamplePlant", tmp_path / "built")
