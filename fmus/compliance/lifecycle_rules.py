@@ -46,7 +46,8 @@ def library_version(probe: Probe) -> Iterator[str]:
 
 @rule(_CREATION, Stage.BEHAVIOUR)
 def free_of_null_is_ignored(probe: Probe) -> Iterator[str]:
-    """fmi2FreeInstance of NULL does nothing."""
+    """fmi2FreeInstance of NULL does nothing, also after an instance was freed."""
+    probe.creates()
     probe.ask("free_of_null")
     yield from ()
 
