@@ -20,6 +20,7 @@ from orchestration.master.ensemble_loop import EnsembleLoop, build_loop, check_m
 from orchestration.master.ensemble_recording import EnsembleRecording
 from orchestration.master.initialisation import ConnectionGroup, initialise
 from orchestration.master.lane_library import lane_library
+from orchestration.master.stepped_ensemble import SteppedEnsemble
 from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_again import PreparedRuns
 from orchestration.system.prepared_run import PreparedRun
@@ -95,6 +96,28 @@ class Ensemble(AbstractContextManager["Ensemble"]):
             return self._run(experiment, vary, threads, progress)
         finally:
             self._running.release()
+
+    def start(
+        self, experiment: Experiment, vary: Vary, instances: int, external: Sequence[str]
+    ) -> SteppedEnsemble:
+        """So many instances at the start time, to be led step by step.
+
+        external: inputs that the caller sets between the steps, as of `Simulator.start`; at least one
+        Raises what `run` raises; OrchestrationError if an instance cannot begin.
+        """
+        new = (name for name in external if name not in experiment.inputs)
+        open_inputs = OpenInputs(experiment.open_inputs)
+        system = check(self.system, (*experiment.driven_inputs, *new), self._descriptions, open_inputs)
+        prepared, groups = prepare_checked(system, experiment, external), connection_groups(system)
+        check_supported(prepared, groups)
+        values: dict[str, list[FmiValue]] = {n: [x] * instances for n, x in prepared.external.items()}
+        values |= checked_values(prepared, vary) if vary else {}
+        check_memory(prepared, self._libraries, instances)
+        loop = self._started(prepared, groups, values)
+        for instance in np.flatnonzero(loop.failure.ravel()[:instances]).tolist():
+            reason = self._reason(prepared, groups, values, instance)
+            raise OrchestrationError(f"instance {instance} cannot begin: {reason}")
+        return SteppedEnsemble(loop, instances)
 
     def _run(
         self,

@@ -1,5 +1,7 @@
 """Whether an ensemble runs instances of an experiment, or simulators one after another."""
 
+from collections.abc import Sequence
+
 from fmus.lanes import LANES
 from fmus.platforms import instruction_sets
 from orchestration.errors import EnsembleError
@@ -8,8 +10,9 @@ from orchestration.master.ensemble_checks import check_supported
 from orchestration.master.initialisation import connection_groups
 from orchestration.master.lane_library import is_compiled
 from orchestration.system.experiment import Experiment
-from orchestration.system.prepared_run import prepare
-from orchestration.system.system import System
+from orchestration.system.open_inputs import OpenInputs
+from orchestration.system.prepared_run import prepare_checked
+from orchestration.system.system import System, check
 
 _MOST_BYTES = 2**28  # of recorded values of a group
 _STEPS_WORTH_COMPILING = (
@@ -17,16 +20,25 @@ _STEPS_WORTH_COMPILING = (
 )
 
 
-def check_ensemble(system: System, experiment: Experiment, instances: int, is_asked_for: bool = False) -> int:
+def check_ensemble(
+    system: System,
+    experiment: Experiment,
+    instances: int,
+    is_asked_for: bool = False,
+    external: Sequence[str] = (),
+) -> int:
     """Bytes of the values that a group of an ensemble records.
 
     instances: how many are run in all; is_asked_for: also where it does not pay
+    external: inputs that the caller sets between the steps
     Raises EnsembleError, which says why simulators run them: an ensemble cannot, or it does not pay.
     """
     for name, path in system.components.items():
         if not is_independent(describe(path)):
             raise EnsembleError(f"{name} is no native FMU of l1-depth")
-    prepared = prepare(system, experiment)
+    driven = tuple(dict.fromkeys((*experiment.driven_inputs, *external)))
+    checked = check(system, driven, open_inputs=OpenInputs(experiment.open_inputs))
+    prepared = prepare_checked(checked, experiment, external)
     check_supported(prepared, connection_groups(prepared.system))
     points, columns = prepared.shape
     group_bytes = 8 * LANES * points * columns

@@ -90,13 +90,24 @@ class EnsembleLoop:
 
     def run_group(self, group: int) -> None:
         """Run a group from the first communication point to the last, with the changes of events."""
-        data, last = self.data(group), len(self.prepared.points) - 1
+        self.run_points(group, self.data_of_group(group), 0, len(self.prepared.points) - 1)
+
+    def data_of_group(self, group: int) -> tuple[ctypes.Array[ctypes.c_int64], GroupData]:
+        """The data of a group as the compiled loop takes them, and the arrays that hold them."""
+        data = self.data(group)
         members = [member.ctypes.data if isinstance(member, np.ndarray) else member for member in data]
-        address = (ctypes.c_int64 * len(members))(*members)
-        starts = sorted({0, *self.prepared.changes})
+        return (ctypes.c_int64 * len(members))(*members), data
+
+    def run_points(
+        self, group: int, data: tuple[ctypes.Array[ctypes.c_int64], GroupData], first: int, last: int
+    ) -> None:
+        """Run a group from one communication point to another; data: of `data_of_group`."""
+        is_end = last + 1 == len(self.prepared.points)
+        changes = (p for p in self.prepared.changes if first < p and (p < last or (is_end and p == last)))
+        starts = sorted({first, *changes})
         for start, end in zip(starts, [*starts[1:], last], strict=True):
             self._change(group, start)
-            loop_library(self.instructions).ensemble_run(address, start, end)
+            loop_library(self.instructions).ensemble_run(data[0], start, end)
 
     def data(self, group: int) -> GroupData:
         """The arrays of a group."""

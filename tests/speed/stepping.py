@@ -11,7 +11,7 @@ from orchestration.gym import FmuEnv, FmuVectorEnv
 from orchestration.master import Simulator
 from orchestration.scenarios.task import Task, task_of
 
-_CALLS, _REPEATS = 500, 100  # the best of many short measurements: others use the processor too
+_CALLS, _REPEATS, _ROUNDS = 500, 100, 5  # the best of many short measurements: others use the processor too
 _VOLTAGES = ("plant.voltage[1]", "plant.voltage[2]")
 
 
@@ -44,25 +44,34 @@ def costs() -> Iterator[tuple[str, float]]:
 
 
 def environments(*numbers: int) -> Iterator[tuple[str, float]]:
-    """(what, environment steps a second) of one environment, and of vectors of these numbers."""
+    """(what, environment steps a second) of one environment, and of vectors of these numbers.
+
+    Vectors by turns with a simulator for each environment and as an ensemble.
+    """
     task, action = vehicle(), np.zeros(2)
     with closing(FmuEnv(task)) as env:
         env.reset()
         yield "FmuEnv", 1e6 / _best(lambda: env.step(action))
     for number in numbers:
-        envs, actions = FmuVectorEnv(task, number), np.zeros((number, 2))
-        envs.reset()
-        yield f"FmuVectorEnv of {number}", number * 1e6 / _best(lambda: envs.step(actions), 100)  # noqa: B023
-        envs.close()
+        vectors = {way: FmuVectorEnv(task, number, way == "ensemble") for way in ("simulators", "ensemble")}
+        actions, best = np.zeros((number, 2)), dict.fromkeys(vectors, np.inf)
+        for envs in vectors.values():
+            envs.reset()
+        for _ in range(_ROUNDS):
+            for way, envs in vectors.items():
+                best[way] = min(best[way], _best(lambda: envs.step(actions), 100, 10))  # noqa: B023
+        for way, envs in vectors.items():
+            yield f"FmuVectorEnv of {number}, {way}", number * 1e6 / best[way]
+            envs.close()
 
 
-def _best(call: Callable[[], object], calls: int = _CALLS) -> float:
+def _best(call: Callable[[], object], calls: int = _CALLS, repeats: int = _REPEATS) -> float:
     """Microseconds of one call."""
-    return min(timeit.repeat(call, number=calls, repeat=_REPEATS)) / calls * 1e6
+    return min(timeit.repeat(call, number=calls, repeat=repeats)) / calls * 1e6
 
 
 if __name__ == "__main__":
     for what, microseconds in costs():
         print(f"{what:20} {microseconds:8.2f} us")
     for what, rate in environments(16, 64):
-        print(f"{what:20} {rate:8.0f} steps a second")
+        print(f"{what:32} {rate:8.0f} steps a second")

@@ -1,0 +1,110 @@
+"""Environments that step together, as instances of an ensemble, are those that step one by one."""
+
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from orchestration.errors import EnsembleError
+from orchestration.gym import FmuVectorEnv, Task, task_of
+from orchestration.master import ensemble_choice
+from orchestration.scenarios import scenario
+from orchestration.system.experiment import Experiment
+from orchestration.system.system import System
+
+VOLTAGES = ("plant.voltage[1]", "plant.voltage[2]")
+Build = Callable[..., Path]
+
+
+@pytest.fixture
+def task(scenario_fmus: None) -> Task:
+    """The vehicle in 2 s of the nominal scenario, with noise and inertia of each episode."""
+    nominal = scenario.load(scenario.find("nominal-extended"))
+    task = task_of(
+        nominal, {"rmse": -1.0, "control_effort": -0.1}, bounds=dict.fromkeys(VOLTAGES, (-6.0, 6.0))
+    )
+    short = replace(task.experiment, stop_time=2.0, record=("plant.measured_depth",))
+    vary = {"plant.inertia": lambda random: random.uniform(5.0, 7.0)}
+    return replace(task, experiment=short, seeds=["plant.sensor_seed"], vary=vary, steps=3)
+
+
+def episodes(task: Task, count: int, ensemble: bool) -> list[Any]:
+    """What environments return under actions that are the same each time, over more than two episodes."""
+    actions = np.random.default_rng(1).uniform(-1.2, 1.2, (80, count, 2))
+    with closing(FmuVectorEnv(task, count, ensemble)) as envs:
+        returned: list[Any] = [*envs.reset(seed=7)[:1]]
+        for action in actions:
+            observations, rewards, terminated, truncated, info = envs.step(action)
+            returned += [observations, rewards, terminated, truncated, info["time"]]
+        returned += [recording.values for recording in envs.recordings()]
+        returned.append(envs.reset()[0])
+    return returned
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("drawn", [True, False])
+def test_they_have_the_bits_of_environments_with_a_simulator_each(task: Task, drawn: bool) -> None:
+    """Ten: a group and a part of one."""
+    chosen = task if drawn else replace(task, seeds=[], vary={})
+    alone, together = (episodes(chosen, 10, ensemble) for ensemble in (False, True))
+    assert [array.tobytes() for array in together] == [
+        np.ascontiguousarray(array).tobytes() for array in alone
+    ]
+    assert sum(array.any() for array in together[4::5]) >= 2  # truncated
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"vary": {"plant.internal_step": lambda random: 0.01}}, "internal_step: expected a parameter but"),
+        ({"seeds": ["plant.current_velocity"]}, "current_velocity: expected a parameter"),
+    ],
+)
+def test_a_task_that_an_ensemble_does_not_run_is_refused(task: Task, changes: Any, message: str) -> None:
+    with pytest.raises(EnsembleError, match=message):
+        FmuVectorEnv(replace(task, **changes), 8, ensemble=True)
+
+
+def test_inputs_that_a_connection_drives_are_read_by_simulators(task: Task) -> None:
+    nominal = scenario.load(scenario.find("nominal-extended"))
+    inputs = {name: x for name, x in nominal.experiment.inputs.items() if name != "plant.buoyancy_change"}
+    connected = replace(
+        task,
+        system=nominal.system,
+        experiment=replace(nominal.experiment, inputs=inputs),
+        actions=["plant.buoyancy_change"],
+        observations=VOLTAGES[:1],
+        reads=(),
+        signals={},
+        bounds={"plant.buoyancy_change": (-0.1, 0.1)},
+    )
+    with pytest.raises(EnsembleError, match=r"voltage\[1\]: it is driven by a connection"):
+        FmuVectorEnv(connected, 8, ensemble=True)
+
+
+def test_fmus_that_are_not_compiled_for_it_have_simulators(
+    task: Task, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ensemble_choice, "is_compiled", lambda *_: False)
+    with closing(FmuVectorEnv(task, 8)) as envs:
+        assert envs.reset(seed=1)[0].shape == (8, 3)
+
+
+def test_foreign_fmus_are_refused(task: Task, linear: Build) -> None:
+    foreign = replace(
+        task,
+        system=System({"plant": linear()}),
+        experiment=Experiment(1.0, 0.1),
+        actions=["plant.u[1]"],
+        observations=["plant.y[1]"],
+        bounds={"plant.u[1]": (-1.0, 1.0)},
+        reads=(),
+        seeds=[],
+        vary={},
+    )
+    with pytest.raises(EnsembleError, match="plant is no native FMU of l1-depth"):
+        FmuVectorEnv(foreign, 8, ensemble=True)
