@@ -105,10 +105,8 @@ class Ensemble(AbstractContextManager["Ensemble"]):
         external: inputs that the caller sets between the steps, as of `Simulator.start`; at least one
         Raises what `run` raises; OrchestrationError if an instance cannot begin.
         """
-        new = (name for name in external if name not in experiment.inputs)
-        open_inputs = OpenInputs(experiment.open_inputs)
-        system = check(self.system, (*experiment.driven_inputs, *new), self._descriptions, open_inputs)
-        prepared, groups = prepare_checked(system, experiment, external), connection_groups(system)
+        system, groups = self._checked.check(experiment, external)
+        prepared = self._prepared_runs.prepare(system, experiment, tuple(external))
         check_supported(prepared, groups)
         values: dict[str, list[FmiValue]] = {n: [x] * instances for n, x in prepared.external.items()}
         values |= checked_values(prepared, vary) if vary else {}

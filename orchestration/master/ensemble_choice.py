@@ -6,13 +6,12 @@ from fmus.lanes import LANES
 from fmus.platforms import instruction_sets
 from orchestration.errors import EnsembleError
 from orchestration.fmi.description import describe, is_independent
+from orchestration.master.checked_systems import CheckedSystems
 from orchestration.master.ensemble_checks import check_supported
-from orchestration.master.initialisation import connection_groups
 from orchestration.master.lane_library import is_compiled
 from orchestration.system.experiment import Experiment
-from orchestration.system.open_inputs import OpenInputs
 from orchestration.system.prepared_run import prepare_checked
-from orchestration.system.system import System, check
+from orchestration.system.system import System
 
 _MOST_BYTES = 2**28  # of recorded values of a group
 _STEPS_WORTH_COMPILING = (
@@ -33,13 +32,13 @@ def check_ensemble(
     external: inputs that the caller sets between the steps
     Raises EnsembleError, which says why simulators run them: an ensemble cannot, or it does not pay.
     """
-    for name, path in system.components.items():
-        if not is_independent(describe(path)):
+    descriptions = {name: describe(path) for name, path in system.components.items()}
+    for name, description in descriptions.items():
+        if not is_independent(description):
             raise EnsembleError(f"{name} is no native FMU of l1-depth")
-    driven = tuple(dict.fromkeys((*experiment.driven_inputs, *external)))
-    checked = check(system, driven, open_inputs=OpenInputs(experiment.open_inputs))
+    checked, groups = CheckedSystems(system, descriptions).check(experiment, external)
     prepared = prepare_checked(checked, experiment, external)
-    check_supported(prepared, connection_groups(prepared.system))
+    check_supported(prepared, groups)
     points, columns = prepared.shape
     group_bytes = 8 * LANES * points * columns
     if not is_asked_for:
