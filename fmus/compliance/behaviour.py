@@ -50,9 +50,11 @@ from fmus.compliance.rule import (
     Result,
     Rule,
     Stage,
+    defect,
     messages_of,
     registered,
 )
+from fmus.compliance.script import KINDS, CallError, DefectError
 from fmus.errors import HostError
 from fmus.process import ProcessEndedError, WorkerProcess
 
@@ -88,7 +90,7 @@ def behaviour(
     started: a process that does not know an FMU yet
     """
     rules = registered(Stage.BEHAVIOUR)
-    reason = obstacle(fmu) or _broken_library(fmu, earlier)
+    reason = obstacle(fmu) or _unreadable_variable(fmu) or _broken_library(fmu, earlier)
     if reason:
         yield from (Result(rule, not_judged=reason) for rule in rules)
         return
@@ -121,6 +123,12 @@ def obstacle(fmu: FmuFile) -> str:
     if fmu.other_version:
         return "it is no FMU of FMI 2.0"
     return no_co_simulation(fmu) or ("" if fmu.host_library else f"no library for {platform_name()}")
+
+
+def _unreadable_variable(fmu: FmuFile) -> str:
+    """Which variable no function can read: rules of the description tell what is wrong with it."""
+    broken = (v for v in fmu.variables if v.reference is None or v.base_kind not in KINDS)
+    return next((f"{v.name or 'a variable'} has no legal value reference or type" for v in broken), "")
 
 
 def _broken_library(fmu: FmuFile, earlier: Sequence[Result]) -> str:
@@ -261,9 +269,11 @@ def _judge(rule: Rule, probe: Probe, results: Mapping[str, Result]) -> Result:
         return Result(rule, messages_of(rule.check(probe)))
     except (TimeoutError, ProcessEndedError):
         raise
-    except NotJudgedError as reason:
+    except (NotJudgedError, DefectError) as reason:
         return Result(rule, not_judged=str(reason))
     except NotApplicableError as reason:
         return Result(rule, not_applicable=str(reason))
-    except Exception as error:  # whatever an FMU answers is a finding
-        return Result(rule, messages_of([str(error) or type(error).__name__]))
+    except CallError as error:  # whatever an FMU answers is a finding
+        return Result(rule, messages_of([str(error)]))
+    except Exception as error:
+        return Result(rule, not_judged=defect(error))

@@ -300,12 +300,11 @@ class CalledInstance(BoundInstance):
         arrays = (ctypes.c_int * count)(*orders), (ctypes.c_double * count)(*values)
         self.call("fmi2SetRealInputDerivatives", reference_array(references), count, *arrays)
 
-    def output_derivatives(self, references: Sequence[int], order: int) -> list[float]:
+    def output_derivatives(self, references: Sequence[int], order: int | Sequence[int]) -> list[float]:
+        """Derivatives of outputs, all of one order or each of its own."""
         count = len(references)
-        result, orders = (
-            (ctypes.c_double * count)(*[math.nan] * count),
-            (ctypes.c_int * count)(*[order] * count),
-        )
+        result = (ctypes.c_double * count)(*[math.nan] * count)  # so that each must be written
+        orders = (ctypes.c_int * count)(*([order] * count if isinstance(order, int) else order))
         self.call("fmi2GetRealOutputDerivatives", reference_array(references), count, orders, result)
         return list(result)
 

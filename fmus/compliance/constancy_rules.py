@@ -1,5 +1,6 @@
 """What changes only when it may: constant, fixed and tunable values, and inputs."""
 
+import struct
 from collections.abc import Iterator, Sequence
 
 from fmus.compliance.probe import Probe
@@ -17,10 +18,14 @@ from fmus.compliance.values import (
 from fmus.compliance.variable import Variable
 
 _VARIABLES = "2.2.7 Definition of Model Variables (ModelVariables)"
-_ROUNDED = 1e-6
+_ROUNDED, _LARGEST_SINGLE = 1e-6, 3e38
 _NOISE = 1e-9  # relative: a value that is computed again is rounded, an iteration may stop elsewhere
 _MOST_VARIABLES = 50
 _STEPS = (1, 1, 4, 10)  # between the readings of a run
+
+
+def _in_single_precision(value: float) -> float:
+    return struct.unpack("f", struct.pack("f", value))[0] if abs(value) < _LARGEST_SINGLE else value
 
 
 def _constants(probe: Probe) -> list[Variable]:
@@ -29,11 +34,16 @@ def _constants(probe: Probe) -> list[Variable]:
 
 @rule(_VARIABLES, Stage.BEHAVIOUR, needs=["communication-points-may-be-rounded"])
 def constants_have_their_value(probe: Probe) -> Iterator[str]:
-    """Constants have their start value, in initialization mode and after steps."""
+    """Constants have their start value after steps, and are not held in single precision."""
     constants = _constants(probe)
     script = probe.script().begin()
     readings = [script.step(count).read(constants) for count in _STEPS]
     script.play()
+    for v in constants:
+        start, value = start_value(v), readings[0].values[v.name]
+        if isinstance(start, float) and value != start and value == _in_single_precision(start):
+            shown = texts(value, start)
+            yield f"{v.name} is {shown[0]}, a constant in single precision: expected {shown[1]}"
     expected = [(v, start_value(v), reading) for reading in readings for v in constants]
     for v, value, start in unlike(expected, _ROUNDED):
         yield f"{v.name} is {value}, a constant: expected {start}"

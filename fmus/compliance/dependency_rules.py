@@ -152,7 +152,8 @@ def initial_dependencies_exist(probe: Probe) -> Iterator[str]:
 def _finite(probe: Probe) -> set[str]:
     """The continuous initial unknowns that are finite numbers at the start values."""
     script = probe.script().initialise()
-    reading = script.read([unknown for unknown in _unknowns(probe) if unknown.variability == "continuous"])
+    unknowns = [v for v in _unknowns(probe) if v.kind == "Real" and v.variability == "continuous"]
+    reading = script.read(unknowns)
     script.play()
     return {name for name, value in reading.values.items() if math.isfinite(value)}
 

@@ -26,6 +26,7 @@ from fmus.compliance.variable import Variable, integer
 
 _TRANSFER = "4.2.1 Transfer of Input / Output Values and Parameters"
 _STATES = "4.2.4 State Machine of Calling Sequence from Master to Slave"
+_DERIVATIVE = "2.2.7 Definition of Model Variables (ModelVariables): derivative"
 INTERPOLATES = "canInterpolateInputs"
 _MANY_STEPS, _INTEGRATED = 30, 0.02  # steps; relative: of an integral, beside the error of a coarse solver
 _ROUGH = 0.1  # relative: of slopes over a step, which is no limit
@@ -249,7 +250,25 @@ def higher_output_derivatives_are_right(probe: Probe) -> Iterator[str]:
         orders = range(1, probe.fmu.output_derivative_order + 1) if chosen else ()
         replies.append([script.call("output_derivatives", references_of(chosen), order) for order in orders])
     together = [script.call("output_derivatives", references_of([v]), 1) for v in chosen]
+    highest = probe.fmu.output_derivative_order
+    alternating = [1 + (highest - 1) * (i % 2) for i in range(len(chosen))]
+    mixed = [
+        (orders, script.call("output_derivatives", references_of(chosen), orders))
+        for orders in (alternating, [1 + highest - order for order in alternating])
+        if chosen and highest > 1
+    ]
     script.play()
+    for orders, reply in mixed:
+        for v, order, value, *each in zip(
+            chosen, orders, reply.value, *(r.value for r in replies[-1]), strict=True
+        ):
+            if not same(value, each[order - 1]):
+                shown = texts(value, each[order - 1])
+                yield (
+                    f"{v.name}: its derivative of order {order} is {shown[0]} read in one call with other "
+                    f"orders: expected {shown[1]}"
+                )
+                return
     for index, v in enumerate(chosen):
         last = replies[-1][0].value[index]
         if not same(together[index].value[0], last):
@@ -273,35 +292,63 @@ def _compared(values: list[float], derivatives: list[float], step_size: float) -
 
 
 @rule(
-    "2.2.7 Definition of Model Variables (ModelVariables): derivative",
+    _DERIVATIVE,
     Stage.BEHAVIOUR,
-    Level.WARNING,
     needs=["variables-can-be-read", "communication-points-may-be-rounded"],
 )
 def derivatives_are_slopes(probe: Probe) -> Iterator[str]:
-    """A variable with the attribute derivative is the slope of the variable that it names: that one
-    changes by its integral.
+    """A variable with the attribute derivative is the slope of the variable that it names: in most steps it
+    lies near the difference quotients.
     """
+    for v, state, values, slopes in _derivatives_in_a_run(probe):
+        if _difference_of_integral(probe, values, slopes) is not None:
+            compared = _compared(values, slopes, probe.step_size)
+            yield from _wrong_slope(f"{v.name} by {state.name}", compared, compared)
+
+
+@rule(_DERIVATIVE, Stage.BEHAVIOUR, Level.WARNING, needs=["derivatives-are-slopes"])
+def derivatives_integrate_to_their_variables(probe: Probe) -> Iterator[str]:
+    """A variable changes by the integral of the variable that names it with the attribute derivative."""
+    for v, state, values, slopes in _derivatives_in_a_run(probe):
+        if (difference := _difference_of_integral(probe, values, slopes)) is not None:
+            shown = texts(*difference)
+            yield f"{state.name} changes by {shown[0]} where the integral of {v.name} is {shown[1]}"
+
+
+def _derivatives_in_a_run(probe: Probe) -> list[tuple[Variable, Variable, list[float], list[float]]]:
+    """(derivative, its variable, values of the variable, values of the derivative) that are finite."""
+    return probe.once("run with derivatives", lambda: _run_with_derivatives(probe))
+
+
+def _run_with_derivatives(probe: Probe) -> list[tuple[Variable, Variable, list[float], list[float]]]:
     variables = probe.fmu.variables
     pairs = [(v, index) for v in variables if (index := integer(v.typed.get("derivative"))) is not None]
     pairs = [(v, variables[i - 1]) for v, i in pairs if 1 <= i <= len(variables) and i != v.index]
-    continuous = [(v, w) for v, w in pairs if v.variability == w.variability == "continuous"]
+    continuous = [
+        (v, w)
+        for v, w in pairs
+        if v.kind == w.kind == "Real" and v.variability == w.variability == "continuous"
+    ]
     if not continuous:
         raise NotApplicableError("no continuous variable is marked as a derivative")
     script, chosen = probe.script().begin(), [x for pair in continuous for x in pair]
     readings = [script.read(chosen), *(script.step().read(chosen) for _ in range(_MANY_STEPS))]
     script.play()
-    for v, state in continuous:
-        values, slopes = ([reading.values[x.name] for reading in readings] for x in (state, v))
-        if not all(map(math.isfinite, [*values, *slopes])):
-            continue
-        integral = probe.step_size * (sum(slopes) - (slopes[0] + slopes[-1]) / 2)
-        variation = sum(abs(b - a) for a, b in itertools.pairwise(slopes))
-        margin = probe.step_size * (variation + _INTEGRATED * sum(map(abs, slopes)))
-        change = values[-1] - values[0]
-        if abs(change - integral) > margin + 1e-9 * max(map(abs, values)):
-            shown = texts(change, integral)
-            yield f"{state.name} changes by {shown[0]} where the integral of {v.name} is {shown[1]}"
+    rows = [reading.values for reading in readings]
+    pairs = [(v, w, [row[w.name] for row in rows], [row[v.name] for row in rows]) for v, w in continuous]
+    return [row for row in pairs if all(map(math.isfinite, [*row[2], *row[3]]))]
+
+
+def _difference_of_integral(
+    probe: Probe, values: list[float], slopes: list[float]
+) -> tuple[float, float] | None:
+    """The change of a variable and the integral of its derivative, if they are not about the same."""
+    integral = probe.step_size * (sum(slopes) - (slopes[0] + slopes[-1]) / 2)
+    variation = sum(abs(b - a) for a, b in itertools.pairwise(slopes))
+    margin = probe.step_size * (variation + _INTEGRATED * sum(map(abs, slopes)))
+    change = values[-1] - values[0]
+    differ = abs(change - integral) > margin + 1e-9 * max(map(abs, values))
+    return (change, integral) if differ else None
 
 
 @rule(

@@ -41,13 +41,18 @@ _LINEAR = 1e-6  # relative: derivatives may be difference quotients
     needs=["allowed-calls-succeed", "variables-can-be-read"],
 )
 def directional_derivatives(probe: Probe) -> Iterator[str]:
-    """In initialization mode, derivatives of outputs lie between difference quotients of both sides."""
+    """In initialization mode, derivatives of outputs, calculated parameters and state derivatives lie between
+    difference quotients of both sides.
+    """
     for known, unknowns in list(_pairs(probe.fmu).items())[:_MOST_KNOWNS]:
         yield from _compared(probe, probe.fmu.variables[known - 1], unknowns)
 
 
 def _pairs(fmu: FmuFile) -> dict[int, list[Variable]]:
-    """Index of a continuous Real known that can be set -> the Real outputs that depend on it at first."""
+    """Index of a Real known that can be set -> Real outputs, calculated parameters and state derivatives that
+    depend on it at first.
+    """
+    derivatives = {index for index, _ in fmu.unknowns("Derivatives")}
     dependents: dict[int, list[Variable]] = {}
     settable = [v.index for v in settable_in_initialization(fmu) if v.kind == "Real"]
     for index, element in fmu.unknowns("InitialUnknowns"):
@@ -55,7 +60,8 @@ def _pairs(fmu: FmuFile) -> dict[int, list[Variable]]:
         stated = element.get("dependencies")
         listed = settable if stated is None else [integer(index) for index in stated.split()]
         for known in sorted(set(settable) & set(listed)):
-            if unknown.kind == "Real" and unknown.causality in ("output", "calculatedParameter"):
+            judged = unknown.causality in ("output", "calculatedParameter") or index in derivatives
+            if unknown.kind == "Real" and judged:
                 dependents.setdefault(known, []).append(unknown)
     return dependents
 

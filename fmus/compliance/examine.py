@@ -21,7 +21,7 @@ from fmus.compliance import (
 from fmus.compliance.behaviour import DEFAULT_TIMEOUT_S, behaviour, obstacle
 from fmus.compliance.fmu_file import FmuFile, UnreadableMemberError
 from fmus.compliance.probe import start_process
-from fmus.compliance.rule import Result, Rule, Stage, messages_of, registered
+from fmus.compliance.rule import Result, Rule, Stage, defect, messages_of, registered
 
 MODULES = (
     archive_rules, implementation_rules, source_rules, documentation_rules, description_rules, unit_rules,
@@ -68,5 +68,5 @@ def _result(rule: Rule, fmu: FmuFile, closed: str) -> Result:
         return Result(rule, not_applicable=reason) if reason else Result(rule, messages_of(rule.check(fmu)))
     except UnreadableMemberError as error:
         return Result(rule, not_judged=str(error))
-    except Exception as error:  # a validator that fails on what it reads has found something
-        return Result(rule, messages_of([f"could not be judged, {type(error).__name__}: {error}"]))
+    except Exception as error:
+        return Result(rule, not_judged=defect(error))

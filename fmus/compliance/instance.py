@@ -14,11 +14,13 @@ from fmus.binding import DISCARD, ERROR, FATAL, WARNING, Library
 from fmus.callbacks import CountingAllocator
 from fmus.compliance.called_instance import CalledInstance
 from fmus.compliance.process_settings import ProcessSettings
+from fmus.compliance.rule import defect
 from fmus.process import Parent
 
 MOST_MEMORY = 4 << 30  # bytes
 MOST_OF_A_FILE = 1 << 30  # bytes
 CALLED = "called"  # a file of the working folder, of the time at which the call that is under way began
+_DEFECTS = (TypeError, LookupError, NameError, AssertionError, ctypes.ArgumentError)
 _AFTER_A_FAILURE = {  # status -> methods of `CalledInstance` that FMI allows then
     DISCARD: ("status_of", "free_fmu_state", "set_debug_logging", "get", "end"),
     ERROR: ("free_fmu_state", "set_debug_logging"),
@@ -187,6 +189,8 @@ def call_fmu(parent: Parent) -> None:
             if calls and fmu is None:
                 fmu = LoadedFmu(library, resources, printed)
             results.extend(getattr(fmu, method)(*arguments) for method, *arguments in calls)
+        except _DEFECTS as exception:
+            error = defect(exception)
         except Exception as exception:  # whatever a foreign library makes of a call is a finding
             error = str(exception) or type(exception).__name__
         os.utime(called, (0, 0))  # no call is under way

@@ -132,12 +132,14 @@ def _unwanted(category: str | None) -> str:
     return f"of the category {category!r}" if category else "without category"
 
 
-@rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING)
+@rule(_CREATION, Stage.BEHAVIOUR)
 def no_messages_with_logging_off(probe: Probe) -> Iterator[str]:
     """With loggingOn = fmi2False, and after fmi2SetDebugLogging with it, no debug messages arrive, and none
-    from calls that return ok.
+    from calls that return ok, also after fmi2Reset.
     """
     created_off = probe.script().begin().step(2)
+    created_off.reset()
+    created_off.begin().step()
     turned_off = probe.script(logging=True)
     off = turned_off.call("set_debug_logging", False, [])
     turned_off.begin().step(2)

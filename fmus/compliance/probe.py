@@ -13,8 +13,8 @@ from typing import Any, TypeVar
 
 from fmus.binding import DISCARD, ERROR, TERMINATED, WARNING
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.rule import NotJudgedError
-from fmus.compliance.script import CallError, Message, Reply, Script
+from fmus.compliance.rule import DEFECT, NotJudgedError
+from fmus.compliance.script import CallError, DefectError, Message, Reply, Script
 from fmus.compliance.variable import Variable, number
 from fmus.process import WorkerProcess
 
@@ -101,7 +101,7 @@ class FmuProcess:
             case [int(got), [*results], None] if got == expected and len(results) == len(calls):
                 return results
             case [int(got), [*_], str(error)] if got == expected:
-                raise CallError(error)
+                raise DefectError(error) if error.startswith(DEFECT) else CallError(error)
         raise CallError(f"the process of the FMU sent {str(answer)[:100]!r}: expected results of the calls")
 
     def hangs(self, seconds: float) -> bool:

@@ -18,14 +18,17 @@ _CYCLES, _LEAST_LEAK = 8, 1024  # instances; bytes that each of them leaves
 
 @rule(f"{_FLAGS}: {_OWN_MEMORY}", Stage.BEHAVIOUR, condition=if_not_claimed(_OWN_MEMORY))
 def memory_is_freed(probe: Probe) -> Iterator[str]:
-    """What an instance takes by allocateMemory it gives back by freeMemory, and nothing else."""
+    """What an instance takes by allocateMemory it gives back by freeMemory, and nothing else, also if it is
+    initialised again after fmi2Reset.
+    """
     held_before, frees_before = probe.ask("held_blocks"), probe.ask("foreign_frees")
     script = probe.script().begin().step()
     if probe.fmu.claims("canGetAndSetFMUstate"):
         script.call("get_fmu_state", 0)
         script.call("free_fmu_state", 0)
     script.terminate()
-    script.play()
+    script.reset()
+    script.begin().step().play(keep_going=True)
     held, foreign_frees = probe.ask("held_blocks"), probe.ask("foreign_frees")
     if held > held_before:
         yield f"{held - held_before} blocks are still held after fmi2FreeInstance: expected none"

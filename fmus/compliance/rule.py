@@ -69,6 +69,12 @@ class Result:
         return "not applicable" if self.not_applicable else "passed"
 
 
+def defect(error: Exception) -> str:
+    """Why a rule that raises an error of its own is not judged: the FMU has no part in it."""
+    return f"{DEFECT} ({type(error).__name__}: {error}), which tells nothing of the FMU: please report it"
+
+
+DEFECT = "the rule failed by a defect of this checker"
 OUTCOMES = ("passed", "not applicable", "not judged", "warning", "error")
 
 

@@ -36,6 +36,10 @@ class CallError(Exception):
         self.status = status
 
 
+class DefectError(Exception):
+    """A call that this checker made wrongly: no finding of the FMU."""
+
+
 @dataclass(frozen=True)
 class Message:
     """A message of the FMU. right_environment: whether it came with the environment of its instance."""
@@ -165,8 +169,14 @@ class Script:
         """A function of FMI without arguments."""
         return self.call("call_plain", function)
 
-    def set_up(self, start: float | None = None, stop: float | None = None) -> "Script":
-        self.call("set_up_experiment", self._probe.start_time if start is None else start, stop)
+    def set_up(
+        self, start: float | None = None, stop: float | None = None, tolerance: float | None = None
+    ) -> "Script":
+        begin = self._probe.start_time if start is None else start
+        if tolerance is None:
+            self.call("set_up_experiment", begin, stop)
+        else:
+            self.call("set_up_experiment_with", [tolerance], begin, [] if stop is None else [stop])
         return self
 
     def enter_initialization_mode(self) -> "Script":
@@ -258,9 +268,12 @@ class Script:
         for reply, answer in zip(self.replies[self.parts[part] :][:end], answers, strict=False):
             if not answer:
                 continue
-            status, reply.value, messages, changed, printed = answer
-            reply.status, reply.changed, reply.printed = int(status), changed, int(printed)
-            reply.messages = [Message(*message) for message in messages]
+            try:
+                status, reply.value, messages, changed, printed = answer
+                reply.status, reply.changed, reply.printed = int(status), changed, int(printed)
+                reply.messages = [Message(*message) for message in messages]
+            except (TypeError, ValueError):  # the FMU can write to the process that answers
+                raise CallError(f"the process of the FMU answers {str(answer)[:100]!r}") from None
 
     @property
     def everything(self) -> list[Reply]:

@@ -1,5 +1,5 @@
 """One session with an FMU: the functions that it supports, in the states instantiated to terminated that
-allow them.
+allow them, with a tolerance and a stop time; after fmi2Reset a run with neither.
 """
 
 from fmus.compliance.probe import Probe
@@ -15,6 +15,7 @@ from fmus.compliance.values import (
 from fmus.compliance.variable import Variable
 
 NAME = "instance of the session"
+TOLERANCE, LARGE_TOLERANCE = 1e-5, 1e-3
 
 
 class Session:
@@ -32,7 +33,8 @@ class Session:
         self._log()
         self._states(0)
         self._set(script, settable_before(self.fmu))
-        script.set_up(stop=self.probe.point(1000))
+        tolerance = TOLERANCE if run_with_tolerance(self.probe).succeeded else None
+        script.set_up(stop=self.probe.point(1000), tolerance=tolerance)
         script.enter_initialization_mode()
         self._log()
         self._states(1)
@@ -103,6 +105,16 @@ class Session:
                 script.call("serialize_fmu_state", slot)
             script.call("set_fmu_state", slot)
             script.call("free_fmu_state", slot)
+
+
+def run_with_tolerance(probe: Probe) -> Script:
+    """A run in which tolerance and stop time are defined, played once for all rules."""
+
+    def played() -> Script:
+        script = probe.script(logging=True).set_up(stop=probe.point(1000), tolerance=TOLERANCE)
+        return script.enter_initialization_mode().exit_initialization_mode().step(2).play(keep_going=True)
+
+    return probe.once("run with a tolerance", played)
 
 
 def session(probe: Probe) -> Session:

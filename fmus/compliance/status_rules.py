@@ -62,22 +62,31 @@ def refusals_have_legal_statuses(probe: Probe) -> Iterator[str]:
     yield from _illegal(probe.refusals)
 
 
-@rule(_STATUS, Stage.BEHAVIOUR, Level.WARNING, last=True)
+def _refused(probe: Probe) -> list[Reply]:
+    """Replies with logging that are warning, discard or error, without discarded steps: these have a rule."""
+    replies = [*probe.refusals, *session(probe).script.replies]
+    refused = [reply for reply in replies if reply.status not in (None, OK, PENDING)]
+    return [r for r in refused if r.function != "fmi2DoStep" or r.status != DISCARD]
+
+
+@rule(_STATUS, Stage.BEHAVIOUR, last=True)
 def refusals_are_logged(probe: Probe) -> Iterator[str]:
-    """Whatever returns warning, discard or error has called the logger, if logging is on, and not with the
-    status ok alone, which is that of pure information.
-    """
+    """Whatever returns warning, discard or error has called the logger, if logging is on."""
     named = set()
-    for reply in [*probe.refusals, *session(probe).script.replies]:
-        quiet = (
-            not reply.messages and reply.function != "fmi2SetDebugLogging"
-        )  # it may have turned logging off
-        is_discarded_step = reply.function == "fmi2DoStep" and reply.status == DISCARD  # it has its own rule
-        refused = reply.status not in (None, OK, PENDING) and not is_discarded_step
-        if refused and quiet and reply.function not in named:
+    for reply in _refused(probe):
+        may_be_off = reply.function == "fmi2SetDebugLogging"
+        if not reply.messages and not may_be_off and reply.function not in named:
             named.add(reply.function)
             yield f"{reply.function} {reply.status_name} and logged nothing: expected the reason"
-        elif refused and reply.messages and all(m.status == OK for m in reply.messages):
+
+
+@rule(_STATUS, Stage.BEHAVIOUR, Level.WARNING, last=True)
+def messages_of_refusals_are_no_information(probe: Probe) -> Iterator[str]:
+    """The messages of what returns warning, discard or error do not have the status ok alone, which is that
+    of pure information.
+    """
+    for reply in _refused(probe):
+        if reply.messages and all(m.status == OK for m in reply.messages):
             yield (
                 f"{reply.function} {reply.status_name} and logged {reply.logged[:60]!r} with the status ok: "
                 f"expected {status_name(reply.status or 0)}"
@@ -88,7 +97,6 @@ def refusals_are_logged(probe: Probe) -> Iterator[str]:
 @rule(
     "4.2.3 Retrieving Status Information from the Slave",
     Stage.BEHAVIOUR,
-    Level.WARNING,
     needs=["discarded-steps-have-a-last-time"],
 )
 def unknown_statuses_are_discarded(probe: Probe) -> Iterator[str]:

@@ -9,6 +9,7 @@ from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotApplicableError, NotJudgedError, Stage, rule
 from fmus.compliance.script import Reading, Reply, Script
+from fmus.compliance.session import LARGE_TOLERANCE, TOLERANCE, run_with_tolerance
 from fmus.compliance.values import continuous_reals, differing, steadily, texts, unless_claimed
 
 _SETUP = "2.1.6 Initialization, Termination, and Resetting an FMU (fmi2SetupExperiment)"
@@ -23,14 +24,18 @@ _APART = 0.4  # of the change over two steps: a rough solver, but not half a ste
 @rule(_SETUP, Stage.BEHAVIOUR, needs=["reset-in-every-state"])
 def step_beyond_the_stop_time_is_an_error(probe: Probe) -> Iterator[str]:
     """If a stop time is defined, steps up to it succeed and a step past it returns error; fmi2Reset brings
-    the instance back.
+    the instance back, where the same holds of another stop time with a tolerance.
     """
+    tolerance = TOLERANCE if run_with_tolerance(probe).succeeded else None
     script = probe.script(logging=True).set_up(stop=probe.point(3))
     script.enter_initialization_mode().exit_initialization_mode().step(3)
     beyond = script.call("do_step", probe.point(3), probe.step_size)
     script.reset()
-    script.begin().step().play(keep_going=True)
-    after = script.replies[script.replies.index(beyond) + 1 :]
+    script.set_up(stop=probe.point(1), tolerance=tolerance)
+    script.enter_initialization_mode().exit_initialization_mode().step()
+    again = script.call("do_step", probe.point(1), probe.step_size)
+    script.play(keep_going=True)
+    after = script.replies[script.replies.index(beyond) + 1 : -1]
     failed = next((reply for reply in after if reply.status is not None and not reply.ok), None)
     if script.failure not in (None, beyond, failed):
         yield f"with the stop time {probe.point(3):g} s, before it: {script.failure.problem}"
@@ -41,6 +46,11 @@ def step_beyond_the_stop_time_is_an_error(probe: Probe) -> Iterator[str]:
         )
     elif failed and _recovers(probe):
         yield f"after fmi2Reset from a step beyond the stop time: {failed.problem}"
+    elif not failed and again.status != ERROR:
+        yield (
+            f"after fmi2Reset fmi2DoStep to {probe.point(2):g} s {again.status_name}: expected error beyond "
+            f"the stop time {probe.point(1):g} s"
+        )
 
 
 def _recovers(probe: Probe) -> bool:
@@ -72,11 +82,8 @@ def undefined_arguments_are_ignored(probe: Probe) -> Iterator[str]:
 @rule(_SETUP, Stage.BEHAVIOUR)
 def tolerance_is_accepted(probe: Probe) -> Iterator[str]:
     """A tolerance that is defined is accepted."""
-    script = probe.script(logging=True)
-    script.call("set_up_experiment_with", [1e-5], probe.start_time, [probe.point(1000)])
-    script.enter_initialization_mode().exit_initialization_mode().step(2).play(keep_going=True)
-    if script.failure:
-        yield f"with the tolerance 1e-05: {script.failure.problem}"
+    if failure := run_with_tolerance(probe).failure:
+        yield f"with the tolerance {TOLERANCE:g}: {failure.problem}"
 
 
 def _without_independent(fmu: FmuFile) -> str:
@@ -87,17 +94,26 @@ def _without_independent(fmu: FmuFile) -> str:
     "2.2.7 Definition of Model Variables (ModelVariables), independent",
     Stage.BEHAVIOUR,
     condition=_without_independent,
+    needs=["reset-in-every-state"],
 )
 def time_is_the_communication_point(probe: Probe) -> Iterator[str]:
     """The independent variable is the start time after initialisation, and then the end of the last step,
-    also of its multiples: after a fraction, an FMU of fixed internal steps may be behind.
+    also of its multiples: after a fraction, an FMU of fixed internal steps may be behind. So it is after
+    fmi2Reset, with a tolerance, a stop time and another start time.
     """
     independent = [v for v in probe.fmu.variables if v.causality == "independent"]
     if not probe.states_step_size:
         raise NotJudgedError("no step size is stated, and an internal step may be longer than others")
     factors = (1.0, 2.0, 3.0) if probe.fmu.claims(_ANY_STEP) else (1.0, 1.0, 1.0)
+    tolerance = LARGE_TOLERANCE if run_with_tolerance(probe).succeeded else None
     for start in (probe.start_time, probe.start_time + 3 * probe.step_size):
-        script, t = probe.script().begin(start), start
+        script, t = probe.script(), start
+        if start == probe.start_time:
+            script.begin()
+        else:
+            script.begin().step().reset()
+            script.set_up(start, probe.point(1000), tolerance).enter_initialization_mode()
+            script.exit_initialization_mode()
         rows = [(script.replies[-1], script.read(independent), start)]
         for factor in factors:
             step = script.call("do_step", t, factor * probe.step_size)

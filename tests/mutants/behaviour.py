@@ -284,6 +284,13 @@ _FLAGGED = [
         "callbacks",
         _CALLBACK_MEMORY,
     ),
+    (
+        "initialising again leaks",
+        "2.1.5",
+        f"memory-is-freed {_MALLOC}",
+        "callbacks",
+        _CALLBACK_MEMORY,
+    ),
     ("stepFinished is not called", "2.1.5", "step-finished-is-called", "asynchronous", ASYNCHRONOUS),
     (
         "a step cannot be cancelled",

@@ -7,6 +7,7 @@
  */
 
 #define _GNU_SOURCE
+#include <fenv.h>
 #include <math.h>
 #include <sched.h>
 #include <signal.h>
@@ -24,7 +25,7 @@ enum { INST = 1, INIT = 2, STEP = 4, TERM = 8, FAIL = 16, PEND = 32, CANC = 64, 
 enum { L = 2000 };
 typedef struct {
     double time, m, k, w0, half_m, gain2, inv_m, f, f2, ref, pos, vel, acc, power, held, guess, g, energy, df,
-        df2, f_end, last, h, tend, vel_before;
+        df2, f_end, last, h, tend, vel_before, tolerance;
     int n_in, n_tun, n_out, steps, kind, kind_in, kind_out, n_const, on, off, both, yes;
     char label[L], text_in[L], text_out[L], s_fixed[L], s_const[L];
     int state, setup, stop_defined;
@@ -68,7 +69,8 @@ typedef struct Slave {
     const char *kept_category;
     int keeps;
     Data *first_state;
-    int flushed, late, states;
+    int flushed, late, states, resets;
+    double first_start;
     double flush_time;
     char mutation_file[3100];
 } Slave;
@@ -87,6 +89,10 @@ static void say(Slave *s, fmi2Status st, int cat, const char *text) {
     if (!s->cb.logger) return;
     if (s->keeps && strcmp(s->kept_category, CAT[cat])) return;
     fmi2ComponentEnvironment e = s->cb.componentEnvironment;
+    if (IS("the logger of the last instance")) {
+        latest->cb.logger(latest->cb.componentEnvironment, s->name, st, CAT[cat], "%s", text);
+        return;
+    }
     if (IS("a single percent sign")) {
         s->cb.logger(e, s->name, st, CAT[cat], "100 % done");
         return;
@@ -202,7 +208,7 @@ static void reset(Data *d) {
     d->pos = 0.1;
     d->vel = 0;
     d->guess = 1;
-    d->g = 9.81;
+    d->g = IS("a constant in single precision") ? (double)9.81f : FLAG("seven digits") ? 9.8100000123 : 9.81;
     d->n_in = 3;
     d->n_tun = 2;
     d->kind = 2;
@@ -293,6 +299,7 @@ void fmi2FreeInstance(fmi2Component c) {
     Slave *s = c;
     if (!s) return;
     live--;
+    if (latest == s) latest = NULL;
     if (IS("free crashes when terminated") && s->d.state == TERM) abort();
     if (IS("free of one ends the others")) failed_globally = live > 0;
     free(s);
@@ -321,6 +328,11 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean td, fmi2Real tol, fm
     if (IS("an undefined tolerance counts") && !td && !(tol > 0)) return err(s, "tolerance");
     s->d.setup = 1;
     if (IS("runs begin at 0")) start = 0;
+    s->d.tolerance = td ? tol : 0;
+    if (IS("no stop time with a tolerance") && td) sd = 0;
+    if (IS("no stop time after reset") && s->resets) sd = 0;
+    if (!s->resets || !s->first_start) s->first_start = start;
+    if (IS("the first start time stays")) start = s->first_start;
     s->d.time = s->d.last = start;
     s->d.stop_defined = sd;
     s->d.stop = sd ? stop : INFINITY;
@@ -330,6 +342,7 @@ fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
     Slave *s = c;
     NEED(INST);
     if (!s->d.setup) return err(s, "set-up first");
+    if (IS("rounds with a tolerance") && s->d.tolerance > 0) fesetround(FE_UPWARD);
     if (IS("another kind is discarded") && s->d.kind != 2) return discard(s);
     s->d.state = INIT;
     return fmi2OK;
@@ -360,6 +373,8 @@ fmi2Status fmi2Reset(fmi2Component c) {
         memset(p, 1, 1 << 16);
     }
     reset(&s->d);
+    s->resets++;
+    if (IS("reset turns logging on")) s->enabled = 63;
     if (IS("reset keeps strings")) strcpy(s->d.label, old.label), strcpy(s->d.s_fixed, old.s_fixed);
     if (IS("reset keeps inputs")) s->d.f = s->d.f_end = old.f, s->d.f2 = old.f2, s->d.ref = old.ref;
     if (IS("reset frees states")) {
@@ -412,6 +427,8 @@ static int bad(Slave *s, fmi2Status *st) {
 static double real_of(Slave *s, void *p) {
     double x = *(double *)p;
     if (IS("time of equal steps") && p == &s->d.time) x = s->d.time - s->d.h + 0.05;
+    if (IS("time is behind with a stop time") && p == &s->d.time && s->d.stop_defined && s->d.steps) x -= 0.01;
+    if (IS("a derivative is twice as large") && p == &s->d.acc && s->d.state != INIT) x *= 2;
     if (IS("not a number later") && p == &s->d.power && s->d.steps > 2) x = NAN;
     return x;
 }
@@ -490,6 +507,7 @@ static void integrate(Slave *s, double h) {
         if (!d->h) d->h = h;
         h = d->h;
     }
+    if (IS("stops short with a tolerance")) h -= fmin(h / 10, 10 * d->tolerance);
     if (IS("whole internal steps alone")) h = 0.01 * floor(h / 0.01 + 1e-9);
     if (IS("steps of a grid")) h = 0.03 * floor(h / 0.03 + 1e-9) + 0.03;
     const int N = 20;
@@ -520,7 +538,8 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no) {
     NEED(STEP);
     if (!(h > 0)) return err(s, "step size");
     const int wrong = fabs(t - d->time) > 1e-9 * fmax(1, fabs(t));
-    if (wrong && !(IS("any first communication point") && !d->steps)) return err(s, "communication point");
+    const int short_of = IS("stops short with a tolerance") && d->tolerance > 0;
+    if (wrong && !short_of && !(IS("any first communication point") && !d->steps)) return err(s, "communication point");
     if (t + h > d->stop * (1 + 1e-9) + 1e-9) {
         s->late = 1;
         return err(s, "stop time");
@@ -555,6 +574,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no) {
     integrate(s, h);
     if (IS("time of equal steps")) d->h = h;
     d->time = t + h;
+    if (short_of) d->time -= fmin(h / 10, 10 * d->tolerance);
     d->last = t + h;
     say(s, fmi2OK, 0, "stepped");
     return fmi2OK;
@@ -623,11 +643,13 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference
     NEED(INST | INIT | STEP);
     for (size_t i = 0; i < n; i++) {
         if (o[i] < 1) return err(s, "order");
+        if (o[i] > 1 && FLAG("first order alone")) return err(s, "order");
+        const int order = IS("the order of the first input counts") ? o[0] : o[i];
         if (IS("only the first derivative of a call is set") && i) continue;
         if (vr[i] == 201) {
-            if (o[i] == 1) s->d.df = v[i];
+            if (order == 1) s->d.df = v[i];
         } else if (vr[i] == 202) {
-            if (o[i] == 1) s->d.df2 = v[i];
+            if (order == 1) s->d.df2 = v[i];
         } else return err(s, "no input");
     }
     return fmi2OK;
@@ -650,7 +672,9 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
         else return err(s, "no output");
         if (IS("derivatives of outputs of the step's begin")) first = vr[i] == 301 ? d->vel_before : first;
         if (IS("second derivatives of outputs are wrong")) second *= -1;
-        v[i] = o[i] == 1 ? first : o[i] == 2 ? second : 0;
+        if (FLAG("backward differences") && vr[i] == 301) first = (d->vel + d->vel_before) / 2;
+        const int order = IS("the order of the first output counts") ? o[0] : o[i];
+        v[i] = order == 1 ? first : order == 2 ? second : 0;
     }
     return fmi2OK;
 }
@@ -678,6 +702,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
                     : b == 102 ? -d->pos / mm
                     : b == 101 ? -d->acc / mm
                                : J;
+            if (IS("no derivatives of state derivatives by parameters") && a == 303 && b < 200) J = 0;
             if (a == 304) J = b == 201 ? vel : b == 302 ? f : J;
             if (a == 305) J = b == 203;
             if (a == 103) J = b == 102 ? 0.5 / sqrt(d->k * mm) : b == 101 ? -0.5 * sqrt(d->k / mm) / mm : J;

@@ -12,8 +12,11 @@ def _listed_as(kinds: str) -> tuple[tuple[str, str], ...]:
     return ((_LISTED, _LISTED.replace('8 12"/>', f'8 12" dependenciesKind="{kinds}"/>')),)
 
 
+_TEXT = 'name="text_out" valueReference="3" causality="output"'
 _CHANGES = {  # mutation or flags -> changes of the model description
     "asynchronous": ASYNCHRONOUS,
+    "a String is continuous": ((f'{_TEXT} variability="discrete"', _TEXT),),
+    "a value reference of -1": (('valueReference="4294967295"', 'valueReference="-1"'),),
     "runs begin at 0": (('startTime="1.5"', 'startTime="0"'),),
     "a constant factor is none": _listed_as("constant dependent"),
     "a fixed factor changes": _listed_as("fixed dependent"),
@@ -36,7 +39,12 @@ _ROWS = [
     ("a declared input does not act in step mode", "2.2.8", "output-derivatives-are-right", ""),
     ("time acts although it is not listed", "2.2.8", "dependencies-on-time-are-declared", ""),
     ("a constant factor is none", "2.2.8", "constant-factors-are-constant directional-derivatives", ""),
-    ("steps of a grid", "4.2.2", "derivatives-are-slopes two-steps-are-one-of-twice-the-size", ""),
+    (
+        "steps of a grid",
+        "4.2.2",
+        "derivatives-integrate-to-their-variables two-steps-are-one-of-twice-the-size",
+        "",
+    ),
     ("the first step size stays", "4.2.2", "two-steps-are-one-of-twice-the-size", ""),
     ("second derivatives of outputs are wrong", "4.2.1", "higher-output-derivatives-are-right", ""),
     ("directional derivatives at the start", "2.1.9", "directional-derivatives-in-step-mode", ""),
@@ -129,7 +137,7 @@ _ROWS = [
     ("the last parameter alone has a derivative", "2.1.9", "directional-derivatives-are-linear", ""),
     ("a blank of a text", "2.1.5", "formats-of-messages-are-legal", ""),
     ("the instance name is part of the format", "2.1.5", "formats-of-messages-are-legal", ""),
-    ("errors are information", "2.1.5", "refusals-are-logged", ""),
+    ("errors are information", "2.1.5", "messages-of-refusals-are-no-information", ""),
     ("writes to standard error", "2.1", "nothing-is-printed", ""),
     ("tunable parameters are clipped", "2.1.7", "far-values-are-read", ""),
     ("parameters below their minimum are dropped", "2.2.3", "values-out-of-range-are-not-dropped", ""),
@@ -137,6 +145,26 @@ _ROWS = [
     ("states with the start value of a parameter", "2.1.8", "state-holds-every-value", ""),
     ("bytes without a fixed parameter", "2.1.8", "bytes-hold-every-value", ""),
     ("a second state crashes", "2.1.8", "state-can-be-saved-often", ""),
+    ("a String is continuous", "2.2.7", "continuous-is-real", ""),
+    ("a value reference of -1", "2.2.7", "schema", ""),
+    ("rounds with a tolerance", "2.1", "floating-point-control-is-restored", ""),
+    ("the logger of the last instance", "2.1.5", "messages-have-the-instance-name", ""),
+    ("reset turns logging on", "2.1.5", "no-messages-with-logging-off", ""),
+    ("no stop time with a tolerance", "2.1.6", "step-beyond-the-stop-time-is-an-error", ""),
+    ("no stop time after reset", "2.1.6", "step-beyond-the-stop-time-is-an-error", ""),
+    ("the first start time stays", "2.1.6", "time-is-the-communication-point", ""),
+    ("time is behind with a stop time", "2.2.7", "time-is-the-communication-point", ""),
+    ("stops short with a tolerance", "4.2.2", "time-is-the-communication-point", ""),
+    ("a constant in single precision", "2.2.7", "constants-have-their-value", ""),
+    (
+        "a derivative is twice as large",
+        "2.2.7",
+        "derivatives-are-slopes directional-derivatives-in-step-mode",
+        "",
+    ),
+    ("no derivatives of state derivatives by parameters", "2.1.9", "directional-derivatives", ""),
+    ("the order of the first input counts", "4.2.1", "input-derivatives-are-set-together", ""),
+    ("the order of the first output counts", "4.2.1", "higher-output-derivatives-are-right", ""),
     ("resources are read in steps", "2.3", "resources-are-read-in-initialization", ""),
 ]
 OSCILLATOR_MUTANTS = tuple(_mutant(*row) for row in _ROWS)

@@ -1,11 +1,13 @@
 """Each sentence of FMI that an FMU breaks by what it does is found by its rules and no others."""
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from fmus.compliance.examine import examine
+from fmus.compliance.rule import Level, Rule, Stage
 from fmus.platforms import host_platform, library_name
 from tests.mutants.behaviour import LEGAL, write_slave
 from tests.mutants.mutant import Mutant, broken_rules, unexpected
@@ -43,7 +45,14 @@ def test_sources_of_another_language_beside_a_library_need_not_be_listed(tmp_pat
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("feature", "flags"),
-    [("", ""), ("legal formats, a new string of the version", ""), ("", "other values are refused")],
+    [
+        ("", ""),
+        ("legal formats, a new string of the version", ""),
+        ("", "other values are refused"),
+        ("", "first order alone"),
+        ("", "backward differences"),
+        ("", "seven digits"),
+    ],
 )
 def test_a_second_slave_that_refuses_what_is_not_allowed_breaks_no_rule(
     feature: str, flags: str, tmp_path: Path
@@ -62,6 +71,23 @@ def test_a_library_that_does_not_load_is_one_finding_and_no_behaviour_is_judged(
     assert broken.rule.name == "library-loads"
     assert "libm.so.9" in broken.messages[0]
     assert {r.outcome for r in results if r is not broken} == {"not judged", "not applicable"}
+
+
+def test_a_rule_that_fails_by_itself_is_not_judged_and_no_finding_of_the_fmu(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(_: object) -> Iterator[str]:
+        raise TypeError("a number has no length")
+        yield ""
+
+    def one_rule(stage: Stage) -> tuple[Rule, ...]:
+        return (Rule("broken", "", "", Level.ERROR, stage, broken, lambda _: ""),)
+
+    monkeypatch.setattr("fmus.compliance.examine.registered", one_rule)
+    monkeypatch.setattr("fmus.compliance.behaviour.registered", one_rule)
+    results = examine(write_slave(tmp_path))
+    assert {result.outcome for result in results} == {"not judged"}
+    assert all("by a defect of this checker (TypeError: " in result.not_judged for result in results)
 
 
 def test_another_guid_inside_the_library_is_one_finding_with_its_own_words(tmp_path: Path) -> None:
