@@ -89,10 +89,9 @@ static fmi2Status cannot_be_set(Instance *instance, Type type, const fmi2ValueRe
             const fmi2Status status = refreshed(instance, TYPE, vr, nvr, "fmi2Get" #Name);                      \
             if (status != fmi2OK) return status;                                                                \
         }                                                                                                       \
-        for (size_t i = 0; i < nvr; i++) {                                                                      \
+        for (size_t i = 0; i < nvr; i++)                                                                        \
             if (!has_type(vr[i], TYPE)) return not_of_type(instance, TYPE, vr[i], "fmi2Get" #Name);             \
-            value[i] = (CType)instance->data.value[vr[i]];                                                      \
-        }                                                                                                       \
+        for (size_t i = 0; i < nvr; i++) value[i] = (CType)instance->data.value[vr[i]];                         \
         return fmi2OK;                                                                                          \
     }
 
