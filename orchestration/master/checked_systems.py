@@ -2,8 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from fmpy.model_description import ModelDescription
-
+from orchestration.fmi.model_description import ModelDescription
 from orchestration.master.initialisation import ConnectionGroup, connection_groups
 from orchestration.system.experiment import Experiment
 from orchestration.system.open_inputs import OpenInputs
