@@ -83,7 +83,12 @@ _ROWS = [
     ("reset frees states", "2.1.8", "state-can-be-set-after-reset", ""),
     ("the flag ends all states", "4.2.2", "flag-keeps-the-states-of-the-present", ""),
     ("reading counts", "2.1.7", "questions-change-nothing", ""),
-    ("directional derivatives move the state", "2.1.9", "questions-change-nothing", ""),
+    (
+        "directional derivatives move the state",
+        "2.1.9",
+        "questions-change-nothing directional-derivatives",
+        "",
+    ),
     ("another kind is discarded", "2.1.3", "refusals-have-legal-statuses", ""),
     ("reading writes references", "2.1.7", "arguments-are-not-written", ""),
     ("reading writes one more", "2.1.7", "arguments-are-not-written", ""),
