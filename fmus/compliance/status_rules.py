@@ -69,7 +69,7 @@ def _refused(probe: Probe) -> list[Reply]:
     return [r for r in refused if r.function != "fmi2DoStep" or r.status != DISCARD]
 
 
-@rule(_STATUS, Stage.BEHAVIOUR, last=True)
+@rule(_STATUS, Stage.BEHAVIOUR, Level.WARNING, last=True)
 def refusals_are_logged(probe: Probe) -> Iterator[str]:
     """Whatever returns warning, discard or error has called the logger, if logging is on."""
     named = set()
@@ -97,6 +97,7 @@ def messages_of_refusals_are_no_information(probe: Probe) -> Iterator[str]:
 @rule(
     "4.2.3 Retrieving Status Information from the Slave",
     Stage.BEHAVIOUR,
+    Level.WARNING,
     needs=["discarded-steps-have-a-last-time"],
 )
 def unknown_statuses_are_discarded(probe: Probe) -> Iterator[str]:

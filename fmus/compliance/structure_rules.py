@@ -242,7 +242,7 @@ def dependencies_kind(fmu: FmuFile) -> Iterator[str]:
                 yield f"{where}: kind {kind!r}: expected dependent or constant"
 
 
-@rule(_CLAUSE, Stage.DESCRIPTION)
+@rule(_CLAUSE, Stage.DESCRIPTION, Level.WARNING)
 def dependencies_of_reals_have_factors(fmu: FmuFile) -> Iterator[str]:
     """Kinds of dependency with a factor, all but dependent, are of Real unknowns."""
     for _, where, unknown, _, element in _dependencies(fmu):

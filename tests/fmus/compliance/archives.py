@@ -15,7 +15,7 @@ Members = dict[str, bytes]
 PATCHED = "RovDepthPlant"  # its outputs move at the start values
 PYTHONFMU_ERRORS = {  # of its binary
     "resource-locations-of-both-forms", "freed-state-is-null", "step-beyond-the-stop-time-is-an-error",
-    "wrong-references-are-refused", "unknown-statuses-are-discarded",
+    "wrong-references-are-refused",
 }  # fmt: skip
 
 
