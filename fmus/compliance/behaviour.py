@@ -38,7 +38,7 @@ from fmus.compliance import (
     step_rules,
     value_rules,
 )  # fmt: skip
-from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.fmu_file import BrokenMemberError, FmuFile
 from fmus.compliance.instance_rules import ONLY_ONCE
 from fmus.compliance.library_rules import no_co_simulation
 from fmus.compliance.lifecycle_rules import RANDOM
@@ -273,7 +273,7 @@ def _judge(rule: Rule, probe: Probe, results: Mapping[str, Result]) -> Result:
         return Result(rule, not_judged=str(reason))
     except NotApplicableError as reason:
         return Result(rule, not_applicable=str(reason))
-    except CallError as error:  # whatever an FMU answers is a finding
+    except (CallError, BrokenMemberError) as error:  # whatever an FMU answers is a finding
         return Result(rule, messages_of([str(error)]))
     except Exception as error:
         return Result(rule, not_judged=defect(error))

@@ -19,7 +19,7 @@ from fmus.compliance import (
     variable_rules,
 )
 from fmus.compliance.behaviour import DEFAULT_TIMEOUT_S, behaviour, obstacle
-from fmus.compliance.fmu_file import FmuFile, UnreadableMemberError
+from fmus.compliance.fmu_file import BrokenMemberError, FmuFile, UnreadableMemberError
 from fmus.compliance.probe import start_process
 from fmus.compliance.rule import Result, Rule, Stage, defect, messages_of, registered
 
@@ -68,5 +68,7 @@ def _result(rule: Rule, fmu: FmuFile, closed: str) -> Result:
         return Result(rule, not_applicable=reason) if reason else Result(rule, messages_of(rule.check(fmu)))
     except UnreadableMemberError as error:
         return Result(rule, not_judged=str(error))
+    except BrokenMemberError as error:
+        return Result(rule, messages_of([str(error)]))
     except Exception as error:
         return Result(rule, not_judged=defect(error))

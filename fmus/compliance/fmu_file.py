@@ -24,17 +24,23 @@ _NO_DTD = "it has a document type declaration: expected none, it is not read (en
 
 
 def parsed_xml(content: bytes) -> Any:
-    """The root element. Raises ValueError for what is not well-formed, or has a document type declaration."""
+    """The root element. Raises BrokenMemberError for what is not well-formed, or has a document type
+    declaration.
+    """
     parser = etree.XMLParser(
         resolve_entities=False, no_network=True, load_dtd=False, remove_comments=True, remove_pis=True
     )
     try:
         root = etree.fromstring(content, parser)
     except (etree.XMLSyntaxError, ValueError) as error:
-        raise ValueError(f"it is not well-formed: {error}") from None
+        raise BrokenMemberError(f"it is not well-formed: {error}") from None
     if root.getroottree().docinfo.doctype:
-        raise ValueError(_NO_DTD)
+        raise BrokenMemberError(_NO_DTD)
     return root
+
+
+class BrokenMemberError(ValueError):
+    """A member has not the content that a rule needs, which is a finding of that rule."""
 
 
 class UnreadableMemberError(Exception):
@@ -206,13 +212,20 @@ class FmuFile:
         return (library_member(self.names, identifier) or "") if C_IDENTIFIER.fullmatch(identifier) else ""
 
     def read(self, member: str, most: int = _LARGEST_MEMBER) -> bytes:
-        """Content of a member. Raises UnreadableMemberError, and ValueError for more than `most` bytes."""
+        """Content of a member.
+
+        Raises UnreadableMemberError, and BrokenMemberError where there is none, or one of more than `most`
+        bytes.
+        """
         if self.too_large:
             raise UnreadableMemberError(self.too_large)
         with zipfile.ZipFile(self.path) as archive:
-            size = archive.getinfo(member).file_size
+            try:
+                size = archive.getinfo(member).file_size
+            except KeyError:
+                raise BrokenMemberError(f"there is no {member}") from None
             if size > most:
-                raise ValueError(f"{member} has {size} bytes: expected at most {most}")
+                raise BrokenMemberError(f"{member} has {size} bytes: expected at most {most}")
             try:
                 return archive.read(member)
             except Exception as error:  # each way of compression has its own errors

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from fmus.binding import DISCARD, ERROR, TERMINATED, WARNING
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.rule import DEFECT, NotJudgedError
+from fmus.compliance.rule import DEFECT, NotApplicableError, NotJudgedError
 from fmus.compliance.script import CallError, DefectError, Message, Reply, Script
 from fmus.compliance.variable import Variable, number
 from fmus.process import WorkerProcess
@@ -322,14 +322,17 @@ class Probe:
         return created, [Message(*message) for message in messages]
 
     def once(self, name: str, make: Callable[[], T]) -> T:
-        """What `make` returns, made once for all rules. NotJudgedError for the second rule if that failed."""
+        """What `make` returns, made once for all rules; NotJudgedError for the second rule if that failed.
+
+        What cannot be judged, or is not there, is so for every rule.
+        """
         if name not in self._shared:
             self._shared[name] = NotJudgedError(f"the {name} fails, which another rule tells")
             try:
                 self._shared[name] = make()
-            except NotJudgedError as reason:
+            except (NotApplicableError, NotJudgedError) as reason:
                 self._shared[name] = reason
-        if isinstance(self._shared[name], NotJudgedError):
+        if isinstance(self._shared[name], NotApplicableError | NotJudgedError):
             raise self._shared[name]
         return self._shared[name]
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fmus.compliance.fmu_file import FmuFile, parsed_xml
+from fmus.compliance.fmu_file import BrokenMemberError, FmuFile, parsed_xml
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Stage, rule
 from fmus.compliance.variable import Variable, number
@@ -86,7 +86,7 @@ def _experiment(fmu: FmuFile, element: Any) -> _Experiment:
         for name in ("startTime", "stopTime", "stepSize")
     )
     if stop is None or step_size is None or step_size <= 0 or references is None:
-        raise ValueError("experiment without stopTime, stepSize or References: expected all of them")
+        raise BrokenMemberError("experiment without stopTime, stepSize or References: expected all of them")
     tolerance = min(number(element.get("tolerance")) or _TOLERANCE, _MOST_TOLERANCE)
     inputs = _table(fmu, stimuli.get("source")) if stimuli is not None else {}
     return _Experiment(
@@ -103,7 +103,7 @@ def _table(fmu: FmuFile, source: str) -> Columns:
     except ValueError:
         table = {}
     if next(iter(table), "") != "time":
-        raise ValueError(f"{source}: expected rows of numbers below names, the first of them time")
+        raise BrokenMemberError(f"{source}: expected rows of numbers below names, the first of them time")
     return table
 
 
@@ -140,9 +140,9 @@ def _indices(experiment: _Experiment) -> list[int]:
     steps = (np.array(experiment.outputs["time"]) - experiment.start) / experiment.step_size
     indices = np.rint(steps)
     if not np.all(np.abs(steps - indices) < _NEAR) or np.any(np.diff(indices, prepend=-1) <= 0):
-        raise ValueError("times of the reference results: expected increasing multiples of stepSize")
+        raise BrokenMemberError("times of the reference results: expected increasing multiples of stepSize")
     if indices[-1] > _MOST_STEPS:
-        raise ValueError(f"{indices[-1]:g} steps: expected at most {_MOST_STEPS}")
+        raise BrokenMemberError(f"{indices[-1]:g} steps: expected at most {_MOST_STEPS}")
     return indices.astype(int).tolist()
 
 
