@@ -3,7 +3,8 @@
 An FMU of this exporter carries its equations as C, one operation a statement. Here each statement becomes
 the same operation on vectors, one lane for each instance; a choice takes each lane from its own alternative,
 and a branch is carried out if one lane at least needs it. So every lane has the bits of its own instance:
-nothing is reordered, and elementary functions are those of the C library, lane by lane.
+nothing is reordered, and elementary functions are those of the C library, lane by lane; `sin` and `cos` of
+all lanes at once have its bits (lane_sine.h).
 """
 
 import re

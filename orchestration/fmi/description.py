@@ -57,6 +57,8 @@ def _read(path: Path, version: FileVersion) -> ModelDescription:
         raise FmuLoadError(
             f"{path} is not an FMU: expected a zip with a modelDescription.xml: {error}"
         ) from error
+    except (LookupError, ValueError) as error:
+        raise _unreadable(path, ValueError(f"{error}: expected XML in UTF-8 (FMI 2.0.5, 2.2)")) from error
     except Exception as error:  # whatever unpacking and parsing a damaged file raise
         raise _unreadable(path, error) from error
     if (fmi_version := root.get("fmiVersion")) != "2.0":

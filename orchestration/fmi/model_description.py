@@ -196,15 +196,21 @@ def _variable(element: Element, types: Mapping[str, SimpleType]) -> ScalarVariab
     if declared is not None and declared not in types:
         raise ValueError(f"variable {name}: declaredType {declared!r} is not defined")
     causality, variability = element.get("causality", "local"), element.get("variability", "continuous")
-    if causality not in _INITIAL.get(variability, {}):
-        raise ValueError(f"variable {name}: a causality {causality!r} of variability {variability!r}")
+    initial = element.get("initial")
+    if not initial:
+        if causality not in _INITIAL.get(variability, {}):
+            raise ValueError(
+                f"variable {name}: a causality {causality!r} of variability {variability!r} has no default "
+                "of initial: expected that it is stated"
+            )
+        initial = _INITIAL[variability][causality]
     return ScalarVariable(
         name,
         int(_required(element, "valueReference")),
         kind.tag,
         causality,
         variability,
-        element.get("initial") or _INITIAL[variability][causality],
+        initial,
         element.get("description"),
         types[declared] if declared is not None else None,
         *map(kind.get, ("unit", "min", "max", "nominal", "start")),

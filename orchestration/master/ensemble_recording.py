@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -40,12 +41,12 @@ class EnsembleRecording:
         return [instance for instance in range(len(self)) if instance not in self.failures]
 
     def recordings(self) -> Recordings:
-        """Those of `complete`, at least one, for metrics of all at once."""
+        """Those of `complete`, at least one, for metrics of all at once, without `varied`."""
         complete, (_, signals, points, _) = self.complete, self.values.shape
         values = np.ascontiguousarray(self.values.transpose(1, 0, 3, 2)).reshape(signals, -1, points)
         is_all = len(complete) == len(self)
         return Recordings(
-            self.recording(complete[0]), values[:, : len(self)] if is_all else values[:, complete]
+            self._recording(complete[0], {}), values[:, : len(self)] if is_all else values[:, complete]
         )
 
     @property
@@ -72,7 +73,10 @@ class EnsembleRecording:
 
     def recording(self, instance: int) -> Recording:
         """That of one instance, until its end, as a `Simulator` returns it; `varied` is in its provenance."""
+        varied = {name: values[instance] for name, values in self.varied.items()}
+        return self._recording(instance, {"varied": varied})
+
+    def _recording(self, instance: int, more: Mapping[str, Any]) -> Recording:
         group, lane = divmod(range(len(self))[instance], self.values.shape[-1])
         rows = np.ascontiguousarray(self.values[group, :, :, lane].T)
-        more = {"varied": {name: values[instance] for name, values in self.varied.items()}}
         return make_recording(self.prepared, rows, int(self.counts[instance]), more=more, is_final=True)

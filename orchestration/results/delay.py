@@ -57,6 +57,8 @@ def _nearest_delays(signals: np.ndarray, reference: np.ndarray, count: int, larg
     signals: shape (runs, n); reference: the same, or shape (n,)
     count: of steps that have delays of the search
     """
+    if count < 1:
+        return np.full(len(signals), math.nan)
     level = reference.mean(axis=-1, keepdims=True)  # less of it is lost to rounding
     signals, reference = signals[:, count:] - level, reference - level
     judged = signals.shape[-1]

@@ -13,10 +13,6 @@ from orchestration.sweep.plan import Plan
 from orchestration.sweep.samples import Job, Outcome, Samples
 
 _BATCH_BYTES = 2**24  # of recorded values, if a group has less
-_MOST_BYTES = 2**28  # of recorded values of a group
-_STEPS_WORTH_COMPILING = (
-    1e7  # each costs 0.25 us more an FMU in a Simulator; to compile an FMU takes 2 to 3 s
-)
 
 
 class EnsembleSamples(AbstractContextManager["EnsembleSamples"]):

@@ -10,6 +10,8 @@ from xml.etree import ElementTree
 import fmpy
 import pytest
 
+from orchestration.errors import FmuLoadError
+from orchestration.fmi.description import describe
 from orchestration.fmi.model_description import model_description
 
 TEXT = """
@@ -77,6 +79,21 @@ def test_everything_that_fmpy_reads_is_read(tmp_path: Path) -> None:
     assert interface.sourceFiles == ["a.c"]
 
 
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ('"parameter" variability="tunable"', '"parameter" initial="exact"'),
+        ('"parameter" variability="tunable"', '"parameter" variability="constant" initial="exact"'),
+        ('"output" variability="constant"', '"output" variability="fixed" initial="exact"'),
+    ],
+)
+def test_a_stated_initial_needs_no_default(before: str, after: str, tmp_path: Path) -> None:
+    """The variability is one that the causality cannot have: to judge that is for `l1-depth check`."""
+    assert before in TEXT
+    (tmp_path / "modelDescription.xml").write_text(text := TEXT.replace(before, after, 1))
+    assert_read_as_by_fmpy(text.encode(), tmp_path / "modelDescription.xml")
+
+
 @pytest.mark.parametrize("name", ["L1DepthController", "RovDepthPlant"])
 def test_the_shipped_fmus_are_read_as_by_fmpy(built: Mapping[str, Path], name: str) -> None:
     with zipfile.ZipFile(built[name]) as archive:
@@ -110,3 +127,23 @@ def test_what_cannot_be_read_is_named(before: str, after: str, message: str) -> 
     assert before in TEXT
     with pytest.raises(ValueError, match=re.escape(message)):
         model_description(ElementTree.fromstring(TEXT.replace(before, after, 1)))
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        (
+            "\n",
+            '<?xml version="1.0" encoding="gb2312"?>\n',
+            "multi-byte encodings are not supported: expected XML in UTF-8",
+        ),
+        ("\n", '<?xml version="1.0" encoding="unknown"?>\n', "expected XML in UTF-8"),
+        ('name="gain" ', "", "ScalarVariable has no name"),
+    ],
+)
+def test_the_file_that_cannot_be_read_is_named(before: str, after: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "other.fmu"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", TEXT.replace(before, after, 1))
+    with pytest.raises(FmuLoadError, match=re.escape(f"{path}: ") + ".*" + re.escape(message)):
+        describe(path)

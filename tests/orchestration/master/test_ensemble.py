@@ -193,7 +193,10 @@ def test_recordings_of_all_that_did_not_fail_are_in_c_order(system: System, weig
     together = recorded.recordings()
     assert recorded.complete == [i for i, weight in enumerate(weights) if weight > 29.2]
     for run, instance in enumerate(recorded.complete):
-        assert together.run(run).values.tobytes() == recorded.recording(instance).values.tobytes()
+        one = recorded.recording(instance)
+        assert together.run(run).values.tobytes() == one.values.tobytes()
+        assert {"varied": one.provenance["varied"], **together.run(run).provenance} == one.provenance
+        assert "varied" not in together.run(run).provenance  # it is not that of all
     assert {signal.strides[-1] for signal in together.values} == {8}
     assert (len(together), len(together.time)) == (len(recorded.complete), len(recorded.time))
 

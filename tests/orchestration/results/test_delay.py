@@ -70,6 +70,11 @@ def test_a_delay_between_points_at_the_end_of_the_search_is_none() -> None:
     assert math.isnan(shift_lag(run, "z", "r", largest=2.98))
 
 
+@pytest.mark.parametrize("largest", [0.0, 1e-10 * STEP])
+def test_a_search_of_no_length_finds_no_delay(largest: float) -> None:
+    assert math.isnan(shift_lag(recording(TIME, np.sin(TIME - 1.0), np.sin(TIME)), "z", "r", largest))
+
+
 @pytest.mark.filterwarnings("error")  # a mean of no points is one
 def test_a_search_over_nearly_the_whole_run_judges_what_is_left_of_it() -> None:
     """No point of the rest of the run has a reference later by a part of the search to be nearer to."""
