@@ -115,8 +115,9 @@ class FmuVectorEnv(VectorEnv[Array, Array, Array]):
     ) -> tuple[Array, dict[str, Any]]:
         """Begin an episode in every environment; environment i has the seed `seed + i`, or `seed[i]`."""
         if seed is not None or not self._randoms:
-            seeds = range(seed, seed + self.num_envs) if isinstance(seed, int) else seed
-            self._randoms = [np.random.default_rng(s) for s in seeds or [None] * self.num_envs]
+            seeds = range(seed, seed + self.num_envs) if isinstance(seed, int | np.integer) else seed
+            seeds = [None] * self.num_envs if seeds is None else seeds
+            self._randoms = [np.random.default_rng(s) for s in seeds]
         self._runs.reset(self._randoms, np.ones(self.num_envs, bool))
         self._done = np.zeros(self.num_envs, bool)
         self._look()

@@ -1,9 +1,9 @@
 """Many instances of one system, which step together."""
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from fmus.errors import nearest
 from fmus.fmi_types import FmiValue
 from fmus.lanes import LANES
 from fmus.platforms import INSTRUCTION_SETS, instruction_sets
-from orchestration.errors import EnsembleError, OrchestrationError
+from orchestration.errors import EnsembleError, OrchestrationError, SystemDefinitionError
 from orchestration.fmi.description import describe, is_independent
 from orchestration.fmi.instance import FmuInstance
 from orchestration.master.checked_systems import CheckedSystems
@@ -90,12 +90,8 @@ class Ensemble(AbstractContextManager["Ensemble"]):
         """
         if threads < 1:
             raise OrchestrationError(f"threads: {threads}: expected at least 1")
-        if not self._running.acquire(blocking=False):
-            raise OrchestrationError("this ensemble is running: expected another one for a run meanwhile")
-        try:
+        with self._begin_run():
             return self._run(experiment, vary, threads, progress)
-        finally:
-            self._running.release()
 
     def start(
         self, experiment: Experiment, vary: Vary, instances: int, external: Sequence[str]
@@ -105,6 +101,28 @@ class Ensemble(AbstractContextManager["Ensemble"]):
         external: inputs that the caller sets between the steps, as of `Simulator.start`; at least one
         Raises what `run` raises; OrchestrationError if an instance cannot begin.
         """
+        with self._begin_run():
+            return self._start(experiment, vary, instances, external)
+
+    @contextmanager
+    def _begin_run(self) -> Iterator[None]:
+        """Refuse another run meanwhile."""
+        if not self._running.acquire(blocking=False):
+            raise OrchestrationError("this ensemble is running: expected another one for a run meanwhile")
+        try:
+            yield
+        finally:
+            self._running.release()
+
+    def _start(
+        self, experiment: Experiment, vary: Vary, instances: int, external: Sequence[str]
+    ) -> SteppedEnsemble:
+        lengths = {name: len(values) for name, values in vary.items()}
+        if instances < 1 or not external or {*lengths.values()} - {instances}:
+            raise SystemDefinitionError(
+                "start: expected an external input, and as many values as instances, at least 1: "
+                f"got {list(external)}, {lengths} and {instances}"
+            )
         system, groups = self._checked.check(experiment, external)
         prepared = self._prepared_runs.prepare(system, experiment, tuple(external))
         check_supported(prepared, groups)

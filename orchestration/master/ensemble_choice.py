@@ -29,7 +29,7 @@ def check_ensemble(
     """Bytes of the values that a group of an ensemble records.
 
     instances: how many are run in all; is_asked_for: also where it does not pay
-    external: inputs that the caller sets between the steps
+    external: inputs that the caller sets between the steps; FMUs are then compiled only if it is asked for
     Raises EnsembleError, which says why simulators run them: an ensemble cannot, or it does not pay.
     """
     descriptions = {name: describe(path) for name, path in system.components.items()}
@@ -42,7 +42,8 @@ def check_ensemble(
     points, columns = prepared.shape
     group_bytes = 8 * LANES * points * columns
     if not is_asked_for:
-        _check_pays(system, instances, instances * experiment.step_count, group_bytes)
+        steps = 0 if external else instances * experiment.step_count  # as far as known
+        _check_pays(system, instances, steps, group_bytes)
     return group_bytes
 
 

@@ -57,7 +57,7 @@ class EnsembleRecording:
     @property
     def time(self) -> np.ndarray:
         """Communication points [s], shape (n,)."""
-        return self.prepared.points
+        return self.prepared.points[: self.values.shape[2]]
 
     def __getitem__(self, name: str) -> np.ndarray:
         """A signal of every instance, shape (n, instances); NaN after the end of one that failed.

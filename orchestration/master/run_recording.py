@@ -26,7 +26,7 @@ def make_recording(
     ports = prepared.system.ports
     is_kept = is_final and count == len(rows)
     values, time = (
-        (rows, prepared.points) if is_kept else (rows[:count].copy(), prepared.points[:count].copy())
+        (rows, prepared.points[:count]) if is_kept else (rows[:count].copy(), prepared.points[:count].copy())
     )
     is_string = np.array([ports[name].variable.type == "String" for name in prepared.recorded], bool)
     if not texts:

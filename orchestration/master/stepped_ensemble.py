@@ -4,10 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from orchestration.errors import OrchestrationError, SimulationError
+from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.master.ensemble_loop import EnsembleLoop
 from orchestration.master.ensemble_recording import EnsembleRecording
-from orchestration.system.values import fmi_value, value_range
+from orchestration.system.system import Port
+from orchestration.system.values import fmi_value, possible_values, value_range
 
 
 class SteppedEnsemble:
@@ -19,6 +20,8 @@ class SteppedEnsemble:
 
     def __init__(self, loop: EnsembleLoop, count: int) -> None:
         self._loop, self._prepared, self._count = loop, loop.prepared, count
+        self._connections = loop.connections
+        self._driven = {*loop.prepared.experiment.signals, *(target for _, target in self._connections)}
         self._groups = [loop.data_of_group(group) for group in range(len(loop.rows))]
         self.point = 0
 
@@ -26,6 +29,11 @@ class SteppedEnsemble:
     def time(self) -> float:
         """The present communication point [s]."""
         return float(self._prepared.points[self.point])
+
+    @property
+    def points(self) -> np.ndarray:
+        """The communication points of the run [s]."""
+        return self._prepared.points
 
     @property
     def is_done(self) -> bool:
@@ -49,34 +57,57 @@ class SteppedEnsemble:
 
     def read(self, names: Sequence[str]) -> np.ndarray:
         """The present values of variables, shape (names, instances); Booleans are 0.0 and 1.0."""
-        ports = [self._prepared.system.ports[name] for name in names]
+        ports = [self._prepared.system.port(name, "read") for name in names]
+        if not self._driven.isdisjoint(names):
+            self._exchange()
         return np.array([self._loop.values(port).reshape(-1)[: self._count] for port in ports])
 
     def write(self, names: Sequence[str], values: np.ndarray) -> None:
         """Set external inputs from the present point on; values: shape (names, instances).
 
-        Raises SystemDefinitionError for a value that is not finite or outside of the declared range.
+        Raises SystemDefinitionError, and sets none, for another variable or shape, and for a value that is
+        not finite or outside of the declared range.
         """
-        for name, of_instances in zip(names, values, strict=True):
-            port = self._prepared.system.ports[name]
-            low, high = value_range(port)
-            for value in of_instances[
-                ~(np.isfinite(of_instances) & (low <= of_instances) & (of_instances <= high))
-            ]:
-                fmi_value(port, float(value))  # which refuses it
+        ports = [self._prepared.system.port(name, "write") for name in names]
+        for name in names:
+            if name not in self._prepared.external:
+                expected = ", ".join(self._prepared.external)
+                raise SystemDefinitionError(f"write: {name}: expected an external input: {expected}")
+        if values.shape != (len(ports), self._count):
+            raise SystemDefinitionError(
+                f"write: shape {values.shape}: expected (names, instances) = {(len(ports), self._count)}"
+            )
+        for port, of_instances in zip(ports, values, strict=True):
+            _check(port, of_instances)
+        for port, of_instances in zip(ports, values, strict=True):
             lanes = self._loop.values(port)
             lanes[:] = np.resize(of_instances, lanes.shape)
 
     def recordings(self) -> EnsembleRecording:
         """The values recorded until now, those of the present communication point included."""
-        for signal, values in zip(
-            self._prepared.experiment.signals, self._prepared.signal_values, strict=True
-        ):
-            self._loop.values(self._prepared.system.ports[signal])[:] = values[self.point]
+        self._exchange()
         for column, name in enumerate(self._prepared.recorded):
             self._loop.rows[:, column, self.point] = self._loop.values(self._prepared.system.ports[name])
         return self._record()
 
+    def _exchange(self) -> None:
+        """Set what signals and connections drive, as the next step does first."""
+        ports, (_, data) = self._prepared.system.ports, self._groups[0]
+        for signal, values in zip(
+            self._prepared.experiment.signals, self._prepared.signal_values, strict=True
+        ):
+            self._loop.values(ports[signal])[:] = values[self.point]
+        for (source, target), factor, offset in zip(self._connections, data.factor, data.offset, strict=True):
+            self._loop.values(ports[target])[:] = self._loop.values(ports[source]) * factor + offset
+
     def _record(self) -> EnsembleRecording:
         counts = np.full(self._count, self.point + 1)
-        return EnsembleRecording(self._prepared, {}, self._loop.rows, counts, {})
+        rows = self._loop.rows[:, :, : self.point + 1].copy()  # which the next steps leave as they are
+        return EnsembleRecording(self._prepared, {}, rows, counts, {})
+
+
+def _check(port: Port, values: np.ndarray) -> None:
+    """SystemDefinitionError for a value that the input cannot have."""
+    low, high = value_range(port)
+    for value in values[~(possible_values(port, values)[1] & (low <= values) & (values <= high))]:
+        fmi_value(port, float(value))  # which refuses it

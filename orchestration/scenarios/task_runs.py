@@ -159,22 +159,22 @@ class EnsembleRuns:
         self.names = (*self._variables, *signals)
         self._experiment = _recorded(task, self._variables)
         system = checked_system(task)
-        driven = {target.name for _, target in system.connections}
-        for name in driven.intersection(self._variables):  # which take their value in the next step
-            raise EnsembleError(f"{name}: it is driven by a connection: an ensemble does not read it")
         for name in (*task.seeds, *task.vary):
             variable = system.port(name, "vary").variable
             if variable.causality != "parameter" or name.endswith(".internal_step"):
                 raise EnsembleError(f"{name}: expected a parameter but internal_step to draw")
         check_ensemble(task.system, self._experiment, count, is_asked_for, task.actions)
         self._ensemble = Ensemble(task.system)
-        points = self._experiment.time_grid()
-        self._of_signals = np.array([values_at(task.signals[name], points) for name in signals])
+        self._signals = [task.signals[name] for name in signals]
+        self._of_signals: Array | None = None  # a row for each signal
 
     def reset(self, randoms: Sequence[np.random.Generator], which: Array) -> None:
         drawn = [_drawn(self._task, random) for random in randoms]
         vary = {name: [values[name] for values in drawn] for name in drawn[0]}
         self._run = self._ensemble.start(self._experiment, vary, self._count, self._task.actions)
+        if self._of_signals is None:  # the communication points of every episode are the same
+            table = [values_at(signal, self._run.points) for signal in self._signals]
+            self._of_signals = np.array(table)
 
     def act(self, values: Array, which: Array) -> None:
         self._run.write(self._task.actions, values.T)
@@ -184,10 +184,11 @@ class EnsembleRuns:
             self._run.step()
 
     def values(self) -> Array:
-        of_signals = self._of_signals[:, self._run.point, None] if len(self._of_signals) else []
-        return np.array(
-            [*self._run.read(self._variables), *np.broadcast_to(of_signals, (len(of_signals), self._count))]
-        )
+        values = self._run.read(self._variables)
+        if self._of_signals is None or not self._signals:
+            return values
+        present = self._of_signals[:, self._run.point, None]
+        return np.concatenate([values, np.repeat(present, self._count, axis=1)])
 
     def time(self) -> Array:
         return np.full(self._count, self._run.time)

@@ -231,6 +231,14 @@ def test_a_vector_holds_the_environments_of_its_seeds(task: Task) -> None:
     assert envs.observation_space.contains(steps[5][0])
 
 
+def test_seeds_of_a_vector_may_be_numbers_of_numpy(task: Task) -> None:
+    seeds: list[Any] = [3, np.int64(3), np.array([3, 4])]
+    with closing(FmuVectorEnv(task, 2)) as envs:
+        seeded = [np.concatenate([envs.reset(seed=seed)[0], envs.step(np.ones((2, 1)))[0]]) for seed in seeds]
+    assert np.array_equal(seeded[0], seeded[1])
+    assert np.array_equal(seeded[0], seeded[2])
+
+
 def test_scenarios_are_registered() -> None:
     assert {"orchestration.gym:_scenario_env", "orchestration.gym:_scenario_envs"} == {
         getattr(gymnasium.spec("l1-depth/Scenario-v0"), name)

@@ -12,11 +12,14 @@ import pytest
 from orchestration.errors import EnsembleError
 from orchestration.gym import FmuVectorEnv, Task, task_of
 from orchestration.master import ensemble_choice
-from orchestration.scenarios import scenario
-from orchestration.system.experiment import Experiment
+from orchestration.master.ensemble_choice import check_ensemble
+from orchestration.scenarios import scenario, task_runs
+from orchestration.system.experiment import Event, Experiment
+from orchestration.system.signals import Ramps
 from orchestration.system.system import System
 
 VOLTAGES = ("plant.voltage[1]", "plant.voltage[2]")
+CURRENT = "plant.current_velocity"
 Build = Callable[..., Path]
 
 
@@ -34,7 +37,7 @@ def task(scenario_fmus: None) -> Task:
 
 def episodes(task: Task, count: int, ensemble: bool) -> list[Any]:
     """What environments return under actions that are the same each time, over more than two episodes."""
-    actions = np.random.default_rng(1).uniform(-1.2, 1.2, (80, count, 2))
+    actions = np.random.default_rng(1).uniform(-1.2, 1.2, (80, count, len(task.actions)))
     with closing(FmuVectorEnv(task, count, ensemble)) as envs:
         returned: list[Any] = [*envs.reset(seed=7)[:1]]
         for action in actions:
@@ -45,11 +48,58 @@ def episodes(task: Task, count: int, ensemble: bool) -> list[Any]:
     return returned
 
 
+def with_events(task: Task) -> Task:
+    """One is between two points of the time grid, and becomes a communication point."""
+    events = (Event(0.035, {"plant.linear_damping": 9.0}),)
+    return replace(task, experiment=replace(task.experiment, events=events))
+
+
+def of_variables_alone(task: Task) -> Task:
+    """Without signals of the task; one that is observed is driven by a signal of the experiment."""
+    signals = {CURRENT: Ramps([(0.0, 0.0), (2.0, 1.0)], smooth=False)}
+    inputs = {name: value for name, value in task.experiment.inputs.items() if name != CURRENT}
+    return replace(
+        task,
+        experiment=replace(task.experiment, signals=signals, inputs=inputs),
+        observations=("plant.measured_depth", CURRENT),
+        reads=(),
+        reward=lambda before, after, h: h * after[CURRENT],
+    )
+
+
+def of_connected_inputs(task: Task) -> Task:
+    """The vehicle in its loop, of which the agent sees the voltages that arrive."""
+    nominal = scenario.load(scenario.find("nominal-extended"))
+    inputs = {name: x for name, x in nominal.experiment.inputs.items() if name != "plant.buoyancy_change"}
+    return replace(
+        task,
+        system=nominal.system,
+        experiment=replace(nominal.experiment, stop_time=2.0, inputs=inputs, record=VOLTAGES),
+        actions=["plant.buoyancy_change"],
+        observations=VOLTAGES,
+        reads=(),
+        signals={},
+        bounds={"plant.buoyancy_change": (-0.1, 0.1)},
+        reward=lambda before, after, h: h * after[VOLTAGES[0]],
+    )
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("drawn", [True, False])
-def test_they_have_the_bits_of_environments_with_a_simulator_each(task: Task, drawn: bool) -> None:
+@pytest.mark.parametrize(
+    "changed",
+    [
+        lambda task: task,
+        lambda task: replace(task, seeds=[], vary={}),
+        with_events,
+        of_variables_alone,
+        of_connected_inputs,
+    ],
+)
+def test_they_have_the_bits_of_environments_with_a_simulator_each(
+    task: Task, changed: Callable[[Task], Task]
+) -> None:
     """Ten: a group and a part of one."""
-    chosen = task if drawn else replace(task, seeds=[], vary={})
+    chosen = changed(task)
     alone, together = (episodes(chosen, 10, ensemble) for ensemble in (False, True))
     assert [array.tobytes() for array in together] == [
         np.ascontiguousarray(array).tobytes() for array in alone
@@ -69,29 +119,16 @@ def test_a_task_that_an_ensemble_does_not_run_is_refused(task: Task, changes: An
         FmuVectorEnv(replace(task, **changes), 8, ensemble=True)
 
 
-def test_inputs_that_a_connection_drives_are_read_by_simulators(task: Task) -> None:
-    nominal = scenario.load(scenario.find("nominal-extended"))
-    inputs = {name: x for name, x in nominal.experiment.inputs.items() if name != "plant.buoyancy_change"}
-    connected = replace(
-        task,
-        system=nominal.system,
-        experiment=replace(nominal.experiment, inputs=inputs),
-        actions=["plant.buoyancy_change"],
-        observations=VOLTAGES[:1],
-        reads=(),
-        signals={},
-        bounds={"plant.buoyancy_change": (-0.1, 0.1)},
-    )
-    with pytest.raises(EnsembleError, match=r"voltage\[1\]: it is driven by a connection"):
-        FmuVectorEnv(connected, 8, ensemble=True)
-
-
 def test_fmus_that_are_not_compiled_for_it_have_simulators(
     task: Task, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """However many steps an ensemble would save: that is not known of a loop of the caller's own."""
     monkeypatch.setattr(ensemble_choice, "is_compiled", lambda *_: False)
+    monkeypatch.setattr(task_runs, "Ensemble", lambda *_: pytest.fail("an ensemble is made"))
     with closing(FmuVectorEnv(task, 8)) as envs:
         assert envs.reset(seed=1)[0].shape == (8, 3)
+    with pytest.raises(EnsembleError, match="to compile the FMUs takes longer"):
+        check_ensemble(task.system, task.experiment, 10**9, external=task.actions)
 
 
 def test_foreign_fmus_are_refused(task: Task, linear: Build) -> None:

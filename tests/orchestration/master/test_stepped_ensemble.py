@@ -89,6 +89,85 @@ def test_what_is_set_has_the_range_of_the_input(system: System) -> None:
         assert run.read([EFFICIENCY])[0].tolist() == values.tolist()
 
 
+def test_a_refused_write_sets_nothing(system: System) -> None:
+    halves = np.array([[0.5, 0.5], [0.5, 0.5]])
+    with Ensemble(system) as ensemble:
+        run = ensemble.start(DIVE, {}, 2, [CURRENT, EFFICIENCY])
+        before = run.read([CURRENT, EFFICIENCY, INERTIA]).tolist()
+        for names, values, message in (
+            ([CURRENT, EFFICIENCY], np.array([[0.5, 0.5], [0.5, 7.0]]), "= 7.0: expected"),
+            ([CURRENT, INERTIA], halves, "inertia: expected an external input: plant.current_velocity, pl"),
+            ([CURRENT, "plant.depth"], halves, "write: plant.depth: expected an external input"),
+            ([CURRENT, "plant.inertai"], halves, "no variable 'plant.inertai'; nearest is 'plant.inertia'"),
+            ([CURRENT], np.array([[0.5]]), r"shape \(1, 1\): expected \(names, instances\) = \(1, 2\)"),
+            ([CURRENT, EFFICIENCY], halves[:1], r"shape \(1, 2\): expected .* = \(2, 2\)"),
+        ):
+            with pytest.raises(SystemDefinitionError, match=message):
+                run.write(names, values)
+            assert run.read([CURRENT, EFFICIENCY, INERTIA]).tolist() == before
+        run.write([CURRENT, EFFICIENCY], np.array([[0.1, 0.2], [0.3, 0.4]]))
+        assert run.read([EFFICIENCY, CURRENT]).tolist() == [[0.3, 0.4], [0.1, 0.2]]
+
+
+def test_driven_inputs_are_read_at_the_present_point(system: System) -> None:
+    reference = "controller.depth_reference"
+    with Ensemble(system) as ensemble:
+        run = ensemble.start(DIVE, {}, 1, [CURRENT])
+        read = []
+        for _ in range(3):
+            read.append(run.read([reference])[0, 0])
+            run.step()
+        assert read == run.recordings()[reference][:3, 0].tolist() == pytest.approx([0.0, 0.016, 0.032])
+        arriving, commanded = run.read(["plant.voltage[1]", "controller.voltage[1]"])
+        assert arriving == commanded
+        with pytest.raises(SystemDefinitionError, match=r"read: no variable 'plant\.dept'; nearest is"):
+            run.read(["plant.dept"])
+
+
+def test_recordings_are_those_of_the_point_at_which_they_are_made(system: System) -> None:
+    with Ensemble(system) as ensemble:
+        run = ensemble.start(DIVE, {}, 2, [CURRENT])
+        run.step()
+        recorded = run.recordings()
+        run.write([CURRENT], np.array([[0.9, 0.9]]))
+        run.step()
+    assert recorded[CURRENT].tolist() == [[0.0, 0.0], [0.0, 0.0]]
+    assert recorded.time.tolist() == recorded.recordings().time.tolist() == [0.0, 0.02]
+
+
+@pytest.mark.parametrize(
+    ("vary", "instances", "external"),
+    [
+        ({INERTIA: [5.0] * 8}, 16, [CURRENT]),
+        ({INERTIA: [5.0] * 3}, 2, [CURRENT]),
+        ({INERTIA: [5.0]}, 1, []),
+        ({}, 0, [CURRENT]),
+    ],
+)
+def test_instances_need_a_value_each_and_an_external_input(
+    system: System, vary: dict[str, list[float]], instances: int, external: list[str]
+) -> None:
+    with (
+        Ensemble(system) as ensemble,
+        pytest.raises(SystemDefinitionError, match="start: expected an external input, and as many values"),
+    ):
+        ensemble.start(DIVE, vary, instances, external)
+
+
+def test_an_ensemble_that_runs_does_not_start(system: System) -> None:
+    refusals: list[str] = []
+
+    with Ensemble(system) as ensemble:
+
+        def start(*_: int) -> None:
+            with pytest.raises(OrchestrationError, match="this ensemble is running"):
+                ensemble.start(DIVE, {}, 1, [CURRENT])
+            refusals.append("start")
+
+        ensemble.run(DIVE, {INERTIA: INERTIAS}, progress=start)
+    assert refusals
+
+
 def test_there_is_no_step_beyond_the_end(system: System) -> None:
     with Ensemble(system) as ensemble:
         run = ensemble.start(replace(DIVE, stop_time=0.02, events=()), {}, 1, [CURRENT])
