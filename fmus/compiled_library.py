@@ -25,7 +25,7 @@ def load(source: Path, cache: Path, options: Sequence[str] = ()) -> ctypes.CDLL:
     """
     platform = host_platform()
     content = find(source, source.parent, platform, options=options)
-    if content is None and _is_private(cache):
+    if content is None:
         content = find(source, cache, platform, only_own=True, options=options)
     if content is None:
         content = compile_source(source, platform, options)
@@ -38,8 +38,10 @@ def find(
 ) -> bytes | None:
     """The undamaged library of a source in a folder, if there is one.
 
-    only_own: a file of another user's, or one that others can write, is left out
+    only_own: a file or folder of another user's, or one that others can write, is left out
     """
+    if only_own and not _is_private(folder):
+        return None
     for path in sorted(folder.glob(f"{_stem(source, platform, options)}-*")):
         try:
             content = _read(path, only_own)

@@ -3,11 +3,12 @@
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from queue import SimpleQueue
 from typing import Any
 
 from fmus.lanes import LANES
+from fmus.registry import fmu_folder
 from orchestration.errors import EnsembleError, FmuWarning, OrchestrationError
 from orchestration.master.ensemble import Ensemble
 from orchestration.master.ensemble_choice import check_ensemble
@@ -53,10 +54,14 @@ def ensembles(
         for _ in range(threads):
             loop = stack.enter_context(Loop(controller, protocol))
             system = loop.scenario(cases[0]).system
+            if not (fmu := system.components["controller"]).is_relative_to(fmu_folder()):
+                raise EnsembleError(f"{fmu} was not built here, and may need the time limit of a process")
             for case in cases:
                 if loop.scenario(case).system != system:
                     raise EnsembleError(f"{case.name} has another system than {cases[0].name}")
-                check_ensemble(system, loop.experiment(case), count * len(cases), is_asked_for)
+                check_ensemble(
+                    system, loop.experiment(case), count * len(cases), is_asked_for, threads=threads
+                )
             idle.put((loop, stack.enter_context(Ensemble(system))))
         stack.enter_context(warnings.catch_warnings())
         warnings.simplefilter("ignore", FmuWarning)  # of thousands of runs; results have the errors
@@ -96,7 +101,7 @@ def costs_of_all(loop: Loop, ensemble: Ensemble, gains: Sequence[Gains]) -> list
 def _figures_of_all(
     loop: Loop, ensemble: Ensemble, case: Case, gains: Sequence[Gains]
 ) -> list[Figures | None]:
-    """The figures of a case with each of the gains; None for a run that fails."""
+    """The figures of a case with each of the gains; None for a run that fails, or whose figures do."""
     vary = {f"{OWN}{name}": [one[name] for one in gains] for name in gains[0]}
     experiment, figures = loop.experiment(case), list[Figures | None]([None] * len(gains))
     try:
@@ -104,6 +109,7 @@ def _figures_of_all(
     except OrchestrationError:  # of gains that no instance can have
         return figures
     for instance in recorded.complete:
-        signals = loop.judged(case, experiment, recorded.recording(instance))
-        figures[instance] = figures_of(signals, case, loop.protocol, figure_names(loop.protocol))
+        with suppress(Exception):  # whatever the reason: `cost_of` finds it
+            signals = loop.judged(case, experiment, recorded.recording(instance))
+            figures[instance] = figures_of(signals, case, loop.protocol, figure_names(loop.protocol))
     return figures

@@ -70,6 +70,6 @@ def ensemble_samples(
             )
     if job.recorded is not None or job.timeout is not None:
         raise EnsembleError("samples of an ensemble have no recordings and no timeout")
-    group_bytes = check_ensemble(job.system, job.experiment, count, is_asked_for)
+    group_bytes = check_ensemble(job.system, job.experiment, count, is_asked_for, threads=threads)
     most = LANES * max(1, _BATCH_BYTES // group_bytes)
     return [EnsembleSamples(plan, job, most) for _ in range(threads)]

@@ -117,6 +117,7 @@ def test_a_folder_that_others_can_write_is_not_used(
     source: Path, cache: Path, planted: Path, mode: int
 ) -> None:
     cache.chmod(mode)
+    assert compiled_library.find(source, cache, host_platform(), only_own=True) is None
     assert number(load(source, cache)) == 42
     assert [*cache.iterdir()] == [planted]
 

@@ -1,15 +1,19 @@
 """Evaluations in ensembles have the costs of evaluations one by one, and are made where that pays."""
 
 import math
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from orchestration.errors import EnsembleError
+from fmus.registry import fmu_path
+from orchestration.errors import EnsembleError, ScenarioError
 from orchestration.master import ensemble_choice
+from orchestration.study import loop as loop_module
 from orchestration.study import tune_ensembles
 from orchestration.study.loop import Controller, Loop, built_in
 from orchestration.study.protocol import Protocol
@@ -23,11 +27,22 @@ GAINS = [
 
 
 @pytest.mark.slow
-def test_the_costs_are_those_of_single_evaluations(protocol: Protocol) -> None:
-    """Also of gains that fail, and of those that were in a group with them."""
+def test_the_costs_are_those_of_single_evaluations(
+    protocol: Protocol, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also of gains that fail, or whose figures do, and of those that were in a group with them."""
+
+    def fails(*arguments: object) -> None:
+        raise ScenarioError("no figure")
+
     controller = built_in(protocol, "l1-pi")
     with ensembles(controller, protocol, 2, len(GAINS), is_asked_for=True) as evaluate:
         together = [*evaluate(GAINS)]
+        monkeypatch.setattr(tune_ensembles, "figures_of", fails)
+        assert [*evaluate(GAINS[:1])] == together[:1]  # of which the loop has the figures
+        monkeypatch.setattr(loop_module, "figures_of", fails)
+        assert [*evaluate(GAINS[:1])] == [{"cost": LARGEST, "failure": "no figure"}]
+        monkeypatch.undo()
     with Loop(controller, protocol) as loop:
         assert together[:-1] == [cost_of(loop, gains) for gains in GAINS[:-1]]
     assert together[-1]["cost"] == LARGEST
@@ -37,9 +52,9 @@ def test_the_costs_are_those_of_single_evaluations(protocol: Protocol) -> None:
 
 
 def test_few_evaluations_are_not_worth_a_compilation(
-    protocol: Protocol, monkeypatch: pytest.MonkeyPatch
+    protocol: Protocol, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Processes evaluate them, and those of a controller of another tool or with a fault in its cases."""
+    """Processes evaluate them, and those of a controller not built here or with a fault in its cases."""
 
     @contextmanager
     def processes(controller: Controller, protocol: Protocol, count: int) -> Iterator[Any]:
@@ -52,6 +67,12 @@ def test_few_evaluations_are_not_worth_a_compilation(
     monkeypatch.setattr(ensemble_choice, "is_compiled", lambda *_: False)
     with evaluations(built_in(protocol, "l1-pi"), protocol, 3, 10) as evaluate:
         assert [*evaluate([{}, {}])] == [{"cost": 3.0}] * 2
+    mine = shutil.copy(fmu_path(built_in(protocol, "l1-pi").fmu), tmp_path)
+    with (
+        pytest.raises(EnsembleError, match="was not built here"),
+        ensembles(Controller("mine", str(mine)), protocol, 1, 10_000, is_asked_for=True),
+    ):
+        pass
     tables = protocol.tables
     frozen = tables.model_copy(update={"cost": tables.cost.model_copy(update={"cases": ["frozen"]})})
     with (

@@ -269,6 +269,13 @@ def test_where_an_ensemble_cannot_run_samples_or_does_not_pay_simulators_do(
         ensemble_samples(made, Job.of(made, recorded), made.count, is_asked_for=False, threads=1)
 
 
+def test_threads_share_the_memory_of_recordings(tmp_path: Path) -> None:
+    """Of these samples one group fits, not two."""
+    made = made_of(tmp_path, VEHICLE.replace("stop_time = 4.0", "stop_time = 1.5e4"))
+    with pytest.raises(EnsembleError, match="16 runs at once record 480 MB"):
+        ensemble_samples(made, Job.of(made, None), made.count, is_asked_for=False, threads=2)
+
+
 def test_the_note_says_what_runs_the_samples(planned: Make, tmp_path: Path) -> None:
     """A foreign FMU in a process; an ensemble that is asked for is refused."""
     notes: list[str] = []
