@@ -2,8 +2,9 @@
  *
  * A result of glibc differs from the exact number by less than 0.55 of its last place (sysdeps/ieee754/dbl-64/s_sin.c).
  * Here that number is high + low to 0.006 of the last place of `high`, the double next to it. Where `low` is below 0.44
- * of that place, any other double is too far away for glibc, and `high` is its result; in the other lanes, every eighth,
- * it is called. The arithmetic is that of two doubles (Dekker 1971), which needs the instruction of a fused product. */
+ * of that place, the doubles on both sides of it are more than 0.55 of a place away, and `high` is the result of glibc.
+ * A power of two has the double below at half the distance, and is left out. In the other lanes, every eighth, glibc is
+ * called. The arithmetic is that of two doubles (Dekker 1971), which needs the instruction of a fused product. */
 
 #if defined(__GLIBC__) && defined(__FMA__)
 
@@ -86,7 +87,8 @@ INLINE Mask turned_sin(Lanes x, int quarters, Lanes *result) {
     high = two_sum(high, low, &low);
     *result = (Lanes)((Mask)high ^ ((quadrant & 2) << 62)); /* the sign */
     const Mask is_reduced = (Mask)(lanes_fabs(x) < 0x1p20) & (Mask)(lanes_fabs(difference) > 0x1p-20);
-    return (Mask)(high + low * 1.140625 == high) & is_reduced;
+    const Mask is_power_of_two = (Mask)(((Mask)high << 12) == 0);
+    return (Mask)(high + low * 1.140625 == high) & ~is_power_of_two & is_reduced;
 }
 
 #define DEFINE_SINE(name, quarters)                                                          \
