@@ -42,7 +42,7 @@ from fmus.compliance.fmu_file import BrokenMemberError, FmuFile
 from fmus.compliance.instance_rules import ONLY_ONCE
 from fmus.compliance.library_rules import no_co_simulation
 from fmus.compliance.lifecycle_rules import RANDOM
-from fmus.compliance.probe import Probe
+from fmus.compliance.probe import NO_INSTANCE, Probe
 from fmus.compliance.rule import (
     Level,
     NotApplicableError,
@@ -155,18 +155,26 @@ def _judged(
         except Exception as error:  # an archive that is damaged anywhere: `archive-is-zip` tells more
             return {name: Result(rules[name], not_judged=f"it cannot be unpacked: {error}") for name in names}
         shared: dict[str, Any] = {}
+        is_alone = False  # each instance in its process, as the FMU gives no second one
         shared_alone: dict[str, Any] = {}  # of instances that are alone in their processes
         while remaining := [rules[name] for name in names if name not in results]:
             texts = [text for r in results.values() for text in (*r.messages, r.not_judged)]
             if sum(_HUNG in text for text in texts if text.startswith("the FMU ")) >= _MOST_HANGS:
                 reason = f"{_MOST_HANGS} rules before {_HUNG} {timeout:g} s"
                 return results | {rule.name: Result(rule, not_judged=reason) for rule in remaining}
-            probe = Probe(fmu, folder, time.monotonic() + _START_S, shared, started)
-            for result in _judged_by_one_process(probe, remaining, results, timeout):
+            known, limit = (shared_alone, _START_S) if is_alone else (shared, timeout)
+            probe = Probe(fmu, folder, time.monotonic() + _START_S, known, started, is_alone)
+            for result in _judged_by_one_process(probe, remaining, results, limit):
+                if is_alone:
+                    results[result.rule.name] = result
+                    continue
+                is_alone = fmu.claims(ONLY_ONCE) and any(NO_INSTANCE in text for text in result.messages)
+                if is_alone:  # this rule and all after it are judged anew
+                    break
                 judge_alone = partial(_judged_alone, result.rule, fmu, folder, shared_alone, results)
                 results |= _without_instances_before(result, results, fmu.claims(ONLY_ONCE), judge_alone)
             started = None
-            last = list(results.values())[-1]
+            last = list(results.values())[-1]  # `library-loads` at least
             if any(m.startswith(_ENDED) for m in last.messages) and _FORMATS in set(names) - set(results):
                 probe = Probe(fmu, folder, time.monotonic() + _START_S, {}, None)
                 (formats,) = _judged_by_one_process(probe, [rules[_FORMATS]], {}, timeout)
@@ -262,11 +270,13 @@ def _breach(result: Result) -> str:
 
 def _judge(rule: Rule, probe: Probe, results: Mapping[str, Result]) -> Result:
     needed = [results[name] for name in (*FUNDAMENTAL, *rule.needs) if name in results]
-    reason = next(filter(None, map(_breach, needed)), "")
-    if reason and not (reason == RANDOM and rule.name == _RANDOM_RUNS):
-        return Result(rule, not_judged=reason)
+    reasons = set(filter(None, map(_breach, needed)))
+    if others := reasons - {RANDOM}:
+        return Result(rule, not_judged=min(others))
     try:
-        return Result(rule, messages_of(rule.check(probe)))
+        messages = messages_of(rule.check(probe))
+        is_random = RANDOM in reasons and rule.name != _RANDOM_RUNS  # calls that fail or crash are told still
+        return Result(rule, not_judged=RANDOM) if is_random else Result(rule, messages)
     except (TimeoutError, ProcessEndedError):
         raise
     except (NotJudgedError, DefectError) as reason:

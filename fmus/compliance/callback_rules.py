@@ -77,7 +77,10 @@ def memory_functions_may_be_null(probe: Probe) -> Iterator[str]:
     called.
     """
     held = probe.ask("held_blocks")
-    number = probe.hold(probe.script().begin().step())
+    script = probe.script().begin().step()
+    if probe.fmu.claims("canGetAndSetFMUstate"):
+        script.call("get_fmu_state", 0)
+    number = probe.hold(script)
     if probe.ask("held_blocks") != held:
         yield "allocateMemory was called: expected no call, as canNotUseMemoryManagementFunctions is claimed"
     probe.let_go(number)

@@ -4,7 +4,7 @@ import struct
 from collections.abc import Iterator, Sequence
 
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import NotApplicableError, Stage, rule
+from fmus.compliance.rule import Level, NotApplicableError, Stage, rule
 from fmus.compliance.script import Reading, Script
 from fmus.compliance.values import (
     accepted,
@@ -34,19 +34,33 @@ def _constants(probe: Probe) -> list[Variable]:
 
 @rule(_VARIABLES, Stage.BEHAVIOUR, needs=["communication-points-may-be-rounded"])
 def constants_have_their_value(probe: Probe) -> Iterator[str]:
-    """Constants have their start value after steps, and are not held in single precision."""
+    """Constants have their start value after steps."""
     constants = _constants(probe)
     script = probe.script().begin()
     readings = [script.step(count).read(constants) for count in _STEPS]
     script.play()
-    for v in constants:
-        start, value = start_value(v), readings[0].values[v.name]
-        if isinstance(start, float) and value != start and value == _in_single_precision(start):
-            shown = texts(value, start)
-            yield f"{v.name} is {shown[0]}, a constant in single precision: expected {shown[1]}"
     expected = [(v, start_value(v), reading) for reading in readings for v in constants]
     for v, value, start in unlike(expected, _ROUNDED):
         yield f"{v.name} is {value}, a constant: expected {start}"
+
+
+@rule(
+    "advice: Reals are double, and 2.2.7 tells no precision of constants",
+    Stage.BEHAVIOUR,
+    Level.WARNING,
+    needs=["constants-have-their-value"],
+)
+def constants_have_double_precision(probe: Probe) -> Iterator[str]:
+    """Constants are not held in single precision."""
+    constants = _constants(probe)
+    script = probe.script().begin()
+    reading = script.step().read(constants)
+    script.play()
+    for v in constants:
+        start, value = start_value(v), reading.values[v.name]
+        if isinstance(start, float) and value != start and value == _in_single_precision(start):
+            shown = texts(value, start)
+            yield f"{v.name} is {shown[0]}, a constant in single precision: expected {shown[1]}"
 
 
 @rule(_VARIABLES, Stage.BEHAVIOUR, needs=["communication-points-may-be-rounded"])

@@ -9,7 +9,7 @@ from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotApplicableError, Stage, rule
-from fmus.compliance.script import Reading, Script
+from fmus.compliance.script import CallError, Reading, Script
 from fmus.compliance.values import (
     RESTARTED,
     continuous_reals,
@@ -29,6 +29,8 @@ _STATES = "4.2.4 State Machine of Calling Sequence from Master to Slave"
 _DERIVATIVE = "2.2.7 Definition of Model Variables (ModelVariables): derivative"
 INTERPOLATES = "canInterpolateInputs"
 _MANY_STEPS, _INTEGRATED = 30, 0.02  # steps; relative: of an integral, beside the error of a coarse solver
+_ANY_STEP = "canHandleVariableCommunicationStepSize"
+_SHORT = 0.30901699  # of a step: no simple fraction, so that nothing that repeats with it stands still
 _ROUGH = 0.1  # relative: of slopes over a step, which is no limit
 
 
@@ -172,7 +174,8 @@ def output_derivatives_are_right(probe: Probe) -> Iterator[str]:
     """
     for name, comparisons in probe.once("slopes of outputs", lambda: _slopes(probe)).items():
         wrong = list(_wrong_slope(name, comparisons, [c for c in comparisons if c[0] != 0.0]))
-        yield from wrong
+        if wrong and _are_wrong_in_short_steps(probe, name):
+            yield from wrong
         if not wrong and _are_late(comparisons):
             yield f"{name}: its derivative is that of the step's begin: expected that of its end"
 
@@ -193,13 +196,27 @@ def output_derivatives_are_not_zero(probe: Probe) -> Iterator[str]:
 Comparison = tuple[float, float, float, float]  # derivative, slope before, slope after, rounding of slopes
 
 
-def _slopes(probe: Probe) -> dict[str, list[Comparison]]:
-    """Name of an output -> its derivatives at communication points, beside its slopes."""
+def _are_wrong_in_short_steps(probe: Probe, name: str) -> bool:
+    """Whether the derivatives of an output are wrong in steps of another size too, if it takes them."""
+    if not probe.fmu.claims(_ANY_STEP):
+        return True
+    try:
+        comparisons = probe.once("slopes in short steps", lambda: _slopes(probe, _SHORT)).get(name, [])
+    except CallError:
+        return True
+    return any(_wrong_slope(name, comparisons, [c for c in comparisons if c[0] != 0.0]))
+
+
+def _slopes(probe: Probe, part: float = 1.0) -> dict[str, list[Comparison]]:
+    """Name of an output -> its derivatives at communication points, beside its slopes.
+
+    part: of the step size, for each step
+    """
     chosen = continuous_reals(probe, "output")
     script = probe.script().begin()
-    readings, replies = [], []
-    for _ in range(8):
-        script.step()
+    readings, replies, step_size = [], [], part * probe.step_size
+    for i in range(8):
+        script.call("do_step", probe.point(0) + i * step_size, step_size)
         readings.append(script.read(chosen))
         if chosen:
             replies.append(script.call("output_derivatives", references_of(chosen), 1))
@@ -210,7 +227,7 @@ def _slopes(probe: Probe) -> dict[str, list[Comparison]]:
         if not all(map(math.isfinite, values)):
             continue
         derivatives = [reply.value[index] for reply in replies]
-        comparisons[v.name] = _compared(values, derivatives, probe.step_size)
+        comparisons[v.name] = _compared(values, derivatives, step_size)
     return comparisons
 
 
@@ -301,16 +318,41 @@ def derivatives_are_slopes(probe: Probe) -> Iterator[str]:
     lies near the difference quotients.
     """
     for v, state, values, slopes in _derivatives_in_a_run(probe):
-        if _difference_of_integral(probe, values, slopes) is not None:
-            compared = _compared(values, slopes, probe.step_size)
-            yield from _wrong_slope(f"{v.name} by {state.name}", compared, compared)
+        messages = _no_slope(v, state, values, slopes, probe.step_size)
+        if messages and _is_wrong_in_short_steps(probe, v.name):
+            yield from messages
+
+
+def _no_slope(
+    v: Variable, state: Variable, values: list[float], slopes: list[float], step_size: float
+) -> list[str]:
+    """A message if neither the integral of a derivative nor its values are right."""
+    if _difference_of_integral(values, slopes, step_size) is None:
+        return []
+    compared = _compared(values, slopes, step_size)
+    return list(_wrong_slope(f"{v.name} by {state.name}", compared, compared))
+
+
+def _is_wrong_in_short_steps(probe: Probe, name: str) -> bool:
+    """Whether a derivative is none with steps of another size too: what repeats with each step moves then.
+
+    Where the FMU takes no other steps, `derivatives-integrate-to-their-variables` warns.
+    """
+    if not probe.fmu.claims(_ANY_STEP):
+        return False
+    try:
+        runs = probe.once("run of short steps", lambda: _run_with_derivatives(probe, _SHORT))
+    except CallError:
+        return False
+    step_size = _SHORT * probe.step_size
+    return any(_no_slope(*run, step_size) for run in runs if run[0].name == name)
 
 
 @rule(_DERIVATIVE, Stage.BEHAVIOUR, Level.WARNING, needs=["derivatives-are-slopes"])
 def derivatives_integrate_to_their_variables(probe: Probe) -> Iterator[str]:
     """A variable changes by the integral of the variable that names it with the attribute derivative."""
     for v, state, values, slopes in _derivatives_in_a_run(probe):
-        if (difference := _difference_of_integral(probe, values, slopes)) is not None:
+        if (difference := _difference_of_integral(values, slopes, probe.step_size)) is not None:
             shown = texts(*difference)
             yield f"{state.name} changes by {shown[0]} where the integral of {v.name} is {shown[1]}"
 
@@ -320,7 +362,10 @@ def _derivatives_in_a_run(probe: Probe) -> list[tuple[Variable, Variable, list[f
     return probe.once("run with derivatives", lambda: _run_with_derivatives(probe))
 
 
-def _run_with_derivatives(probe: Probe) -> list[tuple[Variable, Variable, list[float], list[float]]]:
+def _run_with_derivatives(
+    probe: Probe, part: float = 1.0
+) -> list[tuple[Variable, Variable, list[float], list[float]]]:
+    """part: of the step size, for each step."""
     variables = probe.fmu.variables
     pairs = [(v, index) for v in variables if (index := integer(v.typed.get("derivative"))) is not None]
     pairs = [(v, variables[i - 1]) for v, i in pairs if 1 <= i <= len(variables) and i != v.index]
@@ -332,7 +377,10 @@ def _run_with_derivatives(probe: Probe) -> list[tuple[Variable, Variable, list[f
     if not continuous:
         raise NotApplicableError("no continuous variable is marked as a derivative")
     script, chosen = probe.script().begin(), [x for pair in continuous for x in pair]
-    readings = [script.read(chosen), *(script.step().read(chosen) for _ in range(_MANY_STEPS))]
+    readings, step_size = [script.read(chosen)], part * probe.step_size
+    for i in range(_MANY_STEPS):
+        script.call("do_step", probe.point(0) + i * step_size, step_size)
+        readings.append(script.read(chosen))
     script.play()
     rows = [reading.values for reading in readings]
     pairs = [(v, w, [row[w.name] for row in rows], [row[v.name] for row in rows]) for v, w in continuous]
@@ -340,12 +388,12 @@ def _run_with_derivatives(probe: Probe) -> list[tuple[Variable, Variable, list[f
 
 
 def _difference_of_integral(
-    probe: Probe, values: list[float], slopes: list[float]
+    values: list[float], slopes: list[float], step_size: float
 ) -> tuple[float, float] | None:
     """The change of a variable and the integral of its derivative, if they are not about the same."""
-    integral = probe.step_size * (sum(slopes) - (slopes[0] + slopes[-1]) / 2)
+    integral = step_size * (sum(slopes) - (slopes[0] + slopes[-1]) / 2)
     variation = sum(abs(b - a) for a, b in itertools.pairwise(slopes))
-    margin = probe.step_size * (variation + _INTEGRATED * sum(map(abs, slopes)))
+    margin = step_size * (variation + _INTEGRATED * sum(map(abs, slopes)))
     change = values[-1] - values[0]
     differ = abs(change - integral) > margin + 1e-9 * max(map(abs, values))
     return (change, integral) if differ else None

@@ -12,6 +12,7 @@ from fmus.compliance.values import (
 )
 
 _RESOURCES = "resources/"
+_CODE = (".class", ".dll", ".dylib", ".exe", ".jar", ".m", ".py", ".pyc", ".pyd", ".so", ".whl", ".zip")
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
 _FLAGS = "4.3.1 Co-Simulation FMU (CoSimulation)"
 
@@ -44,9 +45,16 @@ def resource_location_is_decoded(probe: Probe) -> Iterator[str]:
     yield from _with_location(probe, location, first)
 
 
-@rule("2.3 FMU Distribution (resources)", Stage.BEHAVIOUR, condition=_without_resources)
+def _without_data(fmu: FmuFile) -> str:
+    if fmu.claims("needsExecutionTool"):
+        return "a tool may read its resources"
+    has_code = any(n.startswith(_RESOURCES) and n.lower().endswith(_CODE) for n in fmu.names)
+    return "its resources hold code, which may be loaded later" if has_code else _without_resources(fmu)
+
+
+@rule("2.3 FMU Distribution (resources)", Stage.BEHAVIOUR, condition=_without_data)
 def resources_are_read_in_initialization(probe: Probe) -> Iterator[str]:
-    """Resources are read before fmi2ExitInitializationMode returns: the steps need them no more."""
+    """Resources that are data are read before fmi2ExitInitializationMode returns: steps need them no more."""
     usual = probe.script().begin()
     expected = usual.run(2)
     usual.play()

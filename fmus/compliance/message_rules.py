@@ -17,7 +17,7 @@ _CONVERSION = re.compile(  # of C, POSIX, glibc and Microsoft, without %n, which
     "[diouxXeEfFgGaAcCsSpm]"
 )
 _NAME_WITH_A_PERCENT_SIGN = "tank at 5%d"
-_BLANK_OF_TEXT = re.compile(r"%[-+#0]* [-+#0 ]*[scp]")  # no conversion of C has it: as in "100 % sure"
+_BLANK_OF_TEXT = re.compile(r"%[-+#0]* [-+#0 ]*[scp](?=[a-zA-Z])")  # as in "100 % sure"; C gives it no effect
 _BLANK_FLAG = re.compile(r"%[-+#0]* [-+#0]*[a-zA-Z](?=[a-zA-Z])")  # as in "100 % done"
 
 

@@ -24,6 +24,7 @@ _LICENCE = re.compile("licen[cs]e", re.IGNORECASE)
 _POLL_S = 0.01
 _REFUSED_STEPS, _DISCARDED_STEP = "refused steps", "discarded step"  # among what the rules share
 _REFUSALS = "refusals"
+NO_INSTANCE = "fmi2Instantiate returned NULL"
 
 
 class DiscardedStepError(NotJudgedError):
@@ -360,4 +361,4 @@ def refusal(messages: Sequence[Message]) -> str:
     text = "; ".join(message.text for message in messages)
     cause = "the GUID of the library is another one" if "guid" in text.lower() else ""
     logged = f"the FMU logged: {text}" if text else "it logged nothing"
-    return "; ".join(filter(None, ["fmi2Instantiate returned NULL: expected an instance", cause, logged]))
+    return "; ".join(filter(None, [f"{NO_INSTANCE}: expected an instance", cause, logged]))

@@ -230,6 +230,7 @@ def far_values_are_read(probe: Probe) -> Iterator[str]:
     Stage.BEHAVIOUR,
     Level.WARNING,
     needs=["values-that-are-set-are-read"],
+    last=True,
 )
 def values_out_of_range_are_not_dropped(probe: Probe) -> Iterator[str]:
     """A parameter that is set below its min or above its max in initialization mode has that value, unless

@@ -15,7 +15,7 @@ Row = dict[str, Any]
 _SMALL = 0.01  # of the largest variable: what is smaller is compared against that
 _TRUE = {"true": 1, "1": 1, "false": 0, "0": 0}
 RESTARTED = 1e-2  # relative: what a solver that begins anew at an event may change
-_LARGEST_INTEGER = 2**31 - 1
+_LEAST_INTEGER, _LARGEST_INTEGER = -(2**31), 2**31 - 1
 _STAYS = 0.3  # how often a random value is the start value
 _LONG_TEXT = "Tiefe ä, \N{GREEK SMALL LETTER PI}, \N{GRINNING FACE}; " * 20
 _PART = 0.01  # of a value or its nominal value: a change that is felt, and seldom refused
@@ -41,7 +41,7 @@ def start_value(v: Variable) -> Any:
     value = v.number("start") if v.typed.get("start") == text else None
     if v.base_kind != "Integer":
         return value
-    return int(value) if value is not None and abs(value) <= _LARGEST_INTEGER else None
+    return int(value) if value is not None and _is_integer_of_fmi(value) else None
 
 
 def other_value(v: Variable) -> Any:
@@ -74,7 +74,7 @@ def far_values(v: Variable) -> list[Any]:
         return ["", _LONG_TEXT]
     if v.base_kind == "Integer":
         limits = {int(x) for x in (v.number("min"), v.number("max")) if x is not None}
-        return sorted((v.items or limits) - {start})
+        return sorted(x for x in (v.items or limits) - {start} if _is_integer_of_fmi(x))
     if v.base_kind == "Boolean":
         return [1 - start]
     low, high, width = v.number("min"), v.number("max"), 3 * (abs(start) or v.number("nominal") or 1.0)
@@ -94,7 +94,8 @@ def values_out_of_range(v: Variable) -> list[Any]:
     limits = [(low, -1), (high, 1)]
     if v.kind == "Integer":
         return [int(x) + sign for x, sign in limits if x is not None and abs(x) < _LARGEST_INTEGER]
-    return [x + sign * _PART * max(abs(x), 1.0) for x, sign in limits if x is not None]
+    values = [x + sign * _PART * max(abs(x), 1.0) for x, sign in limits if x is not None]
+    return [x for x in values if math.isfinite(x)]  # 1.797e308 stands for no limit
 
 
 def read_value(value: Any) -> Any:
@@ -123,7 +124,13 @@ def random_value(v: Variable, chance: random.Random) -> Any:
 def _within(v: Variable, value: float) -> bool:
     low, high = v.number("min"), v.number("max")
     items = v.items
+    if v.base_kind == "Integer" and not _is_integer_of_fmi(value):
+        return False
     return (low is None or value >= low) and (high is None or value <= high) and (not items or value in items)
+
+
+def _is_integer_of_fmi(value: float) -> bool:
+    return _LEAST_INTEGER <= value <= _LARGEST_INTEGER
 
 
 def settable_before(fmu: FmuFile) -> list[Variable]:
@@ -156,8 +163,8 @@ def readable_in_initialization(fmu: FmuFile) -> list[Variable]:
 
 
 def keeps_its_value(v: Variable) -> bool:
-    """Whether initialization leaves what was set: an event may change an output or a discrete state."""
-    return v.causality in ("parameter", "input") or (v.causality == "local" and v.variability == "continuous")
+    """Whether initialization leaves what was set: an event may change an output or a state."""
+    return v.causality in ("parameter", "input")
 
 
 def texts(*values: Any) -> list[str]:

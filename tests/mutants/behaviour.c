@@ -47,9 +47,10 @@ typedef struct {
 static const char GUID[] = "{5ba0ed5f-5d2c-4f3d-9a0b-2f1a0a1b9a5e}";
 static char mutation[64];
 /* from the second line of the file */
-static int own_memory, asynchronous, finishes_all, one_step_size, discards_all, discards_late, warns, once, iterates, internal_steps, needs_rate;
+static int own_memory, asynchronous, finishes_all, one_step_size, discards_all, discards_late, warns, once, iterates, internal_steps, needs_rate,
+    unusual, refuses_others;
 static Data shared;
-static int instances;
+static int instances, created, overwritten;
 
 #define IS(name) (!strcmp(mutation, name))
 static const char *const CATEGORIES[] = {"logEvents", "logStatusWarning", "logStatusDiscard", "logStatusError"};
@@ -106,6 +107,7 @@ static void reset(Data *d) {
     memcpy(d->real, start, sizeof start);
     d->integer[N] = d->integer[MODE] = 1;
     d->boolean[NOT_B] = 1;
+    if (unusual) d->integer[N] = 2147483647, d->real[C] = 0.1f;
     strcpy(d->label, "model");
     d->state = INSTANTIATED;
     d->stale = 1;
@@ -119,7 +121,13 @@ static void outputs(Data *d, double u) {
     if (iterates && d->state == INITIALIZATION) d->real[Y] += 1e-7 * sin(1e12 * d->real[GAIN]);
     d->real[Z] = d->real[X] / 2;
     if (d->state != STEPPING) d->real[TWICE] = 2 * d->real[GAIN];
-    d->integer[COUNT] = d->steps + d->integer[N];
+    d->integer[COUNT] = d->steps + (unusual ? d->integer[N] % 1000 : d->integer[N]);
+    if (unusual) { /* a ripple of 1 / (0.1 s), an event at the start, and a table that is left beyond the range of gain */
+        d->real[Y] += 0.1 * sin(62.83185307179586 * d->real[TIME]);
+        if (d->state == STEPPING) d->real[Z] = 0.7 * d->real[X];
+        overwritten |= d->real[GAIN] < 0 || d->real[GAIN] > 10;
+        if (overwritten) d->real[Y] += 1e-3 * overwritten++;
+    }
     d->boolean[NOT_B] = !d->boolean[B];
     if (IS("outputs follow what they do not declare") && d->state == INITIALIZATION) d->real[Y] += d->real[RATE];
     if (IS("outputs that do not follow what they declare")) d->real[Y] = d->real[X];
@@ -192,6 +200,8 @@ static int read_mutation(const char *uri) {
     iterates = !!strstr(flags, "iterates");
     internal_steps = !!strstr(flags, "internal steps");
     needs_rate = !!strstr(flags, "needs a rate");
+    unusual = !!strstr(flags, "unusual");
+    refuses_others = !!strstr(flags, "refuses others");
     if (!IS("files stay open")) fclose(file);
     return 1;
 }
@@ -215,6 +225,10 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     }
     if (IS("only one instance at a time") && instances) {
         refuse_instance(functions, name, "there is one");
+        return NULL;
+    }
+    if (refuses_others && created++) {
+        refuse_instance(functions, name, "this process had its instance");
         return NULL;
     }
     if (IS("no second life") && instances++) return NULL;
@@ -316,6 +330,10 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
     if (IS("values set in initialization mode are lost")) s->data.real[U] = 0.8;
     outputs(&s->data, s->data.real[U]);
     s->data.state = STEPPING;
+    if (unusual) {
+        outputs(&s->data, s->data.real[U]);
+        s->callbacks.logger(s->callbacks.componentEnvironment, s->name, fmi2Warning, CATEGORIES[1], "%s", "inexact");
+    }
     if (IS("initialisation is discarded")) return discard(s, "discarded");
     return fmi2OK;
 }
@@ -463,7 +481,7 @@ static void set_string(Slave *s, const char *value) {
 }
 
 DEFINE_SET(Real, fmi2Real, N_REALS,
-           (v == GAIN || v == RATE || v == X || (v == Z && d->state == INSTANTIATED && !IS("approximations cannot be set"))), v == U,
+           (v == GAIN || v == RATE || v == X || (v == Z && (unusual || d->state == INSTANTIATED) && !IS("approximations cannot be set"))), v == U,
            v == RATE && !IS("tunable parameters cannot be set"), v == C, set_real(s, v, value[i]))
 DEFINE_SET(Integer, fmi2Integer, N_INTEGERS, v == MODE, v == N, 0, 0, d->integer[v] = value[i])
 DEFINE_SET(Boolean, fmi2Boolean, N_BOOLEANS, 0, v == B, 0, 0, d->boolean[v] = value[i])
@@ -613,6 +631,7 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
         if (IS("unknown references of derivatives are discarded") && vr[i] >= N_REALS) return discard(s, "unknown");
         if ((vr[i] != X && vr[i] != Y) || order[i] < 1) return error(s, "no output, or order 0");
         value[i] = order[i] == 1 ? s->data.real[DER_X] : 0;
+        if (unusual && vr[i] == Y && order[i] == 1) value[i] += 6.283185307179586 * cos(62.83185307179586 * s->data.real[TIME]);
         if (IS("wrong derivatives of outputs")) value[i] *= 2;
         if (IS("derivatives of outputs of 0")) value[i] = 0;
         if (IS("infinite derivatives of outputs")) value[i] = INFINITY;

@@ -16,7 +16,7 @@ _HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
 _OWN_MEMORY = 'canNotUseMemoryManagementFunctions="true"'
 _CALLBACK_MEMORY = ((_OWN_MEMORY, 'canNotUseMemoryManagementFunctions="false"'),)
 _MALLOC = "memory-functions-are-callbacks"  # warns: it holds both kinds of memory
-_ONLY_ONCE = ((_OWN_MEMORY, f'{_OWN_MEMORY} canBeInstantiatedOnlyOncePerProcess="true"'),)
+ONLY_ONCE = ((_OWN_MEMORY, f'{_OWN_MEMORY} canBeInstantiatedOnlyOncePerProcess="true"'),)
 ASYNCHRONOUS = ((_OWN_MEMORY, f'{_OWN_MEMORY} canRunAsynchronuously="true"'),)
 _NO_CATEGORIES = (
     (
@@ -323,18 +323,30 @@ _ALIAS_OF_THE_STATE = (
         "</ScalarVariable>\n  </ModelVariables>",
     ),
 )
+_UNUSUAL = (
+    ('<Integer start="1"/>', '<Integer start="2147483647"/>'),
+    ('<Real start="3.5"/>', '<Real start="0.1"/>'),
+    ('initial="approx"><Real start="0.5"/>', 'initial="exact"><Real start="0.5"/>'),
+)
+_TOLD_OF_THE_UNUSUAL = (
+    "constants-have-double-precision",
+    "disabled-categories-alone-are-disabled",
+    "exact-values-remain-after-initialization",
+    "only-chosen-categories-are-logged",
+)
 LEGAL = (
     ("", (), ()),
     ("callbacks", _CALLBACK_MEMORY, (_MALLOC,)),
     ("asynchronous", ASYNCHRONOUS, ()),
     ("finishes all", ASYNCHRONOUS, ()),
     ("warns", _ALIAS_OF_THE_STATE, ()),
-    ("once", _ONLY_ONCE, ()),
+    ("once", ONLY_ONCE, ()),
     ("iterates", (), ()),
     ("internal steps", (), ()),
     ("needs a rate", (), ()),
     ("one step size", _STATES_NO_STEP_SIZE, ()),
     ("discards all", _ONE_STEP_SIZE, ()),
     ("discards late", _ONE_STEP_SIZE, ()),
+    ("unusual", _UNUSUAL, _TOLD_OF_THE_UNUSUAL),
 )
 """Flags, changes and warnings of the slaves that are legal."""

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import pytest
 
+from fmus.compliance.behaviour import FUNDAMENTAL, behaviour
 from fmus.compliance.examine import examine
-from fmus.compliance.rule import Level, Rule, Stage
+from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.rule import Level, Rule, Stage, registered
 from fmus.platforms import host_platform, library_name
-from tests.mutants.behaviour import LEGAL, write_slave
+from tests.mutants.behaviour import LEGAL, ONLY_ONCE, write_slave
 from tests.mutants.mutant import Mutant, broken_rules, unexpected
 from tests.mutants.table import RUN_MUTANTS
 
@@ -88,6 +90,19 @@ def test_a_rule_that_fails_by_itself_is_not_judged_and_no_finding_of_the_fmu(
     results = examine(write_slave(tmp_path))
     assert {result.outcome for result in results} == {"not judged"}
     assert all("by a defect of this checker (TypeError: " in result.not_judged for result in results)
+
+
+def test_an_fmu_that_gives_one_instance_in_each_process_is_judged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """4.3.1, canBeInstantiatedOnlyOncePerProcess: no rule lacks its instance."""
+    names = {*FUNDAMENTAL, "library-version", "floating-point-control-is-restored"}
+    rules = tuple(rule for rule in registered(Stage.BEHAVIOUR) if rule.name in names)
+    monkeypatch.setattr("fmus.compliance.behaviour.registered", lambda _: rules)
+    path = write_slave(tmp_path, "rounds in a step", "refuses others", ONLY_ONCE)
+    results = list(behaviour(FmuFile(path), 30.0))
+    assert {r.rule.name for r in results if r.messages} == {"floating-point-control-is-restored"}
+    assert {r.outcome for r in results} == {"passed", "error"}
 
 
 def test_another_guid_inside_the_library_is_one_finding_with_its_own_words(tmp_path: Path) -> None:
