@@ -42,7 +42,7 @@ from fmus.compliance.fmu_file import BrokenMemberError, FmuFile
 from fmus.compliance.instance_rules import ONLY_ONCE
 from fmus.compliance.library_rules import no_co_simulation
 from fmus.compliance.lifecycle_rules import RANDOM
-from fmus.compliance.probe import NO_INSTANCE, Probe
+from fmus.compliance.probe import NO_INSTANCE, START_S, Probe
 from fmus.compliance.rule import (
     Level,
     NotApplicableError,
@@ -71,14 +71,15 @@ FUNDAMENTAL = (
 )  # fmt: skip
 """Without these no behaviour is judged: what else would be found has the same cause."""
 DEFAULT_TIMEOUT_S = 30.0
+_STEPS = "steps-and-terminates"
 _IS_BROKEN = " is broken"
 _ENDED = "the FMU ended the process with"
 _FORMATS = "formats-of-messages-are-legal"  # a wrong format crashes whatever logs
 _RANDOM_RUNS = "runs-are-not-random"
 _AFTER_OTHERS, _MOST_CRASHES = "instances-follow-each-other", 2
-_HUNG, _MOST_HANGS = "took more than", 3  # then the rest is not judged: it would take minutes
+_HUNG, _SLOW = "the FMU took more than", "the FMU is slow: its calls took more than"
+_MOST_HANGS, _MOST_SLOW = 3, 20  # then the rest is not judged: it would take minutes
 _OF_THE_HOST = ("ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EMFILE", "ENFILE", "EIO", "ENOMEM", "EAGAIN")
-_START_S = 60.0  # for the interpreter, whatever the rules take
 
 
 def behaviour(
@@ -155,28 +156,26 @@ def _judged(
         except Exception as error:  # an archive that is damaged anywhere: `archive-is-zip` tells more
             return {name: Result(rules[name], not_judged=f"it cannot be unpacked: {error}") for name in names}
         shared: dict[str, Any] = {}
-        is_alone = False  # each instance in its process, as the FMU gives no second one
         shared_alone: dict[str, Any] = {}  # of instances that are alone in their processes
+        is_alone = False  # whether each instance has a process of its own from now on
         while remaining := [rules[name] for name in names if name not in results]:
-            texts = [text for r in results.values() for text in (*r.messages, r.not_judged)]
-            if sum(_HUNG in text for text in texts if text.startswith("the FMU ")) >= _MOST_HANGS:
-                reason = f"{_MOST_HANGS} rules before {_HUNG} {timeout:g} s"
+            if reason := _lack_of_time(results, timeout):
                 return results | {rule.name: Result(rule, not_judged=reason) for rule in remaining}
-            known, limit = (shared_alone, _START_S) if is_alone else (shared, timeout)
-            probe = Probe(fmu, folder, time.monotonic() + _START_S, known, started, is_alone)
-            for result in _judged_by_one_process(probe, remaining, results, limit):
+            known = shared_alone if is_alone else shared
+            probe = Probe(fmu, folder, time.monotonic() + START_S, known, started, is_alone)
+            for result in _judged_by_one_process(probe, remaining, results, timeout):
                 if is_alone:
                     results[result.rule.name] = result
                     continue
-                is_alone = fmu.claims(ONLY_ONCE) and any(NO_INSTANCE in text for text in result.messages)
-                if is_alone:  # this rule and all after it are judged anew
-                    break
-                judge_alone = partial(_judged_alone, result.rule, fmu, folder, shared_alone, results)
+                judge_alone = partial(_judged_alone, result.rule, fmu, folder, shared_alone, results, timeout)
                 results |= _without_instances_before(result, results, fmu.claims(ONLY_ONCE), judge_alone)
+                if _is_no_instance(result) and results[result.rule.name] != result:
+                    is_alone = True
+                    break
             started = None
             last = list(results.values())[-1]  # `library-loads` at least
             if any(m.startswith(_ENDED) for m in last.messages) and _FORMATS in set(names) - set(results):
-                probe = Probe(fmu, folder, time.monotonic() + _START_S, {}, None)
+                probe = Probe(fmu, folder, time.monotonic() + START_S, {}, None)
                 (formats,) = _judged_by_one_process(probe, [rules[_FORMATS]], {}, timeout)
                 if formats.messages and not formats.messages[0].startswith(_ENDED):
                     results[last.rule.name] = Result(last.rule, not_judged=f"{_FORMATS}{_IS_BROKEN}")
@@ -184,21 +183,36 @@ def _judged(
     return results
 
 
+def _lack_of_time(results: Mapping[str, Result], timeout: float) -> str:
+    """Why the rest is not judged, as it would take too long."""
+    slow = {name: r.not_judged for name, r in results.items() if r.not_judged.startswith(_SLOW)}
+    if sum(m.startswith(_HUNG) for r in results.values() for m in r.messages) >= _MOST_HANGS:
+        return f"{_MOST_HANGS} rules before took more than {timeout:g} s in one call"
+    if len(slow) >= _MOST_SLOW:
+        return f"{_MOST_SLOW} rules before took more than {timeout:g} s"
+    return slow.get(_STEPS, "")
+
+
+def _is_no_instance(result: Result) -> bool:
+    return any(NO_INSTANCE in message for message in result.messages)
+
+
 def _without_instances_before(
     result: Result, results: Mapping[str, Result], only_once: bool, judge_alone: Callable[[], Result]
 ) -> dict[str, Result]:
-    """The results that follow from a rule's: a crash that instances before it cause is a finding of one rule.
+    """The results that follow from a rule's: a crash, or no instance, that instances before it cause is a
+    finding of one rule.
 
     only_once: whether the FMU asks for a process for each instance
     judge_alone: judges the rule where no instance was before
     """
     rule, follow = result.rule, results.get(_AFTER_OTHERS)
-    crashes = [message for message in result.messages if message.startswith(_ENDED)]
-    if only_once and result.messages:
+    crashes = [m for m in result.messages if m.startswith(_ENDED) or NO_INSTANCE in m]
+    is_advice = rule.level is Level.WARNING  # it may have made calls that FMI forbids
+    if only_once and result.messages or is_advice and _is_no_instance(result):
         return {rule.name: judge_alone()}
     if only_once or not crashes or follow is None:
         return {rule.name: result}
-    is_advice = rule.level is Level.WARNING  # it may have made calls that FMI forbids
     if len(follow.messages) >= (1 if is_advice else _MOST_CRASHES):
         return {rule.name: Result(rule, not_judged=f"{_AFTER_OTHERS}{_IS_BROKEN}")}
     if is_advice:
@@ -211,11 +225,16 @@ def _without_instances_before(
 
 
 def _judged_alone(
-    rule: Rule, fmu: FmuFile, folder: Path, shared: dict[str, Any], results: Mapping[str, Result]
+    rule: Rule,
+    fmu: FmuFile,
+    folder: Path,
+    shared: dict[str, Any],
+    results: Mapping[str, Result],
+    timeout: float,
 ) -> Result:
     """The verdict where no instance was in the process before, as 4.3.1 lets an FMU ask for."""
-    probe = Probe(fmu, folder, time.monotonic() + _START_S, shared, one_instance=True)
-    return next(_judged_by_one_process(probe, [rule], results, _START_S))
+    probe = Probe(fmu, folder, time.monotonic() + START_S, shared, one_instance=True)
+    return next(_judged_by_one_process(probe, [rule], results, timeout))
 
 
 def _temporary_folder() -> tempfile.TemporaryDirectory[str]:
@@ -243,7 +262,7 @@ def _judged_by_one_process(
 
     results: of the rules before; it grows with what this yields
     """
-    rule, limit = rules[0], _START_S
+    rule, limit = rules[0], START_S
     try:
         probe.process.calls([])  # it has started
         limit = timeout
@@ -252,9 +271,9 @@ def _judged_by_one_process(
             yield _judge(rule, probe, results)
     except TimeoutError:
         if probe.process.hangs(limit):
-            yield Result(rule, (f"the FMU {_HUNG} {limit:g} s in one call",))
+            yield Result(rule, (f"{_HUNG} {limit:g} s in one call",))
         else:
-            yield Result(rule, not_judged=f"the FMU is slow: its calls {_HUNG} {limit:g} s")
+            yield Result(rule, not_judged=f"{_SLOW} {limit:g} s")
     except ProcessEndedError as ended:
         yield Result(rule, (f"{_ENDED} {ended}",))
     finally:

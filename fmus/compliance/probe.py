@@ -24,6 +24,7 @@ _LICENCE = re.compile("licen[cs]e", re.IGNORECASE)
 _POLL_S = 0.01
 _REFUSED_STEPS, _DISCARDED_STEP = "refused steps", "discarded step"  # among what the rules share
 _REFUSALS = "refusals"
+START_S = 60.0  # for the interpreter, whatever the rules take
 NO_INSTANCE = "fmi2Instantiate returned NULL"
 
 
@@ -76,14 +77,22 @@ class FmuProcess:
             match call:
                 case "create", int(number), _:
                     if self._has_created and not self._alive:
-                        self.close()
-                        self._start(start_process())
+                        self._start_anew()
                     self._has_created = True
                     self._alive.add(number)
                 case "free", int(number):
                     self._alive.discard(number)
             results += self._calls([call])
         return results
+
+    def _start_anew(self) -> None:
+        """Go on in a new process; its start takes no time of the deadline."""
+        left = self.deadline - time.monotonic()
+        self.close()
+        self.deadline = time.monotonic() + START_S
+        self._start(start_process())
+        self._calls([])  # it has started
+        self.deadline = time.monotonic() + left
 
     @contextmanager
     def in_new_processes(self) -> Iterator[None]:
@@ -262,7 +271,7 @@ class Probe:
     def play_each(self, scripts: Sequence[Script]) -> None:
         """Play scripts one after the other in one message; an instance is freed before the next is created.
 
-        A call that fails ends nothing; a script without an instance is not played.
+        A call that fails ends nothing. Raises CallError where the FMU returns no instance.
         """
         calls: list[Call] = []
         for script in scripts:
@@ -274,9 +283,8 @@ class Probe:
             ]
         results = self.process.calls(calls)
         for created, messages, *_ in results[::3]:
-            error = None if created else _refused([Message(*message) for message in messages])
-            if isinstance(error, NotJudgedError):
-                raise error
+            if not created:
+                raise _refused([Message(*message) for message in messages])
         for script, answers in zip(scripts, results[1::3], strict=True):
             script.fill(0, answers)
         self._note_refusals(scripts)
@@ -322,20 +330,22 @@ class Probe:
         )
         return created, [Message(*message) for message in messages]
 
-    def once(self, name: str, make: Callable[[], T]) -> T:
+    def once(self, name: str, make: Callable[[], T], *of: object) -> T:
         """What `make` returns, made once for all rules; NotJudgedError for the second rule if that failed.
 
-        What cannot be judged, or is not there, is so for every rule.
+        What cannot be judged, or is not there, is so for every rule. of: what tells it from others of its
+        name.
         """
-        if name not in self._shared:
-            self._shared[name] = NotJudgedError(f"the {name} fails, which another rule tells")
+        key = f"{name} {of}"
+        if key not in self._shared:
+            self._shared[key] = NotJudgedError(f"the {name} fails, which another rule tells")
             try:
-                self._shared[name] = make()
+                self._shared[key] = make()
             except (NotApplicableError, NotJudgedError) as reason:
-                self._shared[name] = reason
-        if isinstance(self._shared[name], NotApplicableError | NotJudgedError):
-            raise self._shared[name]
-        return self._shared[name]
+                self._shared[key] = reason
+        if isinstance(self._shared[key], NotApplicableError | NotJudgedError):
+            raise self._shared[key]
+        return self._shared[key]
 
     def point(self, i: int) -> float:
         """Time of communication point number i [s]."""

@@ -284,8 +284,15 @@ def accepted_together(
     probe: Probe, pairs: Sequence[tuple[Variable, Any]], begun: Callable[[], Script]
 ) -> list[tuple[Variable, Any]]:
     """The variables and values with which the FMU takes a step at once: those accepted alone, less those
-    that it refuses beside others.
+    that it refuses beside others; found once for all rules that begin alike.
     """
+    values = [(v.name, x) for v, x in pairs]
+    return probe.once("choice of values", lambda: _chosen(probe, pairs, begun), values, begun().calls)
+
+
+def _chosen(
+    probe: Probe, pairs: Sequence[tuple[Variable, Any]], begun: Callable[[], Script]
+) -> list[tuple[Variable, Any]]:
     alone = accepted(probe, pairs, begun)
     if not alone or _takes(probe, [alone], begun)[0]:
         return alone
