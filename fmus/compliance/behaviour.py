@@ -209,7 +209,7 @@ def _without_instances_before(
     rule, follow = result.rule, results.get(_AFTER_OTHERS)
     crashes = [m for m in result.messages if m.startswith(_ENDED) or NO_INSTANCE in m]
     is_advice = rule.level is Level.WARNING  # it may have made calls that FMI forbids
-    if only_once and result.messages or is_advice and _is_no_instance(result):
+    if (only_once and result.messages) or (is_advice and _is_no_instance(result)):
         return {rule.name: judge_alone()}
     if only_once or not crashes or follow is None:
         return {rule.name: result}
