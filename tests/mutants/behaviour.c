@@ -232,6 +232,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
         return NULL;
     }
     if (IS("no second life") && instances++) return NULL;
+    if (IS("no instance after many others") && created++ > 22) return NULL;
     if (IS("an instance after others crashes") && instances++ > 15) abort();
     Slave *s = functions->allocateMemory && functions->freeMemory && !own_memory
                    ? functions->allocateMemory(1, sizeof *s)

@@ -105,6 +105,18 @@ def test_an_fmu_that_gives_one_instance_in_each_process_is_judged(
     assert {r.outcome for r in results} == {"passed", "error"}
 
 
+def test_an_instance_that_is_refused_after_many_others_is_one_finding_and_all_rules_are_judged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    followers = {"instances-follow-each-other", "several-instances", "reset-in-every-state"}
+    names = {*FUNDAMENTAL, *followers, "floating-point-control-is-restored"}
+    rules = tuple(rule for rule in registered(Stage.BEHAVIOUR) if rule.name in names)
+    monkeypatch.setattr("fmus.compliance.behaviour.registered", lambda _: rules)
+    results = list(behaviour(FmuFile(write_slave(tmp_path, "no instance after many others")), 30.0))
+    assert {r.rule.name for r in results if r.messages} == {"instances-follow-each-other"}
+    assert {r.outcome for r in results} == {"passed", "error"}
+
+
 def test_another_guid_inside_the_library_is_one_finding_with_its_own_words(tmp_path: Path) -> None:
     wrong = (('guid="{5', 'guid="{6'),)
     results = [r for r in examine(write_slave(tmp_path, "", "", wrong)) if r.rule.stage == "behaviour"]
