@@ -96,7 +96,7 @@ def test_an_fmu_that_gives_one_instance_in_each_process_is_judged(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """4.3.1, canBeInstantiatedOnlyOncePerProcess: no rule lacks its instance."""
-    names = {*FUNDAMENTAL, "library-version", "floating-point-control-is-restored"}
+    names = {*FUNDAMENTAL, "process-settings-are-restored", "floating-point-control-is-restored"}
     rules = tuple(rule for rule in registered(Stage.BEHAVIOUR) if rule.name in names)
     monkeypatch.setattr("fmus.compliance.behaviour.registered", lambda _: rules)
     path = write_slave(tmp_path, "rounds in a step", "refuses others", ONLY_ONCE)
