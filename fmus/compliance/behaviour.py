@@ -194,7 +194,8 @@ def _lack_of_time(results: Mapping[str, Result], timeout: float) -> str:
 
 
 def _is_no_instance(result: Result) -> bool:
-    return any(NO_INSTANCE in message for message in result.messages)
+    """Whether a plain fmi2Instantiate gave nothing; a rule that passes other arguments says so before."""
+    return any(message.startswith(NO_INSTANCE) for message in result.messages)
 
 
 def _without_instances_before(
@@ -207,7 +208,7 @@ def _without_instances_before(
     judge_alone: judges the rule where no instance was before
     """
     rule, follow = result.rule, results.get(_AFTER_OTHERS)
-    crashes = [m for m in result.messages if m.startswith(_ENDED) or NO_INSTANCE in m]
+    crashes = [m for m in result.messages if m.startswith((_ENDED, NO_INSTANCE))]
     is_advice = rule.level is Level.WARNING  # it may have made calls that FMI forbids
     if (only_once and result.messages) or (is_advice and _is_no_instance(result)):
         return {rule.name: judge_alone()}
