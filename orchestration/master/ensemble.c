@@ -17,7 +17,7 @@ typedef int64_t Mask __attribute__((vector_size(8 * LANES)));
 typedef int64_t StepGroup(void *memory, double start, double size);
 
 typedef struct {
-    int64_t n_points, n_components, n_signals, n_columns, gauss_seidel;
+    int64_t n_points, n_components, n_signals, n_varied, n_columns, gauss_seidel;
     const double *points;
     StepGroup *const *step;
     void *const *memory;
@@ -26,6 +26,8 @@ typedef struct {
     Lanes *const *target;
     const double *minimum, *maximum, *factor, *offset, *signal_values;
     Lanes *const *signal;
+    const Lanes *const *varied_values;
+    Lanes *const *varied;
     const Lanes *const *column;
     Lanes *rows;
     int64_t *recorded, *failure;
@@ -48,10 +50,13 @@ static void transfer(Group *group, int64_t k, int64_t point, int is_set) {
         if (!good[lane]) note_failure(group, lane, point, -1 - k);
 }
 
-static void exchange_and_record(Group *group, int64_t point) {
+/* Set what signals and connections drive at a communication point, and record it. */
+EXPORT void ensemble_exchange(Group *group, int64_t point) {
     Lanes *row = group->rows + point;
     for (int64_t signal = 0; signal < group->n_signals; signal++)
         *group->signal[signal] = group->signal_values[signal * group->n_points + point] - (Lanes){0};
+    for (int64_t signal = 0; signal < group->n_varied; signal++)
+        *group->varied[signal] = group->varied_values[signal][point];
     for (int64_t k = 0; k < group->first[group->n_components]; k++)
         transfer(group, k, point, point + 1 < group->n_points);
     for (int64_t column = 0; column < group->n_columns; column++, row += group->n_points)
@@ -68,12 +73,12 @@ static void step_component(Group *group, int64_t c, int64_t point) {
 /* From one communication point to another; the last one of all is exchanged and recorded, too. */
 EXPORT void ensemble_run(Group *group, int64_t first, int64_t last) {
     for (int64_t point = first; point < last; point++) {
-        exchange_and_record(group, point);
+        ensemble_exchange(group, point);
         for (int64_t c = 0; c < group->n_components; c++) {
             for (int64_t k = group->first[c]; group->gauss_seidel && k < group->first[c + 1]; k++)
                 if (group->source_component[k] < c) transfer(group, k, point, 1);
             step_component(group, c, point);
         }
     }
-    if (last + 1 == group->n_points) exchange_and_record(group, last);
+    if (last + 1 == group->n_points) ensemble_exchange(group, last);
 }

@@ -15,7 +15,13 @@ from orchestration.errors import EnsembleError, OrchestrationError, SystemDefini
 from orchestration.fmi.description import describe, is_independent
 from orchestration.fmi.instance import FmuInstance
 from orchestration.master.checked_systems import CheckedSystems
-from orchestration.master.ensemble_checks import Vary, check_supported, checked_values
+from orchestration.master.ensemble_checks import (
+    Vary,
+    check_supported,
+    checked_values,
+    instance_count,
+    varied_signals,
+)
 from orchestration.master.ensemble_loop import EnsembleLoop, build_loop, check_memory, loop_library
 from orchestration.master.ensemble_recording import EnsembleRecording
 from orchestration.master.initialisation import ConnectionGroup, initialise
@@ -25,6 +31,9 @@ from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_again import PreparedRuns
 from orchestration.system.prepared_run import PreparedRun
 from orchestration.system.system import System
+
+Values = dict[str, list[FmiValue]]
+"""Variable -> its value at the start, of each instance."""
 
 
 class Ensemble(AbstractContextManager["Ensemble"]):
@@ -80,7 +89,8 @@ class Ensemble(AbstractContextManager["Ensemble"]):
     ) -> EnsembleRecording:
         """Run as many instances of an experiment as there are values to vary, and return what they recorded.
 
-        vary: name of a parameter or of a constant input -> its values, shape (instances,)
+        vary: name of a parameter or of a constant input -> its values, shape (instances,); of an input with a
+        signal in the experiment -> the signals in its place
         threads: that run groups of instances at once
         progress: called with the instances that are done, and all of them
 
@@ -126,10 +136,8 @@ class Ensemble(AbstractContextManager["Ensemble"]):
         system, groups = self._checked.check(experiment, external)
         prepared = self._prepared_runs.prepare(system, experiment, tuple(external))
         check_supported(prepared, groups)
-        values: dict[str, list[FmiValue]] = {n: [x] * instances for n, x in prepared.external.items()}
-        values |= checked_values(prepared, vary) if vary else {}
-        check_memory(prepared, self._libraries, instances)
-        loop = self._started(prepared, groups, values)
+        values, signals = self._varied(prepared, vary, instances)
+        loop = self._started(prepared, groups, values, signals)
         for instance in np.flatnonzero(loop.failure.ravel()[:instances]).tolist():
             reason = self._reason(prepared, groups, values, instance)
             raise OrchestrationError(f"instance {instance} cannot begin: {reason}")
@@ -145,10 +153,8 @@ class Ensemble(AbstractContextManager["Ensemble"]):
         system, groups = self._checked.check(experiment)
         prepared = self._prepared_runs.prepare(system, experiment)
         check_supported(prepared, groups)
-        values = checked_values(prepared, vary)
-        count = len(next(iter(values.values())))
-        check_memory(prepared, self._libraries, count)
-        loop = self._started(prepared, groups, values)
+        values, signals = self._varied(prepared, vary, count := instance_count(vary))
+        loop = self._started(prepared, groups, values, signals)
         can_begin = ~loop.failure.ravel()[:count].astype(bool)
         reasons = {i: self._reason(prepared, groups, values, i) for i in np.flatnonzero(~can_begin).tolist()}
         with ThreadPoolExecutor(threads) as pool:
@@ -159,10 +165,25 @@ class Ensemble(AbstractContextManager["Ensemble"]):
         for instance in np.flatnonzero(can_begin & (loop.failure.ravel()[:count] != 0)).tolist():
             reasons[instance] = loop.reason(instance)
         counts = loop.recorded.ravel()[:count]
-        return EnsembleRecording(prepared, values, loop.rows, counts, dict(sorted(reasons.items())))
+        varied = values | {name: [*map(repr, vary[name])] for name in signals}
+        return EnsembleRecording(prepared, varied, loop.rows, counts, dict(sorted(reasons.items())))
+
+    def _varied(self, prepared: PreparedRun, vary: Vary, count: int) -> tuple[Values, dict[str, np.ndarray]]:
+        """What begins otherwise in each instance, and its signals: as `EnsembleLoop.varied`."""
+        values: Values = {name: [value] * count for name, value in prepared.external.items()}
+        values |= checked_values(prepared, vary)
+        check_memory(prepared, self._libraries, count, sum(n in prepared.experiment.signals for n in vary))
+        signals = varied_signals(prepared, vary)
+        for name, of_instances in signals.items():
+            values[name] = prepared.typed(name, of_instances[:, 0].ravel()[:count])
+        return values, signals
 
     def _started(
-        self, prepared: PreparedRun, groups: Sequence[ConnectionGroup], vary: Mapping[str, list[FmiValue]]
+        self,
+        prepared: PreparedRun,
+        groups: Sequence[ConnectionGroup],
+        vary: Values,
+        signals: Mapping[str, np.ndarray],
     ) -> EnsembleLoop:
         """The instances with their initial values; `failure` of those that cannot begin is not 0.
 
@@ -176,7 +197,7 @@ class Ensemble(AbstractContextManager["Ensemble"]):
         if reason:
             raise OrchestrationError(f"none of {count} instances can begin; the last: {reason}")
         common = {name: self._values(name) for name in self._libraries}
-        loop = build_loop(prepared, self._libraries, self.instructions, common, count)
+        loop = build_loop(prepared, self._libraries, self.instructions, common, signals, count)
         for name, values in vary.items():
             padded = np.array([*values, *values[-1:] * (-count % LANES)], float)
             loop.values(prepared.system.ports[name])[:] = padded.reshape(-1, LANES)
@@ -195,12 +216,12 @@ class Ensemble(AbstractContextManager["Ensemble"]):
         self,
         prepared: PreparedRun,
         groups: Sequence[ConnectionGroup],
-        vary: Mapping[str, list[FmiValue]],
+        vary: Values,
         instance: int,
     ) -> str:
         """Why an instance cannot begin, empty if it can: the FMUs are initialised as it."""
         own = {name: values[instance] for name, values in vary.items()}
-        settings = [(port, own.pop(port.name, value)) for port, value in prepared.settings]
+        settings = [(port, own.pop(port.name, value)) for port, value in prepared.initial_settings]
         settings += [(prepared.system.ports[name], value) for name, value in own.items()]
         self._load_or_reset()
         try:

@@ -28,13 +28,15 @@ _LARGEST = np.finfo(float).max
 class GroupData(NamedTuple):
     """All data of the loop for one group, which `ensemble.c` declares member by member.
 
-    n_points .. n_columns: of communication points, components, signals, recorded variables
+    n_points .. n_columns: of communication points, components, signals, varied signals, recorded variables
     gauss_seidel: 1 for Gauss-Seidel, 0 for Jacobi; points: [s]
     step, memory: of each component the addresses of its function and of the group
 
     Variables are addresses of their lanes. Connections into component c are first[c]..first[c+1]-1:
     source, target; source_component; factor, offset: as in `Connections`; minimum, maximum: of the target
     signal_values: one row for each signal, one column for each point; signal: the inputs
+    varied_values: addresses of the signals that differ between instances, each of shape (points, lanes);
+    they are set after the others; varied: the inputs
     column: the recorded variables; rows: their values, shape (columns, points, lanes)
     recorded: points that are recorded of each instance; failure: 0, or 1 + the component whose step it
     refused, or -1 - the connection whose value its target cannot have
@@ -43,6 +45,7 @@ class GroupData(NamedTuple):
     n_points: int
     n_components: int
     n_signals: int
+    n_varied: int
     n_columns: int
     gauss_seidel: int
     points: Array
@@ -58,6 +61,8 @@ class GroupData(NamedTuple):
     offset: Array
     signal_values: Array
     signal: Array
+    varied_values: Array
+    varied: Array
     column: Array
     rows: Array
     recorded: Array
@@ -69,6 +74,7 @@ class EnsembleLoop:
     """The groups of an ensemble, ready to run.
 
     memory: component -> its groups; see `LaneLibrary.memory`
+    varied: driven input -> the signal of each instance at each point, shape (groups, points, lanes)
     rows: recorded values, shape (groups, columns, points, lanes)
     recorded, failure: as in `GroupData`, shape (groups, lanes)
     """
@@ -77,6 +83,7 @@ class EnsembleLoop:
     libraries: Mapping[str, LaneLibrary]
     instructions: str
     memory: Mapping[str, Array]
+    varied: Mapping[str, Array]
     rows: Array
     recorded: Array
     failure: Array
@@ -97,6 +104,10 @@ class EnsembleLoop:
         data = self.data(group)
         members = [member.ctypes.data if isinstance(member, np.ndarray) else member for member in data]
         return (ctypes.c_int64 * len(members))(*members), data
+
+    def exchange(self, data: tuple[ctypes.Array[ctypes.c_int64], GroupData], point: int) -> None:
+        """Set what signals and connections drive at a communication point, and record it."""
+        loop_library(self.instructions).ensemble_exchange(data[0], point)
 
     def run_points(
         self, group: int, data: tuple[ctypes.Array[ctypes.c_int64], GroupData], first: int, last: int
@@ -122,6 +133,7 @@ class EnsembleLoop:
             n_points=len(prepared.points),
             n_components=len(components),
             n_signals=len(experiment.signals),
+            n_varied=len(self.varied),
             n_columns=len(prepared.recorded),
             gauss_seidel=int(experiment.algorithm is Algorithm.GAUSS_SEIDEL),
             points=prepared.points,
@@ -137,6 +149,8 @@ class EnsembleLoop:
             offset=np.array([change.offset or -0.0 for change in changes], float),
             signal_values=prepared.signal_values,
             signal=self._addresses(group, list(experiment.signals)),
+            varied_values=_integers([values[group].ctypes.data for values in self.varied.values()]),
+            varied=self._addresses(group, list(self.varied)),
             column=self._addresses(group, prepared.recorded),
             rows=self.rows[group],
             recorded=self.recorded[group],
@@ -200,13 +214,19 @@ class EnsembleLoop:
                 self.recorded[group, lane] = 0
 
 
-def check_memory(prepared: PreparedRun, libraries: Mapping[str, LaneLibrary], count: int) -> None:
-    """SystemDefinitionError for so many instances that their recording does not fit into this machine."""
+def check_memory(
+    prepared: PreparedRun, libraries: Mapping[str, LaneLibrary], count: int, varied: int
+) -> None:
+    """SystemDefinitionError for more than the memory of this machine.
+
+    count: of instances, each with its recording and so many varied signals
+    """
     groups, (points, columns) = -(-count // LANES), prepared.shape
-    words = LANES * points * columns + sum(library.words for library in libraries.values())
+    words = LANES * points * (columns + varied) + sum(library.words for library in libraries.values())
+    signals = f" and {varied} signals" if varied else ""
     check_fits(
         8 * groups * words,
-        f"{count} instances of {points} communication points of {columns} variables",
+        f"{count} instances of {points} communication points of {columns} variables{signals}",
         "record fewer variables, or run fewer instances at once",
     )
 
@@ -216,18 +236,20 @@ def build_loop(
     libraries: Mapping[str, LaneLibrary],
     instructions: str,
     values: Mapping[str, Array],
+    varied: Mapping[str, Array],
     count: int,
 ) -> EnsembleLoop:
     """The groups of so many instances.
 
     values: component -> its variables by value reference, which all instances have in common
+    varied: as in `EnsembleLoop`
     """
     groups = -(-count // LANES)
     memory = {name: library.memory(groups, values[name]) for name, library in libraries.items()}
     points = len(prepared.points)
     rows = aligned(groups, len(prepared.recorded), points, LANES)
     recorded, failure = np.full((groups, LANES), points), np.zeros((groups, LANES), np.int64)
-    return EnsembleLoop(prepared, libraries, instructions, memory, rows, recorded, failure)
+    return EnsembleLoop(prepared, libraries, instructions, memory, varied, rows, recorded, failure)
 
 
 def _integers(values: Sequence[int]) -> Array:
@@ -242,5 +264,6 @@ def loop_library(instructions: str) -> ctypes.CDLL:
     except (ExportError, OSError) as error:
         raise EnsembleError(f"no ensemble: {error}; a Simulator runs the system") from error
     library.ensemble_run.argtypes = [ctypes.c_void_p, *[ctypes.c_int64] * 2]
-    library.ensemble_run.restype = None
+    library.ensemble_exchange.argtypes = [ctypes.c_void_p, ctypes.c_int64]
+    library.ensemble_run.restype = library.ensemble_exchange.restype = None
     return library

@@ -49,11 +49,11 @@ def initialise(
 ) -> None:
     """Bring new instances to step mode with consistent initial values; groups: of `connection_groups`.
 
-    settings: in place of those of the prepared run
+    settings: in place of `prepared.initial_settings`
     """
     experiment = prepared.experiment
     sorted_settings: dict[tuple[str, bool], list[tuple[ScalarVariable, FmiValue]]] = defaultdict(list)
-    for port, value in prepared.settings if settings is None else settings:
+    for port, value in prepared.initial_settings if settings is None else settings:
         is_input = port.variable.causality == "input"
         sorted_settings[port.component, is_input].append((port.variable, value))
     for name, instance in instances.items():
@@ -62,10 +62,6 @@ def initialise(
         instance.initialise(experiment.start_time, experiment.stop_time)
     for name, instance in instances.items():
         instance.set_all(sorted_settings[name, True])
-    for name, values in zip(experiment.signals, prepared.signal_values, strict=True):
-        port = prepared.system.ports[name]
-        value = float(values[0])
-        instances[port.component].set(port.variable, value if port.variable.type == "Real" else int(value))
     solve_initial_values(groups, instances, Initialisation(experiment.initialisation))
     for instance in instances.values():
         instance.exit_initialization_mode()

@@ -20,8 +20,7 @@ class SteppedEnsemble:
 
     def __init__(self, loop: EnsembleLoop, count: int) -> None:
         self._loop, self._prepared, self._count = loop, loop.prepared, count
-        self._connections = loop.connections
-        self._driven = {*loop.prepared.experiment.signals, *(target for _, target in self._connections)}
+        self._driven = {*loop.prepared.experiment.signals, *(target for _, target in loop.connections)}
         self._groups = [loop.data_of_group(group) for group in range(len(loop.rows))]
         self.point = 0
 
@@ -86,19 +85,12 @@ class SteppedEnsemble:
     def recordings(self) -> EnsembleRecording:
         """The values recorded until now, those of the present communication point included."""
         self._exchange()
-        for column, name in enumerate(self._prepared.recorded):
-            self._loop.rows[:, column, self.point] = self._loop.values(self._prepared.system.ports[name])
         return self._record()
 
     def _exchange(self) -> None:
-        """Set what signals and connections drive, as the next step does first."""
-        ports, (_, data) = self._prepared.system.ports, self._groups[0]
-        for signal, values in zip(
-            self._prepared.experiment.signals, self._prepared.signal_values, strict=True
-        ):
-            self._loop.values(ports[signal])[:] = values[self.point]
-        for (source, target), factor, offset in zip(self._connections, data.factor, data.offset, strict=True):
-            self._loop.values(ports[target])[:] = self._loop.values(ports[source]) * factor + offset
+        """Set and record what the next step sets and records first."""
+        for data in self._groups:
+            self._loop.exchange(data, self.point)
 
     def _record(self) -> EnsembleRecording:
         counts = np.full(self._count, self.point + 1)

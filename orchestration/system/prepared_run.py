@@ -24,7 +24,7 @@ from orchestration.system.experiment_checks import (
 )
 from orchestration.system.faults import Fault, Pattern, compose
 from orchestration.system.open_inputs import OpenInputs
-from orchestration.system.signals import values_at
+from orchestration.system.signals import Signal, values_at
 from orchestration.system.system import CheckedSystem, Port, System, check
 from orchestration.system.values import fmi_value, possible_values, value_range
 
@@ -68,18 +68,36 @@ class PreparedRun:
         Raises SystemDefinitionError for a signal that fails, or whose input cannot have its value.
         """
         table = np.empty((len(self.experiment.signals), len(self.points)))
-        for row, (name, signal) in enumerate(self.experiment.signals.items()):
-            try:
-                table[row] = values_at(signal, self.points)
-            except Exception as error:  # whatever a user's own function raises
-                raise SystemDefinitionError(f"signal {name}: {error!r}") from error
-            expected, is_possible = possible_values(self.system.ports[name], table[row])
-            for i in np.flatnonzero(~is_possible)[:1]:
-                value, t = table[row, i], self.points[i]
-                raise SystemDefinitionError(
-                    f"signal {name} is {value:g} at t = {t:.9g} s: expected {expected}"
-                )
+        for row, (name, signal) in zip(table, self.experiment.signals.items(), strict=True):
+            row[:] = self.values_of_signal(name, signal)
         return table
+
+    def values_of_signal(self, name: str, signal: Signal) -> np.ndarray:
+        """A signal of an input at every communication point, shape (n,).
+
+        Raises SystemDefinitionError for one that fails, or whose input cannot have its value.
+        """
+        values = np.empty(len(self.points))
+        try:
+            values[:] = values_at(signal, self.points)
+        except Exception as error:  # whatever a user's own function raises
+            raise SystemDefinitionError(f"signal {name}: {error!r}") from error
+        expected, is_possible = possible_values(self.system.ports[name], values)
+        for i in np.flatnonzero(~is_possible)[:1]:
+            value, t = values[i], self.points[i]
+            raise SystemDefinitionError(f"signal {name} is {value:g} at t = {t:.9g} s: expected {expected}")
+        return values
+
+    @property
+    def initial_settings(self) -> tuple[Setting, ...]:
+        """`settings`, and what the signals set at the start time."""
+        values = zip(self.experiment.signals, self.signal_values, strict=True)
+        first = ((self.system.ports[name], self.typed(name, row[:1])[0]) for name, row in values)
+        return (*self.settings, *first)
+
+    def typed(self, name: str, values: np.ndarray) -> list[FmiValue]:
+        """Values of a signal as its input takes them."""
+        return values.astype(float if self.system.ports[name].variable.type == "Real" else int).tolist()
 
     def with_values(self, experiment: Experiment) -> "PreparedRun":
         """The same with the parameters and constant inputs of an experiment that is equal otherwise.

@@ -211,6 +211,19 @@ def test_what_is_no_item_is_refused(system: System, more: dict[str, Any]) -> Non
         ensemble.run(experiment, {"block.a": [0.5]})
 
 
+def test_a_varied_signal_sets_an_enumeration_and_one_that_is_no_item_is_refused(system: System) -> None:
+    """At the start time too."""
+    signals = [lambda t: 1.0 + 2.0 * (t > 10.0), lambda t: 3.0 - 2.0 * (t > 5.0)]
+    experiment = Experiment(20.0, 0.1, open_inputs="start", signals={"block.asked": signals[0]})
+    with Ensemble(system) as ensemble, Simulator(system) as simulator:
+        recorded = ensemble.run(experiment, {"block.asked": signals})
+        for instance, signal in enumerate(signals):
+            one = simulator.run(replace(experiment, signals={"block.asked": signal}))
+            assert recorded.recording(instance).values.tobytes() == one.values.tobytes()
+        with pytest.raises(EnsembleError, match="no item"):
+            ensemble.run(experiment, {"block.asked": [signals[0], lambda t: 1.0 + (t > 10.0)]})
+
+
 def test_an_fmu_of_reals_alone_is_refused(tmp_path: Path) -> None:
     system = build(tmp_path / "reals.fmu", reals_only=True)
     with pytest.raises(EnsembleError, match=r"block: .* Reals"):
