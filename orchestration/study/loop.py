@@ -17,6 +17,7 @@ from fmus.fmi_types import FmiValue
 from fmus.registry import Flavour
 from orchestration.errors import ScenarioError, ScenarioWarning
 from orchestration.fmi.description import describe, of_causality, start_value
+from orchestration.master.ensemble import Ensemble
 from orchestration.master.simulator import Simulator
 from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
@@ -84,6 +85,7 @@ class Loop(AbstractContextManager["Loop"]):
         self.controller, self.protocol = controller, protocol
         self._scenarios: dict[str, Scenario] = {}
         self._simulator: Simulator | None = None
+        self._ensemble: Ensemble | None = None
 
     def figures(
         self, case: Case, gains: Mapping[str, FmiValue] = {}, names: Collection[str] = ()
@@ -100,9 +102,17 @@ class Loop(AbstractContextManager["Loop"]):
         loaded = self.scenario(case)
         experiment = self.experiment(case, gains)
         if self._simulator is None or self._simulator.system != loaded.system:
-            self.close()
+            _close(self._simulator)
             self._simulator = Simulator(loaded.system)
         return self.judged(case, experiment, self._simulator.run(experiment))
+
+    def ensemble(self, case: Case) -> Ensemble:
+        """An ensemble of the system of a case; EnsembleError if there can be none."""
+        system = self.scenario(case).system
+        if self._ensemble is None or self._ensemble.system != system:
+            _close(self._ensemble)
+            self._ensemble = Ensemble(system)
+        return self._ensemble
 
     def judged(self, case: Case, experiment: Experiment, recording: Recording) -> Recording:
         """The signals that figures are computed of, from a recording of the experiment of a case."""
@@ -185,12 +195,17 @@ class Loop(AbstractContextManager["Loop"]):
 
     def close(self) -> None:
         """Free the FMUs; the next run loads them again."""
-        if self._simulator is not None:
-            self._simulator.close()
-            self._simulator = None
+        _close(self._simulator, self._ensemble)
+        self._simulator = self._ensemble = None
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+
+def _close(*runners: Simulator | Ensemble | None) -> None:
+    for runner in runners:
+        if runner is not None:
+            runner.close()
 
 
 @cache

@@ -3,10 +3,14 @@
 import hashlib
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from fmus.lanes import LANES
+from orchestration.errors import EnsembleError
 from orchestration.fmi.description import describe
+from orchestration.master.ensemble_choice import check_ensemble
 from orchestration.study import score_cache
 from orchestration.study.isolated_loop import IsolatedLoop, RunError
 from orchestration.study.loop import Loop
@@ -17,9 +21,11 @@ from orchestration.study.score_document import CaseResult, FigureOverPlants, Pla
 from orchestration.study.scored_run import (
     ScoredRun,
     Trace,
+    load_ensemble,
     measured_delay_margin,
     microseconds,
     scored_run,
+    scored_runs,
     uses_true_rate,
 )
 from orchestration.study.statistics import distribution
@@ -29,7 +35,7 @@ OVER_PLANTS = (*COMPARED, "settling_time", "overshoot", "breach")
 """Figures of the runs over plants."""
 
 
-_MOST_RUNS = 40  # of a delay margin
+_MOST_RUNS = 40  # that a delay margin takes; to compile an ensemble takes less
 
 Progress = Callable[[int], object]
 
@@ -96,9 +102,30 @@ class Scoring:
         row.microseconds = _value_or(math.nan, isolated, microseconds, nominal)
         if self.plants:
             names = [name for name in OVER_PLANTS if name in self.protocol.figures]
-            runs = [self._result(isolated, plant, names) for plant in self.plants]
+            groups = self._groups_of_plants(loop, isolated)
+            runs = [run for group in groups for run in self._results(isolated, group, names)]
             row.plants = _over_plants(runs, names)
         return row, traces
+
+    def _groups_of_plants(self, loop: Loop, isolated: IsolatedLoop) -> list[Sequence[Case]]:
+        """The plants that run at once: those that step together in an ensemble, if it can be and pays."""
+        first, count, most = self.plants[0], len(self.plants), 1
+        with suppress(EnsembleError, RunError):
+            check_ensemble(loop.scenario(first).system, loop.experiment(first), count)
+            isolated.call(load_ensemble, first, runs=_MOST_RUNS)
+            most = LANES
+        return [self.plants[i : i + most] for i in range(0, count, most)]
+
+    def _results(
+        self, isolated: IsolatedLoop, cases: Sequence[Case], names: Sequence[str]
+    ) -> list[ScoredRun]:
+        """Runs of cases of one layer at once; of one that fails so, that of a simulator."""
+        runs: list[ScoredRun | None] = [None] * len(cases)
+        if len(cases) > 1:
+            with suppress(RunError):
+                runs = isolated.call(scored_runs, cases, names, runs=len(cases))
+            self.progress(sum(run is not None for run in runs))
+        return [run or self._result(isolated, case, names) for run, case in zip(runs, cases, strict=True)]
 
     def _result(
         self, isolated: IsolatedLoop, case: Case, names: Sequence[str] = (), traced: bool = False

@@ -1,7 +1,7 @@
 """What a score asks of one controller: functions of its `Loop`, which run in a process of their own."""
 
 import time
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,6 +10,7 @@ from orchestration.fmi.description import describe, of_causality
 from orchestration.master.simulator import Simulator
 from orchestration.results.recording import Recording
 from orchestration.study.figures import failures, figures_of
+from orchestration.study.figures_of_all import figures_of_all
 from orchestration.study.fmu_margins import delay_margin
 from orchestration.study.hold import LoopSignal, last_part
 from orchestration.study.loop import OWN, Loop
@@ -42,6 +43,20 @@ def scored_run(loop: Loop, case: Case, names: Collection[str] = (), traced: bool
     signals = loop.run(case)
     figures = figures_of(signals, case, loop.protocol, names)
     return ScoredRun(figures, failures(figures, loop.protocol), _trace(signals) if traced else {})
+
+
+def load_ensemble(loop: Loop, case: Case) -> None:
+    """Compile what `scored_runs` needs, if it is not; EnsembleError if there can be no ensemble."""
+    loop.ensemble(case)
+
+
+def scored_runs(loop: Loop, cases: Sequence[Case], names: Collection[str]) -> list[ScoredRun | None]:
+    """Runs of cases of one layer, in an ensemble; None for one that a simulator is to run alone."""
+    runs = [(case, loop.experiment(case)) for case in cases]
+    return [
+        None if figures is None else ScoredRun(figures, failures(figures, loop.protocol))
+        for figures in figures_of_all(loop, runs, names)
+    ]
 
 
 def _trace(signals: Recording) -> Trace:

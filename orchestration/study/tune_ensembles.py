@@ -3,23 +3,21 @@
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from queue import SimpleQueue
 from typing import Any
 
 from fmus.lanes import LANES
 from fmus.registry import fmu_folder
-from orchestration.errors import EnsembleError, FmuWarning, OrchestrationError
-from orchestration.master.ensemble import Ensemble
+from orchestration.errors import EnsembleError, FmuWarning
 from orchestration.master.ensemble_choice import check_ensemble
-from orchestration.study.figures import figures_of
+from orchestration.study.figures_of_all import figures_of_all
 from orchestration.study.isolated_loop import error_line
-from orchestration.study.loop import OWN, Controller, Loop
-from orchestration.study.protocol import Case, Protocol
+from orchestration.study.loop import Controller, Loop
+from orchestration.study.protocol import Protocol
 from orchestration.study.tune import Evaluate
 from orchestration.study.tune_cost import (
     LARGEST,
-    Figures,
     Gains,
     cost_of,
     cost_of_runs,
@@ -50,7 +48,7 @@ def ensembles(
     """
     cases = practice_cases(protocol)
     with ExitStack() as stack:
-        idle: SimpleQueue[tuple[Loop, Ensemble]] = SimpleQueue()
+        idle: SimpleQueue[Loop] = SimpleQueue()
         for _ in range(threads):
             loop = stack.enter_context(Loop(controller, protocol))
             system = loop.scenario(cases[0]).system
@@ -62,16 +60,17 @@ def ensembles(
                 check_ensemble(
                     system, loop.experiment(case), count * len(cases), is_asked_for, threads=threads
                 )
-            idle.put((loop, stack.enter_context(Ensemble(system))))
+            loop.ensemble(cases[0])
+            idle.put(loop)
         stack.enter_context(warnings.catch_warnings())
         warnings.simplefilter("ignore", FmuWarning)  # of thousands of runs; results have the errors
 
         def costs(group: Sequence[Gains]) -> list[dict[str, Any]]:
-            loop, ensemble = idle.get()
+            loop = idle.get()
             try:
-                return costs_of_all(loop, ensemble, group)
+                return costs_of_all(loop, group)
             finally:
-                idle.put((loop, ensemble))
+                idle.put(loop)
 
         pool = stack.enter_context(ThreadPoolExecutor(threads))
         stack.callback(pool.shutdown, wait=False, cancel_futures=True)
@@ -83,10 +82,11 @@ def ensembles(
         yield evaluate
 
 
-def costs_of_all(loop: Loop, ensemble: Ensemble, gains: Sequence[Gains]) -> list[dict[str, Any]]:
+def costs_of_all(loop: Loop, gains: Sequence[Gains]) -> list[dict[str, Any]]:
     """`cost_of` of several gains; of those that give none, the largest cost and the reason."""
-    cases = practice_cases(loop.protocol)
-    figures = [_figures_of_all(loop, ensemble, case, gains) for case in cases]
+    cases, names = practice_cases(loop.protocol), figure_names(loop.protocol)
+    runs = ([(case, loop.experiment(case, one)) for one in gains] for case in cases)
+    figures = [figures_of_all(loop, of_case, names) for of_case in runs]
     costs: list[dict[str, Any]] = []
     for one, *runs in zip(gains, *figures, strict=True):
         complete = [(case.name, run) for case, run in zip(cases, runs, strict=True) if run is not None]
@@ -96,20 +96,3 @@ def costs_of_all(loop: Loop, ensemble: Ensemble, gains: Sequence[Gains]) -> list
         except Exception as error:  # whatever the reason, as in a process
             costs.append({"cost": LARGEST, "failure": error_line(error)})
     return costs
-
-
-def _figures_of_all(
-    loop: Loop, ensemble: Ensemble, case: Case, gains: Sequence[Gains]
-) -> list[Figures | None]:
-    """The figures of a case with each of the gains; None for a run that fails, or whose figures do."""
-    vary = {f"{OWN}{name}": [one[name] for one in gains] for name in gains[0]}
-    experiment, figures = loop.experiment(case), list[Figures | None]([None] * len(gains))
-    try:
-        recorded = ensemble.run(experiment, vary)
-    except OrchestrationError:  # of gains that no instance can have
-        return figures
-    for instance in recorded.complete:
-        with suppress(Exception):  # whatever the reason: `cost_of` finds it
-            signals = loop.judged(case, experiment, recorded.recording(instance))
-            figures[instance] = figures_of(signals, case, loop.protocol, figure_names(loop.protocol))
-    return figures

@@ -13,6 +13,7 @@ import pytest
 from fmus.registry import fmu_path
 from orchestration.errors import EnsembleError, ScenarioError
 from orchestration.master import ensemble_choice
+from orchestration.study import figures_of_all as together_module
 from orchestration.study import loop as loop_module
 from orchestration.study import tune_ensembles
 from orchestration.study.loop import Controller, Loop, built_in
@@ -38,10 +39,10 @@ def test_the_costs_are_those_of_single_evaluations(
     controller = built_in(protocol, "l1-pi")
     with ensembles(controller, protocol, 2, len(GAINS), is_asked_for=True) as evaluate:
         together = [*evaluate(GAINS)]
-        monkeypatch.setattr(tune_ensembles, "figures_of", fails)
-        assert [*evaluate(GAINS[:1])] == together[:1]  # of which the loop has the figures
+        monkeypatch.setattr(together_module, "figures_of", fails)
+        assert [*evaluate(GAINS[:2])] == together[:2]  # of which the loop has the figures
         monkeypatch.setattr(loop_module, "figures_of", fails)
-        assert [*evaluate(GAINS[:1])] == [{"cost": LARGEST, "failure": "no figure"}]
+        assert [*evaluate(GAINS[:2])] == [{"cost": LARGEST, "failure": "no figure"}] * 2
         monkeypatch.undo()
     with Loop(controller, protocol) as loop:
         assert together[:-1] == [cost_of(loop, gains) for gains in GAINS[:-1]]
