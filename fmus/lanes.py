@@ -32,8 +32,8 @@ _QUICK = {
     "floor",
     "ceil",
     "copysign",
-    "fmin",
-    "fmax",
+    "smaller",
+    "larger",
 }  # of the processor, or a few of its own
 
 _TERM = r"(\(-[^()]+\)|[\w.\[\]]+(?:(?<=e)[-+]\d+)?)"

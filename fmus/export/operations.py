@@ -13,7 +13,7 @@ _CALLS = {
     "EXP": "exp", "LOG": "log", "POW": "pow", "CONSTPOW": "pow", "SQRT": "sqrt", "SIN": "sin", "COS": "cos",
     "TAN": "tan", "ASIN": "asin", "ACOS": "acos", "ATAN": "atan", "FLOOR": "floor", "CEIL": "ceil",
     "FMOD": "fmod", "REMAINDER": "remainder", "FABS": "fabs", "COPYSIGN": "copysign", "ERF": "erf",
-    "FMIN": "fmin", "FMAX": "fmax", "SINH": "sinh", "COSH": "cosh", "TANH": "tanh", "ASINH": "asinh",
+    "FMIN": "smaller", "FMAX": "larger", "SINH": "sinh", "COSH": "cosh", "TANH": "tanh", "ASINH": "asinh",
     "ACOSH": "acosh", "ATANH": "atanh", "ATAN2": "atan2", "HYPOT": "hypot", "LOG1P": "log1p",
     "EXPM1": "expm1",
 }  # fmt: skip

@@ -23,6 +23,18 @@ static inline uint64_t bits_of(double x) {
 /* Whether two numbers are the same bit for bit: 0 and -0 differ. */
 static inline int is_same(double x, double y) { return bits_of(x) == bits_of(y); }
 
+/* fmin(x, y), but of 0 and -0 the second: C leaves that to the compiler, which decides anew for each call and for vectors. */
+static inline double smaller(double x, double y) {
+    const double number = x < y ? x : y;
+    return y != y ? x : number;
+}
+
+/* fmax(x, y), likewise. */
+static inline double larger(double x, double y) {
+    const double number = x > y ? x : y;
+    return y != y ? x : number;
+}
+
 /* fmod(x, m) of a whole number m from 1 to 2^53, which a compiler knows: whole numbers x are divided as such. */
 static inline double fmod_by_whole(double x, double m) {
     if (x > 0 && x < 9007199254740992.0 && x == (double)(int64_t)x) return (double)((int64_t)x % (int64_t)m);

@@ -23,8 +23,8 @@ INLINE Lanes lanes_sqrt(Lanes x) { return __builtin_elementwise_sqrt(x); }
 INLINE Lanes lanes_floor(Lanes x) { return __builtin_elementwise_floor(x); }
 INLINE Lanes lanes_ceil(Lanes x) { return __builtin_elementwise_ceil(x); }
 INLINE Lanes lanes_copysign(Lanes x, Lanes y) { return __builtin_elementwise_copysign(x, y); }
-INLINE Lanes lanes_fmin(Lanes x, Lanes y) { return __builtin_elementwise_min(x, y); }
-INLINE Lanes lanes_fmax(Lanes x, Lanes y) { return __builtin_elementwise_max(x, y); }
+INLINE Lanes lanes_smaller(Lanes x, Lanes y) { return choice((Mask)(y != y), x, choice((Mask)(x < y), x, y)); }
+INLINE Lanes lanes_larger(Lanes x, Lanes y) { return choice((Mask)(y != y), x, choice((Mask)(x > y), x, y)); }
 
 /* Other functions are those of the C library, which the FMU calls lane by lane; sin and cos follow below. A call
  * remembers its arguments and results, and what has the same bits again is not computed again: an angle that stays, or a

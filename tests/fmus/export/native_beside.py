@@ -200,7 +200,7 @@ class Beside(RuleBasedStateMachine):
 
 
 def _exactly(number: float | str) -> str:
-    """All bits but the sign of zero: which of two equal zeros is the lesser one, fmin leaves open."""
+    """All bits but the sign of zero, which a choice in compiled code does not keep."""
     if isinstance(number, str):
         number = float.fromhex(number)
     return "nan" if math.isnan(number) else (number + 0.0).hex()

@@ -49,11 +49,12 @@ class Sample:
 
 @dataclass(frozen=True)
 class State:
-    """x: a number of 0..1 that never repeats; count: how often it was large"""
+    """x: a number of 0..1 that never repeats; count: how often it was large; zero: stays 0"""
 
     x: float = 0.3
     sample: Sample = Sample()
     count: int = 0
+    zero: float = 0.0
 
 
 def of_one(x: float) -> tuple[float, ...]:
@@ -71,7 +72,13 @@ def of_two(x: float, y: float) -> tuple[float, ...]:
     return (*powers, *steps, *limits, n.atan2(y, x), n.atan2(x, y), n.copysign(x, y), n.hypot(x, y))
 
 
-FUNCTIONS = len(of_one(0.5)) + len(of_two(0.5, 0.5))
+def of_zeros(zero: float, a: float) -> tuple[float, ...]:
+    """The lesser and the larger of two zeros of any signs, where a is 0."""
+    numbers = n.minimum(zero, a), n.minimum(a, zero), n.minimum(a, n.sin(-a))
+    return (*numbers, n.maximum(zero, a), n.maximum(a, zero), n.maximum(a, n.sin(-a)))
+
+
+FUNCTIONS = len(of_one(0.5)) + len(of_two(0.5, 0.5)) + len(of_zeros(0.5, 0.5))
 
 
 @dataclass(frozen=True)
@@ -88,11 +95,12 @@ def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, c: obj
     x = 3.9 * state.x * (1.0 - state.x)
     sample = n.sampled(t, 0.25, state.sample, Sample(n.log(x) + n.sin(inputs.u * x)))
     count = n.where(n.logical_and(p.is_on, x > 0.5), state.count + 1, state.count)
-    return State(x, sample, count)
+    return State(x, sample, count, state.zero)
 
 
 def output(t: float, state: State, p: Parameters, c: object) -> Outputs:
-    functions = (*of_one(state.x), *of_two(state.x, p.a * (state.x - 0.5)))
+    of_numbers = (*of_one(state.x), *of_two(state.x, p.a * (state.x - 0.5)))
+    functions = (*of_numbers, *of_zeros(state.zero, p.a))
     is_high = n.logical_or(p.gear == Gear.HIGH, n.logical_not(p.is_on))
     chosen = n.where(
         is_high, lambda: n.exp(-p.a * state.x) / state.x, lambda: p.a * n.tanh(state.sample.value)
