@@ -12,11 +12,12 @@ import json
 import os
 import platform
 import sys
+import sysconfig
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, cached_property
-from importlib.machinery import ModuleSpec, PathFinder
+from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from importlib.metadata import EntryPoint, distributions
 from pathlib import Path
 
@@ -99,7 +100,7 @@ class Sources:
     def if_loaded(self) -> "Sources | None":
         """These, if this process has imported the modules from these files, and all after `fmus`."""
         files = {name: file for name, (file, _) in self.modules.items() if file}
-        are_loaded = all(getattr(sys.modules.get(name), "__file__", "") == files[name] for name in files)
+        are_loaded = all(_is_loaded(name, file) for name, file in files.items())
         return self if are_loaded and not fmus.IMPORTED_BEFORE.intersection(files) else None
 
 
@@ -164,8 +165,9 @@ class Stamps:
     def _recipe(self, order: Order) -> str:
         """Digest of everything but the modules of the block."""
         options = order.flavour, order.platforms, order.with_terminals, order.reals_only
-        host = sys.version, sys.platform, platform.machine(), os.environ.get("SOURCE_DATE_EPOCH")
-        parts = self._origin(order), *options, *host, self._libraries, self._own_files
+        host = sys.version, sys.flags.optimize, sys.platform, platform.machine()
+        date = os.environ.get("SOURCE_DATE_EPOCH")
+        parts = self._origin(order), *options, *host, date, self._libraries, self._own_files
         return _digest(repr(parts).encode())
 
     def _origin(self, order: Order) -> str:
@@ -229,7 +231,7 @@ class Stamps:
     def _module(self, name: str, order: Order) -> tuple[str, str]:
         """File and digest of the module that an import of this name loads; `_NO_FILE` if there is none."""
         spec = self._spec(name, order)
-        if spec is None or (name in _PURE and not self._beside(name, order)):
+        if spec is None or (name in _PURE and _is_of_python(spec)):
             return _NO_FILE
         if not spec.has_location or not str(spec.origin).endswith(".py"):
             raise _UnknownError(name)
@@ -262,6 +264,17 @@ class Stamps:
         return _digest(self._files[file][0])
 
 
+def _is_loaded(name: str, file: str) -> bool:
+    """Whether a module is loaded from a file, and its source is what an import carries out: Python takes a
+    compiled file for that of a source of the same size, changed in the same second.
+    """
+    module = sys.modules.get(name)
+    loader = getattr(module, "__loader__", None)
+    if getattr(module, "__file__", "") != file or not isinstance(loader, SourceFileLoader):
+        return False
+    return loader.get_code(name) == loader.source_to_code(loader.get_data(file), file)
+
+
 class _UnknownError(Exception):
     """A module whose content does not follow from files of Python alone."""
 
@@ -269,6 +282,11 @@ class _UnknownError(Exception):
 def _stamp_file(order: Order) -> Path:
     key = _digest(repr((order.file or order.source, str(order.folder.absolute()))).encode())
     return user_cache_path("l1-depth", appauthor=False) / "stamps" / f"{key}.json"
+
+
+def _is_of_python(spec: ModuleSpec) -> bool:
+    """Whether a module is that of the standard library, and none of the user's that hides it."""
+    return not spec.has_location or Path(str(spec.origin)).is_relative_to(sysconfig.get_path("stdlib"))
 
 
 def _is_package(file: str) -> bool:

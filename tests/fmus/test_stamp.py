@@ -165,6 +165,24 @@ def test_another_version_of_a_library_makes_it_stale(
     assert current(order, tmp_path) is None
 
 
+def test_python_without_assertions_and_docstrings_makes_it_stale(order: Order, tmp_path: Path) -> None:
+    """A block may depend on `__debug__`, and its description on a docstring."""
+    code = """
+import sys
+from pathlib import Path
+from fmus.stamp import Order, Stamps
+folder = Path(sys.argv[1])
+order = Order(str(folder / "lag.py"), folder / "built")
+print(Stamps(folder / "package").current(order) is not None)
+"""
+
+    def is_current(*options: str) -> str:
+        command = [sys.executable, *options, "-c", code, str(tmp_path)]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+
+    assert [is_current(), is_current("-O"), is_current("-OO")] == ["True", "False", "False"]
+
+
 def test_another_date_makes_it_stale(order: Order, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1000000000")
     assert current(order, tmp_path) is None
@@ -228,12 +246,36 @@ def test_a_module_that_appears_where_an_import_failed_makes_it_stale(order: Orde
         assert current(order, tmp_path)
 
 
-def test_a_helper_named_like_a_module_of_python_is_a_source(order: Order, tmp_path: Path) -> None:
-    (tmp_path / "statistics.py").write_text("GAIN = 2.0\n")
+@pytest.mark.parametrize("folder", [".", "on_the_path"])
+def test_a_helper_named_like_a_module_of_python_is_a_source(
+    order: Order, tmp_path: Path, folder: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside the block, or in a folder of PYTHONPATH, which comes before the standard library."""
+    helper = tmp_path / folder / "statistics.py"
+    helper.parent.mkdir(exist_ok=True)
+    helper.write_text("GAIN = 2.0\n")
     (tmp_path / "gains.py").write_text("from statistics import GAIN\n")
+    monkeypatch.setattr(sys, "path", [str(tmp_path / "on_the_path"), *sys.path])
     sources = Stamps(tmp_path / "package", LATER).sources(order)
     assert sources
-    assert sources.modules["statistics"][0] == str(tmp_path / "statistics.py")
+    assert sources.modules["statistics"][0] == str(helper)
+
+
+def test_an_older_helper_that_python_takes_for_the_present_one_is_not_a_source(
+    order: Order, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the same size and second: its compiled file counts as that of the present source."""
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    gains = tmp_path / "gains.py"
+    os.utime(gains, (1e9, 1e9))
+    stamp(order, tmp_path)
+    gains.write_text("GAIN = 2.5\n")
+    os.utime(gains, (1e9, 1e9))
+    stamp(order, tmp_path)
+    assert current(order, tmp_path) is None
+    shutil.rmtree(tmp_path / "__pycache__")
+    stamp(order, tmp_path)
+    assert current(order, tmp_path)
 
 
 def test_modules_that_were_imported_before_this_package_give_no_stamp(
