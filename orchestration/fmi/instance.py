@@ -37,7 +37,8 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
     after which FMI forbids calls of any instance, ends this instance alone. Raises FmuLoadError if the FMU
     cannot be loaded.
 
-    is_fresh: whether it is instantiated or reset, and not yet initialised; time [s]: of the present call
+    is_fresh: whether it was instantiated or reset, and neither set nor initialised since
+    time [s]: of the present call
     busy: shape (1,), `number` while a call is in progress, else 0; calls: shape (1,), how many have returned.
     Another process can watch them.
     """
@@ -80,6 +81,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         self._dead = self._dead or status == FATAL
         if status == 0:
             self.is_fresh, self._stepping, self._failed, self.termination_log = True, False, False, []
+            self.time = 0.0
         return status == 0
 
     def set(self, variable: ScalarVariable, value: FmiValue) -> None:
@@ -88,6 +90,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
 
     def set_all(self, settings: Iterable[tuple[ScalarVariable, FmiValue]]) -> None:
         """Set variables, those of one type in one call, outside the loop."""
+        self.is_fresh = False  # also where a call is refused: others may have set values before
         groups: dict[str, list[tuple[int, FmiValue | bytes]]] = {}
         for variable, value in settings:
             pair = variable.valueReference, str(value).encode() if variable.type == "String" else value

@@ -1,7 +1,6 @@
 """Runs that differ in parameters and constant inputs alone, as samples of a sweep, are prepared once."""
 
 from collections.abc import Mapping
-from typing import Any
 
 from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_run import PreparedRun, prepare_checked
@@ -24,7 +23,7 @@ class PreparedRuns:
 
     def __init__(self) -> None:
         self._first: PreparedRun | None = None
-        self._key: tuple[Any, ...] | None = None
+        self._key: str | None = None
 
     def prepare(
         self, system: CheckedSystem, experiment: Experiment, external: tuple[str, ...] = ()
@@ -41,8 +40,10 @@ class PreparedRuns:
         return self._first.with_values(experiment)
 
 
-def _key(system: CheckedSystem, experiment: Experiment) -> tuple[Any, ...] | None:
+def _key(system: CheckedSystem, experiment: Experiment) -> str | None:
     """What two runs have in common that differ in values alone; None where equal things may have changed.
+
+    As text, in which 0 and -0 differ.
 
     A system is checked with the inputs that an experiment drives: the same one has the same inputs.
     """
@@ -52,4 +53,4 @@ def _key(system: CheckedSystem, experiment: Experiment) -> tuple[Any, ...] | Non
         return None
     rest = (value for name, value in vars(experiment).items() if name not in _VALUES)
     copies = (tuple(value.items()) if isinstance(value, Mapping) else value for value in rest)
-    return id(system), *copies
+    return repr((id(system), *copies))

@@ -126,9 +126,11 @@ def test_a_restored_state_ends_an_error(rogue: Build) -> None:
 
 def test_a_reset_ends_an_error(rogue: Build) -> None:
     component, spy = doing(rogue, Misdeed.ERROR)
+    component.time = 2.0  # of a run that messages name no more
     with pytest.raises(FmuError, match="returned error: the rudder is stuck"):
         component.call("fmi2DoStep", 0.0, 0.1, 1)
     assert component.reset()
+    assert component.time == 0.0
     begin(component, Misdeed.NONE)
     component.close()
     assert spy.calls == ["fmi2Terminate", "fmi2FreeInstance"]

@@ -184,6 +184,17 @@ def test_an_instance_that_cannot_begin_is_named_and_disturbs_no_other(system: Sy
     assert len(recorded.recording(1).time) == 0
 
 
+def test_a_run_that_is_refused_leaves_the_next_one_as_it_is(system: System) -> None:
+    """Some of its values were set before an FMU refused another one of the same component."""
+    no_item = {"controller.filter_bandwidth": 2.0, "controller.augmentation": 77}
+    with Ensemble(system) as ensemble:
+        expected = ensemble.run(DIVE, WEIGHTS)
+        with pytest.raises(OrchestrationError, match="augmentation = 77"):
+            ensemble.run(replace(DIVE, parameters=no_item), WEIGHTS)
+        again = ensemble.run(DIVE, WEIGHTS)
+    assert again.values.tobytes() == expected.values.tobytes()
+
+
 @pytest.mark.parametrize("weights", [[30.0, 29.0], [29.0, 30.0], [29.5] * 11])
 def test_recordings_of_all_that_did_not_fail_are_in_c_order(system: System, weights: list[float]) -> None:
     """As one run has them: where a sum along time rounds."""

@@ -71,6 +71,13 @@ def test_signals_that_changed_meanwhile_are_evaluated_again(system: System) -> N
     assert values == [1.0, 2.0, 1.0, 3.0]
 
 
+def test_the_sign_of_a_zero_is_that_of_the_run(system: System) -> None:
+    with Simulator(system) as simulator:
+        for value in (0.0, -0.0, 0.0):
+            experiment = replace(FIRST, signals={"p.control": Constant(value)})
+            assert np.signbit(simulator.run(experiment)["p.control"]).all() == np.signbit(value)
+
+
 def test_only_runs_that_differ_in_values_are_prepared_again(system: System) -> None:
     checked, runs = check(system, FIRST.driven_inputs), PreparedRuns()
     only_values_differ = {}
