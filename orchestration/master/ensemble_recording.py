@@ -19,7 +19,7 @@ from orchestration.system.prepared_run import PreparedRun
 class EnsembleRecording:
     """Signals of many instances over time.
 
-    prepared: the run that they share; varied: variable -> its values, shape (instances,)
+    prepared: the run that they share; varied: variable -> its values, shape (instances,); of signals as text
     values: shape (groups, signals, n, lanes), instances in groups of lanes
     counts: recorded communication points of each instance, shape (instances,)
     failures: instance -> why it ended early
