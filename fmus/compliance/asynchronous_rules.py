@@ -3,21 +3,17 @@
 from collections.abc import Iterator
 
 from fmus.binding import OK, WARNING, status_name
+from fmus.compliance.comparison import differing
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
-from fmus.compliance.values import (
-    differing,
-    if_not_claimed,
-    is_utf_8,
-    unless_claimed,
-)
+from fmus.compliance.rule import Level, NotJudgedError, behaviour_rule
+from fmus.compliance.values import if_not_claimed, is_utf_8, unless_claimed
 
 _COMPUTATION = "4.2.2 Computation (fmi2DoStep)"
 _ASYNCHRONOUS = "canRunAsynchronuously"
 _PENDING_STATUS = 1  # fmi2StatusKind
 
 
-@rule(_COMPUTATION, Stage.BEHAVIOUR, condition=if_not_claimed(_ASYNCHRONOUS))
+@behaviour_rule(_COMPUTATION, condition=if_not_claimed(_ASYNCHRONOUS))
 def steps_are_not_pending(probe: Probe) -> Iterator[str]:
     """Without canRunAsynchronuously, fmi2DoStep does not return pending."""
     script = probe.script(logging=True).begin()
@@ -27,10 +23,8 @@ def steps_are_not_pending(probe: Probe) -> Iterator[str]:
         yield "fmi2DoStep returned pending: expected that only with canRunAsynchronuously"
 
 
-@rule(
-    "2.1.5 Creation, Destruction and Logging of FMU Instances",
-    Stage.BEHAVIOUR,
-    condition=unless_claimed(_ASYNCHRONOUS),
+@behaviour_rule(
+    "2.1.5 Creation, Destruction and Logging of FMU Instances", condition=unless_claimed(_ASYNCHRONOUS)
 )
 def step_finished_is_called(probe: Probe) -> Iterator[str]:
     """After a pending step, perhaps also after others, the callback stepFinished is called once; without it
@@ -60,7 +54,7 @@ def step_finished_is_called(probe: Probe) -> Iterator[str]:
         yield f"without stepFinished: {fewest.failure.problem}"
 
 
-@rule(_COMPUTATION, Stage.BEHAVIOUR, condition=unless_claimed(_ASYNCHRONOUS))
+@behaviour_rule(_COMPUTATION, condition=unless_claimed(_ASYNCHRONOUS))
 def cancelled_step_can_be_left(probe: Probe) -> Iterator[str]:
     """A pending step can be cancelled; fmi2Reset is allowed then."""
     script = probe.script(logging=True).forbidden().begin()  # where the step ends at once
@@ -72,11 +66,7 @@ def cancelled_step_can_be_left(probe: Probe) -> Iterator[str]:
         yield script.failure.problem
 
 
-@rule(
-    "4.2.3 Retrieving Status Information from the Slave",
-    Stage.BEHAVIOUR,
-    condition=unless_claimed(_ASYNCHRONOUS),
-)
+@behaviour_rule("4.2.3 Retrieving Status Information from the Slave", condition=unless_claimed(_ASYNCHRONOUS))
 def status_of_a_pending_step_is_given(probe: Probe) -> Iterator[str]:
     """While a step is pending, fmi2GetStatus returns ok and gives pending, or the status of the step that has
     ended; a text of fmi2PendingStatus is UTF-8.
@@ -107,7 +97,7 @@ def status_of_a_pending_step_is_given(probe: Probe) -> Iterator[str]:
         yield from differing(expected, [outputs], "after a step that has ended by fmi2GetStatus")
 
 
-@rule(_COMPUTATION, Stage.BEHAVIOUR, Level.WARNING, condition=unless_claimed(_ASYNCHRONOUS))
+@behaviour_rule(_COMPUTATION, Level.WARNING, condition=unless_claimed(_ASYNCHRONOUS))
 def cancelled_step_ends_stepping(probe: Probe) -> Iterator[str]:
     """After fmi2CancelStep no step is accepted, and a saved state can be set."""
     script = probe.script(logging=True).forbidden().begin()  # where the step ends at once

@@ -20,12 +20,14 @@ from fmus.compliance import (
     directional_rules,
     discard_rules,
     initialization_rules,
+    input_derivative_rules,
     input_slope_rules,
     instance_rules,
     lifecycle_rules,
     location_rules,
     log_rules,
     message_rules,
+    output_derivative_rules,
     process_rules,
     reference_rules,
     reset_rules,
@@ -35,49 +37,32 @@ from fmus.compliance import (
     state_rules,
     status_rules,
     step_dependency_rules,
+    step_directional_rules,
     step_rules,
     value_rules,
 )  # fmt: skip
-from fmus.compliance.fmu_file import BrokenMemberError, FmuFile
+from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.fmu_process import START_S
 from fmus.compliance.instance_rules import ONLY_ONCE
+from fmus.compliance.judge import ENDED, FUNDAMENTAL, HUNG, IS_BROKEN, SLOW, judged_by_one_process
 from fmus.compliance.library_rules import no_co_simulation
-from fmus.compliance.lifecycle_rules import RANDOM
-from fmus.compliance.probe import NO_INSTANCE, START_S, Probe
-from fmus.compliance.rule import (
-    Level,
-    NotApplicableError,
-    NotJudgedError,
-    Result,
-    Rule,
-    Stage,
-    defect,
-    messages_of,
-    registered,
-)
-from fmus.compliance.script import KINDS, CallError, DefectError
+from fmus.compliance.probe import NO_INSTANCE, Probe
+from fmus.compliance.rule import Level, Result, Rule, Stage, registered
+from fmus.compliance.script import KINDS
 from fmus.errors import HostError
-from fmus.process import ProcessEndedError, WorkerProcess
+from fmus.process import WorkerProcess
 
 MODULES = (
     lifecycle_rules, location_rules, reset_rules, initialization_rules, instance_rules, resource_rules,
     call_rules, status_rules, discard_rules, value_rules, constancy_rules, setting_rules, step_rules,
     asynchronous_rules, callback_rules, log_rules, message_rules, process_rules, state_rules,
-    saved_value_rules, derivative_rules, input_slope_rules, directional_rules, dependency_rules,
-    step_dependency_rules, reference_rules,
+    saved_value_rules, input_derivative_rules, output_derivative_rules, derivative_rules, input_slope_rules,
+    directional_rules, step_directional_rules, dependency_rules, step_dependency_rules, reference_rules,
 )  # fmt: skip
-FUNDAMENTAL = (
-    "library-loads", "instantiates-and-frees", "steps-and-terminates", "frees-in-every-state",
-    "runs-are-repeatable",
-)  # fmt: skip
-"""Without these no behaviour is judged: what else would be found has the same cause."""
 DEFAULT_TIMEOUT_S = 30.0
 _STEPS = "steps-and-terminates"
-_IS_BROKEN = " is broken"
-_ENDED = "the FMU ended the process with"
 _FORMATS = "formats-of-messages-are-legal"  # a wrong format crashes whatever logs
-_RANDOM_RUNS = "runs-are-not-random"
 _AFTER_OTHERS, _MOST_CRASHES = "instances-follow-each-other", 2
-_HUNG, _SLOW = "the FMU took more than", "the FMU is slow: its calls took more than"
 _MOST_HANGS, _MOST_SLOW = 3, 20  # then the rest is not judged: it would take minutes
 _OF_THE_HOST = ("ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EMFILE", "ENFILE", "EIO", "ENOMEM", "EAGAIN")
 
@@ -136,7 +121,7 @@ def _broken_library(fmu: FmuFile, earlier: Sequence[Result]) -> str:
     """The rule of libraries that the library of this platform breaks, if any."""
     broken = (r.rule.name for r in earlier if any(m.startswith(f"{fmu.host_library} ") for m in r.messages))
     return next(
-        (f"{name}{_IS_BROKEN}" for name in broken if name in ("library-format", "library-exports")), ""
+        (f"{name}{IS_BROKEN}" for name in broken if name in ("library-format", "library-exports")), ""
     )
 
 
@@ -163,7 +148,7 @@ def _judged(
                 return results | {rule.name: Result(rule, not_judged=reason) for rule in remaining}
             known = shared_alone if is_alone else shared
             probe = Probe(fmu, folder, time.monotonic() + START_S, known, started, is_alone)
-            for result in _judged_by_one_process(probe, remaining, results, timeout):
+            for result in judged_by_one_process(probe, remaining, results, timeout):
                 if is_alone:
                     results[result.rule.name] = result
                     continue
@@ -174,19 +159,24 @@ def _judged(
                     break
             started = None
             last = list(results.values())[-1]  # `library-loads` at least
-            if any(m.startswith(_ENDED) for m in last.messages) and _FORMATS in set(names) - set(results):
-                probe = Probe(fmu, folder, time.monotonic() + START_S, {}, None)
-                (formats,) = _judged_by_one_process(probe, [rules[_FORMATS]], {}, timeout)
-                if formats.messages and not formats.messages[0].startswith(_ENDED):
-                    results[last.rule.name] = Result(last.rule, not_judged=f"{_FORMATS}{_IS_BROKEN}")
-                    results[_FORMATS] = formats
+            if any(m.startswith(ENDED) for m in last.messages) and _FORMATS in set(names) - set(results):
+                probe = Probe(fmu, folder, time.monotonic() + START_S, {})
+                results |= _crash_of_a_format(last.rule, probe, rules[_FORMATS], timeout)
     return results
+
+
+def _crash_of_a_format(rule: Rule, probe: Probe, formats: Rule, timeout: float) -> dict[str, Result]:
+    """The results of a rule that ended with the process and of the one of formats, if that is the cause."""
+    (result,) = judged_by_one_process(probe, [formats], {}, timeout)
+    if not result.messages or result.messages[0].startswith(ENDED):
+        return {}
+    return {rule.name: Result(rule, not_judged=f"{_FORMATS}{IS_BROKEN}"), _FORMATS: result}
 
 
 def _lack_of_time(results: Mapping[str, Result], timeout: float) -> str:
     """Why the rest is not judged, as it would take too long."""
-    slow = {name: r.not_judged for name, r in results.items() if r.not_judged.startswith(_SLOW)}
-    if sum(m.startswith(_HUNG) for r in results.values() for m in r.messages) >= _MOST_HANGS:
+    slow = {name: r.not_judged for name, r in results.items() if r.not_judged.startswith(SLOW)}
+    if sum(m.startswith(HUNG) for r in results.values() for m in r.messages) >= _MOST_HANGS:
         return f"{_MOST_HANGS} rules before took more than {timeout:g} s in one call"
     if len(slow) >= _MOST_SLOW:
         return f"{_MOST_SLOW} rules before took more than {timeout:g} s"
@@ -208,14 +198,14 @@ def _without_instances_before(
     judge_alone: judges the rule where no instance was before
     """
     rule, follow = result.rule, results.get(_AFTER_OTHERS)
-    crashes = [m for m in result.messages if m.startswith((_ENDED, NO_INSTANCE))]
+    crashes = [m for m in result.messages if m.startswith((ENDED, NO_INSTANCE))]
     is_advice = rule.level is Level.WARNING  # it may have made calls that FMI forbids
     if (only_once and result.messages) or (is_advice and _is_no_instance(result)):
         return {rule.name: judge_alone()}
     if only_once or not crashes or follow is None:
         return {rule.name: result}
     if len(follow.messages) >= (1 if is_advice else _MOST_CRASHES):
-        return {rule.name: Result(rule, not_judged=f"{_AFTER_OTHERS}{_IS_BROKEN}")}
+        return {rule.name: Result(rule, not_judged=f"{_AFTER_OTHERS}{IS_BROKEN}")}
     if is_advice:
         return {rule.name: result}
     alone = judge_alone()
@@ -235,7 +225,7 @@ def _judged_alone(
 ) -> Result:
     """The verdict where no instance was in the process before, as 4.3.1 lets an FMU ask for."""
     probe = Probe(fmu, folder, time.monotonic() + START_S, shared, one_instance=True)
-    return next(_judged_by_one_process(probe, [rule], results, timeout))
+    return next(judged_by_one_process(probe, [rule], results, timeout))
 
 
 def _temporary_folder() -> tempfile.TemporaryDirectory[str]:
@@ -254,56 +244,3 @@ def host_errors() -> Iterator[None]:
         if errno.errorcode.get(error.errno or 0) in _OF_THE_HOST:
             raise HostError(f"{error}: expected disk space and a process for the check") from error
         raise
-
-
-def _judged_by_one_process(
-    probe: Probe, rules: Sequence[Rule], results: Mapping[str, Result], timeout: float
-) -> Iterator[Result]:
-    """Results, up to the first rule that the process does not survive, but one at least.
-
-    results: of the rules before; it grows with what this yields
-    """
-    rule, limit = rules[0], START_S
-    try:
-        probe.process.calls([])  # it has started
-        limit = timeout
-        for rule in rules:
-            probe.process.deadline = time.monotonic() + limit
-            yield _judge(rule, probe, results)
-    except TimeoutError:
-        if probe.process.hangs(limit):
-            yield Result(rule, (f"{_HUNG} {limit:g} s in one call",))
-        else:
-            yield Result(rule, not_judged=f"{_SLOW} {limit:g} s")
-    except ProcessEndedError as ended:
-        yield Result(rule, (f"{_ENDED} {ended}",))
-    finally:
-        probe.process.close()
-
-
-def _breach(result: Result) -> str:
-    """Why what needs a rule is not judged: it has an error, or is not judged because another one has."""
-    if result.outcome == "error":
-        return f"{result.rule.name}{_IS_BROKEN}"
-    return result.not_judged if result.not_judged.endswith((_IS_BROKEN, RANDOM)) else ""
-
-
-def _judge(rule: Rule, probe: Probe, results: Mapping[str, Result]) -> Result:
-    needed = [results[name] for name in (*FUNDAMENTAL, *rule.needs) if name in results]
-    reasons = set(filter(None, map(_breach, needed)))
-    if others := reasons - {RANDOM}:
-        return Result(rule, not_judged=min(others))
-    try:
-        messages = messages_of(rule.check(probe))
-        is_random = RANDOM in reasons and rule.name != _RANDOM_RUNS  # calls that fail or crash are told still
-        return Result(rule, not_judged=RANDOM) if is_random else Result(rule, messages)
-    except (TimeoutError, ProcessEndedError):
-        raise
-    except (NotJudgedError, DefectError) as reason:
-        return Result(rule, not_judged=str(reason))
-    except NotApplicableError as reason:
-        return Result(rule, not_applicable=str(reason))
-    except (CallError, BrokenMemberError) as error:  # whatever an FMU answers is a finding
-        return Result(rule, messages_of([str(error)]))
-    except Exception as error:
-        return Result(rule, not_judged=defect(error))

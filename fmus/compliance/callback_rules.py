@@ -2,25 +2,20 @@
 
 from collections.abc import Iterator
 
+from fmus.compliance.comparison import differing
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, Stage, rule
+from fmus.compliance.rule import Level, behaviour_rule
 from fmus.compliance.script import CallError
-from fmus.compliance.values import differing, unless_claimed
+from fmus.compliance.values import unless_claimed
 
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
 _OWN_MEMORY = "canNotUseMemoryManagementFunctions"
 _NAME = "system.subsystem[2].'instance with a name of its own'.part"
 
 
-@rule(
+@behaviour_rule(
     _CREATION,
-    Stage.BEHAVIOUR,
-    needs=[
-        "reset-in-every-state",
-        "allowed-calls-succeed",
-        "statuses-are-legal",
-        "messages-have-the-instance-name",
-    ],
+    needs="reset-in-every-state allowed-calls-succeed statuses-are-legal messages-have-the-instance-name",
 )
 def arguments_of_instantiation_are_copied(probe: Probe) -> Iterator[str]:
     """Name, GUID, resource location and the structure of callbacks are not used after fmi2Instantiate
@@ -51,7 +46,7 @@ def arguments_of_instantiation_are_copied(probe: Probe) -> Iterator[str]:
         yield f"messages carry the instance name {cut[0]!r}: expected {_NAME!r}"
 
 
-@rule(_CREATION, Stage.BEHAVIOUR)
+@behaviour_rule(_CREATION)
 def optional_callbacks_may_be_null(probe: Probe) -> Iterator[str]:
     """stepFinished and componentEnvironment may be NULL."""
     usual, fewest = probe.script().begin(), probe.script(callbacks="fewest", logging=True).begin()
@@ -66,11 +61,10 @@ def optional_callbacks_may_be_null(probe: Probe) -> Iterator[str]:
     yield from differing(expected, got, "without stepFinished and environment")
 
 
-@rule(
+@behaviour_rule(
     "4.3.1 Co-Simulation FMU (CoSimulation): canNotUseMemoryManagementFunctions",
-    Stage.BEHAVIOUR,
     condition=unless_claimed(_OWN_MEMORY),
-    needs=["state-can-be-saved-often"],
+    needs="state-can-be-saved-often",
 )
 def memory_functions_may_be_null(probe: Probe) -> Iterator[str]:
     """With canNotUseMemoryManagementFunctions, allocateMemory and freeMemory may be NULL, and are not
@@ -95,7 +89,7 @@ def memory_functions_may_be_null(probe: Probe) -> Iterator[str]:
         yield f"without memory functions: {error}"
 
 
-@rule("advice: 2.1.5, allocateMemory returns NULL if memory is used up", Stage.BEHAVIOUR, Level.WARNING)
+@behaviour_rule("advice: 2.1.5, allocateMemory returns NULL if memory is used up", Level.WARNING)
 def failed_allocation_is_handled(probe: Probe) -> Iterator[str]:
     """Where allocateMemory returns NULL, fmi2Instantiate returns NULL, or an instance that needs no
     such memory.

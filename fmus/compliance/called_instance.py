@@ -21,8 +21,8 @@ from fmus.binding import (
     element_type,
     reference_array,
 )  # fmt: skip
-from fmus.callbacks import AllocateMemory, Callbacks, CountingAllocator, FreeMemory, Logger, StepFinished
-from fmus.compliance.observed_callbacks import MessageLog, RefusingAllocator
+from fmus.callbacks import AllocateMemory, Callbacks, CountingAllocator, FreeMemory, StepFinished
+from fmus.compliance.observed_callbacks import MessageLog, RefusingAllocator, logger_of_formats, set_traps
 from fmus.compliance.process_settings import ProcessSettings
 from fmus.compliance.saved_states import SavedStates
 from fmus.compliance.script import ARGUMENTS, UNWRITTEN
@@ -33,6 +33,11 @@ _RETURN_ARRAYS = ("fmi2Get", "fmi2Serialize")  # by the last array among their a
 _STATUS_TYPES = {
     "": ctypes.c_int, **{name: element_type(name) for name in ("Real", "Integer", "Boolean", "String")},
 }  # fmt: skip
+
+
+def _not_numbers(count: int) -> Any:
+    """An array of results, each of which the FMU must write."""
+    return (ctypes.c_double * count)(*[math.nan] * count)
 
 
 class CalledInstance(BoundInstance):
@@ -46,11 +51,7 @@ class CalledInstance(BoundInstance):
     """
 
     def __init__(
-        self,
-        library: Library,
-        memory: CountingAllocator,
-        settings: ProcessSettings,
-        options: dict[str, Any],
+        self, library: Library, memory: CountingAllocator, settings: ProcessSettings, options: dict[str, Any]
     ) -> None:
         self._options, self._settings = options, settings
         self._kept: list[Any] = []
@@ -80,19 +81,10 @@ class CalledInstance(BoundInstance):
                 )
             )
         if kind == "formats":
-            structure.logger = self._logger_of_formats()
+            structure.logger = logger_of_formats(self.messages)
         if kind == "no memory":
             structure.allocateMemory = AllocateMemory()
             structure.freeMemory = FreeMemory()
-
-    def _logger_of_formats(self) -> Any:
-        """A logger that keeps the format of each message, as arguments do not reach Python."""
-
-        def log(_: int | None, name: bytes, status: int, category: bytes, message: bytes) -> None:
-            texts = [None if text is None else text.decode("utf-8", "replace") for text in (name, category)]
-            self.messages.add(status, (message or b"").decode("utf-8", "replace"), *texts)
-
-        return Logger(log)
 
     def create(self) -> bool:
         """Call fmi2Instantiate; False if it returns NULL."""
@@ -112,28 +104,8 @@ class CalledInstance(BoundInstance):
         if options.get("overwritten"):
             for buffer in strings:
                 ctypes.memset(buffer, ord("#"), len(buffer) - 1)
-            self._set_traps(structure)
+            self._kept += set_traps(structure, self.callbacks.structure, self.traps)
         return self.handle is not None
-
-    def _set_traps(self, structure: Any) -> None:
-        """Replace the callbacks of the structure, which the FMU may not look at any more."""
-        usual = self.callbacks.structure
-
-        def log(*_: Any) -> None:
-            self.traps.append("logger")
-
-        def allocate(count: int, size: int) -> Any:
-            self.traps.append("allocateMemory")
-            return usual.allocateMemory(count, size)
-
-        def free(address: Any) -> None:
-            self.traps.append("freeMemory")
-            usual.freeMemory(address)
-
-        structure.logger = Logger(log)
-        structure.allocateMemory = AllocateMemory(allocate)
-        structure.freeMemory = FreeMemory(free)
-        self._kept += [structure.logger, structure.allocateMemory, structure.freeMemory]
 
     def check_status(self, function: str, status: int) -> None:
         self.last_status = status
@@ -283,9 +255,7 @@ class CalledInstance(BoundInstance):
     def directional_derivatives(
         self, unknowns: Sequence[int], knowns: Sequence[int], seed: Sequence[float]
     ) -> list[float]:
-        result = (ctypes.c_double * len(unknowns))(
-            *[math.nan] * len(unknowns)
-        )  # so that each must be written
+        result = _not_numbers(len(unknowns))
         arguments = (
             reference_array(unknowns), len(unknowns), reference_array(knowns), len(knowns),
             (ctypes.c_double * len(seed))(*seed), result,
@@ -303,7 +273,7 @@ class CalledInstance(BoundInstance):
     def output_derivatives(self, references: Sequence[int], order: int | Sequence[int]) -> list[float]:
         """Derivatives of outputs, all of one order or each of its own."""
         count = len(references)
-        result = (ctypes.c_double * count)(*[math.nan] * count)  # so that each must be written
+        result = _not_numbers(count)
         orders = (ctypes.c_int * count)(*([order] * count if isinstance(order, int) else order))
         self.call("fmi2GetRealOutputDerivatives", reference_array(references), count, orders, result)
         return list(result)

@@ -3,18 +3,12 @@
 import struct
 from collections.abc import Iterator, Sequence
 
+from fmus.compliance.accepted import accepted
+from fmus.compliance.comparison import same, texts, unlike
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotApplicableError, Stage, rule
+from fmus.compliance.rule import Level, NotApplicableError, behaviour_rule
 from fmus.compliance.script import Reading, Script
-from fmus.compliance.values import (
-    accepted,
-    other_values,
-    same,
-    settable_while_stepping,
-    start_value,
-    texts,
-    unlike,
-)
+from fmus.compliance.values import other_values, settable_while_stepping, start_value
 from fmus.compliance.variable import Variable
 
 _VARIABLES = "2.2.7 Definition of Model Variables (ModelVariables)"
@@ -32,7 +26,7 @@ def _constants(probe: Probe) -> list[Variable]:
     return [v for v in probe.fmu.variables if v.variability == "constant" and start_value(v) is not None]
 
 
-@rule(_VARIABLES, Stage.BEHAVIOUR, needs=["communication-points-may-be-rounded"])
+@behaviour_rule(_VARIABLES, needs="communication-points-may-be-rounded")
 def constants_have_their_value(probe: Probe) -> Iterator[str]:
     """Constants have their start value after steps."""
     constants = _constants(probe)
@@ -44,17 +38,16 @@ def constants_have_their_value(probe: Probe) -> Iterator[str]:
         yield f"{v.name} is {value}, a constant: expected {start}"
 
 
-@rule(
+@behaviour_rule(
     "advice: Reals are double, and 2.2.7 tells no precision of constants",
-    Stage.BEHAVIOUR,
     Level.WARNING,
-    needs=["constants-have-their-value"],
+    needs="constants-have-their-value",
 )
 def constants_have_double_precision(probe: Probe) -> Iterator[str]:
     """Constants are not held in single precision."""
     constants = _constants(probe)
     script = probe.script().begin()
-    reading = script.step().read(constants)
+    reading = script.step().read(constants)  # the first step alone: an FMU may discard a later one
     script.play()
     for v in constants:
         start, value = start_value(v), reading.values[v.name]
@@ -63,7 +56,7 @@ def constants_have_double_precision(probe: Probe) -> Iterator[str]:
             yield f"{v.name} is {shown[0]}, a constant in single precision: expected {shown[1]}"
 
 
-@rule(_VARIABLES, Stage.BEHAVIOUR, needs=["communication-points-may-be-rounded"])
+@behaviour_rule(_VARIABLES, needs="communication-points-may-be-rounded")
 def fixed_values_stay(probe: Probe) -> Iterator[str]:
     """What is fixed or tunable, and inputs, change by steps only if the importer sets them."""
     chosen = [
@@ -87,7 +80,7 @@ def _moved(readings: Sequence[Reading], when: str) -> Iterator[str]:
                 yield f"{name} is {new} {when}: expected {old} as before"
 
 
-@rule(_VARIABLES, Stage.BEHAVIOUR, needs=["fixed-values-stay", "allowed-calls-succeed"])
+@behaviour_rule(_VARIABLES, needs="fixed-values-stay allowed-calls-succeed")
 def fixed_values_follow_nothing(probe: Probe) -> Iterator[str]:
     """Fixed values do not follow inputs and tunable parameters that are set at communication points,
     tunable ones do not follow inputs.
@@ -120,7 +113,7 @@ def _around_a_change(
     return [before, after] if script.succeeded else []
 
 
-@rule(_VARIABLES, Stage.BEHAVIOUR, needs=["inputs-that-are-set-are-read", "values-that-are-set-are-read"])
+@behaviour_rule(_VARIABLES, needs="inputs-that-are-set-are-read values-that-are-set-are-read")
 def tunable_values_are_computed_anew(probe: Probe) -> Iterator[str]:
     """A tunable parameter that is set at a communication point gives calculated tunable values as if it
     had been set before.

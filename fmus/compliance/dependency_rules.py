@@ -5,18 +5,18 @@ import random
 from collections.abc import Iterator
 from typing import Any
 
+from fmus.compliance.accepted import accepted
+from fmus.compliance.comparison import same
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotApplicableError, NotJudgedError, Stage, rule
+from fmus.compliance.rule import Level, NotApplicableError, NotJudgedError, behaviour_rule
 from fmus.compliance.values import (
-    accepted,
     other_value,
     other_values,
     random_value,
-    same,
     settable_in_initialization,
     start_value,
 )
-from fmus.compliance.variable import Variable, integer
+from fmus.compliance.variable import Variable
 
 _STRUCTURE = "2.2.8 Definition of the Model Structure (ModelStructure)"
 _MOST_KNOWNS = 100
@@ -29,16 +29,13 @@ Point = list[tuple[Variable, Any]]
 
 
 def _unknowns(probe: Probe) -> list[Variable]:
-    return [probe.fmu.variables[(i or 1) - 1] for i, _ in probe.fmu.unknowns("InitialUnknowns")]
+    return [unknown for unknown, *_ in probe.fmu.dependencies("InitialUnknowns")]
 
 
-def _declared(probe: Probe) -> dict[str, set[int | None]]:
-    """Initial unknown -> indices of the knowns that it declares; without a declaration it is left out."""
-    return {
-        probe.fmu.variables[(index or 1) - 1].name: {integer(i) for i in element.get("dependencies").split()}
-        for index, element in probe.fmu.unknowns("InitialUnknowns")
-        if element.get("dependencies") is not None
-    }
+def declared(probe: Probe, section: str = "InitialUnknowns") -> dict[str, set[int | None]]:
+    """Unknown -> indices of the knowns that it declares; without a declaration it is left out."""
+    listed = probe.fmu.dependencies(section)
+    return {unknown.name: set(knowns) for unknown, knowns, _ in listed if knowns is not None}
 
 
 def _changed(probe: Probe, pairs: list[tuple[Point, Variable, Any]]) -> list[tuple[Variable, set[str]]]:
@@ -64,19 +61,17 @@ def _changed(probe: Probe, pairs: list[tuple[Point, Variable, Any]]) -> list[tup
 def _influences(probe: Probe) -> list[tuple[Variable, set[str]]]:
     """Known -> the initial unknowns that it changes, at the start values."""
     knowns = settable_in_initialization(probe.fmu)[:_MOST_KNOWNS]
-    pairs: list[tuple[Point, Variable, Any]] = [
-        ([], known, value) for known in knowns if (value := other_value(known)) is not None
-    ]
+    pairs: list[tuple[Point, Variable, Any]] = [([], known, value) for known, value in other_values(knowns)]
     return probe.once("change of what initial values depend on", lambda: _changed(probe, pairs))
 
 
-@rule(_STRUCTURE, Stage.BEHAVIOUR)
+@behaviour_rule(_STRUCTURE)
 def initial_dependencies_are_declared(probe: Probe) -> Iterator[str]:
     """An initial unknown changes only with the knowns that its dependencies list."""
-    declared = _declared(probe)
+    listed = declared(probe)
     for known, changes in _influences(probe):
-        named = changes & declared.keys() - {known.name}
-        unlisted = {name for name in named if known.index not in declared[name]}
+        named = changes & listed.keys() - {known.name}
+        unlisted = {name for name in named if known.index not in listed[name]}
         for name in sorted(unlisted - _noise(probe, known, unlisted)):
             expected = "expected that among its dependencies"
             yield f"{name} changes with {known.name} in initialization mode: {expected}"
@@ -102,7 +97,7 @@ def _noise(probe: Probe, known: Variable, names: set[str]) -> set[str]:
     }
 
 
-@rule(_STRUCTURE, Stage.BEHAVIOUR, Level.WARNING, needs=["variables-can-be-read"])
+@behaviour_rule(_STRUCTURE, Level.WARNING, needs="variables-can-be-read")
 def dependencies_on_time_are_declared(probe: Probe) -> Iterator[str]:
     """Where the independent variable is defined, an initial unknown changes with the start time only if it
     lists it.
@@ -116,16 +111,15 @@ def dependencies_on_time_are_declared(probe: Probe) -> Iterator[str]:
     if not all(script.succeeded for script in scripts):
         raise NotJudgedError("another start time is refused")
     before, after = (reading.values for reading in readings)
-    for name, listed in _declared(probe).items():
+    for name, listed in declared(probe).items():
         if not listed & independent and not same(before[name], after[name], _NOISE):
             yield f"{name} changes with the start time: expected the independent variable in its dependencies"
 
 
-@rule(
+@behaviour_rule(
     "advice: 2.2.8, dependencies may list more",
-    Stage.BEHAVIOUR,
     Level.WARNING,
-    needs=["allowed-calls-succeed", "variables-can-be-read"],
+    needs="allowed-calls-succeed variables-can-be-read",
 )
 def initial_dependencies_exist(probe: Probe) -> Iterator[str]:
     """A continuous initial unknown that lists Real inputs changes with one of them somewhere."""
@@ -137,7 +131,7 @@ def initial_dependencies_exist(probe: Probe) -> Iterator[str]:
     real = {known.index for known in knowns if known.kind == "Real" and known.causality == "input"}
     numbers = _finite(probe)
     alone: dict[str, set[int | None]] = {
-        name: listed & real for name, listed in _declared(probe).items() if listed & real and name in numbers
+        name: listed & real for name, listed in declared(probe).items() if listed & real and name in numbers
     }
     alone = _unmoved(alone, _influences(probe))
     for point in _points(knowns, chance) if alone else ():
@@ -159,11 +153,11 @@ def _finite(probe: Probe) -> set[str]:
 
 
 def _unmoved(
-    declared: dict[str, set[int | None]], changes: list[tuple[Variable, set[str]]]
+    listed: dict[str, set[int | None]], changes: list[tuple[Variable, set[str]]]
 ) -> dict[str, set[int | None]]:
     """Those unknowns that no known changes which they list."""
     moved = {(name, known.index) for known, names in changes for name in names}
-    return {name: listed for name, listed in declared.items() if not any((name, i) in moved for i in listed)}
+    return {name: knowns for name, knowns in listed.items() if not any((name, i) in moved for i in knowns)}
 
 
 def _points(knowns: list[Variable], chance: random.Random) -> Iterator[Point]:
@@ -180,13 +174,13 @@ def _points(knowns: list[Variable], chance: random.Random) -> Iterator[Point]:
         yield [(v, x) for v in moved if (x := random_value(v, chance)) is not None]
 
 
-@rule(_STRUCTURE, Stage.BEHAVIOUR, Level.WARNING, needs=["variables-can-be-read"])
+@behaviour_rule(_STRUCTURE, Level.WARNING, needs="variables-can-be-read")
 def constant_factors_are_constant(probe: Probe) -> Iterator[str]:
     """An initial unknown changes with a known of the kind constant by the same factor everywhere, whatever
     the inputs are.
     """
     inputs = [v for v in settable_in_initialization(probe.fmu) if v.causality == "input"]
-    point: Point = [(v, x) for v in inputs if (x := other_value(v)) is not None]
+    point: Point = other_values(inputs)
     for known, unknowns in _constant_factors(probe)[:_MOST_KNOWNS]:
         start, value = start_value(known), other_value(known)
         if not isinstance(start, float) or value is None:
@@ -216,18 +210,9 @@ def _constant_factors(probe: Probe) -> list[tuple[Variable, list[Variable]]]:
     initial = {v.index for v in _unknowns(probe)}
     result: dict[int, list[Variable]] = {}
     for section in ("InitialUnknowns", "Outputs"):
-        for index, element in probe.fmu.unknowns(section):
-            listed, kinds = (element.get(name, "").split() for name in ("dependencies", "dependenciesKind"))
-            unknown = probe.fmu.variables[(index or 1) - 1]
-            for known, kind in zip(map(integer, listed), kinds, strict=False):
-                if (
-                    known is not None
-                    and kind == "constant"
-                    and known in settable
-                    and index in initial
-                    and unknown.kind == "Real"
-                ):
-                    members = result.setdefault(known, [])
-                    if unknown not in members:
-                        members.append(unknown)
+        for unknown, knowns, kinds in probe.fmu.dependencies(section):
+            judged = unknown.kind == "Real" and unknown.index in initial
+            for known, kind in zip(knowns or () if judged else (), kinds, strict=False):
+                if known in settable and kind == "constant" and unknown not in result.setdefault(known, []):
+                    result[known].append(unknown)
     return [(settable[known], unknowns) for known, unknowns in result.items()]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from fmus.binding import DISCARD, LAST_SUCCESSFUL_TIME, TERMINATED
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import NotApplicableError, NotJudgedError, Stage, rule
+from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
 from fmus.compliance.script import Reply, Script
 from fmus.compliance.values import unless_claimed
 
@@ -43,7 +43,7 @@ def _first_discarded(probe: Probe) -> _DiscardedStep | None:
     return _DiscardedStep(steps[-1], len(steps) - 1, time, terminated)
 
 
-@rule("4.2.2 Computation (fmi2DoStep)", Stage.BEHAVIOUR)
+@behaviour_rule("4.2.2 Computation (fmi2DoStep)")
 def discarded_steps_have_a_last_time(probe: Probe) -> Iterator[str]:
     """Where a step is discarded, fmi2LastSuccessfulTime, if given, lies in that step, before its end, and
     fmi2Terminated is a Boolean.
@@ -64,10 +64,9 @@ def discarded_steps_have_a_last_time(probe: Probe) -> Iterator[str]:
         yield f"{step} was discarded and nothing was logged: expected the reason"
 
 
-@rule(
+@behaviour_rule(
     "4.2.4 State Machine of Calling Sequence from Master to Slave",
-    Stage.BEHAVIOUR,
-    needs=["reset-in-every-state", "variables-can-be-read"],
+    needs="reset-in-every-state variables-can-be-read",
 )
 def discarded_steps_can_be_left(probe: Probe) -> Iterator[str]:
     """After a step was discarded variables can be read, and fmi2Terminate, fmi2Reset and, if it is

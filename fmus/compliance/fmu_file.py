@@ -2,11 +2,11 @@
 
 import re
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 from fmus.binding import library_member
 from fmus.compliance.variable import Variable, integer, is_true
@@ -45,6 +45,14 @@ class BrokenMemberError(ValueError):
 
 class UnreadableMemberError(Exception):
     """A member cannot be unpacked, which is a finding of the rules of the archive."""
+
+
+class Dependencies(NamedTuple):
+    """Indices of the knowns that an unknown lists, with their kinds; None where it lists nothing."""
+
+    unknown: Variable
+    knowns: Sequence[int | None] | None
+    kinds: Sequence[str]
 
 
 class FmuFile:
@@ -184,6 +192,15 @@ class FmuFile:
             index = integer(element.get("index"))
             exists = index is not None and 1 <= index <= len(self.variables)
             yield (index if exists else None), element
+
+    def dependencies(self, section: str) -> Iterator[Dependencies]:
+        """Those of each Unknown of a section of ModelStructure that is the index of a variable."""
+        for index, element in self.unknowns(section):
+            if index is not None:
+                stated = element.get("dependencies")
+                knowns = None if stated is None else [integer(text) for text in stated.split()]
+                kinds = element.get("dependenciesKind", "").split()
+                yield Dependencies(self.variables[index - 1], knowns, kinds)
 
     def platforms(self) -> list[str]:
         """Names of the folders below binaries that hold a file."""

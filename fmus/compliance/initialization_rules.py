@@ -2,18 +2,12 @@
 
 from collections.abc import Iterator
 
+from fmus.compliance.accepted import accepted
+from fmus.compliance.comparison import differing, failing_or_differing, unlike
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotApplicableError, NotJudgedError, Stage, rule
+from fmus.compliance.rule import Level, NotApplicableError, NotJudgedError, behaviour_rule
 from fmus.compliance.script import KINDS, CallError, Script
-from fmus.compliance.values import (
-    accepted,
-    differing,
-    other_value,
-    other_values,
-    settable_in_initialization,
-    start_value,
-    unlike,
-)
+from fmus.compliance.values import other_value, other_values, settable_in_initialization, start_value
 from fmus.compliance.variable import Variable
 
 _INITIALIZATION = "2.1.6 Initialization, Termination, and Resetting an FMU"
@@ -22,7 +16,7 @@ _MOST_VARIABLES = 50
 _ROUNDED = 1e-6
 
 
-@rule(_INITIALIZATION, Stage.BEHAVIOUR, Level.WARNING)
+@behaviour_rule(_INITIALIZATION, Level.WARNING)
 def set_up_can_be_repeated(probe: Probe) -> Iterator[str]:
     """fmi2SetupExperiment may be called at least once: the last call counts, for time and stop time, and what
     was set before it stays.
@@ -33,13 +27,10 @@ def set_up_can_be_repeated(probe: Probe) -> Iterator[str]:
     got = script.run(2)
     usual.play()
     script.play(keep_going=True)
-    if script.failure:
-        yield f"after a second fmi2SetupExperiment: {script.failure.problem}"
-    else:
-        yield from differing(expected, got, "after a second fmi2SetupExperiment")
+    yield from failing_or_differing(script, expected, got, "after a second fmi2SetupExperiment")
 
 
-@rule(_INITIALIZATION, Stage.BEHAVIOUR)
+@behaviour_rule(_INITIALIZATION)
 def undefined_tolerance_is_ignored(probe: Probe) -> Iterator[str]:
     """If toleranceDefined is false, tolerance is not looked at, and no stop time is needed."""
     script = probe.script(logging=True)
@@ -49,7 +40,7 @@ def undefined_tolerance_is_ignored(probe: Probe) -> Iterator[str]:
         yield f"with an undefined tolerance of -1: {script.failure.problem}"
 
 
-@rule("advice: a user may want to see windows", Stage.BEHAVIOUR, Level.WARNING)
+@behaviour_rule("advice: a user may want to see windows", Level.WARNING)
 def visible_instances_run(probe: Probe) -> Iterator[str]:
     """With visible = fmi2True an instance is created and takes a step."""
     script = probe.script(visible=True, logging=True).begin().step()
@@ -59,11 +50,10 @@ def visible_instances_run(probe: Probe) -> Iterator[str]:
         yield f"with visible = fmi2True: {error}"
 
 
-@rule(
+@behaviour_rule(
     "2.2.7 Definition of Model Variables (ModelVariables)",
-    Stage.BEHAVIOUR,
     Level.WARNING,
-    needs=["start-values-are-as-declared", "values-that-are-set-are-read"],
+    needs="start-values-are-as-declared values-that-are-set-are-read",
 )
 def exact_values_remain_after_initialization(probe: Probe) -> Iterator[str]:
     """Directly after fmi2ExitInitializationMode a variable with initial exact has its start value, or the
@@ -89,7 +79,7 @@ def exact_values_remain_after_initialization(probe: Probe) -> Iterator[str]:
         yield f"{v.name} is {value} after initialisation: expected {exact}, its exact value"
 
 
-@rule(_VALUES, Stage.BEHAVIOUR, needs=["values-that-are-set-are-read"])
+@behaviour_rule(_VALUES, needs="values-that-are-set-are-read")
 def values_are_set_together(probe: Probe) -> Iterator[str]:
     """Several variables that are set in one call have the values that they have if each is set in a call of
     its own.

@@ -3,18 +3,17 @@
 import math
 from collections.abc import Callable, Iterator
 
-from fmus.compliance.derivative_rules import INTERPOLATES, derive, input_effects
+from fmus.compliance.comparison import differing, texts
+from fmus.compliance.input_derivative_rules import INTERPOLATES, derive, input_effects
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotApplicableError, NotJudgedError, Stage, rule
+from fmus.compliance.rule import Level, NotApplicableError, NotJudgedError, behaviour_rule
 from fmus.compliance.script import Reading, Script
 from fmus.compliance.values import (
     continuous_reals,
-    differing,
     other_value,
     other_values,
     references_of,
     start_value,
-    texts,
     unless_claimed,
 )
 from fmus.compliance.variable import Variable
@@ -28,12 +27,11 @@ _APART = 0.35  # relative: less than what a half or a double is away
 _NOISE = 1e-9  # relative
 
 
-@rule(
+@behaviour_rule(
     "4.2.1 Transfer of Input / Output Values and Parameters",
-    Stage.BEHAVIOUR,
     Level.WARNING,
     condition=unless_claimed(INTERPOLATES),
-    needs=["input-derivatives-have-an-effect", "setting-the-same-changes-nothing", "variable-step-size"],
+    needs="input-derivatives-have-an-effect setting-the-same-changes-nothing variable-step-size",
 )
 def input_derivatives_are_slopes(probe: Probe) -> Iterator[str]:
     """With its first derivative an input moves an output, which follows it through a state, in a step about
@@ -98,11 +96,10 @@ def _wrong_effect(probe: Probe, v: Variable, change: float) -> Iterator[str]:
         )
 
 
-@rule(
+@behaviour_rule(
     "4.2.1 Transfer of Input / Output Values and Parameters",
-    Stage.BEHAVIOUR,
     condition=unless_claimed(INTERPOLATES),
-    needs=["input-derivatives-have-an-effect", "variables-can-be-read"],
+    needs="input-derivatives-have-an-effect variables-can-be-read",
 )
 def input_derivatives_are_set_together(probe: Probe) -> Iterator[str]:
     """Derivatives of several inputs that are set in one call act as if each is set in a call of its own, also

@@ -4,10 +4,10 @@ and freed.
 
 from collections.abc import Iterator
 
+from fmus.compliance.comparison import differing
 from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe, refusal
-from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
-from fmus.compliance.values import differing
+from fmus.compliance.rule import Level, NotJudgedError, behaviour_rule
 
 _NAMING = "2.1.1 Header Files and Naming of Functions"
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
@@ -16,14 +16,14 @@ _STEPS, _MANY_STEPS = 5, 30
 RANDOM = "the outputs are random"
 
 
-@rule(_NAMING, Stage.BEHAVIOUR)
+@behaviour_rule(_NAMING)
 def library_loads(probe: Probe) -> Iterator[str]:
     """The library of this platform loads, and has every function of FMI 2.0 for co-simulation."""
     probe.ask("load")
     yield from ()
 
 
-@rule(_CREATION, Stage.BEHAVIOUR)
+@behaviour_rule(_CREATION)
 def instantiates_and_frees(probe: Probe) -> Iterator[str]:
     """An instance is created, freed, and created and freed again."""
     for _ in range(2):
@@ -33,7 +33,7 @@ def instantiates_and_frees(probe: Probe) -> Iterator[str]:
             return
 
 
-@rule("2.1.4 Inquire Platform and Version Number of Header Files", Stage.BEHAVIOUR)
+@behaviour_rule("2.1.4 Inquire Platform and Version Number of Header Files")
 def library_version(probe: Probe) -> Iterator[str]:
     """fmi2GetVersion is 2.0, and fmi2GetTypesPlatform default, a static string."""
     for function, expected in (("GetVersion", "2.0"), ("GetTypesPlatform", "default")):
@@ -44,7 +44,7 @@ def library_version(probe: Probe) -> Iterator[str]:
             yield f"fmi2{function} returns another address each time: expected a static string"
 
 
-@rule(_CREATION, Stage.BEHAVIOUR)
+@behaviour_rule(_CREATION)
 def free_of_null_is_ignored(probe: Probe) -> Iterator[str]:
     """fmi2FreeInstance of NULL does nothing, also after an instance was freed."""
     probe.creates()
@@ -52,7 +52,7 @@ def free_of_null_is_ignored(probe: Probe) -> Iterator[str]:
     yield from ()
 
 
-@rule("4.2.2 Computation (fmi2DoStep)", Stage.BEHAVIOUR)
+@behaviour_rule("4.2.2 Computation (fmi2DoStep)")
 def steps_and_terminates(probe: Probe) -> Iterator[str]:
     """It is initialised; equal steps of the default experiment's size succeed, then fmi2Terminate."""
     script = probe.script(logging=True).begin().step(_STEPS)
@@ -62,7 +62,7 @@ def steps_and_terminates(probe: Probe) -> Iterator[str]:
     yield from ()
 
 
-@rule("4.2.4 State Machine of Calling Sequence from Master to Slave", Stage.BEHAVIOUR)
+@behaviour_rule("4.2.4 State Machine of Calling Sequence from Master to Slave")
 def frees_in_every_state(probe: Probe) -> Iterator[str]:
     """fmi2FreeInstance is allowed when instantiated, in initialization mode, while stepping, after
     fmi2Terminate and after an error.
@@ -76,7 +76,7 @@ def frees_in_every_state(probe: Probe) -> Iterator[str]:
     yield from ()
 
 
-@rule("4.1.2 Mathematical Model", Stage.BEHAVIOUR)
+@behaviour_rule("4.1.2 Mathematical Model")
 def runs_are_repeatable(probe: Probe) -> Iterator[str]:
     """The same calls give the same outputs in every instance, if they do so in every process."""
     different, is_random = _compared(probe)
@@ -85,7 +85,7 @@ def runs_are_repeatable(probe: Probe) -> Iterator[str]:
     yield from different
 
 
-@rule("advice: 4.1.2 knows no random numbers", Stage.BEHAVIOUR, Level.WARNING)
+@behaviour_rule("advice: 4.1.2 knows no random numbers", Level.WARNING)
 def runs_are_not_random(probe: Probe) -> Iterator[str]:
     """The same calls give the same outputs in every process; otherwise nothing else is judged."""
     different, is_random = _compared(probe)
@@ -114,7 +114,7 @@ def _differences(probe: Probe) -> Iterator[str]:
     yield from differing(first, second, "in a second instance")
 
 
-@rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING)
+@behaviour_rule(_CREATION, Level.WARNING)
 def wrong_guid_is_refused(probe: Probe) -> Iterator[str]:
     """fmi2Instantiate returns NULL for a GUID that is not the description's, also where it is nearly so."""
     guid = probe.fmu.guid
@@ -130,7 +130,7 @@ def wrong_guid_is_refused(probe: Probe) -> Iterator[str]:
             return
 
 
-@rule(_CREATION, Stage.BEHAVIOUR)
+@behaviour_rule(_CREATION)
 def failed_instantiation_is_logged(probe: Probe) -> Iterator[str]:
     """If fmi2Instantiate returns NULL, the logger was called with the reason."""
     created, messages = probe.creates(guid=_WRONG_GUID, logging=True)

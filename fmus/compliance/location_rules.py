@@ -2,14 +2,12 @@
 
 from collections.abc import Iterator
 
+from fmus.compliance.comparison import differing, failing_or_differing
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
+from fmus.compliance.rule import Level, NotJudgedError, behaviour_rule
 from fmus.compliance.script import CallError, Reading
-from fmus.compliance.values import (
-    differing,
-    if_not_claimed,
-)
+from fmus.compliance.values import if_not_claimed
 
 _RESOURCES = "resources/"
 _CODE = (".class", ".dll", ".dylib", ".exe", ".jar", ".m", ".py", ".pyc", ".pyd", ".so", ".whl", ".zip")
@@ -22,7 +20,7 @@ def _without_resources(fmu: FmuFile) -> str:
     return "" if has_resources else "it has no resources"
 
 
-@rule(_CREATION, Stage.BEHAVIOUR)
+@behaviour_rule(_CREATION)
 def resource_locations_of_both_forms(probe: Probe) -> Iterator[str]:
     """The location of the resources may be a URI with or without authority: file:///path and file:/path."""
     usual = probe.ask("resource_location")
@@ -32,7 +30,7 @@ def resource_locations_of_both_forms(probe: Probe) -> Iterator[str]:
     yield from _with_location(probe, usual.replace("file:///", "file:/", 1), first)
 
 
-@rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING)
+@behaviour_rule(_CREATION, Level.WARNING)
 def resource_location_is_decoded(probe: Probe) -> Iterator[str]:
     """The location of the resources is a URI of RFC 3986: %20 in it is a space of the path."""
     script = probe.script().begin()
@@ -52,7 +50,7 @@ def _without_data(fmu: FmuFile) -> str:
     return "its resources hold code, which may be loaded later" if has_code else _without_resources(fmu)
 
 
-@rule("2.3 FMU Distribution (resources)", Stage.BEHAVIOUR, condition=_without_data)
+@behaviour_rule("2.3 FMU Distribution (resources)", condition=_without_data)
 def resources_are_read_in_initialization(probe: Probe) -> Iterator[str]:
     """Resources that are data are read before fmi2ExitInitializationMode returns: steps need them no more."""
     usual = probe.script().begin()
@@ -66,10 +64,7 @@ def resources_are_read_in_initialization(probe: Probe) -> Iterator[str]:
         script.play(keep_going=True)
     except CallError as error:  # an operating system without links, or an FMU that does not follow them
         raise NotJudgedError(str(error)) from error
-    if script.failure:
-        yield f"without its resources after initialisation: {script.failure.problem}"
-    else:
-        yield from differing(expected, got, "without its resources after initialisation")
+    yield from failing_or_differing(script, expected, got, "without its resources after initialisation")
 
 
 def _with_location(probe: Probe, location: str, expected: list[Reading]) -> Iterator[str]:
@@ -86,7 +81,7 @@ def _with_location(probe: Probe, location: str, expected: list[Reading]) -> Iter
     yield from differing(expected, got, f"with the resource location {location}")
 
 
-@rule(_FLAGS + ": needsExecutionTool", Stage.BEHAVIOUR, condition=if_not_claimed("needsExecutionTool"))
+@behaviour_rule(_FLAGS + ": needsExecutionTool", condition=if_not_claimed("needsExecutionTool"))
 def needs_no_tool(probe: Probe) -> Iterator[str]:
     """Without needsExecutionTool, the FMU runs here although no program can be found by the search path."""
     before = probe.ask("set_search_path", "")

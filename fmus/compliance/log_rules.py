@@ -6,12 +6,12 @@ from functools import cache
 from itertools import takewhile
 
 from fmus.binding import OK, WARNING
+from fmus.compliance.comparison import failing_or_differing
 from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotApplicableError, Stage, rule
+from fmus.compliance.rule import Level, NotApplicableError, behaviour_rule
 from fmus.compliance.script import CallError, Message, Script
 from fmus.compliance.session import NAME, session
-from fmus.compliance.values import differing
 
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
 _ONLY_ONCE = "canBeInstantiatedOnlyOncePerProcess"
@@ -36,7 +36,7 @@ def declared_categories(probe: Probe) -> list[str]:
     return [c.get("name", "") for c in probe.fmu.root.iterfind("LogCategories/Category")]
 
 
-@rule(_CREATION, Stage.BEHAVIOUR)
+@behaviour_rule(_CREATION)
 def messages_have_the_instance_name(probe: Probe) -> Iterator[str]:
     """Messages carry the name of the instance that sends them, and the environment of its callbacks."""
     messages = messages_of_a_session(probe)
@@ -70,13 +70,13 @@ def _of_another(probe: Probe) -> Iterator[str]:
                 return
 
 
-@rule(_CREATION, Stage.BEHAVIOUR)
+@behaviour_rule(_CREATION)
 def log_categories_are_declared(probe: Probe) -> Iterator[str]:
     """Messages have a category of LogCategories; without LogCategories it is NULL."""
     yield from _undeclared(probe, messages_of_a_session(probe))
 
 
-@rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING)
+@behaviour_rule(_CREATION, Level.WARNING)
 def messages_have_a_category(probe: Probe) -> Iterator[str]:
     """Messages have a category, if LogCategories declares any."""
     declared = declared_categories(probe)
@@ -84,7 +84,7 @@ def messages_have_a_category(probe: Probe) -> Iterator[str]:
         yield f"a message has no category: expected one of {', '.join(declared)}"
 
 
-@rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING)
+@behaviour_rule(_CREATION, Level.WARNING)
 def log_category_of_a_refusal_is_declared(probe: Probe) -> Iterator[str]:
     """The message of an instantiation that fails, too, has a category of LogCategories."""
     created, messages = probe.creates(name=NAME, guid="wrong", logging=True)
@@ -101,7 +101,7 @@ def _undeclared(probe: Probe, messages: Sequence[Message]) -> Iterator[str]:
             yield f"a message has the category {category!r}: expected {expected}"
 
 
-@rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING)
+@behaviour_rule(_CREATION, Level.WARNING)
 def messages_have_no_trailing_line_break(probe: Probe) -> Iterator[str]:
     """Messages do not end with a line break."""
     for text in dict.fromkeys(m.text for m in messages_of_a_session(probe) if m.text.endswith(("\n", "\r"))):
@@ -109,7 +109,7 @@ def messages_have_no_trailing_line_break(probe: Probe) -> Iterator[str]:
         return
 
 
-@rule(_CREATION, Stage.BEHAVIOUR)
+@behaviour_rule(_CREATION)
 def variables_in_messages_exist(probe: Probe) -> Iterator[str]:
     """In messages `#r12#` is a variable with that type and value reference, and `##` stands for `#`."""
     known = {(v.base_kind, v.reference) for v in probe.fmu.variables}
@@ -122,7 +122,7 @@ def variables_in_messages_exist(probe: Probe) -> Iterator[str]:
             yield f"a message has a single #: expected ## or the reference of a variable: {text[:80]!r}"
 
 
-@rule(_CREATION, Stage.BEHAVIOUR)
+@behaviour_rule(_CREATION)
 def status_of_messages_is_legal(probe: Probe) -> Iterator[str]:
     """Messages carry an fmi2Status."""
     for status in {m.status for m in messages_of_a_session(probe)}:
@@ -135,7 +135,7 @@ def _unwanted(category: str | None) -> str:
     return f"of the category {category!r}" if category else "without category"
 
 
-@rule(_CREATION, Stage.BEHAVIOUR)
+@behaviour_rule(_CREATION)
 def no_messages_with_logging_off(probe: Probe) -> Iterator[str]:
     """With loggingOn = fmi2False, and after fmi2SetDebugLogging with it, no messages with the status ok
     arrive from calls that return ok, also after fmi2Reset.
@@ -154,7 +154,7 @@ def no_messages_with_logging_off(probe: Probe) -> Iterator[str]:
             yield f"a message arrives although logging is off {when}: {texts[0][:80]!r}"
 
 
-@rule(_CREATION, Stage.BEHAVIOUR, needs=["allowed-calls-succeed", "statuses-are-legal"])
+@behaviour_rule(_CREATION, needs="allowed-calls-succeed statuses-are-legal")
 def debug_logging_can_be_set(probe: Probe) -> Iterator[str]:
     """fmi2SetDebugLogging accepts each declared category, and none at all, on and off; outputs stay the
     same.
@@ -168,13 +168,10 @@ def debug_logging_can_be_set(probe: Probe) -> Iterator[str]:
     got = script.begin().run(2)
     usual.play()
     script.play(keep_going=True)
-    if script.failure:
-        yield script.failure.problem
-    else:
-        yield from differing(expected, got, "after fmi2SetDebugLogging")
+    yield from failing_or_differing(script, expected, got, "after fmi2SetDebugLogging", failing="")
 
 
-@rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING, needs=["debug-logging-can-be-set"])
+@behaviour_rule(_CREATION, Level.WARNING, needs="debug-logging-can-be-set")
 def only_chosen_categories_are_logged(probe: Probe) -> Iterator[str]:
     """After fmi2SetDebugLogging with one category, messages of others do not arrive."""
     declared = declared_categories(probe)
@@ -197,7 +194,7 @@ def only_chosen_categories_are_logged(probe: Probe) -> Iterator[str]:
             return
 
 
-@rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING, needs=["debug-logging-can-be-set"])
+@behaviour_rule(_CREATION, Level.WARNING, needs="debug-logging-can-be-set")
 def chosen_categories_are_logged(probe: Probe) -> Iterator[str]:
     """Messages that arrive with all categories enabled arrive with their own alone, and if all are named."""
     usual = probe.script(logging=True)
@@ -226,11 +223,8 @@ def calls_that_log(probe: Probe, script: Script) -> None:
     script.terminate()
 
 
-@rule(
-    "advice: an unknown log category is no reason to fail",
-    Stage.BEHAVIOUR,
-    Level.WARNING,
-    needs=["reset-in-every-state"],
+@behaviour_rule(
+    "advice: an unknown log category is no reason to fail", Level.WARNING, needs="reset-in-every-state"
 )
 def reset_works_after_unknown_categories(probe: Probe) -> Iterator[str]:
     """After fmi2SetDebugLogging with a category that is not declared, which may be refused, fmi2Reset

@@ -7,7 +7,7 @@ from fmus.binding import WARNING
 from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.log_rules import calls_that_log, declared_categories, messages_of_a_session
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
+from fmus.compliance.rule import Level, NotJudgedError, behaviour_rule
 from fmus.compliance.session import NAME
 
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
@@ -21,7 +21,7 @@ _BLANK_OF_TEXT = re.compile(r"%[-+#0]* [-+#0 ]*[scp](?=[a-zA-Z])")  # as in "100
 _BLANK_FLAG = re.compile(r"%[-+#0]* [-+#0]*[a-zA-Z](?=[a-zA-Z])")  # as in "100 % done"
 
 
-@rule(_CREATION, Stage.BEHAVIOUR, needs=["formats-of-messages-are-legal"])
+@behaviour_rule(_CREATION, needs="formats-of-messages-are-legal")
 def messages_are_utf_8(probe: Probe) -> Iterator[str]:
     """Messages are UTF-8, as every string of FMI."""
     for text in dict.fromkeys(m.text for m in messages_of_a_session(probe) if "\ufffd" in m.text):
@@ -29,14 +29,14 @@ def messages_are_utf_8(probe: Probe) -> Iterator[str]:
         return
 
 
-@rule("advice: a message is read for its text", Stage.BEHAVIOUR, Level.WARNING)
+@behaviour_rule("advice: a message is read for its text", Level.WARNING)
 def messages_have_a_text(probe: Probe) -> Iterator[str]:
     """Messages have a text."""
     if any(not m.text.strip() for m in messages_of_a_session(probe)):
         yield "a message has no text"
 
 
-@rule(_CREATION, Stage.BEHAVIOUR)
+@behaviour_rule(_CREATION)
 def formats_of_messages_are_legal(probe: Probe) -> Iterator[str]:
     """A message is a format of printf: each % begins a conversion or is doubled, also one of the instance's
     name, and none writes (%n).
@@ -52,7 +52,7 @@ def formats_of_messages_are_legal(probe: Probe) -> Iterator[str]:
             return
 
 
-@rule("advice: a % before a word is seldom a conversion", Stage.BEHAVIOUR, Level.WARNING)
+@behaviour_rule("advice: a % before a word is seldom a conversion", Level.WARNING)
 def percent_signs_before_words_are_doubled(probe: Probe) -> Iterator[str]:
     """No format of a message has a conversion with a blank inside a word, as "100 % done" has."""
     for text in _formats(probe):
@@ -75,7 +75,7 @@ def _formats(probe: Probe) -> list[str]:
     return probe.once("log of formats", collected)
 
 
-@rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING)
+@behaviour_rule(_CREATION, Level.WARNING)
 def messages_of_a_refusal_are_complete(probe: Probe) -> Iterator[str]:
     """The message of a failed instantiation has the instance's name, its environment, and no status ok."""
     created, messages = probe.creates(name=NAME, guid="wrong", logging=True)
@@ -89,7 +89,7 @@ def messages_of_a_refusal_are_complete(probe: Probe) -> Iterator[str]:
         yield "the messages of a refused instantiation have the status ok: expected error"
 
 
-@rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING, needs=["debug-logging-can-be-set"])
+@behaviour_rule(_CREATION, Level.WARNING, needs="debug-logging-can-be-set")
 def disabled_categories_alone_are_disabled(probe: Probe) -> Iterator[str]:
     """Messages of a category that is disabled do not arrive, and those of others do."""
     declared = declared_categories(probe)
@@ -119,11 +119,10 @@ def _sent(probe: Probe, settings: list[tuple[bool, list[str]]]) -> set[str]:
     return {m.category for m in messages if m.category} & set(declared_categories(probe))
 
 
-@rule(
+@behaviour_rule(
     "4.2.4 State Machine of Calling Sequence from Master to Slave",
-    Stage.BEHAVIOUR,
     Level.WARNING,
-    needs=["allowed-calls-succeed"],
+    needs="allowed-calls-succeed",
 )
 def debug_logging_is_allowed_after_an_error(probe: Probe) -> Iterator[str]:
     """fmi2SetDebugLogging succeeds after another function returned error."""

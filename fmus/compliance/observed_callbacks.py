@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from fmus.callbacks import CountingAllocator, Log
+from fmus.callbacks import AllocateMemory, CountingAllocator, FreeMemory, Log, Logger
 from fmus.compliance.process_settings import ProcessSettings
 
 _MOST_MESSAGES = 1000
@@ -32,3 +32,36 @@ class RefusingAllocator(CountingAllocator):
 
     def _allocate(self, count: int, size: int) -> None:  # type: ignore[override]
         return None
+
+
+def logger_of_formats(messages: MessageLog) -> Any:
+    """A logger that keeps the format of each message, as arguments do not reach Python."""
+
+    def log(_: int | None, name: bytes, status: int, category: bytes, message: bytes) -> None:
+        texts = [None if text is None else text.decode("utf-8", "replace") for text in (name, category)]
+        messages.add(status, (message or b"").decode("utf-8", "replace"), *texts)
+
+    return Logger(log)
+
+
+def set_traps(structure: Any, usual: Any, traps: list[str]) -> list[Any]:
+    """Replace the callbacks of a structure, which the FMU may not look at any more, and return them.
+
+    usual: a structure with the callbacks that they call; traps: gets the name of each that the FMU calls
+    """
+
+    def log(*_: Any) -> None:
+        traps.append("logger")
+
+    def allocate(count: int, size: int) -> Any:
+        traps.append("allocateMemory")
+        return usual.allocateMemory(count, size)
+
+    def free(address: Any) -> None:
+        traps.append("freeMemory")
+        usual.freeMemory(address)
+
+    structure.logger = Logger(log)
+    structure.allocateMemory = AllocateMemory(allocate)
+    structure.freeMemory = FreeMemory(free)
+    return [structure.logger, structure.allocateMemory, structure.freeMemory]

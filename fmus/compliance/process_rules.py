@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, Stage, rule
+from fmus.compliance.rule import Level, behaviour_rule
 from fmus.compliance.script import ARGUMENTS, UNWRITTEN
 from fmus.compliance.session import session
 
@@ -11,7 +11,7 @@ _GENERAL = "2.1 FMI Application Programming Interface"
 _FLOATING_POINT = "floating-point control"
 
 
-@rule(_GENERAL, Stage.BEHAVIOUR)
+@behaviour_rule(_GENERAL)
 def floating_point_control_is_restored(probe: Probe) -> Iterator[str]:
     """Rounding mode, traps and flushing to zero are as before when a function returns or calls back."""
     named = set()
@@ -27,7 +27,7 @@ def floating_point_control_is_restored(probe: Probe) -> Iterator[str]:
                 )
 
 
-@rule("advice: 2.1, settings that other parts of the process share", Stage.BEHAVIOUR, Level.WARNING)
+@behaviour_rule("advice: 2.1, settings that other parts of the process share", Level.WARNING)
 def process_settings_are_restored(probe: Probe) -> Iterator[str]:
     """Working directory, locale, file mode mask, signal handlers and mask, environment, standard streams,
     timers, limits and priority are not changed.
@@ -40,7 +40,7 @@ def process_settings_are_restored(probe: Probe) -> Iterator[str]:
                 yield f"{reply.function} changes the {setting}: {after}, expected {before}"
 
 
-@rule("2.1.7 Getting and Setting Variable Values", Stage.BEHAVIOUR)
+@behaviour_rule("2.1.7 Getting and Setting Variable Values")
 def arguments_are_not_written(probe: Probe) -> Iterator[str]:
     """Arrays that are constant by their declaration, value references and values to set, stay as they are,
     and so does what lies behind an array of values that are read.
@@ -50,7 +50,7 @@ def arguments_are_not_written(probe: Probe) -> Iterator[str]:
         yield f"{name} writes into an array that is constant, or behind one: expected that unchanged"
 
 
-@rule("2.1.7 Getting and Setting Variable Values", Stage.BEHAVIOUR)
+@behaviour_rule("2.1.7 Getting and Setting Variable Values")
 def values_are_written(probe: Probe) -> Iterator[str]:
     """fmi2GetXXX that returns ok has written each value."""
     everything = session(probe).script.everything
@@ -58,7 +58,7 @@ def values_are_written(probe: Probe) -> Iterator[str]:
         yield f"{name} returned ok and left a value unwritten: expected each written"
 
 
-@rule("advice: messages belong to the logger", Stage.BEHAVIOUR, Level.WARNING)
+@behaviour_rule("advice: messages belong to the logger", Level.WARNING)
 def nothing_is_printed(probe: Probe) -> Iterator[str]:
     """Nothing is printed to standard output or standard error."""
     printing = {reply.function: reply.printed for reply in session(probe).script.everything if reply.printed}

@@ -11,7 +11,7 @@ import numpy as np
 
 from fmus.compliance.fmu_file import BrokenMemberError, FmuFile, parsed_xml
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Stage, rule
+from fmus.compliance.rule import behaviour_rule
 from fmus.compliance.variable import Variable, number
 from fmus.documentation.reference_files import LS_REF
 
@@ -48,7 +48,7 @@ def _files(fmu: FmuFile) -> list[str]:
     return [path for path in fmu.names if path.startswith(_FOLDER) and path.endswith(".exp")]
 
 
-@rule("not FMI: FMI-LS-REF 1.0.0-alpha.1", Stage.BEHAVIOUR, condition=_no_references)
+@behaviour_rule("not FMI: FMI-LS-REF 1.0.0-alpha.1", condition=_no_references)
 def reference_results_are_reproduced(probe: Probe) -> Iterator[str]:
     """Experiments inside the FMU give their reference results again, up to the stated tolerance."""
     for path in _files(probe.fmu):

@@ -4,19 +4,18 @@ import math
 from collections.abc import Callable, Iterator
 from functools import partial
 
+from fmus.compliance.comparison import differing, texts
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import NotJudgedError, Stage, rule
+from fmus.compliance.rule import NotJudgedError, behaviour_rule
 from fmus.compliance.script import CallError, Reading, Script
 from fmus.compliance.values import (
-    differing,
     keeps_its_value,
-    other_value,
+    other_values,
     readable_in_initialization,
     set_input_derivatives,
     settable_before,
     settable_while_stepping,
     start_value,
-    texts,
 )
 from fmus.compliance.variable import Variable
 
@@ -26,7 +25,7 @@ _STEPS = 5
 _MOST_CHANGED = 50  # variables
 
 
-@rule("2.1.7 Getting and Setting Variable Values", Stage.BEHAVIOUR)
+@behaviour_rule("2.1.7 Getting and Setting Variable Values")
 def start_values_are_as_declared(probe: Probe) -> Iterator[str]:
     """Variables with initial exact and inputs have their start values: in initialization mode, or after it
     where only then they can be read.
@@ -76,7 +75,7 @@ def _other_values(probe: Probe, reading: Reading, when: str) -> Iterator[str]:
             yield f"{name} is {shown[0]} {when}: expected its start value {shown[1]}"
 
 
-@rule("4.2.4 State Machine of Calling Sequence from Master to Slave", Stage.BEHAVIOUR)
+@behaviour_rule("4.2.4 State Machine of Calling Sequence from Master to Slave")
 def reset_in_every_state(probe: Probe) -> Iterator[str]:
     """fmi2Reset is allowed when instantiated, in initialization mode, while stepping and after
     fmi2Terminate.
@@ -98,7 +97,7 @@ def reset_in_every_state(probe: Probe) -> Iterator[str]:
             yield f"after fmi2Reset in the state {name!r}: {error}"
 
 
-@rule(_INITIALIZATION, Stage.BEHAVIOUR, needs=["start-values-are-as-declared", "reset-in-every-state"])
+@behaviour_rule(_INITIALIZATION, needs="start-values-are-as-declared reset-in-every-state")
 def reset_gives_the_start_values(probe: Probe) -> Iterator[str]:
     """After other values, steps and fmi2Reset, start values are back and the same steps give the same
     outputs.
@@ -122,7 +121,7 @@ def _reset_after_other_values(probe: Probe) -> Script:
     return script.initialise()
 
 
-@rule(_INITIALIZATION, Stage.BEHAVIOUR, needs=["reset-gives-the-start-values"])
+@behaviour_rule(_INITIALIZATION, needs="reset-gives-the-start-values")
 def reset_ends_all_that_was_set(probe: Probe) -> Iterator[str]:
     """After other values, a stop time, changed inputs and fmi2Reset, every variable is in the same steps as
     in a new instance.
@@ -154,6 +153,5 @@ def _every_value(script: Script) -> list[Reading]:
 
 
 def _set_others(script: Script, variables: list[Variable]) -> None:
-    for v in variables[:_MOST_CHANGED]:
-        if (value := other_value(v)) is not None:
-            script.set(v, value)
+    for v, x in other_values(variables[:_MOST_CHANGED]):
+        script.set(v, x)

@@ -5,18 +5,18 @@ from collections.abc import Iterator
 from statistics import median
 
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, Stage, rule
+from fmus.compliance.rule import Level, behaviour_rule
 from fmus.compliance.values import if_not_claimed, settable_before, start_value
 
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
 _FLAGS = "4.3.1 Co-Simulation FMU (CoSimulation)"
 _OWN_MEMORY = "canNotUseMemoryManagementFunctions"
-_USED = ("serialised-state-restores", "state-restores", "reset-in-every-state")
+_USED = "serialised-state-restores state-restores reset-in-every-state"
 _MOST_SET = 50  # variables
 _CYCLES, _LEAST_LEAK = 8, 1024  # instances; bytes that each of them leaves
 
 
-@rule(f"{_FLAGS}: {_OWN_MEMORY}", Stage.BEHAVIOUR, condition=if_not_claimed(_OWN_MEMORY))
+@behaviour_rule(f"{_FLAGS}: {_OWN_MEMORY}", condition=if_not_claimed(_OWN_MEMORY))
 def memory_is_freed(probe: Probe) -> Iterator[str]:
     """What an instance takes by allocateMemory it gives back by freeMemory, and nothing else, also if it is
     initialised again after fmi2Reset.
@@ -74,7 +74,7 @@ def _use_an_instance(probe: Probe) -> None:
     script.begin().step(2).play(keep_going=True)
 
 
-@rule(_CREATION, Stage.BEHAVIOUR, needs=_USED)
+@behaviour_rule(_CREATION, needs=_USED)
 def resources_are_freed(probe: Probe) -> Iterator[str]:
     """fmi2FreeInstance closes the files and ends the threads of an instance."""
     counts = _resources_in_use(probe)
@@ -85,7 +85,7 @@ def resources_are_freed(probe: Probe) -> Iterator[str]:
             yield f"{more} more {name} after {_CYCLES - 1} instances were created and freed: expected none"
 
 
-@rule(_CREATION, Stage.BEHAVIOUR, Level.WARNING, needs=("resources-are-freed", *_USED))
+@behaviour_rule(_CREATION, Level.WARNING, needs=f"resources-are-freed {_USED}")
 def memory_does_not_grow(probe: Probe) -> Iterator[str]:
     """fmi2FreeInstance frees all memory: the heap does not grow with each instance that is created and
     freed.

@@ -2,7 +2,7 @@
 
 import inspect
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
@@ -91,14 +91,16 @@ def rule(
     stage: Stage,
     level: Level = Level.ERROR,
     condition: Condition = _always,
-    needs: Sequence[str] = (),
+    needs: str = "",
     last: bool = False,
 ) -> Callable[[Check], Check]:
     """Make a function a rule: its name with dashes is the rule's, its docstring what the rule claims.
 
     clause: section of FMI 2.0.5 with its title's words, or who else demands it.
-    needs: names of rules; if one of these has an error, this one is not judged: it would find the same.
-    last: it is judged after the rules of its stage that are not, as it judges what came of their calls.
+    needs: names of rules, with blanks between; if one of these has an error, this one is not judged: it would
+    find the same.
+    last: it is judged after the rules of its stage that are not, as it judges what came of their calls, or as
+    its own may leave the process of the FMU damaged.
     """
 
     def register(check: Check) -> Check:
@@ -106,10 +108,21 @@ def rule(
         claim = " ".join((inspect.getdoc(check) or "").split())
         if name in _RULES:
             raise ValueError(f"rule {name}: expected one function of that name, got a second")
-        _RULES[name] = Rule(name, clause, claim, level, stage, check, condition, tuple(needs), last)
+        _RULES[name] = Rule(name, clause, claim, level, stage, check, condition, tuple(needs.split()), last)
         return check
 
     return register
+
+
+def behaviour_rule(
+    clause: str,
+    level: Level = Level.ERROR,
+    condition: Condition = _always,
+    needs: str = "",
+    last: bool = False,
+) -> Callable[[Check], Check]:
+    """Make a function a rule of behaviour; arguments as of `rule`."""
+    return rule(clause, Stage.BEHAVIOUR, level, condition, needs, last)
 
 
 def messages_of(check: Iterable[str]) -> tuple[str, ...]:

@@ -3,19 +3,18 @@
 from collections.abc import Iterator
 from typing import Any
 
+from fmus.compliance.accepted import accepted_together
+from fmus.compliance.comparison import differing, failing_or_differing, steadily
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
+from fmus.compliance.rule import Level, NotJudgedError, behaviour_rule
 from fmus.compliance.script import Reading, Script
 from fmus.compliance.values import (
-    accepted_together,
     continuous_reals,
-    differing,
     other_values,
     set_input_derivatives,
     settable_before,
     settable_while_stepping,
     start_value,
-    steadily,
     unless_claimed,
 )
 from fmus.compliance.variable import Variable
@@ -31,16 +30,10 @@ def _every(script: Script, steps: int = _STEPS) -> list[Reading]:
     return [script.step().read(script.variables) for _ in range(steps)]
 
 
-@rule(
+@behaviour_rule(
     _CLAUSE,
-    Stage.BEHAVIOUR,
     condition=unless_claimed(_SAVES),
-    needs=[
-        "state-restores",
-        "input-derivatives",
-        "questions-change-nothing",
-        "state-holds-inputs-and-parameters",
-    ],
+    needs="state-restores input-derivatives questions-change-nothing state-holds-inputs-and-parameters",
 )
 def state_holds_every_value(probe: Probe) -> Iterator[str]:
     """Set back after inputs, tunable parameters and derivatives of inputs went back to their start values, a
@@ -95,16 +88,10 @@ def _slopes(probe: Probe, script: Script) -> list[Reading]:
     return [script.read_output_derivatives(chosen)] if chosen else []
 
 
-@rule(
+@behaviour_rule(
     _CLAUSE,
-    Stage.BEHAVIOUR,
     condition=unless_claimed(_SERIALISES),
-    needs=[
-        "state-holds-every-value",
-        "serialised-state-restores",
-        "strings-are-copied",
-        "inputs-that-are-set-are-read",
-    ],
+    needs="state-holds-every-value serialised-state-restores strings-are-copied inputs-that-are-set-are-read",
 )
 def bytes_hold_every_value(probe: Probe) -> Iterator[str]:
     """Bytes of a state with other values, that was freed, give all variables again in an instance with start
@@ -146,12 +133,11 @@ def bytes_hold_every_value(probe: Probe) -> Iterator[str]:
         yield from steadily(probe, differing(expected, got, "from bytes in another instance", _ROUNDING))
 
 
-@rule(
+@behaviour_rule(
     _CLAUSE,
-    Stage.BEHAVIOUR,
     Level.WARNING,
     condition=unless_claimed(_SAVES),
-    needs=["state-restores", "state-holds-the-mode", "reset-in-every-state"],
+    needs="state-restores state-holds-the-mode reset-in-every-state",
 )
 def state_can_be_set_after_reset(probe: Probe) -> Iterator[str]:
     """A state that was saved before fmi2Reset can be set after it, and the steps that follow are the same."""
@@ -162,18 +148,15 @@ def state_can_be_set_after_reset(probe: Probe) -> Iterator[str]:
     script.call("set_fmu_state", 0)
     got = script.go_to(2).run(_STEPS)
     script.play(keep_going=True)
-    if script.failure:
-        yield f"with a state from before fmi2Reset: {script.failure.problem}"
-    else:
-        yield from differing(expected, got, "from a state from before fmi2Reset", _ROUNDING)
+    when, failing = "from a state from before fmi2Reset", "with a state from before fmi2Reset"
+    yield from failing_or_differing(script, expected, got, when, _ROUNDING, failing)
 
 
-@rule(
+@behaviour_rule(
     "4.2.2 Computation (fmi2DoStep)",
-    Stage.BEHAVIOUR,
     Level.WARNING,
     condition=unless_claimed(_SAVES),
-    needs=["state-restores", "no-set-state-flag-changes-nothing"],
+    needs="state-restores no-set-state-flag-changes-nothing",
 )
 def flag_keeps_the_states_of_the_present(probe: Probe) -> Iterator[str]:
     """After a step with noSetFMUStatePriorToCurrentPoint, a state of its beginning can be set."""
@@ -187,7 +170,7 @@ def flag_keeps_the_states_of_the_present(probe: Probe) -> Iterator[str]:
         yield f"after noSetFMUStatePriorToCurrentPoint: {script.failure.problem}"
 
 
-@rule("2.1.7 Getting and Setting Variable Values", Stage.BEHAVIOUR, needs=["allowed-calls-succeed"])
+@behaviour_rule("2.1.7 Getting and Setting Variable Values", needs="allowed-calls-succeed")
 def questions_change_nothing(probe: Probe) -> Iterator[str]:
     """Reading values and derivatives, or saving a state, changes nothing in the steps that follow."""
     usual, asked = probe.script().begin(), probe.script().begin()

@@ -4,25 +4,20 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from fmus.binding import ERROR, OK
+from fmus.compliance.comparison import RESTARTED, differing, failing_or_differing, same, texts, unlike
 from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotApplicableError, Stage, rule
-from fmus.compliance.script import KINDS, Reading, Reply, Script
+from fmus.compliance.rule import Level, NotApplicableError, behaviour_rule
+from fmus.compliance.script import KINDS, Reading, Script
 from fmus.compliance.values import (
-    RESTARTED,
-    differing,
     far_values,
     keeps_its_value,
-    other_value,
     other_values,
     readable_in_initialization,
-    same,
     settable_before,
     settable_in_initialization,
     settable_while_stepping,
     start_value,
-    texts,
-    unlike,
     values_out_of_range,
 )
 from fmus.compliance.variable import Variable
@@ -33,12 +28,10 @@ _VALUES = "2.1.7 Getting and Setting Variable Values"
 _MOST_VARIABLES = 50  # of one kind, each of which costs an instance
 _ROUNDED = 1e-6
 _EXACT = 1e-12
-_Setting = tuple[
-    Variable, Any, Script, Reading
-]  # a variable, its value, the script that sets it, what is read
+_Setting = tuple[Variable, Any, Script, Reading]  # a variable, its value, the script that sets it, a reading
 
 
-@rule(_INITIALIZATION, Stage.BEHAVIOUR, needs=["start-values-are-as-declared", "strings-are-copied"])
+@behaviour_rule(_INITIALIZATION, needs="start-values-are-as-declared strings-are-copied")
 def values_that_are_set_are_read(probe: Probe) -> Iterator[str]:
     """What is set when instantiated or in initialization mode is read afterwards."""
     before = [v for v in settable_before(probe.fmu) if v.initial == "exact"]
@@ -47,9 +40,8 @@ def values_that_are_set_are_read(probe: Probe) -> Iterator[str]:
 
 
 def _not_as_set(probe: Probe, variables: Sequence[Variable], when: str) -> Iterator[str]:
-    tried = [(v, value) for v in variables[:_MOST_VARIABLES] if (value := other_value(v)) is not None]
     settings, readable = list[_Setting](), readable_in_initialization(probe.fmu)
-    for v, value in tried:
+    for v, value in other_values(variables[:_MOST_VARIABLES]):
         script = probe.script()
         if when == "when instantiated":
             script.set(v, value)
@@ -74,7 +66,7 @@ def _read_otherwise(probe: Probe, settings: Sequence[_Setting]) -> Iterator[tupl
     return unlike(((v, x, reading) for v, x, script, reading in settings if script.succeeded), _EXACT)
 
 
-@rule(_PLATFORM, Stage.BEHAVIOUR)
+@behaviour_rule(_PLATFORM)
 def wrong_references_are_refused(probe: Probe) -> Iterator[str]:
     """A value reference that no variable has is an error to read and to set, and so is a constant to set."""
     reference = unknown_reference(probe)
@@ -94,7 +86,7 @@ def wrong_references_are_refused(probe: Probe) -> Iterator[str]:
                 )
 
 
-@rule(_PLATFORM, Stage.BEHAVIOUR)
+@behaviour_rule(_PLATFORM)
 def constants_cannot_be_set(probe: Probe) -> Iterator[str]:
     """Setting a constant is an error."""
     for v in [v for v in probe.fmu.variables if v.variability == "constant"][:_MOST_VARIABLES]:
@@ -106,7 +98,7 @@ def constants_cannot_be_set(probe: Probe) -> Iterator[str]:
                 yield f"{reply.function} of the constant {v.name}: {reply.status_name}: expected error"
 
 
-@rule("advice: 4.2.4 allows to set no other variables", Stage.BEHAVIOUR, Level.WARNING)
+@behaviour_rule("advice: 4.2.4 allows to set no other variables", Level.WARNING)
 def calculated_values_cannot_be_set(probe: Probe) -> Iterator[str]:
     """Setting a variable that is calculated is refused, unless it is the alias of one that can be set."""
     settable = {(v.base_kind, v.reference) for v in probe.fmu.variables if v.is_settable}
@@ -122,7 +114,7 @@ def calculated_values_cannot_be_set(probe: Probe) -> Iterator[str]:
                 return
 
 
-@rule(_PLATFORM, Stage.BEHAVIOUR, needs=["allowed-calls-succeed"])
+@behaviour_rule(_PLATFORM, needs="allowed-calls-succeed")
 def strings_are_copied(probe: Probe) -> Iterator[str]:
     """A String that is set is copied: it is read as it was although its memory was overwritten."""
     chosen = [
@@ -142,17 +134,16 @@ def strings_are_copied(probe: Probe) -> Iterator[str]:
             )
 
 
-@rule(_VALUES, Stage.BEHAVIOUR, needs=["questions-change-nothing"])
+@behaviour_rule(_VALUES, needs="questions-change-nothing")
 def initial_values_follow_what_is_set(probe: Probe) -> Iterator[str]:
     """In initialization mode, values follow what is set, also if they had been read before that."""
     readable, tried = readable_in_initialization(probe.fmu), []
-    for v in settable_in_initialization(probe.fmu)[:_MOST_VARIABLES]:
-        if (value := other_value(v)) is not None:
-            plain, again = probe.script().initialise(), probe.script().initialise()
-            plain.set(v, value)
-            again.read(readable)
-            again.set(v, value)
-            tried.append((v, plain, again, plain.read(readable), again.read(readable)))
+    for v, value in other_values(settable_in_initialization(probe.fmu)[:_MOST_VARIABLES]):
+        plain, again = probe.script().initialise(), probe.script().initialise()
+        plain.set(v, value)
+        again.read(readable)
+        again.set(v, value)
+        tried.append((v, plain, again, plain.read(readable), again.read(readable)))
     probe.play_each([script for _, plain, again, *_ in tried for script in (plain, again)])
     for v, plain, again, first, second in tried:
         if plain.succeeded and again.succeeded:
@@ -160,20 +151,9 @@ def initial_values_follow_what_is_set(probe: Probe) -> Iterator[str]:
             yield from differing([first], [second], when, _ROUNDED)
 
 
-def _set_all(script: Script, variables: Sequence[Variable]) -> list[tuple[Variable, Reply]]:
-    pairs = [(v, start_value(v)) for v in variables]
-    return [(v, script.set(v, value)) for v, value in pairs if value is not None]
-
-
-@rule(
+@behaviour_rule(
     "4.1.2 Mathematical Model",
-    Stage.BEHAVIOUR,
-    needs=[
-        "allowed-calls-succeed",
-        "start-values-are-as-declared",
-        "strings-are-copied",
-        "statuses-are-legal",
-    ],
+    needs="allowed-calls-succeed start-values-are-as-declared strings-are-copied statuses-are-legal",
 )
 def setting_the_same_changes_nothing(probe: Probe) -> Iterator[str]:
     """Inputs and tunable parameters can be set at communication points; set to what they are, no state
@@ -185,25 +165,23 @@ def setting_the_same_changes_nothing(probe: Probe) -> Iterator[str]:
     held, again = probe.script().begin(), probe.script(logging=True).begin()
     expected, got = held.run(4), []
     for _ in range(4):
-        _set_all(again, chosen)
+        for v in chosen:
+            if (value := start_value(v)) is not None:
+                again.set(v, value)
         got += again.run(1)
     held.play()
     again.play(keep_going=True)
-    if again.failure:
-        yield f"in the state {again.failure.state!r}: {again.failure.problem}"
-    else:
-        yield from differing(
-            expected, got, "where inputs and tunable parameters were set to what they are", RESTARTED
-        )
+    when = "where inputs and tunable parameters were set to what they are"
+    failing = f"in the state {again.failure.state!r}" if again.failure else ""
+    yield from failing_or_differing(again, expected, got, when, RESTARTED, failing)
 
 
-@rule("4.1.2 Mathematical Model", Stage.BEHAVIOUR, needs=["fixed-values-stay", "strings-are-copied"])
+@behaviour_rule("4.1.2 Mathematical Model", needs="fixed-values-stay strings-are-copied")
 def inputs_that_are_set_are_read(probe: Probe) -> Iterator[str]:
     """An input or tunable parameter that is set at a communication point has that value after the step."""
     chosen = settable_while_stepping(probe.fmu)[:_MOST_VARIABLES]
-    for v, got, given in _read_otherwise(
-        probe, [_set_after_a_step(probe, *pair) for pair in other_values(chosen)]
-    ):
+    settings = [_set_after_a_step(probe, *pair) for pair in other_values(chosen)]
+    for v, got, given in _read_otherwise(probe, settings):
         yield f"{v.name} is {got} after it was set to {given} at a communication point: expected that"
 
 
@@ -214,7 +192,7 @@ def _set_after_a_step(probe: Probe, v: Variable, value: Any) -> _Setting:
     return v, value, script, script.step().read([v])
 
 
-@rule(_VALUES, Stage.BEHAVIOUR, needs=["inputs-that-are-set-are-read"])
+@behaviour_rule(_VALUES, needs="inputs-that-are-set-are-read")
 def far_values_are_read(probe: Probe) -> Iterator[str]:
     """An input or tunable parameter that is set far from its start value, within its range, or a String that
     is long or empty, is read as it was set, unless the FMU refuses it.
@@ -225,11 +203,10 @@ def far_values_are_read(probe: Probe) -> Iterator[str]:
         yield f"{v.name} is {got[:60]} after it was set to {given[:60]}: expected that"
 
 
-@rule(
+@behaviour_rule(
     "advice: 2.2.3, what to do with a value beyond its range",
-    Stage.BEHAVIOUR,
     Level.WARNING,
-    needs=["values-that-are-set-are-read"],
+    needs="values-that-are-set-are-read",
     last=True,
 )
 def values_out_of_range_are_not_dropped(probe: Probe) -> Iterator[str]:

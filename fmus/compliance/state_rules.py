@@ -3,20 +3,19 @@
 from collections.abc import Iterator
 
 from fmus.binding import ERROR
+from fmus.compliance.accepted import accepted_together
+from fmus.compliance.comparison import differing, failing_or_differing
 from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
+from fmus.compliance.rule import Level, NotJudgedError, behaviour_rule
 from fmus.compliance.script import Reading
 from fmus.compliance.values import (
-    accepted_together,
-    differing,
-    other_value,
     other_values,
     readable_in_initialization,
     settable_in_initialization,
     settable_while_stepping,
     unless_claimed,
-)  # fmt: skip
+)
 
 _CLAUSE = "2.1.8 Getting and Setting the Complete FMU State"
 _SAVES, _SERIALISES = "canGetAndSetFMUstate", "canSerializeFMUstate"
@@ -39,12 +38,7 @@ def _restored(probe: Probe) -> tuple[list[Reading], list[Reading]]:
     return before, after
 
 
-@rule(
-    _CLAUSE,
-    Stage.BEHAVIOUR,
-    condition=_saves,
-    needs=["communication-points-may-be-rounded", "allowed-calls-succeed"],
-)
+@behaviour_rule(_CLAUSE, condition=_saves, needs="communication-points-may-be-rounded allowed-calls-succeed")
 def state_restores(probe: Probe) -> Iterator[str]:
     """A state that is set back gives the same outputs at once and in the steps that follow, up to
     rounding.
@@ -54,14 +48,14 @@ def state_restores(probe: Probe) -> Iterator[str]:
     yield from differing(before[1:], after[1:], "from the state that was set back", _ROUNDING)
 
 
-@rule(_CLAUSE, Stage.BEHAVIOUR, Level.WARNING, condition=_saves, needs=["state-restores"])
+@behaviour_rule(_CLAUSE, Level.WARNING, condition=_saves, needs="state-restores")
 def state_restores_exactly(probe: Probe) -> Iterator[str]:
     """A state that is set back gives exactly the same outputs."""
     before, after = probe.once("saved state", lambda: _restored(probe))
     yield from differing(before, after, "from the state that was set back")
 
 
-@rule(_CLAUSE, Stage.BEHAVIOUR, condition=_saves, needs=["state-restores"])
+@behaviour_rule(_CLAUSE, condition=_saves, needs="state-restores")
 def state_holds_inputs_and_parameters(probe: Probe) -> Iterator[str]:
     """A state holds inputs and tunable parameters too: changed after it was saved, they are back when
     it is set.
@@ -91,19 +85,14 @@ def state_holds_inputs_and_parameters(probe: Probe) -> Iterator[str]:
     yield from differing(expected, got, "from a state that was set back after inputs changed", _ROUNDING)
 
 
-@rule(
-    _CLAUSE,
-    Stage.BEHAVIOUR,
-    condition=_saves,
-    needs=["state-can-be-saved-often", "allowed-calls-succeed", "questions-change-nothing"],
+@behaviour_rule(
+    _CLAUSE, condition=_saves, needs="state-can-be-saved-often allowed-calls-succeed questions-change-nothing"
 )
 def state_in_initialization_mode(probe: Probe) -> Iterator[str]:
     """A state can be saved and set back when instantiated and in initialization mode, with what was set
     there.
     """
-    chosen = [
-        (v, value) for v in settable_in_initialization(probe.fmu) if (value := other_value(v)) is not None
-    ][:1]
+    chosen = other_values(settable_in_initialization(probe.fmu))[:1]
     readable = readable_in_initialization(probe.fmu)
     script = probe.script(logging=True)
     script.call("get_fmu_state", 0)
@@ -122,15 +111,12 @@ def state_in_initialization_mode(probe: Probe) -> Iterator[str]:
     if script.failure and script.failure not in changes:
         yield f"in the state {script.failure.state!r}: {script.failure.problem}"
     elif not script.failure:
-        yield from differing(
-            [before], [after], "in the state of initialization mode that was set back", _ROUNDING
-        )
-        yield from differing(
-            expected, got, "from the state of initialization mode that was set back", _ROUNDING
-        )
+        state = "the state of initialization mode that was set back"
+        yield from differing([before], [after], f"in {state}", _ROUNDING)
+        yield from differing(expected, got, f"from {state}", _ROUNDING)
 
 
-@rule(_CLAUSE, Stage.BEHAVIOUR, condition=_saves, needs=["state-restores", "allowed-calls-succeed"])
+@behaviour_rule(_CLAUSE, condition=_saves, needs="state-restores allowed-calls-succeed")
 def state_holds_the_mode(probe: Probe) -> Iterator[str]:
     """A state holds internal status information: set back while stepping, one of initialization mode is
     in that mode.
@@ -142,22 +128,14 @@ def state_holds_the_mode(probe: Probe) -> Iterator[str]:
     script.state = "initialization mode"
     again = script.exit_initialization_mode().go_to(0).run(3)
     script.play(keep_going=True)
-    if script.failure:
-        yield f"after a state of initialization mode was set back: {script.failure.problem}"
-    else:
-        yield from differing(first, again, "from a state of initialization mode", _ROUNDING)
+    when, failing = "from a state of initialization mode", "after a state of initialization mode was set back"
+    yield from failing_or_differing(script, first, again, when, _ROUNDING, failing)
 
 
-@rule(
+@behaviour_rule(
     _CLAUSE,
-    Stage.BEHAVIOUR,
     condition=_saves,
-    needs=[
-        "state-restores",
-        "allowed-calls-succeed",
-        "state-holds-the-mode",
-        "step-beyond-the-stop-time-is-an-error",
-    ],
+    needs="state-restores allowed-calls-succeed state-holds-the-mode step-beyond-the-stop-time-is-an-error",
 )
 def state_restores_after_the_end(probe: Probe) -> Iterator[str]:
     """A state can be set back after fmi2Terminate and after an error, and steps go on from it, up to the stop
@@ -196,27 +174,25 @@ def state_restores_after_the_end(probe: Probe) -> Iterator[str]:
             return
 
 
-@rule(_CLAUSE, Stage.BEHAVIOUR, condition=_saves, needs=["state-restores"])
+@behaviour_rule(_CLAUSE, condition=_saves, needs="state-restores")
 def state_can_be_saved_often(probe: Probe) -> Iterator[str]:
     """Several states are kept at a time, each its own; one that is given again is written over."""
     script = probe.script(logging=True).begin()
+
+    def from_state(slot: int) -> list[Reading]:
+        script.call("set_fmu_state", slot)
+        return script.go_to(0).run(3)
+
     script.call("get_fmu_state", 0)
     first = script.run(3)
     script.call("get_fmu_state", 1)
-    script.call("set_fmu_state", 0)
-    script.go_to(0)
-    older = script.run(3)
+    older = from_state(0)
     script.call("set_fmu_state", 0)
     script.call("get_fmu_state", 1)
-    script.go_to(0)
-    again = script.run(3)
-    script.call("set_fmu_state", 1)
-    script.go_to(0)
-    over = script.run(3)
+    again = script.go_to(0).run(3)
+    over = from_state(1)
     script.call("free_fmu_state", 0)
-    script.call("set_fmu_state", 1)
-    script.go_to(0)
-    left = script.run(3)
+    left = from_state(1)
     script.call("free_fmu_state", 1)
     script.play()
     yield from differing(first, older, "from the older of two states", _ROUNDING)
@@ -225,7 +201,7 @@ def state_can_be_saved_often(probe: Probe) -> Iterator[str]:
     yield from differing(first, left, "after another state was freed", _ROUNDING)
 
 
-@rule(_CLAUSE, Stage.BEHAVIOUR, condition=_saves, needs=["state-restores"])
+@behaviour_rule(_CLAUSE, condition=_saves, needs="state-restores")
 def freed_state_is_null(probe: Probe) -> Iterator[str]:
     """fmi2FreeFMUstate returns NULL in its argument."""
     script = probe.script(logging=True).begin().step()
@@ -236,7 +212,7 @@ def freed_state_is_null(probe: Probe) -> Iterator[str]:
         yield "fmi2FreeFMUstate left the state's address: expected NULL"
 
 
-@rule(_CLAUSE, Stage.BEHAVIOUR, condition=_saves, needs=["state-restores"])
+@behaviour_rule(_CLAUSE, condition=_saves, needs="state-restores")
 def free_of_null_state_is_ignored(probe: Probe) -> Iterator[str]:
     """fmi2FreeFMUstate of a NULL state does nothing."""
     script = probe.script(logging=True).begin().step()
@@ -247,12 +223,7 @@ def free_of_null_state_is_ignored(probe: Probe) -> Iterator[str]:
         yield f"with a state that is NULL: {script.failure.problem}"
 
 
-@rule(
-    _CLAUSE,
-    Stage.BEHAVIOUR,
-    condition=unless_claimed(_SERIALISES),
-    needs=["state-restores", "allowed-calls-succeed"],
-)
+@behaviour_rule(_CLAUSE, condition=unless_claimed(_SERIALISES), needs="state-restores allowed-calls-succeed")
 def serialised_state_restores(probe: Probe) -> Iterator[str]:
     """A state as bytes gives the same outputs in an instance of its own."""
     script = probe.script(logging=True).begin().step(2)

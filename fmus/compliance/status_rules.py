@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator
 
 from fmus.binding import DISCARD, LAST_SUCCESSFUL_TIME, OK, PENDING, TERMINATED, status_name
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotJudgedError, Stage, rule
+from fmus.compliance.rule import Level, NotJudgedError, behaviour_rule
 from fmus.compliance.script import Reply
 from fmus.compliance.session import session
 
@@ -36,7 +36,7 @@ def _illegal(replies: Iterable[Reply]) -> Iterator[str]:
             yield f"{reply.function} returned {status_name(reply.status)}, which it may not: {reply.logged}"
 
 
-@rule(_STATUS, Stage.BEHAVIOUR)
+@behaviour_rule(_STATUS)
 def statuses_are_legal(probe: Probe) -> Iterator[str]:
     """Discard and pending come only from functions that may return them; every status is one of
     fmi2Status.
@@ -44,15 +44,10 @@ def statuses_are_legal(probe: Probe) -> Iterator[str]:
     yield from _illegal(session(probe).script.replies)
 
 
-@rule(
+@behaviour_rule(
     _STATUS,
-    Stage.BEHAVIOUR,
-    needs=[
-        "statuses-are-legal",
-        "wrong-references-are-refused",
-        "discarded-steps-can-be-left",
-        "free-of-null-state-is-ignored",
-    ],
+    needs="statuses-are-legal wrong-references-are-refused discarded-steps-can-be-left "
+    "free-of-null-state-is-ignored",
     last=True,
 )
 def refusals_have_legal_statuses(probe: Probe) -> Iterator[str]:
@@ -69,7 +64,7 @@ def _refused(probe: Probe) -> list[Reply]:
     return [r for r in refused if r.function != "fmi2DoStep" or r.status != DISCARD]
 
 
-@rule(_STATUS, Stage.BEHAVIOUR, Level.WARNING, last=True)
+@behaviour_rule(_STATUS, Level.WARNING, last=True)
 def refusals_are_logged(probe: Probe) -> Iterator[str]:
     """Whatever returns warning, discard or error has called the logger, if logging is on."""
     named = set()
@@ -80,7 +75,7 @@ def refusals_are_logged(probe: Probe) -> Iterator[str]:
             yield f"{reply.function} {reply.status_name} and logged nothing: expected the reason"
 
 
-@rule(_STATUS, Stage.BEHAVIOUR, Level.WARNING, last=True)
+@behaviour_rule(_STATUS, Level.WARNING, last=True)
 def messages_of_refusals_are_no_information(probe: Probe) -> Iterator[str]:
     """The messages of what returns warning, discard or error do not have the status ok alone, which is that
     of pure information.
@@ -94,11 +89,10 @@ def messages_of_refusals_are_no_information(probe: Probe) -> Iterator[str]:
             return
 
 
-@rule(
+@behaviour_rule(
     "4.2.3 Retrieving Status Information from the Slave",
-    Stage.BEHAVIOUR,
     Level.WARNING,
-    needs=["discarded-steps-have-a-last-time"],
+    needs="discarded-steps-have-a-last-time",
 )
 def unknown_statuses_are_discarded(probe: Probe) -> Iterator[str]:
     """fmi2GetXXXStatus returns ok, or discard for what it cannot retrieve; no other status."""
@@ -115,7 +109,7 @@ def unknown_statuses_are_discarded(probe: Probe) -> Iterator[str]:
             yield f"in the state {reply.state!r} {reply.function} {reply.status_name}: expected ok or discard"
 
 
-@rule("4.2.3 Retrieving Status Information from the Slave", Stage.BEHAVIOUR, Level.WARNING)
+@behaviour_rule("4.2.3 Retrieving Status Information from the Slave", Level.WARNING)
 def last_successful_time_is_right(probe: Probe) -> Iterator[str]:
     """fmi2LastSuccessfulTime, where it is given, is the end of the last step; fmi2Terminated is then
     false.
@@ -136,7 +130,7 @@ def last_successful_time_is_right(probe: Probe) -> Iterator[str]:
         yield "fmi2Terminated is true after steps that succeeded: expected false"
 
 
-@rule("4.2.3 Retrieving Status Information from the Slave", Stage.BEHAVIOUR, Level.WARNING)
+@behaviour_rule("4.2.3 Retrieving Status Information from the Slave", Level.WARNING)
 def statuses_have_their_types(probe: Probe) -> Iterator[str]:
     """A status is given by the function of its type alone: another function returns discard."""
     pairs = []

@@ -9,11 +9,13 @@ import random
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from fmus.compliance.comparison import same
+from fmus.compliance.dependency_rules import declared
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, Stage, rule
+from fmus.compliance.rule import Level, behaviour_rule
 from fmus.compliance.script import Reading, Script
-from fmus.compliance.values import other_value, random_value, read_value, same, start_value
-from fmus.compliance.variable import Variable, integer
+from fmus.compliance.values import other_value, random_value, read_value, start_value
+from fmus.compliance.variable import Variable
 
 _ANY_STEP = "canHandleVariableCommunicationStepSize"
 _MOST_INPUTS = 20  # each of which costs some instances
@@ -25,15 +27,6 @@ _ADVICE = "advice: 2.2.8, a direct dependency is told from one step's delay by n
 
 def _inputs(probe: Probe) -> list[Variable]:
     return [v for v in probe.fmu.variables if v.causality == "input"][:_MOST_INPUTS]
-
-
-def _declared(probe: Probe) -> dict[str, set[int | None]]:
-    """Output -> indices of the knowns that it declares; without a declaration it is left out."""
-    return {
-        probe.fmu.variables[(index or 1) - 1].name: {integer(i) for i in element.get("dependencies").split()}
-        for index, element in probe.fmu.unknowns("Outputs")
-        if element.get("dependencies") is not None
-    }
 
 
 def _script(
@@ -52,22 +45,18 @@ def _script(
     return script, first, script.read(probe.outputs)
 
 
-@rule(
+@behaviour_rule(
     _ADVICE,
-    Stage.BEHAVIOUR,
     Level.WARNING,
-    needs=[
-        "variables-can-be-read",
-        "initial-dependencies-are-declared",
-        "directional-derivatives-are-zero-without-dependency",
-    ],
+    needs="variables-can-be-read initial-dependencies-are-declared "
+    "directional-derivatives-are-zero-without-dependency",
 )
 def outputs_follow_declared_inputs_alone(probe: Probe) -> Iterator[str]:
     """In step mode an input has no direct effect on an output that lists others: one that stays as steps
     become short and ends with the input.
     """
     inputs = {v.index for v in probe.fmu.variables if v.causality == "input"}
-    direct_ones = {name: listed for name, listed in _declared(probe).items() if listed & inputs}
+    direct_ones = {name: listed for name, listed in declared(probe, "Outputs").items() if listed & inputs}
     parts = _SHORT if probe.fmu.claims(_ANY_STEP) else (1.0,)
     for v in _inputs(probe):
         unlisted = {name for name, listed in direct_ones.items() if v.index not in listed}
@@ -115,17 +104,18 @@ def _remains(probe: Probe, v: Variable, value: Any, name: str) -> bool:
     return effects[1] > _STAYS * effects[0] > 0.0
 
 
-@rule(
+@behaviour_rule(
     "advice: 2.2.8, dependencies may list more",
-    Stage.BEHAVIOUR,
     Level.WARNING,
-    needs=["allowed-calls-succeed", "variables-can-be-read"],
+    needs="allowed-calls-succeed variables-can-be-read",
 )
 def listed_inputs_move_outputs(probe: Probe) -> Iterator[str]:
     """An output that lists inputs as dependencies changes with one of them in steps, somewhere."""
     inputs, chance = _inputs(probe), random.Random(0)
     indices = {v.index for v in inputs}
-    unmoved = {name: listed & indices for name, listed in _declared(probe).items() if listed & indices}
+    unmoved = {
+        name: listed & indices for name, listed in declared(probe, "Outputs").items() if listed & indices
+    }
     numbers = _finite(probe)
     unmoved = {name: listed for name, listed in unmoved.items() if name in numbers}
     points: list[list[tuple[Variable, Any]]] = [

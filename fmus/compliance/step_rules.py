@@ -4,13 +4,14 @@ import itertools
 from collections.abc import Iterator
 
 from fmus.binding import DISCARD, ERROR
+from fmus.compliance.comparison import differing, failing_or_differing, steadily, texts
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, NotApplicableError, NotJudgedError, Stage, rule
+from fmus.compliance.rule import Level, NotApplicableError, NotJudgedError, behaviour_rule
 from fmus.compliance.script import Reading, Reply, Script
 from fmus.compliance.session import LARGE_TOLERANCE, TOLERANCE, run_with_tolerance
-from fmus.compliance.values import continuous_reals, differing, steadily, texts, unless_claimed
+from fmus.compliance.values import continuous_reals, unless_claimed
 
 _SETUP = "2.1.6 Initialization, Termination, and Resetting an FMU (fmi2SetupExperiment)"
 _COMPUTATION = "4.2.2 Computation (fmi2DoStep)"
@@ -21,7 +22,7 @@ _MORE_STEPS = (13, 47, 211)  # instead of two: for each internal step from the u
 _APART = 0.4  # of the change over two steps: a rough solver, but not half a step
 
 
-@rule(_SETUP, Stage.BEHAVIOUR, needs=["reset-in-every-state"])
+@behaviour_rule(_SETUP, needs="reset-in-every-state")
 def step_beyond_the_stop_time_is_an_error(probe: Probe) -> Iterator[str]:
     """If a stop time is defined, steps up to it succeed and a step past it returns error; fmi2Reset brings
     the instance back, where the same holds of another stop time with a tolerance.
@@ -63,7 +64,7 @@ def _recovers(probe: Probe) -> bool:
     return all(reply.ok for reply in script.replies[first:])
 
 
-@rule(_SETUP, Stage.BEHAVIOUR)
+@behaviour_rule(_SETUP)
 def undefined_arguments_are_ignored(probe: Probe) -> Iterator[str]:
     """A tolerance or a stop time that is not defined is not looked at."""
     usual, other = probe.script().begin(), probe.script(logging=True)
@@ -73,13 +74,12 @@ def undefined_arguments_are_ignored(probe: Probe) -> Iterator[str]:
     got = other.run(2)
     usual.play()
     other.play(keep_going=True)
-    if other.failure:
-        yield f"with neither tolerance nor stop time defined: {other.failure.problem}"
-    else:
-        yield from differing(expected, got, "where an undefined stop time lies before the start time")
+    when = "where an undefined stop time lies before the start time"
+    failing = "with neither tolerance nor stop time defined"
+    yield from failing_or_differing(other, expected, got, when, failing=failing)
 
 
-@rule(_SETUP, Stage.BEHAVIOUR)
+@behaviour_rule(_SETUP)
 def tolerance_is_accepted(probe: Probe) -> Iterator[str]:
     """A tolerance that is defined is accepted."""
     if failure := run_with_tolerance(probe).failure:
@@ -90,11 +90,10 @@ def _without_independent(fmu: FmuFile) -> str:
     return "" if any(v.causality == "independent" for v in fmu.variables) else "no variable is independent"
 
 
-@rule(
+@behaviour_rule(
     "2.2.7 Definition of Model Variables (ModelVariables), independent",
-    Stage.BEHAVIOUR,
     condition=_without_independent,
-    needs=["reset-in-every-state"],
+    needs="reset-in-every-state",
 )
 def time_is_the_communication_point(probe: Probe) -> Iterator[str]:
     """The independent variable is the start time after initialisation, and then the end of the last step,
@@ -130,7 +129,7 @@ def time_is_the_communication_point(probe: Probe) -> Iterator[str]:
                 return
 
 
-@rule(_COMPUTATION, Stage.BEHAVIOUR)
+@behaviour_rule(_COMPUTATION)
 def communication_points_may_be_rounded(probe: Probe) -> Iterator[str]:
     """Communication points may be sums of step sizes or multiples of one: their rounding is no error."""
     script = probe.script(logging=True).begin()
@@ -143,7 +142,7 @@ def communication_points_may_be_rounded(probe: Probe) -> Iterator[str]:
         yield script.failure.problem
 
 
-@rule(_COMPUTATION, Stage.BEHAVIOUR, needs=["variables-can-be-read"])
+@behaviour_rule(_COMPUTATION, needs="variables-can-be-read")
 def no_set_state_flag_changes_nothing(probe: Probe) -> Iterator[str]:
     """noSetFMUStatePriorToCurrentPoint = fmi2True is accepted, and the values are the same."""
     usual, other = probe.script().begin(), probe.script(logging=True).begin()
@@ -158,7 +157,7 @@ def no_set_state_flag_changes_nothing(probe: Probe) -> Iterator[str]:
         yield from steadily(probe, differing(expected, got, "with noSetFMUStatePriorToCurrentPoint"))
 
 
-@rule(f"{_FLAGS}: {_ANY_STEP}", Stage.BEHAVIOUR, condition=unless_claimed(_ANY_STEP))
+@behaviour_rule(f"{_FLAGS}: {_ANY_STEP}", condition=unless_claimed(_ANY_STEP))
 def variable_step_size(probe: Probe) -> Iterator[str]:
     """Steps of different sizes succeed one after the other; one that is discarded says how far it came."""
     script = probe.script(logging=True).begin()
@@ -193,12 +192,8 @@ def _discarded(
         yield f"a step from {t:g} to {end:g} s is discarded, and fmi2LastSuccessfulTime is {last.value:g} s"
 
 
-@rule(
-    f"{_FLAGS}: {_ANY_STEP}",
-    Stage.BEHAVIOUR,
-    Level.WARNING,
-    condition=unless_claimed(_ANY_STEP),
-    needs=["variable-step-size"],
+@behaviour_rule(
+    f"{_FLAGS}: {_ANY_STEP}", Level.WARNING, condition=unless_claimed(_ANY_STEP), needs="variable-step-size"
 )
 def two_steps_are_one_of_twice_the_size(probe: Probe) -> Iterator[str]:
     """A step reaches its end: after a step, two more bring continuous outputs about as far as one of twice
@@ -242,11 +237,8 @@ def _change(before: Reading, after: Reading, name: str) -> float:
     return after.values[name] - before.values[name]
 
 
-@rule(
-    "advice: 2.2.5, what a user runs first",
-    Stage.BEHAVIOUR,
-    Level.WARNING,
-    needs=["communication-points-may-be-rounded"],
+@behaviour_rule(
+    "advice: 2.2.5, what a user runs first", Level.WARNING, needs="communication-points-may-be-rounded"
 )
 def default_experiment_runs(probe: Probe) -> Iterator[str]:
     """The steps of DefaultExperiment, if they are few, succeed up to its stop time."""

@@ -5,16 +5,12 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
+from fmus.compliance.comparison import differing, same, texts
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Level, Stage, rule
+from fmus.compliance.rule import Level, behaviour_rule
 from fmus.compliance.script import Reading
 from fmus.compliance.session import session
-from fmus.compliance.values import (
-    differing,
-    is_utf_8,
-    same,
-    texts,
-)  # fmt: skip
+from fmus.compliance.values import is_utf_8
 
 _PLATFORM = "2.1.2 Platform Dependent Definitions (fmi2TypesPlatform.h)"
 _INITIALIZATION = "2.1.6 Initialization, Termination, and Resetting an FMU"
@@ -24,7 +20,7 @@ _AT = (1, 2, 5, 15)  # steps of a run after which all variables are read
 _ROUNDED = 1e-6
 
 
-@rule(_VALUES, Stage.BEHAVIOUR)
+@behaviour_rule(_VALUES)
 def variables_can_be_read(probe: Probe) -> Iterator[str]:
     """After initialisation and after a step every variable can be read by its value reference and type."""
     script = probe.script(logging=True).begin()
@@ -37,7 +33,7 @@ def variables_can_be_read(probe: Probe) -> Iterator[str]:
             return
 
 
-@rule("advice: other models expect numbers", Stage.BEHAVIOUR, Level.WARNING, needs=["variables-can-be-read"])
+@behaviour_rule("advice: other models expect numbers", Level.WARNING, needs="variables-can-be-read")
 def outputs_are_finite(probe: Probe) -> Iterator[str]:
     """The Real outputs are finite, in initialization mode and after steps."""
     named = set()
@@ -64,7 +60,7 @@ def _run(probe: Probe) -> list[Reading]:
     return probe.once("values of a run", read)
 
 
-@rule(_PLATFORM, Stage.BEHAVIOUR, needs=["variables-can-be-read", "questions-change-nothing"])
+@behaviour_rule(_PLATFORM, needs="variables-can-be-read questions-change-nothing")
 def values_belong_to_references(probe: Probe) -> Iterator[str]:
     """A value does not depend on the order in which variables are read; aliases are equal; Booleans are
     0 or 1.
@@ -79,18 +75,13 @@ def values_belong_to_references(probe: Probe) -> Iterator[str]:
     values = forward.values
     yield from differing([forward], [backward], "read in another order")
     if all(same(x, backward.values[name]) for name, x in values.items()):
-        yield from _differing_pairs(values, pairs)
+        messages = _read_otherwise(values, pairs, "read with the variable before it")
+        yield from itertools.islice(messages, 1)
     for v, reply in zip(variables, twice, strict=False):
         if len(reply.value) == 2 and not same(*reply.value):
             shown = texts(*reply.value)
             yield f"{v.name} is {shown[0]} and {shown[1]} where one call reads it twice: expected one value"
-    for reading in alone:
-        for name, value in reading.values.items():
-            if not same(value, values[name]):
-                yield (
-                    f"{name} is {texts(value, values[name])[0]} read alone: expected "
-                    f"{texts(value, values[name])[1]}"
-                )
+    yield from _read_otherwise(values, alone, "read alone")
     first: dict[tuple[str, int | None], str] = {}
     for v in variables:
         other = first.setdefault((v.base_kind, v.reference), v.name)
@@ -103,16 +94,14 @@ def values_belong_to_references(probe: Probe) -> Iterator[str]:
             yield f"{v.name} is {values.get(v.name)}: expected 0 or 1, a Boolean"
 
 
-def _differing_pairs(values: dict[str, Any], pairs: list[Reading]) -> Iterator[str]:
-    for reading in pairs:
-        for name, value in reading.values.items():
-            if not same(value, values[name]):
-                shown = texts(value, values[name])
-                yield f"{name} is {shown[0]} read with the variable before it: expected {shown[1]}"
-                return
+def _read_otherwise(values: dict[str, Any], readings: list[Reading], how: str) -> Iterator[str]:
+    for name, value in (item for reading in readings for item in reading.values.items()):
+        if not same(value, values[name]):
+            shown = texts(value, values[name])
+            yield f"{name} is {shown[0]} {how}: expected {shown[1]}"
 
 
-@rule(_PLATFORM, Stage.BEHAVIOUR)
+@behaviour_rule(_PLATFORM)
 def strings_are_utf_8(probe: Probe) -> Iterator[str]:
     """Strings that are read are UTF-8."""
     named = set()
@@ -124,7 +113,7 @@ def strings_are_utf_8(probe: Probe) -> Iterator[str]:
                     yield f"{name} is {value[:40]!r}: expected UTF-8"
 
 
-@rule("2.2.3 Definition of Types (TypeDefinitions)", Stage.BEHAVIOUR)
+@behaviour_rule("2.2.3 Definition of Types (TypeDefinitions)")
 def enumerations_are_items(probe: Probe) -> Iterator[str]:
     """An Enumeration that is read is the value of one of its items."""
     chosen = {v.name: v for v in probe.fmu.variables if v.items}
@@ -137,7 +126,7 @@ def enumerations_are_items(probe: Probe) -> Iterator[str]:
                 yield f"{name} is {value}: expected one of {', '.join(map(str, sorted(items)))}"
 
 
-@rule("2.2.3 Definition of Types (TypeDefinitions)", Stage.BEHAVIOUR, Level.WARNING)
+@behaviour_rule("2.2.3 Definition of Types (TypeDefinitions)", Level.WARNING)
 def values_are_in_range(probe: Probe) -> Iterator[str]:
     """Integers and Enumerations that are read lie between min and max, and Reals up to rounding."""
     named = set()
@@ -159,11 +148,7 @@ def values_are_in_range(probe: Probe) -> Iterator[str]:
             )
 
 
-@rule(
-    _INITIALIZATION,
-    Stage.BEHAVIOUR,
-    needs=["allowed-calls-succeed", "statuses-are-legal", "questions-change-nothing"],
-)
+@behaviour_rule(_INITIALIZATION, needs="allowed-calls-succeed statuses-are-legal questions-change-nothing")
 def final_values_after_terminate(probe: Probe) -> Iterator[str]:
     """After fmi2Terminate the final values can be read: those of the last step."""
     script = probe.script(logging=True).begin().step(2)

@@ -1,20 +1,17 @@
-"""Values of variables for the rules: start values, other legal values, differences between runs."""
+"""Values of variables for the rules: start values, other legal values, and which can be set."""
 
 import math
 import random
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import Condition, NotJudgedError
-from fmus.compliance.script import Reading, Script
+from fmus.compliance.rule import Condition
+from fmus.compliance.script import Script
 from fmus.compliance.variable import Variable
 
-Row = dict[str, Any]
-_SMALL = 0.01  # of the largest variable: what is smaller is compared against that
 _TRUE = {"true": 1, "1": 1, "false": 0, "0": 0}
-RESTARTED = 1e-2  # relative: what a solver that begins anew at an event may change
 _LEAST_INTEGER, _LARGEST_INTEGER = -(2**31), 2**31 - 1
 _STAYS = 0.3  # how often a random value is the start value
 _LONG_TEXT = "Tiefe ä, \N{GREEK SMALL LETTER PI}, \N{GRINNING FACE}; " * 20
@@ -167,88 +164,6 @@ def keeps_its_value(v: Variable) -> bool:
     return v.causality in ("parameter", "input")
 
 
-def texts(*values: Any) -> list[str]:
-    """Numbers with as few digits as show that they differ, six at least."""
-    if not all(isinstance(value, (int, float)) for value in values):
-        return [repr(value) for value in values]
-    for digits in (6, 9, 12, 15):
-        shown = [f"{value:.{digits}g}" for value in values]
-        if len(set(shown)) == len({repr(value) for value in values}):
-            return shown
-    return [repr(value) for value in values]
-
-
-def same(a: Any, b: Any, tolerance: float = 0.0, scale: float = 0.0) -> bool:
-    """Whether two values are equal; numbers up to a tolerance relative to the larger and the scale."""
-    if a == b:
-        return True
-    if not isinstance(a, float) or not isinstance(b, (int, float)):
-        return False
-    if math.isnan(a) and math.isnan(b):
-        return True
-    return abs(a - b) <= tolerance * max(abs(a), abs(b), scale)
-
-
-def unlike(
-    expected: Iterable[tuple[Variable, Any, Reading]], tolerance: float
-) -> Iterator[tuple[Variable, str, str]]:
-    """The first reading of each variable whose value is not the expected one, and both values as texts."""
-    named = set()
-    for v, value, reading in expected:
-        got = read_value(reading.values[v.name])
-        if v.name not in named and not same(got, value, tolerance):
-            named.add(v.name)
-            value_read, value_expected = texts(got, value)
-            yield v, value_read, value_expected
-
-
-def rows(readings: Iterable[Reading]) -> list[Row]:
-    return [reading.values for reading in readings]
-
-
-def differing(
-    expected: Sequence[Reading], got: Sequence[Reading], when: str, tolerance: float = 0.0
-) -> Iterator[str]:
-    """The first value of each variable that is not the same; a tolerance is relative to the largest number,
-    a large one to the variable's own, or a hundredth of the largest.
-    """
-    before, after = rows(expected), rows(got)
-    scales: dict[str, float] = {}
-    for name, value in (item for row in before for item in row.items()):
-        if isinstance(value, float) and math.isfinite(value):
-            scales[name] = max(abs(value), scales.get(name, 0.0))
-    least = (_SMALL if tolerance >= RESTARTED else 1.0) * max(scales.values(), default=0.0)
-    named = set()
-    for i, (row, other) in enumerate(zip(before, after, strict=True), 1):
-        for name, value in row.items():
-            scale = max(scales.get(name, 0.0), least)
-            if name not in named and not same(value, other[name], tolerance, scale):
-                named.add(name)
-                new, old = texts(other[name], value)
-                yield f"{name} is {new} {when}, step {i}: expected {old} again"
-
-
-def _steady(probe: Probe) -> set[str]:
-    """Names of the variables that are the same in every instance: no clock of the computer."""
-
-    def names() -> set[str]:
-        one, other = probe.script().begin(), probe.script().begin()
-        first, second = ([s.step().read(s.variables) for _ in range(3)] for s in (one, other))
-        probe.play_each([one, other])
-        if not one.succeeded or not other.succeeded:
-            raise NotJudgedError("a run fails")
-        others = {message.split(" is ", 1)[0] for message in differing(first, second, "")}
-        return {v.name for v in probe.fmu.variables} - others
-
-    return probe.once("comparison of two runs", names)
-
-
-def steadily(probe: Probe, messages: Iterator[str]) -> Iterator[str]:
-    """The messages about variables that are the same in every instance."""
-    steady = _steady(probe)
-    return (message for message in messages if message.split(" is ", 1)[0] in steady)
-
-
 def continuous_reals(probe: Probe, causality: str) -> list[Variable]:
     return [v for v in probe.real(causality) if v.variability == "continuous"]
 
@@ -268,56 +183,6 @@ def is_utf_8(content: bytes) -> bool:
 def other_values(variables: Iterable[Variable]) -> list[tuple[Variable, Any]]:
     """Each variable that has another legal value, with that value."""
     return [(v, x) for v in variables if (x := other_value(v)) is not None]
-
-
-def accepted(
-    probe: Probe, pairs: Sequence[tuple[Variable, Any]], begun: Callable[[], Script]
-) -> list[tuple[Variable, Any]]:
-    """The variables and values with which the FMU takes a step: all, or those that it accepts alone."""
-    if not pairs or _takes(probe, [pairs], begun)[0]:
-        return list(pairs)
-    succeeded = _takes(probe, [[pair] for pair in pairs], begun)
-    return [pair for pair, ok in zip(pairs, succeeded, strict=True) if ok]
-
-
-def accepted_together(
-    probe: Probe, pairs: Sequence[tuple[Variable, Any]], begun: Callable[[], Script]
-) -> list[tuple[Variable, Any]]:
-    """The variables and values with which the FMU takes a step at once: those accepted alone, less those
-    that it refuses beside others; found once for all rules that begin alike.
-    """
-    values = [(v.name, x) for v, x in pairs]
-    return probe.once("choice of values", lambda: _chosen(probe, pairs, begun), values, begun().calls)
-
-
-def _chosen(
-    probe: Probe, pairs: Sequence[tuple[Variable, Any]], begun: Callable[[], Script]
-) -> list[tuple[Variable, Any]]:
-    alone = accepted(probe, pairs, begun)
-    if not alone or _takes(probe, [alone], begun)[0]:
-        return alone
-    together = list[tuple[Variable, Any]]()
-    for pair in alone:
-        if _takes(probe, [[*together, pair]], begun)[0]:
-            together.append(pair)
-    return together
-
-
-def _takes(
-    probe: Probe, choices: Sequence[Sequence[tuple[Variable, Any]]], begun: Callable[[], Script]
-) -> list[bool]:
-    """Whether the FMU takes a step after the values of each choice were set in a new script."""
-    scripts = [begun() for _ in choices]
-    for script, pairs in zip(scripts, choices, strict=True):
-        for v, x in pairs:
-            script.set(v, x)
-        if script.state == "instantiated":
-            script.initialise()
-        if script.state == "initialization mode":
-            script.exit_initialization_mode()
-        script.step()
-    probe.play_each(scripts)
-    return [script.succeeded for script in scripts]
 
 
 def set_input_derivatives(probe: Probe, script: Script, value: float = 1.0) -> None:

@@ -1,0 +1,111 @@
+"""Values that two runs give, compared."""
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+from fmus.compliance.probe import Probe
+from fmus.compliance.rule import NotJudgedError
+from fmus.compliance.script import Reading, Script
+from fmus.compliance.values import read_value
+from fmus.compliance.variable import Variable
+
+RESTARTED = 1e-2  # relative: what a solver that begins anew at an event may change
+_SMALL = 0.01  # of the largest variable: what is smaller is compared against that
+
+
+def texts(*values: Any) -> list[str]:
+    """Numbers with as few digits as show that they differ, six at least."""
+    if not all(isinstance(value, (int, float)) for value in values):
+        return [repr(value) for value in values]
+    for digits in (6, 9, 12, 15):
+        shown = [f"{value:.{digits}g}" for value in values]
+        if len(set(shown)) == len({repr(value) for value in values}):
+            return shown
+    return [repr(value) for value in values]
+
+
+def same(a: Any, b: Any, tolerance: float = 0.0, scale: float = 0.0) -> bool:
+    """Whether two values are equal; numbers up to a tolerance relative to the larger and the scale."""
+    if a == b:
+        return True
+    if not isinstance(a, float) or not isinstance(b, (int, float)):
+        return False
+    if math.isnan(a) and math.isnan(b):
+        return True
+    return abs(a - b) <= tolerance * max(abs(a), abs(b), scale)
+
+
+def unlike(
+    expected: Iterable[tuple[Variable, Any, Reading]], tolerance: float
+) -> Iterator[tuple[Variable, str, str]]:
+    """The first reading of each variable whose value is not the expected one, and both values as texts."""
+    named = set()
+    for v, value, reading in expected:
+        got = read_value(reading.values[v.name])
+        if v.name not in named and not same(got, value, tolerance):
+            named.add(v.name)
+            value_read, value_expected = texts(got, value)
+            yield v, value_read, value_expected
+
+
+def differing(
+    expected: Sequence[Reading], got: Sequence[Reading], when: str, tolerance: float = 0.0
+) -> Iterator[str]:
+    """The first value of each variable that is not the same; a tolerance is relative to the largest number,
+    a large one to the variable's own, or a hundredth of the largest.
+    """
+    before, after = ([reading.values for reading in readings] for readings in (expected, got))
+    scales: dict[str, float] = {}
+    for name, value in (item for row in before for item in row.items()):
+        if isinstance(value, float) and math.isfinite(value):
+            scales[name] = max(abs(value), scales.get(name, 0.0))
+    least = (_SMALL if tolerance >= RESTARTED else 1.0) * max(scales.values(), default=0.0)
+    named = set()
+    for i, (row, other) in enumerate(zip(before, after, strict=True), 1):
+        for name, value in row.items():
+            scale = max(scales.get(name, 0.0), least)
+            if name not in named and not same(value, other[name], tolerance, scale):
+                named.add(name)
+                new, old = texts(other[name], value)
+                yield f"{name} is {new} {when}, step {i}: expected {old} again"
+
+
+def _steady(probe: Probe) -> set[str]:
+    """Names of the variables that are the same in every instance: no clock of the computer."""
+
+    def names() -> set[str]:
+        one, other = probe.script().begin(), probe.script().begin()
+        first, second = ([s.step().read(s.variables) for _ in range(3)] for s in (one, other))
+        probe.play_each([one, other])
+        if not one.succeeded or not other.succeeded:
+            raise NotJudgedError("a run fails")
+        others = {message.split(" is ", 1)[0] for message in differing(first, second, "")}
+        return {v.name for v in probe.fmu.variables} - others
+
+    return probe.once("comparison of two runs", names)
+
+
+def steadily(probe: Probe, messages: Iterator[str]) -> Iterator[str]:
+    """The messages about variables that are the same in every instance."""
+    steady = _steady(probe)
+    return (message for message in messages if message.split(" is ", 1)[0] in steady)
+
+
+def failing_or_differing(
+    script: Script,
+    expected: Sequence[Reading],
+    got: Sequence[Reading],
+    when: str,
+    tolerance: float = 0.0,
+    failing: str | None = None,
+) -> Iterator[str]:
+    """A message where a call of a script that was played has failed, otherwise as `differing`.
+
+    failing: when it fails, unless that is `when`
+    """
+    if script.failure:
+        prefix = when if failing is None else failing
+        yield f"{prefix}: {script.failure.problem}" if prefix else script.failure.problem
+    else:
+        yield from differing(expected, got, when, tolerance)

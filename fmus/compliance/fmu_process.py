@@ -1,0 +1,113 @@
+"""The process that calls an FMU: started, asked, timed and ended."""
+
+import itertools
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from fmus.compliance.rule import DEFECT
+from fmus.compliance.script import CallError, DefectError
+from fmus.process import WorkerProcess
+
+Call = tuple[Any, ...]  # a method of `LoadedFmu` and its arguments
+START_S = 60.0  # for the interpreter, whatever the rules take
+_POLL_S = 0.01
+
+
+def start_process() -> WorkerProcess:
+    """A process for calls of an FMU, which it does not know yet."""
+    from fmus.compliance.instance import call_fmu
+
+    return WorkerProcess(call_fmu, trusted=False)
+
+
+class FmuProcess:
+    """The process that calls the FMU.
+
+    process: by `start_process`
+    deadline: of its answers, in `time.monotonic`; TimeoutError after that, ProcessEndedError after its end
+    one_instance: whether an instance is created in a new process, but beside others that it is called with
+    """
+
+    def __init__(
+        self, process: WorkerProcess, library: Path, resources: Path, deadline: float, one_instance: bool
+    ) -> None:
+        self.deadline = deadline
+        self._files, self.one_instance = (library, resources), one_instance
+        self._numbers = itertools.count()
+        self._start(process)
+
+    def _start(self, process: WorkerProcess) -> None:
+        from fmus.compliance.instance import CALLED
+
+        self._process = process
+        self._has_created, self._alive = False, set[int]()
+        self._called = process.folder / CALLED
+        process.send((process.folder, *self._files))
+
+    def calls(self, calls: Sequence[Call]) -> list[Any]:
+        """The results of calls of `LoadedFmu`. Raises CallError for the first that fails."""
+        if not self.one_instance:
+            return self._calls(calls)
+        results = []
+        for call in calls:
+            match call:
+                case "create", int(number), _:
+                    if self._has_created and not self._alive:
+                        self._start_anew()
+                    self._has_created = True
+                    self._alive.add(number)
+                case "free", int(number):
+                    self._alive.discard(number)
+            results += self._calls([call])
+        return results
+
+    def _start_anew(self) -> None:
+        """Go on in a new process; its start takes no time of the deadline."""
+        left = self.deadline - time.monotonic()
+        self.close()
+        self.deadline = time.monotonic() + START_S
+        self._start(start_process())
+        self._calls([])  # it has started
+        self.deadline = time.monotonic() + left
+
+    @contextmanager
+    def in_new_processes(self) -> Iterator[None]:
+        """A context in which each instance is the first one of its process."""
+        before, self.one_instance, self._has_created = self.one_instance, True, True
+        try:
+            yield
+        finally:
+            self.one_instance = before
+
+    def _calls(self, calls: Sequence[Call]) -> list[Any]:
+        expected = next(self._numbers)
+        self._process.send((expected, calls))
+        answer = self._process.receive(max(0.0, self.deadline - time.monotonic()))
+        match answer:
+            case [int(got), [*results], None] if got == expected and len(results) == len(calls):
+                return results
+            case [int(got), [*_], str(error)] if got == expected:
+                raise DefectError(error) if error.startswith(DEFECT) else CallError(error)
+        raise CallError(f"the process of the FMU sent {str(answer)[:100]!r}: expected results of the calls")
+
+    def hangs(self, seconds: float) -> bool:
+        """Whether the call that is under way takes longer than that: if need be, this waits for its end."""
+        began = self._began()
+        while began and time.time() - began < seconds:
+            time.sleep(_POLL_S)
+            if self._began() != began:
+                return False
+        return began > 0
+
+    def _began(self) -> float:
+        """When the call that is under way began; 0 if there is none."""
+        try:
+            return self._called.stat().st_mtime
+        except OSError:
+            return 0.0
+
+    def close(self) -> None:
+        self._process.close()
