@@ -11,6 +11,13 @@ typedef int64_t Mask __attribute__((vector_size(8 * LANES))); /* of each lane al
 
 INLINE Lanes all(double number) { return number - (Lanes){0}; } /* -0 stays -0 */
 INLINE int any(Mask mask) { return __builtin_reduce_or(mask) != 0; }
+INLINE unsigned bits(Mask mask) {
+    typedef _Bool Bits __attribute__((ext_vector_type(LANES)));
+    unsigned result = 0;
+    const Bits lanes = __builtin_convertvector(mask, Bits);
+    memcpy(&result, &lanes, sizeof lanes);
+    return result;
+}
 INLINE Mask is_true(Lanes numbers) { return (Mask)(numbers != 0); }
 INLINE Lanes choice(Mask mask, Lanes first, Lanes second) {
     return (Lanes)(((Mask)first & mask) | ((Mask)second & ~mask));

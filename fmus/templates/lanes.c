@@ -37,12 +37,6 @@ typedef struct {
 
 static const double MOST_INTERNAL_STEPS = 1e9;
 
-static int64_t bits(Mask mask) {
-    int64_t result = 0;
-    if (any(mask)) EACH_LANE result |= (mask[lane] & 1) << lane;
-    return result;
-}
-
 /* What the caller has to know: how many variables, states, and bytes of a group; its internal step; how many Reals take
  * whole numbers alone. */
 EXPORT void lanes_sizes(int64_t sizes[5]) {
