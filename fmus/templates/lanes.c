@@ -24,15 +24,22 @@ enum { N_STEP_SIZES = 4 };
 #include "lane_functions.h"
 #include "model_lanes.h"
 
+/* size: of a communication step, NaN: of none; internal: of its `count` internal steps [s];
+ * constants: what these need of the parameters. */
+typedef struct {
+    Lanes constants[N_STEP_CONSTANTS + 1];
+    double size, internal;
+    int64_t count;
+} Steps;
+
 /* value: by value reference, as in `Data` of instance.h; state: the present one and the next, by turns;
- * constants: what steps of some sizes need of the parameters, since the sizes of a time grid differ by rounding. */
+ * steps: of some sizes, since those of a time grid differ by rounding. */
 typedef struct {
     Lanes value[N_VARIABLES];
     Lanes state[2][N_STATES + 1];
-    Lanes constants[N_STEP_SIZES][N_STEP_CONSTANTS + 1];
     Lanes memory[N_MEMORY + 1];
-    double size_of_constants[N_STEP_SIZES]; /* s; NaN: of none */
-    int64_t present, oldest_constants, parameters_are_stale;
+    Steps steps[N_STEP_SIZES];
+    int64_t present, oldest_steps, parameters_are_stale;
 } Group;
 
 static const double MOST_INTERNAL_STEPS = 1e9;
@@ -56,7 +63,7 @@ static Mask calculate(Group *group) {
     Lanes holds[N_REQUIREMENTS + 1], *p = group->value, *c = p + FIRST_CALCULATED;
     Mask broken = {0};
     group->parameters_are_stale = 0;
-    for (int i = 0; i < N_STEP_SIZES; i++) group->size_of_constants[i] = NAN;
+    for (int i = 0; i < N_STEP_SIZES; i++) group->steps[i].size = NAN;
     model_calculate(p, c, group->memory);
     model_requirements(p, c, holds, group->memory);
     for (int i = 0; i < N_REQUIREMENTS; i++) broken |= (Mask)(holds[i] != 1);
@@ -69,14 +76,20 @@ static Mask calculate(Group *group) {
 /* The next step begins with what follows from them, as that of the FMU. */
 EXPORT void lanes_parameters_changed(Group *group) { group->parameters_are_stale = 1; }
 
-static const Lanes *constants_of(Group *group, double internal) {
+/* Those of a communication step [s]; NULL if they are too many. */
+static const Steps *steps_of(Group *group, double size) {
+    const Lanes *p = group->value;
     for (int i = 0; i < N_STEP_SIZES; i++)
-        if (group->size_of_constants[i] == internal) return group->constants[i];
-    const int64_t i = group->oldest_constants;
-    group->oldest_constants = (i + 1) % N_STEP_SIZES;
-    group->size_of_constants[i] = internal;
-    model_step_constants(internal, group->value, group->value + FIRST_CALCULATED, group->constants[i], group->memory);
-    return group->constants[i];
+        if (group->steps[i].size == size) return group->steps + i;
+    const double number = size / p[INTERNAL_STEP][0] * (1 - 1e-9);
+    if (!(number <= MOST_INTERNAL_STEPS)) return NULL;
+    Steps *steps = group->steps + group->oldest_steps;
+    group->oldest_steps = (group->oldest_steps + 1) % N_STEP_SIZES;
+    steps->size = size;
+    steps->count = number <= 1 ? 1 : (int64_t)ceil(number);
+    steps->internal = size / steps->count;
+    model_step_constants(steps->internal, p, p + FIRST_CALCULATED, steps->constants, group->memory);
+    return steps;
 }
 
 /* Lanes of which a number is not finite, or an output none of its items. */
@@ -113,15 +126,15 @@ EXPORT int64_t lanes_step(Group *group, double start, double size) {
     const Lanes *p = group->value, *c = p + FIRST_CALCULATED, *u = p + FIRST_INPUT;
     Lanes *outputs = group->value + FIRST_OUTPUT;
     const Mask broken = group->parameters_are_stale ? calculate(group) : (Mask){0};
-    const double steps = size / p[INTERNAL_STEP][0] * (1 - 1e-9);
-    if (!(steps <= MOST_INTERNAL_STEPS)) return -1;
-    const int count = steps <= 1 ? 1 : (int)ceil(steps);
-    const double internal = size / count;
-    const Lanes *k = constants_of(group, internal), *next = NULL;
-    for (int i = 0; i < count; i++) {
+    const Steps *steps = steps_of(group, size);
+    const Lanes *k, *next;
+    if (!steps) return -1;
+    k = steps->constants;
+    for (int i = 0; i < steps->count; i++) {
         const Lanes *x = group->state[group->present];
+        const double time = start + i * steps->internal;
         group->present = !group->present;
-        model_step(start + i * internal, internal, x, u, p, c, k, group->state[group->present], group->memory);
+        model_step(time, steps->internal, x, u, p, c, k, group->state[group->present], group->memory);
     }
     next = group->state[group->present];
     model_output(start + size, next, p, c, outputs, group->memory);
