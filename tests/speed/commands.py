@@ -1,38 +1,32 @@
 """Whole commands, from the start of their process to its end, beside the same loop in other importers.
 
-`python -m tests.speed.commands` prints medians with the least and the largest time; all take turns, so that
-they see the same machine. What a command does once comes before: the FMUs of scenarios, and the compiler's
-own libraries for each platform. A build anew finds neither FMUs nor anything of them that was compiled.
+All take turns, so that they see the same machine. What a command does once comes before: the FMUs of
+scenarios, and the compiler's own libraries for each platform. A build anew finds neither FMUs nor anything of
+them that was compiled.
 """
 
-import os
 import resource
 import shutil
 import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
-from typing import Annotated
-
-import typer
-from rich.table import Table
 
 from fmus import catalogue
-from fmus.platforms import PLATFORMS
+from fmus.platforms import PLATFORMS, host_platform
 from orchestration.scenarios import scenario
 from tests.importers.comparison import packaged
 from tests.importers.importers import ImporterJob
-from tests.printing import print_tables
+from tests.speed.part import Goal, Options, Part, Table, spread
+from tests.speed.states import COMMAND, FIVE, State
 
 SCENARIO = "nominal-extended"
-FIVE = ("L1DepthController", "RovDepthPlant", "L1Controller", "ExamplePlant", "DepthReference")
 FIRST_RUN = """
 from orchestration import System, simulate
-system = System({{"controller": {controller!r}, "plant": {plant!r}}}, [
+system = System({{"controller": "{fmus}/L1DepthController.fmu", "plant": "{fmus}/RovDepthPlant.fmu"}}, [
     ("controller.voltage[1]", "plant.voltage[1]"), ("controller.voltage[2]", "plant.voltage[2]"),
     ("plant.measured_depth", "controller.measured_depth")])
 simulate(system, stop_time=10.0, step_size=0.02, open_inputs="start")
@@ -51,10 +45,25 @@ FMPY = """
 from fmpy.ssp.simulation import simulate_ssp
 simulate_ssp({package!r}, 0.0, {stop!r}, {step!r})
 """
-# exported, as Zig ends with a fault where a library for macOS exports nothing
-_COMPILED = (
-    '#include <math.h>\n__attribute__((visibility("default"))) double f(double x) { return sin(x); }\n'
-)
+OTHERS = {"Ecos": ECOS, "libcosim": LIBCOSIM, "FMPy": FMPY}
+RUN = f"`l1-depth run {SCENARIO} --formats none`: recording, metrics, provenance"
+FIGURE = f"`l1-depth run {SCENARIO}`, with its figure"
+HELP, FIRST = "`l1-depth --help`", "`from orchestration import System, simulate`, a first `simulate`"
+REPRODUCE, CHECK = "`l1-depth reproduce`, with its figures", "`l1-depth check` of one FMU"
+BUILD, AGAIN = "`l1-depth build` of five FMUs, anew", "the same again, nothing changed"
+ALL_PLATFORMS = "the same for all platforms"
+TARGETS_S = {
+    RUN: 0.4,
+    FIGURE: 1.0,
+    HELP: 0.3,
+    FIRST: 0.35,
+    REPRODUCE: 5.0,
+    BUILD: 4.0,
+    ALL_PLATFORMS: 15.0,
+    AGAIN: 0.3,
+    CHECK: 1.5,
+}
+_QUICK = {RUN, HELP, FIRST, BUILD, CHECK}
 
 
 @dataclass
@@ -63,18 +72,24 @@ class Command:
 
     name: str
     arguments: Sequence[str]
-    environment: Mapping[str, str] = field(default_factory=dict)
+    folder: Path
+    environment: Mapping[str, str]
     prepare: Callable[[], object] = lambda: None
+    remark: str = ""
     wall: list[float] = field(default_factory=list)
     cpu: list[float] = field(default_factory=list)
 
-    def measure(self, folder: Path, environment: Mapping[str, str]) -> None:
-        """Run it once; RuntimeError if it fails. environment: of all commands, to which it adds its own."""
+    def measure(self) -> None:
+        """Run it once; RuntimeError if it fails."""
         self.prepare()
-        variables = {**environment, **self.environment}
         before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
         done = subprocess.run(
-            self.arguments, cwd=folder, env=variables, capture_output=True, text=True, check=False
+            self.arguments,
+            cwd=self.folder,
+            env=self.environment,
+            capture_output=True,
+            text=True,
+            check=False,
         )
         self.wall.append(time.perf_counter() - start)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -83,102 +98,117 @@ class Command:
             raise RuntimeError(f"{self.name}: {done.stderr[-500:]}")
 
 
-def commands(folder: Path) -> list[Command]:
-    """The commands of this project, and the importers that are installed."""
-    chosen = scenario.load(scenario.find(SCENARIO))
-    catalogue.build_missing(chosen.system.components.values())
-    components = {name: str(path) for name, path in chosen.system.components.items()}
-    run = ("l1-depth", "run", SCENARIO, "--out", "results")
-    return [
-        Command("python -c pass", (sys.executable, "-c", "pass")),
-        Command("l1-depth --help", ("l1-depth", "--help")),
-        Command("import, and a first simulate", (sys.executable, "-c", FIRST_RUN.format(**components))),
-        Command(f"l1-depth run {SCENARIO} --formats none", (*run, "--formats", "none")),
-        Command(f"l1-depth run {SCENARIO}, with its figure", run),
-        Command("l1-depth reproduce, with its figures", ("l1-depth", "reproduce", "--out", "results")),
-        *_builds(folder),
-        Command("l1-depth check of one FMU", ("l1-depth", "check", components["controller"])),
-        *_of_importers(packaged(chosen, folder)),
-    ]
+def commands(state: State) -> Iterator[Command]:
+    """The commands of a state."""
+    fmus, environment = state.fmus, state.environment
+    run, none = (*COMMAND, "run", SCENARIO, "--out", "results"), ("--formats", "none")
+    remark = "" if _succeeds((*run, *none), state) else "with its figure: it could not be left out"
+
+    def command(name: str, *arguments: str) -> Command:
+        return Command(name, arguments, state.folder, environment)
+
+    yield Command(RUN, run if remark else (*run, *none), state.folder, environment, remark=remark)
+    yield command(FIGURE, *run)
+    yield command(HELP, *COMMAND, "--help")
+    yield command(FIRST, sys.executable, "-P", "-c", FIRST_RUN.format(fmus=fmus))
+    yield command(REPRODUCE, *COMMAND, "reproduce", "--out", "results")
+    yield command(AGAIN, *COMMAND, "build", *FIVE, "--out", str(fmus))
+    yield command(CHECK, *COMMAND, "check", str(fmus / "L1DepthController.fmu"))
 
 
-def _of_importers(job: ImporterJob) -> list[Command]:
+def builds(state: State, platforms: Sequence[str]) -> Iterator[Command]:
+    """Builds of five FMUs from nothing but the compiler's own libraries, which are there for platforms."""
+    environment = {**state.environment, "XDG_CACHE_HOME": f"{state.folder}/anew"}
+
+    def forget() -> None:
+        for path in (state.folder / "anew", state.folder / "built"):
+            shutil.rmtree(path, ignore_errors=True)
+        _restore_libraries(state, platforms)
+
+    build = (*COMMAND, "build", *FIVE, "--out", "built")
+    yield Command(BUILD, build, state.folder, environment, forget)
+    yield Command(ALL_PLATFORMS, (*build, "--all-platforms"), state.folder, environment, forget)
+
+
+def _succeeds(arguments: Sequence[str], state: State) -> bool:
+    done = subprocess.run(
+        arguments, cwd=state.folder, env=state.environment, capture_output=True, check=False
+    )
+    return not done.returncode
+
+
+def _restore_libraries(state: State, platforms: Sequence[str]) -> None:
+    """Leave nothing in the compiler's cache but its own libraries, which are made when they are missing.
+
+    They are made where they are used, as Zig finds them by their paths.
+    """
+    cache = Path(state.environment["ZIG_GLOBAL_CACHE_DIR"])
+    libraries = cache.with_name("libraries")
+    shutil.rmtree(cache, ignore_errors=True)
+    if not libraries.exists():
+        state.output_of("zig_libraries.py", *platforms)
+        shutil.move(cache, libraries)
+    shutil.copytree(libraries, cache, symlinks=True)
+
+
+def _of_importers(job: ImporterJob, state: State) -> list[Command]:
     """The same loop in other importers, which write nothing."""
     times = {"step": job.step_size, "stop": job.stop_time, "nanoseconds": round(job.step_size * 1e9)}
     values = {"package": str(job.package), "count": job.reports, **times}
-    programs = {"Ecos": ECOS, "libcosim": LIBCOSIM, "FMPy": FMPY}
     return [
-        Command(f"{name}, nothing written", (sys.executable, "-c", text.format(**values)))
-        for name, text in programs.items()
+        Command(name, (sys.executable, "-c", text.format(**values)), state.folder, state.environment)
+        for name, text in OTHERS.items()
     ]
 
 
-def _builds(folder: Path) -> list[Command]:
-    """Builds of five FMUs: from nothing but the compiler's own libraries, and without a change."""
-    build, libraries = ("l1-depth", "build", *FIVE), folder / "libraries"
-    caches = {"XDG_CACHE_HOME": f"{folder}/cache", "ZIG_GLOBAL_CACHE_DIR": f"{folder}/cache/zig"}
-    of_unchanged = {"XDG_CACHE_HOME": f"{folder}/unchanged"}  # which holds the stamps of its FMUs
+def measure(options: Options) -> Part:
+    """All commands of each state by turns, after a round that does not count."""
+    chosen = scenario.load(scenario.find(SCENARIO))
+    catalogue.build_missing(chosen.system.components.values())
+    own = [_of_state(state, options) for state in options.states]
+    others = _of_importers(packaged(chosen, options.folder), options.now)
+    everything = [*others, *(command for of_state in own for command in of_state.values())]
+    for turn in range(options.rounds(4)):
+        for command in everything:
+            if turn == 1:  # what is built and compiled to bytecode once was in the turn before
+                command.wall.clear()
+                command.cpu.clear()
+            if turn or options.quick or command.name != ALL_PLATFORMS:  # long, and like the build before it
+                command.measure()
+    now, before = own[-1], own[0] if options.before else {}
+    rows = [(name, *_times(before.get(name)), *_times(now[name])) for name in now]
+    rows += [(f"the same loop in {c.name}, nothing written", "", "", *_times(c)) for c in others]
+    headings = ("command", "before, s", "its CPU, s", "now, s", "its CPU, s")
+    return Part([Table("commands", headings, rows)], _goals(now, before, others))
 
-    def forget() -> None:
-        for name in ("cache", "built"):
-            shutil.rmtree(folder / name, ignore_errors=True)
-        if not libraries.exists():  # made where they are used, as Zig finds them by their paths
-            compiled = _COMPILE.format(platforms=PLATFORMS, text=_COMPILED)
-            subprocess.run([sys.executable, "-c", compiled], env={**os.environ, **caches}, check=True)
-            shutil.move(folder / "cache" / "zig", libraries)
-        shutil.copytree(libraries, folder / "cache" / "zig", symlinks=True)
 
+def _of_state(state: State, options: Options) -> dict[str, Command]:
+    """Name -> command, in the order of the table."""
+    platforms = [host_platform()] if options.quick else PLATFORMS
+    chosen = {command.name: command for command in [*commands(state), *builds(state, platforms)]}
+    return {name: chosen[name] for name in TARGETS_S if not options.quick or name in _QUICK}
+
+
+def _goals(now: Mapping[str, Command], before: Mapping[str, Command], others: list[Command]) -> list[Goal]:
+    peers = ", ".join(f"{c.name} {median(c.wall):.2f} s" for c in others)
     return [
-        Command("l1-depth build of five FMUs, anew", (*build, "--out", "built"), caches, forget),
-        Command("the same for all platforms", (*build, "--all-platforms", "--out", "built"), caches, forget),
-        Command("the same, unchanged", (*build, "--out", "unchanged"), of_unchanged),
+        Goal(
+            name,
+            f"{TARGETS_S[name]:g} s",
+            f"{median(command.wall):.2f} s",
+            _with_remark(f"{median(before[name].wall):.2f} s", before[name]) if before else "",
+            f"{peers}, which write nothing" if name == RUN else "",
+        )
+        for name, command in now.items()
     ]
 
 
-_COMPILE = """
-from fmus.export.toolchain import compile_library
-for platform in {platforms!r}:
-    compile_library("empty", {{"empty.c": {text!r}}}, ["empty.c"], platform)
-"""
+def _times(command: Command | None) -> tuple[str, str]:
+    """On the clock, and of all processors."""
+    if not command:
+        return "", ""
+    return _with_remark(spread(command.wall), command), spread(command.cpu)
 
 
-def measured(rounds: int, parts: Sequence[str]) -> list[Command]:
-    """All commands, or those with one of these parts in their names, after a round that does not count."""
-    with tempfile.TemporaryDirectory(prefix="l1-depth-speed-") as name:
-        folder = Path(name)
-        environment = {**os.environ, "PYTHONPYCACHEPREFIX": str(folder / "bytecode")}
-        environment.pop("PYTHONDONTWRITEBYTECODE", None)
-        chosen = [c for c in commands(folder) if not parts or any(part in c.name for part in parts)]
-        for turn in range(rounds + 1):
-            for command in chosen:
-                command.measure(folder, environment)
-                if not turn:
-                    command.wall.clear()
-                    command.cpu.clear()
-        return chosen
-
-
-def table(chosen: Sequence[Command]) -> Table:
-    """Medians, and in brackets the least and the largest [s]."""
-    result = Table(title="From the start of the process to its end")
-    for heading in ("Command", "s", "s of CPU"):
-        result.add_column(heading, justify="left" if heading == "Command" else "right", overflow="fold")
-    for command in chosen:
-        spread = [f"{median(x):.2f} ({min(x):.2f} to {max(x):.2f})" for x in (command.wall, command.cpu)]
-        result.add_row(command.name, *spread)
-    return result
-
-
-def main(
-    rounds: Annotated[int, typer.Option(help="Measurements of which the median is taken.", min=1)] = 5,
-    only: Annotated[
-        list[str] | None, typer.Option(help="Time commands alone whose names have this part; repeatable.")
-    ] = None,
-    markdown: Annotated[bool, typer.Option(help="Print the table of docs/performance.md.")] = False,
-) -> None:
-    """Time whole commands and other importers, from the start of their processes to the end."""
-    print_tables([table(measured(rounds, only or []))], markdown)
-
-
-if __name__ == "__main__":
-    typer.run(main)
+def _with_remark(text: str, command: Command) -> str:
+    return f"{text}, {command.remark}" if command.remark else text

@@ -1,4 +1,4 @@
-"""What a closed-loop step costs in an ensemble, beside the Simulator: `python -m tests.speed.ensemble`.
+"""What a closed-loop step costs in an ensemble, beside the Simulator.
 
 The plan of the Monte Carlo: other parameters, another seed and another constant input of each instance. CPU
 time of whole runs in one thread, by turns, with the initial values and the recording of two signals.
@@ -6,12 +6,9 @@ time of whole runs in one thread, by turns, with the initial values and the reco
 
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
 from statistics import median
-from typing import Annotated
-
-import typer
-from rich.table import Table
 
 from fmus import catalogue
 from fmus.fmi_types import FmiValue
@@ -21,7 +18,12 @@ from orchestration.master import Simulator
 from orchestration.master.ensemble import Ensemble
 from orchestration.scenarios import scenario
 from orchestration.sweep.plan import Plan, plan
-from tests.printing import print_tables
+from tests.speed.part import Goal, Options, Part, Table, spread
+
+SCENARIO = "monte-carlo"
+_TARGET = ("x86-64-v3", 64)
+_SIZES = (1, 8, 64, 1024)
+_Figures = dict[tuple[str, int], list[float]]
 
 
 def varied(planned: Plan, count: int) -> dict[str, list[FmiValue]]:
@@ -37,40 +39,49 @@ def nanoseconds(run: Callable[[], object], steps: int) -> float:
     return 1e9 * (time.process_time() - start) / steps
 
 
-def main(
-    name: Annotated[str, typer.Argument(help="A scenario with a sweep.")] = "monte-carlo",
-    counts: Annotated[list[int] | None, typer.Option("--instances", help="How many.")] = None,
-    rounds: Annotated[int, typer.Option(help="Measurements of which the median is taken.", min=1)] = 5,
-    markdown: Annotated[bool, typer.Option(help="Print the table of docs/performance.md.")] = False,
-) -> None:
-    """Measure ensembles of some sizes on each instruction set that this processor has."""
-    chosen = scenario.load(scenario.find(name))
+def costs(sizes: tuple[int, ...], rounds: int) -> _Figures:
+    """(instruction set, instances) -> ns a step and instance, a value a round."""
+    chosen = scenario.load(scenario.find(SCENARIO))
     catalogue.build_missing([*chosen.system.components.values()])
     planned = plan(chosen)
     experiment = replace(chosen.experiment, record=("plant.depth", "controller.demanded_force"))
-    steps, sizes = experiment.step_count, counts or [1, 8, 64, 1024]
-    figures: dict[tuple[str, int], list[float]] = {}
-    ensembles = {kind: Ensemble(chosen.system, kind) for kind in instruction_sets()}
-    with Simulator(chosen.system) as simulator:
+    steps = experiment.step_count
+    figures: _Figures = {("Simulator", 1): []}
+    with ExitStack() as stack:
+        simulator = stack.enter_context(Simulator(chosen.system))
+        ensembles = {kind: Ensemble(chosen.system, kind) for kind in instruction_sets()}
+        for ensemble in ensembles.values():
+            stack.callback(ensemble.close)
         simulator.run(experiment)
         for _ in range(rounds):
-            figures.setdefault(("Simulator", 1), []).append(
-                nanoseconds(lambda: simulator.run(experiment), steps)
-            )
+            figures["Simulator", 1].append(nanoseconds(lambda: simulator.run(experiment), steps))
             for kind, ensemble in ensembles.items():
                 for count in sizes:
                     vary = varied(planned, count)
                     cost = nanoseconds(lambda: ensemble.run(experiment, vary), count * steps)  # noqa: B023
                     figures.setdefault((kind, count), []).append(cost)
-    table = Table("", "Instances", "ns a step and instance", "of a Simulator", title="Ensembles")
+    return figures
+
+
+def measure(options: Options) -> Part:
+    """Ensembles of some sizes on each instruction set that this processor has."""
+    figures = costs((LANES,) if options.quick else _SIZES, options.rounds(5))
     scalar = median(figures["Simulator", 1])
-    for (kind, count), costs in figures.items():
-        table.add_row(kind, str(count), f"{median(costs):.0f}", f"{median(costs) / scalar:.2f}")
-    print_tables([table], markdown)
-    print(f"{name}, {steps} steps, groups of {LANES} instances; medians of {rounds} rounds, one thread")
-    for ensemble in ensembles.values():
-        ensemble.close()
-
-
-if __name__ == "__main__":
-    typer.run(main)
+    rows = [
+        (kind, str(count), spread(taken, 0), f"{median(taken) / scalar:.2f}")
+        for (kind, count), taken in figures.items()
+    ]
+    headings = ("", "instances", "ns a step and instance", "of a Simulator")
+    goals = (
+        [
+            Goal(
+                f"a closed-loop step in an ensemble of {_TARGET[1]}, {_TARGET[0]}",
+                "80 ns",
+                f"{median(figures[_TARGET]):.0f} ns",
+                others=f"a `Simulator` {scalar:.0f} ns",
+            )
+        ]
+        if _TARGET in figures
+        else []
+    )
+    return Part([Table("ensemble", headings, rows)], goals)

@@ -16,6 +16,7 @@ from tests.isolated import answer_of
 from tests.speed import pair as pair_module
 from tests.speed.loops import LOOPS, Measurement, measure_loop
 from tests.speed.pair import STEP_SIZE, Pair
+from tests.speed.part import Goal, Options, Part, Table
 from tests.speed.programs import C_SOURCES, compile_program, extracted, output_of, workplace
 
 FLOOR = "a bare C loop"
@@ -23,6 +24,9 @@ _ENOUGH_S = 0.05  # far more than what loading varies by
 _LONGEST_S = 120.0
 _CLOSE = 1e-12  # relative; rounding, where an importer adds up times
 _NEAR = 1e-2  # relative; another algorithm of first order, but the same work
+
+
+_QUICK = ("ours", "ecos", "fmucontainer")
 
 
 @dataclass(frozen=True)
@@ -50,13 +54,36 @@ class Entry:
         return self.per_step / self.floor
 
 
-def compare(
-    rounds: int = 3, loops: Iterable[str] = LOOPS, progress: Callable[[], object] = lambda: None
-) -> list[Entry]:
-    """The bare loop and every other, medians over rounds in which all take turns.
+def measure(options: Options) -> Part:
+    """A communication step of the pair in every importer that is installed."""
+    entries = compare(options.rounds(3), _QUICK if options.quick else LOOPS)
+    floor, ours = (next(e for e in entries if e.name == name) for name in (FLOOR, LOOPS["ours"].name))
+    others = sorted(
+        (e for e in entries if not e.problem and e not in (floor, ours)), key=lambda e: e.per_step
+    )
+    now = f"{1e6 * ours.per_step:.3f} us, {ours.ratio:.1f} times the FMUs alone"
+    peers = ", ".join(f"{e.name} {1e6 * e.per_step:.2g} us" for e in others[:2])
+    return Part([table(entries)], [Goal("a communication step of two small FMUs", "none", now, others=peers)])
 
-    progress: called after each measurement.
-    """
+
+def table(entries: Iterable[Entry]) -> Table:
+    """The fastest first; who gave no time last, with the reason."""
+    rows = [
+        (f"{e.name} {e.version}".strip(), *_numbers(e), e.problem or e.remark)
+        for e in sorted(entries, key=lambda e: (bool(e.problem), e.per_step))
+    ]
+    headings = ("importer", "us a step", "of that without the FMUs", "times the FMUs", "remark")
+    return Table("importers", headings, rows)
+
+
+def _numbers(entry: Entry) -> tuple[str, ...]:
+    if entry.problem:
+        return "", "", ""
+    return f"{1e6 * entry.per_step:.3f}", f"{1e6 * entry.overhead:.3f}", f"{entry.ratio:.1f}"
+
+
+def compare(rounds: int = 3, loops: Iterable[str] = LOOPS) -> list[Entry]:
+    """The bare loop and every other, medians over rounds in which all take turns."""
     with workplace() as folder:
         built = pair_module.build(folder)
         bare = Bare(built)
@@ -66,14 +93,13 @@ def compare(
             floors.append(bare.per_step())
             for name, own in measurements.items():
                 if not own or isinstance(own[-1], Measurement):
-                    own.append(measure(name, built))
-                progress()
+                    own.append(measurement_of(name, built))
         floor = median(floors)
         entries = [entry(name, own, bare.level, floor) for name, own in measurements.items()]
     return [Entry(FLOOR, "", floor, floor, "records nothing"), *entries]
 
 
-def measure(name: str, built: Pair, enough: float = _ENOUGH_S) -> Measurement | str:
+def measurement_of(name: str, built: Pair, enough: float = _ENOUGH_S) -> Measurement | str:
     """One measurement in a process of its own, or why there is none.
 
     enough: seconds that N steps should take at least

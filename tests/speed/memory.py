@@ -1,53 +1,36 @@
-"""Memory of a long recording, beside its raw size: `python -m tests.speed.memory`.
+"""Memory of a long recording, beside its raw size: a process of its own for each way in either state."""
 
-A process of its own for each way: what it holds at most, less what it held before the run.
-"""
+from tests.speed import pair
+from tests.speed.pair import LEVEL, SIGNAL, STEP_SIZE, Pair
+from tests.speed.part import Goal, Options, Part, Table
+from tests.speed.states import State
 
-import resource
-import subprocess
-import sys
-import tempfile
-from pathlib import Path
-from typing import Annotated
-
-import typer
-
-from orchestration.master import simulate
-from tests.speed.pair import Pair, build
-
-WAYS = ("run", "parquet", "csv")
+TARGETS = {"run": "", "parquet": "1.3 of the raw size", "csv": "constant extra memory"}
+_NAMES = {"run": "a run", "parquet": "with its Parquet file", "csv": "with its CSV file"}
+_POINTS, _POINTS_BEFORE = 10_000_000, 1_000_000  # before, a point took longer, and far more memory
 
 
-def peak(two: Pair, points: int, way: str) -> tuple[float, float]:
+def peak(state: State, two: Pair, points: int, way: str) -> tuple[float, float]:
     """(peak memory, raw size) [bytes] of a run of two small FMUs with one output each, written that way."""
-    simulate(two.system, two.experiment(1000)).write(two.folder / "short.parquet")  # what is imported once
-    before = _most()
-    recording = simulate(two.system, two.experiment(points - 1))
-    if way != "run":
-        recording.write(two.folder / f"long.{way}")
-    return _most() - before, recording.values.nbytes + recording.time.nbytes
+    arguments = *two.fmus.values(), SIGNAL, LEVEL, STEP_SIZE, points, way, two.folder
+    most, raw = map(float, state.output_of("recording.py", *arguments))
+    return most, raw
 
 
-def _most() -> float:
-    return 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-
-
-def main(
-    points: Annotated[int, typer.Option(help="Communication points.")] = 10_000_000,
-    way: Annotated[str, typer.Option(help="One of them alone, in this process.")] = "",
-    folder: Annotated[Path, typer.Option(help="Of its FMUs.")] = Path(),
-) -> None:
-    """Measure each way in a process of its own."""
-    if way:
-        most, raw = peak(Pair(folder), points, way)
-        print(f"{way:8} of {points} points: {most / 1e6:.0f} MB, {most / raw:.2f} of {raw / 1e6:.0f} MB raw")
-        return
-    with tempfile.TemporaryDirectory() as name:
-        build(Path(name))
-        for one in WAYS:
-            options = ["--points", str(points), "--way", one, "--folder", name]
-            subprocess.run([sys.executable, "-m", "tests.speed.memory", *options], check=True)
-
-
-if __name__ == "__main__":
-    typer.run(main)
+def measure(options: Options) -> Part:
+    """Each way, in each state."""
+    folder = options.folder / "recording"
+    folder.mkdir()
+    two, rows, goals = pair.build(folder), [], []
+    for way, target in TARGETS.items():
+        points = 1_000_000 if options.quick else _POINTS
+        most, raw = peak(options.now, two, points, way)
+        now, before = f"{most / raw:.2f}", ""
+        if options.before:
+            most_before, raw_before = peak(options.before, two, _POINTS_BEFORE, way)
+            before = f"{most_before / raw_before:.2f}"
+        rows.append((_NAMES[way], before, now, f"{most / 1e6:.0f} MB of {raw / 1e6:.0f} MB"))
+        if target:
+            goals.append(Goal(f"memory of a long recording, {_NAMES[way]}", target, now, before))
+    headings = ("peak memory as a multiple of the raw size", "before", "now", "in all")
+    return Part([Table("memory", headings, rows)], goals)

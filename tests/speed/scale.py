@@ -1,15 +1,14 @@
-"""How the cost of a run grows with FMUs and points, as slopes: `python -m tests.speed.scale`.
+"""How the cost of a run grows with FMUs, as slopes; and steps of heavy FMUs on several threads.
 
-A chain of small FMUs of one file, each driven by the one before: as many connections as FMUs. CPU time. Then
-FMUs with heavier steps on one thread and on as many as there are processors. What a sample of a sweep costs
-is measured by `tests.speed.sweeps`, the memory of a long recording by `tests.speed.memory`.
+A chain of small FMUs of one file, each driven by the one before: as many connections as FMUs. CPU time, but
+of threads.
 """
 
 import os
-import tempfile
+import shutil
 import time
+from collections.abc import Sequence
 from contextlib import ExitStack
-from itertools import pairwise
 from pathlib import Path
 from statistics import median
 
@@ -19,41 +18,38 @@ from fmus import catalogue
 from orchestration.master import Simulator
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
-from tests.speed.pair import LEVEL, SIGNAL, STEP_SIZE, build
+from tests.speed import pair
+from tests.speed.pair import LEVEL, SIGNAL, STEP_SIZE
+from tests.speed.part import Goal, Options, Part, Table
+from tests.speed.states import State
 
 NUMBERS = (50, 100, 200, 400)
+FEWER = (50, 100)  # of one file each, and before: each takes far longer to load
 HEAVY = 8  # components that share threads
 INTERNAL_STEPS = (1, 100, 1000, 10_000)  # in a communication step of each, of some 10 ns
-_STEPS = 2000
-_ROUNDS, _ROUNDS_OF_THREADS = 3, 8
+_QUANTITIES = ("load", "prepare a run again", "a communication step")
+_OF_OWN_FILES = "load, each from a file of its own"
+_STEPS = 15_500  # of the nominal scenario
+_Costs = tuple[float, float, float]
+Slope = tuple[float, float, float]
 
 
-def chain(fmu: Path, count: int) -> tuple[System, dict[str, float]]:
-    """So many instances in a row, and the input of the first."""
-    names = [f"c{i}" for i in range(count)]
-    links = [(f"{a}.{LEVEL}", f"{b}.{SIGNAL}") for a, b in pairwise(names)]
-    return System(dict.fromkeys(names, fmu), links), {f"c0.{SIGNAL}": 1.0}
-
-
-def costs(fmu: Path, count: int) -> tuple[float, float, float]:
-    """Seconds to load a chain, to prepare a run of it again, and of a communication step."""
-    system, inputs = chain(fmu, count)
-    taken = []
-    for _ in range(_ROUNDS):
-        with Simulator(system) as simulator:
-
-            def seconds(steps: int, simulator: Simulator = simulator) -> float:
-                start = time.thread_time()
-                simulator.run(Experiment(steps * STEP_SIZE, STEP_SIZE, inputs=inputs))
-                return time.thread_time() - start
-
-            first, again = seconds(1), seconds(1)
-            taken.append((first - again, again, (seconds(_STEPS) - again) / _STEPS))
-    load, prepare, step = (median(column) for column in zip(*taken, strict=True))
+def costs(state: State, fmus: Path, count: int, rounds: int) -> _Costs:
+    """CPU seconds to load a chain, to prepare a run of it again, and of a communication step: medians."""
+    arguments = fmus, SIGNAL, LEVEL, STEP_SIZE, count
+    turns = [[*map(float, state.output_of("chain.py", *arguments))] for _ in range(rounds)]
+    load, prepare, step = (median(column) for column in zip(*turns, strict=True))
     return load, prepare, step
 
 
-def threads(internal_steps: int) -> tuple[float, float, float]:
+def slope(numbers: Sequence[int], values: Sequence[float]) -> Slope:
+    """(slope, offset, largest relative distance of a value) of the line nearest to the values."""
+    rise, offset = np.polyfit(numbers, values, 1)
+    worst = max(abs(rise * n + offset - x) / x for n, x in zip(numbers, values, strict=True))
+    return float(rise), float(offset), float(worst)
+
+
+def threads(internal_steps: int, rounds: int) -> _Costs:
     """Wall clock [s] of a step of `HEAVY` FMUs on one thread, on all, and as a simulator decides."""
     fmu, step = catalogue.build_if_stale("ExamplePlant"), 1e-3
     names = [f"c{i}" for i in range(HEAVY)]
@@ -69,7 +65,7 @@ def threads(internal_steps: int) -> tuple[float, float, float]:
         ways = (1, os.cpu_count() or 1, None)
         simulators = [stack.enter_context(Simulator(system, threads=way)) for way in ways]
         taken = []
-        for _ in range(_ROUNDS_OF_THREADS):
+        for _ in range(1 + rounds):
             turn = []
             for simulator in simulators:
                 start = time.perf_counter()
@@ -80,26 +76,84 @@ def threads(internal_steps: int) -> tuple[float, float, float]:
     return single, together, decided
 
 
-def main() -> None:
-    """Print what each number of FMUs costs, and the slopes."""
-    with tempfile.TemporaryDirectory() as folder:
-        fmu = build(Path(folder)).fmus["first"]
-        measured = [costs(fmu, count) for count in NUMBERS]
-    print("FMUs    load   prepare      step")
-    for count, (load, prepare, step) in zip(NUMBERS, measured, strict=True):
-        print(f"{count:4} {1e3 * load:5.0f} ms {1e3 * prepare:5.0f} ms {1e6 * step:6.2f} us")
-    for what, column in zip(("load", "prepare", "step"), zip(*measured, strict=True), strict=True):
-        slope, offset = np.polyfit(NUMBERS, column, 1)
-        worst = max(abs(slope * n + offset - x) / x for n, x in zip(NUMBERS, column, strict=True))
-        print(
-            f"{what}: {1e6 * slope:.2f} us an FMU, {1e3 * offset:.2f} ms beside; within {100 * worst:.0f} %"
-        )
+def measure(options: Options) -> Part:
+    """Chains in each state, and threads."""
+    folder = options.folder / "chain"
+    folder.mkdir()
+    numbers, fewer = ((2, 4), (2, 4)) if options.quick else (NUMBERS, FEWER)
+    one, many = _folders(options.folder / "chain", fewer[-1])
+    for state in options.states:
+        costs(state, one, 2, 1)  # which compiles what every chain needs
+    rounds = options.rounds(3)
+    measured = [costs(options.now, one, count, rounds) for count in numbers]
+    slopes = [slope(numbers, column) for column in zip(*measured, strict=True)]
+    own_load, *_ = _slopes(options.now, many, fewer, rounds)
+    before = ""
+    if options.before:
+        load, *_ = _slopes(options.before, one, fewer, options.rounds(2))
+        before = f"{1e3 * load[0]:.1f} ms"
+    goal = Goal("load one more FMU of a file", "2 ms", f"{1e3 * slopes[0][0]:.2f} ms", before)
+    tables = [of_chains(numbers, measured), of_slopes([*slopes, own_load]), of_thousand([*slopes, own_load])]
+    return Part([*tables, _of_threads(options)], [goal])
 
-    for steps in INTERNAL_STEPS:
-        single, together, decided = (1e6 * seconds for seconds in threads(steps))
-        ratios = f"on {os.cpu_count()} threads {together / single:.2f}, as decided {decided / single:.2f}"
-        print(f"{HEAVY} FMUs of {steps} internal steps: {single:.1f} us on one thread; {ratios} of that")
+
+def _slopes(state: State, folder: Path, numbers: Sequence[int], rounds: int) -> list[Slope]:
+    measured = [costs(state, folder, count, rounds) for count in numbers]
+    return [slope(numbers, column) for column in zip(*measured, strict=True)]
 
 
-if __name__ == "__main__":
-    main()
+def _folders(folder: Path, count: int) -> tuple[Path, Path]:
+    """A folder with one small FMU, and one with so many files of it."""
+    built, one, many = (folder / name for name in ("built", "one", "many"))
+    for path in (built, one, many):
+        path.mkdir(parents=True)
+    fmu = pair.build(built).fmus["first"]
+    shutil.copy(fmu, one)
+    for i in range(count):
+        shutil.copy(fmu, many / f"{i}.fmu")
+    return one, many
+
+
+def of_chains(numbers: Sequence[int], measured: Sequence[_Costs]) -> Table:
+    rows = [
+        (f"{count}", f"{1e3 * load:.1f} ms", f"{1e3 * prepare:.1f} ms", f"{1e6 * step:.2f} us")
+        for count, (load, prepare, step) in zip(numbers, measured, strict=True)
+    ]
+    return Table("chains", ("FMUs", *_QUANTITIES), rows)
+
+
+def of_slopes(slopes: Sequence[Slope]) -> Table:
+    rows = [
+        (what, f"{1e6 * rise:.3f} us", f"{1e3 * offset:.2f} ms", f"{100 * worst:.0f} %")
+        for what, (rise, offset, worst) in zip((*_QUANTITIES, _OF_OWN_FILES), slopes, strict=True)
+    ]
+    return Table("slopes", ("", "each FMU more", "beside", "the line holds within"), rows)
+
+
+def of_thousand(slopes: Sequence[Slope]) -> Table:
+    """What a thousand small FMUs would take."""
+    load, prepare, step, own_load = (1000 * rise + offset for rise, offset, _ in slopes)
+    rows = [
+        ("load, of one file", f"{load:.2f} s"),
+        ("load, each from a file of its own", f"{own_load:.2f} s"),
+        ("prepare each run", f"{prepare:.2f} s"),
+        ("a communication step", f"{1e6 * step:.0f} us"),
+        (f"{_STEPS} steps", f"{_STEPS * step:.2f} s"),
+    ]
+    return Table("thousand", ("a thousand small FMUs", "extrapolated"), rows)
+
+
+def _of_threads(options: Options) -> Table:
+    rows = []
+    for steps in INTERNAL_STEPS[: options.rounds(len(INTERNAL_STEPS))]:
+        single, together, decided = threads(steps, options.rounds(8))
+        times = f"{1e6 * single:.1f} us", f"{together / single:.2f}", f"{decided / single:.2f}"
+        rows.append((f"{steps}", *times))
+    count = os.cpu_count()
+    headings = (
+        f"internal steps of each of {HEAVY} FMUs",
+        "a step on one thread",
+        f"on {count} threads",
+        "as a simulator decides",
+    )
+    return Table("threads", headings, rows)

@@ -20,11 +20,11 @@ from tests.speed.plan import read_result, write_plan
 from tests.speed.programs import C_SOURCES, compile_equations, compile_program, output_of, workplace
 
 PYTHON, MASTER, MASTER_LOOP, HOST, MONOLITH = (
-    "python FMUs, this master",
-    "native FMUs, this master",
-    "native FMUs, its loop alone",
-    "native FMUs, a host in C",
-    "the same equations, one C program",
+    "python FMUs in this master",
+    "native FMUs in this master: reset, parameters, initialisation, recording",
+    "of that, its communication loop with recording",
+    "native FMUs in a host written in C, communication loop",
+    "the same equations as one C program, loop",
 )
 _WARM = 3  # runs in one process, of which the last counts
 

@@ -10,6 +10,7 @@ import numpy as np
 from orchestration.gym import FmuEnv, FmuVectorEnv
 from orchestration.master import Simulator
 from orchestration.scenarios.task import Task, task_of
+from tests.speed.part import Options, Part, Table
 
 _CALLS, _REPEATS, _ROUNDS = 500, 100, 5  # the best of many short measurements: others use the processor too
 _VOLTAGES = ("plant.voltage[1]", "plant.voltage[2]")
@@ -21,8 +22,12 @@ def vehicle() -> Task:
     return replace(task, experiment=replace(task.experiment, stop_time=1e4, record=("plant.measured_depth",)))
 
 
-def costs() -> Iterator[tuple[str, float]]:
+def costs(repeats: int) -> Iterator[tuple[str, float]]:
     """(what, microseconds of one), of the vehicle."""
+
+    def best(call: Callable[[], object]) -> float:
+        return _best(call, _CALLS, repeats)
+
     task = vehicle()
     with Simulator(task.system) as simulator:
         simulator.start(task.experiment, external=_VOLTAGES)
@@ -33,17 +38,17 @@ def costs() -> Iterator[tuple[str, float]]:
             write(-0.1 * read())
             step()
 
-        yield "step", _best(step)
-        yield "get, set and step", _best(controlled)
+        yield "step", best(step)
+        yield "get one value, set one and step, by a reader and a writer", best(controlled)
         state = save()
-        yield "restore", _best(lambda: restore(state))
-        yield "save", _best(save)
-        yield "step and save", _best(lambda: (step(), save()))
-        yield "get by name", _best(lambda: simulator.get("plant.measured_depth"))
-        yield "set by name", _best(lambda: simulator.set(_VOLTAGES[0], 0.0))
+        yield "restore", best(lambda: restore(state))
+        yield "save the whole system, without a step between", best(save)
+        yield "step, and save", best(lambda: (step(), save()))
+        yield "get by name, without a step", best(lambda: simulator.get("plant.measured_depth"))
+        yield "set by name, without a step", best(lambda: simulator.set(_VOLTAGES[0], 0.0))
 
 
-def environments(*numbers: int) -> Iterator[tuple[str, float]]:
+def environments(*numbers: int, repeats: int) -> Iterator[tuple[str, float]]:
     """(what, environment steps a second) of one environment, and of vectors of these numbers.
 
     Vectors by turns with a simulator for each environment and as an ensemble.
@@ -51,13 +56,13 @@ def environments(*numbers: int) -> Iterator[tuple[str, float]]:
     task, action = vehicle(), np.zeros(2)
     with closing(FmuEnv(task)) as env:
         env.reset()
-        yield "FmuEnv", 1e6 / _best(lambda: env.step(action))
+        yield "FmuEnv", 1e6 / _best(lambda: env.step(action), _CALLS, repeats)
     for number in numbers:
         vectors = {way: FmuVectorEnv(task, number, way == "ensemble") for way in ("simulators", "ensemble")}
         actions, best = np.zeros((number, 2)), dict.fromkeys(vectors, np.inf)
         for envs in vectors.values():
             envs.reset()
-        for _ in range(_ROUNDS):
+        for _ in range(min(_ROUNDS, repeats)):
             for way, envs in vectors.items():
                 best[way] = min(best[way], _best(lambda: envs.step(actions), 100, 10))  # noqa: B023
         for way, envs in vectors.items():
@@ -65,13 +70,15 @@ def environments(*numbers: int) -> Iterator[tuple[str, float]]:
             envs.close()
 
 
-def _best(call: Callable[[], object], calls: int = _CALLS, repeats: int = _REPEATS) -> float:
+def _best(call: Callable[[], object], calls: int, repeats: int) -> float:
     """Microseconds of one call."""
     return min(timeit.repeat(call, number=calls, repeat=repeats)) / calls * 1e6
 
 
-if __name__ == "__main__":
-    for what, microseconds in costs():
-        print(f"{what:20} {microseconds:8.2f} us")
-    for what, rate in environments(16, 64):
-        print(f"{what:32} {rate:8.0f} steps a second")
+def measure(options: Options) -> Part:
+    """Both."""
+    repeats = options.rounds(_REPEATS)
+    calls = [(what, f"{microseconds:.1f}") for what, microseconds in costs(repeats)]
+    numbers = (16,) if options.quick else (16, 64)
+    rates = [(what, f"{rate:.0f}") for what, rate in environments(*numbers, repeats=repeats)]
+    return Part([Table("calls", ("", "us"), calls), Table("environments", ("", "steps a second"), rates)])

@@ -1,26 +1,21 @@
-"""A communication step of two states of this project, in turns: `python -m tests.speed.steps OLD [NEW]`.
-
-Each is a git revision, whose FMUs are built in a folder of their own, a clone, or a folder with FMUs.
-"""
+"""A communication step of a block: through an FMU's functions and without them, and in two states."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
-from typing import Annotated, Any
-
-import typer
-from rich.table import Table
+from typing import Any
 
 from fmus.platforms import host_platform
-from orchestration.errors import OrchestrationError
+from fmus.registry import block_names
 from orchestration.fmi.description import describe, of_causality
-from tests.printing import print_tables
-from tests.speed.programs import C_SOURCES, compile_program, extracted, output_of, workplace
-from tests.speed.states import ROOT, python, sources
+from tests.speed.layers import Layer, layer
+from tests.speed.part import Goal, Options, Part, Table, ratios, spread
+from tests.speed.programs import C_SOURCES, compile_program, extracted, output_of
+from tests.speed.states import State
 
-_BLOCKS = ("RovDepthPlant", "L1DepthController")
-_BUILD = "import sys; sys.argv.insert(1, 'build'); from orchestration.cli import main; main()"
+TARGETS = {"RovDepthPlant": 0.45, "L1DepthController": 0.65}
+_STEPS = 20_000
 
 
 @dataclass(frozen=True)
@@ -31,23 +26,6 @@ class Steps:
     old: Sequence[float]
     new: Sequence[float]
     are_equal: bool
-
-    @property
-    def ratios(self) -> list[float]:
-        """New to old, of rounds in which both took turns."""
-        return [new / old for old, new in zip(self.old, self.new, strict=True)]
-
-
-def fmus(state: str, blocks: Sequence[str], folder: Path) -> Path:
-    """A folder with the FMUs of blocks in a state of the project: a revision, a clone, or FMUs."""
-    if list(Path(state).glob("*.fmu")):
-        return Path(state).absolute()
-    built = folder / "built"
-    process = python(_BUILD, sources(state, folder), folder, *blocks, "--out", str(built))
-    output, _ = process.communicate()
-    if process.returncode:
-        raise OrchestrationError(f"{state}: the build failed: {output}")
-    return built
 
 
 def compared(block: str, old: Path, new: Path, folder: Path, count: int, rounds: int) -> Steps:
@@ -66,38 +44,61 @@ def compared(block: str, old: Path, new: Path, folder: Path, count: int, rounds:
     return Steps(block, [*map(float, first)], [*map(float, second)], set(equal) == {"1"})
 
 
-def table(measured: Sequence[Steps]) -> Table:
-    """Medians over the rounds; of the ratio also the half of the rounds in the middle."""
-    result = Table(title="A communication step")
-    for heading in ("Block", "ns before", "ns now", "ratio", "results"):
-        result.add_column(heading, justify="left" if heading in ("Block", "results") else "right")
-    for steps in measured:
-        ratios = sorted(steps.ratios)
-        quarter = len(ratios) // 4
-        spread = f"{median(ratios):.3f} ({ratios[quarter]:.3f} to {ratios[-1 - quarter]:.3f})"
-        times = f"{median(steps.old):.0f}", f"{median(steps.new):.0f}"
-        result.add_row(steps.block, *times, spread, "equal" if steps.are_equal else "differ")
-    return result
+def measure(options: Options) -> Part:
+    """Each block beside its C code; vehicle and controller in both states."""
+    names = block_names()[:1] if options.quick else block_names()
+    layers = sorted((layer(name, rounds=options.rounds(7)) for name in names), key=lambda x: x.through_fmi)
+    tables, goals = [of_layers(layers)], []
+    if options.before:
+        measured = _of_states(options, options.before)
+        tables.append(_of_steps(measured))
+        goals = [_goal(steps) for steps in measured]
+    return Part(tables, goals)
 
 
-def main(
-    old: Annotated[str, typer.Argument(help="Revision, folder of a clone, or folder of FMUs.")],
-    new: Annotated[str, typer.Argument(help="The same; by default this clone.")] = str(ROOT),
-    block: Annotated[list[str] | None, typer.Option(help="Block with Real inputs and outputs.")] = None,
-    count: Annotated[int, typer.Option(help="Steps of a round.", min=1)] = 20_000,
-    rounds: Annotated[int, typer.Option(help="Of which the median is taken.", min=1)] = 101,
-    markdown: Annotated[bool, typer.Option(help="Print the table of docs/performance.md.")] = False,
-) -> None:
-    """Compare the communication steps of two builds."""
-    blocks = block or [*_BLOCKS]
-    with workplace() as folder:
-        folders = folder / "first", folder / "second"
-        for path in folders:
-            path.mkdir()
-        first, second = (fmus(state, blocks, path) for state, path in zip((old, new), folders, strict=True))
-        compile_program(folder, "steps", [str(C_SOURCES / "steps.c")], includes=[])
-        print_tables([table([compared(b, first, second, folder, count, rounds) for b in blocks])], markdown)
+def _of_states(options: Options, before: State) -> list[Steps]:
+    folder = options.folder / "steps"
+    folder.mkdir()
+    compile_program(folder, "steps", [str(C_SOURCES / "steps.c")], includes=[])
+    count, rounds = (100, 1) if options.quick else (_STEPS, 101)
+    return [
+        compared(block, before.fmus, options.now.fmus, folder, count=count, rounds=rounds)
+        for block in TARGETS
+    ]
 
 
-if __name__ == "__main__":
-    typer.run(main)
+def of_layers(layers: Sequence[Layer]) -> Table:
+    rows = [
+        (
+            f"`{x.block}`",
+            f"{1e9 * x.through_fmi:.0f} ns",
+            f"{1e9 * x.bare:.0f} ns",
+            f"{x.through_fmi / x.bare:.2f}",
+        )
+        for x in layers
+    ]
+    return Table("fmi", ("a communication step of", "through FMI", "the same C without FMI", "ratio"), rows)
+
+
+def _of_steps(measured: Sequence[Steps]) -> Table:
+    rows = [
+        (
+            f"`{steps.block}`",
+            spread(steps.old, 0, "ns"),
+            spread(steps.new, 0, "ns"),
+            spread(ratios(steps.new, steps.old), 3),
+            "equal bit for bit" if steps.are_equal else "different",
+        )
+        for steps in measured
+    ]
+    return Table("steps", ("a communication step of", "before", "now", "ratio", "outputs"), rows)
+
+
+def _goal(steps: Steps) -> Goal:
+    ratio = median(ratios(steps.new, steps.old))
+    return Goal(
+        f"a step of `{steps.block}`",
+        f"{TARGETS[steps.block]:g} of before",
+        f"{median(steps.new):.0f} ns, {ratio:.2f} of before",
+        f"{median(steps.old):.0f} ns",
+    )

@@ -3,17 +3,21 @@
 No time is a pass or a fail.
 """
 
+from pathlib import Path
+
 import numpy as np
 import pytest
-from rich.console import Console
 
 from fmus import catalogue
 from orchestration.errors import OrchestrationError
 from orchestration.master import Simulator
 from tests.speed import scenarios
 from tests.speed.layers import Layer, layer
+from tests.speed.page import replace_tables
+from tests.speed.part import Table, spread
+from tests.speed.runs import of_ways
 from tests.speed.scenarios import HOST, MASTER, MASTER_LOOP, MONOLITH, PYTHON, Loop, loop
-from tests.speed.tables import tables
+from tests.speed.steps import of_layers
 
 
 @pytest.mark.slow
@@ -42,18 +46,31 @@ def test_programs_that_differ_are_refused(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_the_tables_have_the_ratios() -> None:
-    layers = [Layer("Block", 3e-8, 2e-8)]
+    assert of_layers([Layer("Block", 3e-8, 2e-8)]).rows == [("`Block`", "30 ns", "20 ns", "1.50")]
     seconds = {PYTHON: 2.0, MASTER: 8e-3, MASTER_LOOP: 6e-3, HOST: 5e-3, MONOLITH: 4e-3}
-    loops = [Loop("scenario", 1000, seconds)]
-    console = Console(width=150, record=True)
-    for table in tables(layers, loops, []):
-        console.print(table)
-    rows = [[cell.strip() for cell in line.split("│")[1:-1]] for line in console.export_text().splitlines()]
-    assert [row for row in rows if row] == [
-        ["Block", "30", "20", "1.50"],
-        ["scenario", "python FMUs, this master", "2000.00", "2000.00", "1/1", "500.00", "1996000"],
-        ["scenario", "native FMUs, this master", "8.00", "8.00", "1/250", "2.00", "4000"],
-        ["scenario", "native FMUs, its loop alone", "6.00", "6.00", "1/333", "1.50", "2000"],
-        ["scenario", "native FMUs, a host in C", "5.00", "5.00", "1/400", "1.25", "1000"],
-        ["scenario", "the same equations, one C program", "4.00", "4.00", "1/500", "1.00", "0"],
+    assert [row[1:] for row in of_ways(Loop("scenario", 1000, seconds)).rows] == [
+        ("2000.00 ms", "500.00", "1996000"),
+        ("8.00 ms", "2.00", "4000"),
+        ("6.00 ms", "1.50", "2000"),
+        ("5.00 ms", "1.25", "1000"),
+        ("4.00 ms", "1.00", "0"),
     ]
+
+
+def test_a_spread_is_the_extremes_of_few_values_and_the_half_in_the_middle_of_many() -> None:
+    assert spread([3.0, 1.0, 2.0], 1, "s") == "2.0 s (1.0 to 3.0)"
+    assert spread([*range(12), 1e6], 0) == "6 (3 to 9)"
+    assert spread([1.5]) == "1.50"
+
+
+def test_tables_take_the_places_of_those_in_pages(tmp_path: Path) -> None:
+    first, second = tmp_path / "first.md", tmp_path / "second.md"
+    first.write_text("a\n\n<!-- table: one -->\n\n| old |\n|---|\n| 1 |\n\nb\n")
+    second.write_text("<!-- table: two -->\n\nc\n")
+    one, two = Table("one", ("h", "n"), [("x", "1 s"), ("y", "")]), Table("two", ("h",), [("z",)])
+    with pytest.raises(OrchestrationError, match="two: expected one place in the pages and one table for"):
+        replace_tables([first], [one, two])
+    replace_tables([first, second], [one, two])
+    table = "| h | n |\n| --- | ---: |\n| x | 1 s |\n| y |  |\n"
+    assert first.read_text() == f"a\n\n<!-- table: one -->\n\n{table}\nb\n"
+    assert second.read_text() == "<!-- table: two -->\n\n| h |\n| --- |\n| z |\n\nc\n"

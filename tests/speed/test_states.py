@@ -7,7 +7,7 @@ import pytest
 
 from orchestration.errors import OrchestrationError
 from tests.speed.programs import C_SOURCES, compile_program
-from tests.speed.states import ROOT, sources
+from tests.speed.states import ROOT, state
 from tests.speed.steps import compared
 
 
@@ -17,11 +17,11 @@ def test_steps_of_a_build_beside_itself_are_equal(built: Mapping[str, Path], tmp
     folder = built["ExamplePlant"].parent
     steps = compared("ExamplePlant", folder, folder, tmp_path, count=100, rounds=3)
     assert steps.are_equal
-    assert len(steps.ratios) == 3
-    assert min(steps.ratios) > 0.0
+    assert len(steps.old) == len(steps.new) == 3
+    assert min(*steps.old, *steps.new) > 0.0
 
 
 def test_a_state_is_a_clone_or_a_revision(tmp_path: Path) -> None:
-    assert sources(str(ROOT), tmp_path) == ROOT
+    assert state(str(ROOT), tmp_path / "clone").sources == ROOT
     with pytest.raises(OrchestrationError, match=r"no-such-revision: .*: expected a revision or a folder"):
-        sources("no-such-revision", tmp_path)
+        state("no-such-revision", tmp_path / "none")
