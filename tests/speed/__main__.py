@@ -52,6 +52,8 @@ def main(
     chosen = parts or [*PARTS]
     if unknown := set(chosen) - set(PARTS):
         raise typer.BadParameter(f"{', '.join(sorted(unknown))}: expected some of {', '.join(PARTS)}")
+    if page and (parts or not before):
+        raise typer.BadParameter("--page: expected all parts, and --before")
     tables: list[Table] = []
     goals: list[Goal] = []
     with tempfile.TemporaryDirectory(prefix="l1-depth-speed-") as name:
