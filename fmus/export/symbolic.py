@@ -27,9 +27,10 @@ class Traced:
     step: (t, h, x, u, p, c) -> x
     output: (t, x, p, c) -> y
     output_rate: (t, x, u, p, c) -> dy/dt just after t: outputs after a step, derived by its length
-    initial_derivative: (t, p, u, v) -> directional derivative of (c, y) along the seed v of (p, u), in
-        initialisation mode; initial_sparsity: which of (c, y) follow from which of (p, u) there
-    output_derivative: (t, x, p, v) -> directional derivative of (c, y) along the seed v of p, the state held
+    calculate_derivative: (p, v) -> directional derivative of c along the seed v of p
+    initial_derivative: (t, u, p, c, v) -> that of y along the seed v of (p, c, u), in initialisation mode
+    output_derivative: (t, x, p, c, v) -> that of y along the seed v of (p, c), the state held
+    initial_sparsity: which of (c, y) follow from which of (p, u) in initialisation mode
     required: what each of the requirements expects, in words
     """
 
@@ -48,7 +49,8 @@ class Traced:
         xs, x = _symbols(block, initial)
         stepped = call(block.step, t, h, x, u, p, c)
         check_result(block, "step", stepped)
-        check_result(block, "output", call(block.output, t, x, p, c))
+        outputs = call(block.output, t, x, p, c)
+        check_result(block, "output", outputs)
         self.required = tuple(text for _, text in conditions)
         self.calculate = self._function("calculate", "p", [ps], "c", calculated)
         self.requirements = self._function(
@@ -56,21 +58,21 @@ class Traced:
         )
         self.initial_state = self._function("initial_state", "t u p c", [t, us, ps, cs], "x", initial)
         self.step = self._function("step", "t h x u p c", [t, h, xs, us, ps, cs], "next", stepped)
-        self.output = self._function(
-            "output", "t x p c", [t, xs, ps, cs], "y", call(block.output, t, x, p, c)
-        )
+        self.output = self._function("output", "t x p c", [t, xs, ps, cs], "y", outputs)
         for name in ("calculate", "step", "output"):
             self._check_constants(name)
 
         rate = right_derivative(_column(call(block.output, t + h, stepped, p, c)), h)
         self.output_rate = self._function("output_rate", "t x u p c", [t, xs, us, ps, cs], "rate", rate)
 
-        first = call(block.output, t, call(block.initial_state, t, u, p, calculated), p, calculated)
-        unknowns, knowns = _column((calculated, first)), casadi.vertcat(ps, us)
-        self.initial_sparsity = casadi.jacobian_sparsity(unknowns, knowns)
-        self.initial_derivative = self._along("initial_derivative", "t p u", [t, ps, us], unknowns, knowns)
-        held = _column((calculated, call(block.output, t, x, p, calculated)))
-        self.output_derivative = self._along("output_derivative", "t x p", [t, xs, ps], held, ps)
+        first = _column(call(block.output, t, initial, p, c))
+        known = casadi.vertcat(ps, cs, us)
+        self.calculate_derivative = self._along("calculate_derivative", "p", [ps], _column(calculated), ps)
+        self.initial_derivative = self._along("initial_derivative", "t u p c", [t, us, ps, cs], first, known)
+        held = _column(outputs), casadi.vertcat(ps, cs)
+        self.output_derivative = self._along("output_derivative", "t x p c", [t, xs, ps, cs], *held)
+        unknowns = casadi.vertcat(_column(calculated), casadi.substitute(first, cs, _column(calculated)))
+        self.initial_sparsity = casadi.jacobian_sparsity(unknowns, casadi.vertcat(ps, us))
 
     def _check_constants(self, name: str) -> None:
         """ExportError for a function with a constant that is NaN."""

@@ -74,7 +74,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
                                         fmi2Real dvUnknown[]) {
     static const char *const function = "fmi2GetDirectionalDerivative";
     Instance *instance = c;
-    double seed[N_PARAMETERS + N_INPUTS + 1] = {0}, along[N_CALCULATED + N_OUTPUTS + 1];
+    double along[N_VARIABLES] = {0}, calculated[N_CALCULATED + 1];
     if (!are_allowed(instance, IS_INITIALIZED, REAL, vUnknown_ref, nUnknown, dvUnknown, function)) return fmi2Error;
     if (!are_allowed(instance, IS_INITIALIZED, REAL, vKnown_ref, nKnown, dvKnown, function)) return fmi2Error;
     for (size_t i = 0; i < nUnknown; i++)
@@ -82,26 +82,24 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
             return refuse(instance, fmi2Error, "%s: unknown %s: expected an output or a calculated parameter", function,
                           VARIABLES[vUnknown_ref[i]].name);
     for (size_t i = 0; i < nKnown; i++) {
-        const int reference = (int)vKnown_ref[i];
-        if (!is_settable(reference))
+        if (!is_settable((int)vKnown_ref[i]))
             return refuse(instance, fmi2Error, "%s: known %s: expected a parameter or an input", function,
-                          VARIABLES[reference].name);
-        seed[reference < FIRST_CALCULATED ? reference : reference - N_CALCULATED] += dvKnown[i];
+                          VARIABLES[vKnown_ref[i]].name);
+        along[vKnown_ref[i]] += dvKnown[i];
     }
-    if (instance->data.mode == INITIALIZATION) {
+    const Data *d = &instance->data;
+    if (d->mode == INITIALIZATION) {
         int broken = 0;
         const fmi2Status status = report(instance, data_refresh(&instance->data, &broken), &broken, function, 0);
         if (status != fmi2OK) return status;
-        model_initial_derivative(instance->data.time, instance->data.value, instance->data.value + FIRST_INPUT,
-                                 seed, along);
-    } else {
-        model_output_derivative(instance->data.time, instance->data.state, instance->data.value, seed, along);
     }
-    for (size_t i = 0; i < nUnknown; i++) {
-        const int reference = (int)vUnknown_ref[i];
-        const int output = reference - FIRST_OUTPUT;
-        dvUnknown[i] = along[output < 0 ? reference - FIRST_CALCULATED : output + N_CALCULATED];
-    }
+    model_calculate(d->value, calculated);
+    model_calculate_derivative(d->value, along, along + FIRST_CALCULATED);
+    if (d->mode == INITIALIZATION)
+        model_initial_derivative(d->time, d->value + FIRST_INPUT, d->value, calculated, along, along + FIRST_OUTPUT);
+    else
+        model_output_derivative(d->time, d->state, d->value, calculated, along, along + FIRST_OUTPUT);
+    for (size_t i = 0; i < nUnknown; i++) dvUnknown[i] = along[vUnknown_ref[i]];
     return fmi2OK;
 }
 

@@ -272,18 +272,20 @@ class Model:
         if any(map(self.is_settable, unknown)) or not all(map(self.is_settable, known)):
             return self._error()
         d, p, u = self.data, self.data.values[: self.calculated.start], self.data.values[self.inputs]
-        along = [0.0] * (len(p) + len(u))
+        along = [0.0] * len(self.data.values)
         for reference, value in zip(known, seed, strict=False):
-            shift = 0 if reference < len(p) else self.inputs.start - len(p)
-            along[reference - shift] += value
+            along[reference] += value
         if d.mode == INITIALIZATION and not self._refresh():
             return self._error()
+        c = self._calculate("calculate", p)
+        along[self.calculated] = self._calculate("calculate_derivative", p, along[: len(p)])
         if d.mode == INITIALIZATION:
-            result = self._calculate("initial_derivative", d.time, p, u, along)
+            seeds = along[: self.outputs.start]
+            along[self.outputs] = self._calculate("initial_derivative", d.time, u, p, c, seeds)
         else:
-            result = self._calculate("output_derivative", d.time, d.state, p, along[: len(p)])
-        places = [*range(len(d.values))[self.calculated], *range(len(d.values))[self.outputs]]
-        return OK, [result[places.index(r)] for r in unknown]
+            seeds = along[: self.inputs.start]
+            along[self.outputs] = self._calculate("output_derivative", d.time, d.state, p, c, seeds)
+        return OK, [along[r] for r in unknown]
 
     # the rest
 
