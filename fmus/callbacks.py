@@ -9,8 +9,6 @@ import sys
 import tempfile
 from typing import Any
 
-import numpy as np
-
 from fmus.platforms import FMPY, SHARED_LIBRARY_SUFFIX, SYSTEM_PLATFORM
 
 _ERROR, _FATAL = 3, 4  # fmi2Status
@@ -44,7 +42,7 @@ class Log(list[tuple[int, str]]):
 
     def __init__(self) -> None:
         super().__init__()
-        self.error_logged = np.zeros(1, np.int64)
+        self.error_logged: Any = (ctypes.c_int64 * 1)()
 
     def add(
         self, status: int, message: str, instance: str | None = None, category: str | None = None

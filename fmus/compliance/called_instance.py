@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
-from urllib.request import url2pathname
 
 from fmus.binding import (
     CO_SIMULATION,
@@ -182,6 +181,8 @@ class CalledInstance(BoundInstance):
 
     def remove_link(self, location: str) -> None:
         """Remove the link through which the resources were found: their path is no more."""
+        from urllib.request import url2pathname  # which imports an HTTP client
+
         Path(url2pathname(urlsplit(location).path)).parent.unlink()
 
     def transfer_nothing(self, function: str) -> None:
