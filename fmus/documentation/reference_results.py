@@ -77,19 +77,23 @@ def _trajectory(
     inputs = block.of_causality("input")
     references = [v.value_reference for v in block.of_causality("output")]
 
-    def apply(t: float) -> None:
-        for v in inputs:
-            instance.set(v.value_reference, _value_at(v, stimuli, t))
+    driven = [(v.value_reference, *zip(*stimuli[v.name], strict=True)) for v in inputs if v.name in stimuli]
+
+    def drive(t: float) -> None:
+        for reference, times, values in driven:
+            instance.set(reference, ramps(t, times, values, smooth=False))
 
     instance.start(0.0)
-    apply(0.0)
+    for v in inputs:
+        instance.set(v.value_reference, v.start)
+    drive(0.0)
     instance.exit_initialization_mode()
     for i in range(count + 1):
         t = i * step_size
         if i % every == 0:
             yield (t, *(instance.get(reference) for reference in references))
         if i < count:
-            apply(t)
+            drive(t)
             instance.do_step(t, step_size)
 
 
