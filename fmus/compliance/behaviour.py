@@ -68,21 +68,25 @@ _OF_THE_HOST = ("ENOSPC", "EDQUOT", "EFBIG", "EROFS", "EMFILE", "ENFILE", "EIO",
 
 
 def behaviour(
-    fmu: FmuFile, timeout: float, earlier: Sequence[Result] = (), started: WorkerProcess | None = None
+    fmu: FmuFile,
+    timeout: float,
+    of_libraries: Callable[[], Sequence[Result]] = tuple,
+    started: WorkerProcess | None = None,
 ) -> Iterator[Result]:
     """One result for each behaviour rule.
 
-    timeout: seconds for one rule; earlier: what the rules of the other stages said
-    started: a process that does not know an FMU yet
+    timeout: seconds for one rule; started: a process that does not know an FMU yet
+    of_libraries: the results of the rules of libraries, which LIEF reads meanwhile; asked for at the end
     """
     rules = registered(Stage.BEHAVIOUR)
-    reason = obstacle(fmu) or _unreadable_variable(fmu) or _broken_library(fmu, earlier)
-    if reason:
-        yield from (Result(rule, not_judged=reason) for rule in rules)
-        return
-    results = {rule.name: Result(rule, not_applicable=rule.condition(fmu)) for rule in rules}
-    names = [name for name, result in results.items() if not result.not_applicable]
-    yield from {**results, **_judged(fmu, _needs_first(names), timeout, started)}.values()
+    results: dict[str, Result] = {}
+    reason = obstacle(fmu) or _unreadable_variable(fmu)
+    if not reason:
+        results = {rule.name: Result(rule, not_applicable=rule.condition(fmu)) for rule in rules}
+        names = [name for name, result in results.items() if not result.not_applicable]
+        results |= _judged(fmu, _needs_first(names), timeout, started)
+        reason = _broken_library(fmu, of_libraries())
+    yield from [Result(rule, not_judged=reason) for rule in rules] if reason else results.values()
 
 
 def _needs_first(names: Sequence[str]) -> list[str]:
@@ -117,9 +121,9 @@ def _unreadable_variable(fmu: FmuFile) -> str:
     return next((f"{v.name or 'a variable'} has no legal value reference or type" for v in broken), "")
 
 
-def _broken_library(fmu: FmuFile, earlier: Sequence[Result]) -> str:
+def _broken_library(fmu: FmuFile, results: Sequence[Result]) -> str:
     """The rule of libraries that the library of this platform breaks, if any."""
-    broken = (r.rule.name for r in earlier if any(m.startswith(f"{fmu.host_library} ") for m in r.messages))
+    broken = (r.rule.name for r in results if any(m.startswith(f"{fmu.host_library} ") for m in r.messages))
     return next(
         (f"{name}{IS_BROKEN}" for name in broken if name in ("library-format", "library-exports")), ""
     )

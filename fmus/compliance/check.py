@@ -8,7 +8,7 @@ from pathlib import Path
 from fmus.compliance import report
 from fmus.compliance.behaviour import DEFAULT_TIMEOUT_S, host_errors
 from fmus.compliance.examine import all_rules, examine
-from fmus.compliance.library_rules import lief
+from fmus.compliance.library_reader import check_lief
 from fmus.errors import HostError
 
 NO_VERDICT = 3  # exit status
@@ -70,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.explain is not None:
             print(explain(options.explain), end="")
             return 0
-        lief()  # whose absence is told first
+        check_lief()  # whose absence is told first
         return (
             1
             if check(options.fmus, options.json, options.timeout, options.all, options.format, options.out)

@@ -1,7 +1,8 @@
 """Judge an FMU by every rule, stage after stage. Nothing that a file holds makes it raise."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, suppress
+from functools import cache
 from pathlib import Path
 
 from fmus.compliance import (
@@ -20,6 +21,7 @@ from fmus.compliance import (
 )
 from fmus.compliance.behaviour import DEFAULT_TIMEOUT_S, behaviour, obstacle
 from fmus.compliance.fmu_file import BrokenMemberError, FmuFile, UnreadableMemberError
+from fmus.compliance.library_reader import check_lief, start_reader
 from fmus.compliance.probe import start_process
 from fmus.compliance.rule import Result, Rule, Stage, defect, messages_of, registered
 
@@ -27,6 +29,7 @@ MODULES = (
     archive_rules, implementation_rules, source_rules, documentation_rules, description_rules, unit_rules,
     type_rules, name_rules, variable_rules, alias_rules, structure_rules, library_rules,
 )  # fmt: skip
+_STATIC = (Stage.FILE, Stage.DESCRIPTION, Stage.LIBRARY)
 
 
 def all_rules() -> tuple[Rule, ...]:
@@ -39,24 +42,27 @@ def examine(path: Path, timeout: float = DEFAULT_TIMEOUT_S) -> list[Result]:
     timeout: seconds that one behaviour may take. Raises OSError if there is no such file, MissingExtraError
     without LIEF.
     """
+    check_lief()
     with path.open("rb"):
         fmu = FmuFile(path)
     with ExitStack() as stack:
         process = None
         if not obstacle(fmu):
             with suppress(OSError):  # which is told when its behaviour is judged
-                process = stack.enter_context(closing(start_process()))  # beside the import of LIEF
-        earlier = list(static_results(fmu))
-        return [*earlier, *behaviour(fmu, timeout, earlier, process)]
+                process = stack.enter_context(closing(start_process()))
+                start_reader()
+        of_files = list(static_results(fmu, (Stage.FILE, Stage.DESCRIPTION)))
+        of_libraries = cache(lambda: list(static_results(fmu, (Stage.LIBRARY,))))
+        of_behaviour = list(behaviour(fmu, timeout, of_libraries, process))
+        return [*of_files, *of_libraries(), *of_behaviour]
 
 
-def static_results(fmu: FmuFile) -> Iterator[Result]:
+def static_results(fmu: FmuFile, stages: Sequence[Stage] = _STATIC) -> Iterator[Result]:
     """One result for every rule of what the file holds: no code of the FMU runs."""
-    library_rules.lief()
     unread = fmu.description_problem and "the model description cannot be read"
     unread = unread or (fmu.other_version and "it is no FMU of FMI 2.0")
-    closed = {Stage.FILE: "", Stage.DESCRIPTION: unread, Stage.LIBRARY: unread}
-    for stage, reason in closed.items():
+    for stage in stages:
+        reason = "" if stage is Stage.FILE else unread
         yield from (_result(rule, fmu, reason) for rule in registered(stage))
 
 

@@ -1,14 +1,12 @@
 """Rules of the shared libraries of all platforms, read with LIEF without loading them."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cache, lru_cache
-from typing import Any
+from functools import lru_cache
 
 from fmus.binding import platform_name
 from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.library_reader import Library, read_libraries
 from fmus.compliance.rule import Level, Stage, rule
-from fmus.extras import require
 
 _BINARIES = "2.3 FMU Distribution (binaries)"
 _MACHINES = {
@@ -46,86 +44,14 @@ _FUNCTIONS = {
 }
 
 
-@cache
-def lief() -> Any:
-    """LIEF, which takes longer to import than all rules; MissingExtraError where it is missing."""
-    module: Any = require("lief", "check", "a check of FMUs")
-    module.logging.disable()
-    return module
-
-
 def no_library(fmu: FmuFile) -> str:
     return "" if fmu.libraries() else "there is no library"
 
 
-@dataclass(frozen=True)
-class _Library:
-    """What LIEF reads of one library, or of one architecture's slice of a macOS one.
-
-    needed: libraries that it needs but the system's. search_paths: RPATH and RUNPATH of a library for Linux.
-    """
-
-    path: str
-    folder: str
-    machine: tuple[str, str]
-    exports: frozenset[str]
-    imports: frozenset[str]
-    needed: tuple[str, ...]
-    search_paths: tuple[str, ...]
-
-    @property
-    def directory(self) -> str:
-        return self.path.rpartition("/")[0]
-
-
-# what every Linux of a distribution has, by the beginning of its name
-_SYSTEM = (
-    "libc.so", "libm.so", "libdl.so", "libpthread.so", "librt.so", "libutil.so", "ld-linux", "libgcc_s.so",
-    "libstdc++.so", "libresolv.so", "libnsl.so", "libcrypt.so", "linux-vdso.so",
-)  # fmt: skip
-_MACH_O = (b"\xcf\xfa\xed\xfe", b"\xce\xfa\xed\xfe", b"\xca\xfe\xba\xbe", b"\xca\xfe\xba\xbf")
-
-
 @lru_cache(maxsize=1)
-def _libraries(fmu: FmuFile) -> tuple[_Library, ...]:
+def _libraries(fmu: FmuFile) -> tuple[Library, ...]:
     """Every library that LIEF can read, parsed once for all rules."""
-    return tuple(
-        _facts(path, folder, parsed)
-        for path, folder in fmu.libraries().items()
-        for parsed in _slices(fmu.read(path))
-    )
-
-
-def _slices(content: bytes) -> Iterator[Any]:
-    """The library, or each architecture's of a macOS one; none if it is no library.
-
-    A slice is used before the next is asked for: it lives no longer than what LIEF read it from.
-    """
-    if content.startswith(_MACH_O):
-        universal: Any = lief().MachO.parse(list(content)) or ()
-        yield from (universal.at(i) for i in range(len(universal)))
-        return
-    parsed = lief().parse(content)
-    if parsed is not None:
-        yield parsed
-
-
-def _facts(path: str, folder: str, parsed: Any) -> _Library:
-    symbols = [*parsed.exported_functions, *getattr(parsed, "exported_symbols", ())]
-    exports = frozenset(str(symbol.name).removeprefix("_") for symbol in symbols)
-    needed, search_paths = [], []
-    if parsed.format.name == "ELF":
-        needed = [str(name) for name in parsed.libraries if not str(name).startswith(_SYSTEM)]
-        entries = [entry for entry in parsed.dynamic_entries if hasattr(entry, "paths")]
-        search_paths = [str(one) for entry in entries for one in entry.paths]
-    imports = frozenset(str(symbol.name).removeprefix("_") for symbol in parsed.imported_functions)
-    return _Library(path, folder, _machine(parsed), exports, imports, tuple(needed), tuple(search_paths))
-
-
-def _machine(parsed: Any) -> tuple[str, str]:
-    header = parsed.header
-    kind = getattr(header, "machine_type", None) or getattr(header, "machine", None) or header.cpu_type
-    return parsed.format.name, getattr(kind, "name", str(kind))  # a number that LIEF does not know
+    return read_libraries([(path, folder, fmu.read(path)) for path, folder in fmu.libraries().items()])
 
 
 @rule(_BINARIES, Stage.LIBRARY, condition=no_library)

@@ -49,9 +49,9 @@ class FmuTests(pytest.File):
     def collect(self) -> Iterable["RuleTest"]:
         try:
             from fmus.compliance.examine import all_rules
-            from fmus.compliance.library_rules import lief
+            from fmus.compliance.library_reader import check_lief
 
-            lief()
+            check_lief()
         except ImportError as error:  # of the extra `check`
             raise pytest.UsageError(f"--fmu: {error}") from None
         return [RuleTest.from_parent(self, name=rule.name) for rule in all_rules()]

@@ -101,15 +101,14 @@ def test_without_an_fmu_nothing_is_collected_and_nothing_heavy_imported(tmp_path
     assert done.returncode == pytest.ExitCode.NO_TESTS_COLLECTED
 
 
-def test_a_missing_library_of_the_checks_is_a_line_that_names_the_command(tmp_path: Path) -> None:
-    (tmp_path / "lief.py").write_text("raise ModuleNotFoundError(name='lief')")
+def test_a_missing_library_of_the_checks_is_a_line_that_names_the_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "sitecustomize.py").write_text("import sys\nsys.modules['lief'] = None")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
     line = "a check of FMUs needs lief: pip install 'l1-depth[check]'"
     done = run_pytest(tmp_path, "--fmu", "none.fmu", "-q")
     assert f"ERROR: --fmu: {line}" in done.stderr
     command = [sys.executable, "-m", "fmus.compliance", "none.fmu"]
-    environment = {
-        **os.environ,
-        "PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]),
-    }
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     assert (done.returncode, done.stderr) == (1, f"python -m fmus.compliance: {line}\n")

@@ -185,8 +185,8 @@ def test_an_interrupt_inside_a_library_in_cpp_does_not_abort_it(
     started: Callable[..., subprocess.Popen[str]], tmp_path: Path
 ) -> None:
     """The library calls Python while it is imported; an exception there would end the process by SIGABRT."""
-    code = INTERRUPT_AT_IMPORT.format(module="lief._lief").replace(
-        "os.kill(os.getpid(), signal.SIGINT)", "enum.EnumType.__setattr__ = interrupted"
+    code = INTERRUPT_AT_IMPORT.format(module="fmus.compliance.check").replace(
+        "os.kill(os.getpid(), signal.SIGINT)", "enum.EnumType.__setattr__ = interrupted; import lief"
     )
     interrupted = """
 import enum
