@@ -29,12 +29,12 @@ Point = list[tuple[Variable, Any]]
 
 
 def _unknowns(probe: Probe) -> list[Variable]:
-    return [unknown for unknown, *_ in probe.fmu.dependencies("InitialUnknowns")]
+    return [unknown for unknown, *_ in probe.fmu.dependencies["InitialUnknowns"]]
 
 
 def declared(probe: Probe, section: str = "InitialUnknowns") -> dict[str, set[int | None]]:
     """Unknown -> indices of the knowns that it declares; without a declaration it is left out."""
-    listed = probe.fmu.dependencies(section)
+    listed = probe.fmu.dependencies[section]
     return {unknown.name: set(knowns) for unknown, knowns, _ in listed if knowns is not None}
 
 
@@ -210,7 +210,7 @@ def _constant_factors(probe: Probe) -> list[tuple[Variable, list[Variable]]]:
     initial = {v.index for v in _unknowns(probe)}
     result: dict[int, list[Variable]] = {}
     for section in ("InitialUnknowns", "Outputs"):
-        for unknown, knowns, kinds in probe.fmu.dependencies(section):
+        for unknown, knowns, kinds in probe.fmu.dependencies[section]:
             judged = unknown.kind == "Real" and unknown.index in initial
             for known, kind in zip(knowns or () if judged else (), kinds, strict=False):
                 if known in settable and kind == "constant" and unknown not in result.setdefault(known, []):

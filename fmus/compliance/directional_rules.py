@@ -41,7 +41,7 @@ def _pairs(fmu: FmuFile) -> dict[int, list[Variable]]:
     derivatives = {index for index, _ in fmu.unknowns("Derivatives")}
     dependents: dict[int, list[Variable]] = {}
     settable = {v.index for v in settable_in_initialization(fmu) if v.kind == "Real"}
-    for unknown, knowns, _ in fmu.dependencies("InitialUnknowns"):
+    for unknown, knowns, _ in fmu.dependencies["InitialUnknowns"]:
         judged = unknown.causality in ("output", "calculatedParameter") or unknown.index in derivatives
         if unknown.kind == "Real" and judged:
             for known in sorted(settable if knowns is None else settable & set(knowns)):
@@ -100,7 +100,7 @@ def _quotients(
 @behaviour_rule(DIRECTIONAL, condition=PROVIDES, needs="directional-derivatives questions-change-nothing")
 def directional_derivatives_are_linear(probe: Probe) -> Iterator[str]:
     """A directional derivative is the sum of the partial derivatives, each times its seed, in every mode."""
-    initial = [v for v, *_ in probe.fmu.dependencies("InitialUnknowns") if v.kind == "Real"]
+    initial = [v for v, *_ in probe.fmu.dependencies["InitialUnknowns"] if v.kind == "Real"]
     outputs, states = continuous_reals(probe, "output"), states_of(probe.fmu)
     inputs = {v.index: v for v in continuous_reals(probe, "input")}
     at_first = inputs | {i: probe.fmu.variables[i - 1] for i in _pairs(probe.fmu)}
@@ -147,7 +147,7 @@ def directional_derivatives_are_zero_without_dependency(probe: Probe) -> Iterato
     knowns = {"InitialUnknowns": inputs, "Outputs": [*inputs, *states_of(probe.fmu)]}
     knowns["Derivatives"] = knowns["Outputs"]
     for section in knowns:
-        for unknown, stated, _ in probe.fmu.dependencies(section):
+        for unknown, stated, _ in probe.fmu.dependencies[section]:
             observed = unknown.causality == "output" or section == "Derivatives"
             if stated is None or unknown.kind != "Real" or not observed:
                 continue
@@ -167,5 +167,5 @@ def directional_derivatives_are_zero_without_dependency(probe: Probe) -> Iterato
 
 def states_of(fmu: FmuFile) -> list[Variable]:
     """The continuous states that Derivatives exposes."""
-    indices = [integer(v.typed.get("derivative")) for v, *_ in fmu.dependencies("Derivatives")]
+    indices = [integer(v.typed.get("derivative")) for v, *_ in fmu.dependencies["Derivatives"]]
     return [fmu.variables[i - 1] for i in indices if i is not None and 1 <= i <= len(fmu.variables)]

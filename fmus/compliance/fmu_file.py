@@ -193,14 +193,18 @@ class FmuFile:
             exists = index is not None and 1 <= index <= len(self.variables)
             yield (index if exists else None), element
 
-    def dependencies(self, section: str) -> Iterator[Dependencies]:
-        """Those of each Unknown of a section of ModelStructure that is the index of a variable."""
-        for index, element in self.unknowns(section):
-            if index is not None:
-                stated = element.get("dependencies")
-                knowns = None if stated is None else [integer(text) for text in stated.split()]
-                kinds = element.get("dependenciesKind", "").split()
-                yield Dependencies(self.variables[index - 1], knowns, kinds)
+    @cached_property
+    def dependencies(self) -> dict[str, list[Dependencies]]:
+        """Section of ModelStructure -> those of each Unknown that is the index of a variable."""
+        sections: dict[str, list[Dependencies]] = {"Outputs": [], "Derivatives": [], "InitialUnknowns": []}
+        for section, listed in sections.items():
+            for index, element in self.unknowns(section):
+                if index is not None:
+                    stated = element.get("dependencies")
+                    knowns = None if stated is None else [integer(text) for text in stated.split()]
+                    kinds = element.get("dependenciesKind", "").split()
+                    listed.append(Dependencies(self.variables[index - 1], knowns, kinds))
+        return sections
 
     def platforms(self) -> list[str]:
         """Names of the folders below binaries that hold a file."""

@@ -59,7 +59,7 @@ def _step_pairs(fmu: FmuFile, states: list[Variable]) -> dict[int, list[Variable
         if v.kind == "Real" and (v.causality == "input" or v in states)
     }
     pairs: dict[int, list[Variable]] = {}
-    for unknown, knowns, _ in [*fmu.dependencies("Outputs"), *fmu.dependencies("Derivatives")]:
+    for unknown, knowns, _ in [*fmu.dependencies["Outputs"], *fmu.dependencies["Derivatives"]]:
         for known in sorted(settable if knowns is None else settable & set(knowns)):
             if unknown.kind == "Real" and unknown.index != known:
                 pairs.setdefault(known, []).append(unknown)
@@ -138,7 +138,7 @@ def _declared_factors(fmu: FmuFile) -> list[tuple[Variable, Variable, str]]:
     """(unknown, known, kind) of the Real ones that change seldom, of Outputs and Derivatives."""
     factors, initial = [], {index for index, _ in fmu.unknowns("InitialUnknowns")}
     settable = settable_in_initialization(fmu)
-    for unknown, knowns, kinds in [*fmu.dependencies("Outputs"), *fmu.dependencies("Derivatives")]:
+    for unknown, knowns, kinds in [*fmu.dependencies["Outputs"], *fmu.dependencies["Derivatives"]]:
         for number, kind in zip(knowns or (), kinds, strict=False):
             known = fmu.variables[number - 1] if number and number <= len(fmu.variables) else unknown
             real = unknown.kind == known.kind == "Real" and known.causality != "independent"
