@@ -191,7 +191,8 @@ class EnsembleLoop:
         for source, target in connections:
             value = self.values(source)
             transformation = self.prepared.system.transformations.get(target.name)
-            arriving = transformation.factor * value + transformation.offset if transformation else value
+            with np.errstate(over="ignore", invalid="ignore"):  # such a value is refused below
+                arriving = transformation.factor * value + transformation.offset if transformation else value
             low, high = self.prepared.input_ranges[target.name]
             number = 1 + list(self.libraries).index(target.component)
             self.values(target)[:] = arriving

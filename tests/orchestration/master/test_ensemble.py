@@ -2,6 +2,7 @@
 
 import os
 import re
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -182,6 +183,15 @@ def test_an_instance_that_cannot_begin_is_named_and_disturbs_no_other(system: Sy
     assert "net_weight" in recorded.failures[1]
     assert np.isnan(recorded["plant.depth"][:, 1]).all()
     assert len(recorded.recording(1).time) == 0
+
+
+def test_an_initial_value_beyond_all_numbers_ends_one_instance_without_a_warning(system: System) -> None:
+    scaled = System(system.components, [(*CONNECTIONS[0], {"factor": 1e308})])
+    vary = {"plant.initial_depth": [0.0, 20.0], "plant.sensor_noise": [0.0, 0.0]}
+    with Ensemble(scaled) as ensemble, warnings.catch_warnings():
+        warnings.simplefilter("error")
+        recorded = ensemble.run(replace(DIVE, stop_time=0.02), vary)
+    assert "measured_depth" in recorded.failures[1]
 
 
 def test_a_run_that_is_refused_leaves_the_next_one_as_it_is(system: System) -> None:
