@@ -7,7 +7,7 @@ from tests.speed.states import State
 
 TARGETS = {"run": "", "parquet": "1.3 of the raw size", "csv": "constant extra memory"}
 _NAMES = {"run": "a run", "parquet": "with its Parquet file", "csv": "with its CSV file"}
-_POINTS, _POINTS_BEFORE = 10_000_000, 1_000_000  # before, a point took longer, and far more memory
+_POINTS = 10_000_000
 
 
 def peak(state: State, two: Pair, points: int, way: str) -> tuple[float, float]:
@@ -27,7 +27,7 @@ def measure(options: Options) -> Part:
         most, raw = peak(options.now, two, points, way)
         now, before = f"{most / raw:.2f}", ""
         if options.before:
-            most_before, raw_before = peak(options.before, two, _POINTS_BEFORE, way)
+            most_before, raw_before = peak(options.before, two, points, way)
             before = f"{most_before / raw_before:.2f}"
         rows.append((_NAMES[way], before, now, f"{most / 1e6:.0f} MB of {raw / 1e6:.0f} MB"))
         if target:
