@@ -10,7 +10,7 @@ and its least value follows from these. All A_k come from one correlation by FFT
 """
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from orchestration.results.recordings import Runs, of_all
 
 _PARTS = 60  # of the search: a signal leads if it is nearer at one part of lead than at 0
 _LAG_ERROR_S = 1e-4  # of the search where points are not equally spaced
+_MOST_KEPT = 2**17  # points of a reference
 _NEAR, _EQUAL = 1e-9, 1e-6  # of a communication step: rounding of a delay, and of the distance of points
 
 
@@ -36,18 +37,19 @@ def shift_lag(recording: Runs, signal: str, reference: str, largest: float) -> A
         )
     if target.ndim > 1 and (target == target[0]).all():
         target = target[0]  # of all runs
-    targets = np.broadcast_to(target, values.shape)
     step = float(time[-1] - time[0]) / (len(time) - 1)
-    if (np.abs(np.diff(time) - step) <= _EQUAL * step).all():
+    gaps = np.diff(time)
+    gaps -= step
+    if np.abs(gaps, out=gaps).max() <= _EQUAL * step:
         steps = largest / step
         nearest = step * _nearest_delays(values, target, math.ceil(steps - _NEAR), steps)
     else:
-        nearest = np.array(
-            [_searched_delay(time, *run, largest) for run in zip(values, targets, strict=True)]
-        )
+        runs = zip(values, np.broadcast_to(target, values.shape), strict=True)
+        nearest = np.array([_searched_delay(time, *run, largest) for run in runs])
     is_lag = nearest <= largest - 2.0 * _LAG_ERROR_S
-    for run in np.flatnonzero(nearest * _PARTS < largest):
-        is_lag[run] &= not _leads(time, values[run], targets[run], largest)
+    for run in (nearest * _PARTS < largest).nonzero()[0]:
+        of_run = target if target.ndim == 1 else target[run]
+        is_lag[run] &= not _leads(time, values[run], of_run, largest)
     return np.where(is_lag, nearest, math.nan).reshape(recording[signal].shape[:-1])
 
 
@@ -59,16 +61,14 @@ def _nearest_delays(signals: np.ndarray, reference: np.ndarray, count: int, larg
     """
     if count < 1:
         return np.full(len(signals), math.nan)
-    level = reference.mean(axis=-1, keepdims=True)  # less of it is lost to rounding
-    signals, reference = signals[:, count:] - level, reference - level
-    judged = signals.shape[-1]
-    changes = _moving_sums(np.diff(reference) ** 2, count, judged)
-    length = 1 << (reference.shape[-1] - 1).bit_length()  # holds all: no delay wraps around
+    _, _, level, spectrum, squares, changes = _of_reference(reference, count)
+    points, length = signals.shape[-1], _length(signals.shape[-1])
     padded = np.zeros((len(signals), length))
-    padded[:, count : count + judged] = signals
-    spectra = np.fft.rfft(padded) * np.fft.rfft(reference, length).conj()
-    products = np.fft.irfft(spectra, length)[:, : count + 1]
-    distances = _moving_sums(reference**2, count + 1, judged) - 2.0 * products
+    np.subtract(signals[:, count:], level, out=padded[:, count:points])
+    spectra = np.fft.rfft(padded)
+    spectra *= spectrum
+    products = np.fft.irfft(spectra, length, out=padded)[:, : count + 1]
+    distances = squares - 2.0 * products
     ends = np.minimum(largest - np.arange(count), 1.0)
     slopes = distances[:, 1:] - distances[:, :-1] - changes
     parts = (-0.5 * slopes / np.where(changes > 0.0, changes, 1.0)).clip(0.0, ends)
@@ -76,11 +76,46 @@ def _nearest_delays(signals: np.ndarray, reference: np.ndarray, count: int, larg
     return np.where(changes.any(axis=-1), best + parts[np.arange(len(parts)), best], math.nan)
 
 
-def _moving_sums(values: np.ndarray, count: int, length: int) -> np.ndarray:
-    """Sums of the last `length` values, and of as many that begin 1, 2 .. count - 1 values earlier."""
-    sums = np.concatenate([np.zeros((*values.shape[:-1], 1)), np.cumsum(values, axis=-1)], axis=-1)
-    ends = values.shape[-1] - np.arange(count)
-    return sums[..., ends] - sums[..., ends - length]
+def _length(points: int) -> int:
+    """Of a Fourier transform that holds so many points: no delay wraps around."""
+    return 1 << (points - 1).bit_length()
+
+
+class _Reference(NamedTuple):
+    """What distances take from a reference, shape (n,) or (runs, n); they are of the points from `first` on.
+
+    level: its mean; the rest is of the reference less that, of which less is lost to rounding
+    spectrum: conjugate; squares: sums of r_(i-k)^2, k = 0..first
+    changes: sums of (r_(i-k) - r_(i-k-1))^2, k = 0..first - 1
+    """
+
+    values: np.ndarray
+    first: int
+    level: np.ndarray
+    spectrum: np.ndarray
+    squares: np.ndarray
+    changes: np.ndarray
+
+
+_last: list[_Reference] = []  # or none: most runs have the reference of the one before
+
+
+def _of_reference(reference: np.ndarray, first: int) -> _Reference:
+    """That of a reference, of the last one without computing it again."""
+    for last in _last:
+        if last.first == first and np.array_equal(last.values, reference):
+            return last
+    level = reference.mean(axis=-1, keepdims=True)
+    centred = np.atleast_2d(reference - level)
+    sums: Any = np.zeros((len(centred), centred.shape[-1] + 1), complex)
+    sums.real[:, 1:] = centred**2
+    sums.imag[:, 1:-1] = np.diff(centred) ** 2
+    np.cumsum(sums, axis=-1, out=sums)  # real and imaginary part take as long as one of them
+    both: Any = (sums[:, -first - 1 :] - sums[:, : first + 1])[:, ::-1]
+    spectrum = np.fft.rfft(centred, _length(centred.shape[-1])).conj()
+    made = _Reference(reference.copy(), first, level, spectrum, both.real, both.imag[:, 1:])
+    _last[:] = [made] if reference.size <= _MOST_KEPT else []
+    return made
 
 
 def _searched_delay(time: np.ndarray, signal: np.ndarray, reference: np.ndarray, largest: float) -> float:

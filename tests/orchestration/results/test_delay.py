@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from orchestration.results import delay
 from orchestration.results.delay import shift_lag
 from orchestration.results.recording import Recording
 
@@ -48,6 +49,30 @@ def test_the_delay_of_a_line_is_exact() -> None:
     assert shift_lag(recording(TIME, late, reference), "z", "r", LARGEST) == pytest.approx(
         3.7 * STEP, abs=1e-9
     )
+
+
+def test_the_delay_does_not_depend_on_what_was_measured_before() -> None:
+    """To the last bit: by a reference that is the same, another one, or judged from another time on."""
+    random = np.random.default_rng(5)
+    reference = smooth(random, TIME)
+    references = [reference, reference + 0.1 * random.standard_normal(1201)]
+    late = np.interp(TIME - 2.0, TIME, reference)
+
+    def lag(which: int, largest: float) -> float:
+        return shift_lag(recording(TIME, late, references[which]), "z", "r", largest)
+
+    def alone(which: int, largest: float) -> float:
+        delay._last.clear()
+        return lag(which, largest)
+
+    cases = [(0, LARGEST), (1, LARGEST), (1, 5.0), (0, 5.0)]
+    expected = [alone(*case) for case in cases]
+    assert len({*expected}) == len(cases)
+    assert [lag(*case) for case in cases for _ in range(2)] == [x for x in expected for _ in range(2)]
+    run = recording(TIME, late, references[0])
+    assert shift_lag(run, "z", "r", LARGEST) == expected[0]
+    run.values[:, 1] = references[1]
+    assert shift_lag(run, "z", "r", LARGEST) == expected[1]
 
 
 def test_points_at_other_distances_have_the_same_delay() -> None:
