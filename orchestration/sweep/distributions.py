@@ -30,54 +30,79 @@ class Distribution:
     probes: tuple[float, ...] = (0.5,)
 
 
-def _truncated(name: str, low: float, high: float, *shape: float, **location: float) -> Distribution:
-    """One of SciPy's continuous distributions, truncated to low..high.
+def _truncated(
+    cumulative: Callable[[Any], Any],
+    quantile: Callable[[np.ndarray], np.ndarray],
+    low: float,
+    high: float,
+    support: tuple[float, float],
+) -> Distribution:
+    """A continuous distribution, truncated to low..high.
 
-    Not by `scipy.stats.truncate`, which rounds otherwise: the samples of sweeps already run would change.
+    cumulative: F; quantile: its inverse; support: where F is neither 0 nor 1
     """
-    from scipy import stats  # takes longer to import than all else: for those alone who draw from it
-
-    law = getattr(stats, name)(*shape, **location)
-    begin, end = float(law.cdf(low)), float(law.cdf(high))
+    begin, end = float(cumulative(low)), float(cumulative(high))
     if not begin < end:
         raise ScenarioError(f"expected some probability within {low:g}..{high:g}, got none")
-    least, largest = max(low, float(law.support()[0])), min(high, float(law.support()[1]))
+    least, largest = max(low, support[0]), min(high, support[1])
 
-    def quantile(uniforms: Sequence[float]) -> list[float]:
-        return np.clip(law.ppf(begin + np.array(uniforms) * (end - begin)), least, largest).tolist()
+    def values(uniforms: Sequence[float]) -> list[float]:
+        return np.clip(quantile(begin + np.array(uniforms) * (end - begin)), least, largest).tolist()
 
-    return Distribution(quantile, (least, largest))
+    return Distribution(values, (least, largest))
+
+
+def _within(quantile: Callable[[np.ndarray], np.ndarray], low: float, high: float) -> Distribution:
+    """A continuous distribution whose support is low..high, but for rounding."""
+    size = high - low
+    return _truncated(lambda x: (x - low) / size, quantile, low, high, (low, low + size))
 
 
 def normal(mean: float, std: float, low: float = -math.inf, high: float = math.inf) -> Distribution:
+    from scipy.special import ndtr, ndtri  # which take longer to import than to draw
+
     _positive("std", std)
-    return _truncated("norm", low, high, loc=mean, scale=std)
+    support = -math.inf, math.inf
+    return _truncated(lambda x: ndtr((x - mean) / std), lambda q: ndtri(q) * std + mean, low, high, support)
 
 
 def lognormal(median: float, sigma: float, low: float = 0.0, high: float = math.inf) -> Distribution:
     """sigma: standard deviation of the natural logarithm."""
+    from scipy.special import ndtr, ndtri
+
     _positive("median", median)
     _positive("sigma", sigma)
-    return _truncated("lognorm", low, high, sigma, scale=median)
+
+    def cumulative(x: float) -> float:
+        return ndtr(np.log(x / median) / sigma) if x > 0.0 else 0.0
+
+    return _truncated(cumulative, lambda q: np.exp(sigma * ndtri(q)) * median, low, high, (0.0, math.inf))
 
 
 def uniform(low: float, high: float) -> Distribution:
     _ascending(low, high)
-    return _truncated("uniform", low, high, loc=low, scale=high - low)
+    return _within(lambda q: q * (high - low) + low, low, high)
 
 
 def loguniform(low: float, high: float) -> Distribution:
     """Uniform in the logarithm."""
     _positive("low", low)
     _ascending(low, high)
-    return _truncated("loguniform", low, high, low, high)
+    first, size = np.log(low), np.log(high) - np.log(low)
+    return _within(lambda q: np.exp(first + q * size), low, high)
 
 
 def triangular(low: float, mode: float, high: float) -> Distribution:
     _ascending(low, high)
     if not low <= mode <= high:
         raise ScenarioError(f"mode = {mode!r}: expected {low:g}..{high:g}")
-    return _truncated("triang", low, high, (mode - low) / (high - low), loc=low, scale=high - low)
+    share = (mode - low) / (high - low)
+
+    def quantile(q: np.ndarray) -> np.ndarray:
+        rising, falling = np.sqrt(share * q), 1.0 - np.sqrt((1.0 - share) * (1.0 - q))
+        return np.where(q < share, rising, falling) * (high - low) + low
+
+    return _within(quantile, low, high)
 
 
 def integers(low: int, high: int) -> Distribution:
