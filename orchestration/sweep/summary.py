@@ -64,11 +64,14 @@ def summary_table(results: pa.Table, provenance: dict[str, Any]) -> Table:
         printed.add_column(escape(heading), no_wrap=heading == "Metric")
     for heading in _PRINTED:
         printed.add_column(heading.capitalize(), justify="right")
-    good = np.flatnonzero(results[table.ERROR].is_null())
+    good = np.flatnonzero(results[table.ERROR].is_null().to_pylist())
+    metrics = {  # `to_numpy` imports pandas
+        name: np.array(results[name].to_pylist(), float) for name in provenance["scenario"]["metrics"]
+    }
     for values, indices in groups(varied, good).items():
         printed.add_section()
         for name, call in provenance["scenario"]["metrics"].items():
-            numbers = statistics(results[name].to_numpy()[indices])
+            numbers = statistics(metrics[name][indices])
             cells = [f"{numbers[heading]:.4g}" for heading in _PRINTED if numbers] or [
                 "0",
                 shown(math.nan, call),

@@ -10,10 +10,12 @@ table metadata: `l1_depth.kind` is sweep; `l1_depth.provenance` is JSON with the
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from fmus.extras import imports_of
 from fmus.files import open_atomically
@@ -88,7 +90,30 @@ def write(rows: Iterable[Mapping[str, Any]], columns: pa.Schema, path: Path) -> 
     remaining = iter(rows)
     with open_atomically(path) as stream, pq.ParquetWriter(stream, columns) as writer:
         while group := list(islice(remaining, ROWS_OF_A_GROUP)):
-            writer.write_table(pa.Table.from_pylist(group, schema=columns))
+            arrays = [_array([row.get(field.name) for row in group], field.type) for field in columns]
+            writer.write_table(pa.Table.from_arrays(arrays, schema=columns))
+
+
+def _array(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
+    """`pa.array` imports pandas if it is installed, which takes as long as hundreds of samples.
+
+    values: of a type of `_TYPES`, or None
+    """
+    present = np.array([value is not None for value in values])
+    if kind == pa.string():
+        texts = [(value or "").encode() for value in values]
+        content = [np.cumsum([0, *map(len, texts)], dtype=np.int32), b"".join(texts)]
+    elif kind == pa.bool_():
+        content = [_bits(values)]
+    else:
+        numbers = [0 if value is None else value for value in values]
+        content = [np.array(numbers, float if kind == pa.float64() else np.int64)]
+    validity = None if present.all() else pa.py_buffer(_bits(present))
+    return pa.Array.from_buffers(kind, len(values), [validity, *map(pa.py_buffer, content)])
+
+
+def _bits(values: Sequence[Any] | np.ndarray) -> np.ndarray:
+    return np.packbits(np.array(values, bool), bitorder="little")
 
 
 def is_sweep(path: Path) -> bool:
@@ -103,7 +128,8 @@ def read(path: Path) -> tuple[pa.Table, dict[str, Any]]:
     """(the table, its provenance); SweepError for a file that is no table of a sweep."""
     if not is_sweep(path):
         raise SweepError(f"{path}: expected the table of a sweep, as l1-depth sweep writes it")
-    table = pq.read_table(path)
+    with pq.ParquetFile(path) as file:  # `pq.read_table` imports pandas
+        table = file.read()
     return table, provenance_of(table.schema)
 
 

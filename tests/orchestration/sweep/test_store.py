@@ -1,5 +1,6 @@
 """What a sweep leaves behind: parts while it runs, one table at the end, and no rows of two sweeps in it."""
 
+import importlib.util
 import math
 import subprocess
 import sys
@@ -8,6 +9,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -101,6 +103,36 @@ def test_the_table_of_many_samples_is_written_with_few_in_memory(
         tracemalloc.stop()
         assert table.read(opened.path)[0]["sample"].to_pylist() == list(range(count))
     assert peaks[2] - peaks[1] < 3 * 8 * 3000  # the places, and what is compared with them
+
+
+def test_a_table_has_the_bytes_that_arrow_gives_its_rows(tmp_path: Path) -> None:
+    """With values of every type, and with gaps or without."""
+    rows = [
+        {"x": 0.1, "i": 2**53 + 1, "b": True, "s": "Größe", "all": 1.0},
+        {"x": None, "i": None, "b": None, "s": None, "all": math.nan},
+        {"x": -math.inf, "i": -1, "b": False, "s": "", "all": -0.0},
+    ] * 5
+    types = {"x": pa.float64(), "i": pa.int64(), "b": pa.bool_(), "s": pa.string(), "all": pa.float64()}
+    columns = pa.schema(list(types.items()), {b"kind": b"any"})
+    table.write(rows, columns, tmp_path / "ours")
+    pq.write_table(pa.Table.from_pylist(rows, columns), tmp_path / "arrow")
+    assert (tmp_path / "ours").read_bytes() == (tmp_path / "arrow").read_bytes()
+
+
+def test_a_table_is_written_and_summed_up_without_pandas(planned: Make, tmp_path: Path) -> None:
+    """Which takes longer to import than all else of a small sweep."""
+    made = planned(GRID)
+    opened = store(made, tmp_path)
+    opened.begin()
+    add(opened, made, range(5))
+    opened.finish()
+    program = "import sys; from pathlib import Path; from orchestration.sweep import summary, table\n"
+    program += "results, about = table.read(Path(sys.argv[1])); summary.summary_table(results, about)\n"
+    program += "table.write(results.to_pylist(), results.schema, Path(sys.argv[1]))\n"
+    program += "print([name for name in ('pandas', 'scipy.stats') if name in sys.modules])"
+    assert importlib.util.find_spec("pandas")
+    command = [sys.executable, "-c", program, str(tmp_path / "mine.sweep.parquet")]
+    assert subprocess.run(command, check=True, capture_output=True, text=True).stdout == "[]\n"
 
 
 def test_what_is_done_is_found_again(planned: Make, tmp_path: Path) -> None:
