@@ -1,7 +1,9 @@
 """What a Dask cluster of this machine loses to scheduling."""
 
-import time
 from collections.abc import Sequence
+from typing import Any
+
+from distributed import get_task_stream
 
 from orchestration.scenarios.scenario import Scenario
 from orchestration.sweep.plan import plan
@@ -10,26 +12,30 @@ from orchestration.sweep.workers import Batches
 from tests.local_cluster import local_cluster
 
 
-class _Measured(Batches):
-    """Batches that sum up how long they were run."""
-
-    seconds = 0.0
-
-    def note(self, count: int, seconds: float, rest: Sequence[int] = ()) -> None:
-        self.seconds += seconds
-        super().note(count, seconds, rest)
-
-
 def loss(chosen: Scenario, samples: int, workers: int) -> tuple[float, float]:
-    """(seconds of a sample, share of the workers' time without one), from the first finished batch on."""
-    planned = plan(chosen)
-    batches = _Measured(range(samples), samples)
-    done, start, before = 0, 0.0, 0.0
+    """(seconds of a sample, share of the workers' time without one), by Dask's own record of its tasks."""
+    planned, parts = plan(chosen), dict[str, list[tuple[float, float]]]()
     with local_cluster(workers) as started:
-        for finished in started.run(planned, Job.of(planned, None), batches):
-            if not start and done >= workers:  # each has loaded its FMUs
-                start, before, done = time.perf_counter(), batches.seconds, 0
-            done += len(finished.numbers)
-        wall = time.perf_counter() - start
-    busy = batches.seconds - before
-    return busy / done, 1.0 - busy / (workers * wall)
+        stream: Any = get_task_stream(started.client)
+        with stream:
+            for _ in started.run(planned, Job.of(planned, None), Batches(range(samples), samples)):
+                pass
+    for task in stream.data:
+        computed = [part for part in task["startstops"] if part["action"] == "compute"]
+        parts.setdefault(task["worker"], []).extend((part["start"], part["stop"]) for part in computed)
+    first = [min(own) for own in parts.values()]  # of one sample each, and the FMUs are loaded in it
+    seconds = sum(stop - start for own in parts.values() for start, stop in own)
+    sample_s = (seconds - sum(stop - start for start, stop in first)) / (samples - len(first))
+    return sample_s, lost([*parts.values()], workers)
+
+
+def lost(parts: Sequence[Sequence[tuple[float, float]]], workers: int) -> float:
+    """Share of the time of so many workers in which they run nothing, once each has run something.
+
+    Until all of them are done: what one waits for the others at the end is lost too.
+    parts: of each worker that ran something, (start, end) [s] of what it ran
+    """
+    start = max(min(end for _, end in own) for own in parts)
+    last = max(end for own in parts for _, end in own)
+    busy = sum(max(0.0, end - max(begin, start)) for own in parts for begin, end in own)
+    return 1.0 - busy / (workers * (last - start))

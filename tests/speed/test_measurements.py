@@ -12,6 +12,7 @@ from fmus import catalogue
 from orchestration.errors import OrchestrationError
 from orchestration.master import Simulator
 from tests.speed import scenarios
+from tests.speed.cluster import lost
 from tests.speed.layers import Layer, layer
 from tests.speed.page import replace_tables
 from tests.speed.part import Table, spread
@@ -74,3 +75,10 @@ def test_tables_take_the_places_of_those_in_pages(tmp_path: Path) -> None:
     table = "| h | n |\n| --- | ---: |\n| x | 1 s |\n| y |  |\n"
     assert first.read_text() == f"a\n\n<!-- table: one -->\n\n{table}\nb\n"
     assert second.read_text() == "<!-- table: two -->\n\n| h |\n| --- |\n| z |\n\nc\n"
+
+
+def test_what_workers_lose_begins_with_the_last_of_their_first_batches() -> None:
+    """One of them loads until 3 s, while the other runs: from there on 6 of 8 s are busy."""
+    parts = [[(0.0, 1.0), (1.0, 4.0), (5.0, 7.0)], [(0.0, 3.0), (3.0, 6.0)]]
+    assert lost(parts, workers=2) == 1.0 - 6.0 / 8.0
+    assert lost(parts, workers=3) == 1.0 - 6.0 / 12.0
