@@ -8,7 +8,7 @@ from pathlib import Path
 from fmus.compliance import report
 from fmus.compliance.behaviour import DEFAULT_TIMEOUT_S, host_errors
 from fmus.compliance.examine import all_rules, examine
-from fmus.compliance.library_reader import check_lief
+from fmus.compliance.library_reader import check_lief, close_reader
 from fmus.errors import HostError
 
 NO_VERDICT = 3  # exit status
@@ -29,7 +29,10 @@ def check(
     in that format, and then they are printed as text too. Raises OSError for a file that is not there,
     HostError if this machine does not allow a verdict.
     """
-    findings = {path: examine(path, timeout) for path in fmus}
+    try:
+        findings = {path: examine(path, timeout) for path in fmus}
+    finally:
+        close_reader()
     document = (
         report.text(findings, every) if format_name == "text" else report.FORMATS[format_name](findings)
     )

@@ -54,10 +54,16 @@ def check_lief() -> None:
 
 @cache
 def start_reader() -> WorkerProcess:
-    """The process of LIEF, one for all FMUs of this process. Raises OSError where it cannot be started."""
-    process = WorkerProcess(_answer)
-    atexit.register(process.close)
-    return process
+    """The process of LIEF, one for all FMUs until it is closed. Raises OSError where it cannot be started."""
+    return WorkerProcess(_answer)
+
+
+@atexit.register
+def close_reader() -> None:
+    """End the process of LIEF, if there is one; the next libraries start another."""
+    if start_reader.cache_info().currsize:
+        start_reader().close()
+        start_reader.cache_clear()
 
 
 def read_libraries(members: Sequence[Member]) -> tuple[Library, ...]:
@@ -67,8 +73,7 @@ def read_libraries(members: Sequence[Member]) -> tuple[Library, ...]:
     try:
         return process.receive()
     except BaseException:  # an interrupt, too, which would leave an answer for the next libraries
-        start_reader.cache_clear()
-        process.close()
+        close_reader()
         raise
 
 
