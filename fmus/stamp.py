@@ -181,15 +181,11 @@ class Stamps:
         return block_entry_points()
 
     @cached_property
-    def _libraries(self) -> list[tuple[str | None, ...]]:
-        """Metadata and licence of the libraries that build."""
-        texts = []
-        for name in _LIBRARIES:
-            for distribution in distributions(name=name):
-                texts.append(
-                    (name, *map(distribution.read_text, ("METADATA", "PKG-INFO", "licenses/LICENSE")))
-                )
-        return texts
+    def _libraries(self) -> list[tuple[str, ...]]:
+        """Metadata and licence of the libraries that build; an editable one may be found more than once."""
+        files = "METADATA", "PKG-INFO", "licenses/LICENSE"
+        found = ((name, distribution) for name in _LIBRARIES for distribution in distributions(name=name))
+        return sorted({(name, *(one.read_text(file) or "" for file in files)) for name, one in found})
 
     @cached_property
     def _own_files(self) -> list[tuple[str, str]]:
@@ -268,11 +264,9 @@ def _is_loaded(name: str, file: str) -> bool:
     """Whether a module is loaded from a file, and its source is what an import carries out: Python takes a
     compiled file for that of a source of the same size, changed in the same second.
     """
-    module = sys.modules.get(name)
-    loader = getattr(module, "__loader__", None)
-    if getattr(module, "__file__", "") != file or not isinstance(loader, SourceFileLoader):
-        return False
-    return loader.get_code(name) == loader.source_to_code(loader.get_data(file), file)
+    loader = SourceFileLoader(name, file)  # pytest may have loaded it by one of its own
+    is_from_file = getattr(sys.modules.get(name), "__file__", "") == file
+    return is_from_file and loader.get_code(name) == loader.source_to_code(loader.get_data(file), file)
 
 
 class _UnknownError(Exception):
