@@ -261,12 +261,15 @@ class Stamps:
 
 
 def _is_loaded(name: str, file: str) -> bool:
-    """Whether a module is loaded from a file, and its source is what an import carries out: Python takes a
-    compiled file for that of a source of the same size, changed in the same second.
+    """Whether a module is loaded from a file, and the code that an import takes is that of its source: Python
+    takes a compiled file for that of a source of the same size, changed in the same second.
     """
+    if getattr(sys.modules.get(name), "__file__", "") != file:
+        return False
     loader = SourceFileLoader(name, file)  # pytest may have loaded it by one of its own
-    is_from_file = getattr(sys.modules.get(name), "__file__", "") == file
-    return is_from_file and loader.get_code(name) == loader.source_to_code(loader.get_data(file), file)
+    with suppress(OSError, SyntaxError, ValueError, ImportError):  # it was changed meanwhile
+        return loader.get_code(name) == loader.source_to_code(loader.get_data(file), file)
+    return False
 
 
 class _UnknownError(Exception):

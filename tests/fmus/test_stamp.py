@@ -317,7 +317,7 @@ def test_an_fmu_that_was_found_and_not_built_is_stamped_for_runs_alone(
     assert path.read_bytes() != older
 
 
-def test_modules_that_were_loaded_from_another_file_are_not_the_sources(
+def test_modules_that_were_loaded_from_another_file_or_text_are_not_the_sources(
     order: Order, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sources = Stamps(tmp_path / "package", LATER).sources(order)
@@ -325,7 +325,12 @@ def test_modules_that_were_loaded_from_another_file_are_not_the_sources(
     assert sources.if_loaded is None
     with blocks_in(Path(order.source)):
         assert sources.if_loaded is sources
-        monkeypatch.setattr(sys.modules["gains"], "__file__", str(tmp_path / "elsewhere" / "gains.py"))
+        with monkeypatch.context() as elsewhere:
+            elsewhere.setattr(sys.modules["gains"], "__file__", str(tmp_path / "elsewhere" / "gains.py"))
+            assert sources.if_loaded is None
+        (tmp_path / "gains.py").write_text("GAIN = (")  # half written
+        assert sources.if_loaded is None
+        (tmp_path / "gains.py").unlink()
         assert sources.if_loaded is None
 
 
