@@ -97,11 +97,11 @@ static void say(Slave *s, fmi2Status st, int cat, const char *text) {
     }
     if (IS("errors are information")) st = fmi2OK;
     if (IS("a single percent sign")) format = "100 % done";
+    if (IS("a blank of a text") && st == fmi2Error) format = "an error, 100% sure";
     if (IS("a percent sign at the end")) format = "done: 100 %";
     if (IS("a message of NULL")) format = NULL;
     if (IS("a message that is not UTF-8")) format = "Tiefe \xfc";
     if (IS("legal formats, a new string of the version")) logger(e, name, st, category, "100%% done, % d left", 5);
-    else if (IS("a blank of a text") && st == fmi2Error) logger(e, name, st, category, "an error, 100% sure");
     else logger(e, name, st, category, format, text);
 }
 static fmi2Status err(Slave *s, const char *text) {
