@@ -1,6 +1,7 @@
 """Reference trajectories and other signals: functions of time that drive an input."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Protocol
@@ -49,12 +50,13 @@ class Ramps(Curve):
         points: Any = self.points
         if not isinstance(points, (list, tuple)) or not points or not all(map(_is_pair, points)):
             raise ScenarioError(f"ramps: expected points as [time, value], got {points!r}")
+        points = tuple((_number("ramps: time", t), _number("ramps: value", value)) for t, value in points)
         if any(later[0] <= earlier[0] for earlier, later in pairwise(points)):
             raise ScenarioError(f"ramps: expected points in ascending time, got {points!r}")
-        object.__setattr__(self, "points", tuple((t, value) for t, value in points))
+        object.__setattr__(self, "points", points)
 
     def at(self, times: np.ndarray) -> np.ndarray:
-        values = np.full(times.shape, float(self.points[0][1]))
+        values = np.full(times.shape, self.points[0][1])
         for (t_0, x_0), (t_1, x_1) in pairwise(self.points):
             inside = slice(*np.searchsorted(times, (t_0, t_1), side="right"))
             s = (times[inside] - t_0) / (t_1 - t_0)
@@ -73,6 +75,9 @@ class Cosine(Curve):
     phase: float = 0.0
     offset: float = 0.0
 
+    def __post_init__(self) -> None:
+        _convert_to_floats(self)
+
     def at(self, times: np.ndarray) -> np.ndarray:
         return self.offset + self.amplitude * np.cos(self.angular_frequency * times + self.phase)
 
@@ -83,8 +88,11 @@ class Constant(Curve):
 
     value: float
 
+    def __post_init__(self) -> None:
+        _convert_to_floats(self)
+
     def at(self, times: np.ndarray) -> np.ndarray:
-        return np.full(times.shape, float(self.value))
+        return np.full(times.shape, self.value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +124,20 @@ class Table(Curve):
             return np.interp(times, known, values)
         near = GRID_TOLERANCE * np.diff(known).min(initial=np.inf) if len(known) > 1 else 0.0
         return values[np.maximum(np.searchsorted(known, times + near, side="right") - 1, 0)]
+
+
+def _convert_to_floats(signal: Constant | Cosine) -> None:
+    """Of all members: NumPy's numbers in an array can change, and their text has 8 digits."""
+    for name, value in vars(signal).items():
+        object.__setattr__(signal, name, _number(f"{type(signal).__name__.lower()}: {name}", value))
+
+
+def _number(name: str, value: Any) -> float:
+    """The value; ScenarioError for what is no number."""
+    with suppress(TypeError, ValueError, OverflowError):
+        if not isinstance(value, str) and np.ndim(value) == 0:
+            return float(value)
+    raise ScenarioError(f"{name} = {value!r}: expected a number")
 
 
 def _is_pair(point: Any) -> bool:

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from orchestration.master import Simulator, simulate
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.faults import Fault, Offset
 from orchestration.system.prepared_again import PreparedRuns
-from orchestration.system.signals import Constant, Cosine
+from orchestration.system.signals import Constant, Cosine, Ramps, Signal
 from orchestration.system.system import System, check
 
 FIRST = Experiment(
@@ -76,6 +77,19 @@ def test_the_sign_of_a_zero_is_that_of_the_run(system: System) -> None:
         for value in (0.0, -0.0, 0.0):
             experiment = replace(FIRST, signals={"p.control": Constant(value)})
             assert np.signbit(simulator.run(experiment)["p.control"]).all() == np.signbit(value)
+
+
+@pytest.mark.parametrize(
+    "signal", [Constant, lambda value: Cosine(value, 0.0), lambda value: Ramps([(0.0, value)])]
+)
+def test_numbers_that_numpy_shows_alike_are_those_of_the_run(
+    system: System, signal: Callable[[Any], Signal]
+) -> None:
+    """NumPy shows 8 digits of a number in an array."""
+    numbers = [np.array(1.0), np.array(1.0 + 1e-9), np.float64(1.0 + 2e-9), 1.0]
+    with Simulator(system) as simulator:
+        runs = [simulator.run(replace(FIRST, signals={"p.control": signal(x)})) for x in numbers]
+    assert [run["p.control"][-1] for run in runs] == [1.0, 1.0 + 1e-9, 1.0 + 2e-9, 1.0]
 
 
 def test_only_runs_that_differ_in_values_are_prepared_again(system: System) -> None:

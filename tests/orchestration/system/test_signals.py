@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -61,11 +62,24 @@ def test_samples_are_copied() -> None:
     assert samples(0.0) == 1.0
 
 
+def test_numbers_are_copied() -> None:
+    number: Any = np.array(1.0)
+    signals = [Constant(number), Cosine(number, 0.0), Ramps([(0.0, number)])]
+    number += 1.0
+    assert [signal(0.0) for signal in signals] == [1.0, 1.0, 1.0]
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
         (lambda: Ramps([[1.0, 0.0], [1.0, 2.0]]), r"ascending time"),
         (lambda: Ramps([[1.0]]), r"\[time, value\]"),
+        (lambda: Ramps([[0.0, 0.0], ["1", 2.0]]), r"ramps: time = '1': expected a number"),  # type: ignore[list-item]
+        (lambda: Ramps([[0.0, None]]), r"ramps: value = None: expected a number"),  # type: ignore[list-item]
+        (lambda: Constant("1.0"), r"constant: value = '1.0': expected a number"),  # type: ignore[arg-type]
+        (lambda: Constant(np.ones(1)), r"value = array\(\[1\.\]\): expected a number"),  # type: ignore[arg-type]
+        (lambda: Cosine(1.0, 1j), r"cosine: angular_frequency = 1j: expected"),  # type: ignore[arg-type]
+        (lambda: Cosine(10**400, 1.0), r"cosine: amplitude = 10+: expected a number"),
         (lambda: Table([0.0, 1.0], [0.0]), r"shapes \(2,\) and \(1,\)"),
         (lambda: Table([], []), r"expected times and as many values"),
         (lambda: Table([0.0, 0.0], [0.0, 1.0]), r"ascending times"),
