@@ -85,11 +85,11 @@ def uniform(low: float, high: float) -> Distribution:
 
 
 def loguniform(low: float, high: float) -> Distribution:
-    """Uniform in the logarithm."""
+    """Uniform in the logarithm; at 0 it is `low`, which the logarithm and its inverse round."""
     _positive("low", low)
     _ascending(low, high)
     first, size = np.log(low), np.log(high) - np.log(low)
-    return _within(lambda q: np.exp(first + q * size), low, high)
+    return _within(lambda q: np.where(q > 0.0, np.exp(first + q * size), low), low, high)
 
 
 def triangular(low: float, mode: float, high: float) -> Distribution:
