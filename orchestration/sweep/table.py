@@ -31,6 +31,12 @@ SAMPLE, ERROR = "sample", "error"
 ROWS_OF_A_GROUP = 10_000
 _KIND, _PROVENANCE, _SWEEP = b"l1_depth.kind", b"l1_depth.provenance", b"sweep"
 _TYPES = {"Real": pa.float64(), "Integer": pa.int64(), "Boolean": pa.bool_(), "String": pa.string()}
+_VALUES = {
+    pa.float64(): (float, int, np.floating, np.integer),
+    pa.int64(): (int, np.integer),
+    pa.bool_(): (bool, np.bool_),
+    pa.string(): (str,),
+}
 
 
 def schema(plan: Plan, recorded: tuple[str, ...] | None) -> pa.Schema:
@@ -97,8 +103,11 @@ def write(rows: Iterable[Mapping[str, Any]], columns: pa.Schema, path: Path) -> 
 def _array(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
     """`pa.array` imports pandas if it is installed, which takes as long as hundreds of samples.
 
-    values: of a type of `_TYPES`, or None
+    values: of one of the `_VALUES` of their type, or None; TypeError for another
     """
+    for given in {type(value) for value in values if value is not None}:
+        if not issubclass(given, _VALUES[kind]) or (given is bool and kind != pa.bool_()):
+            raise TypeError(f"a column of type {kind}: got a value of type {given.__name__}")
     present = np.array([value is not None for value in values])
     if kind == pa.string():
         texts = [(value or "").encode() for value in values]

@@ -119,6 +119,18 @@ def test_a_table_has_the_bytes_that_arrow_gives_its_rows(tmp_path: Path) -> None
     assert (tmp_path / "ours").read_bytes() == (tmp_path / "arrow").read_bytes()
 
 
+@pytest.mark.parametrize(
+    ("kind", "value"),
+    [(pa.int64(), True), (pa.int64(), 1.5), (pa.float64(), "1.5"), (pa.bool_(), 1), (pa.string(), b"text")],
+)
+def test_a_value_of_another_type_is_refused(kind: pa.DataType, value: object, tmp_path: Path) -> None:
+    with pytest.raises(
+        TypeError, match=f"a column of type {kind}: got a value of type {type(value).__name__}"
+    ):
+        table.write([{"x": None}, {"x": value}], pa.schema([("x", kind)]), tmp_path / "x")
+    assert not (tmp_path / "x").exists()
+
+
 def test_a_table_is_written_and_summed_up_without_pandas(planned: Make, tmp_path: Path) -> None:
     """Which takes longer to import than all else of a small sweep."""
     made = planned(GRID)
