@@ -165,7 +165,7 @@ class Ensemble(AbstractContextManager["Ensemble"]):
         for instance in np.flatnonzero(can_begin & (loop.failure.ravel()[:count] != 0)).tolist():
             reasons[instance] = loop.reason(instance)
         counts = loop.recorded.ravel()[:count]
-        varied = values | {name: [*map(repr, vary[name])] for name in signals}
+        varied = values | {name: tuple(vary[name]) for name in signals}
         return EnsembleRecording(prepared, varied, loop.rows, counts, dict(sorted(reasons.items())))
 
     def _varied(self, prepared: PreparedRun, vary: Vary, count: int) -> tuple[Values, dict[str, np.ndarray]]:

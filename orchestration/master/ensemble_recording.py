@@ -1,5 +1,7 @@
 """The recordings of the instances of an ensemble."""
 
+import re
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -7,26 +9,27 @@ from typing import Any
 import numpy as np
 
 from fmus.errors import nearest
-from fmus.fmi_types import FmiValue
 from orchestration.errors import OrchestrationError
 from orchestration.master.run_recording import make_recording
 from orchestration.results.recording import Recording
 from orchestration.results.recordings import Recordings
 from orchestration.system.prepared_run import PreparedRun
+from orchestration.system.signals import Signal
+from orchestration.system.values import Value
 
 
 @dataclass(frozen=True, eq=False)
 class EnsembleRecording:
     """Signals of many instances over time.
 
-    prepared: the run that they share; varied: variable -> its values, shape (instances,); of signals as text
+    prepared: the run that they share; varied: variable -> its values or signals, shape (instances,)
     values: shape (groups, signals, n, lanes), instances in groups of lanes
     counts: recorded communication points of each instance, shape (instances,)
     failures: instance -> why it ended early
     """
 
     prepared: PreparedRun
-    varied: Mapping[str, Sequence[FmiValue]]
+    varied: Mapping[str, Sequence[Value | Signal]]
     values: np.ndarray
     counts: np.ndarray
     failures: Mapping[int, str]
@@ -73,10 +76,18 @@ class EnsembleRecording:
 
     def recording(self, instance: int) -> Recording:
         """That of one instance, until its end, as a `Simulator` returns it; `varied` is in its provenance."""
-        varied = {name: values[instance] for name, values in self.varied.items()}
+        varied = {name: _as_plain_data(values[instance]) for name, values in self.varied.items()}
         return self._recording(instance, {"varied": varied})
 
     def _recording(self, instance: int, more: Mapping[str, Any]) -> Recording:
         group, lane = divmod(range(len(self))[instance], self.values.shape[-1])
         rows = np.ascontiguousarray(self.values[group, :, :, lane].T)
         return make_recording(self.prepared, rows, int(self.counts[instance]), more=more, is_final=True)
+
+
+def _as_plain_data(value: Value | Signal) -> Value:
+    """A value itself; of a signal its text with all numbers and digits, without addresses in memory."""
+    if not callable(value):
+        return value
+    with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
+        return re.sub(r" at 0x[0-9A-Fa-f]+", "", repr(value))

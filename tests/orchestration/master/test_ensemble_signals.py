@@ -25,6 +25,12 @@ DIVE = Experiment(
     signals={REFERENCE: Constant(0.1), "plant.roll": Cosine(0.1, 3.0), CURRENT: Constant(0.0)},
     open_inputs="start",
 )
+
+
+def of_user(t: float) -> float:
+    return 0.1 * t
+
+
 KINDS: list[Signal] = [
     Ramps([(0.0, 0.2), (0.5, 0.4)]),
     Cosine(0.3, 2.0),
@@ -79,6 +85,19 @@ def test_each_instance_has_the_bits_of_the_run_with_its_signals(system: System, 
         again = ensemble.run(experiment, {"plant.inertia": [6.0]}).recording(0)
         alone = simulator.run(replace(experiment, parameters={"plant.inertia": 6.0}))
         assert again.values.tobytes() == alone.values.tobytes()  # the signals are those of the experiment
+
+
+def test_provenance_tells_signals_apart(system: System) -> None:
+    """By what is the same in every process: of a function its name, of a table every digit."""
+    times = np.arange(2000.0)
+    tables = [Table(times, np.where(times == 1000.0, value, 0.1)) for value in (0.2, 0.2 + 1e-12)]
+    with Ensemble(system) as ensemble:
+        recorded = ensemble.run(DIVE, {REFERENCE: [*tables, of_user]})
+    texts = [recorded.recording(instance).provenance["varied"][REFERENCE] for instance in range(3)]
+    again = eval(texts[1], {"Table": Table, "array": np.array})
+    assert (again.values.tolist(), again.hold) == (np.asarray(tables[1].values).tolist(), False)
+    assert texts[0] != texts[1]
+    assert texts[2] == "<function of_user>"
 
 
 def test_instances_led_step_by_step_have_their_signals(system: System) -> None:
