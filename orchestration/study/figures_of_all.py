@@ -14,14 +14,19 @@ from orchestration.system.experiment import Experiment
 def figures_of_all(
     loop: Loop, runs: Sequence[tuple[Case, Experiment]], names: Collection[str]
 ) -> list[dict[str, float] | None]:
-    """The figures of each run; None for one that fails, or whose figures do: the loop finds the reason.
+    """The figures of each run; None for one that the loop is to run alone.
 
+    That is one that fails, or whose figures do: the loop finds the reason. It is each where none differs: a
+    group with one instance saves nothing.
     runs: of one system, with experiments that differ in values of parameters, inputs and signals alone
     """
-    (case, experiment), figures = runs[0], list[dict[str, float] | None]([None] * len(runs))
+    figures = list[dict[str, float] | None]([None] * len(runs))
+    (first_case, first_experiment), varied = runs[0], _different([experiment for _, experiment in runs])
+    if not varied:
+        return figures
     try:
-        recorded = loop.ensemble(case).run(experiment, _different([experiment for _, experiment in runs]))
-    except OrchestrationError:  # of values that no instance can have, or of runs without a difference
+        recorded = loop.ensemble(first_case).run(first_experiment, varied)
+    except OrchestrationError:  # of values that no instance can have
         return figures
     for instance in recorded.complete:
         case, experiment = runs[instance]
