@@ -19,7 +19,7 @@ from orchestration.results.recordings import Runs, of_all
 
 _PARTS = 60  # of the search: a signal leads if it is nearer at one part of lead than at 0
 _LAG_ERROR_S = 1e-4  # of the search where points are not equally spaced
-_MOST_KEPT = 2**17  # points of a reference
+_MOST_POINTS = 2**17  # points of a reference
 _NEAR, _EQUAL = 1e-9, 1e-6  # of a communication step: rounding of a delay, and of the distance of points
 
 
@@ -61,7 +61,7 @@ def _nearest_delays(signals: np.ndarray, reference: np.ndarray, count: int, larg
     """
     if count < 1:
         return np.full(len(signals), math.nan)
-    _, _, level, spectrum, squares, changes = _of_reference(reference, count)
+    _, _, level, spectrum, squares, changes = _sums_of_reference(reference, count)
     points, length = signals.shape[-1], _length(signals.shape[-1])
     padded = np.zeros((len(signals), length))
     np.subtract(signals[:, count:], level, out=padded[:, count:points])
@@ -81,7 +81,7 @@ def _length(points: int) -> int:
     return 1 << (points - 1).bit_length()
 
 
-class _Reference(NamedTuple):
+class _ReferenceSums(NamedTuple):
     """What distances take from a reference, shape (n,) or (runs, n); they are of the points from `first` on.
 
     level: its mean; the rest is of the reference less that, of which less is lost to rounding
@@ -97,11 +97,14 @@ class _Reference(NamedTuple):
     changes: np.ndarray
 
 
-_last: list[_Reference] = []  # or none: most runs have the reference of the one before
+_last: list[_ReferenceSums] = []  # or none: most runs have the reference of the one before
 
 
-def _of_reference(reference: np.ndarray, first: int) -> _Reference:
-    """That of a reference, of the last one without computing it again."""
+def _sums_of_reference(reference: np.ndarray, first: int) -> _ReferenceSums:
+    """Returns the sums of a reference, shape (n,) or (runs, n), over its points from `first` on.
+
+    Those of the last reference are not computed again.
+    """
     for last in _last:
         if last.first == first and np.array_equal(last.values, reference):
             return last
@@ -111,11 +114,11 @@ def _of_reference(reference: np.ndarray, first: int) -> _Reference:
     sums.real[:, 1:] = centred**2
     sums.imag[:, 1:-1] = np.diff(centred) ** 2
     np.cumsum(sums, axis=-1, out=sums)  # real and imaginary part take as long as one of them
-    both: Any = (sums[:, -first - 1 :] - sums[:, : first + 1])[:, ::-1]
+    by_delay: Any = (sums[:, -first - 1 :] - sums[:, : first + 1])[:, ::-1]
     spectrum = np.fft.rfft(centred, _length(centred.shape[-1])).conj()
-    made = _Reference(reference.copy(), first, level, spectrum, both.real, both.imag[:, 1:])
-    _last[:] = [made] if reference.size <= _MOST_KEPT else []
-    return made
+    result = _ReferenceSums(reference.copy(), first, level, spectrum, by_delay.real, by_delay.imag[:, 1:])
+    _last[:] = [result] if reference.size <= _MOST_POINTS else []
+    return result
 
 
 def _searched_delay(time: np.ndarray, signal: np.ndarray, reference: np.ndarray, largest: float) -> float:
