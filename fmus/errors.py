@@ -12,7 +12,10 @@ class ExportError(ValueError):
 
 
 class MissingExtraError(ImportError):
-    """A library that the core does not install; the message names the command that installs it."""
+    """A library that the core does not install, or that does not start.
+
+    The message names the command that installs it, or the cause.
+    """
 
 
 class HostError(Exception):

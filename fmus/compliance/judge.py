@@ -7,7 +7,15 @@ from fmus.compliance.fmu_file import BrokenMemberError
 from fmus.compliance.fmu_process import START_S
 from fmus.compliance.lifecycle_rules import RANDOM
 from fmus.compliance.probe import Probe
-from fmus.compliance.rule import NotApplicableError, NotJudgedError, Result, Rule, defect, messages_of
+from fmus.compliance.rule import (
+    IS_BROKEN,
+    NotApplicableError,
+    NotJudgedError,
+    Result,
+    Rule,
+    defect,
+    messages_of,
+)
 from fmus.compliance.script import CallError, DefectError
 from fmus.process import ProcessEndedError
 
@@ -16,7 +24,6 @@ FUNDAMENTAL = (
     "runs-are-repeatable",
 )  # fmt: skip
 """Without these no behaviour is judged: what else would be found has the same cause."""
-IS_BROKEN = " is broken"
 ENDED = "the FMU ended the process with"
 _RANDOM_RUNS = "runs-are-not-random"
 HUNG, SLOW = "the FMU took more than", "the FMU is slow: its calls took more than"

@@ -1,18 +1,22 @@
 """What LIEF reads of shared libraries, without loading them, in a process of its own.
 
-LIEF takes longer to import than all rules take: it is imported there beside the behaviour of an FMU.
+LIEF takes longer to import than all rules take, and may crash or hang on a library: it reads there, beside
+the behaviour of an FMU.
 """
 
 import atexit
+import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from importlib.util import find_spec
 from typing import Any
 
+from fmus.errors import MissingExtraError
 from fmus.extras import imports_of
-from fmus.process import Parent, WorkerProcess
+from fmus.process import Parent, ProcessEndedError, WorkerProcess
 
+LIMIT_S = 60.0  # for the import of LIEF, and for a library where no other limit is given
 Member = tuple[str, str, bytes]
 """A library in an FMU: its path, the folder of its platform, its content."""
 
@@ -52,44 +56,74 @@ def check_lief() -> None:
             raise ModuleNotFoundError(name="lief")
 
 
+class Reading:
+    """What LIEF reads of some libraries, from now on, beside whatever else is done.
+
+    timeout: seconds for each library
+    """
+
+    def __init__(self, members: Sequence[Member], timeout: float) -> None:
+        self._paths, self._timeout = [path for path, _, _ in members], timeout
+        self._process = _reader()
+        threading.Thread(target=self._process.send, args=(members,), daemon=True).start()  # may take a while
+
+    @property
+    def libraries(self) -> Sequence[Library]:
+        """Every library that LIEF can read, up to the one of `failure`."""
+        return self._answer[0]
+
+    @property
+    def failure(self) -> str:
+        """Which library LIEF crashes or hangs on, and how; the ones after it are not read."""
+        return self._answer[1]
+
+    @cached_property
+    def _answer(self) -> tuple[Sequence[Library], str]:
+        """Raises MissingExtraError where LIEF does not start, as when it cannot be imported."""
+        _, reason = self._receive(LIMIT_S)
+        if reason:
+            raise MissingExtraError(f"a check of FMUs needs lief, which does not start: {reason}")
+        libraries: list[Library] = []
+        for path in self._paths:
+            more, reason = self._receive(self._timeout)
+            if reason:
+                return libraries, f"LIEF cannot read {path}: {reason}"
+            libraries += more
+        return libraries, ""
+
+    def _receive(self, timeout: float) -> tuple[Any, str]:
+        """The next message, or why there is none, and then the process is closed."""
+        try:
+            return self._process.receive(timeout), ""
+        except (ProcessEndedError, TimeoutError) as error:
+            close_reader()
+            return None, ": ".join(filter(None, (str(error), getattr(error, "last_error_line", ""))))
+
+
 @cache
-def start_reader() -> WorkerProcess:
+def _reader() -> WorkerProcess:
     """The process of LIEF, one for all FMUs until it is closed. Raises OSError where it cannot be started."""
-    return WorkerProcess(_answer)
+    return WorkerProcess(_read)
 
 
 @atexit.register
 def close_reader() -> None:
     """End the process of LIEF, if there is one; the next libraries start another."""
-    if start_reader.cache_info().currsize:
-        start_reader().close()
-        start_reader.cache_clear()
+    if _reader.cache_info().currsize:
+        _reader().close()
+        _reader.cache_clear()
 
 
-def read_libraries(members: Sequence[Member]) -> tuple[Library, ...]:
-    """Every library that LIEF can read. Raises ProcessEndedError where LIEF fails."""
-    process = start_reader()
-    process.send(members)
-    try:
-        return process.receive()
-    except BaseException:  # an interrupt, too, which would leave an answer for the next libraries
-        close_reader()
-        raise
-
-
-def _answer(parent: Parent) -> None:
-    """What the process does: facts of the libraries in each message."""
+def _read(parent: Parent) -> None:
+    """What the process does with each message: None once LIEF is imported, then the facts of each library."""
     import lief
 
     lief.logging.disable()
     while True:
-        parent.send(
-            tuple(
-                _facts(path, folder, parsed)
-                for path, folder, content in parent.receive()
-                for parsed in _slices(lief, content)
-            )
-        )
+        members = parent.receive()
+        parent.send(None)
+        for path, folder, content in members:
+            parent.send([_facts(path, folder, parsed) for parsed in _slices(lief, content)])
 
 
 def _slices(lief: Any, content: bytes) -> Iterator[Any]:

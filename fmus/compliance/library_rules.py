@@ -1,12 +1,12 @@
 """Rules of the shared libraries of all platforms, read with LIEF without loading them."""
 
-from collections.abc import Iterator
-from functools import lru_cache
+from collections.abc import Iterator, Sequence
+from weakref import WeakKeyDictionary
 
 from fmus.binding import platform_name
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.library_reader import Library, read_libraries
-from fmus.compliance.rule import Level, Stage, rule
+from fmus.compliance.library_reader import LIMIT_S, Library, Reading
+from fmus.compliance.rule import IS_BROKEN, Level, NotJudgedError, Stage, rule
 
 _BINARIES = "2.3 FMU Distribution (binaries)"
 _MACHINES = {
@@ -43,20 +43,38 @@ _FUNCTIONS = {
     """,
 }
 
+_readings: WeakKeyDictionary[FmuFile, Reading] = WeakKeyDictionary()
+
 
 def no_library(fmu: FmuFile) -> str:
     return "" if fmu.libraries() else "there is no library"
 
 
-@lru_cache(maxsize=1)
-def _libraries(fmu: FmuFile) -> tuple[Library, ...]:
-    """Every library that LIEF can read, parsed once for all rules."""
-    return read_libraries([(path, folder, fmu.read(path)) for path, folder in fmu.libraries().items()])
+def start_reading(fmu: FmuFile, timeout: float = LIMIT_S) -> Reading:
+    """What LIEF reads of the FMU's libraries, from the first call on.
+
+    timeout: seconds for each library. Raises what `FmuFile.read` does, OSError without a process.
+    """
+    if fmu not in _readings:
+        members = [(path, folder, fmu.read(path)) for path, folder in fmu.libraries().items()]
+        _readings[fmu] = Reading(members, timeout)
+    return _readings[fmu]
+
+
+def _libraries(fmu: FmuFile) -> Sequence[Library]:
+    """Every library that LIEF can read. Raises NotJudgedError if it crashes or hangs on one."""
+    reading = start_reading(fmu)
+    if reading.failure:
+        raise NotJudgedError(f"library-format{IS_BROKEN}")
+    return reading.libraries
 
 
 @rule(_BINARIES, Stage.LIBRARY, condition=no_library)
 def library_format(fmu: FmuFile) -> Iterator[str]:
     """Each library has the format and the processor that its folder names."""
+    if failure := start_reading(fmu).failure:
+        yield failure
+        return
     for path, folder in fmu.libraries().items():
         expected = _MACHINES.get(folder)
         got = [library.machine for library in _libraries(fmu) if library.path == path]

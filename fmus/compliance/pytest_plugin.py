@@ -41,6 +41,14 @@ def pytest_collection_modifyitems(
         session.testscollected = len(items)
 
 
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """End the process that reads libraries."""
+    if session.config.getoption("--fmu"):
+        from fmus.compliance.library_reader import close_reader
+
+        close_reader()
+
+
 class FmuTests(pytest.File):
     """One FMU; examined once, when its first rule is run."""
 
@@ -60,7 +68,10 @@ class FmuTests(pytest.File):
         if self._results is None:
             from fmus.compliance.examine import examine
 
-            self._results = {result.rule.name: result for result in examine(self.path)}
+            try:
+                self._results = {result.rule.name: result for result in examine(self.path)}
+            except ImportError as error:  # of LIEF, which no FMU can be judged without
+                pytest.exit(f"--fmu: {error}", returncode=pytest.ExitCode.USAGE_ERROR)
         return self._results[name]
 
 

@@ -42,6 +42,10 @@ class Rule:
     last: bool = False
 
 
+IS_BROKEN = " is broken"
+"""After the name of a rule: why another one, which would find the same, is not judged."""
+
+
 class NotJudgedError(Exception):
     """A rule that cannot be judged; the message says why."""
 
