@@ -46,21 +46,12 @@ def ensembles(
 
     count: of evaluations; is_asked_for: also where ensembles do not pay
     """
-    cases = practice_cases(protocol)
     with ExitStack() as stack:
         idle: SimpleQueue[Loop] = SimpleQueue()
         for _ in range(threads):
             loop = stack.enter_context(Loop(controller, protocol))
-            system = loop.scenario(cases[0]).system
-            if not (fmu := system.components["controller"]).is_relative_to(fmu_folder()):
-                raise EnsembleError(f"{fmu} was not built here, and may need the time limit of a process")
-            for case in cases:
-                if loop.scenario(case).system != system:
-                    raise EnsembleError(f"{case.name} has another system than {cases[0].name}")
-                check_ensemble(
-                    system, loop.experiment(case), count * len(cases), is_asked_for, threads=threads
-                )
-            loop.ensemble(cases[0])
+            _check_ensemble(loop, count, threads, is_asked_for)
+            loop.ensemble(practice_cases(protocol)[0])
             idle.put(loop)
         stack.enter_context(warnings.catch_warnings())
         warnings.simplefilter("ignore", FmuWarning)  # of thousands of runs; results have the errors
@@ -80,6 +71,18 @@ def ensembles(
             return (cost for group in pool.map(costs, groups) for cost in group)
 
         yield evaluate
+
+
+def _check_ensemble(loop: Loop, count: int, threads: int, is_asked_for: bool) -> None:
+    """EnsembleError for a controller or practice cases that processes are to evaluate."""
+    cases = practice_cases(loop.protocol)
+    system = loop.scenario(cases[0]).system
+    if not (fmu := system.components["controller"]).is_relative_to(fmu_folder()):
+        raise EnsembleError(f"{fmu} was not built here, and may need the time limit of a process")
+    for case in cases:
+        if loop.scenario(case).system != system:
+            raise EnsembleError(f"{case.name} has another system than {cases[0].name}")
+        check_ensemble(system, loop.experiment(case), count * len(cases), is_asked_for, threads=threads)
 
 
 def costs_of_all(loop: Loop, gains: Sequence[Gains]) -> list[dict[str, Any]]:
