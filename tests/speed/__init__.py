@@ -1,7 +1,8 @@
 """How fast the project is: the tables of docs/performance.md, by `python -m tests.speed`.
 
-Medians over rounds; what is compared takes turns, so that all see the same disturbances. Each part is a
-module with a function `measure(Options) -> Part` (part.py):
+Medians over rounds; what is compared between two states takes turns, so that both see the same disturbances,
+but for chains, memory and sweeps that grow. Each part is a module with a function
+`measure(Options) -> Part` (part.py):
 
     commands.py   whole commands, beside the same loop in other importers
     steps.py      one step of a block, through FMI and without (layers.py), in two states of the project

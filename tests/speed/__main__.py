@@ -7,8 +7,9 @@ Run it in a clone of the repository, with the extra `test` installed, on a machi
 
 import os
 import platform
-import subprocess
 import tempfile
+import traceback
+from collections.abc import Callable
 from datetime import date
 from importlib.metadata import version
 from pathlib import Path
@@ -16,24 +17,27 @@ from typing import Annotated
 
 import typer
 
+from orchestration.errors import OrchestrationError
 from tests.speed import commands, ensemble, importers, memory, runs, samples, scale, stepping, steps, sweeps
 from tests.speed.loops import LOOPS
-from tests.speed.page import replace_tables
-from tests.speed.part import Goal, Options, Table
+from tests.speed.page import check_places, replace_tables
+from tests.speed.part import Goal, Options, Part, Table
 from tests.speed.states import ROOT, state
 
-PARTS = {
-    "commands": commands.measure,
-    "steps": steps.measure,
-    "runs": runs.measure,
-    "sweeps": sweeps.measure,
-    "ensemble": ensemble.measure,
-    "scale": scale.measure,
-    "memory": memory.measure,
-    "samples": samples.measure,
-    "stepping": stepping.measure,
-    "importers": importers.measure,
+# part -> what measures it, and the names of its tables
+PARTS: dict[str, tuple[Callable[[Options], Part], tuple[str, ...]]] = {
+    "commands": (commands.measure, ("commands",)),
+    "steps": (steps.measure, ("fmi", "steps")),
+    "runs": (runs.measure, ("runs", "ways")),
+    "sweeps": (sweeps.measure, ("sweeps", "million")),
+    "ensemble": (ensemble.measure, ("ensemble",)),
+    "scale": (scale.measure, ("chains", "slopes", "thousand", "threads")),
+    "memory": (memory.measure, ("memory",)),
+    "samples": (samples.measure, ("samples",)),
+    "stepping": (stepping.measure, ("calls", "environments")),
+    "importers": (importers.measure, ("importers",)),
 }
+_SUMMARY = ("machine", "goals")
 
 
 def main(
@@ -45,40 +49,71 @@ def main(
     ] = None,
     quick: Annotated[bool, typer.Option(help="Show that all works, by one round of small sizes.")] = False,
     page: Annotated[
-        list[Path] | None, typer.Option(help="Replace the tables of this page; repeatable.")
+        list[Path] | None,
+        typer.Option(
+            help="Replace the tables of this page; repeatable. Needs all parts, --before, and all pages.",
+            exists=True,
+            dir_okay=False,
+            resolve_path=True,
+        ),
     ] = None,
 ) -> None:
-    """Measure how fast commands, runs, sweeps, steps and other importers are, as tables in Markdown."""
-    chosen = parts or [*PARTS]
-    if unknown := set(chosen) - set(PARTS):
+    """Measure how fast commands, runs, sweeps, steps and other importers are, as tables in Markdown.
+
+    A part that fails leaves its tables as they are, and the exit status is 1.
+    """
+    pages = page or []
+    if unknown := set(parts or []) - set(PARTS):
         raise typer.BadParameter(f"{', '.join(sorted(unknown))}: expected some of {', '.join(PARTS)}")
-    if page and (parts or not before):
+    if pages and (parts or not before):
         raise typer.BadParameter("--page: expected all parts, and --before")
-    tables: list[Table] = []
-    goals: list[Goal] = []
+    if quick and any(path.is_relative_to(ROOT / "docs") for path in pages):
+        raise typer.BadParameter("--quick: expected copies of the pages, as its figures are no measurement")
     with tempfile.TemporaryDirectory(prefix="l1-depth-speed-") as name:
         folder = Path(name)
-        now = state(str(ROOT), folder / "now")
-        options = Options(folder, now, state(before, folder / "before") if before else None, quick)
-        for part in chosen:
-            measured = PARTS[part](options)
-            for table in measured.tables:
-                print(f"{table.name}:\n\n{table.markdown}", flush=True)
-            tables += measured.tables
-            goals += measured.goals
-    summary = [machine(before), of_goals(goals)]
-    for table in summary:
-        print(f"{table.name}:\n\n{table.markdown}", flush=True)
-    if page:
-        replace_tables(page, [*summary, *tables])
+        try:
+            if pages:
+                check_places(pages, [*_SUMMARY, *(table for _, tables in PARTS.values() for table in tables)])
+            now = state(str(ROOT), folder / "now")
+            options = Options(folder, now, state(before, folder / "before") if before else None, quick)
+        except OrchestrationError as error:
+            raise typer.BadParameter(str(error)) from error
+        tables, failed = measure(parts or [*PARTS], options)
+    replace_tables(pages, tables)
+    if failed:
+        raise SystemExit(f"failed: {', '.join(failed)}")
 
 
-def of_goals(goals: list[Goal]) -> Table:
-    rows = [(goal.what, goal.target, goal.before, goal.now, goal.others) for goal in goals]
+def measure(parts: list[str], options: Options) -> tuple[list[Table], list[str]]:
+    """The tables of parts and a summary, which are printed as well, and the names of parts that failed."""
+    tables, goals, failed = list[Table](), list[Goal](), list[str]()
+    for part in parts:
+        try:
+            measured = PARTS[part][0](options)
+        except Exception:  # whatever it is, the other parts are measured
+            traceback.print_exc()
+            failed.append(part)
+            goals.append(Goal(f"`{part}`", "", "failed"))
+            continue
+        print(*map(_text, measured.tables), sep="\n", flush=True)
+        tables += measured.tables
+        goals += measured.goals
+    summary = [machine(options), of_goals(goals, bool(options.before))]
+    print(*map(_text, summary), sep="\n", flush=True)
+    return [*summary, *tables], failed
+
+
+def _text(table: Table) -> str:
+    return f"{table.name}:\n\n{table.markdown}"
+
+
+def of_goals(goals: list[Goal], compared: bool) -> Table:
+    missing = "not measured" if compared else ""
+    rows = [(goal.what, goal.target, goal.before or missing, goal.now, goal.others) for goal in goals]
     return Table("goals", ("what", "target", "before", "now", "others"), rows)
 
 
-def machine(before: str | None) -> Table:
+def machine(options: Options) -> Table:
     """What the figures depend on."""
     peers = sorted({loop.distribution for loop in LOOPS.values()} - {"l1-depth"})
     used = ("numpy", "matplotlib", "ziglang", "dask", *peers)
@@ -88,9 +123,10 @@ def machine(before: str | None) -> Table:
         ("system", f"{platform.system()} {platform.release()}, {platform.machine()}"),
         ("Python", platform.python_version()),
         ("packages", ", ".join(f"{name} {version(name)}" for name in used)),
-        ("now", revision("HEAD")),
+        ("now", options.now.revision),
     ]
-    return Table("machine", ("", ""), [*rows, *([("before", revision(before))] if before else [])])
+    before = [("before", options.before.revision)] if options.before else []
+    return Table("machine", ("", ""), [*rows, *before])
 
 
 def processor() -> str:
@@ -99,13 +135,6 @@ def processor() -> str:
     lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return names[0] if names else platform.processor()
-
-
-def revision(name: str) -> str:
-    """A git revision with its date, or the name itself."""
-    command = ["git", "-C", str(ROOT), "show", "--no-patch", "--format=%h of %cs", name]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    return done.stdout.strip() or name
 
 
 if __name__ == "__main__":

@@ -5,11 +5,8 @@ scenarios, and the compiler's own libraries for each platform. A build anew find
 them that was compiled.
 """
 
-import resource
 import shutil
-import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +14,7 @@ from statistics import median
 
 from fmus import catalogue
 from fmus.platforms import PLATFORMS, host_platform
+from orchestration.errors import OrchestrationError
 from orchestration.scenarios import scenario
 from tests.importers.comparison import packaged
 from tests.importers.importers import ImporterJob
@@ -72,42 +70,31 @@ class Command:
 
     name: str
     arguments: Sequence[str]
-    folder: Path
-    environment: Mapping[str, str]
+    state: State
+    environment: Mapping[str, str] | None = None
     prepare: Callable[[], object] = lambda: None
     remark: str = ""
     wall: list[float] = field(default_factory=list)
     cpu: list[float] = field(default_factory=list)
 
     def measure(self) -> None:
-        """Run it once; RuntimeError if it fails."""
+        """Run it once; OrchestrationError if it fails."""
         self.prepare()
-        before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-        done = subprocess.run(
-            self.arguments,
-            cwd=self.folder,
-            env=self.environment,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        self.wall.append(time.perf_counter() - start)
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        self.cpu.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
-        if done.returncode:
-            raise RuntimeError(f"{self.name}: {done.stderr[-500:]}")
+        wall_s, cpu_s = self.state.timed(self.arguments, environment=self.environment)
+        self.wall.append(wall_s)
+        self.cpu.append(cpu_s)
 
 
 def commands(state: State) -> Iterator[Command]:
     """The commands of a state."""
-    fmus, environment = state.fmus, state.environment
+    fmus = state.fmus
     run, none = (*COMMAND, "run", SCENARIO, "--out", "results"), ("--formats", "none")
     remark = "" if _succeeds((*run, *none), state) else "with its figure: it could not be left out"
 
     def command(name: str, *arguments: str) -> Command:
-        return Command(name, arguments, state.folder, environment)
+        return Command(name, arguments, state)
 
-    yield Command(RUN, run if remark else (*run, *none), state.folder, environment, remark=remark)
+    yield Command(RUN, run if remark else (*run, *none), state, remark=remark)
     yield command(FIGURE, *run)
     yield command(HELP, *COMMAND, "--help")
     yield command(FIRST, sys.executable, "-P", "-c", FIRST_RUN.format(fmus=fmus))
@@ -126,15 +113,16 @@ def builds(state: State, platforms: Sequence[str]) -> Iterator[Command]:
         _restore_libraries(state, platforms)
 
     build = (*COMMAND, "build", *FIVE, "--out", "built")
-    yield Command(BUILD, build, state.folder, environment, forget)
-    yield Command(ALL_PLATFORMS, (*build, "--all-platforms"), state.folder, environment, forget)
+    yield Command(BUILD, build, state, environment, forget)
+    yield Command(ALL_PLATFORMS, (*build, "--all-platforms"), state, environment, forget)
 
 
 def _succeeds(arguments: Sequence[str], state: State) -> bool:
-    done = subprocess.run(
-        arguments, cwd=state.folder, env=state.environment, capture_output=True, check=False
-    )
-    return not done.returncode
+    try:
+        state.timed(arguments)
+    except OrchestrationError:
+        return False
+    return True
 
 
 def _restore_libraries(state: State, platforms: Sequence[str]) -> None:
@@ -156,8 +144,7 @@ def _of_importers(job: ImporterJob, state: State) -> list[Command]:
     times = {"step": job.step_size, "stop": job.stop_time, "nanoseconds": round(job.step_size * 1e9)}
     values = {"package": str(job.package), "count": job.reports, **times}
     return [
-        Command(name, (sys.executable, "-c", text.format(**values)), state.folder, state.environment)
-        for name, text in OTHERS.items()
+        Command(name, (sys.executable, "-c", text.format(**values)), state) for name, text in OTHERS.items()
     ]
 
 

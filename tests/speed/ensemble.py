@@ -78,6 +78,7 @@ def measure(options: Options) -> Part:
                 f"a closed-loop step in an ensemble of {_TARGET[1]}, {_TARGET[0]}",
                 "80 ns",
                 f"{median(figures[_TARGET]):.0f} ns",
+                "did not exist",
                 others=f"a `Simulator` {scalar:.0f} ns",
             )
         ]

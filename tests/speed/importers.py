@@ -6,7 +6,7 @@ need themselves, and the values that must come out.
 """
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from statistics import median
@@ -16,7 +16,7 @@ from tests.isolated import answer_of
 from tests.speed import pair as pair_module
 from tests.speed.loops import LOOPS, Measurement, measure_loop
 from tests.speed.pair import STEP_SIZE, Pair
-from tests.speed.part import Goal, Options, Part, Table
+from tests.speed.part import Goal, Options, Part, Table, spread
 from tests.speed.programs import C_SOURCES, compile_program, extracted, output_of, workplace
 
 FLOOR = "a bare C loop"
@@ -31,7 +31,7 @@ _QUICK = ("ours", "ecos", "fmucontainer")
 
 @dataclass(frozen=True)
 class Entry:
-    """One way to run the pair. Times of a communication step [s].
+    """One way to run the pair. Times of a communication step [s], a value a round.
 
     floor: the time in which a bare C loop calls the same functions
     remark: what is recorded, and what else is to be known
@@ -40,10 +40,15 @@ class Entry:
 
     name: str
     version: str = ""
-    per_step: float = math.inf
+    times: Sequence[float] = ()
     floor: float = math.nan
     remark: str = ""
     problem: str = ""
+
+    @property
+    def per_step(self) -> float:
+        """The median."""
+        return median(self.times) if self.times else math.inf
 
     @property
     def overhead(self) -> float:
@@ -79,7 +84,7 @@ def table(entries: Iterable[Entry]) -> Table:
 def _numbers(entry: Entry) -> tuple[str, ...]:
     if entry.problem:
         return "", "", ""
-    return f"{1e6 * entry.per_step:.3f}", f"{1e6 * entry.overhead:.3f}", f"{entry.ratio:.1f}"
+    return spread([1e6 * x for x in entry.times], 3), f"{1e6 * entry.overhead:.3f}", f"{entry.ratio:.1f}"
 
 
 def compare(rounds: int = 3, loops: Iterable[str] = LOOPS) -> list[Entry]:
@@ -96,7 +101,7 @@ def compare(rounds: int = 3, loops: Iterable[str] = LOOPS) -> list[Entry]:
                     own.append(measurement_of(name, built))
         floor = median(floors)
         entries = [entry(name, own, bare.level, floor) for name, own in measurements.items()]
-    return [Entry(FLOOR, "", floor, floor, "records nothing"), *entries]
+    return [Entry(FLOOR, "", floors, floor, "records nothing"), *entries]
 
 
 def measurement_of(name: str, built: Pair, enough: float = _ENOUGH_S) -> Measurement | str:
@@ -124,12 +129,12 @@ def entry(
     off = f"its level is off by {difference:.1e} of its value"
     if difference > _NEAR:
         return replace(blank, problem=f"{off}: expected other numbers")
-    per_step = median(m.per_step for m in complete)
-    if per_step <= 0.0:
+    times = [m.per_step for m in complete]
+    if median(times) <= 0.0:
         slower = "N steps took longer than 2 N steps: expected a machine that is less busy"
         return replace(blank, problem=slower)
     remark = f"records {loop.records}" + (f"; {off}" if difference > _CLOSE else "")
-    return replace(blank, per_step=per_step, remark=remark)
+    return replace(blank, times=times, remark=remark)
 
 
 def _difference(measurement: Measurement, level: Callable[[int], float]) -> float:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 
+from orchestration.errors import OrchestrationError
 from tests.speed.states import State
 
 _MANY = 10  # values, of which the half in the middle tells more than the extremes
@@ -32,6 +33,12 @@ class Options:
     def rounds(self, number: int) -> int:
         return 1 if self.quick else number
 
+    def equality(self, are_equal: bool) -> str:
+        """A cell on results of both states. Raises OrchestrationError if one state gives different ones."""
+        if not are_equal and self.before and self.before.sources.samefile(self.now.sources):
+            raise OrchestrationError("results of one state differ: expected equal bit for bit")
+        return "equal bit for bit" if are_equal else "different"
+
 
 @dataclass(frozen=True)
 class Table:
@@ -52,7 +59,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Goal:
-    """What people wait for: a figure with its target, the same before, and that of others."""
+    """What people wait for: a figure with its target, that before or why there is none, that of others."""
 
     what: str
     target: str

@@ -42,10 +42,12 @@ def part_name(part: int) -> str:
     return f"-DPART(f)=part{part}_##f"
 
 
-def compile_equations(folder: Path, part: int, sources: Path, *options: str) -> None:
+def compile_equations(
+    folder: Path, part: int, sources: Path, *options: str, c_sources: Path = C_SOURCES
+) -> None:
     """Compile the equations of an FMU to partN.o."""
     named = part_name(part)
-    source = str(C_SOURCES / "equations.c")
+    source = str(c_sources / "equations.c")
     headers = [f"-I{sources}", f"-I{FMI_HEADERS}"]
     zig(["cc", "-c", *_FLAGS, *options, named, *headers, "-o", f"part{part}.o", source], folder)
 

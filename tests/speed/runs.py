@@ -5,23 +5,40 @@ compiled loop of each state.
 """
 
 import subprocess
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from statistics import median
 from typing import NamedTuple
 
-from orchestration.errors import OrchestrationError
 from tests.speed.part import Goal, Options, Part, Table, ratios, spread
-from tests.speed.scenarios import HOST, MASTER_LOOP, MONOLITH, Loop, loop
+from tests.speed.scenarios import HOST, MASTER, MASTER_LOOP, MONOLITH, Loop, loop
 
 SCENARIO = "nominal-extended"
 _RUNS = 3  # of each state in a round
+_PROCESSES = 3  # of each state, one after another
 
 
 class _Turn(NamedTuple):
-    """CPU time [s] of a run, that of its metrics, and a hash of the recording."""
+    """CPU time [ms] of a run, that of its metrics, and a hash of the recording."""
 
     run: float
     metrics: float
     recording: str
+
+
+class _Turns(NamedTuple):
+    """Of a state: its turns, and CPU time [ms] of the first metrics of each process."""
+
+    turns: list[_Turn]
+    first: list[float]
+
+    @property
+    def runs(self) -> list[float]:
+        return [turn.run for turn in self.turns]
+
+    @property
+    def metrics(self) -> list[float]:
+        return [turn.metrics for turn in self.turns]
 
 
 def _turn(process: "subprocess.Popen[str]") -> _Turn:
@@ -30,43 +47,46 @@ def _turn(process: "subprocess.Popen[str]") -> _Turn:
     process.stdin.write(f"{_RUNS}\n")
     process.stdin.flush()
     run, metrics, recording = process.stdout.readline().split()
-    return _Turn(float(run), float(metrics), recording)
+    return _Turn(1e3 * float(run), 1e3 * float(metrics), recording)
 
 
-def _turns(options: Options) -> list[list[_Turn]]:
+def _turns(options: Options) -> list[_Turns]:
     """For each state its turns."""
-    processes = [state.start("run.py", SCENARIO) for state in options.states]
-    try:
-        for process in processes:
-            assert process.stdout
-            if process.stdout.readline() != "ready\n":
-                raise OrchestrationError("run.py did not start")
-        turns = [[_turn(process) for process in processes] for _ in range(options.rounds(41))]
-    finally:
-        for process in processes:
-            process.communicate()
-    return [list(column) for column in zip(*turns, strict=True)]
+    turns = [_Turns([], []) for _ in options.states]
+    for _ in range(options.rounds(_PROCESSES)):
+        processes = [state.start("run.py", SCENARIO) for state in options.states]
+        try:
+            for process, own in zip(processes, turns, strict=True):
+                assert process.stdout
+                own.first.append(1e3 * float(process.stdout.readline()))
+            for _ in range(options.rounds(14)):
+                for process, own in zip(processes, turns, strict=True):
+                    own.turns.append(_turn(process))
+        finally:
+            for process in processes:
+                process.communicate()
+    return turns
 
 
 def measure(options: Options) -> Part:
     """Runs by turns, and the ways in which a scenario can run."""
     *before, now = _turns(options)
-    ways = loop(SCENARIO, rounds=options.rounds(7))
-    rows = [_row("a run", _runs(now), *map(_runs, before))]
-    rows.append(_row("all its metrics", _metrics(now), *map(_metrics, before)))
+    ways = loop(SCENARIO, options.rounds(7), options.before)
+    for turns in before:
+        ways = replace(ways, before={MASTER: [1e-3 * run for run in turns.runs], **ways.before})
+    rows = [_row("a run", *(x.runs for x in (now, *before)))]
+    rows.append(_row("all its metrics", *(x.metrics for x in (now, *before))))
+    rows.append(
+        _row(
+            "all its metrics, the first of a process, with what they import",
+            *(x.first for x in (now, *before)),
+        )
+    )
     if before:
-        are_equal = {turn.recording for turn in now} == {turn.recording for turn in before[0]}
-        rows.append(("its recording", "", "equal bit for bit" if are_equal else "different", ""))
+        are_equal = len({turn.recording for x in (now, *before) for turn in x.turns}) == 1
+        rows.append(("its recording", "", options.equality(are_equal), ""))
     tables = [Table("runs", ("CPU time", "before", "now", "ratio"), rows), of_ways(ways)]
     return Part(tables, _goals(ways, now, *before))
-
-
-def _runs(turns: list[_Turn]) -> list[float]:
-    return [1e3 * turn.run for turn in turns]
-
-
-def _metrics(turns: list[_Turn]) -> list[float]:
-    return [1e3 * turn.metrics for turn in turns]
 
 
 def _row(what: str, now: list[float], before: list[float] | None = None) -> tuple[str, ...]:
@@ -77,27 +97,49 @@ def _row(what: str, now: list[float], before: list[float] | None = None) -> tupl
 
 
 def of_ways(ways: Loop) -> Table:
-    rows = []
-    for way, seconds in ways.seconds.items():
-        ratio, more = seconds / ways.seconds[MONOLITH], seconds - ways.seconds[MONOLITH]
-        rows.append((way, f"{1e3 * seconds:.2f} ms", f"{ratio:.2f}", f"{1e9 * more / ways.steps:.0f}"))
-    headings = ("nominal scenario", "time", "ratio to the C program", "ns a step more than the C program")
-    return Table("ways", headings, rows)
+    headings = (
+        "nominal scenario",
+        "time",
+        "ratio to the C host",
+        "ratio to the C program",
+        "ns a step more than the C program",
+    )
+    return Table(
+        "ways", headings, [*_rows("", ways.seconds, ways.steps), *_rows("before: ", ways.before, ways.steps)]
+    )
 
 
-def _goals(ways: Loop, now: list[_Turn], *before: list[_Turn]) -> list[Goal]:
-    runs = [_runs(turns) for turns in (*before, now)]
-    ratio = f", {median(ratios(runs[-1], runs[0])):.2f} of before" if before else ""
-    *old_run, run = (f"{median(column):.2f} ms" for column in runs)
-    *old_metrics, metrics = (_part_of_run(turns) for turns in (*before, now))
-    of_c = ways.seconds[MASTER_LOOP] / ways.seconds[HOST]
-    others = f"a host in C {1e3 * ways.seconds[HOST]:.2f} ms: the loop takes {of_c:.2f} of that"
+def _rows(prefix: str, seconds: Mapping[str, Sequence[float]], steps: int) -> Iterator[tuple[str, ...]]:
+    """Ratios of medians."""
+    for way, taken in seconds.items():
+        time = spread([1e3 * x for x in taken], 2, "ms")
+        more = (median(taken) - median(seconds[MONOLITH])) / steps
+        to_host, to_program = (f"{_ratio(seconds, way, other):.2f}" for other in (HOST, MONOLITH))
+        yield prefix + way, time, to_host, to_program, f"{1e9 * more:.0f}"
+
+
+def _ratio(seconds: Mapping[str, Sequence[float]], way: str, other: str) -> float:
+    return median(seconds[way]) / median(seconds[other])
+
+
+def _goals(ways: Loop, now: _Turns, *before: _Turns) -> list[Goal]:
+    ratio = f", {median(ratios(now.runs, before[0].runs)):.2f} of before" if before else ""
+    *old_run, run = (f"{median(x.runs):.2f} ms" for x in (*before, now))
+    *old_metrics, metrics = (_part_of_run(x) for x in (*before, now))
+    *old_of_c, of_c = (_of_c(x) for x in (*([ways.before] if before else []), ways.seconds))
+    loop_of_c = f"; its loop {_ratio(ways.seconds, MASTER_LOOP, HOST):.2f} of a host in C"
     return [
-        Goal("a run of the nominal scenario", "0.55 of before", run + ratio, "".join(old_run), others),
+        Goal("a run of the nominal scenario", "0.55 of before", run + ratio, "".join(old_run)),
+        Goal("the same beside C", "none", of_c + loop_of_c, "".join(old_of_c)),
         Goal("all its metrics", "0.2 of the run", metrics, "".join(old_metrics)),
     ]
 
 
-def _part_of_run(turns: list[_Turn]) -> str:
-    part = median(turn.metrics / turn.run for turn in turns)
-    return f"{median(_metrics(turns)):.2f} ms, {part:.2f} of the run"
+def _of_c(seconds: Mapping[str, Sequence[float]]) -> str:
+    host, program = (_ratio(seconds, MASTER, other) for other in (HOST, MONOLITH))
+    return f"{host:.2f} of a host in C, {program:.2f} of one C program"
+
+
+def _part_of_run(turns: _Turns) -> str:
+    part = median(ratios(turns.metrics, turns.runs))
+    return f"{median(turns.metrics):.2f} ms, {part:.2f} of the run"

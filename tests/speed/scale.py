@@ -24,7 +24,7 @@ from tests.speed.part import Goal, Options, Part, Table
 from tests.speed.states import State
 
 NUMBERS = (50, 100, 200, 400)
-FEWER = (50, 100)  # of one file each, and before: each takes far longer to load
+FEWER = (25, 50, 100)  # of one file each, and before: each takes far longer to load
 HEAVY = 8  # components that share threads
 INTERNAL_STEPS = (1, 100, 1000, 10_000)  # in a communication step of each, of some 10 ns
 _QUANTITIES = ("load", "prepare a run again", "a communication step")

@@ -2,9 +2,12 @@
 
 import io
 import os
+import resource
 import subprocess
 import sys
 import tarfile
+import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -19,10 +22,11 @@ FIVE = ("L1DepthController", "RovDepthPlant", "L1Controller", "ExamplePlant", "D
 
 @dataclass(frozen=True)
 class State:
-    """The files of a state, and a folder in which its programs run and keep their caches."""
+    """The files of a state, a folder in which its programs run and keep their caches, its git revision."""
 
     sources: Path
     folder: Path
+    revision: str
 
     @property
     def environment(self) -> dict[str, str]:
@@ -61,24 +65,35 @@ class State:
             raise OrchestrationError(f"{program} failed with exit status {process.returncode}")
         return output.split()
 
-    def run(self, *arguments: str) -> None:
-        """Run `l1-depth`. Raises OrchestrationError if it fails."""
+    def timed(
+        self, arguments: Sequence[str], cwd: Path | None = None, environment: Mapping[str, str] | None = None
+    ) -> tuple[float, float]:
+        """(wall clock, CPU of all its processes) [s] of a command. Raises OrchestrationError if it fails."""
+        before, start = _children_s(), time.perf_counter()
         done = subprocess.run(
-            [*COMMAND, *arguments],
-            cwd=self.folder,
-            env=self.environment,
+            arguments,
+            cwd=cwd or self.folder,
+            env=environment or self.environment,
             capture_output=True,
             text=True,
             check=False,
         )
+        wall_s = time.perf_counter() - start
         if done.returncode:
-            raise OrchestrationError(f"l1-depth {' '.join(arguments)} failed: {done.stderr.strip()}")
+            raise OrchestrationError(f"{' '.join(arguments)[-100:]} failed: {done.stderr.strip()[-500:]}")
+        return wall_s, _children_s() - before
 
     @cached_property
     def fmus(self) -> Path:
         """A folder with the FMUs of `FIVE`."""
-        self.run("build", *FIVE, "--out", "fmus")
+        self.timed([*COMMAND, "build", *FIVE, "--out", "fmus"])
         return self.folder / "fmus"
+
+
+def _children_s() -> float:
+    """CPU seconds of all processes that were started and have ended."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
 
 
 def state(name: str, folder: Path) -> State:
@@ -86,11 +101,16 @@ def state(name: str, folder: Path) -> State:
     folder.mkdir()
     clone = Path(name).absolute()
     if clone.is_dir():
-        return State(clone, folder)
-    command = ["git", "-C", str(ROOT), "archive", "--format=tar", name]
-    done = subprocess.run(command, capture_output=True, check=False)
-    if done.returncode:
-        raise OrchestrationError(f"{name}: {done.stderr.decode().strip()}: expected a revision or a folder")
-    with tarfile.open(fileobj=io.BytesIO(done.stdout)) as archive:
+        return State(clone, folder, _git(clone, "describe", "--always", "--dirty").decode().strip())
+    revision = _git(ROOT, "describe", "--always", name).decode().strip()
+    with tarfile.open(fileobj=io.BytesIO(_git(ROOT, "archive", "--format=tar", name))) as archive:
         archive.extractall(folder / "source", filter="data")
-    return State(folder / "source", folder)
+    return State(folder / "source", folder, revision)
+
+
+def _git(clone: Path, *arguments: str) -> bytes:
+    done = subprocess.run(["git", "-C", str(clone), *arguments], capture_output=True, check=False)
+    if done.returncode:
+        reason = done.stderr.decode().strip()
+        raise OrchestrationError(f"{arguments[-1]}: {reason}: expected a revision or a clone")
+    return done.stdout

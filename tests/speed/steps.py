@@ -51,7 +51,7 @@ def measure(options: Options) -> Part:
     tables, goals = [of_layers(layers)], []
     if options.before:
         measured = _of_states(options, options.before)
-        tables.append(_of_steps(measured))
+        tables.append(_of_steps(measured, options))
         goals = [_goal(steps) for steps in measured]
     return Part(tables, goals)
 
@@ -80,14 +80,14 @@ def of_layers(layers: Sequence[Layer]) -> Table:
     return Table("fmi", ("a communication step of", "through FMI", "the same C without FMI", "ratio"), rows)
 
 
-def _of_steps(measured: Sequence[Steps]) -> Table:
+def _of_steps(measured: Sequence[Steps], options: Options) -> Table:
     rows = [
         (
             f"`{steps.block}`",
             spread(steps.old, 0, "ns"),
             spread(steps.new, 0, "ns"),
             spread(ratios(steps.new, steps.old), 3),
-            "equal bit for bit" if steps.are_equal else "different",
+            options.equality(steps.are_equal),
         )
         for steps in measured
     ]

@@ -4,12 +4,11 @@ A sample is a run and its metrics. Of the command `l1-depth sweep`, CPU time is 
 """
 
 import os
-import resource
-import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
@@ -18,7 +17,9 @@ from fmus import catalogue
 from fmus.lanes import LANES
 from orchestration.master import Simulator
 from orchestration.scenarios import scenario
-from orchestration.scenarios.scenario import Scenario
+from orchestration.sweep.plan import Plan, plan
+from orchestration.sweep.samples import Job
+from orchestration.sweep.target import with_settings
 from tests.speed import cluster
 from tests.speed.part import Goal, Options, Part, Table, spread
 from tests.speed.states import COMMAND, State
@@ -40,74 +41,72 @@ _WAYS = {
 
 @dataclass(frozen=True)
 class Way:
-    """Sweeps in one way: times [s] of each round, and of a sweep of few samples on the clock and of CPU."""
+    """Sweeps in one way: (wall clock, CPU) [s] of rounds, and of those of few samples."""
 
     samples: int
-    wall: Sequence[float]
-    cpu: Sequence[float]
-    start: tuple[float, float]
+    taken: Sequence[tuple[float, float]]
+    starts: Sequence[tuple[float, float]]
+
+    @property
+    def wall(self) -> list[float]:
+        return [wall_s for wall_s, _ in self.taken]
+
+    @property
+    def cpu(self) -> list[float]:
+        return [cpu_s for _, cpu_s in self.taken]
 
     @property
     def wall_of_one_more(self) -> float:
-        return (median(self.wall) - self.start[0]) / (self.samples - LANES)
+        return (median(self.wall) - median(wall_s for wall_s, _ in self.starts)) / (self.samples - LANES)
 
     @property
     def cpu_of_one_more(self) -> float:
-        return (median(self.cpu) - self.start[1]) / (self.samples - LANES)
+        return (median(self.cpu) - median(cpu_s for _, cpu_s in self.starts)) / (self.samples - LANES)
 
 
-def run_s(chosen: Scenario, count: int) -> float:
-    """CPU seconds of a run with all that it records: median."""
-    taken = []
-    with Simulator(chosen.system) as simulator:
-        simulator.run(chosen.experiment)
-        for _ in range(count):
-            start = time.thread_time()
-            simulator.run(chosen.experiment)
-            taken.append(time.thread_time() - start)
-    return median(taken)
+class Runs(AbstractContextManager["Runs"]):
+    """The runs of the first samples of a plan, which record what their metrics need."""
+
+    def __init__(self, planned: Plan, count: int) -> None:
+        job = Job.of(planned, None)
+        settings = [planned.settings(values) for values in planned.block(range(count))]
+        self._experiments = [with_settings(job.experiment, own) for own in settings]
+        self._simulator = Simulator(job.system, threads=1)
+        self._simulator.run(job.experiment)
+
+    def mean_s(self) -> float:
+        """CPU seconds of a run."""
+        start = time.thread_time()
+        for experiment in self._experiments:
+            self._simulator.run(experiment)
+        return (time.thread_time() - start) / len(self._experiments)
+
+    def __exit__(self, *_: object) -> None:
+        self._simulator.close()
 
 
 def command(state: State, samples: int, *options: str) -> tuple[float, float]:
     """(wall clock, CPU) [s] of a sweep by the command line."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "mine.toml"
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        file = folder / "mine.toml"
         file.write_text(f'base = "{SCENARIO}"\n[sweep]\nsamples = {samples}\n', encoding="utf-8")
-        before, start = children_s(), time.perf_counter()
-        subprocess.run(
-            [*COMMAND, "sweep", str(file), "--out", folder, *options],
-            cwd=folder,
-            check=True,
-            env=state.environment,
-            capture_output=True,
-        )
-        return time.perf_counter() - start, children_s() - before
+        return state.timed([*COMMAND, "sweep", str(file), "--out", name, *options], cwd=folder)
 
 
 def compile_s(state: State) -> float:
     """CPU seconds to compile the libraries of an ensemble, with empty caches."""
     program = "import sys; from pathlib import Path; from orchestration import Ensemble, System\n"
     program += "Ensemble(System({str(i): Path(fmu) for i, fmu in enumerate(sys.argv[1:])}))"
+    fmus = [str(state.fmus / f"{name}.fmu") for name in ("L1DepthController", "RovDepthPlant")]
     with tempfile.TemporaryDirectory() as folder:
-        environment = {
-            **state.environment,
-            "XDG_CACHE_HOME": folder,
-            "ZIG_GLOBAL_CACHE_DIR": f"{folder}/zig",
-        }
-        fmus = [str(state.fmus / f"{name}.fmu") for name in ("L1DepthController", "RovDepthPlant")]
-        before = children_s()
-        subprocess.run([sys.executable, "-P", "-c", program, *fmus], check=True, env=environment)
-        return children_s() - before
+        caches = {"XDG_CACHE_HOME": folder, "ZIG_GLOBAL_CACHE_DIR": f"{folder}/zig"}
+        arguments = [sys.executable, "-P", "-c", program, *fmus]
+        return state.timed(arguments, environment={**state.environment, **caches})[1]
 
 
-def children_s() -> float:
-    """CPU seconds of all processes that were started and have ended."""
-    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return usage.ru_utime + usage.ru_stime
-
-
-def sweeps(options: Options, samples: int) -> dict[str, Way]:
-    """Each way, by turns, after a sweep of few samples, which compiles and imports what is needed once."""
+def sweeps(options: Options, samples: int, runs: Runs) -> tuple[dict[str, Way], list[float]]:
+    """Each way and the runs alone [s of one], by turns; before, sweeps of few samples, which also compile."""
     ways: dict[str, tuple[State, Sequence[str]]] = {
         name: (options.now, arguments) for name, arguments in _WAYS.items()
     }
@@ -115,18 +114,17 @@ def sweeps(options: Options, samples: int) -> dict[str, Way]:
         ways = {BEFORE: (options.before, ("--workers", str(_WORKERS))), **ways}
     if options.quick:
         ways = {name: way for name, way in ways.items() if name in (BEFORE, SINGLE, DEFAULT)}
-    starts = {}
-    for _ in range(options.rounds(2)):
-        for name, (state, arguments) in ways.items():
-            starts[name] = command(state, LANES, *arguments)
-    turns = [
-        {name: command(state, samples, *arguments) for name, (state, arguments) in ways.items()}
-        for _ in range(options.rounds(3))
-    ]
-    return {
-        name: Way(samples, [x[name][0] for x in turns], [x[name][1] for x in turns], starts[name])
+
+    def turn(count: int) -> dict[str, tuple[float, float]]:
+        return {name: command(state, count, *arguments) for name, (state, arguments) in ways.items()}
+
+    starts = [turn(LANES) for _ in range(options.rounds(3))]
+    turns = [(turn(samples), runs.mean_s()) for _ in range(options.rounds(3))]
+    measured = {
+        name: Way(samples, [own[name] for own, _ in turns], [own[name] for own in starts[1:] or starts])
         for name in ways
     }
+    return measured, [run for _, run in turns]
 
 
 def measure(options: Options) -> Part:
@@ -134,12 +132,19 @@ def measure(options: Options) -> Part:
     chosen = scenario.load(scenario.find(SCENARIO))
     catalogue.build_missing([*chosen.system.components.values()])
     samples = 50 if options.quick else _SAMPLES
-    run = run_s(chosen, 60)
-    measured, compiled = sweeps(options, samples), compile_s(options.now)
+    with Runs(plan(chosen), samples // 5) as runs:
+        measured, alone = sweeps(options, samples, runs)
+    compiled, run = compile_s(options.now), median(alone)
     sample, loss = cluster.loss(chosen, samples, _WORKERS)
     rows = [_row(name, way, run) for name, way in measured.items()]
     rows += [
-        (f"{samples} runs alone", "", f"{samples * run:.1f} s", f"{1e3 * run:.2f} ms", "1"),
+        (
+            f"the runs of these samples alone, from {samples // 5} of them",
+            "",
+            spread([samples * x for x in alone], 1, "s"),
+            f"{1e3 * run:.2f} ms",
+            "1",
+        ),
         ("to compile what ensembles need, once for each user", "", f"{compiled:.1f} s", "", ""),
     ]
     headings = (
@@ -152,7 +157,7 @@ def measure(options: Options) -> Part:
     lost = f"{100 * loss:.1f} % at {1e3 * sample:.0f} ms a sample"
     goals = _goals(measured, samples, run)
     goals.append(Goal(f"lost to scheduling by {_WORKERS} workers of a Dask cluster", "10 %", lost))
-    return Part([Table("sweeps", headings, rows), of_million(measured)], goals)
+    return Part([Table("sweeps", headings, rows), of_million(measured, sample / (1.0 - loss))], goals)
 
 
 def _row(name: str, way: Way, run: float) -> tuple[str, ...]:
@@ -161,8 +166,8 @@ def _row(name: str, way: Way, run: float) -> tuple[str, ...]:
     return name, clock, cpu, f"{1e3 * more:.2f} ms", f"{more / run:.2f}"
 
 
-def of_million(measured: dict[str, Way]) -> Table:
-    """What a million samples would take, from what one more takes."""
+def of_million(measured: dict[str, Way], dask: float) -> Table:
+    """What a million samples would take, from what one more takes; dask: s of a worker for a sample."""
     here, there = f"{_WORKERS} cores, from the clock", "from CPU time"
     rows = [
         (here, name, _duration(1e6 * way.wall_of_one_more))
@@ -171,7 +176,8 @@ def of_million(measured: dict[str, Way]) -> Table:
     ]
     each = 1e6 * measured.get(PROCESSES, measured[DEFAULT]).cpu_of_one_more
     rows.append((f"16 cores, {there}", "simulators, 16 processes (`--isolated`)", _duration(each / 16)))
-    rows.append((f"128 cores of several machines, {there}", "simulators on Dask", _duration(each / 128)))
+    on_dask = "simulators on Dask, its loss to scheduling included, without the network"
+    rows.append(("128 cores of several machines, from time of workers", on_dask, _duration(1e6 * dask / 128)))
     return Table("million", ("on", "how", "a million samples"), rows)
 
 

@@ -119,11 +119,11 @@ def test_who_is_a_little_off_has_a_time_and_a_remark() -> None:
 def test_the_table_has_the_fastest_first_and_every_reason() -> None:
     entries = [
         Entry("idle", problem="ended"),
-        Entry("slow", "2", 30e-7, FLOOR_S, "records nothing"),
-        Entry("fast", "1", 2e-7, FLOOR_S, "records every output"),
+        Entry("slow", "2", [30e-7], FLOOR_S, "records nothing"),
+        Entry("fast", "1", [2e-7, 1e-7, 3e-7], FLOOR_S, "records every output"),
     ]
     assert table(entries).rows == [
-        ("fast 1", "0.200", "0.100", "2.0", "records every output"),
+        ("fast 1", "0.200 (0.100 to 0.300)", "0.100", "2.0", "records every output"),
         ("slow 2", "3.000", "2.900", "30.0", "records nothing"),
         ("idle", "", "", "", "ended"),
     ]

@@ -7,17 +7,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 
 from fmus import catalogue
 from orchestration.errors import OrchestrationError
 from orchestration.master import Simulator
+from tests.speed import __main__ as speed
 from tests.speed import scenarios
 from tests.speed.cluster import lost
 from tests.speed.layers import Layer, layer
-from tests.speed.page import replace_tables
-from tests.speed.part import Table, spread
+from tests.speed.page import check_places, replace_tables
+from tests.speed.part import Options, Part, Table, spread
 from tests.speed.runs import of_ways
 from tests.speed.scenarios import HOST, MASTER, MASTER_LOOP, MONOLITH, PYTHON, Loop, loop
+from tests.speed.states import ROOT, State
 from tests.speed.steps import of_layers
 
 
@@ -35,7 +38,7 @@ def test_a_scenario_is_measured_in_every_way() -> None:
     """That the host and the one C program give equal trajectories is checked on the way."""
     measured = loop("nominal-extended", rounds=1)
     assert measured.steps == 15_500
-    assert min(measured.seconds[way] for way in (PYTHON, MASTER, HOST, MONOLITH)) > 0.0
+    assert min(min(measured.seconds[way]) for way in (PYTHON, MASTER, HOST, MONOLITH)) > 0.0
 
 
 def test_programs_that_differ_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -48,13 +51,18 @@ def test_programs_that_differ_are_refused(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_the_tables_have_the_ratios() -> None:
     assert of_layers([Layer("Block", 3e-8, 2e-8)]).rows == [("`Block`", "30 ns", "20 ns", "1.50")]
-    seconds = {PYTHON: 2.0, MASTER: 8e-3, MASTER_LOOP: 6e-3, HOST: 5e-3, MONOLITH: 4e-3}
-    assert [row[1:] for row in of_ways(Loop("scenario", 1000, seconds)).rows] == [
-        ("2000.00 ms", "500.00", "1996000"),
-        ("8.00 ms", "2.00", "4000"),
-        ("6.00 ms", "1.50", "2000"),
-        ("5.00 ms", "1.25", "1000"),
-        ("4.00 ms", "1.00", "0"),
+    seconds = {PYTHON: [2.0], MASTER: [8e-3, 7e-3, 9e-3], MASTER_LOOP: [6e-3], HOST: [5e-3], MONOLITH: [4e-3]}
+    before = {MASTER: [12e-3], HOST: [10e-3], MONOLITH: [6e-3]}
+    rows = [row[1:] for row in of_ways(Loop("scenario", 1000, seconds, before)).rows]
+    assert rows == [
+        ("2000.00 ms", "400.00", "500.00", "1996000"),
+        ("8.00 ms (7.00 to 9.00)", "1.60", "2.00", "4000"),
+        ("6.00 ms", "1.20", "1.50", "2000"),
+        ("5.00 ms", "1.00", "1.25", "1000"),
+        ("4.00 ms", "0.80", "1.00", "0"),
+        ("12.00 ms", "1.20", "2.00", "6000"),
+        ("10.00 ms", "1.00", "1.67", "4000"),
+        ("6.00 ms", "0.60", "1.00", "0"),
     ]
 
 
@@ -69,12 +77,53 @@ def test_tables_take_the_places_of_those_in_pages(tmp_path: Path) -> None:
     first.write_text("a\n\n<!-- table: one -->\n\n| old |\n|---|\n| 1 |\n\nb\n")
     second.write_text("<!-- table: two -->\n\nc\n")
     one, two = Table("one", ("h", "n"), [("x", "1 s"), ("y", "")]), Table("two", ("h",), [("z",)])
-    with pytest.raises(OrchestrationError, match="two: expected one place in the pages and one table for"):
-        replace_tables([first], [one, two])
+    with pytest.raises(OrchestrationError, match="two: expected one place in the pages for each table"):
+        check_places([first], ["one", "two"])
+    with pytest.raises(OrchestrationError, match="two: expected one place in the pages for each table"):
+        check_places([first, second, second], ["one", "two"])
+    check_places([first, second], ["one", "two"])
+    replace_tables([first, second], [two])
+    assert "| 1 |" in first.read_text()
     replace_tables([first, second], [one, two])
     table = "| h | n |\n| --- | ---: |\n| x | 1 s |\n| y |  |\n"
     assert first.read_text() == f"a\n\n<!-- table: one -->\n\n{table}\nb\n"
     assert second.read_text() == "<!-- table: two -->\n\n| h |\n| --- |\n| z |\n\nc\n"
+
+
+def test_a_part_that_fails_keeps_its_tables_and_loses_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def failing(options: Options) -> Part:
+        raise ValueError("no such thing")
+
+    new = Part([Table("two", ("h",), [("new",)])])
+    monkeypatch.setattr(speed, "PARTS", {"bad": (failing, ("one",)), "good": (lambda _: new, ("two",))})
+    page = tmp_path / "page.md"
+    page.write_text(
+        "".join(f"<!-- table: {x} -->\n\n| old |\n\n" for x in ("machine", "goals", "one", "two"))
+    )
+    with pytest.raises(SystemExit, match="failed: bad"):
+        speed.main(None, str(ROOT), False, [page])
+    _, machine, goals, one, two = page.read_text().split("<!-- ")
+    assert one == "table: one -->\n\n| old |\n\n"
+    assert two == "table: two -->\n\n| h |\n| --- |\n| new |\n"
+    assert "| Python |" in machine
+    assert "| `bad` |" in goals
+    assert "no such thing" in capsys.readouterr().err
+
+
+def test_a_place_that_is_missing_is_noticed_before_anything_is_measured(tmp_path: Path) -> None:
+    (page := tmp_path / "page.md").write_text("<!-- table: goals -->\n")
+    with pytest.raises(typer.BadParameter, match=r"calls, chains, .*: expected one place"):
+        speed.main(None, str(ROOT), False, [page])
+
+
+def test_a_state_that_differs_from_itself_is_an_error(tmp_path: Path) -> None:
+    now, other = State(ROOT, tmp_path, "now"), State(ROOT / "tests", tmp_path, "other")
+    assert Options(tmp_path, now, other).equality(False) == "different"
+    assert Options(tmp_path, now, now).equality(True) == "equal bit for bit"
+    with pytest.raises(OrchestrationError, match="results of one state differ"):
+        Options(tmp_path, now, now).equality(False)
 
 
 def test_what_workers_lose_begins_with_the_last_of_their_first_batches() -> None:

@@ -23,5 +23,5 @@ def test_steps_of_a_build_beside_itself_are_equal(built: Mapping[str, Path], tmp
 
 def test_a_state_is_a_clone_or_a_revision(tmp_path: Path) -> None:
     assert state(str(ROOT), tmp_path / "clone").sources == ROOT
-    with pytest.raises(OrchestrationError, match=r"no-such-revision: .*: expected a revision or a folder"):
+    with pytest.raises(OrchestrationError, match=r"no-such-revision: .*: expected a revision or a clone"):
         state("no-such-revision", tmp_path / "none")

@@ -1,6 +1,7 @@
 """Runs of a scenario and their metrics, in either state: so many for each number on standard input.
 
-Prints CPU time [s] of a run with its recording, that of its metrics, and a hash of the recording.
+Prints the CPU time [s] of the first metrics of this process; then that of a run with its recording, that of
+its metrics, and a hash of the recording. A run and its metrics take turns, as in a sweep.
 """
 
 import hashlib
@@ -16,15 +17,16 @@ chosen = scenario.load(scenario.find(sys.argv[1]))
 catalogue.build_missing([*chosen.system.components.values()])
 with Simulator(chosen.system) as simulator:
     recording = simulator.run(chosen.experiment)
+    start = time.thread_time()
     metrics.evaluate(recording, chosen.metrics)
-    print("ready", flush=True)
+    print(time.thread_time() - start, flush=True)
     for line in sys.stdin:
-        start = time.thread_time()
+        run = evaluation = 0.0
         for _ in range(int(line)):
+            start = time.thread_time()
             recording = simulator.run(chosen.experiment)
-        middle = time.thread_time()
-        for _ in range(int(line)):
+            middle = time.thread_time()
             metrics.evaluate(recording, chosen.metrics)
-        end = time.thread_time()
-        run, evaluation = (middle - start) / int(line), (end - middle) / int(line)
+            run += (middle - start) / int(line)
+            evaluation += (time.thread_time() - middle) / int(line)
         print(run, evaluation, hashlib.sha256(recording.values.tobytes()).hexdigest(), flush=True)
