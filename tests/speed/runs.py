@@ -72,8 +72,9 @@ def measure(options: Options) -> Part:
     """Runs by turns, and the ways in which a scenario can run."""
     *before, now = _turns(options)
     ways = loop(SCENARIO, options.rounds(7), options.before)
-    for turns in before:
-        ways = replace(ways, before={MASTER: [1e-3 * run for run in turns.runs], **ways.before})
+    for turns in before:  # by turns with now, since minutes differ
+        slower = median(ratios(turns.runs, now.runs))
+        ways = replace(ways, before={MASTER: [slower * x for x in ways.seconds[MASTER]], **ways.before})
     rows = [_row("a run", *(x.runs for x in (now, *before)))]
     rows.append(_row("all its metrics", *(x.metrics for x in (now, *before))))
     rows.append(
