@@ -9,6 +9,7 @@ continued; its table must be that of the sweep that was not.
 import os
 import signal
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -52,8 +53,9 @@ class Sweep:
         process = self.state.start("launch.py", *command, new_session=True)
         while until and self._done() < until and process.poll() is None:
             time.sleep(0.1)
-        if until and process.poll() is None:  # a short one may be done already
-            os.killpg(process.pid, signal.SIGINT)
+        if until and process.poll() is None:
+            with suppress(ProcessLookupError):  # a short one may be done already
+                os.killpg(process.pid, signal.SIGINT)
         output, _ = process.communicate()
         memory, cpu_s, status = map(float, output.split())
         if status not in (0, 130 if until else 0):
