@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterable, Sequence
 
-from fmus.compliance.examine import all_rules
+from fmus.compliance.registry import all_rules
 from fmus.compliance.rule import Rule
 from fmus.compliance.sentences import ADVICE, Sentence, sentences, sentences_of, titles
 

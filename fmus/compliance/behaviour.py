@@ -10,55 +10,18 @@ from pathlib import Path
 from typing import Any
 
 from fmus.binding import platform_name
-from fmus.compliance import (
-    asynchronous_rules,
-    call_rules,
-    callback_rules,
-    constancy_rules,
-    dependency_rules,
-    derivative_rules,
-    directional_rules,
-    discard_rules,
-    initialization_rules,
-    input_derivative_rules,
-    input_slope_rules,
-    instance_rules,
-    lifecycle_rules,
-    location_rules,
-    log_rules,
-    message_rules,
-    output_derivative_rules,
-    process_rules,
-    reference_rules,
-    reset_rules,
-    resource_rules,
-    saved_value_rules,
-    setting_rules,
-    state_rules,
-    status_rules,
-    step_dependency_rules,
-    step_directional_rules,
-    step_rules,
-    value_rules,
-)  # fmt: skip
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.fmu_process import START_S
 from fmus.compliance.instance_rules import ONLY_ONCE
 from fmus.compliance.judge import ENDED, FUNDAMENTAL, HUNG, IS_BROKEN, SLOW, judged_by_one_process
 from fmus.compliance.library_rules import no_co_simulation
 from fmus.compliance.probe import NO_INSTANCE, Probe
-from fmus.compliance.rule import Level, Result, Rule, Stage, registered
+from fmus.compliance.registry import registered
+from fmus.compliance.rule import Level, Result, Rule, Stage
 from fmus.compliance.script import KINDS
 from fmus.errors import HostError
 from fmus.process import WorkerProcess
 
-MODULES = (
-    lifecycle_rules, location_rules, reset_rules, initialization_rules, instance_rules, resource_rules,
-    call_rules, status_rules, discard_rules, value_rules, constancy_rules, setting_rules, step_rules,
-    asynchronous_rules, callback_rules, log_rules, message_rules, process_rules, state_rules,
-    saved_value_rules, input_derivative_rules, output_derivative_rules, derivative_rules, input_slope_rules,
-    directional_rules, step_directional_rules, dependency_rules, step_dependency_rules, reference_rules,
-)  # fmt: skip
 DEFAULT_TIMEOUT_S = 30.0
 _STEPS = "steps-and-terminates"
 _FORMATS = "formats-of-messages-are-legal"  # a wrong format crashes whatever logs

@@ -7,8 +7,9 @@ from pathlib import Path
 
 from fmus.compliance import report
 from fmus.compliance.behaviour import DEFAULT_TIMEOUT_S, host_errors
-from fmus.compliance.examine import all_rules, examine
+from fmus.compliance.examine import examine
 from fmus.compliance.library_reader import check_lief, close_reader
+from fmus.compliance.registry import all_rules
 from fmus.errors import HostError
 
 NO_VERDICT = 3  # exit status

@@ -5,37 +5,16 @@ from contextlib import ExitStack, closing, suppress
 from functools import cache
 from pathlib import Path
 
-from fmus.compliance import (
-    alias_rules,
-    archive_rules,
-    description_rules,
-    documentation_rules,
-    implementation_rules,
-    library_rules,
-    name_rules,
-    source_rules,
-    structure_rules,
-    type_rules,
-    unit_rules,
-    variable_rules,
-)
 from fmus.compliance.behaviour import DEFAULT_TIMEOUT_S, behaviour, obstacle
 from fmus.compliance.fmu_file import BrokenMemberError, FmuFile, UnreadableMemberError
+from fmus.compliance.fmu_process import start_process
 from fmus.compliance.library_reader import check_lief, close_reader
 from fmus.compliance.library_rules import no_library, start_reading
-from fmus.compliance.probe import start_process
-from fmus.compliance.rule import NotJudgedError, Result, Rule, Stage, defect, messages_of, registered
+from fmus.compliance.registry import registered
+from fmus.compliance.rule import NotJudgedError, Result, Rule, Stage, defect, messages_of
 from fmus.errors import MissingExtraError
 
-MODULES = (
-    archive_rules, implementation_rules, source_rules, documentation_rules, description_rules, unit_rules,
-    type_rules, name_rules, variable_rules, alias_rules, structure_rules, library_rules,
-)  # fmt: skip
 _STATIC = (Stage.FILE, Stage.DESCRIPTION, Stage.LIBRARY)
-
-
-def all_rules() -> tuple[Rule, ...]:
-    return tuple(rule for stage in Stage for rule in registered(stage))
 
 
 def examine(path: Path, timeout: float = DEFAULT_TIMEOUT_S) -> list[Result]:

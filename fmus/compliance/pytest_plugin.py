@@ -56,8 +56,8 @@ class FmuTests(pytest.File):
 
     def collect(self) -> Iterable["RuleTest"]:
         try:
-            from fmus.compliance.examine import all_rules
             from fmus.compliance.library_reader import check_lief
+            from fmus.compliance.registry import all_rules
 
             check_lief()
         except ImportError as error:  # of the extra `check`

@@ -1,4 +1,4 @@
-"""What a rule is, and the list of all of them: one decorated function a rule."""
+"""What a rule is: one decorated function."""
 
 import inspect
 from collections import Counter
@@ -80,10 +80,8 @@ def defect(error: Exception) -> str:
 
 DEFECT = "the rule failed by a defect of this checker"
 OUTCOMES = ("passed", "not applicable", "not judged", "warning", "error")
-
-
+RULES: dict[str, Rule] = {}  # by name, of the modules that are imported; `registry` imports all
 _MOST_MESSAGES, _LONGEST_MESSAGE = 100, 2000
-_RULES: dict[str, Rule] = {}
 
 
 def _always(_: Any) -> str:
@@ -110,9 +108,9 @@ def rule(
     def register(check: Check) -> Check:
         name = check.__name__.replace("_", "-")
         claim = " ".join((inspect.getdoc(check) or "").split())
-        if name in _RULES:
+        if name in RULES:
             raise ValueError(f"rule {name}: expected one function of that name, got a second")
-        _RULES[name] = Rule(name, clause, claim, level, stage, check, condition, tuple(needs.split()), last)
+        RULES[name] = Rule(name, clause, claim, level, stage, check, condition, tuple(needs.split()), last)
         return check
 
     return register
@@ -146,8 +144,3 @@ def _plain(text: str) -> str:
 def repeated(names: Iterable[Any]) -> dict[Any, int]:
     """How often each name occurs, of those that occur more than once."""
     return {name: count for name, count in Counter(names).items() if count > 1}
-
-
-def registered(stage: Stage) -> tuple[Rule, ...]:
-    """The rules of a stage, in the order in which they were defined."""
-    return tuple(rule for rule in _RULES.values() if rule.stage is stage)

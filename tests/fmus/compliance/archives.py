@@ -4,8 +4,9 @@ import zipfile
 from pathlib import Path
 
 from fmus import catalogue, files
-from fmus.compliance.examine import all_rules, examine
+from fmus.compliance.examine import examine
 from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.registry import all_rules
 from fmus.compliance.rule import Stage
 from fmus.documentation import reference_files
 from fmus.documentation.reference_results import reference_run

@@ -8,7 +8,7 @@ from typing import cast
 import pytest
 
 from fmus.compliance.examine import examine
-from fmus.compliance.lifecycle_rules import unknown_reference
+from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe
 
 from .archives import Members, broken_rules, members, patched, write

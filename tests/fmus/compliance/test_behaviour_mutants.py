@@ -9,7 +9,8 @@ import pytest
 from fmus.compliance.behaviour import FUNDAMENTAL, behaviour
 from fmus.compliance.examine import examine
 from fmus.compliance.fmu_file import FmuFile
-from fmus.compliance.rule import Level, Rule, Stage, registered
+from fmus.compliance.registry import registered
+from fmus.compliance.rule import Level, Rule, Stage
 from fmus.platforms import host_platform, library_name
 from tests.mutants.behaviour import LEGAL, ONLY_ONCE, write_slave
 from tests.mutants.mutant import Mutant, broken_rules, unexpected

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from fmus import catalogue
-from fmus.compliance.examine import all_rules, examine
+from fmus.compliance.examine import examine
+from fmus.compliance.registry import all_rules
 
 from .archives import PYTHONFMU_ERRORS, broken_rules, errors
 

@@ -1,7 +1,7 @@
 """Each rule is shown to find what it is there for."""
 
 from fmus.compliance.behaviour import FUNDAMENTAL
-from fmus.compliance.examine import all_rules
+from fmus.compliance.registry import MODULES, all_rules
 from tests.mutants.table import MUTANTS
 
 from .mutants import ARCHIVE_MUTANTS, C_MUTANTS, FALSE_CLAIMS, XML_MUTANTS
@@ -15,6 +15,11 @@ def test_every_rule_has_a_mutant_that_breaks_it() -> None:
     lists = {rule for rule, *_ in (*XML_MUTANTS, *ARCHIVE_MUTANTS, *FALSE_CLAIMS, *C_MUTANTS.values())}
     lists |= {rule for mutant in MUTANTS for rule in mutant.rules}
     assert lists | BY_A_TEST_OF_ITS_OWN == {rule.name for rule in all_rules()}
+
+
+def test_the_order_of_rules_is_that_of_topics_and_not_of_imports() -> None:
+    modules = dict.fromkeys(rule.check.__module__ for rule in all_rules())
+    assert list(modules) == [module.__name__ for module in MODULES]
 
 
 def test_every_rule_that_another_one_needs_exists() -> None:

@@ -8,8 +8,9 @@ from xml.etree import ElementTree
 import pytest
 
 from fmus.compliance.check import main
-from fmus.compliance.examine import all_rules, static_results
+from fmus.compliance.examine import static_results
 from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.registry import all_rules
 from fmus.compliance.report import FORMATS, Findings
 from fmus.compliance.rule import OUTCOMES
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from fmus.compliance.examine import all_rules
+from fmus.compliance.registry import all_rules
 
 from .archives import members, write
 

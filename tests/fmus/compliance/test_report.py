@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from fmus.compliance.check import main
-from fmus.compliance.examine import all_rules
+from fmus.compliance.registry import all_rules
 from fmus.compliance.rule import OUTCOMES
 
 from .archives import members, write

@@ -4,7 +4,7 @@ import re
 import runpy
 from pathlib import Path
 
-from fmus.compliance.examine import all_rules
+from fmus.compliance.registry import all_rules
 from fmus.compliance.rule import Stage
 from fmus.compliance.sentences import ADVICE, sentences, sentences_of, titles
 
