@@ -95,8 +95,7 @@ def _broken_library(fmu: FmuFile, results: Sequence[Result]) -> str:
 def _judged(
     fmu: FmuFile, names: Sequence[str], timeout: float, started: WorkerProcess | None
 ) -> dict[str, Result]:
-    """Rule name -> result. After a crash or a hang a new process goes on with the next rule."""
-    results: dict[str, Result] = {}
+    """Rule name -> result, of the unpacked FMU."""
     rules = {rule.name: rule for rule in registered(Stage.BEHAVIOUR)}
     with host_errors(), _temporary_folder() as temporary:
         folder = Path(temporary, "unpacked")
@@ -107,28 +106,37 @@ def _judged(
             raise
         except Exception as error:  # an archive that is damaged anywhere: `archive-is-zip` tells more
             return {name: Result(rules[name], not_judged=f"it cannot be unpacked: {error}") for name in names}
-        shared: dict[str, Any] = {}
-        shared_alone: dict[str, Any] = {}  # of instances that are alone in their processes
-        is_alone = False  # whether each instance has a process of its own from now on
-        while remaining := [rules[name] for name in names if name not in results]:
-            if reason := _lack_of_time(results, timeout):
-                return results | {rule.name: Result(rule, not_judged=reason) for rule in remaining}
-            known = shared_alone if is_alone else shared
-            probe = Probe(fmu, folder, time.monotonic() + START_S, known, started, is_alone)
-            for result in judged_by_one_process(probe, remaining, results, timeout):
-                if is_alone:
-                    results[result.rule.name] = result
-                    continue
-                judge_alone = partial(_judged_alone, result.rule, fmu, folder, shared_alone, results, timeout)
-                results |= _without_instances_before(result, results, fmu.claims(ONLY_ONCE), judge_alone)
-                if _is_no_instance(result) and results[result.rule.name] != result:
-                    is_alone = True
-                    break
-            started = None
-            last = list(results.values())[-1]  # `library-loads` at least
-            if any(m.startswith(ENDED) for m in last.messages) and _FORMATS in set(names) - set(results):
-                probe = Probe(fmu, folder, time.monotonic() + START_S, {})
-                results |= _crash_of_a_format(last.rule, probe, rules[_FORMATS], timeout)
+        return _judged_unpacked(fmu, folder, [rules[name] for name in names], timeout, started)
+
+
+def _judged_unpacked(
+    fmu: FmuFile, folder: Path, rules: Sequence[Rule], timeout: float, started: WorkerProcess | None
+) -> dict[str, Result]:
+    """Rule name -> result. After a crash or a hang a new process goes on with the next rule."""
+    results: dict[str, Result] = {}
+    shared: dict[str, Any] = {}
+    shared_alone: dict[str, Any] = {}  # of instances that are alone in their processes
+    is_alone = False  # whether each instance has a process of its own from now on
+    while remaining := [rule for rule in rules if rule.name not in results]:
+        if reason := _lack_of_time(results, timeout):
+            return results | {rule.name: Result(rule, not_judged=reason) for rule in remaining}
+        known = shared_alone if is_alone else shared
+        probe = Probe(fmu, folder, time.monotonic() + START_S, known, started, is_alone)
+        for result in judged_by_one_process(probe, remaining, results, timeout):
+            if is_alone:
+                results[result.rule.name] = result
+                continue
+            judge_alone = partial(_judged_alone, result.rule, fmu, folder, shared_alone, results, timeout)
+            results |= _without_instances_before(result, results, fmu.claims(ONLY_ONCE), judge_alone)
+            if _is_no_instance(result) and results[result.rule.name] != result:
+                is_alone = True
+                break
+        started = None
+        last = list(results.values())[-1]  # `library-loads` at least
+        formats = next((rule for rule in remaining if rule.name == _FORMATS), None)
+        if any(m.startswith(ENDED) for m in last.messages) and formats and _FORMATS not in results:
+            probe = Probe(fmu, folder, time.monotonic() + START_S, {})
+            results |= _crash_of_a_format(last.rule, probe, formats, timeout)
     return results
 
 

@@ -1,13 +1,15 @@
 """The table of calls that are allowed in each state, and what FMI says of statuses."""
 
 from collections.abc import Iterator
+from functools import partial
 
 from fmus.binding import ERROR, FATAL
+from fmus.compliance.input_derivative_rules import INTERPOLATES
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, behaviour_rule
 from fmus.compliance.script import KINDS, Reply, Script
 from fmus.compliance.session import session
-from fmus.compliance.values import start_value
+from fmus.compliance.values import continuous_reals, references_of, start_value
 from fmus.compliance.variable import Variable
 
 _STATES = "4.2.4 State Machine of Calling Sequence from Master to Slave"
@@ -49,11 +51,7 @@ def _setting(
 
 def _forbidden(probe: Probe) -> Iterator[tuple[Script, Reply]]:
     """Scripts, each with a call that is not allowed where it stands."""
-    t, h = probe.start_time, probe.step_size
-
-    def new() -> Script:
-        return probe.script(logging=True).forbidden()
-
+    t, h, new = probe.start_time, probe.step_size, partial(_forbidden_script, probe)
     for script in (new(), new().initialise()):
         yield script, script.call("do_step", t, h)
     for script in (new(), new().begin()):
@@ -79,20 +77,22 @@ def _forbidden(probe: Probe) -> Iterator[tuple[Script, Reply]]:
         if fixed := _setting(probe, "parameter", "fixed", kind):
             script = new().begin().step()
             yield script, script.set(*fixed)
-    yield from _forbidden_transfers(probe)
+    yield from _forbidden_values(probe)
+    yield from _forbidden_derivatives(probe)
     for step in (0.0, -h):
         script = new().begin().step()
         yield script, script.call("do_step", probe.point(1), step)
 
 
-def _forbidden_transfers(probe: Probe) -> Iterator[tuple[Script, Reply]]:
+def _forbidden_script(probe: Probe) -> Script:
+    return probe.script(logging=True).forbidden()
+
+
+def _forbidden_values(probe: Probe) -> Iterator[tuple[Script, Reply]]:
     """Scripts, each with a value that is set where that is not allowed, or another time than the
     present.
     """
-
-    def new() -> Script:
-        return probe.script(logging=True).forbidden()
-
+    new = partial(_forbidden_script, probe)
     for kind in KINDS:
         if setting := _setting(probe, "input", None, kind) or _setting(probe, "parameter", "tunable", kind):
             script = new().begin().step()
@@ -104,11 +104,13 @@ def _forbidden_transfers(probe: Probe) -> Iterator[tuple[Script, Reply]]:
     for steps in (0, 1):
         script = new().begin().step(steps)
         yield script, script.call("do_step", probe.point(steps + 5), probe.step_size)
-    inputs, outputs = (
-        [v.reference or 0 for v in probe.real(causality) if v.variability == "continuous"][:1]
-        for causality in ("input", "output")
-    )
-    if inputs and probe.fmu.claims("canInterpolateInputs"):
+
+
+def _forbidden_derivatives(probe: Probe) -> Iterator[tuple[Script, Reply]]:
+    """Scripts, each with derivatives of order 0, or in a state that does not allow them."""
+    new = partial(_forbidden_script, probe)
+    inputs, outputs = (references_of(continuous_reals(probe, c))[:1] for c in ("input", "output"))
+    if inputs and probe.fmu.claims(INTERPOLATES):
         script, terminated = new().begin().step(), new().begin().step()
         yield script, script.call("set_input_derivatives", inputs, [0], [1.0])
         terminated.terminate()
@@ -155,7 +157,7 @@ def empty_calls_succeed(probe: Probe) -> Iterator[str]:
     replies = [script.call("transfer_nothing", f"fmi2Set{kind}") for kind in kinds]
     script.step()
     replies += [script.call("transfer_nothing", f"fmi2Get{kind}") for kind in kinds]
-    if probe.fmu.claims("canInterpolateInputs"):
+    if probe.fmu.claims(INTERPOLATES):
         replies.append(script.call("set_input_derivatives", [], [], []))
     if probe.fmu.output_derivative_order:
         replies.append(script.call("output_derivatives", [], 1))

@@ -10,7 +10,6 @@ from fmus.compliance.values import (
     continuous_reals,
     other_value,
     references_of,
-    set_input_derivatives,
     start_value,
     unless_claimed,
 )
@@ -23,6 +22,14 @@ _ROUGH = 0.1  # relative: of an effect over a step
 
 def derive(script: Script, v: Variable, value: float) -> None:
     script.call("set_input_derivatives", references_of([v]), [1], [value])
+
+
+def set_input_derivatives(probe: Probe, script: Script, value: float = 1.0) -> None:
+    """First derivatives of all continuous Real inputs, if the FMU interpolates."""
+    references = references_of(continuous_reals(probe, "input"))
+    if references and probe.fmu.claims(INTERPOLATES):
+        count = len(references)
+        script.call("set_input_derivatives", references, [1] * count, [value] * count)
 
 
 @behaviour_rule(_TRANSFER, condition=unless_claimed(INTERPOLATES), needs="allowed-calls-succeed")

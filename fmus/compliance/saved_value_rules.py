@@ -5,13 +5,14 @@ from typing import Any
 
 from fmus.compliance.accepted import accepted_together
 from fmus.compliance.comparison import differing, failing_or_differing, steadily
+from fmus.compliance.input_derivative_rules import set_input_derivatives
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotJudgedError, behaviour_rule
 from fmus.compliance.script import Reading, Script
 from fmus.compliance.values import (
     continuous_reals,
     other_values,
-    set_input_derivatives,
+    references_of,
     settable_before,
     settable_while_stepping,
     start_value,
@@ -97,28 +98,14 @@ def bytes_hold_every_value(probe: Probe) -> Iterator[str]:
     """Bytes of a state with other values, that was freed, give all variables again in an instance with start
     values; reading them changes nothing until the state is set.
     """
-    script = probe.script()
-    for v, x in accepted_together(
-        probe, other_values(settable_before(probe.fmu)[:_MOST_CHANGED]), probe.script
-    ):
-        script.set(v, x)
-    script.begin().step(2)
-    script.call("get_fmu_state", 0)
-    expected = [script.read(script.variables), *_every(script)]
-    content = script.call("serialize_fmu_state", 0)
-    script.call("free_fmu_state", 0)
-    script.call("get_fmu_state", 1)
-    script.step()
-    script.play(keep_going=True)
-    if not script.succeeded:
-        raise NotJudgedError("a state cannot be serialised after steps")
-    if not content.value[0]:
+    content, expected = _serialised_with_other_values(probe)
+    if not content:
         yield "a serialised state has no bytes"
         return
     other = probe.script().begin().step()
     untouched = other.read(other.variables)
     preparation = len(other.replies)
-    other.call("deserialize_fmu_state", 0, content.value[0])
+    other.call("deserialize_fmu_state", 0, content)
     still = other.read(other.variables)
     other.call("set_fmu_state", 0)
     got = [other.read(other.variables), *_every(other.go_to(2))]
@@ -131,6 +118,25 @@ def bytes_hold_every_value(probe: Probe) -> Iterator[str]:
     else:
         yield from differing([untouched], [still], "after fmi2DeSerializeFMUstate, before fmi2SetFMUstate")
         yield from steadily(probe, differing(expected, got, "from bytes in another instance", _ROUNDING))
+
+
+def _serialised_with_other_values(probe: Probe) -> tuple[Any, list[Reading]]:
+    """The bytes of a state, and all variables in it and in the steps that follow."""
+    script = probe.script()
+    pairs = other_values(settable_before(probe.fmu)[:_MOST_CHANGED])
+    for v, x in accepted_together(probe, pairs, probe.script):
+        script.set(v, x)
+    script.begin().step(2)
+    script.call("get_fmu_state", 0)
+    readings = [script.read(script.variables), *_every(script)]
+    reply = script.call("serialize_fmu_state", 0)
+    script.call("free_fmu_state", 0)
+    script.call("get_fmu_state", 1)
+    script.step()
+    script.play(keep_going=True)
+    if not script.succeeded:
+        raise NotJudgedError("a state cannot be serialised after steps")
+    return reply.value[0], readings
 
 
 @behaviour_rule(
@@ -193,14 +199,11 @@ def questions_change_nothing(probe: Probe) -> Iterator[str]:
 
 def _ask(probe: Probe, script: Script) -> None:
     """Questions that the FMU answers."""
-    outputs, inputs = (
-        [v for v in probe.real(c) if v.variability == "continuous"] for c in ("output", "input")
-    )
-    references = [[v.reference or 0 for v in variables] for variables in (outputs, inputs)]
+    outputs, inputs = (references_of(continuous_reals(probe, c)) for c in ("output", "input"))
     if outputs and probe.fmu.output_derivative_order:
-        script.call("output_derivatives", references[0], 1)
+        script.call("output_derivatives", outputs, 1)
     if outputs and inputs and probe.fmu.claims("providesDirectionalDerivative"):
-        script.call("directional_derivatives", *references, [1.0] * len(inputs))
+        script.call("directional_derivatives", outputs, inputs, [1.0] * len(inputs))
     _save(probe, script)
 
 

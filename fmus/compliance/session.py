@@ -2,11 +2,13 @@
 allow them, with a tolerance and a stop time; after fmi2Reset a run with neither.
 """
 
+from fmus.compliance.input_derivative_rules import set_input_derivatives
 from fmus.compliance.probe import Probe
 from fmus.compliance.script import Reading, Script
 from fmus.compliance.values import (
+    continuous_reals,
     readable_in_initialization,
-    set_input_derivatives,
+    references_of,
     settable_before,
     settable_in_initialization,
     settable_while_stepping,
@@ -78,23 +80,18 @@ class Session:
         set_input_derivatives(self.probe, self.script, 0.0)
 
     def _output_derivatives(self) -> None:
-        outputs = [v for v in self.probe.real("output") if v.variability == "continuous"]
+        outputs = references_of(continuous_reals(self.probe, "output"))
         for order in range(1, self.fmu.output_derivative_order + 1) if outputs else ():
-            self.script.call("output_derivatives", [v.reference or 0 for v in outputs], order)
+            self.script.call("output_derivatives", outputs, order)
 
     def _derivatives(self, section: str) -> None:
         if not self.fmu.claims("providesDirectionalDerivative"):
             return
         unknowns = [self.fmu.variables[(index or 1) - 1] for index, _ in self.fmu.unknowns(section)]
-        unknowns = [v for v in unknowns if v.kind == "Real"]
-        inputs = [v for v in self.probe.real("input") if v.variability == "continuous"]
-        if unknowns and inputs:
-            self.script.call(
-                "directional_derivatives",
-                [v.reference or 0 for v in unknowns],
-                [v.reference or 0 for v in inputs],
-                [1.0] * len(inputs),
-            )
+        references = references_of(v for v in unknowns if v.kind == "Real")
+        inputs = references_of(continuous_reals(self.probe, "input"))
+        if references and inputs:
+            self.script.call("directional_derivatives", references, inputs, [1.0] * len(inputs))
 
     def _states(self, slot: int) -> None:
         script = self.script

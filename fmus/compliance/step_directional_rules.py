@@ -19,6 +19,7 @@ from fmus.compliance.directional_rules import (
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotApplicableError, behaviour_rule
+from fmus.compliance.script import Script
 from fmus.compliance.values import (
     other_values,
     settable_in_initialization,
@@ -76,16 +77,8 @@ def _other_derivatives(
 ) -> Iterator[str]:
     """Messages of derivatives outside of the quotients, unless a state follows the known when it is set."""
     width = DIFFERENCE * max(1.0, abs(start))
-    scripts, readings = [], []
-    for value in (start, start - width, start + width):
-        script = probe.script().initialise()
-        for v, x in point:
-            if v is not known:
-                script.set(v, x)
-        script.set(known, value)
-        script.exit_initialization_mode()
-        readings.append(script.read([*unknowns, *states]))
-        scripts.append(script)
+    scripts = [_in_step_mode(probe, point, known, x) for x in (start, start - width, start + width)]
+    readings = [script.read([*unknowns, *states]) for script in scripts]
     reply = derivatives_by(scripts[0], unknowns, known)
     probe.play_each(scripts)
     if not all(script.succeeded for script in scripts):
@@ -100,6 +93,16 @@ def _other_derivatives(
             continue
         if expected := other_quotients(derivative, quotients, rounding):
             yield f"d {v.name} / d {known.name} is {derivative:.9g} in step mode: expected {expected}"
+
+
+def _in_step_mode(probe: Probe, point: list[tuple[Variable, Any]], known: Variable, value: float) -> Script:
+    """A run in step mode after initialisation at a point, but with another value of one variable."""
+    script = probe.script().initialise()
+    for v, x in point:
+        if v is not known:
+            script.set(v, x)
+    script.set(known, value)
+    return script.exit_initialization_mode()
 
 
 @behaviour_rule(

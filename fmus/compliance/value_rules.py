@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from fmus.compliance.comparison import differing, same, texts
@@ -11,6 +11,7 @@ from fmus.compliance.rule import Level, behaviour_rule
 from fmus.compliance.script import Reading
 from fmus.compliance.session import session
 from fmus.compliance.values import is_utf_8
+from fmus.compliance.variable import Variable
 
 _PLATFORM = "2.1.2 Platform Dependent Definitions (fmi2TypesPlatform.h)"
 _INITIALIZATION = "2.1.6 Initialization, Termination, and Resetting an FMU"
@@ -82,6 +83,11 @@ def values_belong_to_references(probe: Probe) -> Iterator[str]:
             shown = texts(*reply.value)
             yield f"{v.name} is {shown[0]} and {shown[1]} where one call reads it twice: expected one value"
     yield from _read_otherwise(values, alone, "read alone")
+    yield from _impossible(values, variables)
+
+
+def _impossible(values: dict[str, Any], variables: Sequence[Variable]) -> Iterator[str]:
+    """Messages of aliases that differ, and of Booleans that are neither 0 nor 1."""
     first: dict[tuple[str, int | None], str] = {}
     for v in variables:
         other = first.setdefault((v.base_kind, v.reference), v.name)

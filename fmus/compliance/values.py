@@ -8,7 +8,6 @@ from typing import Any
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Condition
-from fmus.compliance.script import Script
 from fmus.compliance.variable import Variable
 
 _TRUE = {"true": 1, "1": 1, "false": 0, "0": 0}
@@ -183,12 +182,3 @@ def is_utf_8(content: bytes) -> bool:
 def other_values(variables: Iterable[Variable]) -> list[tuple[Variable, Any]]:
     """Each variable that has another legal value, with that value."""
     return [(v, x) for v in variables if (x := other_value(v)) is not None]
-
-
-def set_input_derivatives(probe: Probe, script: Script, value: float = 1.0) -> None:
-    """First derivatives of all continuous Real inputs, if the FMU interpolates."""
-    inputs = [v for v in probe.real("input") if v.variability == "continuous"]
-    if inputs and probe.fmu.claims("canInterpolateInputs"):
-        count = len(inputs)
-        references = [v.reference or 0 for v in inputs]
-        script.call("set_input_derivatives", references, [1] * count, [value] * count)
