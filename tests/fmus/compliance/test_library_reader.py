@@ -10,7 +10,7 @@ import psutil
 import pytest
 
 from fmus.compliance.examine import examine
-from fmus.compliance.library_reader import close_reader
+from fmus.compliance.library_reader import Reading, close_reader
 from fmus.compliance.rule import Result
 from fmus.errors import MissingExtraError
 from fmus.platforms import host_platform, library_name
@@ -159,6 +159,12 @@ def test_a_killed_process_of_lief_is_followed_by_another(elsewhere: Path) -> Non
     process.kill()
     with pytest.raises(MissingExtraError, match="SIGKILL"):
         examine(elsewhere)
+    assert libraries_results(examine(elsewhere)) == expected
+
+
+def test_libraries_that_nobody_asked_for_are_not_those_of_the_next_fmu(elsewhere: Path) -> None:
+    expected = libraries_results(examine(elsewhere))
+    Reading([("binaries/linux64/none.so", "linux64", b"no library")], timeout=30.0)
     assert libraries_results(examine(elsewhere)) == expected
 
 
