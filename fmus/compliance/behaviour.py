@@ -39,7 +39,8 @@ def behaviour(
     """One result for each behaviour rule.
 
     timeout: seconds for one rule; started: a process that does not know an FMU yet
-    of_libraries: the results of the rules of libraries, which LIEF reads meanwhile; asked for at the end
+    of_libraries: the results of the rules of libraries, which LIEF reads meanwhile; asked for when a
+    process of the FMU has ended
     """
     rules = registered(Stage.BEHAVIOUR)
     results: dict[str, Result] = {}
@@ -47,7 +48,7 @@ def behaviour(
     if not reason:
         results = {rule.name: Result(rule, not_applicable=rule.condition(fmu)) for rule in rules}
         names = [name for name, result in results.items() if not result.not_applicable]
-        results |= _judged(fmu, _needs_first(names), timeout, started)
+        results |= _judged(fmu, _needs_first(names), timeout, of_libraries, started)
         reason = _broken_library(fmu, of_libraries())
     yield from [Result(rule, not_judged=reason) for rule in rules] if reason else results.values()
 
@@ -93,7 +94,11 @@ def _broken_library(fmu: FmuFile, results: Sequence[Result]) -> str:
 
 
 def _judged(
-    fmu: FmuFile, names: Sequence[str], timeout: float, started: WorkerProcess | None
+    fmu: FmuFile,
+    names: Sequence[str],
+    timeout: float,
+    of_libraries: Callable[[], Sequence[Result]],
+    started: WorkerProcess | None,
 ) -> dict[str, Result]:
     """Rule name -> result, of the unpacked FMU."""
     rules = {rule.name: rule for rule in registered(Stage.BEHAVIOUR)}
@@ -106,11 +111,16 @@ def _judged(
             raise
         except Exception as error:  # an archive that is damaged anywhere: `archive-is-zip` tells more
             return {name: Result(rules[name], not_judged=f"it cannot be unpacked: {error}") for name in names}
-        return _judged_unpacked(fmu, folder, [rules[name] for name in names], timeout, started)
+        return _judged_unpacked(fmu, folder, [rules[name] for name in names], timeout, of_libraries, started)
 
 
 def _judged_unpacked(
-    fmu: FmuFile, folder: Path, rules: Sequence[Rule], timeout: float, started: WorkerProcess | None
+    fmu: FmuFile,
+    folder: Path,
+    rules: Sequence[Rule],
+    timeout: float,
+    of_libraries: Callable[[], Sequence[Result]],
+    started: WorkerProcess | None,
 ) -> dict[str, Result]:
     """Rule name -> result. After a crash or a hang a new process goes on with the next rule."""
     results: dict[str, Result] = {}
@@ -132,6 +142,8 @@ def _judged_unpacked(
                 is_alone = True
                 break
         started = None
+        if _broken_library(fmu, of_libraries()):  # then no behaviour is judged
+            break
         last = list(results.values())[-1]  # `library-loads` at least
         formats = next((rule for rule in remaining if rule.name == _FORMATS), None)
         if any(m.startswith(ENDED) for m in last.messages) and formats and _FORMATS not in results:

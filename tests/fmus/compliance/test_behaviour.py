@@ -1,15 +1,20 @@
 """An FMU that behaves otherwise than it claims is caught: patched C of our own, and claims that are false."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import pytest
 
+from fmus.compliance import behaviour
 from fmus.compliance.examine import examine
+from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.instance_rules import unknown_reference
+from fmus.compliance.judge import judged_by_one_process
 from fmus.compliance.probe import Probe
+from fmus.compliance.registry import registered
+from fmus.compliance.rule import Result, Stage
 
 from .archives import Members, broken_rules, members, patched, write
 from .mutants import C_MUTANTS, FALSE_CLAIMS, GLOBALS, STEP
@@ -37,6 +42,25 @@ def test_a_crash_is_one_finding_and_what_needs_steps_is_not_judged(tmp_path: Pat
     assert message in ("the FMU ended the process with SIGSEGV", "the FMU ended the process with SIGILL")
     assert results["several-instances"].outcome == "not judged"
     assert results["several-instances"].not_judged == "steps-and-terminates is broken"
+
+
+def test_nothing_is_judged_after_a_crash_of_a_library_that_lacks_a_function(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = patched({STEP: STEP + " *(volatile int *)0 = 1;"}, tmp_path)
+    processes: list[Probe] = []
+
+    def judged(probe: Probe, *arguments: Any) -> Iterator[Result]:
+        processes.append(probe)
+        return judged_by_one_process(probe, *arguments)
+
+    monkeypatch.setattr(behaviour, "judged_by_one_process", judged)
+    fmu = FmuFile(path)
+    (exports,) = [rule for rule in registered(Stage.LIBRARY) if rule.name == "library-exports"]
+    lacks = Result(exports, (f"{fmu.host_library} does not export fmi2GetStatus",))
+    results = list(behaviour.behaviour(fmu, 30.0, lambda: [lacks]))
+    assert {result.not_judged for result in results} == {"library-exports is broken"}
+    assert len(processes) == 1
 
 
 def test_a_hang_is_a_finding_of_the_rule_that_it_stops(tmp_path: Path) -> None:
