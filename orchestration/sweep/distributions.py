@@ -85,10 +85,11 @@ def uniform(low: float, high: float) -> Distribution:
 
 
 def loguniform(low: float, high: float) -> Distribution:
-    """Uniform in the logarithm; at 0 it is `low`, which the logarithm and its inverse round."""
+    """Uniform in the logarithm."""
     _positive("low", low)
     _ascending(low, high)
     first, size = np.log(low), np.log(high) - np.log(low)
+    # at 0 the logarithm and its inverse would round
     return _within(lambda q: np.where(q > 0.0, np.exp(first + q * size), low), low, high)
 
 
