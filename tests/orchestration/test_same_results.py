@@ -1,0 +1,148 @@
+"""Shipped results keep their numbers: a digest of the bytes of each, and numbers where bytes may differ.
+
+`SAME_RESULTS=write pytest -n 0 tests/orchestration/test_same_results.py` writes `same_results.json` anew; a
+change that needs this is listed in the changelog with its reason.
+"""
+
+import hashlib
+import json
+import os
+import platform
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import tomli_w
+
+from orchestration import Recording
+from orchestration.scenarios import scenario
+from orchestration.study.protocol import read_protocol
+
+FILE = Path(__file__).with_name("same_results.json")
+C_LIBRARY = " ".join(platform.libc_ver())
+# Sines and logarithms of another C library differ in the last bit, which rounding in the sensor may enlarge
+# to a step of its resolution: of the numbers of a whole run, 1e-3 is left by that.
+OTHER_LIBRARY = 1e-3
+TIMED = "microseconds"
+
+Values = Mapping[str, np.ndarray]
+
+
+def entry(values: Values) -> dict[str, Any]:
+    """Returns the digest of named arrays, and the root mean square of each."""
+    digest = hashlib.sha256()
+    for name, array in values.items():
+        digest.update(name.encode())
+        digest.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
+    rms = {name: float(np.sqrt(np.mean(np.square(array)))) for name, array in values.items()}
+    return {"sha256": digest.hexdigest(), "rms": rms}
+
+
+def numbers_of(document: object, where: str = "") -> Iterator[tuple[str, float]]:
+    """Yields the path and value of every number of a JSON document, but what is timed."""
+    if isinstance(document, dict):
+        for key, value in document.items():
+            if key != TIMED:
+                yield from numbers_of(value, f"{where}.{key}" if where else key)
+    elif isinstance(document, list):
+        for i, value in enumerate(document):
+            yield from numbers_of(value, f"{where}[{i}]")
+    elif isinstance(document, (int, float)) and not isinstance(document, bool):
+        yield where, float(document)
+
+
+@pytest.fixture
+def is_same() -> Callable[[str, Values], None]:
+    """Asserts that results are those of the file, or writes them there."""
+
+    def check(name: str, values: Values) -> None:
+        now = entry(values)
+        document = json.loads(FILE.read_text(encoding="utf-8")) if FILE.exists() else {}
+        if os.environ.get("SAME_RESULTS") == "write":
+            results = document.get("results", {}) | {name: now}
+            document = {"c_library": C_LIBRARY, "results": dict(sorted(results.items()))}
+            FILE.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+            return
+        expected = document["results"][name]
+        if document["c_library"] == C_LIBRARY:
+            assert now == expected
+        else:
+            assert now["rms"] == pytest.approx(expected["rms"], rel=OTHER_LIBRARY, nan_ok=True)
+
+    return check
+
+
+@pytest.mark.parametrize("name", [name for name, path in scenario.shipped().items() if name != "monte-carlo"])
+def test_a_shipped_scenario_has_the_same_recording(
+    name: str,
+    scenario_fmus: None,
+    command: Callable[..., object],
+    is_same: Callable[..., None],
+    tmp_path: Path,
+) -> None:
+    command("run", name, "--format", "parquet", "--formats", "none", "--out", tmp_path)
+    recording = Recording.read(tmp_path / f"{name}.parquet")
+    is_same(name, {"time": recording.time, **{signal: recording[signal] for signal in recording.names}})
+
+
+@pytest.mark.parametrize("places", [["--ensemble"], ["--no-ensemble"], ["--isolated", "--workers", "1"]])
+def test_a_shipped_sweep_has_the_same_rows_wherever_they_run(
+    places: list[str],
+    scenario_fmus: None,
+    command: Callable[..., object],
+    is_same: Callable[..., None],
+    tmp_path: Path,
+) -> None:
+    """The first 20 samples: two whole groups of an ensemble, and a group that is not full."""
+    path = tmp_path / "first.toml"
+    path.write_text('base = "monte-carlo"\n[sweep]\nsamples = 20\n', encoding="utf-8")
+    command("sweep", path, "--out", tmp_path, *places)
+    rows = pq.read_table(tmp_path / "first.sweep.parquet").drop(["error"]).to_pydict()
+    is_same("monte-carlo", {name: np.array(column, float) for name, column in rows.items()})
+
+
+@pytest.fixture
+def small_protocol(tmp_path: Path) -> Path:
+    data = dict(read_protocol().file.data)
+    names = ("nominal", "hold-step", "noise")
+    data["cases"] = {name: case for name, case in data["cases"].items() if name in names}
+    data["cost"] = {**data["cost"], "cases": ["nominal"]}
+    data["controllers"] = {"l1-pi": data["controllers"]["l1-pi"]}
+    data["plants"] = {**data["plants"], "count": 9}
+    path = tmp_path / "small.toml"
+    path.write_text(tomli_w.dumps(data), encoding="utf-8")
+    return path
+
+
+def test_a_score_has_the_same_numbers(
+    small_protocol: Path,
+    scenario_fmus: None,
+    command: Callable[..., object],
+    is_same: Callable[..., None],
+    tmp_path: Path,
+) -> None:
+    command("score", "PidDepthController", "--full", "--protocol", small_protocol, "--out", tmp_path)
+    rows = json.loads((tmp_path / "score.json").read_text(encoding="utf-8"))["rows"]
+    is_same("score", {name: np.array([value]) for name, value in numbers_of(rows)})
+
+
+def test_a_tuning_has_the_same_gains_and_costs(
+    scenario_fmus: None, command: Callable[..., object], is_same: Callable[..., None], tmp_path: Path
+) -> None:
+    command("tune", "pid", "--evaluations", "3", "--seeds", "1", "--workers", "2", "--out", tmp_path)
+    (path,) = tmp_path.rglob("*.toml")
+    document = tomllib.loads(path.read_text(encoding="utf-8"))
+    chosen = {"parameters": document["parameters"], "cost": document["tuning"]["cost"]}
+    is_same("tune", {name: np.array([value]) for name, value in numbers_of(chosen)})
+
+
+def test_the_tables_of_the_paper_have_the_same_numbers(
+    scenario_fmus: None, command: Callable[..., object], is_same: Callable[..., None], tmp_path: Path
+) -> None:
+    command("reproduce", "--formats", "none", "--out", tmp_path)
+    document = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
+    is_same("reproduce", {name: np.array([value]) for name, value in numbers_of(document)})
