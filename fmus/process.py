@@ -1,6 +1,8 @@
 """A function of a module in another process: how it starts, exchanges messages and ends.
 
-For FMUs, which may hang or crash: what they do to their process, they do to nothing else.
+For FMUs, which may hang or crash: what they do to their process, they do to nothing else. A message carries
+the number of its request. Where an FMU forks and the child returns from the call, the child ends before it
+answers in the place of the process, and the process is ended with that reason.
 """
 
 import contextlib
@@ -19,20 +21,24 @@ from queue import Empty, Queue
 from typing import IO, Any, BinaryIO, cast
 
 _TO_END_S = 10.0  # for a process whose messages have ended
-_LENGTH = struct.Struct("<Q")  # of a message, before it
+# before a message: its length, and the number of the request that it belongs to
+_HEADER = struct.Struct("<QQ")
+# a file in the folder of a process, made by a child that an FMU forked: on the pipe it could break a message
+_FORKED = "forked"
+CHILD_RETURNED = " and the child returned from the call; expected a child that calls _exit or exec"
 _MOST_OF_ERRORS = 1 << 16  # bytes kept of what a process writes to standard error
 _MOST_OF_MESSAGE = 1 << 26  # bytes, and messages that nobody has received, of an untrusted process
 _MOST_MESSAGES = 2
 
 
 class ProcessEndedError(Exception):
-    """The process ended; the message names its exit status or signal.
+    """The process ended; the message names its exit status or signal, and the reason if it is known.
 
     status: as of `subprocess.Popen.returncode`; last_error_line: of what it wrote to standard error
     """
 
-    def __init__(self, status: int, last_error_line: str) -> None:
-        super().__init__(ending(status))
+    def __init__(self, status: int, last_error_line: str, reason: str = "") -> None:
+        super().__init__(ending(status) + reason)
         self.status, self.last_error_line = status, last_error_line
 
 
@@ -40,23 +46,31 @@ class Parent:
     """The process that started this one; this one ends at once when that one does, or closes its end."""
 
     def __init__(self, incoming: BinaryIO, outgoing: BinaryIO) -> None:
-        self._outgoing = outgoing
-        self._messages: Queue[bytes] = Queue()
+        self._outgoing, self._number = outgoing, 0
+        self._pid, self._forked = os.getpid(), Path(tempfile.gettempdir(), _FORKED)
+        self._messages: Queue[tuple[int, bytes]] = Queue()
         threading.Thread(target=self._read, args=(incoming,), daemon=True).start()
 
     def _read(self, incoming: BinaryIO) -> None:
         with contextlib.suppress(EOFError):
             while True:
                 self._messages.put(_read_message(incoming))
+        if hasattr(os, "killpg"):
+            os.killpg(self._pid, signal.SIGKILL)  # also what FMUs started
         os._exit(1)
 
     def receive(self) -> Any:
-        """The next message; raises what unpickling it raises."""
-        return pickle.loads(self._messages.get())
+        """Returns the next message; raises what unpickling it raises."""
+        self._number, content = self._messages.get()
+        return pickle.loads(content)
 
     def send(self, message: object, pickled: Callable[[object], bytes] = pickle.dumps) -> None:
-        """Send a message, which `pickled` turns into bytes."""
-        _write_message(self._outgoing, pickled(message))
+        """Send an answer to the message received last; `pickled` turns it into bytes."""
+        if os.getpid() != self._pid:
+            with contextlib.suppress(OSError):
+                self._forked.touch()
+            os._exit(1)
+        _write_message(self._outgoing, self._number, pickled(message))
 
     def send_json(self, message: object) -> None:
         """Send a message to a parent that does not trust this process."""
@@ -74,14 +88,19 @@ class WorkerProcess:
     not reach it: the process that is interrupted decides. The processes that it starts end with it.
 
     trusted: otherwise its messages are JSON, short, and read only when asked for
+    request: number of the last request
     """
+
+    request = 0
 
     def __init__(self, worker: Worker, folder: Path | None = None, trusted: bool = True) -> None:
         self._temporary = tempfile.TemporaryDirectory(
             dir=folder, prefix="l1-depth-process-", ignore_cleanup_errors=True
         )
         self.folder = Path(self._temporary.name)
-        self._messages: Queue[bytes | None] = Queue()  # SimpleQueue.get may wait for ever after a signal
+        self._messages: Queue[tuple[int, bytes] | None] = (
+            Queue()
+        )  # SimpleQueue.get may wait for ever after a signal
         self._trusted, self._errors, self._group_ended = trusted, b"", False
         self._process = _started(worker, self.folder)
         incoming, errors = cast(IO[bytes], self._process.stdout), cast(IO[bytes], self._process.stderr)
@@ -89,30 +108,44 @@ class WorkerProcess:
         threading.Thread(target=self._read, args=(incoming,), daemon=True).start()
         self._error_reader = threading.Thread(target=self._read_errors, args=(errors,), daemon=True)
         self._error_reader.start()
+        # A child that an FMU forked keeps the pipe open, which so does not tell the end of the process.
+        threading.Thread(target=self._end_group, daemon=True).start()
 
     @property
     def pid(self) -> int:
         return self._process.pid
 
-    def send(self, message: object) -> None:
-        """Send a message; to a process that has ended nothing is sent, `receive` raises."""
-        content = pickle.dumps(message)
-        with contextlib.suppress(OSError, ValueError):  # ValueError: it was closed meanwhile
-            _write_message(self._outgoing, content)
+    def send(self, message: object, request: int | None = None) -> None:
+        """Send a message; to a process that has ended nothing is sent, `receive` raises.
 
-    def receive(self, timeout: float | None = None) -> Any:
-        """The next message. Raises TimeoutError after `timeout` seconds, ProcessEndedError at the end.
-
-        ValueError for a message of an untrusted process that is no JSON.
+        request: the one that the message belongs to, by default a new one
         """
-        try:
-            message = self._messages.get(timeout=timeout)
-        except Empty:
-            raise TimeoutError(f"no message within {timeout:g} s") from None
-        if message is None:
-            self._messages.put(None)  # for whoever asks again
-            raise ProcessEndedError(self._exit_status(), self._last_error_line())
-        return pickle.loads(message) if self._trusted else json.loads(message)
+        self.request += request is None
+        number, content = self.request if request is None else request, pickle.dumps(message)
+        with contextlib.suppress(OSError, ValueError):  # ValueError: it was closed meanwhile
+            _write_message(self._outgoing, number, content)
+
+    def receive(self, timeout: float | None = None, request: int | None = None) -> Any:
+        """Returns the next answer to a request, by default the last one; answers to others are passed over.
+
+        Raises TimeoutError after `timeout` seconds, ProcessEndedError at the end and where an FMU forked the
+        process and its child went on. Of an untrusted process, ValueError for an answer to another request
+        and for one that is no JSON.
+        """
+        expected = self.request if request is None else request
+        while True:
+            try:
+                message = self._messages.get(timeout=timeout)
+            except Empty:
+                raise TimeoutError(f"no message within {timeout:g} s") from None
+            if message is None or (self.folder / _FORKED).exists():
+                self._messages.put(None)  # for whoever asks again
+                raise self._ended()
+            number, content = message
+            if number == expected:
+                return pickle.loads(content) if self._trusted else json.loads(content)
+            if not self._trusted:
+                raise ValueError(f"an answer to request {number}: expected one to request {expected}")
 
     def kill(self) -> None:
         """End the process and those that it started at once, also from another thread."""
@@ -146,6 +179,17 @@ class WorkerProcess:
             while content := os.read(errors.fileno(), _MOST_OF_ERRORS):
                 self._errors = (self._errors + content)[-_MOST_OF_ERRORS:]
 
+    def _end_group(self) -> None:
+        self._process.wait()
+        self.kill()
+
+    def _ended(self) -> ProcessEndedError:
+        is_forked = (self.folder / _FORKED).exists()
+        if is_forked:
+            self.kill()
+        reason = f", since an FMU forked it{CHILD_RETURNED}" if is_forked else ""
+        return ProcessEndedError(self._exit_status(), self._last_error_line(), reason)
+
     def _exit_status(self) -> int:
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(_TO_END_S)
@@ -158,17 +202,20 @@ class WorkerProcess:
         return lines[-1] if lines else ""
 
 
-def _write_message(stream: BinaryIO | IO[bytes], content: bytes) -> None:
-    stream.write(_LENGTH.pack(len(content)) + content)
+def _write_message(stream: BinaryIO | IO[bytes], number: int, content: bytes) -> None:
+    stream.write(_HEADER.pack(len(content), number) + content)
     stream.flush()
 
 
-def _read_message(stream: BinaryIO | IO[bytes], most: int | None = None) -> bytes:
-    """The next message; EOFError where there is none, ValueError for one of more than `most` bytes."""
-    (length,) = _LENGTH.unpack(_read_bytes(stream, _LENGTH.size))
+def _read_message(stream: BinaryIO | IO[bytes], most: int | None = None) -> tuple[int, bytes]:
+    """Returns the number of the next message and its content.
+
+    Raises EOFError where there is none, ValueError for one of more than `most` bytes.
+    """
+    length, number = _HEADER.unpack(_read_bytes(stream, _HEADER.size))
     if most is not None and length > most:
         raise ValueError(f"a message of {length} bytes: expected at most {most}")
-    return _read_bytes(stream, length)
+    return number, _read_bytes(stream, length)
 
 
 def _read_bytes(stream: BinaryIO | IO[bytes], count: int) -> bytes:

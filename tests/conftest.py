@@ -248,6 +248,12 @@ def stair(tmp_path_factory: pytest.TempPathFactory) -> Build:
 
 
 @pytest.fixture(scope="session")
+def forker(tmp_path_factory: pytest.TempPathFactory) -> Build:
+    """Builds FMUs that fork their process: the options are those of `foreign_fmus.forker`."""
+    return once_for_each_option(foreign_fmus.forker, foreign_folder(tmp_path_factory, "forker"))
+
+
+@pytest.fixture(scope="session")
 def rogue(tmp_path_factory: pytest.TempPathFactory) -> Build:
     """Builds FMUs that misbehave on demand: the options are those of `foreign_fmus.rogue`."""
     return once_for_each_option(foreign_fmus.rogue, foreign_folder(tmp_path_factory, "rogue"))

@@ -21,6 +21,14 @@ from tests.shared_builds import built_once
 
 _SOURCES = Path(__file__).parent / "foreign_c"
 _CONFIG_MARK, _GUID_SIZE = b"the configuration goes here", 64  # of `Config` in slave.h
+FORKING_CALLS = (  # in the order of forker.c
+    "fmi2Instantiate",
+    "fmi2SetReal",
+    "fmi2GetReal",
+    "fmi2EnterInitializationMode",
+    "fmi2Reset",
+    "fmi2DoStep",
+)
 _STATUSES = ("Warning", "Discard", "Error", "Fatal")
 
 
@@ -53,6 +61,10 @@ class Misdeed(IntEnum):
     CLOSE_OUTPUT = 24
     IGNORE_INTERRUPTS = 25
     CHANGE_LOCALE = 26
+    NO_STATUS_OF_STEP = 27
+    NO_STATUS_OF_INPUT = 28
+    NO_STATUS_OF_STATE = 29
+    BIG_STATUS_OF_STEP = 30
 
 
 @dataclass(frozen=True)
@@ -177,6 +189,19 @@ def rogue(path: Path, **capabilities: Any) -> Path:
     return _write(path, "rogue", variables, Capabilities(**capabilities))
 
 
+def forker(path: Path, call: str, waits: str) -> Path:
+    """y' = u; the first call of one of `FORKING_CALLS` forks the process, and the child returns from it too.
+
+    waits: "child" or "parent", for 0.1 s after the fork
+    """
+    variables = [
+        Variable("u", "input", "continuous"),
+        Variable("y", "output", "continuous"),
+    ]
+    numbers = [FORKING_CALLS.index(call), waits == "child"]
+    return _write(path, "forker", variables, Capabilities(), numbers=numbers)
+
+
 def stair(path: Path, **capabilities: Any) -> Path:
     """Counts the seconds in the Integer output `counter`, from 1, and terminates the simulation at 10."""
     counter = Variable("counter", "output", "discrete", start=1, kind="Integer", initial="exact")
@@ -186,7 +211,7 @@ def stair(path: Path, **capabilities: Any) -> Path:
 def motor(path: Path, solver_tolerance: float = 1e-3, **capabilities: Any) -> Path:
     """A DC motor with an adaptive solver: input voltage [V], outputs current [A] and speed [rad/s].
 
-    solver_tolerance: error that an inner step may have, of 1 + |x|
+    solver_tolerance: error that an inner step may have, of 1 + |x|, unless the importer gives a tolerance
     """
     variables = [
         Variable("voltage", "input", "continuous"),

@@ -1,6 +1,5 @@
 """The process that calls an FMU: started, asked, timed and ended."""
 
-import itertools
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -36,7 +35,6 @@ class FmuProcess:
     ) -> None:
         self.deadline = deadline
         self._files, self.one_instance = (library, resources), one_instance
-        self._numbers = itertools.count()
         self._start(process)
 
     def _start(self, process: WorkerProcess) -> None:
@@ -83,13 +81,15 @@ class FmuProcess:
             self.one_instance = before
 
     def _calls(self, calls: Sequence[Call]) -> list[Any]:
-        expected = next(self._numbers)
-        self._process.send((expected, calls))
-        answer = self._process.receive(max(0.0, self.deadline - time.monotonic()))
+        self._process.send(calls)
+        try:
+            answer = self._process.receive(max(0.0, self.deadline - time.monotonic()))
+        except ValueError as error:
+            answer = str(error)
         match answer:
-            case [int(got), [*results], None] if got == expected and len(results) == len(calls):
+            case [[*results], None] if len(results) == len(calls):
                 return results
-            case [int(got), [*_], str(error)] if got == expected:
+            case [[*_], str(error)]:
                 raise DefectError(error) if error.startswith(DEFECT) else CallError(error)
         raise CallError(f"the process of the FMU sent {str(answer)[:100]!r}: expected results of the calls")
 

@@ -170,9 +170,9 @@ class LoadedFmu:
 
 
 def call_fmu(parent: Parent) -> None:
-    """Receive a working folder and the paths of library and resources, then (number, calls of `LoadedFmu`).
+    """Receive a working folder and the paths of library and resources, then calls of `LoadedFmu`.
 
-    Sends [number, results, error]: results of the calls up to the first error, and that error, or null.
+    Sends [results, error]: results of the calls up to the first error, and that error, or null.
     """
     folder, library, resources = parent.receive()
     os.chdir(folder)  # where the FMU writes files
@@ -182,7 +182,7 @@ def call_fmu(parent: Parent) -> None:
     called.touch()
     fmu = None
     while True:
-        number, calls = parent.receive()
+        calls = parent.receive()
         results, error = [], None
         os.utime(called)
         try:
@@ -194,7 +194,7 @@ def call_fmu(parent: Parent) -> None:
         except Exception as exception:  # whatever a foreign library makes of a call is a finding
             error = str(exception) or type(exception).__name__
         os.utime(called, (0, 0))  # no call is under way
-        parent.send_json([number, results, error])
+        parent.send_json([results, error])
 
 
 def _print_to(file: Path) -> Path:

@@ -10,14 +10,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib.util import find_spec
-from itertools import count
 from typing import Any
 
 from fmus.errors import MissingExtraError
 from fmus.extras import imports_of
 from fmus.process import Parent, ProcessEndedError, WorkerProcess
 
-_NUMBERS = count()  # of readings
 LIMIT_S = 60.0  # for the import of LIEF, and for a library where no other limit is given
 Member = tuple[str, str, bytes]
 """A library in an FMU: its path, the folder of its platform, its content."""
@@ -66,9 +64,11 @@ class Reading:
 
     def __init__(self, members: Sequence[Member], timeout: float) -> None:
         self._paths, self._timeout = [path for path, _, _ in members], timeout
-        self._process, self._number = _reader(), next(_NUMBERS)
-        message = self._number, members
-        threading.Thread(target=self._process.send, args=(message,), daemon=True).start()  # may take a while
+        self._process = _reader()
+        self._process.request += 1
+        self._request = self._process.request
+        arguments = members, self._request
+        threading.Thread(target=self._process.send, args=arguments, daemon=True).start()  # may take a while
 
     @property
     def libraries(self) -> Sequence[Library]:
@@ -95,15 +95,9 @@ class Reading:
         return libraries, ""
 
     def _receive(self, timeout: float) -> tuple[Any, str]:
-        """The next message, or why there is none, and then the process is closed.
-
-        Those of a reading whose libraries nobody asked for are passed over.
-        """
+        """Returns the next message, or why there is none, and then the process is closed."""
         try:
-            number, content = -1, None
-            while number != self._number:
-                number, content = self._process.receive(timeout)
-            return content, ""
+            return self._process.receive(timeout, self._request), ""
         except (ProcessEndedError, TimeoutError) as error:
             close_reader()
             return None, ": ".join(filter(None, (str(error), getattr(error, "last_error_line", ""))))
@@ -124,17 +118,15 @@ def close_reader() -> None:
 
 
 def _read(parent: Parent) -> None:
-    """What the process sends for each message: None once LIEF is imported, then the facts of each library,
-    each with the number of the message.
-    """
+    """Sends for each message None once LIEF is imported, then the facts of each library."""
     import lief
 
     lief.logging.disable()
     while True:
-        number, members = parent.receive()
-        parent.send((number, None))
+        members = parent.receive()
+        parent.send(None)
         for path, folder, content in members:
-            parent.send((number, [_facts(path, folder, parsed) for parsed in _slices(lief, content)]))
+            parent.send([_facts(path, folder, parsed) for parsed in _slices(lief, content)])
 
 
 def _slices(lief: Any, content: bytes) -> Iterator[Any]:

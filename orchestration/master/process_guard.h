@@ -2,6 +2,9 @@
 
 #define _POSIX_C_SOURCE 200809L
 
+#ifndef _WIN32
+#include <pthread.h>
+#endif
 #include <signal.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -18,6 +21,37 @@
 #endif
 
 enum { TEXT_SIZE = 256, EXIT_STATUS = 70, MOST_RUNS = 256, BUSY_INDEX = 5 };
+
+/* Runs stand in a table: the address of the report, 0 if there is none, and that of a text for each component. It is
+   here, since it is read when Python's memory is gone. */
+
+static volatile intptr_t runs[MOST_RUNS][2];
+
+/* A run in which an FMU is busy; MOST_RUNS if there is none. */
+static int64_t busy_run(void) {
+    int64_t i = 0;
+    while (i < MOST_RUNS && !(runs[i][0] && ((const int64_t *)runs[i][0])[BUSY_INDEX])) i++;
+    return i;
+}
+
+/* A child that an FMU forks in a call, and that returns from it, would go on with the run, and write into the memory
+   that both processes share. It ends as soon as it returns, and is counted where both can read it. */
+
+static volatile int64_t *forks;
+static volatile int is_fork;
+
+#ifndef _WIN32
+static void note_fork(void) { is_fork = busy_run() < MOST_RUNS; }
+#endif
+
+/* Called before each run: a process that others than FMUs have forked makes runs of its own. */
+EXPORT void guard_count_forks(int64_t *count) {
+#ifndef _WIN32
+    if (!forks) pthread_atfork(NULL, NULL, note_fork);
+#endif
+    forks = count;
+    is_fork = 0;
+}
 
 /* The floating-point mode, rounding and denormals, is that of before the first FMU. On x86-64 there are two: of SSE,
    and of the older unit, which computes in long double and by which the C library rounds the numbers that it prints.
@@ -40,6 +74,10 @@ static uint64_t get_float_mode(void) {
 }
 
 EXPORT int guard_restore_float_mode(void) {
+    if (is_fork) {
+        ++*forks;
+        _Exit(EXIT_STATUS);
+    }
     if (get_float_mode() == float_mode) return 0;
 #if defined(__x86_64__)
     const uint16_t older = (uint16_t)(float_mode >> 32);
@@ -78,19 +116,14 @@ EXPORT void guard_handler(int number, int is_restored) {
 }
 #endif
 
-/* An FMU that calls exit ends the process with status 70 and its text. Runs stand in a table: the address of the
-   report, 0 if there is none, and that of a text for each component. */
-
-static volatile intptr_t runs[MOST_RUNS][2]; /* here, since it is read when Python's memory is gone */
+/* An FMU that calls exit ends the process with status 70 and its text. */
 
 static void report_exit(void) {
-    for (int64_t i = 0; i < MOST_RUNS; i++) {
-        const int64_t *report = (const int64_t *)runs[i][0];
-        if (!report || !report[BUSY_INDEX]) continue;
-        fputs((const char *)runs[i][1] + TEXT_SIZE * (llabs(report[BUSY_INDEX]) - 1), stderr);
-        fflush(stderr);
-        _Exit(EXIT_STATUS);
-    }
+    const int64_t run = busy_run();
+    if (run == MOST_RUNS) return;
+    fputs((const char *)runs[run][1] + TEXT_SIZE * (llabs(((const int64_t *)runs[run][0])[BUSY_INDEX]) - 1), stderr);
+    fflush(stderr);
+    _Exit(EXIT_STATUS);
 }
 
 /* The table, of MOST_RUNS rows; called once, before the first FMU is loaded. */

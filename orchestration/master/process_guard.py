@@ -1,5 +1,7 @@
 """What an FMU changes in this process beside its own state is put back, or ends the run; an exit is told.
 
+A child that an FMU forks ends where it returns from a call, and the run ends with an error.
+
 After each call of an FMU the floating-point mode (rounding, denormals) is that of before. After each FMU is
 loaded, after the initialisation and after each batch of steps, working directory, locale and handlers of
 signals are compared and put back; a run whose FMU has closed files of this process ends, since nobody knows
@@ -15,6 +17,7 @@ looked at, and the floating-point mode after calls outside the communication loo
 import atexit
 import ctypes
 import locale
+import mmap
 import os
 import signal
 import threading
@@ -26,6 +29,7 @@ import numpy as np
 
 from fmus import watched
 from fmus.errors import ExportError
+from fmus.process import CHILD_RETURNED
 from orchestration.errors import FmuWarning, OrchestrationError
 from orchestration.master.compiled_loop import library
 from orchestration.master.loop_data import Report
@@ -34,6 +38,7 @@ _TEXT_SIZE, _MOST_RUNS = 256, 256  # as in process_guard.h
 # those of process_guard.h: what ends programs, and SIGCHLD
 _NAMES = ("HUP", "INT", "ILL", "ABRT", "FPE", "SEGV", "PIPE", "ALRM", "TERM", "CHLD")
 _SIGNALS = [getattr(signal, f"SIG{name}") for name in _NAMES if hasattr(signal, f"SIG{name}")]
+_forks = np.frombuffer(mmap.mmap(-1, 8), np.int64)  # children that returned; shared with them
 _lock = threading.Lock()
 _texts: dict[int, tuple[np.ndarray, bytes]] = {}  # what the rows of the table refer to
 
@@ -64,6 +69,9 @@ class ProcessGuard:
         self.restore_float_mode = self._library.guard_restore_float_mode if self._library else lambda: 0
         self._own = _own_descriptor()  # closed by an FMU that closes all files
         self._files = {number: _identity(number) for number in (1, 2, self._own)}
+        if self._library:
+            self._library.guard_count_forks(ctypes.c_void_p(_forks.ctypes.data))
+        self._forks = int(_forks[0])
         self.note_surroundings()
         self.note_handlers()
 
@@ -90,9 +98,11 @@ class ProcessGuard:
     def restore(self, name: str) -> None:
         """Put back what the FMUs changed, and warn of it; name: of the FMU or FMUs that may have done so.
 
-        OrchestrationError if they closed files.
+        OrchestrationError if they closed files, or forked the process and a child went on.
         """
         changed = ["the floating-point mode"] if self.restore_float_mode() else []
+        if _forks[0] != self._forks:
+            raise OrchestrationError(f"{name} forked its process{CHILD_RETURNED}")
         if locale.setlocale(locale.LC_ALL) != self._locale:
             locale.setlocale(locale.LC_ALL, self._locale)
             changed.append("the locale")

@@ -194,6 +194,8 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
 
     def _load_or_reset(self, report: np.ndarray, guard: ProcessGuard) -> None:
         """Load the FMUs that are not loaded, and reset the used ones."""
+        for instance in self._instances.values():  # who resets is busy in this run
+            instance.busy = report[Report.BUSY :]
         if self._must_reload or not all(x.is_fresh or x.reset() for x in self._instances.values()):
             self.close()
         self._must_reload = True  # should anything fail before a run is done

@@ -115,7 +115,7 @@ class _Watch:
                     self.stopped = KeyboardInterrupt() if interrupts else self._report_progress()
                     if self.stopped is not None:
                         self._asked = time.monotonic()
-                        self._process.send(STOP)
+                        self._process.send(STOP, self._process.request)
                 elif interrupts and interrupts[-1] > self._asked + _AGAIN_S:
                     return "did not return after an interrupt, and its process was ended"
                 limit = self._exceeded()

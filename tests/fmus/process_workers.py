@@ -73,3 +73,23 @@ def send_a_trap(parent: Parent) -> None:
 def flood_messages(parent: Parent) -> None:
     while True:
         parent.send_json("x" * 1000)
+
+
+def fork(parent: Parent) -> None:
+    """Send each message back; at "fork" a child does so first, at "die" a child lives on."""
+    while True:
+        message = parent.receive()
+        child = os.fork() if message in ("fork", "die") else 0
+        if message == "die":
+            time.sleep(0 if child else 600)
+            os.kill(os.getpid(), signal.SIGKILL)
+        if child:
+            os.waitpid(child, 0)
+        parent.send(message)
+
+
+def answer_twice(parent: Parent) -> None:
+    while True:
+        message = parent.receive()
+        parent.send(message)
+        parent.send(message)

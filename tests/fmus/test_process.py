@@ -14,10 +14,12 @@ import pytest
 from fmus.process import ProcessEndedError, WorkerProcess, ending
 from tests.fmus.process_workers import (
     answer,
+    answer_twice,
     die,
     fail,
     flood_errors,
     flood_messages,
+    fork,
     import_where_it_is,
     leave_a_child,
     send_a_trap,
@@ -166,4 +168,33 @@ def test_an_untrusted_process_that_sends_more_than_it_is_asked_for_is_ended(tmp_
     assert [process.receive(TO_START_S) for _ in range(2)] == ["x" * 1000] * 2
     with pytest.raises(ProcessEndedError, match=r"^SIGKILL$"):
         process.receive(TO_START_S)
+    process.close()
+
+
+def test_a_forked_child_answers_no_request_and_ends_the_process(tmp_path: Path) -> None:
+    process = WorkerProcess(fork, tmp_path)
+    process.send(1)
+    assert process.receive(TO_START_S) == 1
+    process.send("fork")
+    for _ in range(2):
+        with pytest.raises(
+            ProcessEndedError, match=r"^SIGKILL, since an FMU forked it and the child returned"
+        ):
+            process.receive(TO_START_S)
+    process.close()
+
+
+def test_a_forked_child_that_keeps_the_pipe_does_not_hide_the_end(tmp_path: Path) -> None:
+    process = WorkerProcess(fork, tmp_path)
+    process.send("die")
+    with pytest.raises(ProcessEndedError, match=r"^SIGKILL$"):
+        process.receive(TO_START_S)
+    process.close()
+
+
+def test_an_answer_to_an_earlier_request_is_not_that_to_the_last(tmp_path: Path) -> None:
+    process = WorkerProcess(answer_twice, tmp_path)
+    for message in range(3):
+        process.send(message)
+        assert process.receive(TO_START_S) == message
     process.close()

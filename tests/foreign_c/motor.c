@@ -25,25 +25,26 @@ static fmi2Status model_initialise(Slave *s) {
 }
 
 /* One try of h s; the largest error over the permitted one. */
-static double inner_step(const double x[2], double u, double h, double next[2]) {
+static double inner_step(const double x[2], double u, double h, double tolerance, double next[2]) {
     double first[2], second[2], predicted[2], largest = 0;
     slopes(x, u, first);
     for (int i = 0; i < 2; i++) predicted[i] = x[i] + h * first[i];
     slopes(predicted, u, second);
     for (int i = 0; i < 2; i++) {
         next[i] = x[i] + 0.5 * h * (first[i] + second[i]);
-        largest = fmax(largest, fabs(next[i] - predicted[i]) / (config.solver_tolerance * (1 + fabs(next[i]))));
+        largest = fmax(largest, fabs(next[i] - predicted[i]) / (tolerance * (1 + fabs(next[i]))));
     }
     return largest;
 }
 
 static fmi2Status model_step(Slave *s, double h) {
     Data *d = &s->data;
+    const double tolerance = s->tolerance ? s->tolerance : config.solver_tolerance;
     double x[2] = {d->value[CURRENT], d->value[SPEED]}, next[2], done = 0;
     while (done < h) {
         const int is_last = done + d->state >= h;
         const double size = is_last ? h - done : d->state;
-        const double error = inner_step(x, d->value[VOLTAGE], size, next);
+        const double error = inner_step(x, d->value[VOLTAGE], size, tolerance, next);
         const double factor = fmax(0.2, fmin(0.9 / sqrt(error + 1e-12), 5));
         if (error <= 1) {
             memcpy(x, next, sizeof x);

@@ -38,7 +38,11 @@ enum { /* the items of the enumeration Misdeed */
     CLOSE_FILES,  /* all but the standard streams */
     CLOSE_OUTPUT,
     IGNORE_INTERRUPTS,
-    CHANGE_LOCALE
+    CHANGE_LOCALE,
+    NO_STATUS_OF_STEP, /* -5, which FMI does not have; it steps all the same */
+    NO_STATUS_OF_INPUT,
+    NO_STATUS_OF_STATE,
+    BIG_STATUS_OF_STEP /* 6 */
 };
 
 #define MODEL_REFUSES
@@ -100,15 +104,19 @@ static fmi2Status model_step(Slave *s, double h) {
     d->value[Y] += h * d->value[U];
     if (is_due(s, NAN_OUTPUT)) d->value[Y] = NAN;
     if (is_due(s, INFINITE_OUTPUT)) d->value[Y] = INFINITY;
+    if (is_due(s, NO_STATUS_OF_STEP)) return (fmi2Status)-5;
+    if (is_due(s, BIG_STATUS_OF_STEP)) return (fmi2Status)6;
     return is_due(s, WARNING) ? refuse(s, fmi2Warning, "the battery is low") : fmi2OK;
 }
 
 static fmi2Status model_accepts(Slave *s, fmi2ValueReference reference) {
     const int refused = reference == U && s->data.mode == STEPPING && is_due(s, REFUSE_INPUT);
+    if (reference == U && s->data.mode == STEPPING && is_due(s, NO_STATUS_OF_INPUT)) return (fmi2Status)-5;
     return refused ? refuse(s, fmi2Discard, "no input is taken any more") : fmi2OK;
 }
 
 static fmi2Status model_saves(Slave *s) {
+    if (is_due(s, NO_STATUS_OF_STATE)) return (fmi2Status)-5;
     return is_due(s, REFUSE_STATE) ? refuse(s, fmi2Error, "the state is not given away") : fmi2OK;
 }
 

@@ -22,6 +22,10 @@
 #define MODEL_CONFIG
 #endif
 
+#ifndef MODEL_IS_CALLED
+#define MODEL_IS_CALLED(call)
+#endif
+
 typedef struct {
     char guid[64];
     double interpolates_inputs, output_derivative_order, saves_state, serialises_state, varies_step_size;
@@ -62,6 +66,7 @@ typedef struct {
     fmi2CallbackFreeMemory release;
     fmi2CallbackAllocateMemory allocate;
     double stop_time;
+    double tolerance; /* 0 if it is not defined */
     char *name;
 } Slave;
 
@@ -120,6 +125,7 @@ enum { WRITABLE = INSTANTIATED | INITIALIZATION | STEPPING };
     fmi2Status fmi2Get##Name(fmi2Component c, const fmi2ValueReference vr[], size_t n, Type value[]) {          \
         Slave *s = c;                                                                                           \
         MUST_BE(READABLE, "fmi2Get" #Name);                                                                     \
+        MODEL_IS_CALLED("fmi2Get" #Name);                                                                       \
         const int follows = s->data.mode & (INSTANTIATED | INITIALIZATION);                                     \
         const fmi2Status status = follows ? model_initialise(s) : fmi2OK;                                       \
         MUST_EXIST("fmi2Get" #Name);                                                                            \
@@ -129,13 +135,16 @@ enum { WRITABLE = INSTANTIATED | INITIALIZATION | STEPPING };
     fmi2Status fmi2Set##Name(fmi2Component c, const fmi2ValueReference vr[], size_t n, const Type value[]) {    \
         Slave *s = c;                                                                                           \
         MUST_BE(WRITABLE, "fmi2Set" #Name);                                                                     \
+        MODEL_IS_CALLED("fmi2Set" #Name);                                                                       \
+        fmi2Status result = fmi2OK;                                                                             \
         MUST_EXIST("fmi2Set" #Name);                                                                            \
         for (size_t i = 0; i < n; i++) {                                                                        \
             const fmi2Status status = model_accepts(s, vr[i]);                                                  \
-            if (status > fmi2Warning) return status;                                                            \
+            if (status >= fmi2Discard && status <= fmi2Pending) return status;                                  \
+            result = status == fmi2OK ? result : status;                                                        \
         }                                                                                                       \
         for (size_t i = 0; i < n; i++) s->data.value[vr[i]] = (double)value[i];                                 \
-        return fmi2OK;                                                                                          \
+        return result;                                                                                          \
     }
 
 DEFINE_VALUES(Real, fmi2Real)
@@ -197,6 +206,7 @@ static void reset(Data *d) {
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
                               const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging) {
     (void)resources, (void)visible, (void)logging;
+    MODEL_IS_CALLED("fmi2Instantiate");
     if (type != fmi2CoSimulation || strcmp(guid, config.guid)) {
         functions->logger(functions->componentEnvironment, name, fmi2Error, CATEGORIES[fmi2Error], "GUID %s", guid);
         return NULL;
@@ -225,7 +235,7 @@ fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const 
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2Real tolerance, fmi2Real start,
                                fmi2Boolean has_stop, fmi2Real stop) {
     Slave *s = c;
-    (void)has_tolerance, (void)tolerance;
+    s->tolerance = has_tolerance ? tolerance : 0;
     MUST_BE(INSTANTIATED, "fmi2SetupExperiment");
     s->data.time = s->data.last_successful_time = start;
     s->stop_time = has_stop ? stop : INFINITY;
@@ -235,6 +245,7 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2R
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
     Slave *s = c;
     MUST_BE(INSTANTIATED, "fmi2EnterInitializationMode");
+    MODEL_IS_CALLED("fmi2EnterInitializationMode");
     s->data.mode = INITIALIZATION;
     return fmi2OK;
 }
@@ -257,6 +268,7 @@ fmi2Status fmi2Terminate(fmi2Component c) {
 fmi2Status fmi2Reset(fmi2Component c) {
     Slave *s = c;
     MUST_BE(~FATAL, "fmi2Reset");
+    MODEL_IS_CALLED("fmi2Reset");
     reset(&s->data);
     return fmi2OK;
 }
@@ -268,6 +280,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_ea
     Data *d = &s->data;
     (void)no_earlier_state;
     MUST_BE(STEPPING, "fmi2DoStep");
+    MODEL_IS_CALLED("fmi2DoStep");
     if (!(h > 0)) return refuse(s, fmi2Error, "fmi2DoStep: step of %.17g s: expected more than 0", h);
     if (!(fabs(t - d->time) <= 1e-9 * fmax(1, fabs(t))))
         return refuse(s, fmi2Error, "fmi2DoStep: communication point %.17g s: expected %.17g s", t, d->time);
@@ -278,7 +291,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_ea
     d->step_size = h;
     const fmi2Status status = model_step(s, h);
     memset(d->input_rate, 0, sizeof d->input_rate);
-    if (status > fmi2Warning) {
+    if (status >= fmi2Discard && status <= fmi2Pending) {
         if (status == fmi2Discard) d->mode = STEP_FAILED;
         return status;
     }

@@ -52,7 +52,7 @@ def test_python_modules_inside_an_fmu_are_not_imported(built: Mapping[str, Path]
 def test_answers_that_an_fmu_writes_itself_are_findings_and_what_it_prints_is_dropped(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    answer = r"\x0c\0\0\0\0\0\0\0[5,[],null] "
+    answer = r"\x09\0\0\0\0\0\0\0\x63\0\0\0\0\0\0\0[[],null]"  # to request 99
     code = (
         f'static const char forged[] = "{answer}";\n'
         '    puts("0 error"), fflush(stdout);\n'
@@ -64,7 +64,9 @@ def test_answers_that_an_fmu_writes_itself_are_findings_and_what_it_prints_is_dr
     assert "0 error" not in capfd.readouterr().out
     (fmu,) = json.loads(verdict.read_text(encoding="utf-8"))["fmus"]
     ((message,),) = [rule["messages"] for rule in fmu["rules"] if rule["rule"] == "steps-and-terminates"]
-    assert "expected results of the calls" in message or message.startswith("the FMU ended the process")
+    assert "an answer to request 99: expected one" in message or message.startswith(
+        "the FMU ended the process"
+    )
 
 
 @pytest.mark.slow
@@ -100,9 +102,13 @@ def _runs(number: int) -> bool:
 
 
 @pytest.mark.slow
-def test_a_copy_of_the_process_that_answers_as_well_is_a_finding(tmp_path: Path) -> None:
-    once = "static int copied;\n    if (!copied++ && fork()) sleep(1);"  # the copy answers first
-    assert "steps-and-terminates" in broken_rules(attacker(once, tmp_path), timeout=5)
+def test_a_copy_of_the_process_that_returns_as_well_is_a_finding(tmp_path: Path) -> None:
+    once = "static int copied;\n    if (!copied++ && fork()) sleep(1);"  # the copy returns first
+    (message,) = broken_rules(attacker(once, tmp_path), timeout=5)["steps-and-terminates"]
+    assert message == (
+        "the FMU ended the process with SIGKILL, since an FMU forked it and the child returned from the "
+        "call; expected a child that calls _exit or exec"
+    )
 
 
 @pytest.mark.slow

@@ -1,0 +1,127 @@
+"""An FMU forks its process, and the child returns from the call: no result is that of another request."""
+
+import contextlib
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+
+from orchestration.errors import OrchestrationError
+from orchestration.master import simulate
+from orchestration.scenarios import scenario
+from orchestration.study.isolated_loop import IsolatedLoop, RunError
+from orchestration.study.loop import Controller, Loop
+from orchestration.study.protocol import FILE, read_protocol
+from orchestration.sweep import table
+from orchestration.sweep.local import local
+from orchestration.sweep.plan import plan
+from orchestration.sweep.run import sweep
+from orchestration.system.experiment import Experiment
+from orchestration.system.system import System
+from tests.foreign_fmus import FORKING_CALLS
+
+Build = Callable[..., Path]
+CAUSE = "and the child returned from the call; expected a child that calls _exit or exec"
+TO_END_S = 30.0  # for killed processes, on a machine that is busy
+# y' = u from 0 for 1 s, so that y ends at u
+SWEEP = """
+[components]
+f = "{fmu}"
+[experiment]
+stop_time = 1.0
+step_size = 0.1
+[inputs]
+"f.u" = 1.0
+[metrics.end]
+function = "peak"
+signal = "f.y"
+[sweep.vary."f.u"]
+values = [1.0, 2.0, 3.0, 4.0]
+"""
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The folder of all temporary files; no process that has it for its own is left afterwards."""
+    temporary = tmp_path / "tmp"
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    yield tmp_path
+    limit = time.monotonic() + TO_END_S
+    while left := processes_of(temporary):
+        assert time.monotonic() < limit, left
+        time.sleep(0.05)
+
+
+def processes_of(temporary: Path) -> list[psutil.Process]:
+    """Those that run and keep their temporary files inside a folder, whoever started them."""
+    found = []
+    for process in psutil.process_iter():
+        with contextlib.suppress(psutil.Error):
+            inside = process.environ().get("TMPDIR", "").startswith(str(temporary))
+            found += [process] if inside and process.status() != psutil.STATUS_ZOMBIE else []
+    return found
+
+
+@pytest.mark.parametrize("waits", ["child", "parent"])
+@pytest.mark.parametrize("call", FORKING_CALLS)
+def test_each_sample_has_its_own_metrics_or_the_cause(
+    forker: Build, folder: Path, call: str, waits: str
+) -> None:
+    path = folder / "forks.toml"
+    path.write_text(SWEEP.format(fmu=forker(call, waits)))
+    swept = sweep(plan(scenario.load(path)), folder / "results", local(1))
+    rows = table.read(swept)[0].to_pylist()
+    assert [row["f.u"] for row in rows] == [1.0, 2.0, 3.0, 4.0]
+    for row in rows:
+        assert row["error"] or row["end"] == pytest.approx(row["f.u"], rel=1e-12)  # ten sums
+        assert not row["error"] or CAUSE in row["error"]
+    assert waits == "child" or any(row["error"] for row in rows)
+
+
+@pytest.mark.parametrize("waits", ["child", "parent"])
+@pytest.mark.parametrize("call", [call for call in FORKING_CALLS if call != "fmi2Reset"])
+def test_a_run_with_a_timeout_has_its_own_record_or_the_cause(forker: Build, call: str, waits: str) -> None:
+    system, experiment = System({"f": forker(call, waits)}), Experiment(1.0, 0.1, inputs={"f.u": 2.0})
+    if waits == "parent":
+        with pytest.raises(OrchestrationError, match=CAUSE):
+            simulate(system, experiment, timeout=TO_END_S)
+        return
+    with contextlib.suppress(OrchestrationError):
+        recording = simulate(system, experiment, timeout=TO_END_S)
+        assert recording["f.y"].tolist() == pytest.approx((2.0 * recording.time).tolist(), rel=1e-12)
+
+
+@pytest.mark.parametrize("call", [call for call in FORKING_CALLS if call != "fmi2Reset"])
+def test_a_run_in_this_process_ends_with_the_cause_and_its_child(forker: Build, call: str) -> None:
+    """The child would go on with the program that called `simulate`."""
+    system, experiment = System({"f": forker(call, "parent")}), Experiment(1.0, 0.1, inputs={"f.u": 2.0})
+    with pytest.raises(OrchestrationError, match=f"f forked its process {CAUSE}"):
+        simulate(system, experiment)
+    assert not psutil.Process().children() or psutil.Process().children()[-1].status() == psutil.STATUS_ZOMBIE
+
+
+def number_of(loop: Loop, number: int) -> int:
+    """The number, after a run of the controller."""
+    loop.run(loop.protocol.nominal)
+    return number
+
+
+@pytest.mark.parametrize("waits", ["child", "parent"])
+def test_each_case_of_a_score_has_its_own_result_or_the_cause(
+    forker: Build, scenario_fmus: None, waits: str
+) -> None:
+    names = {"depth_reference": "u", "control_force": "y"}
+    controller = Controller("forker", str(forker("fmi2DoStep", waits)), mapping=names)
+    loop = IsolatedLoop(controller, FILE, read_protocol().tables.time_limit)
+    with contextlib.closing(loop):
+        if waits == "parent":
+            with pytest.raises(RunError, match=CAUSE):
+                loop.call(number_of, 0)
+            return
+        for number in range(2):
+            with contextlib.suppress(RunError):
+                assert loop.call(number_of, number) == number
