@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
-from fmus.binding import DISCARD, ERROR, TERMINATED, WARNING
+from fmus.binding import DISCARD, ERROR, OK, TERMINATED, WARNING
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.fmu_process import Call, FmuProcess, start_process
 from fmus.compliance.rule import NotApplicableError, NotJudgedError
@@ -206,7 +206,7 @@ class Probe:
             ((reply,),) = self.process.calls(
                 [("play", script.number, [("status_of", "Boolean", TERMINATED)], True)]
             )
-            if reply[0] <= WARNING and reply[1]:
+            if reply[0] in (OK, WARNING) and reply[1]:
                 self.process.calls(freed)
                 raise NotJudgedError("the FMU terminates the simulation by itself")
         self.process.calls(freed)

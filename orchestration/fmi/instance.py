@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 
 from fmus.binding import (
-    DISCARD,
     ERROR,
     FATAL,
     LAST_SUCCESSFUL_TIME,
+    OK,
     TERMINATED,
+    WARNING,
     BoundInstance,
     Callbacks,
     status_name,
@@ -38,6 +39,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
     cannot be loaded.
 
     is_fresh: whether it was instantiated or reset, and neither set nor initialised since
+    has_warned: whether a call returned a warning since it was instantiated or reset
     time [s]: of the present call
     busy: shape (1,), `number` while a call is in progress, else 0; calls: shape (1,), how many have returned.
     Another process can watch them.
@@ -46,6 +48,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
     def __init__(self, name: str, path: Path, description: ModelDescription) -> None:
         self.name, self.description, self.time = name, description, 0.0
         self.is_fresh, self._stepping, self._failed, self._dead = True, False, False, False
+        self.has_warned = False
         self.number, self.busy, self.calls = 1, np.zeros(1, np.int64), np.zeros(1, np.int64)
         self.after_call: Callable[[], object] = lambda: None
         self.termination_log: list[str] = []
@@ -81,6 +84,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         self._dead = self._dead or status == FATAL
         if status == 0:
             self.is_fresh, self._stepping, self._failed, self.termination_log = True, False, False, []
+            self.has_warned = False
             self.time = 0.0
         return status == 0
 
@@ -170,19 +174,21 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
             return
         log = list(self.log)
         self.log.clear()
-        worst = max([status, *(s for s, _ in log if s in (ERROR, FATAL))])
+        logged = [s for s, _ in log if s in (ERROR, FATAL)]
+        worst = max([status, *logged]) if status >= OK else status
         self._remember(status)
         messages = _shortened([message for _, message in log])
-        if worst >= DISCARD:
+        if worst not in (OK, WARNING):
             raise FmuError(self.name, self.time, function, status_name(worst), messages)
         if worst:
+            self.has_warned = True
             text = "; ".join(messages) or "it logged nothing"
             warnings.warn(
                 f"{self.name} at t = {self.time:.9g} s: {function}: {text}", FmuWarning, stacklevel=2
             )
 
     def _remember(self, status: int) -> None:
-        self._failed = self._failed or status >= ERROR
+        self._failed = self._failed or not OK <= status < ERROR
         self._dead = self._dead or status == FATAL
 
     def close(self) -> None:

@@ -113,7 +113,7 @@ INLINED int is_accepted(Wiring *wiring, int kind, int64_t c, int64_t index, int 
     if (!wiring->independent) guard_restore_float_mode();
     wiring->report[BUSY] = 0;
     wiring->report[CALLS]++;
-    if (status <= WARNING && !wiring->error_logged[c]) {
+    if ((status == OK || status == WARNING) && !wiring->error_logged[c]) {
         if (status != OK && wiring->warning[c] == NO_FAILURE) {
             wiring->warning[c] = kind;
             wiring->warning_time[c] = wiring->step_start[c];

@@ -275,7 +275,7 @@ def _is_accepted(wiring: Wiring, kind: int, c: int, index: int, status: int) -> 
     """Whether the loop goes on after a call that returned; a warning is kept, a failure reported."""
     wiring.report[Report.BUSY] = 0
     wiring.report[Report.CALLS] += 1
-    if status <= WARNING and not wiring.error_logged[c]:
+    if status in (OK, WARNING) and not wiring.error_logged[c]:
         if status != OK and wiring.warning[c] == Call.NO_FAILURE:
             wiring.warning[c] = kind
             wiring.warning_time[c] = wiring.step_start[c]

@@ -212,6 +212,11 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
         for instance in self._instances.values():
             instance.after_call = guard.restore_float_mode
 
+    @property
+    def warned(self) -> list[str]:
+        """The components whose FMUs returned warnings in the last run."""
+        return [name for name, instance in self._instances.items() if instance.has_warned]
+
     def close(self) -> None:
         """Free every instance; the next run loads them again."""
         self._end_stepped()

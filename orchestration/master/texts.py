@@ -6,7 +6,7 @@ The loop gets and sets them through functions that have the arguments of fmi2Get
 import ctypes
 from typing import Any
 
-from fmus.binding import WARNING
+from fmus.binding import OK, WARNING
 from orchestration.fmi.instance import FmuInstance
 
 _POINTER = ctypes.c_void_p
@@ -45,7 +45,7 @@ class Texts:
         def get(handle: int, references: int, count: int, numbers: int) -> int:
             values = (ctypes.c_char_p * count)()
             status = instance.library.fmi2GetString(handle, references, count, values)
-            if status <= WARNING:
+            if status in (OK, WARNING):
                 target = (ctypes.c_int * count).from_address(numbers)
                 target[:] = [self.number((value or b"").decode("utf-8", "replace")) for value in values]
             return status

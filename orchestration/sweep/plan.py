@@ -23,7 +23,7 @@ from orchestration.sweep.varied import MOST_VALUES, Varied, varied
 from orchestration.system.prepared_run import prepare
 from orchestration.system.system import CheckedSystem
 
-_COLUMNS = ("sample", "error")  # of the table, besides those of metrics and of what is varied
+_COLUMNS = ("sample", "warned", "error")  # of the table, besides those of metrics and of what is varied
 
 
 @dataclass(frozen=True)

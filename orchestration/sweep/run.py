@@ -8,7 +8,7 @@ from typing import Any
 from orchestration.sweep.plan import Plan
 from orchestration.sweep.samples import Job
 from orchestration.sweep.store import Store
-from orchestration.sweep.table import ERROR, SAMPLE, schema
+from orchestration.sweep.table import ERROR, SAMPLE, WARNED, schema
 from orchestration.sweep.workers import Batches, Finished, Workers
 
 
@@ -53,6 +53,6 @@ def sweep(
 
 def _rows(finished: Finished) -> list[dict[str, Any]]:
     return [
-        {SAMPLE: number, **values, **outcome.metrics, ERROR: outcome.error}
+        {SAMPLE: number, **values, **outcome.metrics, WARNED: outcome.warned, ERROR: outcome.error}
         for number, values, outcome in zip(*finished, strict=True)
     ]

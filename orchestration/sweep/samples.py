@@ -80,11 +80,15 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of a sample: its metrics, or why it failed; its recording as a Parquet file."""
+    """The result of a sample: its metrics, or why it failed; its recording as a Parquet file.
+
+    warned: the components whose FMUs returned warnings, separated by commas
+    """
 
     metrics: Mapping[str, float]
     error: str | None = None
     recording: bytes | None = None
+    warned: str | None = None
 
 
 def recorded_signals(text: str, plan: "Plan") -> tuple[str, ...] | None:
@@ -128,7 +132,8 @@ class Samples(AbstractContextManager["Samples"]):
         try:
             recording = self.load().run(with_settings(job.experiment, settings), self._check_open)
             self._check_open()  # closed in the second run of an error estimate, it has none
-            return Outcome(metrics.evaluate(recording, job.metrics), recording=_as_parquet(recording, job))
+            values, warned = metrics.evaluate(recording, job.metrics), ", ".join(self.load().warned) or None
+            return Outcome(values, recording=_as_parquet(recording, job), warned=warned)
         except Exception as error:  # a sample that fails is a row, whatever the reason
             self._simulator = self._loaded.close()
             self._check_open()

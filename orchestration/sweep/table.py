@@ -1,8 +1,9 @@
 """The result of a sweep as one tidy table: a row a sample.
 
-columns: `sample` (its number), what was varied (named "component.variable"), the metrics, `error` (null, or
-         why the sample failed: its metrics are then null). A metric that is not a number did not happen
-column metadata: `role` is sample, varied, metric or error; `unit` is "" where there is none
+columns: `sample` (its number), what was varied (named "component.variable"), the metrics, `warned` (null, or
+         the components whose FMUs returned warnings), `error` (null, or why the sample failed: its metrics
+         are then null). A metric that is not a number did not happen
+column metadata: `role` is sample, varied, metric, warned or error; `unit` is "" where there is none
 table metadata: `l1_depth.kind` is sweep; `l1_depth.provenance` is JSON with the resolved scenario, the
          arguments of the command, the FMUs with their GUIDs, the seed, the number of samples, what was varied
          and what was recorded
@@ -27,7 +28,7 @@ with imports_of("sweep", "a sweep"):
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-SAMPLE, ERROR = "sample", "error"
+SAMPLE, WARNED, ERROR = "sample", "warned", "error"
 ROWS_OF_A_GROUP = 10_000
 _KIND, _PROVENANCE, _SWEEP = b"l1_depth.kind", b"l1_depth.provenance", b"sweep"
 _TYPES = {"Real": pa.float64(), "Integer": pa.int64(), "Boolean": pa.bool_(), "String": pa.string()}
@@ -55,6 +56,7 @@ def schema(plan: Plan, recorded: tuple[str, ...] | None) -> pa.Schema:
             (name, pa.float64(), "metric", unit)
             for name, unit in metric_units(plan.scenario.metrics, signal_units).items()
         ),
+        (WARNED, pa.string(), WARNED, ""),
         (ERROR, pa.string(), ERROR, ""),
     ]
     return pa.schema(

@@ -32,6 +32,13 @@ def test_sources_without_a_patch_break_no_rule(tmp_path: Path) -> None:
     assert broken_rules(patched({}, tmp_path)) == {}
 
 
+def test_a_discarded_step_whose_termination_has_no_status_of_fmi_is_a_finding(tmp_path: Path) -> None:
+    value = "*value = fmi2False; /* the model never wants the simulation to end */\n    return fmi2OK;"
+    patch = {STEP: f"{STEP} return fmi2Discard;", value: "*value = fmi2True;\n    return (fmi2Status)-5;"}
+    results = {result.rule.name: result for result in examine(patched(patch, tmp_path))}
+    assert "terminates the simulation" not in results["steps-and-terminates"].not_judged
+
+
 def test_a_crash_is_one_finding_and_what_needs_steps_is_not_judged(tmp_path: Path) -> None:
     results = {
         result.rule.name: result

@@ -226,3 +226,18 @@ def test_an_fmu_that_repeats_itself_is_heard_once(rogue: Build) -> None:
     messages = [str(warning.message) for warning in caught]
     assert messages[0].startswith("bad at t = 0.5 s: ")
     assert max(map(len, messages)) < 200
+
+
+@pytest.mark.parametrize("status", [-5, 6])
+@pytest.mark.parametrize("function", ["fmi2EnterInitializationMode", "fmi2ExitInitializationMode"])
+def test_a_status_that_fmi_does_not_have_is_an_error(
+    foreign: Mapping[str, Path], function: str, status: int
+) -> None:
+    def initialise() -> None:
+        component.initialise(0.0, None)
+        component.exit_initialization_mode()
+
+    with load(foreign["Lag"]) as component:
+        setattr(component.library, function, lambda handle: status)
+        with pytest.raises(FmuError, match=rf"{function} returned status {status}: it logged nothing"):
+            initialise()

@@ -61,6 +61,9 @@ ENDS = [
     (Misdeed.ERROR, "rogue at t = 0.5 s: fmi2DoStep returned error: the rudder is stuck"),
     (Misdeed.FATAL, "rogue at t = 0.5 s: fmi2DoStep returned fatal: the hull is breached"),
     (Misdeed.REFUSE_INPUT, "rogue at t = 0.5 s: fmi2SetReal returned discard: no input is taken any more"),
+    (Misdeed.NO_STATUS_OF_STEP, "rogue at t = 0.5 s: fmi2DoStep returned status -5: it logged nothing"),
+    (Misdeed.BIG_STATUS_OF_STEP, "rogue at t = 0.5 s: fmi2DoStep returned status 6: it logged nothing"),
+    (Misdeed.NO_STATUS_OF_INPUT, "rogue at t = 0.5 s: fmi2SetReal returned status -5: it logged nothing"),
 ]
 
 
@@ -82,10 +85,19 @@ def test_what_an_fmu_refuses_ends_the_run_and_keeps_the_record(
     assert not list(temporary.iterdir())
 
 
-def test_a_state_that_is_refused_ends_the_run(linear: Build, rogue: Build, compiled: bool) -> None:
+@pytest.mark.parametrize(
+    ("misdeed", "complaint"),
+    [
+        (Misdeed.REFUSE_STATE, "error: the state is not given away"),
+        (Misdeed.NO_STATUS_OF_STATE, "status -5: it logged nothing"),
+    ],
+)
+def test_a_state_that_is_refused_ends_the_run(
+    linear: Build, rogue: Build, compiled: bool, misdeed: Misdeed, complaint: str
+) -> None:
     """A state is saved at each change of a parameter; when else, depends on how fast the steps are."""
-    message = "rogue at t = 0.5 s: fmi2GetFMUstate returned error: the state is not given away"
-    experiment = replace(doing(Misdeed.REFUSE_STATE), events=(Event(0.5, {"lag.a": -1.0}),))
+    message = f"rogue at t = 0.5 s: fmi2GetFMUstate returned {complaint}"
+    experiment = replace(doing(misdeed), events=(Event(0.5, {"lag.a": -1.0}),))
     recording = failure(pair(linear, rogue), experiment, compiled, message)
     assert len(recording.time) == 5
 

@@ -104,6 +104,13 @@ def test_what_was_done_before_an_interrupt_is_not_run_again(vehicle: Plan, tmp_p
     assert path.read_bytes() == swept(vehicle, tmp_path / "once", 1)[0]
 
 
+def test_a_row_names_the_fmus_that_warned_in_its_sample_alone(planned: Make, tmp_path: Path) -> None:
+    made = planned('[sweep.vary."r.misdeed"]\nvalues = ["none", "warning", "none", "error"]\n')
+    rows = table.read(sweep(made, tmp_path, local(1)))[0]
+    assert rows["warned"].to_pylist() == [None, "r", None, None]
+    assert table.names(rows.schema, "warned") == ["warned"]
+
+
 @pytest.mark.cluster
 @pytest.mark.parametrize("lines", ["", "timeout = 60\n"])
 def test_foreign_fmus_and_samples_with_a_timeout_have_a_process(

@@ -45,12 +45,15 @@ def test_the_table_is_sorted_and_says_what_its_columns_are(planned: Make, tmp_pa
     opened.finish()
     rows, about = table.read(out / "mine.sweep.parquet")
     assert rows.to_pylist() == [
-        {"sample": i, "r.u": float(i), "r.misdeed": "none", "mean": 10.0 * i, "effort": 1.0, "error": None}
+        {
+            "sample": i, "r.u": float(i), "r.misdeed": "none", "mean": 10.0 * i, "effort": 1.0,
+            "warned": None, "error": None,
+        }
         for i in range(4)
     ] + [
         {
             "sample": 4, "r.u": 4.0, "r.misdeed": "none", "mean": None, "effort": None,
-            "error": "the rudder is stuck",
+            "warned": None, "error": "the rudder is stuck",
         }
     ]  # fmt: skip
     assert table.names(rows.schema, "varied") == ["r.u", "r.misdeed"]
