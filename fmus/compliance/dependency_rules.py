@@ -23,6 +23,8 @@ _MOST_KNOWNS = 100
 _MOST_TESTED = 40  # knowns without an effect at the start values, each of which costs two instances a point
 _PARTS = (0.05, 0.1, 0.3, 1.0)  # of the other knowns that are changed: many FMUs refuse most sets
 _MOST_SWITCHED = 20  # items of parameters that choose something
+# random values of a known that must be accepted: of a Real that takes whole numbers alone hardly one is
+_MOST_DRAWN = 3
 _NOISE = 1e-9  # relative: an iteration may stop elsewhere
 _CLOSE, _SHARE = 1e-6, 0.1  # of a change: two values that are as close give changes that are as equal
 Point = list[tuple[Variable, Any]]
@@ -124,9 +126,10 @@ def dependencies_on_time_are_declared(probe: Probe) -> Iterator[str]:
 def initial_dependencies_exist(probe: Probe) -> Iterator[str]:
     """A continuous initial unknown that lists Real inputs changes with one of them somewhere."""
     knowns, chance = settable_in_initialization(probe.fmu), random.Random(0)
-    pairs = other_values(knowns)
-    taken = {v.index for v, _ in accepted(probe, pairs, lambda: probe.script().initialise())}
-    refused = {v.index for v, _ in pairs} - taken
+    anywhere = [(v, random_value(v, random.Random(i))) for v in knowns for i in range(_MOST_DRAWN)]
+    pairs = [*other_values(knowns), *((v, x) for v, x in anywhere if x is not None)]
+    taken = {(v.index, x) for v, x in accepted(probe, pairs, lambda: probe.script().initialise())}
+    refused = {v.index for v, x in pairs if (v.index, x) not in taken}
     knowns = [known for known in knowns if known.index not in refused]
     real = {known.index for known in knowns if known.kind == "Real" and known.causality == "input"}
     numbers = _finite(probe)

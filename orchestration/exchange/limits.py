@@ -28,7 +28,7 @@ def check_plain_exchange(experiment: Experiment, target: str) -> None:
         f"algorithm {experiment.algorithm}": experiment.algorithm is not Algorithm.JACOBI,
         "extrapolation": experiment.extrapolation,
         "step sizes of components": experiment.step_sizes,
-        "a tolerance": experiment.tolerance,
+        "a tolerance": experiment.tolerance or experiment.fmu_tolerance,
         "events": experiment.events,
         "faults": experiment.faults,
     }

@@ -143,7 +143,8 @@ def _unit_modifier(scalars: list[ScalarVariable]) -> list[str]:
 
 
 def identifier(description: ModelDescription) -> str:
-    """The name of the FMU's library, which is that of its block; ScenarioError without co-simulation."""
-    if description.coSimulation is None:
-        raise ScenarioError(f"{description.modelName}: expected an FMU for co-simulation")
-    return str(description.coSimulation.modelIdentifier)
+    """Returns the name of the FMU's library, which is that of its block; ScenarioError if it is no name."""
+    name = description.coSimulation.modelIdentifier if description.coSimulation else ""
+    if not (name.isascii() and name.isidentifier()):
+        raise ScenarioError(f"{description.modelName}: modelIdentifier {name!r}: expected a C identifier")
+    return name

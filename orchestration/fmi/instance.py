@@ -107,11 +107,11 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         (value,) = self.get_values(TRANSFER_TYPE[variable.type], [variable.valueReference])
         return (value or b"").decode("utf-8", "replace") if variable.type == "String" else value
 
-    def initialise(self, start_time: float, stop_time: float | None) -> None:
-        """Set the experiment up and enter initialization mode."""
+    def initialise(self, start_time: float, stop_time: float | None, tolerance: float | None = None) -> None:
+        """Set the experiment up and enter initialization mode; tolerance: relative, of its solver."""
         self.time = start_time
         self.is_fresh = False
-        self.set_up_experiment(start_time, stop_time)
+        self.set_up_experiment(start_time, stop_time, tolerance)
         self.enter_initialization_mode()
 
     def exit_initialization_mode(self) -> None:

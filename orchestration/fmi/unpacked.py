@@ -70,14 +70,16 @@ def _library(path: Path, description: ModelDescription, folder: Path) -> Library
     interface = description.coSimulation
     with zipfile.ZipFile(path) as archive:
         names = archive.namelist()
-    member = library_member(names, str(interface.modelIdentifier) if interface else "")
+    identifier = interface.modelIdentifier if interface else ""
+    member = library_member(names, identifier)
     if member is None:
-        folders = {name.split("/")[1] for name in names if name.startswith("binaries/") and name[-1] != "/"}
+        prefix = f"binaries/{platform_name()}/"
+        here = [name for name in names if name.startswith(prefix) and name != prefix]
+        others = {name.split("/")[1] for name in names if name.startswith("binaries/") and name[-1] != "/"}
         sources = ["C sources"] if any(name.startswith("sources/") for name in names) else []
-        available = [*sources, *sorted(folders)]
-        raise FmuLoadError(
-            f"{path} has no binary for {platform_name()}: it has {', '.join(available) or 'none'}"
-        )
+        available = ", ".join(here or [*sources, *sorted(others)]) or "none"
+        named = f" called {identifier}, its modelIdentifier" if here else ""
+        raise FmuLoadError(f"{path} has no binary for {platform_name()}{named}: it has {available}")
     needed = [name for name in names if name == member or name.startswith("resources/")]
     extract_archive(path, folder, needed if is_independent(description) else None)
     return Library(folder / member)

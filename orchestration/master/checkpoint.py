@@ -156,6 +156,8 @@ def _past(run: RunInProgress, position: int) -> dict[str, str]:
     faults = wiring.faults
     periods, modes = (array.tobytes() for array in (wiring.periods, wiring.connections.input_mode))
     settings = [(port.name, value) for port, value in prepared.settings]
+    experiment = prepared.experiment
+    of_fmus = [experiment.fmu_tolerance] if experiment.fmu_tolerance else []
     changes = [
         (index, port.name, value)
         for index, values in sorted(prepared.changes.items())
@@ -164,7 +166,8 @@ def _past(run: RunInProgress, position: int) -> dict[str, str]:
     ]
     parts: dict[str, list[object]] = {
         "the FMUs": [(name, d.guid) for name, d in prepared.system.descriptions.items()],
-        "the algorithm": [wiring.gauss_seidel, periods, modes, prepared.experiment.tolerance],
+        # without a tolerance of the FMUs as in checkpoints from before there was one
+        "the algorithm": [wiring.gauss_seidel, periods, modes, experiment.tolerance, *of_fmus],
         "the communication points": [wiring.points[:until].tobytes()],
         "the connections": [*run.wired.bus.connections, sorted(prepared.system.transformations.items())],
         "the record": list(prepared.recorded),

@@ -59,7 +59,7 @@ def initialise(
     for name, instance in instances.items():
         instance.set_all(sorted_settings[name, False])
     for instance in instances.values():
-        instance.initialise(experiment.start_time, experiment.stop_time)
+        instance.initialise(experiment.start_time, experiment.stop_time, experiment.fmu_tolerance)
     for name, instance in instances.items():
         instance.set_all(sorted_settings[name, True])
     solve_initial_values(groups, instances, Initialisation(experiment.initialisation))

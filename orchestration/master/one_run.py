@@ -42,6 +42,7 @@ def simulate(
     extrapolation: int = 0,
     step_sizes: Mapping[str, float] = {},
     tolerance: float | None = None,
+    fmu_tolerance: float | None = None,
     initialisation: InitialisationName = "automatic",
     faults: Sequence[Fault] = (),
     open_inputs: OpenInputsName = "error",

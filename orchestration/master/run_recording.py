@@ -54,6 +54,7 @@ def _provenance(prepared: PreparedRun) -> dict[str, Any]:
         "communication_step_size_s": experiment.step_size,
         "extrapolation": experiment.extrapolation,
         **({"tolerance": experiment.tolerance} if experiment.tolerance else {}),
+        **({"fmu_tolerance": experiment.fmu_tolerance} if experiment.fmu_tolerance else {}),
         **({"step_sizes_s": dict(experiment.step_sizes)} if experiment.step_sizes else {}),
         **({"open_inputs": open_inputs} if open_inputs else {}),
         **({"faults": [repr(fault) for fault in experiment.faults]} if experiment.faults else {}),

@@ -93,6 +93,8 @@ class ExperimentTable(Table):
     """Order, 0 or 1, in which inputs are carried on between communication points."""
     tolerance: float = _OPTIONAL
     """Of the error that exchanging at steps brings; steps are then as short as that needs."""
+    fmu_tolerance: float = _OPTIONAL
+    """Relative, handed to the FMUs for their solvers; without it they use their own."""
     initialisation: Annotated[Initialisation, Strict(False)] = _OPTIONAL
     """How loops of initial values are solved."""
     open_inputs: Annotated[OpenInputs, Strict(False)] = _OPTIONAL

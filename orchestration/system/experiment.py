@@ -68,6 +68,7 @@ class Experiment:
     extrapolation: order, 0 or 1, of the input extrapolation between communication points
     step_sizes: component -> its own step size [s], a multiple of `step_size`
     tolerance: of the error caused by exchanging at communication points only; the master then varies the step
+    fmu_tolerance: handed to the FMUs, relative, for their solvers; without it they use their own
     initialisation: how algebraic loops of initial values are solved
     faults: on inputs that a connection or a signal drives; several faults on one input act in their order
     open_inputs: inputs that nothing drives are an error, or keep their FMU's start value
@@ -88,6 +89,7 @@ class Experiment:
     extrapolation: int = 0
     step_sizes: Mapping[str, float] = field(default_factory=dict)
     tolerance: float | None = None
+    fmu_tolerance: float | None = None
     initialisation: InitialisationName = Initialisation.AUTOMATIC
     faults: Sequence[Fault] = ()
     open_inputs: OpenInputsName = OpenInputs.ERROR
@@ -169,8 +171,10 @@ def _check_times(experiment: Experiment) -> None:
 def _check_options(experiment: Experiment) -> None:
     order, tolerance = experiment.extrapolation, experiment.tolerance
     _expect(order in (0, 1), f"extrapolation = {order!r}: expected order 0 or 1")
+    for name, value in (("tolerance", tolerance), ("fmu_tolerance", experiment.fmu_tolerance)):
+        fits = value is None or 0.0 < value < 1.0
+        _expect(fits, f"{name} = {value!r}: expected more than 0, less than 1")
     if tolerance is not None:
-        _expect(0.0 < tolerance < 1.0, f"tolerance = {tolerance!r}: expected more than 0, less than 1")
         _expect(not experiment.step_sizes, "tolerance and step_sizes: expected one of them")
     for name, size in experiment.step_sizes.items():
         expected = f"expected a multiple of the communication step size, {experiment.step_size!r} s"

@@ -93,6 +93,12 @@ def test_it_breaks_no_rule_of_fmi(reals: Path) -> None:
     assert not {result.rule.name: result.messages for result in examine(reals) if result.messages}
 
 
+def test_an_initial_value_that_whole_numbers_do_not_move_gets_no_advice(tmp_path: Path) -> None:
+    """Its inputs have an effect only beside another start value; random ones of whole numbers are refused."""
+    plant = catalogue.build_block(catalogue.load_block("RovDepthPlant"), tmp_path, reals_only=True)
+    assert not {result.rule.name: result.messages for result in examine(plant) if result.messages}
+
+
 def test_a_python_fmu_of_reals_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ExportError, match="expected the native flavour"):
         catalogue.build_block(ITEMS, tmp_path, Flavour.PYTHON, reals_only=True)

@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 import sys
+import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -142,6 +143,18 @@ def test_inspect_prints_json_for_programs(command: Command, built: Mapping[str, 
     assert (gain["causality"], gain["type"]) == ("parameter", "Real")
     assert float(gain["start"]) > 0.0
     assert set(gain) == {"name", "causality", "type", "unit", "start", "permitted", "description"}
+
+
+def test_inspect_shows_an_fmu_for_model_exchange_alone_which_no_run_takes(
+    command: Command, refused: Command, built: Mapping[str, Path], tmp_path: Path
+) -> None:
+    path = tmp_path / "exchange.fmu"
+    with zipfile.ZipFile(built["ExamplePlant"]) as source, zipfile.ZipFile(path, "w") as target:
+        description = source.read("modelDescription.xml").replace(b"CoSimulation", b"ModelExchange")
+        target.writestr("modelDescription.xml", description)
+    expected = command("inspect", built["ExamplePlant"]).stdout
+    assert command("inspect", path).stdout == expected
+    assert "is for model exchange alone" in refused("run", "nominal-l1", "--set", f"plant={path}")
 
 
 @pytest.mark.parametrize(

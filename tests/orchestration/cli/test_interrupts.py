@@ -25,7 +25,7 @@ AT_WORK = {
     "new pid": "fmus.new_block.write_new_block",
     "build ExamplePlant --out out": "fmus.catalogue.build_orders",
     "check {fmu}": "fmus.compliance.check.check",
-    "inspect {fmu}": "orchestration.fmi.description.describe",
+    "inspect {fmu}": "orchestration.fmi.description.describe_any",
     "scenarios": "orchestration.scenarios.scenario.load",
     "run nominal-l1 --out .": "orchestration.system.prepared_again.prepare_checked",
     "sweep monte-carlo": "orchestration.sweep.run.sweep",
@@ -40,6 +40,14 @@ AT_WORK = {
     "package nominal-l1": "orchestration.exchange.ssp_write.ramp_sources",
     "export modelica": "orchestration.exchange.modelica.texts",
 }
+
+
+@pytest.fixture(autouse=True)
+def _not_ignored() -> Iterator[None]:
+    """No SIGHUP is ignored by what a test starts, also where `nohup` started the tests, which goes on."""
+    before = signal.signal(signal.SIGHUP, lambda *_: None)
+    yield
+    signal.signal(signal.SIGHUP, before)
 
 
 @pytest.fixture

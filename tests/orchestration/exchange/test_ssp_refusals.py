@@ -15,10 +15,17 @@ from orchestration.master import simulate
 from orchestration.scenarios import scenario
 
 
-def test_a_scenario_with_events_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("lines", "what"),
+    [
+        ('[[events]]\ntime = 1.0\nset = {"plant.roll" = 0.1}', "events"),
+        ("[experiment]\nfmu_tolerance = 1e-6", "a tolerance"),
+    ],
+)
+def test_a_scenario_with_what_a_package_cannot_hold_is_refused(tmp_path: Path, lines: str, what: str) -> None:
     path = tmp_path / "mine.toml"
-    path.write_text('base = "nominal-l1"\n[[events]]\ntime = 1.0\nset = {"plant.roll" = 0.1}\n')
-    with pytest.raises(ScenarioError, match="mine with events: expected none"):
+    path.write_text(f'base = "nominal-l1"\n{lines}\n')
+    with pytest.raises(ScenarioError, match=f"mine with {what}: expected none"):
         ssp_write.package(scenario.load(path), tmp_path / "mine.ssp", build_ramp_source)
 
 

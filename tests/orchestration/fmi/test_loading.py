@@ -66,17 +66,35 @@ def test_a_library_that_lacks_functions_is_refused(linear: Build, tmp_path: Path
         FmuInstance("one", tmp_path / "no.fmu", describe(linear()))
 
 
-@pytest.mark.parametrize("identifier", ["../../evil", "/tmp/evil", "evil.so", "", "1st"])
-def test_a_model_identifier_that_is_no_c_identifier_is_refused(
+@pytest.mark.parametrize("identifier", ["../../evil", "/tmp/evil", r"..\\\\evil", "c:evil", "..", ""])
+def test_a_model_identifier_that_leads_out_of_the_archive_is_refused(
     linear: Build, tmp_path: Path, identifier: str
 ) -> None:
     fmu = changed(
         linear(), tmp_path / "evil.fmu", 'modelIdentifier="[^"]*"', f'modelIdentifier="{identifier}"'
     )
+    with pytest.raises(FmuLoadError, match=r"evil.fmu: modelIdentifier '.*': expected a C identifier"):
+        simulate(System({"one": fmu}), inputs={"one.u[1]": 0.0}, stop_time=1.0)
+
+
+@pytest.mark.parametrize("identifier", ["my-model", "1st", "a.b", "Größe 1"])
+def test_a_model_identifier_that_is_no_c_identifier_runs(
+    linear: Build, tmp_path: Path, identifier: str
+) -> None:
+    fmu = changed(
+        linear(), tmp_path / "odd.fmu", 'modelIdentifier="[^"]*"', f'modelIdentifier="{identifier}"'
+    )
     with pytest.raises(
-        FmuLoadError, match=rf"modelIdentifier {re.escape(repr(identifier))}: expected a C id"
+        FmuLoadError,
+        match=f"for linux64 called {identifier}, its modelIdentifier: it has binaries/linux64/linear.so",
     ):
         simulate(System({"one": fmu}), inputs={"one.u[1]": 0.0}, stop_time=1.0)
+    with zipfile.ZipFile(fmu) as source, zipfile.ZipFile(tmp_path / "named.fmu", "w") as target:
+        for member in source.namelist():
+            target.writestr(member.replace("linear.so", f"{identifier}.so"), source.read(member))
+    run = {"inputs": {"one.u[1]": 0.0}, "stop_time": 1.0, "step_size": 0.1}
+    expected = simulate(System({"one": linear()}), **run)
+    assert np.array_equal(simulate(System({"one": tmp_path / "named.fmu"}), **run).values, expected.values)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from orchestration.errors import FmuWarning
+from orchestration.errors import FmuWarning, SystemDefinitionError
 from orchestration.master import simulate
 from orchestration.results.recording import Recording
 from orchestration.system.experiment import Experiment
@@ -85,3 +85,16 @@ def test_an_exact_solver_meets_the_tolerance_in_as_many_steps_as_the_exchange_ne
     assert steps == pytest.approx(STEPS[tolerance][1], rel=_OF_ANOTHER_COMPILER)
     assert "solver_error" not in run.provenance
     assert largest_error(run) <= tolerance
+
+
+def test_a_tolerance_is_handed_to_the_fmus(motor: Build, linear: Build) -> None:
+    """A motor whose solver takes it gives what one does that was built with it."""
+    experiment = Experiment(0.05, 0.01)
+    rough, fine = (simulate(loop(motor, linear, x), experiment) for x in (1e-2, 1e-6))
+    given = simulate(loop(motor, linear, 1e-2), stop_time=0.05, step_size=0.01, fmu_tolerance=1e-6)
+    assert np.array_equal(given.values, fine.values)
+    assert not np.array_equal(given.values, rough.values)
+    assert given.provenance["fmu_tolerance"] == 1e-6
+    assert "fmu_tolerance" not in rough.provenance
+    with pytest.raises(SystemDefinitionError, match=r"fmu_tolerance = 0\.0: expected more than 0, less"):
+        Experiment(0.05, 0.01, fmu_tolerance=0.0)

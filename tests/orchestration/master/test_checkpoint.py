@@ -107,6 +107,7 @@ def test_the_future_may_be_longer(linear: Build, tmp_path: Path) -> None:
         ({"parameters": {"one.initial_state": 2.0}}, "parameters, inputs and events"),
         ({"algorithm": Algorithm.GAUSS_SEIDEL}, "the algorithm"),
         ({"tolerance": 1e-3}, "the algorithm"),
+        ({"fmu_tolerance": 1e-3}, "the algorithm"),
         ({"step_size": 0.02}, "the communication points, the signals, the faults"),
         ({"record": ("one.y[1]",)}, "the record"),
         ({"signals": {"one.u[1]": Cosine(2.0, 1.0)}}, "the signals"),

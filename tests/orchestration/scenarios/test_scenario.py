@@ -36,11 +36,14 @@ def test_a_minimal_scenario(tmp_path: Path) -> None:
     assert loaded.system.components["p"].name == "ExamplePlant.fmu"
 
 
-def test_faults_and_the_initialisation_are_taken_over(tmp_path: Path) -> None:
-    text = MINIMAL.replace("step_size = 0.1", 'step_size = 0.1\ninitialisation = "newton"')
+def test_faults_the_initialisation_and_the_tolerance_of_fmus_are_taken_over(tmp_path: Path) -> None:
+    text = MINIMAL.replace(
+        "step_size = 0.1", 'step_size = 0.1\ninitialisation = "newton"\nfmu_tolerance = 1e-6'
+    )
     fault = '[[faults]]\ninput = "p.control"\nkind = "delay"\ndelay = 0.2\nend = 0.5\n'
     loaded = scenario.load(write(tmp_path, text + fault))
     assert loaded.experiment.initialisation is Initialisation.NEWTON
+    assert loaded.experiment.fmu_tolerance == 1e-6
     assert loaded.experiment.faults == (Fault("p.control", Delay(0.2), end=0.5),)
 
 
