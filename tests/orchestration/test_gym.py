@@ -231,6 +231,18 @@ def test_a_vector_holds_the_environments_of_its_seeds(task: Task) -> None:
     assert envs.observation_space.contains(steps[5][0])
 
 
+def test_a_reset_after_the_end_begins_episodes_that_the_next_step_does_not_begin_again(task: Task) -> None:
+    with closing(FmuVectorEnv(task, 2)) as envs:
+
+        def begin() -> list[np.ndarray]:
+            return [envs.reset(seed=1)[0], *envs.step(np.ones((2, 1)))[:2]]
+
+        first = begin()
+        while not envs.step(np.ones((2, 1)))[3].all():
+            pass
+        assert all(map(np.array_equal, begin(), first))
+
+
 def test_seeds_of_a_vector_may_be_numbers_of_numpy(task: Task) -> None:
     seeds: list[Any] = [3, np.int64(3), np.array([3, 4])]
     with closing(FmuVectorEnv(task, 2)) as envs:

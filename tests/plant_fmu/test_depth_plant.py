@@ -67,6 +67,17 @@ def test_thrusters_that_draw_air_push_less(driver: Any) -> None:
     assert plant["heave_velocity"] == pytest.approx((1.0 - 1.2) / 1e6 * 0.02, rel=1e-6)
 
 
+def test_within_a_step_ventilation_follows_the_depth(driver: Any) -> None:
+    """A constant force F in proportion to the depth of the propellers: d = d_0 cosh(sqrt(F / (M d_f)) t)."""
+    ideal = {"inertia": 1.0, "linear_damping": 0.0, "quadratic_damping": 0.0, "net_weight": 0.0}
+    fast = {"free_surface": False, "thruster_lag[1]": 0.0, "thruster_lag[2]": 0.0}
+    steps = {"internal_step": 0.25, "sensor_period": 0.25}
+    air = {"thruster_depth": 0.1, "thruster_full_depth": 0.5, "voltage[1]": 4.0, "voltage[2]": 4.0}
+    plant = driver(PLANT, **ideal, **fast, **steps, **air).begin().step(0.25)
+    # 2 N, 1 kg and 0.5 m: 0.5 rad in a step; a step of fourth order leaves 0.5^6 / 720 = 2.2e-5 of d
+    assert 0.1 + plant["depth"] == pytest.approx(0.1 * np.cosh(0.5), rel=2.5e-5)
+
+
 def test_the_sensor_has_the_noise_bias_and_seed_that_were_set(driver: Any) -> None:
     fine: dict[str, Any] = {"sensor_resolution": 0.0, "sensor_noise": 0.01, "sensor_bias": 0.3}
     errors = readings(driver, **fine)

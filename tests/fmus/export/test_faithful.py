@@ -8,7 +8,7 @@ import random
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from enum import IntEnum
 from itertools import count
@@ -296,6 +296,27 @@ ACCEPTED: list[Rule] = [
 @pytest.mark.parametrize("rule", ACCEPTED, ids=range(len(ACCEPTED)))
 def test_a_faithful_block_is_accepted(rule: Rule) -> None:
     check_faithful(block_of(rule))
+
+
+@dataclass(frozen=True)
+class ThreeInputs:
+    u: float = variable(1.0, "Input")
+    v: float = variable(1.0, "Input")
+    w: float = variable(1.0, "Input")
+
+
+@pytest.mark.parametrize("name", ["u", "v", "w"])
+def test_a_division_by_zero_where_one_input_is_0_at_the_start_is_refused(name: str) -> None:
+    """At no other point: other inputs have their start values, which random points hardly meet."""
+
+    def step(t: float, h: float, state: State, inputs: ThreeInputs, p: Parameters, c: object) -> State:
+        away = [x - (other != name) for other, x in vars(inputs).items()]
+        square = sum(x * x for x in away) + t * t
+        return State(numerics.where(square == 0.0, 0.0, state.x / square))
+
+    block = replace(block_of(branch), inputs=ThreeInputs, step=step)
+    with pytest.raises(ExportError, match=r"ZeroDivisionError.*state\.x / square, where compiled code gives"):
+        check_faithful(block)
 
 
 @pytest.mark.parametrize("name", catalogue.block_names())

@@ -1,17 +1,22 @@
 """Each instance of an ensemble has the bits of its own run; what an ensemble cannot run is refused."""
 
+import math
 import os
 import re
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from fmus.block import Block, variable
 from fmus.errors import ExportError
+from fmus.export import native
+from fmus.files import write_archive
+from fmus.numerics import exp
 from fmus.platforms import instruction_sets
 from orchestration import Ensemble, Event, Experiment, Fault, Offset, Ramps, Simulator, System
 from orchestration.errors import EnsembleError, OrchestrationError, SimulationError, SystemDefinitionError
@@ -183,6 +188,66 @@ def test_an_instance_that_cannot_begin_is_named_and_disturbs_no_other(system: Sy
     assert "net_weight" in recorded.failures[1]
     assert np.isnan(recorded["plant.depth"][:, 1]).all()
     assert len(recorded.recording(1).time) == 0
+
+
+@dataclass(frozen=True)
+class Growth:
+    a: float = variable(1.0, "Growth in a step")
+
+
+@dataclass(frozen=True)
+class Limited:
+    u: float = variable(0.0, "Input with a range", max=5.0)
+
+
+@dataclass(frozen=True)
+class Steps:
+    count: float = 0.0
+
+
+@dataclass(frozen=True)
+class Exponential:
+    y: float = variable(1.0, "exp(a count)")
+
+
+GROWING = Block(
+    "Growing",
+    "An output that soon is infinite, of a state that is not",
+    parameters=Growth,
+    inputs=Limited,
+    state=Steps,
+    outputs=Exponential,
+    step=lambda t, h, state, u, p, c: Steps(state.count + 1.0),
+    output=lambda t, state, p, c: Exponential(exp(p.a * state.count)),
+    step_size=0.1,
+)
+
+
+@pytest.fixture(scope="module")
+def growing(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("growing") / "Growing.fmu"
+    _, members = native.content(GROWING)
+    write_archive(path, members | native.libraries(GROWING.name, members, ()))
+    return path
+
+
+def test_an_instance_whose_output_becomes_infinite_fails_though_its_state_is_finite(growing: Path) -> None:
+    """exp(300 n) from n = 3 on."""
+    experiment = Experiment(0.5, 0.1, open_inputs="start")
+    recorded = failed(System({"one": growing}), experiment, {"one.a": [1.0, 300.0, -0.5]})
+    assert recorded.counts.tolist() == [6, 3, 6]
+
+
+def test_the_range_of_an_input_is_that_of_values_it_is_given_not_of_the_last_point(growing: Path) -> None:
+    """5.5 at 0.5 s, where nothing is set any more; and where it is, it ends the instance."""
+    system = System({"one": growing, "two": growing}, [("one.y", "two.u")])
+    beyond = {"one.a": [math.log(5.5) / 5.0, 0.1]}
+    experiment = Experiment(0.5, 0.1, open_inputs="start")
+    assert_same_bits(system, experiment, beyond)
+    with Ensemble(system) as ensemble:
+        longer = ensemble.run(replace(experiment, stop_time=0.6), beyond)
+    assert [*longer.failures] == [0]
+    assert longer.counts.tolist() == [6, 7]
 
 
 def test_an_initial_value_beyond_all_numbers_ends_one_instance_without_a_warning(system: System) -> None:

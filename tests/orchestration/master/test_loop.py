@@ -165,3 +165,12 @@ def test_all_loops_name_the_function_of_a_call_that_fails(linear: Build) -> None
     fast, slow, shared = in_each_way(system, Experiment(1.0, 0.1, inputs=inputs))
     assert str(fast) == str(slow) == str(shared)
     assert "refusing at t = 0.5 s: fmi2SetBoolean returned discard: no Boolean is taken any more" in str(fast)
+
+
+def test_all_loops_exchange_what_a_slow_component_gives_at_the_last_point(linear: Build) -> None:
+    """Its last step is a shorter one: the last point is none of its own."""
+    system = System(dict.fromkeys(("one", "two"), linear()), (("one.y[1]", "two.u[1]"),))
+    record = ("one.y[1]", "two.u[1]")
+    experiment = Experiment(1.0, 0.1, inputs={"one.u[1]": 0.0}, step_sizes={"one": 0.3}, record=record)
+    for run in in_each_way(system, experiment):
+        assert run["two.u[1]"][-1] == run["one.y[1]"][-1] < run["one.y[1]"][-2]

@@ -1,12 +1,18 @@
 """The cache of rows: the rows that were used last stay, and no others."""
 
+import hashlib
 import os
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from orchestration.study import score_cache
+from orchestration.study.loop import Loop
+from orchestration.study.protocol import read_protocol
 from orchestration.study.score_document import Row
+from orchestration.study.tuned_gains import tuned
 
 
 def row(name: str) -> Row:
@@ -27,3 +33,23 @@ def test_rows_whose_last_use_is_longest_ago_are_removed(
     score_cache.write("new", row("new"), {})
     assert {path.stem for path in tmp_path.glob("*.json")} == {"used again", "recent", "new"}
     assert score_cache.read("forgotten") is None
+
+
+def test_a_row_with_plants_or_other_parameters_is_another_one(small_protocol: Callable[..., Path]) -> None:
+    protocol = read_protocol(small_protocol())
+    controller = tuned(protocol, "l1-pi")
+    with Loop(controller, protocol) as loop:
+        keys = {
+            score_cache.key(one, loop, full)
+            for one in (controller, replace(controller, parameters={}))
+            for full in (False, True)
+        }
+    assert len(keys) == 4
+
+
+@pytest.mark.parametrize(
+    "source", ["master/loop.c", "master/process_guard.h", "results/metrics.py", "scenarios/base/vehicle.toml"]
+)
+def test_a_row_follows_from_sources_of_every_kind(source: str) -> None:
+    content = (Path(score_cache.__file__).parents[1] / source).read_bytes()
+    assert hashlib.sha256(content).hexdigest() in score_cache._digests_of_sources()

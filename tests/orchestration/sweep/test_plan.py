@@ -1,5 +1,6 @@
 """What a sweep draws and lays out, and what it is told when its table says something wrong."""
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,15 @@ from scipy import stats
 from orchestration.errors import OrchestrationError
 from orchestration.master import simulate
 from orchestration.scenarios import scenario
-from orchestration.sweep.distributions import Distribution, lognormal, loguniform, normal, triangular, uniform
+from orchestration.sweep.distributions import (
+    Distribution,
+    choice,
+    lognormal,
+    loguniform,
+    normal,
+    triangular,
+    uniform,
+)
 from orchestration.sweep.plan import Plan, plan
 from orchestration.system.signals import Constant
 
@@ -92,6 +101,21 @@ def test_draws_are_the_quantiles_of_scipy(made: Distribution, law: Any, ends: tu
     expected = law.ppf(begin + uniforms * (end - begin)).clip(*ends)
     np.testing.assert_allclose(made.quantile(uniforms.tolist()), expected, rtol=1e-13, atol=1e-13 * ends[1])
     assert made.quantile([0.0]) == [ends[0]]
+
+
+@pytest.mark.parametrize(
+    "made", [normal(3.0, 0.5, 2.0, 4.0), lognormal(2.0, 0.4, 1.0), loguniform(3e-4, 2e-3)]
+)
+def test_a_draw_at_the_end_of_its_range_is_not_rounded_beyond_it(made: Distribution) -> None:
+    """Without a limit each of these is: at the least or at the largest number that is drawn."""
+    first, last = made.quantile([0.0, math.nextafter(1.0, 0.0)])
+    assert made.reach[0] <= first < last <= made.reach[1]
+
+
+def test_a_choice_without_weight_is_never_taken_and_each_begins_where_the_one_before_ends() -> None:
+    assert choice(["never", "first", "second", "neither"], [0, 1, 3, 0]).quantile(
+        [0.0, math.nextafter(0.25, 0.0), 0.25, math.nextafter(1.0, 0.0)]
+    ) == ["first", "first", "second", "second"]  # fmt: skip
 
 
 def test_integers_and_choices_come_as_often_as_they_should(planned: Make) -> None:

@@ -64,6 +64,16 @@ def test_the_table_is_sorted_and_says_what_its_columns_are(planned: Make, tmp_pa
     assert [path.name for path in out.iterdir()] == ["mine.sweep.parquet"]
 
 
+def test_other_bytes_of_an_fmu_of_the_same_guid_are_another_sweep(planned: Make, tmp_path: Path) -> None:
+    made, changed = planned(GRID), tmp_path / "changed.fmu"
+    changed.write_bytes(made.checked.components["r"].read_bytes() + b" ")
+    with store(made, tmp_path) as opened:
+        opened.begin()
+    again = replace(made, checked=replace(made.checked, components={"r": changed}))
+    with store(again, tmp_path) as opened, pytest.raises(SweepError, match=r"another sweep \(fmus differ\)"):
+        opened.begin()
+
+
 @pytest.mark.usefixtures("scenario_fmus")
 def test_units_stand_in_the_columns(tmp_path: Path) -> None:
     from orchestration.scenarios import scenario

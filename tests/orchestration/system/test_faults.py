@@ -142,6 +142,16 @@ def test_noise_has_its_deviation_and_differs_by_input_and_seed() -> None:
         assert abs(np.corrcoef(first, other)[0, 1]) < bound
 
 
+def test_a_late_window_of_drop_outs_may_lose_its_first_sample() -> None:
+    """The one before the window holds then; of a run the first sample arrives in any case."""
+
+    def source(**window: float) -> list[int]:
+        return compose([Fault("a.u", DropOut(1.0), **window)], np.arange(7) * 1.0).source[:, 0].tolist()
+
+    assert source(start=3.0, end=5.0) == [0, 1, 2, 2, 2, 5, 6]
+    assert source(end=3.0) == [0, 0, 0, 3, 4, 5, 6]
+
+
 def test_drop_out_loses_its_share() -> None:
     times = np.arange(20_000) * 0.01
     source = compose([Fault("a.u", DropOut(0.3))], times).source[:, 0]
