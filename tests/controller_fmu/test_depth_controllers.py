@@ -44,6 +44,20 @@ def test_the_acceleration_of_the_reference_is_fed_forward_but_by_the_pid(driver:
     assert controller["demanded_force"] == pytest.approx(0.1 * inertia)
 
 
+@pytest.mark.parametrize("block", BLOCKS, ids=named)
+def test_a_run_that_starts_late_has_the_samples_of_one_that_starts_at_0(driver: Any, block: Block) -> None:
+    def rates(start: float) -> list[float]:
+        controller = driver(block, measured_depth=0.1).begin(start)
+        observed = []
+        for i in range(9):
+            controller["measured_depth"] = 0.1 + 0.01 * i
+            observed.append(controller.step(0.02)["estimated_depth_rate"])
+        return observed
+
+    assert rates(100.0) == rates(0.0)
+    assert rates(0.0)[-1] > 0.0
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("block", [b for b in OTHERS if b not in (mrac.BLOCK, adrc.BLOCK)], ids=named)
 def test_integrators_hold_while_they_would_widen_a_saturation(driver: Any, block: Block, sign: float) -> None:

@@ -90,6 +90,18 @@ def test_a_reading_is_as_old_as_the_delay(delay: float) -> None:
     assert delay <= (HISTORY - 1) * sensor.period
 
 
+@pytest.mark.parametrize("periods", range(HISTORY))
+def test_a_delay_of_whole_periods_ends_with_a_communication_step_whatever_the_rounding(periods: int) -> None:
+    """Of 0.02 s, five in a period; the depth is the number of the step."""
+    sensor = replace(SENSOR, period=0.1, delay=0.1 * periods)
+    state, reported = first_sample(sensor, 0.0, 0.0, 1), []
+    for i in range(1, 200):
+        t = 0.1 / 5 * i
+        state = sample_when_due(sensor, state, t, float(i))
+        reported.append(reading(sensor, state, t, float(i)))
+    assert reported == [5.0 * max(i // 5 - periods, 0) for i in range(1, 200)]
+
+
 def test_samples_that_were_missed_are_not_made_up_for() -> None:
     """After a gap of ten periods one sample is taken, and the next half a period later at the earliest."""
     state, period = first_sample(SENSOR, 0.0, 0.0, 1), SENSOR.period

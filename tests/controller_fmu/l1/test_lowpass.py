@@ -48,3 +48,11 @@ def test_tuning_the_bandwidth_does_not_make_u_a_jump() -> None:
         slow = advance(order, 1.0, state, 1e-9, 0.0)
         fast = advance(order, 10.0, state, 1e-9, 0.0)
         assert slow.u_a == pytest.approx(fast.u_a, abs=1e-6)  # what flows in 2 ns
+
+
+def test_the_first_order_leaves_nothing_in_the_states_that_the_third_alone_has() -> None:
+    """A filter that goes over to the third order begins there without a past."""
+    state = FilterState(u_a=2.0, p_1=0.3, p_2=0.1)
+    after = advance(FilterOrder.FIRST, W, state, 0.01, 1.0)
+    assert (after.p_1, after.p_2) == (0.0, 0.0)
+    assert after.u_a < state.u_a

@@ -162,6 +162,17 @@ def test_solve_is_numpys_whatever_the_order_of_the_rows(seed: int) -> None:
     assert n.solve(rows, (1.0, 0.0, 3.0)) == pytest.approx(np.linalg.solve(a, (1.0, 0.0, 3.0)), rel=1e-12)
 
 
+@pytest.mark.parametrize("name", ["cbrt", "sqrt", "sin", "tan", "asin", "atan", "tanh", "erf"])
+def test_minus_0_stays_minus_0_as_in_math(name: str) -> None:
+    x = casadi.SX.sym("x")
+    traced = casadi.Function("f", [x], [getattr(n, name)(x)])
+    assert repr(getattr(n, name)(-0.0)) == repr(float(traced(-0.0))) == "-0.0"
+
+
+def test_solve_takes_a_pivot_from_any_row() -> None:
+    assert n.solve(((0.0, 0.0, 2.0), (0.0, 3.0, 0.0), (4.0, 0.0, 0.0)), (6.0, 6.0, 4.0)) == (1.0, 2.0, 3.0)
+
+
 @pytest.mark.parametrize(
     "alternative", [n.sqrt, lambda x: 1.0 / (x + 1.0), lambda x: n.log(x) * n.power(x, 0.3)]
 )

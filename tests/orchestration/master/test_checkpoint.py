@@ -16,7 +16,7 @@ from orchestration.master.checkpoint import Checkpoint, Checkpoints, read_checkp
 from orchestration.scenarios import scenario
 from orchestration.scenarios.declarations import fault
 from orchestration.system.experiment import Algorithm, Event, Experiment
-from orchestration.system.faults import Delay, Fault, Offset
+from orchestration.system.faults import Delay, Fault, Offset, Scale
 from orchestration.system.signals import Cosine
 from orchestration.system.system import System
 from orchestration.system.transformation import LinearTransformation
@@ -114,6 +114,7 @@ def test_the_future_may_be_longer(linear: Build, tmp_path: Path) -> None:
         ({"events": (Event(0.1, {"one.a": -0.5}),)}, "parameters, inputs and events"),
         ({"faults": (Fault("one.u[1]", Offset(2.0)),)}, "the faults"),
         ({"faults": (Fault("one.u[1]", Delay(0.1)),)}, "the faults"),
+        ({"faults": (Fault("one.u[1]", Scale(2.0)), Fault("one.u[1]", Offset(1.0)))}, "the faults"),
     ],
 )
 def test_another_past_is_refused(linear: Build, tmp_path: Path, change: dict[str, Any], what: str) -> None:

@@ -17,10 +17,12 @@ from orchestration.study.plants import plants
 from orchestration.study.protocol import read_protocol
 from orchestration.study.score import run_count, score
 from orchestration.study.score_document import Row, Score
+from orchestration.study.score_view import of_figure
 from orchestration.study.scored_run import uses_true_rate
 from orchestration.study.table_seeds import table_seeds
 from orchestration.study.tuned_gains import tuned
 from tests.foreign_fmus import Misdeed
+from tests.orchestration.report.made_up_score import made_up_score
 from tests.shared_builds import Build
 
 Written = Callable[..., Path]
@@ -166,3 +168,14 @@ def test_the_document_is_what_its_schema_says_and_reads_back(document: Score) ->
 
 def test_the_shipped_schema_is_that_of_the_types() -> None:
     assert score_document.SCHEMA.read_text(encoding="utf-8") == score_document.schema()
+
+
+def test_a_run_that_failed_is_not_the_best_also_with_the_best_number() -> None:
+    """In its league, of which two are: one run that did not fail has the same number."""
+    document = made_up_score().document
+    best, failed = row(document, "pid").cases["nominal"], row(document, "l1").cases["nominal"]
+    failed.figures["rmse"] = best.figures["rmse"]
+    cells = of_figure(document, "rmse").cells
+    marks = {shown.name: cells[i][0].is_best for i, shown in enumerate(document.rows)}
+    assert failed.failed
+    assert marks == {"mine": False, "pid": True, "l1": False}

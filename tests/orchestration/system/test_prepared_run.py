@@ -46,6 +46,16 @@ def test_events_that_are_not_near_have_points_of_their_own(linear: Build) -> Non
     assert list(prepared.changes) == [3, 4, 5]
 
 
+def test_an_event_after_the_last_point_of_a_slow_component_is_at_the_end(linear: Build) -> None:
+    """Steps of 0.4 s in 1 s: the next of its own points would be at 1.2 s."""
+    event = Event(0.9, {"one.a": -2.0})
+    inputs, slow = {"one.u[1]": 0.0}, {"one": 0.4}
+    prepared = prepare(
+        System({"one": linear()}), Experiment(1.0, 0.1, inputs=inputs, events=[event], step_sizes=slow)
+    )
+    assert list(prepared.changes) == [len(prepared.points) - 1] == [10]
+
+
 def test_a_step_size_longer_than_the_run_is_refused() -> None:
     with pytest.raises(SystemDefinitionError, match=r"step size 2.0 s: expected at most the run, 1 s"):
         Experiment(1.0, 2.0)
