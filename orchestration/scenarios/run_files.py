@@ -51,8 +51,8 @@ def run(
     """Run one scenario and write NAME.csv or .parquet and NAME.json (settings, FMUs, metrics) to `folder`.
 
     progress .. resume: of `simulate`. A run that ends early leaves its recording as NAME.partial.csv or
-    .parquet. The room for the recording is reserved before the run; where it cannot be written all the same,
-    it is in a temporary folder, which the error names.
+    .parquet, which the next run that succeeds removes. The room for the recording is reserved before the
+    run; where it cannot be written all the same, it is in a temporary folder, which the error names.
     """
     file = folder / f"{loaded.name}.{file_format}"
     try:
@@ -68,7 +68,7 @@ def run(
             )
     except SimulationError as error:
         if len(error.recording.time):
-            _write(error.recording, file.with_name(f"{loaded.name}.partial.{file_format}"))
+            _write(error.recording, file.with_suffix(f".partial.{file_format}"))
         raise
     _write(recording, file)
     result = Result(loaded, recording, metrics.evaluate(recording, loaded.metrics))
@@ -79,6 +79,8 @@ def run(
         "metrics": result.metrics_with_units,
     }
     write_json_atomically(folder / f"{loaded.name}.json", document)
+    for ending in RecordingFormat:
+        file.with_suffix(f".partial.{ending}").unlink(missing_ok=True)
     return result
 
 

@@ -89,6 +89,17 @@ def test_a_run_that_fails_keeps_what_was_recorded(
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["short.partial.csv"]
 
 
+def test_a_run_that_succeeds_removes_what_a_failed_one_left_in_any_format(
+    command: Command, short_scenario: Command, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    for name in ("short.partial.csv", "short.partial.parquet", "other.partial.csv"):
+        (out / name).touch()
+    command("run", short_scenario(), "--out", "out", "--formats", "none")
+    assert sorted(path.name for path in out.iterdir()) == ["other.partial.csv", "short.csv", "short.json"]
+
+
 def test_a_recording_that_cannot_be_written_is_kept_elsewhere(
     refused: Command, short_scenario: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
