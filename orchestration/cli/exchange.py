@@ -21,8 +21,10 @@ class Tool(StrEnum):
 def package(
     name: ScenarioArgument,
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write this package; by default SCENARIO.ssp.")
-    ] = None,
+        # a Path would lose the slash at its end
+        str,
+        typer.Option(metavar="FILE", help="Write this package, or SCENARIO.ssp in this folder."),
+    ] = "",
     version: Annotated[SspVersion, typer.Option("--ssp", help="Version of SSP.")] = SspVersion.V1,
     controller: ControllerOption = "",
     settings: SetOption = [],  # noqa: B006  (Typer copies it)
@@ -36,7 +38,8 @@ def package(
 
     changes = Changes.of_options(controller, settings, mapped, open_inputs)
     chosen = chosen_scenario.load(name, changes=changes)
-    path = out or Path(f"{chosen.name}.ssp")
+    is_folder = out.endswith(("/", "\\")) or Path(out).is_dir()
+    path = Path(out, f"{chosen.name}.ssp") if is_folder else Path(out)
     print(ssp_write.package(chosen, path, build_ramp_source, build_started, version))
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from orchestration.cli.exchange import Tool
+from orchestration.exchange import ssp_write
 from orchestration.results.recording import Recording
 
 Command = Callable[..., Any]
@@ -33,6 +34,29 @@ def test_a_scenario_that_cannot_be_expressed_ends_with_one_line(
     message = refused("export", tool, "example-extended", "--out", "here")
     assert message.strip().endswith("which an interpolated table gives; got a cosine")
     assert not (tmp_path / "here").exists()
+
+
+@pytest.mark.parametrize(
+    ("out", "written"),
+    [
+        ((), "short.ssp"),
+        (("--out", "there"), "there/short.ssp"),
+        (("--out", "there/"), "there/short.ssp"),
+        (("--out", "new/"), "new/short.ssp"),
+        (("--out", "new"), "new"),
+    ],
+)
+def test_a_package_is_written_to_a_file_or_into_a_folder(
+    command: Command,
+    short_scenario: Command,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    out: tuple[str, ...],
+    written: str,
+) -> None:
+    monkeypatch.setattr(ssp_write, "package", lambda scenario, path, *rest: path)
+    (tmp_path / "there").mkdir()
+    assert command("package", short_scenario(), *out).stdout == f"{written}\n"
 
 
 @pytest.mark.slow
