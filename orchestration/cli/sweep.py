@@ -112,11 +112,14 @@ def sweep(
                 "the same command continues",
                 INTERRUPTED,
             )
-    print_table(summary_table(*table.read(path)))
+    results, provenance = table.read(path)
+    print_table(summary_table(results, provenance))
     print(*notes, sep="\n", end="\n" * bool(notes))
     print(path)
     if recordings:
         print(path.with_suffix(".recordings"))
+    if not results[table.ERROR].null_count:
+        fail(f"every sample failed, 0 with: {results[table.ERROR][0]}; --sample 0 runs it, --restart all")
 
 
 def _workers(

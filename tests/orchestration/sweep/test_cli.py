@@ -51,6 +51,18 @@ def test_it_writes_a_table_and_prints_a_summary(
     assert set(tmp_path.iterdir()) == before | {tmp_path / "results", tmp_path / "tmp"}
 
 
+def test_a_sweep_without_a_sample_that_succeeds_fails(
+    sweep_file: MakeFile, tmp_path: Path, refused: Callable[..., str]
+) -> None:
+    misdeeds = (
+        '[sweep.vary."r.misdeed"]\nvalues = ["error"]\n[sweep.vary."r.misdeed_time"]\nvalues = [0.1, 0.2]\n'
+    )
+    message = refused("sweep", sweep_file(misdeeds), "--workers", 1)
+    assert "every sample failed, 0 with: r at t = 0.1 s: fmi2DoStep returned error" in message
+    results, _ = table.read(tmp_path / "results" / "mine.sweep.parquet")
+    assert results[table.ERROR].null_count == 0
+
+
 @pytest.mark.cluster
 def test_one_sample_alone_has_the_values_and_metrics_of_its_row(sweep_file: MakeFile, tmp_path: Path) -> None:
     ended(started(tmp_path, sweep_file(), "--workers", 1), tmp_path)
