@@ -15,6 +15,8 @@ from fmus.instance import Instance
 from fmus.numerics import ramps
 
 _MOST_INTERVALS = 400
+# minutes of a build: a step takes Python ten microseconds or more
+_MOST_STEPS = 1e7
 
 
 @dataclass(frozen=True)
@@ -34,11 +36,19 @@ def reference_run(block: Block) -> ReferenceRun:
     """Inputs and outputs of the experiment of a block's guide.
 
     Outputs are those before the inputs of the same time are set, as every master records them; a start
-    value or stimulus outside its range raises BlockError, a stimulus that fits no Real input ExportError.
+    value or stimulus outside its range raises BlockError, a stimulus that fits no Real input or an experiment
+    of too many steps ExportError.
     """
     experiment = block.guide.experiment
     step_size = experiment.step_size or block.step_size
-    count = max(1, round((experiment.stop_time or block.stop_time) / step_size))
+    stop_time = experiment.stop_time or block.stop_time
+    if not stop_time / step_size <= _MOST_STEPS:
+        guide = f"guide=Guide(experiment=Experiment(stop_time={1000 * step_size:g})) from fmus.guide"
+        raise ExportError(
+            f"block {block.name!r}: {stop_time / step_size:.3g} steps of {step_size!r} s to {stop_time!r} s: "
+            f"expected at most {_MOST_STEPS:.0e} of the reference results; shorten stop_time or add {guide}"
+        )
+    count = max(1, round(stop_time / step_size))
     fewest = math.ceil(count / _MOST_INTERVALS)
     every = next(steps for steps in range(fewest, count + 1) if count % steps == 0)
     stimuli = _stimuli(block)

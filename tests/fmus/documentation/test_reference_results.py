@@ -3,6 +3,7 @@
 import csv
 import hashlib
 import io
+import re
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -170,6 +171,19 @@ def of(**experiment: Any) -> Block:
 def test_a_stimulus_that_fits_nothing_is_refused(stimuli: Any, expected: str) -> None:
     with pytest.raises(ExportError, match=expected):
         reference_run(of(stimuli=stimuli))
+
+
+@pytest.mark.parametrize(("stop_time", "steps"), [(1e300, "1e+303"), (1.7e308, "inf"), (10_001.0, "1e+07")])
+def test_an_experiment_that_no_build_finishes_is_refused_until_the_guide_has_a_shorter_one(
+    stop_time: float, steps: str
+) -> None:
+    block = replace(catalogue.load_block("ExamplePlant"), guide=Guide(), stop_time=stop_time, step_size=1e-3)
+    with pytest.raises(ExportError) as refusal:
+        reference_run(block)
+    assert f"{steps} steps of 0.001 s to {stop_time!r} s: expected at most 1e+07" in str(refusal.value)
+    (hint,) = re.findall(r"guide=(Guide\(.*\)) from", str(refusal.value))
+    guide = eval(hint, {"Guide": Guide, "Experiment": Experiment})
+    assert reference_run(replace(block, guide=guide)).stop_time == pytest.approx(1.0)
 
 
 def test_a_stimulus_outside_the_experiment_is_cut_off() -> None:
