@@ -4,9 +4,11 @@ An editable install has no compiled loop and needs no compiler: the first run co
 """
 
 import os
+import stat
 import sys
 import tempfile
 import tomllib
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -34,9 +36,21 @@ def build_wheel(
     os.environ.setdefault("SOURCE_DATE_EPOCH", "315532800")  # 1980, the earliest date that a zip can hold
     with tempfile.TemporaryDirectory() as folder:  # of an earlier build nothing is taken
         build = {"--global-option": ["build", f"--build-base={folder}"]}
-        return build_meta.build_wheel(
+        wheel = build_meta.build_wheel(
             wheel_directory, {**(config_settings or {}), **build}, metadata_directory
         )
+    _set_file_modes(Path(wheel_directory, wheel))
+    return wheel
+
+
+def _set_file_modes(wheel: Path) -> None:
+    """Gives every file in a wheel the same permissions: setuptools takes those that the user's umask gave."""
+    with zipfile.ZipFile(wheel) as archive:
+        members = [(info, archive.read(info)) for info in archive.infolist()]
+    with zipfile.ZipFile(wheel, "w") as archive:
+        for info, content in members:
+            info.external_attr = (stat.S_IFREG | 0o644) << 16
+            archive.writestr(info, content)
 
 
 class BuildWithLoop(build_py):

@@ -36,11 +36,20 @@ def run(command: Sequence[str | Path], cwd: Path, **variables: str) -> str:
     return done.stdout
 
 
-def built(folder: Path, *options: str) -> Path:
-    """The wheel, built in a copy of the sources: a build writes beside them, and two may run at once."""
+def built(folder: Path, *options: str, umask: int = 0o022) -> Path:
+    """The wheel, built in a copy of the sources: a build writes beside them, and two may run at once.
+
+    umask: of the user who checks the sources out and builds
+    """
     unwanted = shutil.ignore_patterns(".git", ".*_cache", "__pycache__", "*.egg-info", "*.fmu")
     sources = shutil.copytree(ROOT, folder / "copy", ignore=unwanted)
-    run([sys.executable, "-m", "build", "--no-isolation", "--outdir", folder, *options, sources], folder)
+    for path in Path(sources).rglob("*"):
+        path.chmod((0o777 if path.is_dir() else 0o666) & ~umask)
+    before = os.umask(umask)
+    try:
+        run([sys.executable, "-m", "build", "--no-isolation", "--outdir", folder, *options, sources], folder)
+    finally:
+        os.umask(before)
     (wheel,) = folder.glob("*.whl")
     return wheel
 
@@ -118,8 +127,10 @@ def test_the_wheel_holds_every_file_and_the_loop_of_five_platforms(wheel: Path) 
         assert loop.startswith(f"orchestration/master/loop-{platform}-")
 
 
-def test_a_wheel_follows_from_its_sources_byte_for_byte(wheel: Path, tmp_path: Path) -> None:
-    assert built(tmp_path, "--wheel").read_bytes() == wheel.read_bytes()
+def test_a_wheel_follows_from_its_sources_byte_for_byte_whatever_the_umask(
+    wheel: Path, tmp_path: Path
+) -> None:
+    assert built(tmp_path, "--wheel", umask=0o077).read_bytes() == wheel.read_bytes()
 
 
 def test_the_wheel_builds_runs_and_reproduces_where_nothing_can_be_written(
