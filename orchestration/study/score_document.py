@@ -24,8 +24,8 @@ Number = Annotated[
 ]
 
 
-class Part(BaseModel):
-    """A part of the document; it has no other keys."""
+class Part(BaseModel, strict=True, validate_assignment=True):
+    """A part of the document; it has no other keys, and no value that the schema refuses."""
 
     model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True, ser_json_inf_nan="null")
 

@@ -7,8 +7,10 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from pydantic import ValidationError
+
 from fmus.lanes import LANES
-from orchestration.errors import EnsembleError
+from orchestration.errors import EnsembleError, ScenarioError
 from orchestration.fmi.description import describe
 from orchestration.master.ensemble_choice import check_ensemble
 from orchestration.study import score_cache
@@ -70,6 +72,12 @@ class Scoring:
         try:
             row, traces = self._run(loop, isolated, scored)
             is_intact = isolated.is_intact  # at another load of the machine, the row may be another
+        except ValidationError as error:
+            mistake = error.errors()[0]
+            raise ScenarioError(
+                f"score of {loop.controller.name}: {mistake['loc'][0]} = {mistake['input']!r}: "
+                f"{mistake['msg'].lower()}, so nothing is written; check the FMU with l1-depth check"
+            ) from error
         finally:
             isolated.close()
         if name and is_intact and not self.closed:

@@ -1,6 +1,7 @@
 """Command score, with a protocol of one case."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 import tomli_w
 
 from orchestration.cli.score_tables import differences_table
+from orchestration.study import score_rows
 from orchestration.study.protocol import read_protocol
 from tests.orchestration.report.made_up_score import made_up_score
 
@@ -40,6 +42,15 @@ def test_score_prints_tables_and_writes_a_document_and_a_page(
     assert row["cases"]["nominal"]["failed"] == []
     assert row["delay_margin"] > 0.0
     assert "not on a real vehicle" in (tmp_path / "results" / "score.html").read_text(encoding="utf-8")
+
+
+def test_a_score_that_its_schema_refuses_is_not_written(
+    refused: Callable[..., str], protocol_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(score_rows, "uses_true_rate", score_rows.microseconds)  # a number, not a truth value
+    message = refused("score", "L1DepthController", "--protocol", protocol_file)
+    assert re.search(r"score of L1DepthController: uses_true_rate = \d\S*: .* valid boolean", message)
+    assert not (tmp_path / "results").exists()
 
 
 def test_the_table_of_differences_says_on_how_many_plants_both_have_a_value() -> None:
