@@ -22,7 +22,7 @@ from orchestration.system.values import value_range
 
 with imports_of("gym", "a Gymnasium environment"):
     import gymnasium
-    from gymnasium.spaces import Box
+    from gymnasium.spaces import Box, Space
     from gymnasium.vector import AutoresetMode, VectorEnv
     from gymnasium.vector.utils import batch_space
 
@@ -61,7 +61,7 @@ class FmuEnv(gymnasium.Env[Array, Array]):
         """One action: (observation, reward, whether an FMU terminated, whether time is up, {"time": s})."""
         simulator, reward = self._episode.simulator, 0.0
         now = simulator.time
-        self._episode.act((self._middle + self._half * _within(action)).tolist())
+        self._episode.act((self._middle + self._half * _within(action, self.action_space)).tolist())
         for _ in range(self._task.steps):
             before, start = self._values, now
             simulator.step()
@@ -97,6 +97,8 @@ class FmuVectorEnv(VectorEnv[Array, Array, Array]):
     metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
     def __init__(self, task: Task, num_envs: int, ensemble: bool | None = None) -> None:
+        if not isinstance(num_envs, int | np.integer) or num_envs < 1:
+            raise SystemDefinitionError(f"num_envs = {num_envs!r}: expected a whole number from 1 on")
         self._task, self.num_envs = task, num_envs
         self.single_observation_space, of_inputs = _spaces(task)
         self.single_action_space = Box(-1.0, 1.0, of_inputs.shape, np.float64)
@@ -113,10 +115,17 @@ class FmuVectorEnv(VectorEnv[Array, Array, Array]):
     def reset(
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """Begin an episode in every environment; environment i has the seed `seed + i`, or `seed[i]`."""
+        """Begins an episode in every environment; environment i has the seed `seed + i`, or `seed[i]`.
+
+        Raises SystemDefinitionError for another number of seeds, and for the option `reset_mask`.
+        """
+        if "reset_mask" in (options or {}):
+            raise SystemDefinitionError("reset_mask: expected none, the next step resets what is done")
         if seed is not None or not self._randoms:
             seeds = range(seed, seed + self.num_envs) if isinstance(seed, int | np.integer) else seed
             seeds = [None] * self.num_envs if seeds is None else seeds
+            if len(seeds) != self.num_envs:
+                raise SystemDefinitionError(f"{len(seeds)} seeds: expected {self.num_envs}")
             self._randoms = [np.random.default_rng(s) for s in seeds]
         self._runs.reset(self._randoms, np.ones(self.num_envs, bool))
         self._done = np.zeros(self.num_envs, bool)
@@ -125,7 +134,7 @@ class FmuVectorEnv(VectorEnv[Array, Array, Array]):
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
         """One action in each environment; those that were done begin an episode, with a reward of 0."""
-        values = self._middle + self._half * _within(actions)
+        values = self._middle + self._half * _within(actions, self.action_space)
         rewards, is_running = np.zeros(self.num_envs), ~self._done
         if self._done.any():
             self._runs.reset(self._randoms, self._done)
@@ -189,8 +198,13 @@ def _middle_and_half(of_inputs: Box) -> tuple[Array, Array]:
     return 0.5 * (of_inputs.low + of_inputs.high), 0.5 * (of_inputs.high - of_inputs.low)
 
 
-def _within(action: Array) -> Array:
-    """The action, or the nearest from -1 to 1; np.clip takes as long as a step."""
+def _within(action: Array, space: Space[Array]) -> Array:
+    """Returns the action, or the nearest from -1 to 1; SystemDefinitionError for one of another shape.
+
+    np.clip takes as long as a step.
+    """
+    if np.shape(action) != space.shape:
+        raise SystemDefinitionError(f"action of shape {np.shape(action)}: expected {space.shape}")
     return np.minimum(np.maximum(action, -1.0), 1.0)
 
 

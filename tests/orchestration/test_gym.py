@@ -294,6 +294,41 @@ def test_an_environment_that_cannot_be_made_is_refused(task: Task, changes: Any,
     assert message in str(refusal.value)
 
 
+@pytest.mark.parametrize("action", [0.5, [[0.5]], [0.5, 0.5], []])
+def test_an_action_of_another_shape_is_refused(env: FmuEnv, action: Any) -> None:
+    env.reset()
+    with pytest.raises(SystemDefinitionError, match=r"action of shape \(.*\): expected \(1,\)"):
+        env.step(action)
+
+
+@pytest.mark.parametrize("actions", [0.5, [0.5], [[0.5]], np.zeros((3, 1)), np.zeros((2, 2))])
+def test_actions_of_a_vector_are_not_stretched_to_its_shape(task: Task, actions: Any) -> None:
+    with closing(FmuVectorEnv(task, 2)) as envs:
+        envs.reset()
+        with pytest.raises(SystemDefinitionError, match=r"action of shape \(.*\): expected \(2, 1\)"):
+            envs.step(actions)
+
+
+@pytest.mark.parametrize("seeds", [[], [1], [1, 2, 3]])
+def test_another_number_of_seeds_than_environments_is_refused(task: Task, seeds: list[int]) -> None:
+    refusal = pytest.raises(SystemDefinitionError, match=f"{len(seeds)} seeds: expected 2")
+    with closing(FmuVectorEnv(task, 2)) as envs, refusal:
+        envs.reset(seed=seeds)
+
+
+def test_environments_cannot_be_reset_one_by_one(task: Task) -> None:
+    with closing(FmuVectorEnv(task, 2)) as envs:
+        with pytest.raises(SystemDefinitionError, match="reset_mask: expected none, the next step resets"):
+            envs.reset(options={"reset_mask": np.array([True, False])})
+        envs.reset(options={"mine": 1})
+
+
+@pytest.mark.parametrize("count", [0, -1, 2.0, "2"])
+def test_a_vector_of_no_environment_is_refused(task: Task, count: Any) -> None:
+    with pytest.raises(SystemDefinitionError, match=r"num_envs = .*: expected a whole number from 1 on"):
+        FmuVectorEnv(task, count)
+
+
 def test_an_action_of_another_type_than_real_is_refused(linear: Build, task: Task) -> None:
     system = System({"plant": linear(passes_discrete=True)})
     discrete = replace(
