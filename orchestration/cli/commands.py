@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from fmus.errors import ExportError, MissingExtraError
-from orchestration.cli.interrupts import INTERRUPTED
+from orchestration.cli.interrupts import INTERRUPTED, is_interrupted
 from orchestration.cli.shared import fail
 from orchestration.errors import OrchestrationError
 
@@ -74,6 +74,8 @@ def run_command(arguments: Sequence[str]) -> int:
     except Exception as error:
         if hasattr(error, "format_message"):  # a usage error, of Click or of the copy of it in Typer
             fail(_usage(error), 2)
+        if is_interrupted():
+            raise KeyboardInterrupt from None
         if os.environ.get("L1_DEPTH_DEBUG"):
             raise
         fail(f"unforeseen {type(error).__name__}: {error}; set L1_DEPTH_DEBUG=1 for the traceback")

@@ -81,6 +81,11 @@ class _Interrupt:
         raise KeyboardInterrupt
 
 
+def is_interrupted() -> bool:
+    """Whether a signal has interrupted this command: some libraries turn the exception into another one."""
+    return any(getattr(signal.getsignal(n), "received", False) for n in signal.valid_signals())
+
+
 def _watch(signals: socket.socket, folder: str) -> None:
     """End the process if a second signal comes, and the command does not end soon after it."""
     first = None

@@ -189,6 +189,29 @@ def test_an_interrupt_during_the_imports_is_one_line(
     _check_end(started(INTERRUPT_AT_IMPORT.format(module=module), "run", "nominal-l1"), tmp_path)
 
 
+INTERRUPT_IN_A_SCHEMA = """
+import enum, os, signal, sys
+get = enum.property.__get__
+def interrupted(*arguments):
+    frame = sys._getframe(1)
+    caller = frame.f_code.co_name
+    while frame and not frame.f_code.co_filename.startswith("<frozen importlib"):
+        frame = frame.f_back
+    if caller == "create_schema_validator" and frame is None:
+        enum.property.__get__ = get
+        os.kill(os.getpid(), signal.SIGINT)
+    return get(*arguments)
+enum.property.__get__ = interrupted
+"""
+
+
+def test_an_interrupt_while_a_schema_is_built_is_one_line(
+    started: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
+    """Pydantic, in Rust, makes a SchemaError of any exception in the Python that it calls."""
+    _check_end(started(INTERRUPT_IN_A_SCHEMA, "run", "nominal-l1"), tmp_path)
+
+
 def test_an_interrupt_inside_a_library_in_cpp_does_not_abort_it(
     started: Callable[..., subprocess.Popen[str]], tmp_path: Path
 ) -> None:
