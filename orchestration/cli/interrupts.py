@@ -1,4 +1,7 @@
-"""Interrupts of a command: the first ends it with one line, a second one at once; nothing of it is left."""
+"""The process of a command: its temporary files, a cache that it can write, and interrupts.
+
+The first interrupt ends it with one line, a second one at once; nothing of it is left.
+"""
 
 import contextlib
 import os
@@ -10,6 +13,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
@@ -37,7 +41,8 @@ def interruptible() -> Iterator[None]:
         share_temporary_folder(folder)
         os.environ |= dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder)
         threading.Thread(target=_watch, args=(interrupt.signals, folder), daemon=True).start()
-        yield
+        with _writable_cache(folder):
+            yield
     except KeyboardInterrupt:
         _say_interrupted()
         raise SystemExit(INTERRUPTED) from None
@@ -48,6 +53,29 @@ def interruptible() -> Iterator[None]:
     finally:
         interrupt.ended = True
         shutil.rmtree(interrupt.folder, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _writable_cache(folder: str) -> Iterator[None]:
+    """Lets what is inside compile and build where nothing can be kept, and prints a line if it did so.
+
+    folder: of the temporary files of the command
+    """
+    temporary = Path(folder, "cache")
+    # the compiler does not ask for the home of the user's account; Path.expanduser raises where there is none
+    home = os.environ.setdefault("HOME", os.path.expanduser("~"))  # noqa: PTH111
+    own = Path(os.environ.get("XDG_CACHE_HOME") or Path(home, ".cache"))
+    existing = next(path for path in (own, *own.parents) if os.access(path, os.F_OK))
+    if not (own.is_absolute() and existing.is_dir() and os.access(existing, os.W_OK | os.X_OK)):
+        os.environ.setdefault("ZIG_GLOBAL_CACHE_DIR", str(temporary / "zig"))
+        os.environ.setdefault("MPLCONFIGDIR", str(temporary / "matplotlib"))
+        # one that can only be read may hold FMUs
+        if not os.access(own / "l1-depth", os.R_OK):
+            os.environ["XDG_CACHE_HOME"] = str(temporary)
+    yield
+    if temporary.exists():
+        expected = "expected HOME or XDG_CACHE_HOME to be a folder that can be written"
+        print(f"l1-depth: {own} cannot be written: what is built is not kept; {expected}", file=sys.stderr)
 
 
 class _Interrupt:
