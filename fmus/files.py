@@ -17,6 +17,8 @@ _MOST_BYTES = 8_000_000_000  # unpacked
 _MOST_BYTES_A_BYTE = 200  # unpacked for one of the archive, from `_FEW_BYTES` on
 _FEW_BYTES = 100_000_000
 TEMPORARY_VARIABLE = "L1_DEPTH_TMPDIR"  # names the user's folder while a command has one of its own
+# of a command, which an FMU may change; None in a program of the user's, which may change its own
+command_umask: int | None = None
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest date that a zip can hold
 
 
@@ -31,6 +33,8 @@ def open_atomically(path: Path) -> Iterator[BinaryIO]:
 
     A file that was at `path` stays until then. The folder is made if it is missing.
     """
+    if command_umask is not None:
+        os.umask(command_umask)
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     try:

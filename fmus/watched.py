@@ -107,14 +107,15 @@ def _interrupt_without_parent(lifeline: int) -> None:
 
 
 def _status_of(child: int, page: mmap.mmap) -> int:
-    """Wait for the child. Interrupts are passed on, but for those of the terminal, which reach it too."""
+    """Wait for the child. Interrupts are passed on, but for those of a terminal that reach it too."""
     while True:
         received = signal.sigwaitinfo({*_INTERRUPTS, signal.SIGCHLD})
         if received.si_signo == signal.SIGCHLD:
             number, status = os.waitpid(child, os.WNOHANG)
             if number:
                 return _exit_status(os.waitstatus_to_exitcode(status), page)
-        elif received.si_code <= 0:  # of a process
+        # those of a process, and those of the terminal where the child has left it: an FMU called setsid
+        elif received.si_code <= 0 or os.getsid(child) != os.getsid(0):
             os.kill(child, received.si_signo)
 
 

@@ -65,6 +65,9 @@ class Misdeed(IntEnum):
     NO_STATUS_OF_INPUT = 28
     NO_STATUS_OF_STATE = 29
     BIG_STATUS_OF_STEP = 30
+    HIDE_FILES = 31
+    LEAVE_SESSION = 32
+    LIMIT_FILES = 33
 
 
 @dataclass(frozen=True)

@@ -33,9 +33,11 @@ def interruptible() -> Iterator[None]:
     """
     interrupt = _Interrupt()
     try:
-        from fmus.files import TEMPORARY_VARIABLE
+        from fmus import files
 
-        os.environ[TEMPORARY_VARIABLE] = tempfile.gettempdir()
+        files.command_umask = os.umask(0o077)
+        os.umask(files.command_umask)
+        os.environ[files.TEMPORARY_VARIABLE] = tempfile.gettempdir()
         folder = interrupt.folder = tempfile.mkdtemp(prefix="l1-depth-")
         tempfile.tempdir = folder
         share_temporary_folder(folder)

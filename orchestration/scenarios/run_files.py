@@ -1,5 +1,6 @@
 """Running one scenario into a folder: its recording, and what was run and measured."""
 
+import errno
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -88,6 +89,9 @@ def _write(recording: Recording, file: Path) -> None:
     try:
         recording.write(file)
     except OSError as error:
+        if error.errno == errno.EFBIG:
+            hint = "an FMU may have limited this process; with --timeout FMUs have one of their own"
+            raise OrchestrationError(f"{file}: {error.strerror}: {hint}") from error
         elsewhere = lasting_folder() / file.name
         recording.write(elsewhere)
         raise OrchestrationError(f"{file}: {error.strerror}; the recording is in {elsewhere}") from error

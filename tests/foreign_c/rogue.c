@@ -4,10 +4,12 @@
  * only an importer that restores a saved state can go on. The other discards tell of it wrongly or not at all.
  */
 
-#define _POSIX_C_SOURCE 199309L
+#define _XOPEN_SOURCE 600
 #include <fenv.h>
 #include <locale.h>
 #include <signal.h>
+#include <sys/resource.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 enum { MISDEED, MISDEED_TIME, LONGEST_STEP, U, Y, N_VARIABLES };
@@ -42,7 +44,10 @@ enum { /* the items of the enumeration Misdeed */
     NO_STATUS_OF_STEP, /* -5, which FMI does not have; it steps all the same */
     NO_STATUS_OF_INPUT,
     NO_STATUS_OF_STATE,
-    BIG_STATUS_OF_STEP /* 6 */
+    BIG_STATUS_OF_STEP, /* 6 */
+    HIDE_FILES, /* new files get no permissions */
+    LEAVE_SESSION,
+    LIMIT_FILES /* to 100 bytes */
 };
 
 #define MODEL_REFUSES
@@ -98,6 +103,9 @@ static fmi2Status model_step(Slave *s, double h) {
     if (is_due(s, CLOSE_OUTPUT)) close(1);
     if (is_due(s, IGNORE_INTERRUPTS)) signal(SIGINT, SIG_IGN);
     if (is_due(s, CHANGE_LOCALE)) setlocale(LC_ALL, "C");
+    if (is_due(s, HIDE_FILES)) umask(0777);
+    if (is_due(s, LEAVE_SESSION)) setsid();
+    if (is_due(s, LIMIT_FILES)) setrlimit(RLIMIT_FSIZE, &(struct rlimit){100, 100});
     if (is_due(s, ERROR)) return refuse(s, fmi2Error, "the rudder is stuck");
     if (is_due(s, FATAL_ERROR)) return refuse(s, fmi2Fatal, "the hull is breached");
     if (discards(s) && h > d->value[LONGEST_STEP] * (1 + 1e-9)) return discard(s, h);

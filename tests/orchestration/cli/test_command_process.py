@@ -1,14 +1,21 @@
-"""The process of a command without a HOME that can be written."""
+"""The process of a command: without a HOME that can be written, and with an FMU that changes it."""
 
 import os
+import pty
 import pwd
+import signal
 import subprocess
 import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
+import psutil
 import pytest
 
 from orchestration.cli.interrupts import _writable_cache
+from tests.foreign_fmus import Misdeed
 
 COMMAND = (sys.executable, "-c", "from orchestration.cli import main; main()")
 CACHES = ("HOME", "XDG_CACHE_HOME", "ZIG_GLOBAL_CACHE_DIR", "MPLCONFIGDIR", "L1_DEPTH_FMUS")
@@ -81,3 +88,67 @@ def test_a_cache_that_can_only_be_read_is_still_read(
         assert os.environ["XDG_CACHE_HOME"] == str(cache)
         assert os.environ["ZIG_GLOBAL_CACHE_DIR"].startswith(str(tmp_path / "cache"))
     assert capsys.readouterr().err == ""
+
+
+@pytest.fixture
+def misbehaving(rogue: Callable[..., Path], tmp_path: Path) -> Callable[[Misdeed], str]:
+    """Writes a scenario whose FMU misbehaves in the first second of a minute."""
+
+    def write(misdeed: Misdeed) -> str:
+        (tmp_path / "mine.toml").write_text(
+            f'[components]\nr = "{rogue(saves_state=True, serialises_state=True)}"\n'
+            "[experiment]\nstop_time = 60.0\nstep_size = 0.1\n"
+            f'[inputs]\n"r.u" = 1.0\n[parameters]\n"r.misdeed" = {int(misdeed)}\n"r.misdeed_time" = 0.5\n'
+        )
+        return "mine.toml"
+
+    return write
+
+
+def test_an_fmu_that_changes_the_permissions_of_new_files_hides_no_results(
+    misbehaving: Callable[[Misdeed], str], tmp_path: Path
+) -> None:
+    (tmp_path / "usual").touch()
+    done = ended(tmp_path, "run", misbehaving(Misdeed.HIDE_FILES), "--checkpoint", "saved", "--every", "1")
+    assert done.returncode == 0, done.stderr
+    results = [*(tmp_path / "results").iterdir()]
+    assert len(results) == 3
+    for path in (*results, tmp_path / "saved"):
+        assert path.stat().st_mode == (tmp_path / "usual").stat().st_mode, path
+
+
+def test_an_fmu_that_limits_the_size_of_files_is_named_and_harmless_in_a_process_of_its_own(
+    misbehaving: Callable[[Misdeed], str], tmp_path: Path
+) -> None:
+    done = ended(tmp_path, "run", misbehaving(Misdeed.LIMIT_FILES))
+    assert done.returncode == 1
+    assert done.stderr == (
+        "l1-depth: results/mine.csv: File too large: an FMU may have limited this process; "
+        "with --timeout FMUs have one of their own\n"
+    )
+    assert not list((tmp_path / "results").iterdir())
+    assert ended(tmp_path, "run", "mine.toml", "--timeout", "60").returncode == 0
+
+
+def test_an_interrupt_at_the_terminal_reaches_a_run_whose_fmu_has_left_it(
+    misbehaving: Callable[[Misdeed], str], tmp_path: Path
+) -> None:
+    arguments = ["run", misbehaving(Misdeed.LEAVE_SESSION), "--real-time", "1", "--out", str(tmp_path)]
+    process, terminal = pty.fork()
+    if not process:
+        os.chdir(tmp_path)
+        os.execv(COMMAND[0], [*COMMAND, *arguments])
+    try:
+        until = time.monotonic() + 60.0
+        while not any(os.getsid(c.pid) == c.pid for c in psutil.Process(process).children()):
+            assert time.monotonic() < until
+            time.sleep(0.02)
+        os.write(terminal, b"\x03")
+        while not (ended := os.waitpid(process, os.WNOHANG))[0]:
+            assert time.monotonic() < until
+            time.sleep(0.02)
+        assert os.waitstatus_to_exitcode(ended[1]) == 130
+    finally:
+        with suppress(ProcessLookupError):
+            os.kill(process, signal.SIGKILL)
+        os.close(terminal)
