@@ -27,8 +27,17 @@ from fmus.export.symbolic import traced
 from fmus.files import packed, write_bytes_atomically
 from fmus.instance import BlockError, Instance
 from fmus.platforms import host_platform, library_name, usable_processors
-from fmus.registry import FOLDER_VARIABLE, Flavour, block_entry_points, block_fmus, block_names, fmu_folder
+from fmus.registry import (
+    FOLDER_VARIABLE,
+    Flavour,
+    block_entry_points,
+    block_fmus,
+    block_names,
+    fmu_folder,
+    is_in_cache,
+)
 from fmus.stamp import Order, Stamps, order_of_file
+from fmus.user_cache import write_cached
 
 _AT_ONCE = usable_processors()  # orders that are compiled
 _EXPORTS = {Flavour.NATIVE: native_flavour, Flavour.PYTHON: python_flavour}
@@ -144,8 +153,9 @@ def _building(block: Block, order: Order) -> Iterator[Callable[[], dict[Path, by
             if order.with_cross_check:
                 beside = reference_files.cross_check_files(reference, block.name)
                 files |= {order.folder / name: beside[name] for name in sorted(beside)}
+            write_file = write_cached if is_in_cache(order.folder) else write_bytes_atomically
             for path, content in files.items():
-                write_bytes_atomically(path, content)
+                write_file(path, content)
             return files
 
         yield write
@@ -248,7 +258,7 @@ def build_missing(paths: Iterable[Path]) -> None:
             build_if_stale(name, flavour=flavour)
         except OSError as error:
             raise ExportError(
-                f"cannot write FMUs to {fmu_folder(flavour)}: {error.strerror}; "
+                f"cannot write FMUs to {fmu_folder(flavour)}: {error.strerror or error}; "
                 f"set {FOLDER_VARIABLE} to another folder"
             ) from error
 

@@ -9,11 +9,12 @@ import hashlib
 import os
 import tempfile
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from fmus.errors import ExportError
-from fmus.files import write_bytes_atomically
 from fmus.platforms import TARGETS, host_platform
+from fmus.user_cache import reason_for_distrust, write_cached
 
 
 def load(source: Path, cache: Path, options: Sequence[str] = ()) -> ctypes.CDLL:
@@ -29,7 +30,8 @@ def load(source: Path, cache: Path, options: Sequence[str] = ()) -> ctypes.CDLL:
         content = find(source, cache, platform, only_own=True, options=options)
     if content is None:
         content = compile_source(source, platform, options)
-        _store(content, cache / file_name(source, platform, content, options))
+        with suppress(OSError):  # without a private folder, the next process compiles again
+            write_cached(cache / file_name(source, platform, content, options), content)
     return _load(content, (source.parent, cache), file_name(source, platform, content, options))
 
 
@@ -40,15 +42,13 @@ def find(
 
     only_own: a file or folder of another user's, or one that others can write, is left out
     """
-    if only_own and not _is_private(folder):
-        return None
     for path in sorted(folder.glob(f"{_stem(source, platform, options)}-*")):
-        try:
-            content = _read(path, only_own)
-        except OSError:
+        if only_own and reason_for_distrust(path):
             continue
-        if path.name == file_name(source, platform, content, options):
-            return content
+        with suppress(OSError):
+            content = path.read_bytes()
+            if path.name == file_name(source, platform, content, options):
+                return content
     return None
 
 
@@ -82,39 +82,6 @@ def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:16]
 
 
-def _read(path: Path, only_own: bool) -> bytes:
-    """The bytes of a file; the owner is that of the opened file, which no one can exchange any more."""
-    no_link = getattr(os, "O_NOFOLLOW", 0) if only_own else 0
-    with open(os.open(path, os.O_RDONLY | no_link | getattr(os, "O_BINARY", 0)), "rb") as stream:  # noqa: PTH123
-        if only_own and not _is_own(os.fstat(stream.fileno())):
-            raise PermissionError(f"{path} can be written by other users")
-        return stream.read()
-
-
-def _is_private(folder: Path) -> bool:
-    """Whether this user and no other can write in a folder."""
-    try:
-        return _is_own(folder.lstat())
-    except OSError:
-        return False
-
-
-def _is_own(status: os.stat_result) -> bool:
-    on_windows = not hasattr(os, "geteuid")  # it keeps the folders of a user from others
-    return on_windows or (status.st_uid == os.geteuid() and not status.st_mode & 0o022)
-
-
-def _store(content: bytes, path: Path) -> None:
-    """Write a library to the cache; without one that is private, the next process compiles again."""
-    try:
-        path.parent.parent.mkdir(parents=True, exist_ok=True)
-        path.parent.mkdir(mode=0o700, exist_ok=True)
-        if _is_private(path.parent):
-            write_bytes_atomically(path, content)
-    except OSError:
-        return
-
-
 def _load(content: bytes, folders: tuple[Path, Path], name: str) -> ctypes.CDLL:
     """Load a library from a file that only this process knows, with the other temporary files.
 
@@ -130,7 +97,7 @@ def _load(content: bytes, folders: tuple[Path, Path], name: str) -> ctypes.CDLL:
     try:
         return _load_from(None, content)
     except OSError:
-        if not _is_private(folders[1]):
+        if not folders[1].is_dir() or reason_for_distrust(folders[1] / name):
             raise
         return _load_from(folders[1], content)
 

@@ -28,17 +28,18 @@ def lasting_folder() -> Path:
 
 
 @contextmanager
-def open_atomically(path: Path) -> Iterator[BinaryIO]:
+def open_atomically(path: Path, mode: int = 0o666) -> Iterator[BinaryIO]:
     """A stream of bytes that becomes `path` when the context ends; after an error nothing of it is left.
 
     A file that was at `path` stays until then. The folder is made if it is missing.
+    mode: the permissions of the file, of which the user's umask takes some away
     """
     if command_umask is not None:
         os.umask(command_umask)
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
     try:
-        with temporary.open("xb") as stream:  # with the permissions that the user's umask gives
+        with open(temporary, "xb", opener=lambda path, flags: os.open(path, flags, mode)) as stream:
             yield stream
         temporary.replace(path)
     except BaseException:
@@ -46,9 +47,9 @@ def open_atomically(path: Path) -> Iterator[BinaryIO]:
         raise
 
 
-def write_bytes_atomically(path: Path, data: bytes) -> None:
-    """Write a file of bytes."""
-    with open_atomically(path) as stream:
+def write_bytes_atomically(path: Path, data: bytes, mode: int = 0o666) -> None:
+    """Write a file of bytes, with the permissions of `open_atomically`."""
+    with open_atomically(path, mode) as stream:
         stream.write(data)
 
 

@@ -14,7 +14,7 @@ from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
-from platformdirs import user_cache_path
+from fmus.user_cache import cache_folder
 
 GROUP = "l1_depth.blocks"
 GENERATION_TOOL = "l1-depth"
@@ -58,16 +58,22 @@ def fmu_folder(flavour: Flavour = Flavour.NATIVE) -> Path:
     """Folder of the FMUs that scenarios run.
 
     It is in the user's cache, another one for each installation, so that two versions do not overwrite each
-    other's FMUs. The environment variable L1_DEPTH_FMUS names another folder.
+    other's FMUs. The environment variable L1_DEPTH_FMUS names another folder. FMUs that another user can have
+    written are refused there (`fmus.user_cache`).
     """
     installation = hashlib.sha256(str(Path(__file__).resolve().parent).encode()).hexdigest()[:12]
-    own = user_cache_path("l1-depth", appauthor=False) / "fmus" / installation
+    own = cache_folder("fmus") / installation
     return Path(os.environ.get(FOLDER_VARIABLE) or own).absolute() / flavour.value
 
 
 def fmu_path(block: str, flavour: Flavour = Flavour.NATIVE) -> Path:
     """File of a block's FMU, whether or not it is built."""
     return fmu_folder(flavour) / f"{block}.fmu"
+
+
+def is_in_cache(path: Path) -> bool:
+    """Whether a path lies in one of the folders of the FMUs that scenarios run."""
+    return any(path.absolute().is_relative_to(fmu_folder(flavour)) for flavour in Flavour)
 
 
 def block_fmus(paths: Iterable[Path]) -> list[tuple[str, Flavour]]:

@@ -21,11 +21,9 @@ from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from importlib.metadata import EntryPoint, distributions
 from pathlib import Path
 
-from platformdirs import user_cache_path
-
 import fmus
-from fmus.files import write_json_atomically
 from fmus.registry import Flavour, block_entry_points, block_fmus, fmu_folder, fmu_path
+from fmus.user_cache import cache_folder, reason_for_distrust, write_cached
 
 _LIBRARIES = ("casadi", "fmpy", "l1-depth", "pillow", "pint", "pythonfmu", "ziglang")
 _NOT_BUILDING = {"compliance", "__pycache__"}  # folders of this package that no FMU is made from
@@ -122,7 +120,9 @@ class Stamps:
         """
         damaged = ValueError, TypeError, KeyError, AttributeError
         with suppress(_UnknownError, OSError, *damaged):
-            stamp = json.loads(_stamp_file(order).read_text(encoding="utf-8"))
+            if reason_for_distrust(path := _stamp_file(order)):
+                return None
+            stamp = json.loads(path.read_text(encoding="utf-8"))
             files = {order.folder / name: digest for name, digest in stamp["fmus"].items()}
             modules = {name: (file, digest) for name, (file, digest) in stamp["modules"].items()}
             unchanged = (
@@ -160,7 +160,7 @@ class Stamps:
         content = {"recipe": sources.recipe, "modules": sources.modules, "fmus": digests}
         content["was_built"] = was_built
         with suppress(OSError):  # without a cache that can be written, the next build traces again
-            write_json_atomically(_stamp_file(order), content)
+            write_cached(_stamp_file(order), json.dumps(content, indent=2).encode())
 
     def _recipe(self, order: Order) -> str:
         """Digest of everything but the modules of the block."""
@@ -278,7 +278,7 @@ class _UnknownError(Exception):
 
 def _stamp_file(order: Order) -> Path:
     key = _digest(repr((order.file or order.source, str(order.folder.absolute()))).encode())
-    return user_cache_path("l1-depth", appauthor=False) / "stamps" / f"{key}.json"
+    return cache_folder("stamps") / f"{key}.json"
 
 
 def _is_of_python(spec: ModuleSpec) -> bool:

@@ -109,6 +109,7 @@ FOR_RUNNING = {
     "fmus.platforms",
     "fmus.process",
     "fmus.registry",
+    "fmus.user_cache",
     "fmus.watched",
 }
 

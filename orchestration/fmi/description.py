@@ -9,7 +9,8 @@ from xml.etree import ElementTree
 
 from fmus.errors import nearest
 from fmus.fmi_types import FmiValue
-from fmus.registry import GENERATION_TOOL, block_fmus
+from fmus.registry import GENERATION_TOOL, block_fmus, is_in_cache
+from fmus.user_cache import reason_for_distrust
 from orchestration.errors import FmuLoadError
 from orchestration.fmi.model_description import ModelDescription, ScalarVariable, model_description
 
@@ -58,6 +59,8 @@ def describe_any(path: Path) -> ModelDescription:
 
 @lru_cache(_MOST_DESCRIPTIONS)
 def _read(path: Path, version: FileVersion) -> ModelDescription:
+    if is_in_cache(path) and (reason := reason_for_distrust(path)):
+        raise FmuLoadError(reason)
     try:
         with zipfile.ZipFile(path) as archive:
             root = ElementTree.fromstring(archive.read("modelDescription.xml"))

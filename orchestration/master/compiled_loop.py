@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from platformdirs import user_cache_path
 
 from fmus import compiled_library
 from fmus.errors import ExportError
+from fmus.user_cache import cache_folder
 from orchestration.master.loop import python_loop
 from orchestration.master.loop_data import LoopFunctions, Wiring
 
@@ -80,7 +80,7 @@ def _library_or_error() -> ctypes.CDLL | Exception:
     """The error too is asked for once: a compiler that is not there takes its time to say so."""
     source = Path(__file__).parent / _SOURCE
     try:
-        loaded = compiled_library.load(source, user_cache_path("l1-depth") / "libraries")
+        loaded = compiled_library.load(source, cache_folder("libraries"))
     except (ExportError, OSError) as error:
         return error
     for function, (result, arguments) in _SIGNATURES.items():

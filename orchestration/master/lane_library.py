@@ -9,12 +9,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from platformdirs import user_cache_path
 
 from fmus import compiled_library
 from fmus.errors import ExportError
 from fmus.lanes import LANES, SOURCE, lane_sources
 from fmus.platforms import host_platform
+from fmus.user_cache import cache_folder
 from orchestration.errors import EnsembleError
 from orchestration.fmi.description import FileVersion
 
@@ -126,7 +126,7 @@ def load_compiled(source: Path, instructions: str) -> ctypes.CDLL:
 
 
 def _cache() -> Path:
-    return user_cache_path("l1-depth") / "libraries"
+    return cache_folder("libraries")
 
 
 def _options(instructions: str) -> list[str]:

@@ -20,9 +20,9 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from platformdirs import user_cache_path
 
 from fmus import compiled_library
+from fmus.user_cache import cache_folder
 from orchestration.scenarios import scenario
 from orchestration.system.prepared_run import prepare, values_of
 from orchestration.system.signals import values_at
@@ -139,4 +139,4 @@ class _Task(ctypes.Structure):
 @cache
 def _library() -> ctypes.CDLL:
     source = Path(__file__).with_suffix(".c")
-    return compiled_library.load(source, user_cache_path("l1-depth") / "libraries")
+    return compiled_library.load(source, cache_folder("libraries"))

@@ -13,10 +13,10 @@ from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 
-from platformdirs import user_cache_path
 from pydantic import BaseModel
 
-from fmus.files import write_text_atomically
+from fmus.user_cache import cache_folder, reason_for_distrust, write_cached
+from orchestration.errors import OrchestrationError
 from orchestration.study import tuned_gains
 from orchestration.study.loop import Controller, Loop
 from orchestration.study.score_document import Row
@@ -38,7 +38,7 @@ class CachedRow(BaseModel):
 
 
 def folder() -> Path:
-    return user_cache_path("l1-depth", appauthor=False) / "score"
+    return cache_folder("score")
 
 
 def key(controller: Controller, loop: Loop, full: bool) -> str:
@@ -66,8 +66,13 @@ def _digest(file: Path) -> str:
 
 
 def read(name: str) -> CachedRow | None:
-    """The row of that name; None if there is none, or none that can be read."""
+    """Returns the row of that name; None if there is none, or none that can be read.
+
+    Raises OrchestrationError, with what to do, if another user can have written it.
+    """
     path = folder() / f"{name}.json"
+    if reason := reason_for_distrust(path):
+        raise OrchestrationError(reason)
     with suppress(OSError, ValueError):
         row = CachedRow.model_validate_json(path.read_text(encoding="utf-8"))
         with suppress(OSError):  # of a cache that can only be read
@@ -83,8 +88,7 @@ def write(name: str, row: Row, traces: Mapping[str, Trace]) -> None:
     """
     path = folder() / f"{name}.json"
     with suppress(OSError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_text_atomically(path, CachedRow(row=row, traces=dict(traces)).model_dump_json())
+        write_cached(path, CachedRow(row=row, traces=dict(traces)).model_dump_json().encode())
         _remove_all_but_the_last(path.parent.glob("*.json"))
 
 

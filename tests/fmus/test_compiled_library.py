@@ -13,6 +13,7 @@ from fmus.compiled_library import file_name, load
 from fmus.errors import ExportError
 from fmus.export import toolchain
 from fmus.platforms import host_platform
+from tests.other_user import give_to_another_user
 
 SOURCE = """
 __attribute__((visibility("default"))) int number(void) { return 42; }
@@ -122,6 +123,18 @@ def test_a_folder_that_others_can_write_is_not_used(
     assert [*cache.iterdir()] == [planted]
 
 
+def test_a_library_that_a_umask_of_002_lets_others_write_is_cached_all_the_same(
+    source: Path, cache: Path, request: pytest.FixtureRequest
+) -> None:
+    before = os.umask(0o002)
+    try:
+        load(source, cache)
+    finally:
+        os.umask(before)
+    request.getfixturevalue("no_compiler")
+    assert number(load(source, cache)) == 42
+
+
 @pytest.mark.parametrize("mode", [0o666, 0o660, 0o602])
 def test_a_file_that_others_can_write_is_not_loaded(
     source: Path, cache: Path, planted: Path, mode: int
@@ -138,8 +151,8 @@ def test_a_link_is_not_followed(source: Path, cache: Path, planted: Path, tmp_pa
 def test_what_belongs_to_another_user_is_not_used(
     source: Path, cache: Path, planted: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    other = planted.stat().st_uid + 1
-    monkeypatch.setattr(os, "geteuid", lambda: other)
+    for path in (cache, planted):
+        give_to_another_user(path, monkeypatch)
     assert number(load(source, cache)) == 42
     assert [*cache.iterdir()] == [planted]
 

@@ -1,0 +1,136 @@
+"""Files of a cache are used only if no other user can have written them."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from fmus import catalogue
+from fmus.registry import FOLDER_VARIABLE, fmu_path
+from fmus.stamp import Order, Stamps
+from fmus.user_cache import reason_for_distrust, write_cached
+from orchestration.errors import FmuLoadError, OrchestrationError
+from orchestration.fmi.description import describe
+from orchestration.study import score_cache
+from orchestration.study.score_document import Row
+from tests.described_fmus import described
+from tests.other_user import give_to_another_user
+
+OWN_GROUP_WRITES = 0o002
+"""The umask of distributions that give each user a group of its own."""
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    path = tmp_path / "l1-depth" / "rows" / "row.json"
+    write_cached(path, b"a row")
+    return path
+
+
+@pytest.fixture
+def shared_umask() -> Iterator[None]:
+    before = os.umask(OWN_GROUP_WRITES)
+    yield
+    os.umask(before)
+
+
+@pytest.mark.usefixtures("shared_umask")
+def test_what_a_umask_of_002_writes_is_trusted(tmp_path: Path) -> None:
+    path = tmp_path / "l1-depth" / "rows" / "row.json"
+    write_cached(path, b"a row")
+    assert reason_for_distrust(path) == ""
+    assert {folder.stat().st_mode & 0o777 for folder in (path.parent, path.parent.parent)} == {0o700}
+
+
+@pytest.mark.parametrize("mode", [0o020, 0o002])
+@pytest.mark.parametrize("part", ["file", "folder"])
+def test_a_file_that_others_can_write_or_replace_is_not_trusted(path: Path, part: str, mode: int) -> None:
+    part_of_path = path if part == "file" else path.parent
+    part_of_path.chmod(part_of_path.stat().st_mode | mode)
+    assert reason_for_distrust(path).startswith(f"{part_of_path} can be written by other users")
+
+
+@pytest.mark.parametrize("part", ["file", "folder"])
+def test_what_belongs_to_another_user_is_not_trusted(
+    path: Path, part: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    give_to_another_user(path if part == "file" else path.parent, monkeypatch)
+    assert "belongs to another user" in reason_for_distrust(path)
+
+
+def test_what_belongs_to_root_is_trusted(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An image of a container may hold FMUs that root built; root can replace this program too."""
+    monkeypatch.setattr(os, "geteuid", lambda: path.stat().st_uid + 1)
+    monkeypatch.setattr("fmus.user_cache._ROOT", path.stat().st_uid)
+    assert reason_for_distrust(path) == ""
+
+
+def test_a_link_is_not_trusted(path: Path, tmp_path: Path) -> None:
+    path.symlink_to(path.rename(tmp_path / "elsewhere"))
+    assert reason_for_distrust(path).startswith(f"{path} is a link")
+
+
+def test_nothing_is_written_to_a_folder_of_others(path: Path) -> None:
+    path.parent.chmod(0o777)
+    with pytest.raises(PermissionError, match=r"can be written by other users.*: remove it, or set"):
+        write_cached(path.with_name("another.json"), b"another")
+    assert [*path.parent.iterdir()] == [path]
+
+
+def test_an_fmu_of_the_cache_that_others_can_write_is_refused_until_it_is_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "fmus"))
+    path = fmu_path("ExamplePlant")
+    path.parent.mkdir(parents=True, mode=0o700)
+    described(path).chmod(0o600)
+    describe(path)
+    path.chmod(0o666)
+    with pytest.raises(FmuLoadError, match=r"ExamplePlant.fmu can be written by other users.*: remove it"):
+        describe(path)
+    path.unlink()
+    described(path).chmod(0o600)
+    describe(path)
+
+
+def test_an_fmu_that_is_no_part_of_the_cache_may_be_anybodys(tmp_path: Path) -> None:
+    described(tmp_path / "Plant.fmu").chmod(0o666)
+    describe(tmp_path / "Plant.fmu")
+
+
+@pytest.mark.usefixtures("shared_umask")
+def test_an_fmu_that_is_built_under_a_umask_of_002_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "fmus"))
+    describe(catalogue.build("ExamplePlant"))
+
+
+def test_a_row_of_a_score_that_others_can_write_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(score_cache, "folder", lambda: tmp_path / "score")
+    row = Row(name="pid", title="PID", league="position", scored=False, fmu={})
+    score_cache.write("key", row, {})
+    assert score_cache.read("key")
+    (tmp_path / "score").chmod(0o770)
+    with pytest.raises(OrchestrationError, match=r"score can be written by other users.*: remove it"):
+        score_cache.read("key")
+
+
+def test_a_stamp_that_others_can_write_stamps_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    order = Order("ExamplePlant", tmp_path / "built")
+    stamps = Stamps(begun=float("inf"))
+    sources = stamps.sources(order)
+    assert sources
+    order.folder.mkdir()
+    (order.folder / "ExamplePlant.fmu").write_bytes(b"an FMU")
+    stamps.write(order, sources, {"ExamplePlant.fmu": b"an FMU"})
+    assert Stamps().current(order)
+    (stamp,) = (tmp_path / "l1-depth" / "stamps").iterdir()
+    stamp.chmod(0o666)
+    assert Stamps().current(order) is None
