@@ -27,17 +27,9 @@ from fmus.export.symbolic import traced
 from fmus.files import packed, write_bytes_atomically
 from fmus.instance import BlockError, Instance
 from fmus.platforms import host_platform, library_name, usable_processors
-from fmus.registry import (
-    FOLDER_VARIABLE,
-    Flavour,
-    block_entry_points,
-    block_fmus,
-    block_names,
-    fmu_folder,
-    is_in_cache,
-)
+from fmus.registry import FOLDER_VARIABLE, Flavour, block_entry_points, block_fmus, block_names, fmu_folder
 from fmus.stamp import Order, Stamps, order_of_file
-from fmus.user_cache import write_cached
+from fmus.user_cache import record_build, write_cached
 
 _AT_ONCE = usable_processors()  # orders that are compiled
 _EXPORTS = {Flavour.NATIVE: native_flavour, Flavour.PYTHON: python_flavour}
@@ -153,7 +145,9 @@ def _building(block: Block, order: Order) -> Iterator[Callable[[], dict[Path, by
             if order.with_cross_check:
                 beside = reference_files.cross_check_files(reference, block.name)
                 files |= {order.folder / name: beside[name] for name in sorted(beside)}
-            write_file = write_cached if is_in_cache(order.folder) else write_bytes_atomically
+            is_cached = order.folder.is_relative_to(fmu_folder(order.flavour))
+            write_file = write_cached if is_cached else write_bytes_atomically
+            record_build(next(iter(files.values())))
             for path, content in files.items():
                 write_file(path, content)
             return files

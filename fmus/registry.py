@@ -17,8 +17,6 @@ from pathlib import Path
 from fmus.user_cache import cache_folder
 
 GROUP = "l1_depth.blocks"
-GENERATION_TOOL = "l1-depth"
-"""With a version, what the model descriptions of our FMUs name as their tool."""
 FOLDER_VARIABLE = "L1_DEPTH_FMUS"
 
 

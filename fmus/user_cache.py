@@ -1,9 +1,10 @@
-"""Files in the user's cache, which are used only if no other user can have written them.
+"""Files in the user's cache, which are used only if no other user can have written them; records of builds.
 
 Libraries in a cache are executed, and rows of a score are published as results of this user. On Windows the
 system keeps the folders of a user from others.
 """
 
+import hashlib
 import os
 import stat
 from contextlib import suppress
@@ -53,3 +54,21 @@ def write_cached(path: Path, content: bytes) -> None:
     if reason := _distrust(path.parent):
         raise PermissionError(reason)
     write_bytes_atomically(path, content, mode=0o644)
+
+
+def record_build(fmu: bytes) -> None:
+    """Records an FMU that was built; a cache that cannot be written records nothing.
+
+    A record is an empty file, named after the digest of the FMU: of its library, its sources and all else.
+    """
+    with suppress(OSError):
+        write_cached(_record(fmu), b"")
+
+
+def is_own_build(fmu: bytes) -> bool:
+    """Whether a build of this user wrote an FMU, wherever it is now and whatever tool it names."""
+    return _record(fmu).is_file() and not reason_for_distrust(_record(fmu))
+
+
+def _record(fmu: bytes) -> Path:
+    return cache_folder("builds") / hashlib.sha256(fmu).hexdigest()

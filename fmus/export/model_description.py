@@ -15,7 +15,6 @@ from fmus.block import Block, ScalarVariable
 from fmus.errors import ExportError
 from fmus.export.symbolic import initial_dependencies
 from fmus.files import xml_document
-from fmus.registry import GENERATION_TOOL
 from fmus.units import display, unit
 
 LOG_CATEGORIES = {
@@ -54,7 +53,7 @@ def model_description(
         "author": block.author,
         "version": block.version,
         "license": block.license,
-        "generationTool": f"{GENERATION_TOOL} {release}",
+        "generationTool": f"l1-depth {release}",
         "generationDateAndTime": _generation_date(),
         "variableNamingConvention": "structured",
     }

@@ -9,8 +9,8 @@ from xml.etree import ElementTree
 
 from fmus.errors import nearest
 from fmus.fmi_types import FmiValue
-from fmus.registry import GENERATION_TOOL, block_fmus, is_in_cache
-from fmus.user_cache import reason_for_distrust
+from fmus.registry import block_fmus, is_in_cache
+from fmus.user_cache import is_own_build, reason_for_distrust
 from orchestration.errors import FmuLoadError
 from orchestration.fmi.model_description import ModelDescription, ScalarVariable, model_description
 
@@ -82,6 +82,9 @@ def _read(path: Path, version: FileVersion) -> ModelDescription:
     if not identifier or set(identifier) & set("/\\:") or ".." in identifier:  # leads out of the archive
         raise FmuLoadError(f"{path}: modelIdentifier {identifier!r}: expected a C identifier")
     _take_over_declared_types(description)
+    # those of this exporter list sources: other FMUs, which may be large, need not be read
+    has_sources = root.find("CoSimulation/SourceFiles") is not None
+    description.is_own_build = has_sources and is_own_build(path.read_bytes())
     return description
 
 
@@ -90,14 +93,13 @@ def _unreadable(path: Path, error: Exception) -> FmuLoadError:
 
 
 def is_independent(description: ModelDescription) -> bool:
-    """Whether an FMU is a native one of this exporter: only these list sources to compile.
+    """Whether an FMU is a native one that a build of this user wrote.
 
     The instances of these have no memory in common, also within one library, and change nothing in the
-    process, as `tests/fmus/export/test_no_globals.py` proves. Instances of other FMUs may share memory, and
-    the Python of a block may do anything.
+    process, as `tests/fmus/export/test_no_globals.py` proves. Any other FMU may do anything, whatever tool it
+    names: so may the Python of a block.
     """
-    is_ours = (description.generationTool or "").startswith(f"{GENERATION_TOOL} ")
-    return is_ours and description.coSimulation is not None and bool(description.coSimulation.sourceFiles)
+    return description.is_own_build
 
 
 def of_causality(description: ModelDescription, causality: str) -> list[ScalarVariable]:

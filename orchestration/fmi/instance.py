@@ -34,9 +34,9 @@ _MOST_MESSAGES = 10  # in an error or a warning
 class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"]):
     """An instance of an FMI 2.0 co-simulation FMU, between instantiation and `close`.
 
-    The library is its own, but for native FMUs of this exporter, which never return fatal: so a fatal error,
-    after which FMI forbids calls of any instance, ends this instance alone. Raises FmuLoadError if the FMU
-    cannot be loaded.
+    The library is its own, but for native FMUs that this user built, which never return fatal: so a fatal
+    error, after which FMI forbids calls of any instance, ends this instance alone. Raises FmuLoadError if the
+    FMU cannot be loaded.
 
     is_fresh: whether it was instantiated or reset, and neither set nor initialised since
     has_warned: whether a call returned a warning since it was instantiated or reset

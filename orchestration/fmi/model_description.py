@@ -93,10 +93,9 @@ class Unit:
 
 @dataclass(eq=False)
 class CoSimulation:
-    """Capabilities (4.3.1); sourceFiles: names of those to compile."""
+    """Capabilities (4.3.1)."""
 
     modelIdentifier: str
-    sourceFiles: list[str]
     needsExecutionTool: bool
     canHandleVariableCommunicationStepSize: bool
     canInterpolateInputs: bool
@@ -117,7 +116,11 @@ class DefaultExperiment:
 
 @dataclass(eq=False)
 class ModelDescription:
-    """The description of an FMU; coSimulation: None for one of model exchange alone."""
+    """The description of an FMU.
+
+    coSimulation: None for an FMU of model exchange alone
+    is_own_build: whether a build of this user wrote the file, which the description itself cannot prove
+    """
 
     fmiVersion: str
     modelName: str
@@ -130,6 +133,7 @@ class ModelDescription:
     modelVariables: list[ScalarVariable]
     outputs: list[Unknown]
     initialUnknowns: list[Unknown]
+    is_own_build: bool = False
 
 
 def model_description(root: Element) -> ModelDescription:
@@ -165,9 +169,8 @@ def _required(element: Element, attribute: str) -> str:
 
 
 def _co_simulation(element: Element) -> CoSimulation:
-    files = [_required(file, "name") for file in element.findall("SourceFiles/File")]
-    capabilities = {f.name: element.get(f.name) in ("true", "1") for f in fields(CoSimulation)[2:]}
-    return CoSimulation(element.get("modelIdentifier", ""), files, **capabilities)
+    capabilities = {f.name: element.get(f.name) in ("true", "1") for f in fields(CoSimulation)[1:]}
+    return CoSimulation(element.get("modelIdentifier", ""), **capabilities)
 
 
 def _simple_type(element: Element) -> SimpleType:

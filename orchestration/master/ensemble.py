@@ -37,7 +37,7 @@ Values = dict[str, list[FmiValue]]
 
 
 class Ensemble(AbstractContextManager["Ensemble"]):
-    """Many instances of a system of native FMUs of this exporter, in groups that step at once.
+    """Many instances of a system of native FMUs that this user built, in groups that step at once.
 
     Every instance has the bits of its own run by a `Simulator` (docs/how-to/ensembles.md says what that rests
     on). The equations are compiled from the sources in the FMUs, once for each FMU, and kept in the user's
@@ -45,7 +45,7 @@ class Ensemble(AbstractContextManager["Ensemble"]):
 
     instructions: "x86-64-v4", "x86-64-v3" or "portable", by default the best that this processor has
 
-    Raises EnsembleError for an FMU that has no sources of this exporter, or without a compiler.
+    Raises EnsembleError for any other FMU, or without a compiler.
     """
 
     def __init__(self, system: System, instructions: str | None = None) -> None:
@@ -66,8 +66,8 @@ class Ensemble(AbstractContextManager["Ensemble"]):
         for name, description in self._descriptions.items():
             if not is_independent(description):
                 raise EnsembleError(
-                    f"{name}: {system.components[name]}: expected a native FMU of l1-depth; "
-                    "Simulator runs any FMU"
+                    f"{name}: {system.components[name]}: expected a native FMU that "
+                    "l1-depth build wrote for this user; Simulator runs any FMU"
                 )
         loop_library(self.instructions)
         self._libraries = {

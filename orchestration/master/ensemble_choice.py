@@ -37,7 +37,7 @@ def check_ensemble(
     descriptions = {name: describe(path) for name, path in system.components.items()}
     for name, description in descriptions.items():
         if not is_independent(description):
-            raise EnsembleError(f"{name} is no native FMU of l1-depth")
+            raise EnsembleError(f"{name} is no native FMU that l1-depth build wrote for this user")
     checked, groups = CheckedSystems(system, descriptions).check(experiment, external)
     prepared = prepare_checked(checked, experiment, external)
     check_supported(prepared, groups)

@@ -10,7 +10,7 @@ after the first change around each. What changes between two such steps may be t
 stays; where other steps were in between, a warning names it. `exit` has status 70 at once; for `_exit` see
 `fmus/watched.py`. FMUs in a process of their own (`timeout`) need none of this.
 
-Of a system of native FMUs of this exporter alone, which are known to change nothing, only the loading is
+Of a system of native FMUs that this user built, which are known to change nothing, only the loading is
 looked at, and the floating-point mode after calls outside the communication loop.
 """
 

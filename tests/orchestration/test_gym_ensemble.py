@@ -143,5 +143,5 @@ def test_foreign_fmus_are_refused(task: Task, linear: Build) -> None:
         seeds=[],
         vary={},
     )
-    with pytest.raises(EnsembleError, match="plant is no native FMU of l1-depth"):
+    with pytest.raises(EnsembleError, match="plant is no native FMU that l1-depth build wrote for this user"):
         FmuVectorEnv(foreign, 8, ensemble=True)

@@ -9,10 +9,14 @@ from typing import Any
 
 import pytest
 
+from fmus.user_cache import is_own_build, record_build
+from orchestration.errors import EnsembleError
 from orchestration.fmi import description, unpacked
 from orchestration.fmi.description import describe, is_independent
 from orchestration.fmi.instance import FmuInstance
 from orchestration.master import Simulator, simulate
+from orchestration.master.ensemble import Ensemble
+from orchestration.master.ensemble_choice import check_ensemble
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 
@@ -128,3 +132,57 @@ def test_only_native_fmus_of_ours_are_known_to_be_independent(
     """A block of the python flavour may be anybody's Python."""
     fmus = (built["ExamplePlant"], python_built["ExamplePlant"], linear())
     assert [is_independent(describe(fmu)) for fmu in fmus] == [True, False, False]
+
+
+def with_other_equations(fmu: Path, folder: Path) -> Path:
+    """A copy whose sources differ from what its library was compiled from."""
+    path = folder / "Other.fmu"
+    with zipfile.ZipFile(fmu) as source, zipfile.ZipFile(path, "w") as target:
+        for name in source.namelist():
+            content = source.read(name)
+            if name == "sources/model_code.h":
+                assert b"next[0] = " in content
+                content = content.replace(b"next[0] = ", b"next[0] = 2.0 * ", 1)
+            target.writestr(name, content)
+    return path
+
+
+def test_a_copy_of_an_fmu_of_ours_is_ours_and_a_changed_one_runs_by_its_own_library(
+    built: Mapping[str, Path], tmp_path: Path
+) -> None:
+    """An ensemble would compile the equations among its sources."""
+    assert is_independent(describe(copy(built["ExamplePlant"], tmp_path)))
+    changed = with_other_equations(built["ExamplePlant"], tmp_path)
+    assert not is_independent(describe(changed))
+    experiment = Experiment(1.0, 0.01, inputs={"p.control": 1.0, "p.disturbance": 0.0})
+    for ensemble in (
+        lambda: Ensemble(System({"p": changed})),
+        lambda: check_ensemble(System({"p": changed}), experiment, 8),
+    ):
+        with pytest.raises(EnsembleError, match="native FMU that l1-depth build wrote for this user"):
+            ensemble()
+    of_library = simulate(System({"p": changed}), experiment)
+    assert (
+        of_library.values.tolist()
+        == simulate(System({"p": built["ExamplePlant"]}), experiment).values.tolist()
+    )
+
+
+def test_an_fmu_of_another_user_s_build_is_not_ours(
+    built: Mapping[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fmu = copy(built["ExamplePlant"], tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "another user's"))
+    assert not is_independent(describe(fmu))
+
+
+def test_a_record_of_a_build_that_others_can_write_proves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    record_build(b"an FMU")
+    assert is_own_build(b"an FMU")
+    assert not is_own_build(b"another FMU")
+    (record,) = (tmp_path / "l1-depth" / "builds").iterdir()
+    record.chmod(0o666)
+    assert not is_own_build(b"an FMU")

@@ -18,6 +18,7 @@ from fmus.export import native
 from fmus.files import write_archive
 from fmus.numerics import exp
 from fmus.platforms import instruction_sets
+from fmus.user_cache import record_build
 from orchestration import Ensemble, Event, Experiment, Fault, Offset, Ramps, Simulator, System
 from orchestration.errors import EnsembleError, OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.fmi.description import describe
@@ -228,6 +229,7 @@ def growing(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("growing") / "Growing.fmu"
     _, members = native.content(GROWING)
     write_archive(path, members | native.libraries(GROWING.name, members, ()))
+    record_build(path.read_bytes())
     return path
 
 

@@ -6,8 +6,11 @@ import os
 import signal
 import subprocess
 import sys
+import zipfile
 from collections.abc import Callable, Iterator
+from importlib.metadata import version
 from pathlib import Path
+from xml.etree import ElementTree
 
 import fmpy
 import numpy as np
@@ -180,3 +183,33 @@ def test_a_rounding_mode_does_not_reach_other_fmus(linear: Build, rogue: Build) 
     assert np.array_equal(upward["good.y[1]"], nearest["good.y[1]"])
     assert 1.0 + 1e-30 == 1.0
     assert fmpy.platform != "linux64" or ctypes.CDLL(None).fegetround() == 0  # also for numbers that C prints
+
+
+def named_as_ours(fmu: Path, folder: Path) -> Path:
+    """A copy that names this project as its tool, and sources to compile, as native FMUs of ours do."""
+    path = folder / f"{fmu.stem}-named.fmu"
+    with zipfile.ZipFile(fmu) as source, zipfile.ZipFile(path, "w") as target:
+        for name in source.namelist():
+            content = source.read(name)
+            if name == "modelDescription.xml":
+                root = ElementTree.fromstring(content)
+                root.set("generationTool", f"l1-depth {version('l1-depth')}")
+                interface = root.find("CoSimulation")
+                assert interface is not None
+                ElementTree.SubElement(
+                    ElementTree.SubElement(interface, "SourceFiles"), "File", name="fmi2.c"
+                )
+                content = ElementTree.tostring(root)
+            target.writestr(name, content)
+        target.writestr("sources/fmi2.c", "")
+    return path
+
+
+def test_an_fmu_that_names_this_project_as_its_tool_is_guarded_like_any_other(
+    linear: Build, rogue: Build, tmp_path: Path
+) -> None:
+    system = pair(linear, rogue)
+    named = System({name: named_as_ours(path, tmp_path) for name, path in system.components.items()})
+    upward = simulate(named, doing(Misdeed.ROUND_UPWARD))
+    nearest = simulate(system, doing(Misdeed.NONE))
+    assert np.array_equal(upward["good.y[1]"], nearest["good.y[1]"])

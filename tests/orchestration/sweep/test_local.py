@@ -287,8 +287,8 @@ def test_the_note_says_what_runs_the_samples(planned: Make, tmp_path: Path) -> N
     """A foreign FMU in a process; an ensemble that is asked for is refused."""
     notes: list[str] = []
     sweep(planned(), tmp_path, local(1, note=notes.append))
-    assert notes == ["1 processes of simulators: r is no native FMU of l1-depth"]
-    with pytest.raises(EnsembleError, match=r"r is no native FMU of l1-depth"):
+    assert notes == ["1 processes of simulators: r is no native FMU that l1-depth build wrote for this user"]
+    with pytest.raises(EnsembleError, match=r"r is no native FMU that l1-depth build wrote for this user"):
         sweep(planned(), tmp_path, local(1, ensemble=True), restart=True)
 
 
