@@ -8,12 +8,14 @@ import os
 import signal
 import struct
 import subprocess
+import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
+from subprocess import PIPE, STDOUT
 from typing import IO
 
 import ziglang
@@ -34,6 +36,11 @@ FLAGS = (
 FMI_HEADERS = FMPY / "c-code"  # of FMI 2.0, which no FMU carries
 _PATIENCE_S = 600  # the first build for Windows takes a minute: its C library is compiled too
 COMPILER = ("ziglang", version("ziglang"))
+_SILENT_S = 10  # after which a wait for the compiler is announced
+# The shell kills the compiler, and all that it started, when the pipe to this process closes: also where this
+# process is killed. Where there is no such shell, as on Windows, the compiler then works on to its end.
+_SCRIPT = 'exec 3<&0 </dev/null; (read -r x <&3; kill -KILL 0) & "$@" 3<&-; status=$?; kill $!; exit $status'
+_SHELL = ["/bin/sh", "-c", _SCRIPT, "zig"] if Path("/bin/sh").exists() else []
 _ZIG = Path(ziglang.__file__).parent / ("zig.exe" if os.name == "nt" else "zig")
 
 
@@ -90,11 +97,15 @@ def zig(arguments: Sequence[str], folder: Path) -> None:
 
 @contextmanager
 def _running(arguments: Sequence[str], folder: Path) -> Iterator[Callable[[], None]]:
-    """Zig at work; the function that this gives waits for its end. It does not outlive the context."""
+    """Zig at work; the function that this gives waits for its end.
+
+    Zig outlives neither the context nor this process.
+    """
+    command = [*_SHELL, _ZIG, *arguments]
     with (
         tempfile.TemporaryFile() as output,
         subprocess.Popen(
-            [_ZIG, *arguments], cwd=folder, start_new_session=True, stdout=output, stderr=subprocess.STDOUT
+            command, cwd=folder, start_new_session=True, stdin=PIPE, stdout=output, stderr=STDOUT
         ) as process,
     ):
         try:
@@ -106,9 +117,17 @@ def _running(arguments: Sequence[str], folder: Path) -> Iterator[Callable[[], No
 
 
 def _end(name: str, process: subprocess.Popen[bytes], output: IO[bytes]) -> None:
-    """Wait for a process of zig; ExportError with what it printed if it fails."""
+    """Wait for a process of zig; ExportError with what it printed if it fails.
+
+    A long wait is announced on standard error: zig prints nothing while another has the lock of its cache.
+    """
     hint = "if its cache cannot be written, set ZIG_GLOBAL_CACHE_DIR to a folder that can"
     try:
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(min(_SILENT_S, _PATIENCE_S))
+        if process.poll() is None:
+            reason = "it compiles a C library for the first time, or another build has the lock of its cache"
+            print(f"l1-depth: zig {name} is not done after {_SILENT_S} s: {reason}", file=sys.stderr)
         status = process.wait(_PATIENCE_S)
     except subprocess.TimeoutExpired:
         raise ExportError(f"zig {name} did not end within {_PATIENCE_S} s; {hint}") from None

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from io import FileIO
 from pathlib import Path
 
 import pytest
@@ -75,8 +76,40 @@ def test_an_interrupt_while_the_compiler_ends_stays_an_interrupt(
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a FIFO keeps the compiler waiting")
+def test_a_long_wait_for_the_compiler_is_announced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    os.mkfifo(tmp_path / "endless.c")
+    monkeypatch.setattr(toolchain, "_SILENT_S", 0.001)
+    monkeypatch.setattr(toolchain, "_PATIENCE_S", 0.001)
+    with pytest.raises(ExportError):
+        zig(["cc", "endless.c"], tmp_path)
+    assert "another build has the lock of its cache" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a FIFO keeps the compiler waiting")
 def test_an_interrupted_build_leaves_no_process_and_no_file(tmp_path: Path) -> None:
-    temporary, endless = tmp_path / "temporary", tmp_path / "endless.h"
+    process, endless = compiling_for_ever(tmp_path)
+    with endless.open("wb", buffering=0) as stream:  # opens when the compiler reads
+        process.send_signal(signal.SIGINT)
+        assert process.wait() != 0
+        assert not list((tmp_path / "temporary").iterdir())
+        wait_for_the_end_of_readers(stream)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a FIFO keeps the compiler waiting")
+def test_a_killed_build_leaves_no_process(tmp_path: Path) -> None:
+    """It would keep the lock of the compiler's cache."""
+    process, endless = compiling_for_ever(tmp_path)
+    with endless.open("wb", buffering=0) as stream:
+        process.kill()
+        process.wait()
+        wait_for_the_end_of_readers(stream)
+
+
+def compiling_for_ever(folder: Path) -> tuple[subprocess.Popen[bytes], Path]:
+    """A process whose compiler reads a header that does not end, and the header."""
+    temporary, endless = folder / "temporary", folder / "endless.h"
     temporary.mkdir()
     os.mkfifo(endless)
     source = f'#include "{endless}"'
@@ -86,11 +119,14 @@ def test_an_interrupted_build_leaves_no_process_and_no_file(tmp_path: Path) -> N
         env={**os.environ, "TMPDIR": str(temporary)},
         stderr=subprocess.DEVNULL,
     )
-    with endless.open("wb", buffering=0) as stream:  # opens when the compiler reads
-        process.send_signal(signal.SIGINT)
-        assert process.wait() != 0
-        assert not list(temporary.iterdir())
-        with contextlib.suppress(BrokenPipeError):  # the compiler has ended
-            while True:
-                stream.write(b" ")
-                time.sleep(0.01)
+    return process, endless
+
+
+def wait_for_the_end_of_readers(stream: FileIO) -> None:
+    """Only the compiler has the FIFO open for reading."""
+    end = time.monotonic() + 30.0
+    with contextlib.suppress(BrokenPipeError):
+        while time.monotonic() < end:
+            stream.write(b" ")
+            time.sleep(0.01)
+        pytest.fail("the compiler goes on")
