@@ -6,7 +6,7 @@ M is the inertia with added mass, D the linear damping, z the depth, positive do
 Source: Maalouf et al. (2013), section 4.
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from controller_fmu.l1.matrices import LawMatrices, law_matrices
 from controller_fmu.l1.second_order import Matrix, Vector
@@ -42,4 +42,4 @@ def depth_matrices(k_m: Vector, p: ModelParameters) -> DepthMatrices:
         (-k_m[0] * inverse_inertia, -(p.model_damping + k_m[1]) * inverse_inertia),
     )
     matrices = law_matrices(a_m, (0.0, inverse_inertia), (1.0, 0.0), p.lyapunov_weight)
-    return DepthMatrices(**vars(matrices))
+    return DepthMatrices(**asdict(matrices))

@@ -1,23 +1,54 @@
 """The blocks of a Python file that belongs to no package."""
 
 import ast
+import hashlib
 import importlib.util
 import keyword
 import linecache
 import sys
 import sysconfig
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from importlib.machinery import PathFinder
+from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from pathlib import Path
-from types import ModuleType
+from types import CodeType, ModuleType
 
 from fmus.block import Block
 from fmus.errors import ExportError, nearest
 
 _RELATIVE = "; import it without dots, or name the block in an entry point of its package"
 _OWN = {"fmus", "controller_fmu", "plant_fmu", "orchestration"}
+
+
+class SourceLoader(SourceFileLoader):
+    """A loader of a module from its source, whose digest it keeps, and a finder of modules for it.
+
+    Python's own takes a compiled file, though the source has changed since, if size and second are the same.
+    """
+
+    @staticmethod
+    def find_spec(name: str, path: Sequence[str] | None = None, target: object = None) -> ModuleSpec | None:
+        """Finds a module as Python does, and gives it this loader, unless it is installed: then it stays."""
+        spec = PathFinder.find_spec(name, path)
+        if spec and type(spec.loader) is SourceFileLoader and "site-packages" not in spec.loader.path:
+            spec.loader = SourceLoader(name, spec.loader.path)
+        return spec
+
+    def get_code(self, fullname: str) -> CodeType:
+        source = self.get_data(self.path)
+        self.digest = hashlib.sha256(source).hexdigest()
+        return self.source_to_code(source, self.path)
+
+
+@contextmanager
+def from_sources() -> Iterator[None]:
+    """Modules that are imported in this context are what their sources are now."""
+    sys.meta_path.insert(sys.meta_path.index(PathFinder), SourceLoader)
+    try:
+        yield
+    finally:
+        sys.meta_path.remove(SourceLoader)
 
 
 @contextmanager
@@ -35,7 +66,8 @@ def blocks_in(path: Path) -> Iterator[tuple[Block, ...]]:
     sys.path.insert(0, str(path.parent))
     loaded = {path.stem}
     try:
-        module = _imported(path)
+        with from_sources():
+            module = _imported(path)
         loaded |= {name for name in sys.modules.keys() - before.keys() if _lies_in(path.parent, name)}
         yield _defined(module, path)
     finally:
@@ -63,7 +95,7 @@ def is_free_module_name(name: str) -> bool:
 
 def _imported(path: Path) -> ModuleType:
     linecache.checkcache(str(path))
-    spec = importlib.util.spec_from_file_location(path.stem, path)
+    spec = importlib.util.spec_from_file_location(path.stem, path, loader=SourceLoader(path.stem, str(path)))
     if spec is None or spec.loader is None:
         raise ExportError(f"{path}: expected a Python file, NAME.py")
     module = sys.modules[path.stem] = importlib.util.module_from_spec(spec)

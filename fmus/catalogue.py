@@ -12,7 +12,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from fmus.block import Block
-from fmus.block_file import blocks_in
+from fmus.block_file import blocks_in, from_sources
 from fmus.documentation import reference_files
 from fmus.documentation.icon import icon
 from fmus.documentation.reference_results import ReferenceRun, reference_run
@@ -42,7 +42,8 @@ def load_block(name: str) -> Block:
         file = f"; the file is {name}.py" if Path(f"{name}.py").is_file() else ""
         raise ExportError(f"no block named {name!r}; {nearest(name, block_names())}{file}")
     try:
-        block = point.load()
+        with from_sources():
+            block = point.load()
     except (Exception, SystemExit) as error:
         reason = f"{type(error).__name__}: {error}"
         raise ExportError(

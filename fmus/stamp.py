@@ -6,7 +6,6 @@ block that may depend on anything else, such as a file that it reads when it is 
 is traced of it decides, as for an FMU without a stamp.
 """
 
-import ast
 import hashlib
 import json
 import os
@@ -16,32 +15,21 @@ import sysconfig
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from importlib.metadata import EntryPoint, distributions
 from pathlib import Path
 
 import fmus
+from fmus.block_file import SourceLoader
+from fmus.pure_source import ImpureError, imports_of, may_take
 from fmus.registry import Flavour, block_entry_points, block_fmus, fmu_folder, fmu_path
 from fmus.user_cache import cache_folder, reason_for_distrust, write_cached
 
 _LIBRARIES = ("casadi", "fmpy", "l1-depth", "pillow", "pint", "pythonfmu", "ziglang")
 _NOT_BUILDING = {"compliance", "__pycache__"}  # folders of this package that no FMU is made from
-_NO_FILE = "", ""  # no module of a name, or one of `_PURE`
+_NO_FILE = "", ""  # no module of a name, or one of Python's or of this package's
 _RECENT_S = 2.0  # a file that changed so shortly before the process began may have been loaded before that
-
-# what a block may use of this package, and of the standard library: the same at every import
-_DECLARING = {"", "block", "guide", "numerics"}
-_PURE = {
-    "__future__", "abc", "bisect", "cmath", "collections", "contextlib", "copy", "dataclasses", "decimal",
-    "enum", "fractions", "functools", "heapq", "itertools", "math", "numbers", "operator", "statistics",
-    "string", "textwrap", "typing",
-}  # fmt: skip
-# names by which a module may depend on more than it imports
-_IMPURE = {
-    "open", "exec", "eval", "compile", "globals", "input", "id", "hash", "__import__", "__builtins__",
-    "__file__", "__loader__", "__spec__", "__path__",
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -97,9 +85,9 @@ class Sources:
     @property
     def if_loaded(self) -> "Sources | None":
         """These, if this process has imported the modules from these files, and all after `fmus`."""
-        files = {name: file for name, (file, _) in self.modules.items() if file}
-        are_loaded = all(_is_loaded(name, file) for name, file in files.items())
-        return self if are_loaded and not fmus.IMPORTED_BEFORE.intersection(files) else None
+        modules = {name: module for name, module in self.modules.items() if module != _NO_FILE}
+        are_loaded = all(_is_loaded(name, *module) for name, module in modules.items())
+        return self if are_loaded and not fmus.IMPORTED_BEFORE.intersection(modules) else None
 
 
 class Stamps:
@@ -119,14 +107,13 @@ class Stamps:
         to_run: whether they may differ in what runs do not need, such as their icons
         """
         damaged = ValueError, TypeError, KeyError, AttributeError
-        with suppress(_UnknownError, OSError, *damaged):
-            if reason_for_distrust(path := _stamp_file(order)):
-                return None
-            stamp = json.loads(path.read_text(encoding="utf-8"))
+        with suppress(ImpureError, OSError, *damaged):
+            stamp = json.loads((path := _stamp_file(order)).read_text(encoding="utf-8"))
             files = {order.folder / name: digest for name, digest in stamp["fmus"].items()}
             modules = {name: (file, digest) for name, (file, digest) in stamp["modules"].items()}
             unchanged = (
-                (to_run or stamp["was_built"])
+                not reason_for_distrust(path)
+                and (to_run or stamp["was_built"])
                 and stamp["recipe"] == self._recipe(order)
                 and all(self._module(name, order) == modules[name] for name in modules)
                 and all(_digest(path.read_bytes()) == digest for path, digest in files.items())
@@ -139,7 +126,7 @@ class Stamps:
         try:
             modules = dict(self._closure(order))
             recipe = self._recipe(order)
-        except (_UnknownError, OSError, SyntaxError, ValueError):
+        except (ImpureError, ImportError, OSError, SyntaxError, ValueError):
             return None
         return Sources(recipe, modules, max(changed for _, changed in self._files.values()))
 
@@ -173,7 +160,7 @@ class Stamps:
     def _origin(self, order: Order) -> str:
         """MODULE:NAME of an installed block, or the path of a file."""
         if not order.file and order.source not in self._entry_points:
-            raise _UnknownError(order.source)
+            raise ImpureError(order.source)
         return order.file or self._entry_points[order.source].value
 
     @cached_property
@@ -202,21 +189,22 @@ class Stamps:
         known: set[str] = set()
         while waiting:
             name = waiting.pop()
-            top, part = (*name.split("."), "")[:2]
-            if name in known or (top == "fmus" and part in _DECLARING):
+            if name in known:
                 continue
-            if top in _PURE and self._module(top, order) == _NO_FILE:
-                yield top, _NO_FILE
-                continue
-            if top == "fmus" or (top in sys.stdlib_module_names and top not in _PURE):
-                raise _UnknownError(name)
             known.add(name)
             file, digest = self._module(name, order)
             if not file:
-                raise _UnknownError(name)
+                raise ImpureError(name)
             yield name, (file, digest)
             waiting.append(name.rpartition(".")[0] or name)
-            for base, members in _imported(self._files[file][0], name, _is_package(file)):
+            for base, members in imports_of(self._files[file][0], name, _is_package(file)):
+                top = base.partition(".")[0]
+                if top == "fmus" or (top in sys.stdlib_module_names and self._module(top, order) == _NO_FILE):
+                    if not may_take(base, members):
+                        raise ImpureError(base)
+                    if top != "fmus":
+                        yield top, _NO_FILE  # as long as no file of the user's hides it
+                    continue
                 waiting.append(base)
                 for submodule in (f"{base}.{member}" for member in members):
                     if self._spec(submodule, order):
@@ -227,10 +215,10 @@ class Stamps:
     def _module(self, name: str, order: Order) -> tuple[str, str]:
         """File and digest of the module that an import of this name loads; `_NO_FILE` if there is none."""
         spec = self._spec(name, order)
-        if spec is None or (name in _PURE and _is_of_python(spec)):
+        if spec is None or (name in sys.stdlib_module_names and _is_of_python(spec)):
             return _NO_FILE
         if not spec.has_location or not str(spec.origin).endswith(".py"):
-            raise _UnknownError(name)
+            raise ImpureError(name)
         return str(spec.origin), self._digest_of(str(spec.origin))
 
     def _spec(self, name: str, order: Order) -> ModuleSpec | None:
@@ -260,20 +248,19 @@ class Stamps:
         return _digest(self._files[file][0])
 
 
-def _is_loaded(name: str, file: str) -> bool:
-    """Whether a module is loaded from a file, and the code that an import takes is that of its source: Python
-    takes a compiled file for that of a source of the same size, changed in the same second.
-    """
-    if getattr(sys.modules.get(name), "__file__", "") != file:
+def _is_loaded(name: str, file: str, digest: str) -> bool:
+    """Whether a module is loaded from a file, and from the source that has this digest."""
+    module = sys.modules.get(name)
+    if getattr(module, "__file__", "") != file:
         return False
+    loader = getattr(module, "__loader__", None)
+    if isinstance(loader, SourceLoader):
+        return loader.digest == digest
+    # it was imported before the build: a compiled file may stand for a source of the same size and second
     loader = SourceFileLoader(name, file)  # pytest may have loaded it by one of its own
     with suppress(OSError, SyntaxError, ValueError, ImportError):  # it was changed meanwhile
         return loader.get_code(name) == loader.source_to_code(loader.get_data(file), file)
     return False
-
-
-class _UnknownError(Exception):
-    """A module whose content does not follow from files of Python alone."""
 
 
 def _stamp_file(order: Order) -> Path:
@@ -288,26 +275,6 @@ def _is_of_python(spec: ModuleSpec) -> bool:
 
 def _is_package(file: str) -> bool:
     return Path(file).name == "__init__.py"
-
-
-@cache
-def _imported(content: bytes, name: str, is_package: bool) -> list[tuple[str, tuple[str, ...]]]:
-    """(module, names taken from it) of each import in a module; `_UnknownError` if it may use more."""
-    imported: list[tuple[str, tuple[str, ...]]] = []
-    for node in ast.walk(ast.parse(content)):
-        if isinstance(node, ast.Import):
-            imported += [(alias.name, ()) for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            parts = name.split(".") if is_package else name.split(".")[:-1]
-            above = parts[: len(parts) - node.level + 1] if node.level else []
-            base = ".".join([*above, *([node.module] if node.module else [])])
-            names = tuple(alias.name for alias in node.names)
-            if names == ("*",):
-                raise _UnknownError(name)
-            imported.append((base, names))
-        elif isinstance(node, ast.Name) and node.id in _IMPURE:
-            raise _UnknownError(name)
-    return imported
 
 
 def _digest(content: bytes) -> str:

@@ -3,7 +3,7 @@
 z points down. Source: Maalouf et al. (2013), section 4.
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from controller_fmu import depth_interface
 from controller_fmu.depth_interface import (
@@ -125,7 +125,7 @@ class Outputs(DepthOutputs):
 def calculate(p: Parameters) -> Matrices:
     vehicle = depth_matrices(_state_feedback(p), p)
     sampled = sampled_prediction(vehicle.predictor_input, p.prediction_error_matrix, p.adaptation_period)
-    return Matrices(**(vars(vehicle) | vars(sampled)))
+    return Matrices(**(asdict(vehicle) | asdict(sampled)))
 
 
 def requirements(p: Parameters, matrices: Matrices) -> tuple:

@@ -4,7 +4,7 @@ Starts at the paper's illustrative example (Maalouf et al. (2013), section 3.3),
 Hovakimyan and Cao (2010), page 29. Units are those of the plant at hand.
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from controller_fmu.l1 import law as l1
 from controller_fmu.l1.adaptation import Regressor
@@ -105,7 +105,7 @@ class Outputs:
 def calculate(p: Parameters) -> SampledLawMatrices:
     law = law_matrices(p.state_matrix, p.input_vector, p.output_vector, p.lyapunov_weight)
     error = sampled_prediction(p.input_vector, p.prediction_error_matrix, p.adaptation_period)
-    return SampledLawMatrices(**(vars(law) | vars(error)))
+    return SampledLawMatrices(**(asdict(law) | asdict(error)))
 
 
 def requirements(p: Parameters, matrices: SampledLawMatrices) -> tuple:

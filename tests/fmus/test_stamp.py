@@ -2,6 +2,7 @@
 
 import json
 import os
+import py_compile
 import shutil
 import subprocess
 import sys
@@ -16,8 +17,9 @@ import pytest
 import fmus
 from fmus import catalogue
 from fmus.block_file import blocks_in
+from fmus.new_block import write_new_block
 from fmus.platforms import PLATFORMS
-from fmus.registry import Flavour
+from fmus.registry import Flavour, block_names
 from fmus.stamp import Order, Stamps
 
 LATER = time.time() + 1e6  # so that files of a test count as older than the process
@@ -199,6 +201,30 @@ def test_another_date_makes_it_stale(order: Order, tmp_path: Path, monkeypatch: 
         "import not_there",
         "from fmus import compliance",
         "import fmus.files",
+        "from contextlib import os",
+        "import dataclasses; dataclasses.sys",
+        "from collections import _sys",
+        "import collections.abc",
+        "from typing import get_type_hints",
+        "from fmus.block import math",
+        "from fmus.numerics import symbols",
+        "from fmus import numerics; numerics.symbols.sys",
+        "import fmus.numerics",
+        "from lag import __builtins__",
+        "globals()['__builtins__']",
+        "vars()['__builtins__']",
+        "getattr(GAIN, 'real')",
+        "(lambda: 0).__globals__",
+        "(x for x in ()).gi_frame",
+        "'{0.gi_frame}'.format(x for x in ())",
+        "match GAIN:\n        case object(__class__=kind): pass",
+        "list({'a', 'b'})",
+        "list({text for text in ('a', 'b')})",
+        "list(frozenset(('a', 'b')))",
+        "list({'a': 1}.keys() | {'b': 1}.keys())",
+        "list({'a': 1}.items() | {'b': 1}.items())",
+        "hash('a')",
+        "id(GAIN)",
     ],
 )
 def test_a_block_that_may_depend_on_more_than_its_sources_gets_no_stamp(
@@ -209,6 +235,34 @@ def test_a_block_that_may_depend_on_more_than_its_sources_gets_no_stamp(
         f"GAIN = 2.0\nif GAIN > 3.0:\n    {line}\n" if "*" not in line else line
     )
     assert Stamps(tmp_path / "package", LATER).sources(order) is None
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "import math; math.pi",
+        "from fmus import numerics; numerics.sqrt(2.0)",
+        "from dataclasses import replace",
+        "from collections.abc import Callable",
+        "TABLE = {'a': 1.0}; list(TABLE.values())",
+        "raise ValueError(f'{GAIN}')",
+    ],
+)
+def test_a_block_of_names_that_lead_to_nothing_else_gets_a_stamp(
+    order: Order, tmp_path: Path, line: str
+) -> None:
+    (tmp_path / "gains.py").write_text(f"GAIN = 2.0\nif GAIN > 3.0:\n    {line}\n")
+    assert Stamps(tmp_path / "package", LATER).sources(order)
+
+
+@pytest.mark.parametrize("name", block_names())
+def test_every_installed_block_gets_a_stamp(name: str, tmp_path: Path) -> None:
+    assert Stamps().sources(Order(name, tmp_path))
+
+
+def test_a_block_that_l1_depth_new_writes_gets_a_stamp(tmp_path: Path) -> None:
+    (path, _) = write_new_block("depth_pid", tmp_path)
+    assert Stamps().sources(Order(str(path), tmp_path))
 
 
 def test_sources_that_may_have_changed_since_they_were_loaded_give_no_stamp(
@@ -234,12 +288,12 @@ def test_a_module_that_appears_where_an_import_failed_makes_it_stale(order: Orde
     """Also where it hides one of the standard library."""
     (tmp_path / "tools").mkdir()
     (tmp_path / "tools" / "__init__.py").write_text(
-        "import statistics\ntry:\n    from . import fast\nexcept ImportError:\n    fast = None\n"
+        "from enum import Enum\ntry:\n    from . import fast\nexcept ImportError:\n    fast = None\n"
     )
     (tmp_path / "gains.py").write_text("import tools\nGAIN = 3.0 if tools.fast else 2.0\n")
     stamp(order, tmp_path)
     assert current(order, tmp_path)
-    for name in ("tools/fast.py", "statistics.py"):
+    for name in ("tools/fast.py", "enum.py"):
         (tmp_path / name).write_text("")
         assert current(order, tmp_path) is None
         (tmp_path / name).unlink()
@@ -261,19 +315,30 @@ def test_a_helper_named_like_a_module_of_python_is_a_source(
     assert sources.modules["statistics"][0] == str(helper)
 
 
-def test_an_older_helper_that_python_takes_for_the_present_one_is_not_a_source(
-    order: Order, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("file", ["gains.py", "lag.py", "tools/__init__.py"])
+def test_a_changed_source_of_the_same_size_and_second_is_what_is_imported(
+    order: Order, tmp_path: Path, file: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of the same size and second: its compiled file counts as that of the present source."""
+    """Python takes the compiled file of the older one for it."""
     monkeypatch.setattr(sys, "dont_write_bytecode", False)
-    gains = tmp_path / "gains.py"
-    os.utime(gains, (1e9, 1e9))
-    stamp(order, tmp_path)
-    gains.write_text("GAIN = 2.5\n")
-    os.utime(gains, (1e9, 1e9))
-    stamp(order, tmp_path)
-    assert current(order, tmp_path) is None
-    shutil.rmtree(tmp_path / "__pycache__")
+    (tmp_path / "tools").mkdir()
+    (tmp_path / "tools" / "__init__.py").write_text("TOOL = 1.0\n")
+    (tmp_path / "gains.py").write_text("from tools import TOOL\nGAIN = 2.0\n")
+    source = tmp_path / file
+    os.utime(source, (1e9, 1e9))
+    py_compile.compile(str(source))  # as an import elsewhere does
+    before = source.read_text()
+    source.write_text(before.replace("1.0", "1.5", 1).replace("2.0", "2.5", 1))
+    assert len(before) == len(source.read_text())
+    os.utime(source, (1e9, 1e9))
+    with blocks_in(Path(order.source)) as (block,):
+        values = block.parameters().gain, sys.modules["gains"].GAIN, sys.modules["tools"].TOOL
+    assert (
+        values
+        == {"gains.py": (1.0, 2.5, 1.0), "lag.py": (1.5, 2.0, 1.0), "tools/__init__.py": (1.0, 2.0, 1.5)}[
+            file
+        ]
+    )
     stamp(order, tmp_path)
     assert current(order, tmp_path)
 
@@ -328,10 +393,11 @@ def test_modules_that_were_loaded_from_another_file_or_text_are_not_the_sources(
         with monkeypatch.context() as elsewhere:
             elsewhere.setattr(sys.modules["gains"], "__file__", str(tmp_path / "elsewhere" / "gains.py"))
             assert sources.if_loaded is None
-        (tmp_path / "gains.py").write_text("GAIN = (")  # half written
-        assert sources.if_loaded is None
-        (tmp_path / "gains.py").unlink()
-        assert sources.if_loaded is None
+        (tmp_path / "gains.py").write_text("GAIN = 2.5\n")
+        assert sources.if_loaded is sources  # and `write` finds that they have changed
+        later = Stamps(tmp_path / "package", LATER).sources(order)
+        assert later
+        assert later.if_loaded is None
 
 
 def test_a_damaged_stamp_is_none(order: Order, tmp_path: Path) -> None:
