@@ -1,16 +1,20 @@
 """Rows of built-in controllers from earlier scores, in the user's cache folder.
 
-A row is found by the content of all that it follows from: FMUs, parameters, protocol, seeds, and the sources
-that compute figures. The rows that were used last are kept: other content leaves rows that nobody finds.
+A row is found by the content of all that it follows from: FMUs, parameters, protocol, seeds, this program and
+the libraries, Python and machine that run it. The rows that were used last are kept: other content leaves
+rows that nobody finds.
 """
 
 import hashlib
 import json
 import os
+import platform
+import sys
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import asdict
 from functools import cache
+from importlib.metadata import distributions
 from pathlib import Path
 
 from pydantic import BaseModel
@@ -22,9 +26,8 @@ from orchestration.study.loop import Controller, Loop
 from orchestration.study.score_document import Row
 from orchestration.study.scored_run import Trace
 
-_PROJECT = Path(__file__).parents[1]
-_COMPUTING = ("fmi", "master", "results", "scenarios", "study", "sweep", "system")
-_SOURCES = (".py", ".c", ".h", ".toml")
+_PROJECT = Path(__file__).parents[2]
+_PACKAGES = ("fmus", "controller_fmu", "plant_fmu", "orchestration")
 _PROTOCOL = Path(__file__).with_name("protocol.toml")
 _OF_OTHERS = ("controllers", "cost")  # tables of a protocol that a row does not follow from
 MOST_ROWS = 150  # three scores of 17 controllers and a comparison of 34, with and without plants: 60 MB
@@ -46,19 +49,26 @@ def key(controller: Controller, loop: Loop, full: bool) -> str:
     loaded = loop.scenario(loop.protocol.nominal)
     fmus = [_digest(fmu) for fmu in loaded.system.components.values()]
     runs = {name: table for name, table in loop.protocol.file.data.items() if name not in _OF_OTHERS}
-    content = [asdict(controller), full, runs, _digests_of_sources(), fmus]
+    content = [asdict(controller), full, runs, _digests_of_sources(), _environment(), fmus]
     return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()
 
 
 @cache
 def _digests_of_sources() -> list[str]:
-    files = (path for name in _COMPUTING for path in (_PROJECT / name).rglob("*"))
-    return [_digest(path) for path in sorted(files) if path.suffix in _SOURCES and _is_followed(path)]
+    files = (path for name in _PACKAGES for path in (_PROJECT / name).rglob("*"))
+    return [_digest(path) for path in sorted(files) if path.is_file() and _is_followed(path)]
 
 
 def _is_followed(source: Path) -> bool:
     """Not the shipped protocol, whose tables count one by one, nor tuned gains, which the controller has."""
-    return source != _PROTOCOL and source.parent != tuned_gains.FOLDER
+    return source != _PROTOCOL and source.parent != tuned_gains.FOLDER and source.suffix != ".pyc"
+
+
+@cache
+def _environment() -> list[object]:
+    """Returns what figures depend on besides the sources: Python, the C library and what is installed."""
+    installed = sorted({(found.name, found.version) for found in distributions()})
+    return [sys.version, platform.machine(), platform.libc_ver(), installed]
 
 
 def _digest(file: Path) -> str:

@@ -4,13 +4,14 @@ import hashlib
 import os
 from collections.abc import Callable
 from dataclasses import replace
+from importlib import metadata
 from pathlib import Path
 
 import pytest
 
 from orchestration.study import score_cache
-from orchestration.study.loop import Loop
-from orchestration.study.protocol import read_protocol
+from orchestration.study.loop import Loop, built_in
+from orchestration.study.protocol import Protocol, read_protocol
 from orchestration.study.score_document import Row
 from orchestration.study.tuned_gains import tuned
 
@@ -53,3 +54,57 @@ def test_a_row_with_plants_or_other_parameters_is_another_one(small_protocol: Ca
 def test_a_row_follows_from_sources_of_every_kind(source: str) -> None:
     content = (Path(score_cache.__file__).parents[1] / source).read_bytes()
     assert hashlib.sha256(content).hexdigest() in score_cache._digests_of_sources()
+
+
+@pytest.fixture
+def name_of_row(protocol: Protocol) -> Callable[[], str]:
+    """The key of one row, computed anew at each call."""
+    loop = Loop(built_in(protocol, "l1-pi"), protocol)
+
+    def key() -> str:
+        score_cache._digests_of_sources.cache_clear()
+        score_cache._environment.cache_clear()
+        return score_cache.key(loop.controller, loop, False)
+
+    return key
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "fmus/lanes.py",
+        "fmus/templates/lanes.c",
+        "fmus/numerics/elementary.py",
+        "controller_fmu/design.py",
+        "orchestration/gym.py",
+        "orchestration/master/loop.c",
+    ],
+)
+def test_a_row_is_found_by_the_sources_of_all_packages(
+    name_of_row: Callable[[], str], source: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, digest = name_of_row(), score_cache._digest
+    assert name_of_row() == before
+    monkeypatch.setattr(
+        score_cache, "_digest", lambda file: "changed" if file.as_posix().endswith(source) else digest(file)
+    )
+    assert name_of_row() != before
+
+
+def test_a_row_is_found_by_the_versions_of_the_libraries(
+    name_of_row: Callable[[], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, installed = name_of_row(), [*metadata.distributions()]
+    assert "scipy" in {library.name for library in installed}
+    others = [library for library in installed if library.name != "scipy"]
+    monkeypatch.setattr(score_cache, "distributions", lambda: others)
+    assert name_of_row() != before
+
+
+@pytest.mark.parametrize("part", ["sys.version", "platform.machine", "platform.libc_ver"])
+def test_a_row_is_found_by_python_and_by_the_machine(
+    name_of_row: Callable[[], str], part: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = name_of_row()
+    monkeypatch.setattr(part, "another" if part == "sys.version" else lambda: "another")
+    assert name_of_row() != before
