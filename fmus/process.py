@@ -98,9 +98,8 @@ class WorkerProcess:
             dir=folder, prefix="l1-depth-process-", ignore_cleanup_errors=True
         )
         self.folder = Path(self._temporary.name)
-        self._messages: Queue[tuple[int, bytes] | None] = (
-            Queue()
-        )  # SimpleQueue.get may wait for ever after a signal
+        # no SimpleQueue, whose get may wait for ever after a signal
+        self._messages: Queue[tuple[int, bytes] | None] = Queue()
         self._trusted, self._errors, self._group_ended = trusted, b"", False
         self._process = _started(worker, self.folder)
         incoming, errors = cast(IO[bytes], self._process.stdout), cast(IO[bytes], self._process.stderr)
