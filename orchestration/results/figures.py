@@ -86,7 +86,7 @@ def _outside(panels: Sequence[Axes], renderer: RendererAgg) -> tuple[float, floa
     numbers = [text for panel in panels for text in panel.yaxis.get_majorticklabels()]
     labels = [panel.yaxis.label.get_window_extent(renderer).width for panel in panels]
     legends = [legend for panel in panels if (legend := panel.get_legend())]
-    right = max([below.x1, *(legend.get_window_extent(renderer).x1 for legend in legends)])
+    right = max([frame.x1, below.x1, *(legend.get_window_extent(renderer).x1 for legend in legends)])
     left = min(text.get_window_extent(renderer).x0 for text in numbers)
     return frame.x0 - left, max(labels), right - frame.x1, frame.y0 - below.y0
 

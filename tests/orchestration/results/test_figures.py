@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from orchestration.results import figures
 from orchestration.results.formats import FigureFormat
@@ -73,6 +74,22 @@ def test_everything_has_room_in_the_figure(
     assert box.y1 <= height
     legends = [legend.get_window_extent() for panel in figure.axes if (legend := panel.get_legend())]
     assert legends[0].y0 > legends[1].y1
+
+
+def test_the_picture_shows_the_right_frame_of_a_panel_whose_legend_is_inside(tmp_path: Path) -> None:
+    """The last number of the axis stands left of the frame, so that nothing but the frame needs room."""
+    with figures.figure_style():
+        figure, (panel,) = figures.stacked_panels([1.0], "Time [s]")
+        figures.draw_curve(panel, 0.943 * TIME, np.zeros_like(TIME), label="a")
+        panel.legend(loc="upper left")
+        (file,) = figures.write_figure(figure, tmp_path / "run", [FigureFormat.PNG], dots_per_inch=100)
+    with Image.open(file) as picture:
+        is_ink = np.asarray(picture.convert("L")) < 128
+    columns = np.flatnonzero(is_ink.mean(axis=0) > 0.4)  # only the two vertical frames are so high
+    blank = is_ink.shape[1] - 1 - columns[-1]
+    assert columns[-1] - columns[0] > 0.8 * is_ink.shape[1]
+    assert blank == pytest.approx(0.05 * 100, abs=1)  # the padding, to the pixel that holds the line
+    assert not is_ink[:, columns[-1] + 1 :].any()
 
 
 @pytest.mark.parametrize("ending", FigureFormat)
