@@ -1,6 +1,7 @@
 """What to write in a block in place of an expression that has no meaning on a symbol."""
 
 import ast
+import re
 
 from fmus import numerics
 
@@ -77,6 +78,10 @@ _OPERATORS = {
 }  # fmt: skip
 
 
+# the beginning of what asks for a whole number, up to the expression inside it -> what to do
+_INDICES = {r"\brange\([^()]*": INSTEAD["range"], r"[\w)\]]\[[^\[\]]*": "use fmus.numerics.choose"}
+
+
 def advice(expression: str, statement: str, default: str) -> str:
     """What to do in place of an expression in a line of code; empty if nothing is known.
 
@@ -86,6 +91,9 @@ def advice(expression: str, statement: str, default: str) -> str:
         return "use for with a constant number of turns, and fmus.numerics.where in it"
     if statement.startswith("assert "):
         return "use the requirements of the block"
+    for before, use in _INDICES.items():
+        if expression and re.search(before + re.escape(expression), statement):
+            return use
     try:
         name = _name(ast.parse(expression, mode="eval").body)
     except SyntaxError:

@@ -37,6 +37,13 @@ MapOption = Annotated[
         help="Take this variable of the controller for NAME of the scenario; component.NAME for others.",
     ),
 ]
+ControllerSetOption = Annotated[
+    list[str], typer.Option("--set", metavar="NAME=VALUE", help="Set controller.variable=value.")
+]
+ControllerMapOption = Annotated[
+    list[str],
+    typer.Option("--map", metavar="NAME=VARIABLE", help="Take this variable of the controller for NAME."),
+]
 OpenInputsOption = Annotated[
     OpenInputs | None,
     typer.Option(help="Let inputs that nothing drives keep the start values of their FMUs."),

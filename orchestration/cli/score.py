@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fmus.platforms import usable_processors
-from orchestration.cli.changes import MapOption, OpenInputsOption, SetOption
+from orchestration.cli.changes import ControllerMapOption, ControllerSetOption, OpenInputsOption
 from orchestration.cli.shared import OutFolder, check_writable, console, print_table, progress
 
 if TYPE_CHECKING:
@@ -33,8 +33,8 @@ def score(
         bool, typer.Option("--full", help="Run the 300 plants of the protocol too, and compare on each.")
     ] = False,
     out: OutFolder = Path("results"),
-    settings: SetOption = [],  # noqa: B006  (Typer copies it)
-    mapped: MapOption = [],  # noqa: B006
+    settings: ControllerSetOption = [],  # noqa: B006  (Typer copies it)
+    mapped: ControllerMapOption = [],  # noqa: B006
     open_inputs: OpenInputsOption = None,
     protocol_file: ProtocolOption = None,
     timeout: Annotated[

@@ -24,9 +24,11 @@ def scored_controllers(
         raise ScenarioError(f"--set and --map with {len(names)} controllers: expected one")
     if changes.components:
         raise ScenarioError(f"--set {next(iter(changes.components))}: expected controller.variable=value")
-    for name in changes.settings:
-        if not name.startswith(f"{CONTROLLER}."):
-            raise ScenarioError(f"--set {name}: expected controller.VARIABLE, the vehicle is the protocol's")
+    named = [f"--set {name}" for name in changes.settings]
+    named += [f"--map {component}.{name}" for component, names in changes.mapping.items() for name in names]
+    for option in named:
+        if not option.partition(" ")[2].startswith(f"{CONTROLLER}."):
+            raise ScenarioError(f"{option}: expected controller.NAME, the vehicle is the protocol's")
     own = {name.partition(".")[2]: value for name, value in changes.settings.items()}
     mapping: Mapping[str, str] = changes.mapping.get(CONTROLLER, {})
     return [

@@ -9,7 +9,7 @@ import typer
 
 from fmus.errors import nearest
 from fmus.platforms import usable_processors
-from orchestration.cli.changes import MapOption, OpenInputsOption, SetOption
+from orchestration.cli.changes import ControllerMapOption, ControllerSetOption, OpenInputsOption
 from orchestration.cli.interrupts import INTERRUPTED
 from orchestration.cli.score import ProtocolOption, write_page
 from orchestration.cli.shared import (
@@ -58,8 +58,8 @@ def tune(
             metavar="NAME", help="Of a controller that is not of the protocol; by default position."
         ),
     ] = None,
-    settings: SetOption = [],  # noqa: B006
-    mapped: MapOption = [],  # noqa: B006
+    settings: ControllerSetOption = [],  # noqa: B006
+    mapped: ControllerMapOption = [],  # noqa: B006
     open_inputs: OpenInputsOption = None,
 ) -> None:
     """Search the gains of least cost on practice cases of the protocol; an interrupted tuning continues."""

@@ -51,11 +51,12 @@ def _check_mapping(
     replaced: Replacement | None,
     layer: Layer,
 ) -> None:
-    known = {name for lower in below for name in _variables(lower.data, component)}
+    known = {f"{component}.{name}" for lower in below for name in _variables(lower.data, component)}
     for old, new in table.items():
         where = f"{layer.at(('mapping', component, old))}: mapping.{component}: "
-        if old not in known:
-            raise ScenarioError(f"{where}nothing names {component}.{old}; {nearest(old, known)}")
+        name = f"{component}.{old}"
+        if name not in known:
+            raise ScenarioError(f"{where}nothing names {name}; {nearest(name, known)}")
         if replaced is not None and new not in replaced.ports:
             raise ScenarioError(f"{where}{component} has no variable {new!r}; {nearest(new, replaced.ports)}")
 

@@ -108,12 +108,12 @@ def _check_joined(replaced: Replacement, data: Data) -> None:
     if not (replaced.fmu and missing):
         return
     lacks = sorted(name.removeprefix(prefix) for name in missing)
-    may_stay = ", or leave inputs at their start values by --open-inputs start" if undriven else ""
+    may_stay = "; --open-inputs start leaves its inputs at their start values" if undriven else ""
     raise ScenarioError(
         f"{replaced.component} is {Path(replaced.fmu).name}, which lacks {', '.join(lacks)}; nothing drives "
         f"its {', '.join(undriven) or '(no input)'}, its outputs are {', '.join(replaced.names('output'))}: "
-        f"name those that stand for others by --map {lacks[0]}=NAME or in [mapping.{replaced.component}]"
-        f"{may_stay}"
+        f"name those that stand for others by --map {prefix}{lacks[0]}=NAME or in "
+        f"[mapping.{replaced.component}]{may_stay}"
     )
 
 

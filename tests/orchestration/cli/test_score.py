@@ -68,7 +68,7 @@ def test_the_table_of_differences_says_on_how_many_plants_both_have_a_value() ->
         (["L1DepthControler"], "no block 'L1DepthControler'"),
         (
             ["L1DepthController", "--set", "plant.inertia=9"],
-            "--set plant.inertia: expected controller.VARIABLE",
+            "--set plant.inertia: expected controller.NAME",
         ),
         (["L1DepthController", "--set", "controller.gain=9"], "controller.gain"),
         (["L1DepthController", "--out", f"{__file__}/results"], "Not a directory: expected a folder"),

@@ -139,8 +139,8 @@ def test_a_reference_that_a_connection_drives_needs_its_rate_from_there(tmp_path
 
 LACKING = (
     r"my.fmu, which lacks depth_reference, measured_depth, measured_depth_rate, voltage\[1\], voltage\[2\]; "
-    r"nothing drives its r, z, its outputs are v1, v2: name .* by --map depth_reference=NAME or in "
-    r"\[mapping.controller\], or .* --open-inputs start$"
+    r"nothing drives its r, z, its outputs are v1, v2: name .* by --map controller.depth_reference=NAME or "
+    r"in \[mapping.controller\]; --open-inputs start leaves its inputs at their start values$"
 )
 
 
@@ -149,7 +149,10 @@ LACKING = (
     [
         ({}, LACKING),
         ({**MAPPED, "voltage[2]": "v3"}, r"mapping.controller: controller has no variable 'v3'; known: "),
-        ({**MAPPED, "depth_refrence": "r"}, r"nothing names controller.depth_refrence; nearest is 'depth_re"),
+        (
+            {**MAPPED, "depth_refrence": "r"},
+            r"nothing names controller.depth_refrence; nearest is 'controller.dep",
+        ),
         ({"depth_reference": "r", "measured_depth": "z"}, r"lacks voltage\[1\], voltage\[2\]; .*NAME or in"),
         (
             {n: o for n, o in MAPPED.items() if o != "z"},
@@ -170,7 +173,7 @@ def test_open_inputs_take_start_values_if_asked(tmp_path: Path) -> None:
     prepared = prepare(loaded.system, loaded.experiment)
     assert [port.name for port in prepared.system.open_inputs] == ["controller.enable"]
     assert {port.name: value for port, value in prepared.settings}["controller.enable"] is False
-    with pytest.raises(ScenarioError, match=r"nothing drives its enable, .* by --open-inputs start$"):
+    with pytest.raises(ScenarioError, match=r"nothing drives its enable, .* --open-inputs start leaves"):
         with_fmu(tmp_path, inputs, VOLTAGES)
 
 
