@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,11 @@ TOOL_PAGES = [
     page for page in (ROOT / "docs" / "how-to" / "importing").glob("*.md") if page.name != "README.md"
 ]
 TUTORIALS = [page for page in (ROOT / "docs" / "tutorials").glob("*.md") if page.name != "README.md"]
+
+EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
+    "optional-dependencies"
+]
+FOR_DEVELOPERS = {"docs", "test"}
 
 QUICK = {"fmpy.md"}  # the others run the command line a dozen times each
 
@@ -107,6 +113,27 @@ def test_the_examples_run_and_print_what_the_page_shows(page: Path, tmp_path: Pa
         timeout=900,
     )
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_table_of_extras_lists_every_extra_of_users() -> None:
+    page = (ROOT / "docs" / "how-to" / "run-without-building.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"^\| `(\w+)` \|", page, re.M)) == EXTRAS.keys() - FOR_DEVELOPERS
+
+
+def test_what_builds_the_site_is_fixed_to_versions() -> None:
+    """A newer version may warn of more, at which the strict build fails."""
+    assert EXTRAS["docs"]
+    assert not [requirement for requirement in EXTRAS["docs"] if "==" not in requirement]
+
+
+def test_the_tutorials_install_the_pytest_that_they_run() -> None:
+    runs_pytest = [
+        page for page in TUTORIALS if re.search(r"^pytest ", page.read_text(encoding="utf-8"), re.M)
+    ]
+    assert runs_pytest
+    index = (ROOT / "docs" / "tutorials" / "README.md").read_text(encoding="utf-8")
+    assert "pip install -e '.[all]' pytest" in index
+    assert not [extra for extra in EXTRAS["all"] if "pytest" in extra]
 
 
 @pytest.mark.parametrize("page", TUTORIALS, ids=_name)

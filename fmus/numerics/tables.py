@@ -28,7 +28,7 @@ def interp2d(
     """Bilinear interpolation of a table at (x, y), held outside.
 
     xp, yp: ascending, each number larger than the one before
-    fp: fp[i][j] is the value at (xp[i], yp[j])
+    fp: `fp[i][j]` is the value at (xp[i], yp[j])
     Raises ValueError as `interp` does.
     """
     _check_points(xp, len(fp))

@@ -13,6 +13,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from fmus.extras import imports_of
 from orchestration.errors import OrchestrationError
 from orchestration.study.tune_journal import Journal, Key
 from orchestration.study.tune_search import Search
@@ -165,7 +166,8 @@ def _what_is_searched(problem: Problem, evaluations: int) -> dict[str, Any]:
 
 
 def _optimiser() -> str:
-    return f"CMA-ES (cmaes {version('cmaes')})"
+    with imports_of("study", "tuning"):
+        return f"CMA-ES (cmaes {version('cmaes')})"
 
 
 def _check_same(row: Mapping[str, Any], stored: Mapping[str, Any], path: Path) -> None:

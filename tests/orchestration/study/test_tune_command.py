@@ -7,6 +7,7 @@ import sys
 import time
 import tomllib
 from collections.abc import Callable
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import psutil
 import pytest
 
 from orchestration.scenarios import scenario
+from orchestration.study import tune
 
 Command = Callable[..., Any]
 OPTIONS = ("--evaluations", "3", "--seeds", "2", "--workers", "2")
@@ -37,6 +39,17 @@ OPTIONS = ("--evaluations", "3", "--seeds", "2", "--workers", "2")
 def test_what_cannot_be_tuned_is_refused(refused: Command, arguments: list[str], message: str) -> None:
     assert message in refused("tune", *arguments)
     assert not Path("results").exists()
+
+
+def test_a_tuning_without_its_library_says_how_to_install_it(
+    refused: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def version(distribution: str) -> str:
+        raise PackageNotFoundError(distribution)
+
+    monkeypatch.setattr(tune, "version", version)
+    message = refused("tune", "l1", *OPTIONS)
+    assert message == "l1-depth: tuning needs cmaes: pip install 'l1-depth[study]'\n"
 
 
 def _process(folder: Path) -> subprocess.Popen[str]:
