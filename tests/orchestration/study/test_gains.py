@@ -1,4 +1,4 @@
-"""The tuned gains that ship: all controllers were tuned alike, and gains have the cost that is claimed."""
+"""The tuned gains that ship: all are of the same search, and have the cost that is claimed."""
 
 import tomllib
 from typing import Any
