@@ -1,4 +1,4 @@
-"""How a block becomes an FMU: the only package that knows FMI export."""
+"""FMUs of FMI 2.0: their declaration as blocks, their build, their check, and what running one needs."""
 
 import sys
 import time
