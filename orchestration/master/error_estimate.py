@@ -3,8 +3,9 @@
 Richardson's estimate: an exchange of order p leaves the error C h^p; at twice the step it is 2^p times as
 large, so that the two runs differ by d = (2^p - 1) C h^p. The second run starts at the start time: no FMU has
 to go back in time or to give derivatives, nor to be loaded twice but for a run that the caller leads step by
-step, which goes on beside it. With a tolerance, the second run has a
-tolerance 2^p times as large as well.
+step, which goes on beside it. With a tolerance, the second run has a tolerance 2^p times as large as well. A
+component that takes one internal step for each communication step does so in both runs: its parameter
+`internal_step` [s] becomes longer too.
 
 What is recorded is a bound rather than d / (2^p - 1) itself: a multiple of the largest d of the last three
 common points, as d may pass through 0 where the error does not.
@@ -29,7 +30,8 @@ from orchestration.errors import FmuWarning, OrchestrationError, SimulationError
 from orchestration.results.recording import ERROR_ESTIMATE, Recording
 from orchestration.system.coarser import coarser
 from orchestration.system.experiment import Experiment
-from orchestration.system.prepared_run import PreparedRun
+from orchestration.system.prepared_run import PreparedRun, values_of
+from orchestration.system.time_grid import GRID_TOLERANCE
 
 _FACTORS = (3.0, 2.0)  # by the order of the extrapolation
 
@@ -42,7 +44,9 @@ def with_error_estimate(
     run: makes the run at twice the step. Where that fails, the estimate is not a number from there on, and a
     warning is issued. SimulationError, with the recording, if it is interrupted.
     """
+    longer = longer_internal_steps(prepared)
     experiment = coarser(prepared.experiment)
+    experiment = replace(experiment, parameters={**experiment.parameters, **longer})
     failure = ""
     try:
         coarse = run(experiment)
@@ -51,7 +55,8 @@ def with_error_estimate(
             raise SimulationError(str(error), recording) from error.__cause__
         nothing = replace(recording, time=recording.time[:0], values=recording.values[:0])
         failure, coarse = str(error), getattr(error, "recording", nothing)
-        warnings.warn(f"no error estimate: the run at twice the step: {failure}", FmuWarning, stacklevel=3)
+        message = f"no error estimate: the run at twice the step: {failure}; half the step_size may give one"
+        warnings.warn(message, FmuWarning, stacklevel=3)
     names = estimated_names(prepared)
     columns = [recording.names.index(name) for name in names]
     is_complete = not (failure or "terminated" in coarse.provenance)
@@ -62,6 +67,7 @@ def with_error_estimate(
     )  # fmt: skip
     entry = {
         "step_size_of_second_run_s": experiment.step_size,
+        **({"parameters_of_second_run": longer} if longer else {}),
         **({"failure": failure} if failure else {}),
         "quantities": {
             name: {"maximum": _number(values.max()), "at_end": _number(values[-1])}
@@ -75,6 +81,22 @@ def with_error_estimate(
         values=np.column_stack([recording.values, bounds]),
         provenance={**recording.provenance, "error_estimate": entry},
     )
+
+
+def longer_internal_steps(prepared: PreparedRun) -> dict[str, float]:
+    """Returns "component.internal_step" -> twice its value [s], where only a step twice as long is divided.
+
+    A controller that takes its own output as delivered needs one internal step for each communication step.
+    """
+    longer = {}
+    for name in prepared.system.components:
+        port = prepared.system.ports.get(f"{name}.internal_step")
+        if port and (port.variable.causality, port.variable.unit) == ("parameter", "s"):
+            step = prepared.periods[name] * prepared.experiment.step_size
+            internal_step = values_of(prepared, name)["internal_step"]
+            if step * (1.0 - GRID_TOLERANCE) <= internal_step < 2.0 * step:
+                longer[port.name] = 2.0 * internal_step
+    return longer
 
 
 def estimated_names(prepared: PreparedRun) -> list[str]:
