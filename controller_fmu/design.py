@@ -168,12 +168,12 @@ def proportional_gain_range(
 ) -> tuple[float, float]:
     """The K_P from which and up to which the L1-norm condition holds, with K_I as in the extension.
 
-    The lowest such range, searched at 0 (K_I is 0 there too) and on 5 gains a decade, its ends to 0.01 %.
+    The lowest such range, searched at 0 and on 5 gains a decade, its ends to 0.01 %.
     Not numbers if it holds nowhere; the upper one is infinite if it holds up to 1e4 k_g.
     """
 
     def excess(gain: float) -> float:
-        changed = replace(extension, proportional_gain=gain) if gain else NO_EXTENSION
+        changed = replace(extension, proportional_gain=gain)
         try:
             return l1_condition(a_m, b, order, w, lipschitz, changed, omegas) - 1.0
         except ValueError:

@@ -178,6 +178,23 @@ def test_an_extension_may_be_needed_for_the_condition() -> None:
     assert largest == np.inf
 
 
+def test_the_integral_gain_remains_where_the_proportional_gain_is_zero() -> None:
+    """The tuned PI on the vehicle: plain L1 satisfies the condition, and K_I alone does not."""
+    a_m, b = np.array([[0.0, 1.0], [-1.764 / 5.5, -20.97 / 5.5]]), np.array([0.0, 1.0 / 5.5])
+    common, extension = (
+        (a_m, b, FilterOrder.FIRST, 0.3073, 5.0),
+        design.Extension((1.0, 0.0), 3.709, 0.004373),
+    )
+    assert design.l1_condition(*common) < 1.0
+    least, largest = design.proportional_gain_range(*common, extension)
+    below, above = (
+        design.l1_condition(*common, replace(extension, proportional_gain=factor * least))
+        for factor in (0.99, 1.01)
+    )
+    assert above < 1.0 < below
+    assert largest == np.inf
+
+
 def test_a_condition_that_holds_with_no_proportional_gain_has_no_range() -> None:
     extension = design.Extension((1.0, 0.0))
     assert np.isnan(design.proportional_gain_range(A_M, B, FilterOrder.FIRST, 10.0, 50.0, extension)).all()
