@@ -66,13 +66,22 @@ def file_layers(path: Path, above: tuple[Path, ...] = ()) -> list[Layer]:
         base_path = _file(base, path.parent, shipped() | shipped_bases())
         below = file_layers(base_path, (*above, path.resolve()))
         below[-1].data.pop("title", None)  # a scenario is not called as its base is
-    parameters: dict[str, Any] = {}
-    files = [file]
-    for name in data.pop("parameter_files", []):
-        files.insert(1, read_toml(path.parent / name))
-        parameters |= _values_of(files[1])
-    own = merge({"parameters": parameters}, data) if parameters else data
-    return [*below, Layer(own, tuple(files))]
+    own, parameter_files = with_parameter_files(data, path.parent)
+    return [*below, Layer(own, (file, *reversed(parameter_files)))]
+
+
+def with_parameter_files(data: Mapping[str, Any], folder: Path) -> tuple[Data, list[TomlFile]]:
+    """Returns the data over the values of the parameter files that they name, and these files.
+
+    folder: that the files are relative to
+    """
+    names = data.get("parameter_files", [])
+    if isinstance(names, str):
+        raise ScenarioError(f"parameter_files = {names!r}: expected a list")
+    files = [read_toml(folder / name) for name in names]
+    parameters = {name: value for file in files for name, value in _values_of(file).items()}
+    own = {key: value for key, value in data.items() if key != "parameter_files"}
+    return merge({"parameters": parameters}, own) if parameters else own, files
 
 
 def _tables_of_components(data: Data) -> list[tuple[dict[str, Any], tuple[str | int, ...]]]:
@@ -124,6 +133,8 @@ def components_of(layers: Sequence[Layer]) -> dict[str, str]:
 
 def command_entries(overrides: Mapping[str, Any], settings: Mapping[str, FmiValue]) -> Data:
     """The overrides and the settings that name a component; paths are relative to the present folder."""
+    if "base" in overrides:
+        raise ScenarioError(f"base = {overrides['base']!r}: expected it in the scenario file that is loaded")
     given = {
         **overrides.get("components", {}),
         **{n: str(fmu) for n, fmu in settings.items() if "." not in n},

@@ -33,6 +33,7 @@ from orchestration.scenarios.read_layers import (
     parameter_values,
     shipped,
     values_of_settings,
+    with_parameter_files,
 )
 from orchestration.scenarios.replaced import replacements, warn_of_dropped, without_removed
 from orchestration.scenarios.toml_file import KeyPath, TomlFile
@@ -74,15 +75,18 @@ def load(
     """Read a scenario file; `overrides` is laid over it as a scenario over its base.
 
     flavour: of our own blocks' FMUs
-    layers_between: laid over the file one after another, below `overrides`, whose mapping they so follow
+    layers_between: laid over the file one after another, below `overrides`, whose mapping they so follow;
+    files that they and `overrides` name are relative to the present folder
     settings: "component.variable" -> value of a parameter or a constant input, and component -> the FMU or
     block in its place; checked and laid over all
     build: called with the file of an FMU whose model description is needed to load the scenario
     Warns (ScenarioWarning) of inherited entries that do not fit an FMU which replaces that of the base.
     """
-    layers = [*file_layers(path), *(Layer(dict(data)) for data in layers_between)]
-    layers.append(Layer(command_entries(overrides or {}, settings or {})))
-    files = [file for layer in reversed(layers) for file in layer.files]
+    between = (with_parameter_files(data, Path())[0] for data in layers_between)
+    layers = [*file_layers(path), *map(Layer, between)]
+    given, parameter_files = with_parameter_files(overrides or {}, Path())
+    layers.append(Layer(command_entries(given, settings or {})))
+    files = [*reversed(parameter_files), *(file for layer in reversed(layers) for file in layer.files)]
 
     @cache
     def description(fmu: str) -> ModelDescription:

@@ -64,6 +64,41 @@ def test_parameter_files_lie_under_the_scenario_that_names_them(tmp_path: Path) 
     assert scenario.load(write(tmp_path, over)).experiment.parameters == {"p.omega": 3.0}
 
 
+def test_parameter_files_of_overrides_lie_over_the_scenario(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Relative to the present folder, the later over the earlier, and below the values beside them."""
+    monkeypatch.chdir(tmp_path)
+    path = write(tmp_path, MINIMAL + '[parameters]\n"p.omega" = 1.0\n')
+    write(
+        tmp_path,
+        '[parameters]\n"p.omega" = { value = 2.0 }\n"p.internal_step" = { value = 0.1 }',
+        "first.toml",
+    )
+    write(tmp_path, '[parameters]\n"p.omega" = { value = 3.0 }', "second.toml")
+    given = {"parameter_files": ["first.toml", tmp_path / "second.toml"]}
+    loaded = scenario.load(path, given)
+    assert loaded.experiment.parameters == {"p.omega": 3.0, "p.internal_step": 0.1}
+    assert [file.path.name for file in loaded.files] == ["second.toml", "first.toml", "mine.toml"]
+    assert "parameter_files" not in loaded.resolved
+    assert scenario.load(path, layers_between=[given]).experiment == loaded.experiment
+    over = scenario.load(path, {**given, "parameters": {"p.omega": 4.0}})
+    assert over.experiment.parameters["p.omega"] == 4.0
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ({"parameter_files": ["none.toml"]}, r"no file none\.toml"),
+        ({"parameter_files": "none.toml"}, r"parameter_files = 'none\.toml': expected a list"),
+        ({"base": "nominal-l1"}, r"base = 'nominal-l1': expected it in the scenario file"),
+    ],
+)
+def test_overrides_without_effect_are_refused(tmp_path: Path, overrides: dict, message: str) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        scenario.load(write(tmp_path, MINIMAL), overrides)
+
+
 def test_a_shipped_scenario_can_be_the_base_by_its_name(tmp_path: Path) -> None:
     mine = scenario.load(write(tmp_path, 'base = "nominal-extended"'))
     assert mine.resolved["components"] == {"plant": "RovDepthPlant", "controller": "L1DepthController"}
