@@ -120,8 +120,11 @@ def _titled(figure: Figure) -> str:
 
 
 def _of_the_row(score: Score) -> list[tuple[Column, bool, _Value]]:
+    """Returns the figures that a row has once, which count as those of its nominal run."""
+    nominal = next(iter(score.protocol.cases))
+
     def value(name: str) -> _Value:
-        return lambda row: (getattr(row, name), ())
+        return lambda row: (getattr(row, name), _result(row, nominal).failed)
 
     figures = {name: score.protocol.figures[name] for name in (DELAY_MARGIN, MICROSECONDS)}
     return [

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from orchestration.study import compare, tuned_gains
+from orchestration.study import compare, score_view, tuned_gains
 from orchestration.study.compare import figure, part, tables
 from orchestration.study.protocol import Protocol, read_protocol
 from orchestration.study.score_document import CaseResult, Row, Score, protocol_info
@@ -82,3 +82,17 @@ def test_a_table_marks_the_best_and_what_failed(protocol: Protocol) -> None:
     ]  # fmt: skip
     assert not part(document, "start", "position").rows
     assert len({line.count("|") for line in lines}) == 1
+
+
+def test_a_controller_that_fails_the_nominal_case_has_no_best_delay_margin(protocol: Protocol) -> None:
+    """A vehicle that rests at the surface is quiet with any delay."""
+    document = made_up(protocol, a=1.25, b=2.5, c=7.0)
+    for row, margin in zip(document.rows, (0.1, 0.2, 0.6), strict=True):
+        row.delay_margin = margin
+    nominal = score_view.of_case(document, "nominal")
+    for table in (score_view.overview(document), nominal):
+        column = [column.title for column in table.columns].index("Delay margin")
+        cells = [row[column] for row in table.cells]
+        assert [cell.text for cell in cells] == ["0.1", "0.2", "0.6"]
+        assert [cell.is_best for cell in cells] == [False, True, False]
+        assert cells[2].failed == ("late",)
