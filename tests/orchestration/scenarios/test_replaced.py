@@ -6,8 +6,10 @@ from pathlib import Path
 import pytest
 
 from orchestration.errors import ScenarioError, ScenarioWarning
+from orchestration.results.metric_units import metric_units
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
+from orchestration.system.prepared_run import prepare
 from tests.described_fmus import described
 
 INPUTS = ("depth_reference", "measured_depth")
@@ -167,3 +169,17 @@ def test_an_event_on_what_is_fixed_in_the_new_fmu_is_dropped(tmp_path: Path) -> 
     with pytest.warns(ScenarioWarning, match=r"events controller.internal_step"):
         loaded = scenario.load(tmp_path / "child.toml", settings={"controller": "L1DepthController"})
     assert loaded.experiment.events == ()
+
+
+@pytest.mark.parametrize("name", [name for name in scenario.shipped() if not name.startswith("example")])
+def test_metrics_have_their_units_with_a_controller_that_states_none(
+    scenario_fmus: None, tmp_path: Path, name: str
+) -> None:
+    """The interface fixes them."""
+    fmu = described(tmp_path / "pid.fmu", INPUTS, ("control_force",))
+    with pytest.warns(ScenarioWarning):
+        loaded = scenario.load(scenario.find(name), settings={"controller": str(fmu)})
+    ports = prepare(loaded.system, loaded.experiment).system.ports
+    units = metric_units(loaded.metrics, {n: port.variable.unit or "" for n, port in ports.items()})
+    assert units["total_variation"] == "N"
+    assert all(units.values())
