@@ -86,7 +86,7 @@ def tune(
     with Loop(controller, protocol) as loop:
         tune_file.write(tuning, loop.parameters(), provenance, path)
     journal.unlink()
-    _print_gains(tuning, controller.name)
+    print_gains(tuning, controller.name)
     print(path)
 
 
@@ -143,7 +143,8 @@ def _controller(
     return replace(of_protocol, parameters={**of_protocol.parameters, **chosen.parameters})
 
 
-def _print_gains(tuning: "Tuning", name: str) -> None:
+def print_gains(tuning: "Tuning", name: str) -> None:
+    """Prints the gains of a tuning, and whether evaluations or limits keep the cost from being lower."""
     from rich.table import Table
 
     table = Table(title=f"{name}: cost {tuning.best.cost:.4g} cm")
@@ -154,7 +155,10 @@ def _print_gains(tuning: "Tuning", name: str) -> None:
         limits = f"{gain.low:g} to {gain.high:g} {gain.unit}".rstrip()
         table.add_row(gain.name, f"{value:g}", limits, "at a limit" if gain.is_at_a_limit(value) else "")
     print_table(table)
+    stopped = [gain.name for gain in tuning.problem.gains if gain.is_at_a_limit(tuning.best.gains[gain.name])]
     verdict = "flat" if tuning.is_flat else "not flat: more evaluations may lower it"
+    if stopped:
+        verdict = f"limited by the range of {', '.join(stopped)}: a wider one in --free may lower it"
     print(
         f"The cost is {verdict}. In the last half of {len(tuning.refinement.curve)} evaluations it fell by "
         f"{100 * tuning.improvement:.2g} %; the median of {len(tuning.searches)} seeds is "

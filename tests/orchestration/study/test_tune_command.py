@@ -14,8 +14,11 @@ from typing import Any
 import psutil
 import pytest
 
+from orchestration.cli.study import print_gains
 from orchestration.scenarios import scenario
 from orchestration.study import tune
+from orchestration.study.tune import Problem, SearchResult, Tuning
+from orchestration.study.tune_space import FreeGain
 
 Command = Callable[..., Any]
 OPTIONS = ("--evaluations", "3", "--seeds", "2", "--workers", "2")
@@ -50,6 +53,28 @@ def test_a_tuning_without_its_library_says_how_to_install_it(
     monkeypatch.setattr(tune, "version", version)
     message = refused("tune", "l1", *OPTIONS)
     assert message == "l1-depth: tuning needs cmaes: pip install 'l1-depth[study]'\n"
+
+
+@pytest.mark.parametrize(
+    ("gain", "verdict"),
+    [
+        (5.0, "The cost is flat. In the last half"),
+        (
+            10.0,
+            "The cost is limited by the range of kp: a wider one in --free may lower it. In the last half",
+        ),
+    ],
+)
+def test_a_cost_that_a_limit_determines_is_not_called_flat(
+    capsys: pytest.CaptureFixture[str], gain: float, verdict: str
+) -> None:
+    gains = {"kp": gain, "kd": 5.0}
+    search = SearchResult(1, gains, {}, (2.0,) * 4)
+    free = (FreeGain("kp", 1.0, 10.0), FreeGain("kd", 1.0, 10.0))
+    tuning = Tuning(Problem(free), (search,), search)
+    assert tuning.is_flat
+    print_gains(tuning, "pid")
+    assert capsys.readouterr().out.splitlines()[-1].startswith(verdict)
 
 
 def _process(folder: Path) -> subprocess.Popen[str]:
