@@ -1,6 +1,7 @@
 """Command score: a controller in every case of the protocol, beside the built-in ones."""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +14,7 @@ from orchestration.cli.shared import OutFolder, check_writable, console, print_t
 if TYPE_CHECKING:
     from orchestration.study.score import ScoreResult
     from orchestration.study.score_document import Score
+    from orchestration.study.score_view import ScoreTable
 
 ProtocolOption = Annotated[
     Path | None,
@@ -85,15 +87,22 @@ def write_page(result: "ScoreResult", page: Path, title: str) -> None:
     print(page)
 
 
-def print_score(document: "Score") -> None:
-    """The tables of a score, what it tells about, and why runs failed."""
-    from orchestration.cli.score_tables import BEST, FAILED, differences_table, score_tables
+def print_tables(tables: "Sequence[ScoreTable]", document: "Score") -> None:
+    """Prints the protocol, tables of a score, and the differences between its controllers, if it has any."""
+    from orchestration.cli.score_tables import BEST, FAILED, differences_table, in_parts
 
     print(f"Protocol {document.protocol.version}. {document.protocol.statement}")
-    for table in (*score_tables(document, console().width), differences_table(document)):
+    for table in (*in_parts(tables, console().width), differences_table(document)):
         if table:
             print_table(table)
     print(f"{BEST} the best of its league, {FAILED} a run that failed")
+
+
+def print_score(document: "Score") -> None:
+    """The tables of a score, what it tells about, and why runs failed."""
+    from orchestration.cli.score_tables import score_tables
+
+    print_tables(score_tables(document), document)
     for row in document.scored:
         if row.uses_true_rate:
             print(f"{row.title} uses the true depth rate, which no sensor of the vehicle measures")

@@ -1,5 +1,7 @@
 """A score in the terminal."""
 
+from collections.abc import Iterable
+
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
@@ -9,14 +11,12 @@ from orchestration.study.score_document import Score
 from orchestration.study.score_view import Cell, ScoreTable
 
 BEST, FAILED = "*", "!"
-_COLUMN_WIDTH = 12
+_COLUMN_WIDTH = 13  # with its padding and its edge
+_PADDING = 3
 
 
-def score_tables(score: Score, width: int) -> list[Table]:
-    """The overview, the nominal case, the errors of all cases, and the plants if there are any.
-
-    width: of the terminal; a table that does not fit is shown in parts
-    """
+def score_tables(score: Score) -> list[ScoreTable]:
+    """Returns the overview, the nominal case, the errors of all cases, and the plants if there are any."""
     nominal = next(iter(score.protocol.cases))
     tables = [
         score_view.overview(score),
@@ -24,7 +24,12 @@ def score_tables(score: Score, width: int) -> list[Table]:
         score_view.of_figure(score, "rmse"),
         score_view.over_plants(score),
     ]
-    return [part for table in tables if table for part in _parts(table, width)]
+    return [table for table in tables if table]
+
+
+def in_parts(tables: Iterable[ScoreTable], width: int) -> list[Table]:
+    """Returns the tables for a terminal; one that does not fit its width is in parts."""
+    return [part for table in tables for part in _parts(table, width)]
 
 
 def differences_table(score: Score) -> Table | None:
@@ -54,7 +59,7 @@ def differences_table(score: Score) -> Table | None:
 
 def _parts(shown: ScoreTable, width: int) -> list[Table]:
     """The table, in as many parts as its columns need."""
-    first = 2 + max(len(row.title) for row in shown.rows)
+    first = 1 + _PADDING + max(len(row.title) for row in shown.rows)
     count = max(1, (width - first) // _COLUMN_WIDTH)
     return [
         _table(shown, range(begin, min(begin + count, len(shown.columns))))
@@ -68,7 +73,7 @@ def _table(shown: ScoreTable, columns: range) -> Table:
     table.add_column("", no_wrap=True)
     for column in (shown.columns[index] for index in columns):
         heading = f"{column.title} [{column.unit}]" if column.unit else column.title
-        table.add_column(Text(heading), justify="right", width=_COLUMN_WIDTH - 2)
+        table.add_column(Text(heading), justify="right", width=_COLUMN_WIDTH - _PADDING)
     for row, cells in zip(shown.rows, shown.cells, strict=True):
         label = Text(row.title, "bold" if row.scored else "")
         table.add_row(label, *(_cell(cells[index]) for index in columns))

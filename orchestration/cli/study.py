@@ -11,7 +11,7 @@ from fmus.errors import nearest
 from fmus.platforms import usable_processors
 from orchestration.cli.changes import ControllerMapOption, ControllerSetOption, OpenInputsOption
 from orchestration.cli.interrupts import INTERRUPTED
-from orchestration.cli.score import ProtocolOption, write_page
+from orchestration.cli.score import ProtocolOption, print_tables, write_page
 from orchestration.cli.shared import (
     OutFolder,
     ProgressBar,
@@ -187,8 +187,12 @@ def compare(
     with progress("compare", comparison.run_count(protocol, full)) as bar:
         result = comparison.compare(protocol, full, workers, bar.advance)
     document = result.document
+    shown = comparison.shown_tables(document).items()
+    print_tables(
+        [replace(table, title=f"{table.title}: {name}") for name, table in shown if table.rows],
+        comparison.with_tuned_differences(document),
+    )
     tables = "\n\n".join(f"{name}\n\n{text}" for name, text in comparison.tables(document).items())
-    print(tables)
     written = {"comparison.json": document.model_dump_json(indent=1), "comparison.md": tables}
     for name, text in written.items():
         write_text_atomically(out / name, f"{text}\n")

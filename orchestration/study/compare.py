@@ -61,21 +61,32 @@ def part(document: Score, which: str, league: str) -> Score:
     return document.model_copy(update={"rows": rows})
 
 
-def tables(document: Score) -> dict[str, str]:
-    """The tables of the page in Markdown, by the name that stands before them there."""
-    made: dict[str, str] = {}
+def shown_tables(document: Score) -> dict[str, ScoreTable]:
+    """Returns the tables of the rows of each kind and league, by their names."""
+    made: dict[str, ScoreTable] = {}
     for league in document.protocol.leagues:
         for which in (TUNED, START):
-            rows = part(document, which, league)
-            made[f"{which} {league} overview"] = _markdown(score_view.overview(rows))
+            made[f"{which} {league} overview"] = score_view.overview(part(document, which, league))
         rows = part(document, TUNED, league)
-        made[f"{TUNED} {league} rmse"] = _markdown(score_view.of_figure(rows, "rmse"))
+        made[f"{TUNED} {league} rmse"] = score_view.of_figure(rows, "rmse")
         plants = score_view.over_plants(rows)
         if plants:
-            made[f"{TUNED} {league} plants"] = _markdown(plants)
+            made[f"{TUNED} {league} plants"] = plants
+    return made
+
+
+def tables(document: Score) -> dict[str, str]:
+    """The tables of the page in Markdown, by the name that stands before them there."""
+    made = {name: _markdown(table) for name, table in shown_tables(document).items()}
     if document.differences:
         made[f"{TUNED} differences"] = _differences(document)
     return made
+
+
+def with_tuned_differences(document: Score) -> Score:
+    """Returns the score with the differences in RMSE between tuned controllers alone."""
+    entries = [e for e in document.differences if e.other.startswith(f"{TUNED}/") and e.figure == "rmse"]
+    return document.model_copy(update={"differences": entries})
 
 
 def _markdown(table: ScoreTable) -> str:
@@ -88,8 +99,7 @@ def _markdown(table: ScoreTable) -> str:
 
 def _differences(document: Score) -> str:
     """The paper's controller minus each other tuned one, in RMSE."""
-    titles = {row.name: row.title for row in document.rows if row.name.startswith(f"{TUNED}/")}
-    entries = [entry for entry in document.differences if entry.other in titles and entry.figure == "rmse"]
+    titles = {row.name: row.title for row in document.rows}
     return _lines(
         ["Plants", "Median difference [cm]", "95 % interval [cm]", "p, Holm"],
         (
@@ -100,7 +110,7 @@ def _differences(document: Score) -> str:
                 f"{entry.interval[0]:.3g} to {entry.interval[1]:.3g}",
                 f"{entry.p_holm:.1g}",
             ]
-            for entry in entries
+            for entry in with_tuned_differences(document).differences
         ),
     )
 

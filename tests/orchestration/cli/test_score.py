@@ -1,17 +1,24 @@
 """Command score, with a protocol of one case."""
 
+import io
 import json
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import tomli_w
+from rich.console import Console
 
-from orchestration.cli.score_tables import differences_table
-from orchestration.study import score_rows
+from orchestration.cli.score_tables import differences_table, in_parts
+from orchestration.study import compare, score_rows
 from orchestration.study.protocol import read_protocol
+from orchestration.study.score import ScoreResult
+from orchestration.study.score_document import Score
 from tests.orchestration.report.made_up_score import made_up_score
+
+COMPARISON = Path(__file__).parents[3] / "docs" / "explanation" / "comparison.json"
 
 
 @pytest.fixture
@@ -93,6 +100,33 @@ def test_what_cannot_be_written_is_refused_before_it_runs(
     """The runs of most take minutes."""
     complaint = refused(*arguments.split(), "--out", f"{__file__}/results/file")
     assert "Not a directory: expected a folder that can be written" in complaint
+
+
+def test_compare_prints_tables_and_writes_markdown(
+    command: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The comparison that ships, without its runs, and without one of its leagues."""
+    document = Score.model_validate_json(COMPARISON.read_text(encoding="utf-8"))
+    document.rows = [row for row in document.rows if row.league == "position"]
+    names = [row.name for row in document.rows]
+    document.differences = [entry for entry in document.differences if entry.other in names]
+    monkeypatch.setattr(compare, "compare", lambda *arguments: ScoreResult(document, {}))
+    lines = command("compare").stdout.splitlines()
+    assert not [line for line in lines if line.startswith("|")]
+    titles = {f"Means over the cases: {kind} position overview" for kind in ("tuned", "start")}
+    assert titles <= {line.strip() for line in lines}
+    written = Path("results", "comparison.md").read_text(encoding="utf-8")
+    assert written.startswith("tuned position overview\n\n| Controller |")
+
+
+@pytest.mark.parametrize("width", [60, 80, 81, 82, 130])
+def test_no_word_of_a_score_is_cut_on_a_terminal(width: int) -> None:
+    document = Score.model_validate_json(COMPARISON.read_text(encoding="utf-8"))
+    terminal = Console(width=width, file=io.StringIO())
+    for table in in_parts(compare.shown_tables(document).values(), width):
+        with terminal.capture() as captured:
+            terminal.print(table)
+        assert "\N{HORIZONTAL ELLIPSIS}" not in captured.get()
 
 
 @pytest.mark.slow
