@@ -58,7 +58,7 @@ def simulate_in_subprocess(
         watch = _Watch(process, record, timeout, progress)
         problem = watch.until_the_end()
         process.kill()
-        outcome = watch.outcome or _failure(problem, prepared, record)
+        outcome = _failure(problem, prepared, record) if watch.outcome is None else watch.outcome
     outcome, stopped = _with_warnings(watch.warnings, outcome), watch.stopped
     if stopped is None and isinstance(outcome, Recording):
         stopped = _call_progress(progress, len(outcome.time) - 1, len(outcome.time) - 1)
@@ -190,7 +190,7 @@ def _with_warnings(warned: list[Warned], outcome: Outcome) -> Outcome:
 def _unwrapped(outcome: Outcome, stopped: BaseException | None) -> Recording:
     """The recording, or raise why there is none of the whole run."""
     recording = outcome if isinstance(outcome, Recording) else getattr(outcome, "recording", None)
-    if recording and (isinstance(stopped, Exception) or (stopped and recording is outcome)):
+    if recording is not None and (isinstance(stopped, Exception) or (stopped and recording is outcome)):
         known = isinstance(stopped, OrchestrationError)
         reason = (
             "interrupted"

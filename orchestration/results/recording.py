@@ -1,7 +1,7 @@
 """Recording: the signals of a run with their units at the communication points, and their provenance."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -50,6 +50,18 @@ class Recording:
             return self.time
         values = self.values[:, self._column(name)]
         return np.array(self.texts[name], object)[values.astype(int)] if name in self.texts else values
+
+    def __contains__(self, name: object) -> bool:
+        """Whether a signal was recorded; the time always is."""
+        return name == TIME or name in self.names
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterates over the names of the signals."""
+        return iter(self.names)
+
+    def __len__(self) -> int:
+        """Number of signals; `len(recording.time)` is that of communication points."""
+        return len(self.names)
 
     @property
     def numbers(self) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from orchestration.errors import ScenarioError, SystemDefinitionError
+from orchestration.errors import OrchestrationError, ScenarioError, SimulationError, SystemDefinitionError
 from orchestration.master import Simulator, simulate
 from orchestration.master.checkpoint import Checkpoints, read_checkpoint
 from orchestration.master.texts import Texts
@@ -195,6 +195,17 @@ def test_strings_are_in_no_figure_and_no_metric(foreign: Mapping[str, Path], tmp
 
 def test_strings_are_not_recorded_unless_named(foreign: Mapping[str, Path]) -> None:
     assert run(diaries(foreign), replace(MONDAY, record=())).names == ()
+
+
+def test_a_stopped_run_that_records_nothing_has_its_times_in_a_process_too(
+    foreign: Mapping[str, Path],
+) -> None:
+    def stop(done: int, total: int) -> None:
+        raise OrchestrationError("stopped")
+
+    with pytest.raises(SimulationError, match="stopped") as caught:
+        simulate(diaries(foreign), replace(MONDAY, record=()), stop, timeout=60.0)
+    assert caught.value.recording.time[-1] == MONDAY.stop_time
 
 
 def test_a_delayed_string_arrives_late_and_none_is_stuck(foreign: Mapping[str, Path], compiled: bool) -> None:

@@ -225,3 +225,13 @@ def test_numbers_of_every_size_are_written_as_python_writes_them(tmp_path: Path)
 def test_an_unknown_signal_offers_the_nearest() -> None:
     with pytest.raises(OrchestrationError, match=r"nearest is 'a\.x'"):
         a_run()["a.z"]
+
+
+def test_a_recording_is_a_collection_of_its_signals() -> None:
+    run = a_run()
+    assert "a.x" in run
+    assert "time" in run
+    assert "a.z" not in run
+    assert 0 not in run
+    assert list(run) == ["a.x", "b.y[1,2]", "odd [name", "odd name]", "odd [name]"]
+    assert len(run) == 5
