@@ -54,6 +54,7 @@ def _row(name: str, rmse: float, variation: float) -> Row:
         league="position",
         scored=name == "mine",
         fmu={"model": name, "guid": "1", "tool": "", "sha256": ""},
+        parameters={f"{gain}_feedback_gain": 16.3 for gain in ("depth", "rate", "integral", "proportional")},
         delay_margin=0.1,
         cases=cases,
         plants=plants,

@@ -131,6 +131,44 @@ class OpenedPage:
         self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": medium, "features": features})
         return self.settled()
 
+    def at_width(self, width: int) -> "OpenedPage":
+        """On a screen of that many px; a narrow one is that of a phone."""
+        metrics = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": width < 500}
+        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+        return self.settled()
+
+    def broken_words(self, selector: str) -> list[str]:
+        """Words of these elements that stand on several lines; a name may be broken at a hyphen."""
+        return self.run(
+            "const broken = [];"
+            "for (const element of document.querySelectorAll(arguments[0])) {"
+            "  const texts = document.createTreeWalker(element, NodeFilter.SHOW_TEXT);"
+            "  for (let text = texts.nextNode(); text; text = texts.nextNode())"
+            "    for (const word of text.data.matchAll(/[^\\s-]+-?/g)) {"
+            "      const range = document.createRange();"
+            "      range.setStart(text, word.index);"
+            "      range.setEnd(text, word.index + word[0].length);"
+            "      const tops = [...range.getClientRects()].map((box) => box.top);"
+            "      if (new Set(tops).size > 1) broken.push(word[0]);"
+            "    }"
+            "}"
+            "return broken",
+            selector,
+        )
+
+    def squeezed_labels(self) -> list[str]:
+        """Labels of the cells of a phone's tables that stand beside a value of several lines."""
+        return self.run(
+            "return [...document.querySelectorAll('.cards tbody td')].filter((cell) => {"
+            "  const values = document.createRange();"
+            "  values.selectNodeContents(cell);"
+            "  const top = Math.min(...[...values.getClientRects()].map((box) => box.top));"
+            "  const box = cell.getBoundingClientRect();"
+            "  const line = parseFloat(getComputedStyle(cell).lineHeight);"
+            "  return box.height >= 2 * line && top < box.top + 0.9 * line;"
+            "}).map((cell) => cell.dataset.label)"
+        )
+
     def complaints(self) -> list[str]:
         """What the console reports."""
         return [entry["message"] for entry in self.driver.get_log("browser")]  # type: ignore[no-untyped-call]

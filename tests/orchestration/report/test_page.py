@@ -119,11 +119,31 @@ def test_nothing_is_wider_than_the_screen(everything: OpenedPage) -> None:
     for details in everything.all("details"):
         everything.run("arguments[0].open = true", details)
     for width in (320, 390, 768, 1280, 2560):
-        metrics = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": width < 500}
-        everything.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+        everything.at_width(width)
         everything.until(lambda: plots_fit(everything))
         page = "document.documentElement"
         assert everything.run(f"return {page}.scrollWidth") == everything.run(f"return {page}.clientWidth")
+
+
+def test_no_heading_is_broken_within_a_word(opened: Open, tmp_path: Path) -> None:
+    """Of many runs, whose names are long, in a browser of any width."""
+    for i in range(9):
+        write_run(tmp_path, f"nominal-ExtendedDepthController-{i}", measured={"rmse": 0.088813 + i})
+    write_sweep(tmp_path)
+    page = opened(tmp_path)
+    for width in (390, 740, 900, 1280):
+        assert page.at_width(width).broken_words(".cards thead th") == []
+
+
+def test_a_phone_shows_a_long_value_below_its_label(everything: OpenedPage) -> None:
+    for details in everything.all("details"):
+        everything.run("arguments[0].open = true", details)
+    everything.at_width(390)
+    everything.run(
+        "document.querySelector('.cards td[data-label=Model]').append(' with a long text'.repeat(9))"
+    )
+    assert everything.broken_words(".cards td") == []
+    assert everything.squeezed_labels() == []
 
 
 def plots_fit(page: OpenedPage) -> bool:

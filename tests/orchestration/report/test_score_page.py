@@ -23,6 +23,7 @@ def opened_score(browser: "webdriver.Chrome", tmp_path: Path, html: str) -> Iter
     file.write_text(html, encoding="utf-8")
     page = OpenedPage(browser, file)
     yield page
+    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
     assert page.complaints() == []
     assert page.fetched() == []
 
@@ -73,6 +74,17 @@ def test_plants_have_a_box_for_each_controller(opened_score: OpenedPage) -> None
         "&lt;pid&gt;": [1.0, 2.0],
         "&lt;l1&gt;": [3.0, 6.0],
     }
+
+
+def test_a_phone_breaks_no_word_of_a_table(opened_score: OpenedPage) -> None:
+    opened_score.at_width(390)
+    for part in ("thead th", "tbody th", "tbody td"):
+        assert opened_score.broken_words(f".cards {part}") == []
+    assert opened_score.squeezed_labels() == []
+    caption, table = opened_score.run(
+        "return ['caption', 'table'].map((name) => document.querySelector(name).clientWidth)"
+    )
+    assert caption == table
 
 
 def test_what_failed_is_told_with_its_reason(opened_score: OpenedPage) -> None:
