@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 from fmus.numerics.choice import clip, where
+from fmus.numerics.matrices import matmul
 from fmus.numerics.symbols import are_numbers
 
 
@@ -15,11 +16,21 @@ def interp(x: float, xp: Sequence[float], fp: Sequence[float]) -> float:
     requirements of the block.
     """
     _check_points(xp, len(fp))
-    points = list(zip(xp, fp, strict=True))
-    value = points[-1][1]
-    for (x_0, y_0), (x_1, y_1) in reversed(list(pairwise(points))):
-        value = where(x < x_1, (y_1 - y_0) / (x_1 - x_0) * (x - x_0) + y_0, value)
-    return where(x < points[0][0], points[0][1], value)
+
+    def piece(i: int) -> float:
+        """Returns the value from point i - 1 to point i; at the first piece and the last, of one point."""
+        if i in (0, len(xp)):
+            return fp[min(i, len(xp) - 1)]
+        return (fp[i] - fp[i - 1]) / (xp[i] - xp[i - 1]) * (x - xp[i - 1]) + fp[i - 1]
+
+    def one_of(first: int, last: int) -> float:
+        """Returns the value at x among these pieces, halved in turn: a chain would be as deep as long."""
+        if first == last:
+            return piece(first)
+        middle = (first + last) // 2
+        return where(x < xp[middle], lambda: one_of(first, middle), lambda: one_of(middle + 1, last))
+
+    return one_of(0, len(xp))
 
 
 def interp2d(
@@ -35,8 +46,7 @@ def interp2d(
     for row in fp:
         _check_points(yp, len(row))
     weights_x, weights_y = _weights(x, xp), _weights(y, yp)
-    rows = [sum(w * f for w, f in zip(weights_y, row, strict=True)) for row in fp]
-    return sum(w * row for w, row in zip(weights_x, rows, strict=True))
+    return matmul(weights_x, matmul(fp, weights_y))
 
 
 def _check_points(points: Sequence[float], values: int) -> None:

@@ -1,6 +1,7 @@
 """Every function means the same on floats and on symbols, and what its name means in `math` or NumPy."""
 
 import math
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -118,6 +119,27 @@ def test_round_is_pythons(value: float) -> None:
 @given(st.floats(-4.0, 4.0) | st.sampled_from(XP))
 def test_interp_is_numpys(x: float) -> None:
     assert n.interp(x, XP, FP) == np.interp(x, XP, FP)
+
+
+@given(st.floats(-10.0, 2010.0))
+def test_interp_of_many_points_is_numpys_and_chooses_among_them_in_few_levels(x: float) -> None:
+    xp = tuple(map(float, range(2000)))
+    fp = tuple(math.sin(0.1 * p) for p in xp)
+    levels = 0
+
+    def traced(frame: Any, event: str, _: Any) -> None:
+        nonlocal levels
+        levels += event == "call" and frame.f_code is n.where.__code__
+
+    profile = sys.getprofile()
+    sys.setprofile(traced)
+    try:
+        value = n.interp(x, xp, fp)
+    finally:
+        sys.setprofile(profile)
+    # NumPy computes the slopes of all pieces before, in the same order of operations
+    assert value == np.interp(x, xp, fp)
+    assert levels <= math.ceil(math.log2(len(xp) + 1))
 
 
 @pytest.mark.parametrize("first", [False, True])
