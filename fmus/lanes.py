@@ -46,7 +46,6 @@ _FORMS = {
         "not": r"!T",
         "negative": r"-T",
         "choice": r"\(T \? T : T\) \+ 0\.0",
-        "choice_or_zero": r"T \? T : (0)",
         "sign": r"T < 0 \? -1 : T > 0 \? 1 : T",
         "remembered": r"remembered\((\w+), T, k \+ \d+\)",
         "call": r"([a-z]\w*)\(T(?:, T)?\)",
@@ -174,13 +173,8 @@ class _LaneCode:
         return False, f"-{self._number(term)}"
 
     def _choice(self, condition: str, first: str, second: str) -> tuple[bool, str]:
-        return False, f"{self._chosen(condition, first, second)} + all(0.0)"
-
-    def _choice_or_zero(self, condition: str, first: str, second: str) -> tuple[bool, str]:
-        return False, self._chosen(condition, first, second)
-
-    def _chosen(self, condition: str, first: str, second: str) -> str:
-        return f"choice({self._mask(condition)}, {self._number(first)}, {self._number(second)})"
+        terms = self._mask(condition), self._number(first), self._number(second)
+        return False, f"choice({', '.join(terms)}) + all(0.0)"
 
     def _sign(self, term: str, *_: str) -> tuple[bool, str]:
         return False, f"sign({self._number(term)})"

@@ -25,7 +25,9 @@ _EXPRESSIONS = {
     "CHOICE": "({0} ? {1} : {2}) + 0.0",
     **{name: f"{function}({{0}})" for name, function in _CALLS.items()},
     **{name: f"{_CALLS[name]}({{0}}, {{1}})" for name in
-       ("POW", "CONSTPOW", "FMOD", "REMAINDER", "COPYSIGN", "FMIN", "FMAX", "ATAN2", "HYPOT")},
+       ("POW", "CONSTPOW", "FMOD", "REMAINDER", "COPYSIGN", "ATAN2", "HYPOT")},
+    # of 0 and -0, CasADi's give the first and ours the second
+    **{name: f"{_CALLS[name]}({{1}}, {{0}})" for name in ("FMIN", "FMAX")},
 }  # fmt: skip
 _OPERATIONS = {
     getattr(casadi, f"OP_{name}"): (name, text) for name, text in _EXPRESSIONS.items() if name != "CHOICE"

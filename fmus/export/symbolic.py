@@ -16,6 +16,7 @@ from fmus.export import guard
 from fmus.export.c_functions import c_function, c_functions
 from fmus.export.declaration import check_declaration, check_requirements, check_result
 from fmus.export.right_derivative import right_derivative
+from fmus.numerics.symbols import unsimplified
 
 
 class Traced:
@@ -109,7 +110,8 @@ class Traced:
     def _function(
         self, name: str, names: str, arguments: list, result_name: str, result: Any
     ) -> casadi.Function:
-        column = casadi.cse(casadi.densify(result if isinstance(result, casadi.SX) else _column(result)))
+        column = casadi.densify(result if isinstance(result, casadi.SX) else _column(result))
+        column = unsimplified(casadi.cse, column)
         return casadi.Function(name, arguments, [column], names.split(), [result_name])
 
 

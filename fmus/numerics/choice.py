@@ -7,33 +7,32 @@ alternative as a function without arguments, which Python calls only if it is ta
     where(x > 0.0, lambda: sqrt(x), 0.0)
 """
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial, reduce
+from operator import add
 from typing import Any, TypeVar
 
 from fmus.block import flatten, unflatten
-from fmus.numerics.symbols import are_numbers, casadi
+from fmus.numerics.symbols import are_numbers, casadi, unsimplified
 
 T = TypeVar("T")
 
 
 def where(condition: bool | float, if_true: T | Callable[[], T], if_false: T | Callable[[], T]) -> T:
-    """`if_true` where the condition holds, else `if_false`.
+    """Returns `if_true` where the condition holds, else `if_false`; 0.0 for -0.0.
 
     condition: a comparison, a Boolean variable, or what the logical functions give
     if_true, if_false: numbers, or tuples or dataclasses of one shape; or functions that return them
     """
     if condition.__class__ is bool or are_numbers(condition):
-        taken = if_true if condition else if_false
-        return taken() if callable(taken) else taken  # type: ignore[return-value]
+        return _without_minus_zeros(_value(if_true if condition else if_false))
     first, second = _value(if_true), _value(if_false)
     _check_shapes(first, second)
     if isinstance(first, tuple) or hasattr(first, "__dataclass_fields__"):
         pairs = zip(flatten(first), flatten(second), strict=True)
         return unflatten(first, [where(condition, *pair) for pair in pairs])
-    if first is second:
-        return first
-    return casadi().if_else(condition, first, second)
+    return unsimplified(casadi().if_else, condition, first, second)
 
 
 def _check_shapes(if_true: Any, if_false: Any, path: str = "") -> None:
@@ -60,6 +59,19 @@ def _elements(value: Any) -> list[tuple[str, Any]]:
 
 def _value(alternative: Any) -> Any:
     return alternative() if callable(alternative) else alternative
+
+
+def _without_minus_zeros(value: Any) -> Any:
+    """Returns the value with 0.0 for -0.0: compiled code adds 0.0 to what it chooses."""
+    if isinstance(value, float):
+        return value + 0.0
+    if isinstance(value, tuple) or hasattr(value, "__dataclass_fields__"):
+        scalars = flatten(value)
+        if are_numbers(*scalars) and not [x for x in scalars if not x and math.copysign(1.0, x) < 0.0]:
+            return value
+        return unflatten(value, list(map(_without_minus_zeros, scalars)))
+    # of a symbol, where the condition is known
+    return value if are_numbers(value) else unsimplified(add, value, 0.0)
 
 
 def logical_and(first: bool | float, second: bool | float) -> bool:
@@ -117,17 +129,17 @@ def choose(index: float, choices: Sequence[Any]) -> Any:
 
 
 def minimum(first: float, second: float) -> float:
-    """The smaller of two numbers."""
+    """Returns the smaller of two numbers, of 0.0 and -0.0 the second."""
     if are_numbers(first, second):
-        return first if first < second else second
-    return casadi().fmin(first, second)
+        return first if first < second or math.isnan(second) else second
+    return casadi().fmin(second, first)
 
 
 def maximum(first: float, second: float) -> float:
-    """The larger of two numbers."""
+    """Returns the larger of two numbers, of 0.0 and -0.0 the second."""
     if are_numbers(first, second):
-        return first if first > second else second
-    return casadi().fmax(first, second)
+        return first if first > second or math.isnan(second) else second
+    return casadi().fmax(second, first)
 
 
 def clip(value: float, low: float, high: float) -> float:

@@ -12,7 +12,8 @@ def _of_one(name: str, meaning: str) -> Callable[[float], float]:
 
     def function(value: float) -> float:
         if isinstance(value, (float, int)):
-            return float(on_float(value))
+            result = on_float(value)
+            return math.copysign(result, value) if isinstance(result, int) else result
         return getattr(casadi(), name)(value)
 
     function.__name__ = function.__qualname__ = name
@@ -52,7 +53,7 @@ asinh = _of_one("asinh", "Inverse hyperbolic sine.")
 acosh = _of_one("acosh", "Inverse hyperbolic cosine of a value of at least 1.")
 atanh = _of_one("atanh", "Inverse hyperbolic tangent of a value between -1 and 1.")
 erf = _of_one("erf", "Error function.")
-# whole numbers as floats, which are declared as int in a block
+# whole numbers as floats with the sign of the value, which are declared as int in a block
 floor: Callable[[float], Any] = _of_one(
     "floor", "Largest whole number that is not above the value, as a float."
 )
@@ -82,16 +83,16 @@ def absolute(value: float) -> float:
 
 
 def sign(value: float) -> float:
-    """-1.0, 0.0 or 1.0."""
+    """Returns -1.0 or 1.0, and a zero as it is."""
     if isinstance(value, (float, int)):
-        return math.copysign(1.0, value) if value != 0.0 else 0.0
+        return float((value > 0.0) - (value < 0.0)) or float(value)
     return casadi().sign(value)
 
 
 def power(base: float, exponent: float) -> float:
     """`base ** exponent` for a base of zero or more."""
     if are_numbers(base, exponent):
-        return math.pow(base, exponent)
+        return math.sqrt(base) if exponent == 0.5 else math.pow(base, exponent)
     return casadi().constpow(base, exponent)
 
 

@@ -1,5 +1,6 @@
 """Matrices of moderate size as tuples of tuples, row by row; a vector is a tuple."""
 
+from functools import reduce
 from typing import Any
 
 from fmus.numerics.choice import where
@@ -32,7 +33,8 @@ def _size(value: Any) -> str:
 
 
 def _dot(a: Vector, b: Vector) -> Any:
-    return sum(x * y for x, y in zip(a, b, strict=True))
+    # Python's sum begins with 0, which makes 0 of -0, and rounds otherwise since Python 3.12
+    return reduce(lambda one, other: one + other, (x * y for x, y in zip(a, b, strict=True)))
 
 
 def transpose(a: Matrix) -> Matrix:

@@ -1,5 +1,6 @@
 """What the functions of this room have in common: is an argument a number, and CasADi once one is none."""
 
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -20,3 +21,12 @@ def are_numbers(*values: object) -> bool:
         if not isinstance(value, _NUMBERS) and not hasattr(value, "dtype"):
             return False
     return True
+
+
+def unsimplified(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Returns what a function of CasADi gives, with sums with the constant 0, which give 0 for -0."""
+    casadi().GlobalOptions.setSimplificationOnTheFly(False)
+    try:
+        return function(*arguments)
+    finally:
+        casadi().GlobalOptions.setSimplificationOnTheFly(True)
