@@ -7,10 +7,11 @@ import zipfile
 import zlib
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from xml.etree import ElementTree
 
+from fmus.binding import library_member
 from fmus.block import Block
 from fmus.block_file import blocks_in, from_sources
 from fmus.documentation import reference_files
@@ -20,9 +21,10 @@ from fmus.documentation.terminals import terminals
 from fmus.errors import ExportError, nearest
 from fmus.export import native as native_flavour
 from fmus.export import python as python_flavour
-from fmus.export.faithful import check_faithful
+from fmus.export.faithful import check_faithful, check_shipped
 from fmus.export.guard import location, own_line
 from fmus.export.samples import check_samples
+from fmus.export.shipped import ShippedLibrary
 from fmus.export.symbolic import traced
 from fmus.files import packed, write_bytes_atomically
 from fmus.instance import BlockError, Instance
@@ -133,16 +135,21 @@ def _building(block: Block, order: Order) -> Iterator[Callable[[], dict[Path, by
     if order.reals_only and order.flavour is not Flavour.NATIVE:
         raise ExportError("an FMU of Reals only: expected the native flavour")
     export = _EXPORTS[order.flavour]
-    _, members = native_flavour.content(block, True) if order.reals_only else export.content(block)
+    guid, members = native_flavour.content(block, True) if order.reals_only else export.content(block)
     with export.compiled_libraries(block.name, members, order.platforms) as libraries:
-        check_faithful(block)
+        compared = check_faithful(block)
         check_samples(block)
         reference = _reference_run(block)
         shown = {"model.png": icon(block)} | reference_files.members(reference, block.name)
         shown |= terminals(block) if order.with_terminals else {}
 
         def write() -> dict[Path, bytes]:
-            files = {order.folder / f"{block.name}.fmu": packed(members | libraries() | shown)}
+            built = libraries()
+            if path := library_member(built, block.name):
+                # OSError: no library can be loaded from where temporary files are
+                with suppress(OSError), closing(ShippedLibrary(block, guid, built[path])) as library:
+                    check_shipped(compared, library)
+            files = {order.folder / f"{block.name}.fmu": packed(members | built | shown)}
             if order.with_cross_check:
                 beside = reference_files.cross_check_files(reference, block.name)
                 files |= {order.folder / name: beside[name] for name in sorted(beside)}

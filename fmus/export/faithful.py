@@ -17,6 +17,7 @@ from fmus.block import Block, flatten, unflatten
 from fmus.errors import ExportError
 from fmus.export.draws import disturbed, drawn, rounded
 from fmus.export.guard import NO_MEMORY, location, own_line
+from fmus.export.shipped import ShippedLibrary
 from fmus.export.symbolic import traced
 from fmus.numerics.symbols import are_numbers
 
@@ -28,18 +29,43 @@ _MOST_AMPLIFIED = (
     0.2  # of the points; a function that amplifies rounding at more of them is not compared at all
 )
 _AT_TWO_CALLS = f"at one call and {{}} at another, same arguments; {NO_MEMORY}"
+_TRACED = "when it is traced"
+_COMPILED = "when it is compiled; set ZIG_GLOBAL_CACHE_DIR to an empty folder, and build again"
 _FUNCTIONS = ("calculate", "requirements", "initial_state", "output", "step")
 
 
-def check_faithful(block: Block) -> None:
-    """ExportError for a block whose traced functions give other values than its Python functions."""
-    rng = random.Random(block.name)
+def check_faithful(block: Block) -> dict[str, "_Comparison"]:
+    """Checks that the traced functions of a block give the values of its Python functions.
+
+    Returns the calls of each function, for `check_shipped`. Raises ExportError for a difference.
+    """
+    # The points follow from the variables alone: a block under another name is compared at the same ones.
+    rng = random.Random(0)
     compare = {name: _Comparison(block, name) for name in _FUNCTIONS}
     for point in range(_POINTS):
         _compare_at_a_point(block, compare, rng, at_start=point == 0)
     _compare_at_zeros(block, compare)
     for comparison in compare.values():
         comparison.check(rng)
+    return compare
+
+
+def check_shipped(compare: dict[str, "_Comparison"], library: ShippedLibrary) -> None:
+    """Checks that the library of an FMU gives the values of Python; raises ExportError for a difference.
+
+    It gives outputs for the states that it reaches alone: they are compared where Python reached the same.
+    """
+    rng, outputs = random.Random(0), {}
+    given = {"calculate": [library.calculated(p) for (p,), _, _ in compare["calculate"].calls]}
+    for name in ("initial_state", "step"):
+        reached = [library.reached(*arguments) or (0.0, None, []) for arguments, _, _ in compare[name].calls]
+        given[name] = [x for _, x, _ in reached]
+        for (arguments, state, numbers), (t, x, y) in zip(compare[name].calls, reached, strict=True):
+            outputs |= {(t, id(state), id(arguments[-2])): y} if x == numbers else {}
+    calls = compare["output"].calls
+    given["output"] = [outputs.get((t, id(x), id(p))) for (t, x, p, _), _, _ in calls]
+    for name, numbers in given.items():
+        compare[name].check_numbers(numbers, _COMPILED, rng)
 
 
 def _compare_at_a_point(
@@ -117,7 +143,7 @@ class _Comparison:
         self._python: Callable[..., Any] = getattr(block, name)
         self._traced = getattr(traced(block), name)
         self._where = f"block {block.name!r}: {location(self._python)}{name}"
-        self._calls: list[tuple[Sequence[Any], Any, list[float]]] = []  # arguments, result, its numbers
+        self.calls: list[tuple[Sequence[Any], Any, list[float]]] = []  # arguments, result, its numbers
         self._errors: list[tuple[Sequence[Any], Exception]] = []  # arguments without a result
         self._attempts = 0
 
@@ -132,7 +158,7 @@ class _Comparison:
         if not is_reached:
             del self._errors[errors:]
         if numbers is not None:
-            self._calls.append((arguments, result, numbers))
+            self.calls.append((arguments, result, numbers))
         return result
 
     def _evaluate(self, arguments: Sequence[Any]) -> tuple[Any, list[float] | None]:
@@ -154,29 +180,30 @@ class _Comparison:
 
     def check(self, rng: random.Random) -> None:
         """ExportError for the first point where the function differs, or if too few can be compared."""
-        if self._attempts and not self._calls:
+        if self._attempts and not self.calls:
             last = f": {_described(self._errors[-1][1])}" if self._errors else ""
             raise ExportError(
                 f"{self._where} gives no finite numbers at any of {self._attempts} random points{last}"
             )
         self._check_errors()
-        amplified = 0
-        for (arguments, result, numbers), given in zip(
-            self._calls, self._traced_numbers([a for a, _, _ in self._calls]), strict=True
-        ):
+        for arguments, result, numbers in self.calls:
             again = self._evaluate(arguments)[1] or [math.nan] * len(numbers)
             exactly = [0.0] * len(numbers)
             self._compare(result, numbers, again, exactly, _AT_TWO_CALLS)
+        self.check_numbers(self._traced_numbers([a for a, _, _ in self.calls]), _TRACED, rng)
+
+    def check_numbers(self, given: Sequence[list[float] | None], how: str, rng: random.Random) -> None:
+        """Checks the numbers of each call, None where there are none; raises ExportError for a difference."""
+        amplified = 0
+        for (arguments, result, numbers), others in zip(self.calls, given, strict=True):
             rounding = [_EQUAL * abs(x) for x in numbers]
-            if not all(map(_are_near, numbers, given, rounding)):
+            if others is not None and not all(map(_are_near, numbers, others, rounding)):
                 amplified += 1
                 moved = self._moved(arguments, numbers, rng)
                 allowed = [max(a, _AMPLIFIED * b) for a, b in zip(rounding, moved, strict=True)]
-                self._compare(result, numbers, given, allowed, "in Python and {} when it is traced")
-        if amplified > _MOST_AMPLIFIED * len(self._calls):
-            raise ExportError(
-                f"{self._where} differs when traced at {amplified} of {len(self._calls)} points"
-            )
+                self._compare(result, numbers, others, allowed, f"in Python and {{}} {how}")
+        if amplified > _MOST_AMPLIFIED * len(self.calls):
+            raise ExportError(f"{self._where} differs {how} at {amplified} of {len(self.calls)} points")
 
     def _check_errors(self) -> None:
         """ExportError where Python divides by zero or leaves a domain, and compiled code gives numbers.

@@ -41,6 +41,12 @@ _SILENT_S = 10  # after which a wait for the compiler is announced
 # process is killed. Where there is no such shell, as on Windows, the compiler then works on to its end.
 _SCRIPT = 'exec 3<&0 </dev/null; (read -r x <&3; kill -KILL 0) & "$@" 3<&-; status=$?; kill $!; exit $status'
 _SHELL = ["/bin/sh", "-c", _SCRIPT, "zig"] if Path("/bin/sh").exists() else []
+# Variables by which the compiler finds its cache, temporary files and the system. It gets no others: CPATH,
+# for one, would put another math.h before its own.
+_KEPT = {
+    "HOME", "LOCALAPPDATA", "PATH", "SYSTEMROOT", "TEMP", "TMP", "TMPDIR", "USERPROFILE", "XDG_CACHE_HOME",
+    "ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR",
+}  # fmt: skip
 _ZIG = Path(ziglang.__file__).parent / ("zig.exe" if os.name == "nt" else "zig")
 
 
@@ -102,10 +108,11 @@ def _running(arguments: Sequence[str], folder: Path) -> Iterator[Callable[[], No
     Zig outlives neither the context nor this process.
     """
     command = [*_SHELL, _ZIG, *arguments]
+    kept = {name: value for name, value in os.environ.items() if name.upper() in _KEPT}
     with (
         tempfile.TemporaryFile() as output,
         subprocess.Popen(
-            command, cwd=folder, start_new_session=True, stdin=PIPE, stdout=output, stderr=STDOUT
+            command, cwd=folder, env=kept, start_new_session=True, stdin=PIPE, stdout=output, stderr=STDOUT
         ) as process,
     ):
         try:

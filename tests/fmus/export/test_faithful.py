@@ -319,6 +319,23 @@ def test_a_division_by_zero_where_one_input_is_0_at_the_start_is_refused(name: s
         check_faithful(block)
 
 
+def test_a_block_is_compared_at_the_same_points_whatever_its_name() -> None:
+    points: dict[str, list[tuple[float, float]]] = {"Trial": [], "Other": []}
+
+    def recording(name: str) -> Rule:
+        def rule(u: float, x: float, p: Parameters) -> float:
+            if isinstance(u, float):
+                points[name].append((u, x))
+            return u + x
+
+        return rule
+
+    for name in points:
+        check_faithful(replace(block_of(recording(name)), name=name))
+    assert points["Trial"]
+    assert points["Trial"] == points["Other"]
+
+
 @pytest.mark.parametrize("name", catalogue.block_names())
 def test_every_block_is_faithful_and_takes_its_branches_both_ways(name: str) -> None:
     block, outcomes = catalogue.load_block(name), dict[str, set[bool]]()

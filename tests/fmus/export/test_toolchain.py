@@ -1,6 +1,8 @@
 """The compiler's own refusals, and which platform this is."""
 
 import contextlib
+import ctypes
+import math
 import os
 import platform
 import signal
@@ -14,7 +16,7 @@ import pytest
 
 from fmus.errors import ExportError
 from fmus.export import toolchain
-from fmus.export.toolchain import zig
+from fmus.export.toolchain import compile_library, zig
 from fmus.platforms import check_platforms, host_platform
 
 
@@ -59,6 +61,27 @@ def test_a_compiler_that_does_not_end_is_stopped(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(toolchain, "_PATIENCE_S", 0.001)
     with pytest.raises(ExportError, match=r"did not end within 0.001 s; .*ZIG_GLOBAL_CACHE_DIR"):
         zig(["cc", "endless.c"], tmp_path)
+
+
+# of clang, and of zig
+@pytest.mark.parametrize(
+    "variable",
+    ["CPATH", "C_INCLUDE_PATH", "CCC_OVERRIDE_OPTIONS", "ZIG_LIB_DIR", "CFLAGS", "BASH_ENV", "ENV"],
+)
+def test_a_variable_of_the_environment_changes_no_library(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variable: str
+) -> None:
+    (tmp_path / "math.h").write_text("static inline double sin(double x) { return 0.5 * x; }\n")
+    # no library of this text is in the compiler's cache, which tells no environments apart
+    exported = f'__attribute__((visibility("default"))) /* {tmp_path} */'
+    source = f"#include <math.h>\n{exported} double result(double x) {{ return sin(x); }}\n"
+    monkeypatch.setenv(variable, f"+-I{tmp_path}" if variable.startswith("CCC") else str(tmp_path))
+    library = compile_library("sine", {"sine.c": source}, ["sine.c"], host_platform())
+    monkeypatch.delenv(variable)
+    (tmp_path / "library").write_bytes(library)
+    result = ctypes.CDLL(str(tmp_path / "library")).result
+    result.argtypes, result.restype = [ctypes.c_double], ctypes.c_double
+    assert result(1.0) == math.sin(1.0)
 
 
 def test_an_interrupt_while_the_compiler_ends_stays_an_interrupt(
