@@ -46,18 +46,18 @@ def variable(
     start = _plain(start)
     if isinstance(start, list):  # which a dataclass refuses with a message about its own
         raise TypeError(f"start {start!r}: expected a tuple")
-    ranges = {"minimum": min, "maximum": max, "nominal": nominal}
+    ranges = {"minimum": _plain(min), "maximum": _plain(max), "nominal": _plain(nominal)}
     texts = {"description": description, "source": source}
     units = {"unit": unit, "display_unit": display_unit}
     metadata = {"units": units, "variability": variability, "ranges": ranges, "texts": texts}
     return field(default=start, metadata=metadata)
 
 
-def _plain(start: Any) -> Any:
-    """A start value with Python's numbers in place of NumPy's, and a list in place of an array."""
-    if isinstance(start, tuple):
-        return tuple(map(_plain, start))
-    return start.tolist() if hasattr(start, "tolist") else start
+def _plain(value: Any) -> Any:
+    """Returns a value with Python's numbers in place of NumPy's, and a list in place of an array."""
+    if isinstance(value, tuple):
+        return tuple(map(_plain, value))
+    return value.tolist() if hasattr(value, "tolist") else value
 
 
 @dataclass(frozen=True)
@@ -173,6 +173,8 @@ class Block:
     license: str | None = None
 
     def __post_init__(self) -> None:
+        for name in ("stop_time", "step_size"):
+            object.__setattr__(self, name, _plain(getattr(self, name)))
         for mistake in self._mistakes():
             raise TypeError(f"block {self.name!r}: {mistake}")
         for role in ("parameters", "calculated", "inputs", "state", "outputs"):

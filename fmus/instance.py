@@ -237,17 +237,16 @@ class Instance:
         return calculated
 
     def _in_types(self, first_reference: int, scalars: list[Any]) -> list[Any]:
-        """Results with whole numbers, Booleans and items where these are declared."""
+        """Returns results in the types that are declared, with Python's numbers in place of NumPy's."""
         typed = list(scalars)
         for i, x in enumerate(scalars):
             v = self.block.variables[first_reference + i]
-            if v.type != "Real":
-                try:
-                    typed[i] = v.cast(x)
-                except (ArithmeticError, ValueError) as error:
-                    raise BlockError(f"{v.name} = {x!r}: expected {v.expected}") from error
-                if v.type == "Boolean" and typed[i] != x:
-                    raise BlockError(f"{v.name} = {x!r}: expected {v.expected}")
+            try:
+                typed[i] = v.cast(x)
+            except (ArithmeticError, ValueError) as error:
+                raise BlockError(f"{v.name} = {x!r}: expected {v.expected}") from error
+            if v.type == "Boolean" and typed[i] != x:
+                raise BlockError(f"{v.name} = {x!r}: expected {v.expected}")
         return typed
 
     def _initial_state(self) -> Any:

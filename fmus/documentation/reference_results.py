@@ -40,8 +40,8 @@ def reference_run(block: Block) -> ReferenceRun:
     of too many steps ExportError.
     """
     experiment = block.guide.experiment
-    step_size = experiment.step_size or block.step_size
-    stop_time = experiment.stop_time or block.stop_time
+    step_size = float(experiment.step_size or block.step_size)
+    stop_time = float(experiment.stop_time or block.stop_time)
     if not stop_time / step_size <= _MOST_STEPS:
         guide = f"guide=Guide(experiment=Experiment(stop_time={1000 * step_size:g})) from fmus.guide"
         raise ExportError(
@@ -65,7 +65,8 @@ def reference_run(block: Block) -> ReferenceRun:
 
 def _stimuli(block: Block) -> dict[str, tuple[Point, ...]]:
     names = [v.name for v in block.of_causality("input") if v.type == "Real"]
-    stimuli = dict(block.guide.experiment.stimuli)
+    given = block.guide.experiment.stimuli
+    stimuli = {name: tuple((float(t), float(value)) for t, value in points) for name, points in given}
     for name, points in stimuli.items():
         if name not in names:
             raise ExportError(f"guide of {block.name}: no Real input {name!r}; {nearest(name, names)}")

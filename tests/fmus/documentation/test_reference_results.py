@@ -18,6 +18,7 @@ from fmpy.util import read_csv
 
 from fmus import catalogue
 from fmus.block import Block, variable
+from fmus.compliance.check import check
 from fmus.documentation.reference_files import LS_REF, RELATIVE_TOLERANCE, cross_check_files
 from fmus.documentation.reference_results import reference_run
 from fmus.errors import ExportError
@@ -215,3 +216,61 @@ def test_every_step_of_the_experiment_has_the_length_that_its_files_state() -> N
     )  # fmt: skip
     run = reference_run(block)
     assert run.output_rows[-1][1] == sum([run.step_size] * 50)
+
+
+SCALE = np.float64(2.0)
+ONE: Any = np.int64(1)
+DRIVEN: Any = (("u", ((np.float64(0.0), np.float64(0.0)), (np.float32(0.5), ONE))),)
+
+
+@dataclass(frozen=True)
+class NumpyParameters:
+    internal_step: float = variable(
+        np.float64(0.01), "Step", unit="s", min=np.float64(1e-3), max=ONE, nominal=np.float64(0.1)
+    )
+
+
+@dataclass(frozen=True)
+class NumpyCalculated:
+    scale: float = variable(0.0, "Scale")
+
+
+@dataclass(frozen=True)
+class NumpyInputs:
+    u: float = variable(0.5 * SCALE, "Input", min=-SCALE, max=2 * ONE)
+
+
+@dataclass(frozen=True)
+class NumpyState:
+    x: float = 0.0
+
+
+@dataclass(frozen=True)
+class NumpyOutputs:
+    y: float = variable(0.0, "Output", nominal=np.float64(1.0))
+    n: int = variable(0, "Number")
+    positive: bool = variable(False, "Whether it is positive")
+
+
+NUMPY = Block(
+    name="Numpy",
+    description="Constants and declarations of NumPy",
+    parameters=NumpyParameters,
+    calculated=NumpyCalculated,
+    calculate=lambda p: NumpyCalculated(SCALE * np.float64(1.5)),
+    inputs=NumpyInputs,
+    state=NumpyState,
+    outputs=NumpyOutputs,
+    step=lambda t, h, s, u, p, c: NumpyState(s.x + h * SCALE * u.u),
+    output=lambda t, s, p, c: NumpyOutputs(SCALE * s.x, 3 * ONE, s.x > np.float64(0.0)),
+    stop_time=np.float64(1.0),
+    step_size=np.float64(0.01),
+    guide=Guide(experiment=Experiment(np.float64(0.8), np.float64(0.02), DRIVEN)),
+)
+
+
+def test_no_file_of_an_fmu_has_a_number_in_the_words_of_numpy(tmp_path: Path) -> None:
+    with zipfile.ZipFile(catalogue.build_block(NUMPY, tmp_path)) as fmu:
+        texts = {name: fmu.read(name) for name in fmu.namelist() if not name.startswith("binaries/")}
+    assert [name for name, content in texts.items() if b"np." in content] == []
+    assert check([tmp_path / "Numpy.fmu"]) == 0
