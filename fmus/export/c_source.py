@@ -11,11 +11,10 @@ from string import Template
 from fmus.block import Block, ScalarVariable
 from fmus.errors import ExportError
 from fmus.export.symbolic import Traced, traced
-from fmus.fmi_types import TRANSFER_TYPE
+from fmus.fmi_types import INTEGER_RANGE, TRANSFER_TYPE
 
 COMPILED = ("fmi2.c",)
 _WORD = 32  # bits of the set of items
-_LARGEST_INTEGER = 2**31 - 1
 
 
 def c_sources(block: Block, guid: str, reals_only: bool = False) -> dict[str, str]:
@@ -72,7 +71,7 @@ def _range(v: ScalarVariable) -> tuple[float, float]:
     """What the C layer lets pass: without declared limits, what the type can hold."""
     if items := [0, 1] if v.type == "Boolean" else _items(v):
         return float(min(items)), float(max(items))
-    widest = _LARGEST_INTEGER if v.type == "Integer" else sys.float_info.max
+    widest = INTEGER_RANGE[1] if v.type == "Integer" else sys.float_info.max
     low = -widest if v.minimum is None else v.minimum
     high = widest if v.maximum is None else v.maximum
     return float(low), float(high)

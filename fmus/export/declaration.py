@@ -11,6 +11,7 @@ from typing import Any, get_args, get_origin
 from fmus.block import Block, NoValues, ScalarVariable, flatten
 from fmus.errors import ExportError
 from fmus.export.guard import location
+from fmus.fmi_types import INTEGER_RANGE
 from fmus.units import display, unit
 
 _INTERFACE = ("parameters", "calculated", "inputs", "outputs")
@@ -188,8 +189,11 @@ def _fits(value: Any, start: Any) -> bool:
 
 def _value_mistakes(v: ScalarVariable) -> Iterator[str]:
     numbers = {"min": v.minimum, "max": v.maximum, "nominal": v.nominal, "start": v.start}
+    low, high = INTEGER_RANGE
     for name, number in numbers.items():
-        if number is not None and not math.isfinite(number):
+        if v.type == "Integer" and number is not None and not low <= number <= high:
+            yield f"{name} {number!r}: expected {low}..{high}, as in FMI; a float such as 1.0 is wider"
+        elif number is not None and not math.isfinite(number):
             yield f"{name} {number!r}: expected a finite number"
     if v.minimum is not None and v.maximum is not None and v.minimum > v.maximum:
         yield f"min {v.minimum!r} is above max {v.maximum!r}"

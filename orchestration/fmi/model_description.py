@@ -9,8 +9,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from xml.etree.ElementTree import Element
 
-from fmus.fmi_types import TYPES
+from fmus.fmi_types import INTEGER_RANGE, TRANSFER_TYPE, TYPES
 
+_REFERENCES = 2**32  # numbers that fmi2ValueReference has
 # variability -> causality -> what `initial` is where it is not stated (2.2.7)
 _OF_PARAMETERS = {"parameter": "exact", "calculatedParameter": "calculated", "local": "calculated"}
 _OF_SIGNALS = {"input": "exact", "output": "calculated", "local": "calculated", "independent": None}
@@ -207,9 +208,15 @@ def _variable(element: Element, types: Mapping[str, SimpleType]) -> ScalarVariab
                 "of initial: expected that it is stated"
             )
         initial = _INITIAL[variability][causality]
+    reference = int(_required(element, "valueReference"))
+    low, high = INTEGER_RANGE
+    if not 0 <= reference < _REFERENCES:
+        raise ValueError(f"variable {name}: valueReference {reference}: expected 0..{_REFERENCES - 1}")
+    if TRANSFER_TYPE[kind.tag] == "Integer" and not low <= int(kind.get("start") or 0) <= high:
+        raise ValueError(f"variable {name}: start {kind.get('start')}: expected {low}..{high}")
     return ScalarVariable(
         name,
-        int(_required(element, "valueReference")),
+        reference,
         kind.tag,
         causality,
         variability,

@@ -8,13 +8,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from fmus.fmi_types import FmiValue
+from fmus.fmi_types import INTEGER_RANGE, FmiValue
 from orchestration.errors import SystemDefinitionError
 from orchestration.system.system import Port
 
 Value = FmiValue | np.generic  # as users give it
 
-_INTEGER_RANGE = (-(2**31), 2**31 - 1)  # fmi2Integer
 _PYTHON_TYPES: dict[str, tuple[type, ...]] = {"Real": (int, float), "Boolean": (bool,)}  # others: int
 
 
@@ -94,5 +93,5 @@ def value_range(port: Port) -> tuple[float, float]:
 @lru_cache
 def _range(kind: str, least: str | None, largest: str | None) -> tuple[float, float]:
     """For types and texts of a model description, of which thousands of values are checked."""
-    low, high = (-math.inf, math.inf) if kind == "Real" else _INTEGER_RANGE
+    low, high = (-math.inf, math.inf) if kind == "Real" else INTEGER_RANGE
     return low if least is None else float(least), high if largest is None else float(largest)

@@ -148,6 +148,17 @@ MISTAKES = [
         'bias: float = variable((0.0, 1.0), "Bias")',
         "Parameters.bias: start (0.0, 1.0) is a tuple, but the type is float",
     ),
+    (
+        BIAS,
+        'bias: int = variable(2**31, "Bias")',
+        "Parameters.bias: start 2147483648: expected -2147483648..2147483647, as in FMI",
+    ),
+    (
+        BIAS,
+        'bias: int = variable(1, "Bias", min=-(2**31) - 1)',
+        "bias: min -2147483649: expected -214",
+    ),
+    (BIAS, 'bias: int = variable(1, "Bias", max=10**400)', "Parameters.bias: max 1000"),
     (BIAS, 'bias: list = variable([0.0, 1.0], "Bias")', "start [0.0, 1.0]: expected a tuple"),
     (U, 'gain: float = variable(0.0, "Input")', "Inputs.gain: expected another name, Parameters has it too"),
     ("x: float = 0.0", "x: float", "State.x: expected a value to start from, x: float = 0.0"),

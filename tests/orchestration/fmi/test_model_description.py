@@ -103,6 +103,18 @@ def test_the_shipped_fmus_are_read_as_by_fmpy(built: Mapping[str, Path], name: s
         ('name="gain" ', "", "ScalarVariable has no name"),
         ('name="gain" valueReference="0"', 'name="gain"', "ScalarVariable gain has no valueReference"),
         ('valueReference="0"', 'valueReference="zero"', "invalid literal"),
+        (
+            'valueReference="0"',
+            'valueReference="4294967296"',
+            "gain: valueReference 4294967296: expected 0..429",
+        ),
+        ('valueReference="0"', 'valueReference="-1"', "gain: valueReference -1: expected 0..4294967295"),
+        (
+            '<Integer min="0"/>',
+            '<Integer start="2147483648"/>',
+            "count: start 2147483648: expected -2147483648",
+        ),
+        ('start="7"', 'start="-2147483649"', "mode: start -2147483649: expected -2147483648..2147483647"),
         ("<String/>", "<Text/>", "variable text has no type: expected one of Real, Integer"),
         (
             'declaredType="Speed"',
