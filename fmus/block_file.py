@@ -18,6 +18,8 @@ from fmus.block import Block
 from fmus.errors import ExportError, nearest
 
 _RELATIVE = "; import it without dots, or name the block in an entry point of its package"
+# files with these names, whatever their ending, are devices in Windows
+DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{i}" for port in ("com", "lpt") for i in range(10))}
 _OWN = {"fmus", "controller_fmu", "plant_fmu", "orchestration"}
 
 
@@ -87,8 +89,11 @@ def _check_name(path: Path) -> None:
 
 
 def is_free_module_name(name: str) -> bool:
-    """Whether a module can have this name and hides none of Python's, of ours, or of an installed package."""
-    if not name.isidentifier() or keyword.iskeyword(name) or name in sys.stdlib_module_names | _OWN:
+    """Whether a module can have this name and hides none of Python's, of ours, or of an installed package.
+
+    Windows must be able to store its file, too.
+    """
+    if not name.isidentifier() or keyword.iskeyword(name) or name in sys.stdlib_module_names | _OWN | DEVICES:
         return False
     return PathFinder.find_spec(name, [sysconfig.get_path(key) for key in ("purelib", "platlib")]) is None
 

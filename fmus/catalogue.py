@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 
 from fmus.binding import library_member
 from fmus.block import Block
-from fmus.block_file import blocks_in, from_sources
+from fmus.block_file import DEVICES, blocks_in, from_sources
 from fmus.documentation import reference_files
 from fmus.documentation.icon import icon
 from fmus.documentation.reference_results import ReferenceRun, reference_run
@@ -64,19 +64,25 @@ def loaded(name_or_path: str) -> Iterator[tuple[Block, ...]]:
 
     Raises ExportError for a block that cannot become an FMU.
     """
-    if name_or_path.endswith(".py"):
-        with blocks_in(Path(name_or_path)) as blocks:
-            yield tuple(map(verified, blocks))
-    else:
-        yield (load_block(name_or_path),)
+    try:
+        if name_or_path.endswith(".py"):
+            with blocks_in(Path(name_or_path)) as blocks:
+                yield tuple(map(verified, blocks))
+        else:
+            yield (load_block(name_or_path),)
+    except SystemExit as error:
+        file, line, expression = own_line(error) or (name_or_path, 1, "a function")
+        raise ExportError(f"{file}:{line}: {expression}: ends Python: expected a returned value") from error
 
 
 def verified(block: Block) -> Block:
     """The block, if it takes a step at its start values."""
     name = block.name
-    if keyword.iskeyword(name) or not re.fullmatch(r"[A-Za-z](_?[A-Za-z0-9])*", name):
+    is_word = re.fullmatch(r"[A-Za-z](_?[A-Za-z0-9])*", name)
+    if not is_word or keyword.iskeyword(name) or name.lower() in DEVICES:
         raise ExportError(
-            f"block {name!r}: expected ASCII letters, digits and single underscores, and no word of Python's"
+            f"block {name!r}: expected ASCII letters, digits and single underscores, and no word of Python's "
+            "or device of Windows"
         )
     traced(block)  # before a call with numbers, which a function could remember
     trial = Instance(block)

@@ -22,8 +22,8 @@ def write_new_block(name: str, folder: Path) -> list[Path]:
     is_taken = not is_free_module_name(name) or keyword.iskeyword(values["name"])
     if is_taken or not re.fullmatch(r"[a-z](_?[a-z0-9])*", name):
         raise ExportError(
-            f"{name!r}: expected lower-case letters, digits and single underscores, and no name of Python's "
-            "or of an installed package"
+            f"{name!r}: expected lower-case letters, digits and single underscores, and no name of Python's, "
+            "of an installed package or of a device of Windows"
         )
     templates = resources.files("fmus") / "templates"
     texts = {

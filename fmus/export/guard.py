@@ -198,7 +198,7 @@ def _reason(error: Exception) -> str:
     return f"{where}: {cause}" + (f"; {use}" if use else "")
 
 
-def own_line(error: Exception) -> tuple[str, int, str] | None:
+def own_line(error: BaseException) -> tuple[str, int, str] | None:
     """File, line and expression of the user's that led to an error, where there is one."""
     frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
     summaries = traceback.extract_tb(error.__traceback__)

@@ -19,6 +19,7 @@ from fmus.export.faithful import check_faithful
 from fmus.export.sources import source_closure
 from fmus.new_block import write_new_block
 from fmus.registry import Flavour
+from fmus.stamp import Order
 
 LOWPASS = """\
 from dataclasses import dataclass
@@ -229,6 +230,27 @@ def test_a_file_that_cannot_be_a_module_is_refused(file: str, message: str, tmp_
         pass
 
 
+@pytest.mark.parametrize("flavour", Flavour)
+@pytest.mark.parametrize(
+    "expression",
+    [
+        "exit(0)",
+        "(exit(0) if type(u.u) is float else u.u)",
+        # at the end of the reference results alone
+        "(exit(0) if type(t) is float and h == 0.01 and 0.985 < t < 0.995 else u.u)",
+    ],
+)
+def test_a_block_that_ends_python_is_refused_with_the_line(
+    expression: str, flavour: Flavour, tmp_path: Path
+) -> None:
+    path = write(tmp_path, expression=expression)
+    orders = [Order(str(path), tmp_path / "out", flavour), Order("ExamplePlant", tmp_path / "out", flavour)]
+    refusal, built = catalogue.build_orders(orders)
+    assert re.fullmatch(rf"{re.escape(str(path))}:\d+: exit\(0\): ends Python: .*", str(refusal))
+    assert isinstance(built, list)
+    assert not (tmp_path / "out" / "Lowpass.fmu").exists()
+
+
 def test_a_folder_without_a_python_file_is_named(tmp_path: Path) -> None:
     message = f"{tmp_path / 'pid.py'}: no such file; {tmp_path} has no Python file"
     with pytest.raises(ExportError, match=re.escape(message)), blocks_in(tmp_path / "pid.py"):
@@ -269,7 +291,21 @@ def test_a_new_block_replaces_no_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["Pid", "signal", "lambda", "a-b", "../pid", "", "pid.py", "orchestration", "numpy", "none"]
+    "name",
+    [
+        "Pid",
+        "signal",
+        "lambda",
+        "a-b",
+        "../pid",
+        "",
+        "pid.py",
+        "orchestration",
+        "numpy",
+        "none",
+        "con",
+        "com1",
+    ],
 )
 def test_a_name_that_no_module_can_have_is_refused(name: str, tmp_path: Path) -> None:
     with pytest.raises(ExportError, match=r": expected lower-case letters"):

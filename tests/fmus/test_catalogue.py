@@ -58,8 +58,10 @@ def test_an_entry_point_must_lead_to_a_block(offer: object) -> None:
         catalogue.load_block("Mine")
 
 
-@pytest.mark.parametrize("name", ["None", "class", "two__parts", "2nd", ""])
-def test_a_name_that_no_class_and_no_identifier_of_c_can_have_is_refused(name: str) -> None:
+@pytest.mark.parametrize("name", ["None", "class", "two__parts", "2nd", "", "CON", "nul", "Com1", "LPT9"])
+def test_a_name_that_no_class_no_identifier_of_c_and_no_file_of_windows_can_have_is_refused(
+    name: str,
+) -> None:
     block = replace(catalogue.load_block("ExamplePlant"), name=name)
     with pytest.raises(ExportError, match=f"block {name!r}: expected ASCII letters, digits and single"):
         catalogue.verified(block)
