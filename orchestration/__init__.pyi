@@ -1,5 +1,7 @@
 from orchestration.errors import OrchestrationError as OrchestrationError
 from orchestration.errors import SimulationError as SimulationError
+from orchestration.many.job import Failure as Failure
+from orchestration.many.run_many import run_many as run_many
 from orchestration.master import Simulator as Simulator
 from orchestration.master import simulate as simulate
 from orchestration.master.checkpoint import Checkpoints as Checkpoints

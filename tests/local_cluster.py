@@ -2,14 +2,16 @@
 
 import logging
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from tempfile import TemporaryDirectory
 
 from dask import config
 from distributed import Client, LocalCluster, Worker, WorkerPlugin
 
-from orchestration.sweep.dask_workers import DaskWorkers
+from orchestration.many.cluster import ClusterRuns
+from orchestration.many.job import Job
 
 
 class IgnoreSigint(WorkerPlugin):
@@ -22,7 +24,7 @@ class IgnoreSigint(WorkerPlugin):
 
 
 @contextmanager
-def local_cluster(workers: int) -> Iterator[DaskWorkers]:
+def local_cluster(workers: int) -> Iterator[tuple[Client, Callable[[Job], ClusterRuns]]]:
     """So many processes of one thread each, reachable from this machine alone."""
     with (
         TemporaryDirectory(prefix="l1-depth-sweep-", ignore_cleanup_errors=True) as folder,
@@ -40,4 +42,4 @@ def local_cluster(workers: int) -> Iterator[DaskWorkers]:
         Client(cluster) as client,
     ):
         client.register_plugin(IgnoreSigint())
-        yield DaskWorkers(client)
+        yield client, partial(ClusterRuns, client)

@@ -23,8 +23,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from contextlib import AbstractContextManager
 
+    from orchestration.many.batches import Place
+    from orchestration.many.job import Job
     from orchestration.sweep.plan import Plan
-    from orchestration.sweep.workers import Workers
 
 
 def sweep(
@@ -79,7 +80,7 @@ def sweep(
     """Run the samples of a scenario that has a table [sweep]; an interrupted sweep continues."""
     from orchestration.cli import chosen_scenario
     from orchestration.sweep.plan import plan
-    from orchestration.sweep.samples import recorded_signals
+    from orchestration.sweep.run import recorded_signals
 
     changes = Changes.of_options(controller, settings, mapped, open_inputs)
     alone = {"--workers": workers, "--isolated": isolated, "--scheduler": scheduler}
@@ -90,7 +91,7 @@ def sweep(
         local_options = {"--workers": workers, "--isolated": isolated, "--ensemble": ensemble}
         refuse_without_effect("--scheduler", local_options)
     if ensemble:
-        refuse_without_effect("--ensemble", {"--isolated": isolated, "--recordings": recordings})
+        refuse_without_effect("--ensemble", {"--isolated": isolated})
     planned = plan(chosen_scenario.load(name, flavour, changes))
     if sample is not None:
         _run_one(planned, sample, out)
@@ -128,12 +129,12 @@ def _workers(
     ensemble: bool | None,
     scheduler: str,
     note: "Callable[[str], object]",
-) -> "AbstractContextManager[Workers]":
+) -> "AbstractContextManager[Callable[[Job], Place]]":
     if scheduler:
-        from orchestration.sweep import cluster  # Dask is slow to import
+        from orchestration.many import cluster  # Dask is slow to import
 
         return cluster.remote(scheduler)
-    from orchestration.sweep.local import local
+    from orchestration.many.local import local
 
     return local(count or usable_processors(), isolated, ensemble, note)
 

@@ -3,7 +3,7 @@
 import re
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,6 @@ from fmus.errors import nearest
 from orchestration.errors import OrchestrationError
 from orchestration.master.run_recording import make_recording
 from orchestration.results.recording import Recording
-from orchestration.results.recordings import Recordings
 from orchestration.system.prepared_run import PreparedRun
 from orchestration.system.signals import Signal
 from orchestration.system.values import Value
@@ -43,14 +42,14 @@ class EnsembleRecording:
         """The instances that did not fail."""
         return [instance for instance in range(len(self)) if instance not in self.failures]
 
-    def recordings(self) -> Recordings:
-        """Those of `complete`, at least one, for metrics of all at once, without `varied`."""
+    def recordings(self) -> Recording:
+        """Returns those of `complete`, at least one, with an axis of runs, without `varied`."""
         complete, (_, signals, points, _) = self.complete, self.values.shape
+        # a signal of a run is contiguous, so that a sum along time rounds as that of the run alone
         values = np.ascontiguousarray(self.values.transpose(1, 0, 3, 2)).reshape(signals, -1, points)
         is_all = len(complete) == len(self)
-        return Recordings(
-            self._recording(complete[0], {}), values[:, : len(self)] if is_all else values[:, complete]
-        )
+        kept = values[:, : len(self)] if is_all else values[:, complete]
+        return replace(self._recording(complete[0], {}), values=kept.transpose(1, 2, 0))
 
     @property
     def names(self) -> Sequence[str]:

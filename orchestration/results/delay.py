@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from orchestration.errors import ScenarioError
-from orchestration.results.recordings import Runs, of_all
+from orchestration.results.recording import Recording, along_time
 
 _PARTS = 60  # of the search: a signal leads if it is nearer at one part of lead than at 0
 _LAG_ERROR_S = 1e-4  # of the search where points are not equally spaced
@@ -23,8 +23,8 @@ _MOST_POINTS = 2**17  # points of a reference
 _NEAR, _EQUAL = 1e-9, 1e-6  # of a communication step: rounding of a delay, and of the distance of points
 
 
-@of_all
-def shift_lag(recording: Runs, signal: str, reference: str, largest: float) -> Any:
+@along_time
+def shift_lag(recording: Recording, signal: str, reference: str, largest: float) -> Any:
     """Delay [s], 0..largest, of the reference at which it is nearest to the signal (least RMSE).
 
     Judged from `largest` seconds after the start, so that every delay sees the same points. Not a number if

@@ -2,7 +2,7 @@
 
 Every function takes the recording, the names of signals, and what else it needs; a scenario names
 the function and its arguments. Windows are [start, end] in seconds and default to the whole run.
-Those with `@of_all` take `Recordings` too, compute along the last axis, and return a number for each run.
+Of a recording of many runs they return a number for each run, shape (runs,), with the bits of each run alone.
 """
 
 import math
@@ -16,15 +16,14 @@ from fmus.errors import nearest
 from orchestration.errors import OrchestrationError, ScenarioError, ScenarioWarning
 from orchestration.results.delay import shift_lag
 from orchestration.results.power import energy_residuals
-from orchestration.results.recording import Recording
-from orchestration.results.recordings import Runs, of_all
+from orchestration.results.recording import Recording, along_time, run_by_run
 
 SIGNALS = ("signal", "reference", "flow")
 """Arguments of metrics that name signals."""
 _ROUNDING = 1e-9  # of an amplitude, relative to the mean: what is below it is rounding
 
 
-def _window(recording: Runs, window: list[float] | None) -> slice:
+def _window(recording: Recording, window: list[float] | None) -> slice:
     """The communication points of a window, whose times ascend."""
     if window is None:
         return slice(0, len(recording.time))
@@ -39,9 +38,9 @@ def _window(recording: Runs, window: list[float] | None) -> slice:
     return slice(first, last)
 
 
-@of_all
+@along_time
 def settling_time(
-    recording: Runs, signal: str, target: float, band: float, window: list[float] | None = None
+    recording: Recording, signal: str, target: float, band: float, window: list[float] | None = None
 ) -> Any:
     """Last time [s] in the window at which |signal - target| > band; its beginning if never.
 
@@ -54,9 +53,9 @@ def settling_time(
     return np.where(outside[..., -1], math.nan, np.where(outside.any(axis=-1), time[last], time[0]))
 
 
-@of_all
+@along_time
 def rmse(
-    recording: Runs,
+    recording: Recording,
     signal: str,
     reference: str,
     window: list[float] | None = None,
@@ -68,21 +67,21 @@ def rmse(
     return scale * np.sqrt(np.mean(error**2, axis=-1))
 
 
-@of_all
-def recovery_time(recording: Runs, signal: str, target: float, band: float, window: list[float]) -> Any:
+@along_time
+def recovery_time(recording: Recording, signal: str, target: float, band: float, window: list[float]) -> Any:
     """`settling_time` from the beginning of the window on, at which a disturbance sets in [s]."""
     begin = recording.time[_window(recording, window)][0]
     return settling_time(recording, signal, target, band, window) - float(begin)
 
 
-@of_all
-def std(recording: Runs, signal: str, window: list[float] | None = None, scale: float = 1.0) -> Any:
+@along_time
+def std(recording: Recording, signal: str, window: list[float] | None = None, scale: float = 1.0) -> Any:
     """scale * standard deviation about the mean, over the communication points of the window."""
     return scale * recording[signal][..., _window(recording, window)].std(axis=-1)
 
 
-@of_all
-def overshoot(recording: Runs, signal: str, target: float, window: list[float] | None = None) -> Any:
+@along_time
+def overshoot(recording: Recording, signal: str, target: float, window: list[float] | None = None) -> Any:
     """How far the signal goes beyond the target, in percent of it, 0 if it does not; the target is not 0."""
     if target == 0.0:
         raise ScenarioError("overshoot: target = 0: expected another, the overshoot is relative to it")
@@ -91,49 +90,49 @@ def overshoot(recording: Runs, signal: str, target: float, window: list[float] |
     return np.where(excess > 0.0, excess, 0.0)
 
 
-@of_all
-def mean(recording: Runs, signal: str, window: list[float] | None = None) -> Any:
+@along_time
+def mean(recording: Recording, signal: str, window: list[float] | None = None) -> Any:
     """Mean over the communication points of the window."""
     return recording[signal][..., _window(recording, window)].mean(axis=-1)
 
 
-@of_all
-def effort(recording: Runs, signal: str, window: list[float] | None = None) -> Any:
+@along_time
+def effort(recording: Recording, signal: str, window: list[float] | None = None) -> Any:
     """Integral of |signal| dt, trapezoidal rule."""
     inside = _window(recording, window)
     return np.trapezoid(np.abs(recording[signal][..., inside]), recording.time[inside])
 
 
-@of_all
-def peak(recording: Runs, signal: str, window: list[float] | None = None, scale: float = 1.0) -> Any:
+@along_time
+def peak(recording: Recording, signal: str, window: list[float] | None = None, scale: float = 1.0) -> Any:
     """scale * largest |signal| at the communication points of the window."""
     return scale * np.abs(recording[signal][..., _window(recording, window)]).max(axis=-1)
 
 
-@of_all
+@along_time
 def peak_error(
-    recording: Runs, signal: str, reference: str, window: list[float] | None = None, scale: float = 1.0
+    recording: Recording, signal: str, reference: str, window: list[float] | None = None, scale: float = 1.0
 ) -> Any:
     """scale * largest |signal - reference| at the communication points of the window."""
     return scale * np.abs(_error(recording, signal, reference, window)[1]).max(axis=-1)
 
 
-@of_all
-def iae(recording: Runs, signal: str, reference: str, window: list[float] | None = None) -> Any:
+@along_time
+def iae(recording: Recording, signal: str, reference: str, window: list[float] | None = None) -> Any:
     """Integral of the absolute error, |signal - reference| dt, trapezoidal rule."""
     time, error = _error(recording, signal, reference, window)
     return np.trapezoid(np.abs(error), time)
 
 
-@of_all
-def ise(recording: Runs, signal: str, reference: str, window: list[float] | None = None) -> Any:
+@along_time
+def ise(recording: Recording, signal: str, reference: str, window: list[float] | None = None) -> Any:
     """Integral of the squared error, (signal - reference)^2 dt, trapezoidal rule."""
     time, error = _error(recording, signal, reference, window)
     return np.trapezoid(error**2, time)
 
 
-@of_all
-def itae(recording: Runs, signal: str, reference: str, window: list[float] | None = None) -> Any:
+@along_time
+def itae(recording: Recording, signal: str, reference: str, window: list[float] | None = None) -> Any:
     """Integral of the absolute error times time, t |signal - reference| dt, trapezoidal rule.
 
     t: since the beginning of the window, which is the run by default
@@ -143,19 +142,21 @@ def itae(recording: Runs, signal: str, reference: str, window: list[float] | Non
 
 
 def _error(
-    recording: Runs, signal: str, reference: str, window: list[float] | None
+    recording: Recording, signal: str, reference: str, window: list[float] | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """(time, signal - reference) of the window."""
     inside = _window(recording, window)
     return recording.time[inside], (recording[signal] - recording[reference])[..., inside]
 
 
+@run_by_run
 def energy_residual(recording: Recording, signal: str, flow: str, window: list[float] | None = None) -> float:
     """Energy that exchanging an effort, the signal, and a flow at points in time creates (`power.py`)."""
     inside = _window(recording, window)
     return float(energy_residuals(recording, signal, flow)[inside.start : inside.stop - 1].sum())
 
 
+@run_by_run
 def time_below(
     recording: Recording, signal: str, limit: float, after: float, window: list[float] | None = None
 ) -> float:
@@ -175,9 +176,9 @@ def time_below(
     return float((share * np.diff(time)).sum())  # not BLAS, whose threads wait for each other
 
 
-@of_all
+@along_time
 def total_variation(
-    recording: Runs, signal: str, every: float | None = None, window: list[float] | None = None
+    recording: Recording, signal: str, every: float | None = None, window: list[float] | None = None
 ) -> Any:
     """Sum of |change| between communication points, or between points `every` seconds apart."""
     inside = _window(recording, window)
@@ -190,6 +191,7 @@ def total_variation(
     return np.abs(np.diff(values)).sum(axis=-1)
 
 
+@run_by_run
 def phase_lag(
     recording: Recording, signal: str, angular_frequency: float, window: list[float] | None = None
 ) -> float:
@@ -206,7 +208,7 @@ def phase_lag(
     return float(np.arctan2(sine, cosine) / angular_frequency)
 
 
-FUNCTIONS: dict[str, Callable[..., float]] = {
+FUNCTIONS: dict[str, Callable[..., Any]] = {
     function.__name__: function
     for function in (
         settling_time,
@@ -230,22 +232,24 @@ FUNCTIONS: dict[str, Callable[..., float]] = {
 }
 
 
-def evaluate(recording: Recording, declared: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
-    """The metrics that a scenario declares: name -> {function = ..., its arguments, perhaps a unit}.
+def evaluate(recording: Recording, declared: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Returns the metrics that a scenario declares: a float of one run, of many an array, shape (runs,).
 
+    declared: name -> {function = ..., its arguments, perhaps a unit}
     Where an FMU terminated the run, a metric that needs a later time is not a number.
+    Raises ScenarioError for a metric that cannot be computed, or is infinite, in any of the runs.
     """
     return {name: _one(recording, name, call) for name, call in declared.items()}
 
 
-def _one(recording: Recording, name: str, call: Mapping[str, Any]) -> float:
+def _one(recording: Recording, name: str, call: Mapping[str, Any]) -> Any:
     function = call["function"]
     if function not in FUNCTIONS:
         raise ScenarioError(f"metric {name}: unknown function {function!r}; {nearest(function, FUNCTIONS)}")
     for signal in (call[key] for key in SIGNALS if call.get(key) in recording.texts):
         raise ScenarioError(f"metric {name}: {signal} is a String: expected a signal that is a number")
     if _ended_too_early(recording, call):
-        return math.nan
+        return math.nan if recording.run_count is None else np.full(recording.run_count, math.nan)
     arguments = {key: value for key, value in call.items() if key not in ("function", "unit")}
     try:
         value = FUNCTIONS[function](recording, **arguments)
@@ -253,7 +257,7 @@ def _one(recording: Recording, name: str, call: Mapping[str, Any]) -> float:
         raise ScenarioError(f"metric {name}: {error}") from error
     except (TypeError, ValueError, ArithmeticError, IndexError) as error:
         raise ScenarioError(f"metric {name}: {dict(call)}: {error}") from error
-    if np.isinf(value):
+    if np.isinf(value).any():
         raise ScenarioError(f"metric {name} is {value}: expected a finite number; check {dict(call)}")
     return value
 

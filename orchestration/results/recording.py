@@ -1,10 +1,11 @@
-"""Recording: the signals of a run with their units at the communication points, and their provenance."""
+"""Recording: signals of one run or of many at the communication points, with units and provenance."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec
 
 import numpy as np
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
+P = ParamSpec("P")
 TIME = files.TIME
 ERROR_ESTIMATE = "error_estimate."
 """Prefix of the column that holds the estimated error of a signal."""
@@ -29,10 +31,10 @@ def points_down(name: str, unit: str) -> bool:
 
 @dataclass(frozen=True)
 class Recording:
-    """Signals over time.
+    """Signals over time, of one run or of many runs with the same communication points.
 
     names: "component.variable"; units: same order, "" where the FMU gives none
-    time: shape (n,) [s]; values: shape (n, len(names))
+    time: shape (n,) [s]; values: shape (n, len(names)), of many runs (runs, n, len(names))
     provenance: FMUs, algorithm and settings of the run, as plain data
     texts: String -> the texts that it can have; its column of `values` holds their indices
     """
@@ -45,10 +47,13 @@ class Recording:
     texts: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """One signal, shape (n,), a String as text; OrchestrationError offers the nearest name for others."""
+        """One signal, shape (n,) or (runs, n), a String as text.
+
+        OrchestrationError offers the nearest name for one that was not recorded.
+        """
         if name == TIME:
             return self.time
-        values = self.values[:, self._column(name)]
+        values = self.values[..., self._column(name)]
         return np.array(self.texts[name], object)[values.astype(int)] if name in self.texts else values
 
     def __contains__(self, name: object) -> bool:
@@ -62,6 +67,15 @@ class Recording:
     def __len__(self) -> int:
         """Number of signals; `len(recording.time)` is that of communication points."""
         return len(self.names)
+
+    @property
+    def run_count(self) -> int | None:
+        """Number of runs; None without an axis of runs."""
+        return self.values.shape[0] if self.values.ndim == 3 else None
+
+    def run(self, index: int) -> "Recording":
+        """The recording of one of many runs."""
+        return replace(self, values=self.values[index])
 
     @property
     def numbers(self) -> tuple[str, ...]:
@@ -125,3 +139,31 @@ class Recording:
         Raises OrchestrationError for a file that is not a recording, or is damaged.
         """
         return Recording(*files.read(Path(path)))
+
+
+def along_time(
+    function: Callable[Concatenate[Recording, P], Any],
+) -> Callable[Concatenate[Recording, P], Any]:
+    """Decorates a metric that computes along the last axis of signals: a float, or shape (runs,)."""
+
+    @wraps(function)
+    def metric(recording: Recording, /, *arguments: P.args, **named: P.kwargs) -> Any:
+        value = function(recording, *arguments, **named)
+        return float(value) if recording.run_count is None else value
+
+    return metric
+
+
+def run_by_run(
+    function: Callable[Concatenate[Recording, P], float],
+) -> Callable[Concatenate[Recording, P], Any]:
+    """Decorates a metric of one run: of many, it computes the metric of each, shape (runs,)."""
+
+    @wraps(function)
+    def metric(recording: Recording, /, *arguments: P.args, **named: P.kwargs) -> Any:
+        if recording.run_count is None:
+            return function(recording, *arguments, **named)
+        runs = map(recording.run, range(recording.run_count))
+        return np.array([function(run, *arguments, **named) for run in runs])
+
+    return metric

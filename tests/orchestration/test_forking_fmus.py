@@ -10,13 +10,13 @@ import psutil
 import pytest
 
 from orchestration.errors import OrchestrationError
+from orchestration.many.local import local
 from orchestration.master import simulate
 from orchestration.scenarios import scenario
 from orchestration.study.isolated_loop import IsolatedLoop, RunError
 from orchestration.study.loop import Controller, Loop
 from orchestration.study.protocol import FILE, read_protocol
 from orchestration.sweep import table
-from orchestration.sweep.local import local
 from orchestration.sweep.plan import plan
 from orchestration.sweep.run import sweep
 from orchestration.system.experiment import Experiment

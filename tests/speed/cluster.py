@@ -5,20 +5,21 @@ from typing import Any
 
 from distributed import get_task_stream
 
+from orchestration.many.batches import Batches
 from orchestration.scenarios.scenario import Scenario
 from orchestration.sweep.plan import plan
-from orchestration.sweep.samples import Job
-from orchestration.sweep.workers import Batches
+from orchestration.sweep.run import job_of, samples_of
 from tests.local_cluster import local_cluster
 
 
 def loss(chosen: Scenario, samples: int, workers: int) -> tuple[float, float]:
     """(seconds of a sample, share of the workers' time without one), by Dask's own record of its tasks."""
     planned, parts = plan(chosen), dict[str, list[tuple[float, float]]]()
-    with local_cluster(workers) as started:
-        stream: Any = get_task_stream(started.client)
+    job = job_of(planned, None)
+    with local_cluster(workers) as (client, place):
+        stream: Any = get_task_stream(client)
         with stream:
-            for _ in started.run(planned, Job.of(planned, None), Batches(range(samples), samples)):
+            for _ in place(job).runs(Batches(samples_of(planned, job.base, range(samples)), samples)):
                 pass
     for task in stream.data:
         computed = [part for part in task["startstops"] if part["action"] == "compute"]

@@ -18,8 +18,7 @@ from fmus.lanes import LANES
 from orchestration.master import Simulator
 from orchestration.scenarios import scenario
 from orchestration.sweep.plan import Plan, plan
-from orchestration.sweep.samples import Job
-from orchestration.sweep.target import with_settings
+from orchestration.sweep.run import job_of, samples_of
 from tests.speed import cluster
 from tests.speed.part import Goal, Options, Part, Table, spread
 from tests.speed.states import COMMAND, State
@@ -68,11 +67,10 @@ class Runs(AbstractContextManager["Runs"]):
     """The runs of the first samples of a plan, which record what their metrics need."""
 
     def __init__(self, planned: Plan, count: int) -> None:
-        job = Job.of(planned, None)
-        settings = [planned.settings(values) for values in planned.block(range(count))]
-        self._experiments = [with_settings(job.experiment, own) for own in settings]
+        job = job_of(planned, None)
+        self._experiments = [run.experiment for run in samples_of(planned, job.base, range(count))]
         self._simulator = Simulator(job.system, threads=1)
-        self._simulator.run(job.experiment)
+        self._simulator.run(job.base)
 
     def mean_s(self) -> float:
         """CPU seconds of a run."""

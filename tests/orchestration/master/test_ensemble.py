@@ -285,8 +285,8 @@ def test_recordings_of_all_that_did_not_fail_are_in_c_order(system: System, weig
         assert together.run(run).values.tobytes() == one.values.tobytes()
         assert {"varied": one.provenance["varied"], **together.run(run).provenance} == one.provenance
         assert "varied" not in together.run(run).provenance  # it is not that of all
-    assert {signal.strides[-1] for signal in together.values} == {8}
-    assert (len(together), len(together.time)) == (len(recorded.complete), len(recorded.time))
+    assert {together[name].strides[-1] for name in together.names} == {8}
+    assert (together.run_count, len(together.time)) == (len(recorded.complete), len(recorded.time))
 
 
 def test_the_state_of_another_fmu_is_refused(system: System) -> None:

@@ -17,11 +17,13 @@ from dask import config
 from distributed import Client
 
 from orchestration.errors import SweepError
+from orchestration.many import cluster
+from orchestration.many.cluster import ClusterRuns
+from orchestration.many.job import Job
 from orchestration.master import simulate
 from orchestration.results.recording import Recording
-from orchestration.sweep import cluster, dask_workers, table
 from orchestration.sweep import run as running
-from orchestration.sweep.dask_workers import DaskWorkers
+from orchestration.sweep import table
 from orchestration.sweep.plan import Plan
 from tests.local_cluster import local_cluster
 
@@ -29,6 +31,7 @@ pytestmark = pytest.mark.cluster
 
 
 Make = Callable[..., Plan]
+Started = tuple[Client, Callable[[Job], ClusterRuns]]
 COUNT = 60
 SWEEP = f"""
 [sweep]
@@ -52,38 +55,39 @@ weights = [3, 1]
 
 DEADLY = """
 import os, signal
-from orchestration.sweep import worker
+import cloudpickle
+from orchestration.many import cluster
 
-def run_batch(plugin, settings):
-    if any(one["inputs"]["r.u"] == 3 for one in settings):
+def run_batch(plugin, pickled):
+    if any(changes[1]["inputs"]["r.u"] == 3 for changes in cloudpickle.loads(pickled)):
         os.kill(os.getpid(), signal.SIGKILL)
-    return worker.run_batch(plugin, settings)
+    return cluster.run_batch(plugin, pickled)
 """
 
 
 HASTY = """
-from orchestration.sweep import worker
+from orchestration.many import cluster
 
-def run_batch(plugin, settings):
-    outcomes, seconds = worker.run_batch(plugin, settings)
-    return outcomes[:1], seconds
+def run_batch(plugin, pickled):
+    done, seconds = cluster.run_batch(plugin, pickled)
+    return done[:1], seconds
 """
 
 
-def threads(cluster: DaskWorkers) -> dict[str, int]:
+def threads(client: Client) -> dict[str, int]:
     """Of each worker, by its address."""
-    numbers: Any = cluster.client.nthreads()
+    numbers: Any = client.nthreads()
     return numbers
 
 
 def swept(
     made: Plan,
-    started: DaskWorkers,
+    started: Started,
     folder: Path,
     progress: Callable[[int], object] = lambda done: None,
     recorded: tuple[str, ...] | None = None,
 ) -> Path:
-    return running.sweep(made, folder, nullcontext(started), recorded, progress=progress)
+    return running.sweep(made, folder, nullcontext(started[1]), recorded, progress=progress)
 
 
 @pytest.fixture
@@ -98,7 +102,7 @@ def test_one_two_and_four_workers_give_the_same_bytes(by_two: tuple[Plan, bytes]
     made, expected = by_two
     for workers in (1, 4):
         with local_cluster(workers) as started:
-            assert len(threads(started)) == workers
+            assert len(threads(started[0])) == workers
             assert swept(made, started, tmp_path / str(workers)).read_bytes() == expected
     samples, _ = table.read(tmp_path / "4" / "mine.sweep.parquet")
     rows = samples.to_pylist()
@@ -114,8 +118,8 @@ def test_a_killed_worker_loses_nothing(by_two: tuple[Plan, bytes], tmp_path: Pat
     killed: list[int] = []
 
     with local_cluster(2) as started:
-        workers: Any = started.client.run(os.getpid)
-        processing: Any = started.client.processing
+        workers: Any = started[0].run(os.getpid)
+        processing: Any = started[0].processing
 
         def kill_one_at_work(done: int) -> None:
             at_work = [address for address, tasks in processing().items() if tasks]
@@ -153,7 +157,7 @@ def test_a_sample_whose_workers_die_again_and_again_is_found_among_the_others(
     made = planned('[sweep.vary."r.u"]\nvalues = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]\n')
     (tmp_path / "deadly.py").write_text(DEADLY)
     monkeypatch.syspath_prepend(tmp_path)  # of the workers as well
-    monkeypatch.setattr(dask_workers, "run_batch", importlib.import_module("deadly").run_batch)
+    monkeypatch.setattr(cluster, "run_batch", importlib.import_module("deadly").run_batch)
     one_death = config.set({"distributed.scheduler.allowed-failures": 0})  # the default of 3 takes a minute
     with one_death, local_cluster(2) as started:
         samples, _ = table.read(swept(made, started, tmp_path))
@@ -169,7 +173,7 @@ def test_what_a_worker_leaves_of_its_batch_is_run_in_another(
     made, expected = by_two
     (tmp_path / "hasty.py").write_text(HASTY)
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(dask_workers, "run_batch", importlib.import_module("hasty").run_batch)
+    monkeypatch.setattr(cluster, "run_batch", importlib.import_module("hasty").run_batch)
     batches: list[int] = []
     with local_cluster(2) as started:
         assert swept(made, started, tmp_path / "hasty", batches.append).read_bytes() == expected
@@ -242,10 +246,14 @@ def processes(folder: Path, *workers: str) -> Iterator[str]:
 def test_a_cluster_by_its_address_gives_the_same_bytes(by_two: tuple[Plan, bytes], tmp_path: Path) -> None:
     """Two workers of two threads each, which cannot see the FMU's file."""
     made, expected = by_two
-    with processes(tmp_path, "one", "two") as address, cluster.remote(address) as started:
-        assert sum(threads(started).values()) == 4
-        assert swept(made, started, tmp_path / "remote").read_bytes() == expected
-        plugins: Any = started.client.run(
+    with (
+        processes(tmp_path, "one", "two") as address,
+        cluster.remote(address) as place,
+        Client(address) as client,
+    ):
+        assert sum(threads(client).values()) == 4
+        assert swept(made, (client, place), tmp_path / "remote").read_bytes() == expected
+        plugins: Any = client.run(
             lambda dask_worker: [name for name in dask_worker.plugins if "sweep" in name]
         )
         assert not [name for names in plugins.values() for name in names]
@@ -254,11 +262,11 @@ def test_a_cluster_by_its_address_gives_the_same_bytes(by_two: tuple[Plan, bytes
 def test_a_cluster_whose_workers_are_gone_is_told(
     planned: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(dask_workers, "LOOK_S", 0.2)
-    monkeypatch.setattr(dask_workers, "WITHOUT_WORKERS_S", 1.0)
+    monkeypatch.setattr(cluster, "LOOK_S", 0.2)
+    monkeypatch.setattr(cluster, "WITHOUT_WORKERS_S", 1.0)
     made = planned('[sweep]\ntimeout = 60\n[sweep.vary."r.misdeed"]\nvalues = ["hang"]\n')
     with local_cluster(1) as started:
-        threading.Timer(1.0, started.client.cluster.scale, (0,)).start()  # type: ignore[union-attr]
+        threading.Timer(1.0, started[0].cluster.scale, (0,)).start()  # type: ignore[union-attr]
         with pytest.raises(SweepError, match="no workers for 1 s; what is done is kept"):
             swept(made, started, tmp_path)
 

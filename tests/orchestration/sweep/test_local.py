@@ -1,7 +1,8 @@
 """A sweep on this machine without a cluster: threads, processes or ensembles, the rows are the same."""
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
@@ -10,20 +11,21 @@ import pytest
 
 from fmus.fmi_types import FmiValue
 from orchestration.errors import EnsembleError, OrchestrationError
+from orchestration.many.batches import Batches, Finished, Run
+from orchestration.many.job import Failure
+from orchestration.many.local import LocalRuns, local
 from orchestration.master import ensemble_choice
 from orchestration.results import metrics
-from orchestration.results.recording import Recording
+from orchestration.results.recording import Recording, run_by_run
 from orchestration.scenarios import scenario
 from orchestration.sweep import table
-from orchestration.sweep.ensemble import ensemble_samples
-from orchestration.sweep.local import LocalWorkers, local
 from orchestration.sweep.plan import Plan, plan
-from orchestration.sweep.run import sweep
-from orchestration.sweep.samples import Job, Outcome
-from orchestration.sweep.workers import Batches
+from orchestration.sweep.run import job_of, samples_of, sweep
+from orchestration.system.experiment import Experiment
 
 Make = Callable[..., Plan]
 COUNT = 30
+ANY = Experiment(1.0, 0.1)
 VEHICLE = f"""
 base = "nominal-extended"
 [experiment]
@@ -64,7 +66,7 @@ def swept(made: Plan, folder: Path, workers: int, isolated: bool = False) -> tup
     path = sweep(
         made,
         folder,
-        local(workers, isolated, ensemble=False),
+        local(workers, isolated, vectorise=False),
         progress=lambda done: started.update(children() - before),
     )
     assert children() <= before
@@ -95,11 +97,11 @@ def test_what_was_done_before_an_interrupt_is_not_run_again(vehicle: Plan, tmp_p
 
     before = threading.active_count()
     with pytest.raises(KeyboardInterrupt):
-        sweep(vehicle, tmp_path / "again", local(2, ensemble=False), progress=interrupt)
+        sweep(vehicle, tmp_path / "again", local(2, vectorise=False), progress=interrupt)
     assert threading.active_count() == before
     assert COUNT // 3 <= sum(done) < COUNT
     more: list[int] = []
-    path = sweep(vehicle, tmp_path / "again", local(2, ensemble=False), progress=more.append)
+    path = sweep(vehicle, tmp_path / "again", local(2, vectorise=False), progress=more.append)
     assert (more[0], sum(more)) == (sum(done), COUNT)
     assert path.read_bytes() == swept(vehicle, tmp_path / "once", 1)[0]
 
@@ -130,6 +132,17 @@ def test_foreign_fmus_and_samples_with_a_timeout_have_a_process(
     assert started
 
 
+def made_in_a_thread(made: Plan, count: int) -> list[Finished]:
+    job = job_of(made, None)
+    batches = Batches(samples_of(made, job.base, range(count)), count)
+    return [one for finished in LocalRuns(job, 1, vectorise=False).runs(batches) for one in finished]
+
+
+def failed(finished: Finished) -> str:
+    assert isinstance(finished.done.result, Failure)
+    return finished.done.result.reason
+
+
 def test_a_sample_that_fails_in_a_thread_is_a_row_and_the_next_one_runs(
     vehicle: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -137,11 +150,9 @@ def test_a_sample_that_fails_in_a_thread_is_a_row_and_the_next_one_runs(
     refused: list[dict[str, FmiValue]] = [{"plant.inertia": -1.0}, {"plant.inertia": 5.5}]
     monkeypatch.setattr(Plan, "block", lambda plan, numbers: [refused[number] for number in numbers])
     monkeypatch.setattr(Plan, "settings", lambda plan, values: {"parameters": values})
-    outcomes: list[Outcome] = []
-    for finished in LocalWorkers(1, ensemble=False).run(vehicle, Job.of(vehicle, None), Batches(range(2), 2)):
-        outcomes += finished.outcomes
-    assert "plant.inertia = -1.0: expected" in (outcomes[0].error or "")
-    assert (outcomes[1].error, len(outcomes[1].metrics)) == (None, 4)
+    first, second = made_in_a_thread(vehicle, 2)
+    assert "plant.inertia = -1.0: expected" in failed(first)
+    assert len(second.done.result.metrics) == 4
 
 
 @pytest.mark.filterwarnings("ignore:plant is Plant.fmu")
@@ -157,15 +168,14 @@ def test_a_file_that_is_replaced_meanwhile_changes_no_sample(
     inertias: list[dict[str, FmiValue]] = [{"plant.inertia": inertia} for inertia in (5.5, -1.0, 5.5)]
     monkeypatch.setattr(Plan, "block", lambda plan, numbers: [inertias[number] for number in numbers])
     monkeypatch.setattr(Plan, "settings", lambda plan, values: {"parameters": values})
-    outcomes: list[Outcome] = []
-    for finished in LocalWorkers(1, isolated, ensemble=False).run(
-        made, Job.of(made, None), Batches(range(3), 3)
-    ):
-        outcomes += finished.outcomes
+    job, finished = job_of(made, None), list[Finished]()
+    batches = Batches(samples_of(made, job.base, range(3)), 3)
+    for more in LocalRuns(job, 1, isolated, vectorise=False).runs(batches):
+        finished += more
         fmu.write_bytes(b"no FMU")
-    assert "plant.inertia = -1.0: expected" in (outcomes[1].error or "")
-    assert outcomes[0].metrics == outcomes[2].metrics
-    assert [outcome.error is None for outcome in outcomes] == [True, False, True]
+    first, second, third = finished
+    assert "plant.inertia = -1.0: expected" in failed(second)
+    assert first.done.result == third.done.result
 
 
 def test_a_batch_ends_after_its_time_and_the_rest_is_run_in_others(vehicle: Plan) -> None:
@@ -176,18 +186,21 @@ def test_a_batch_ends_after_its_time_and_the_rest_is_run_in_others(vehicle: Plan
         reading = next(readings)
         return 0.001 * reading if reading < 5 else 0.15 * reading
 
-    batches, numbers = [], []
-    workers = LocalWorkers(1, ensemble=False, clock=clock)
-    for finished in workers.run(vehicle, Job.of(vehicle, None), Batches(range(9), 9)):
-        batches.append(len(finished.numbers))
-        numbers += finished.numbers
-        assert len(finished.numbers) == len(finished.values) == len(finished.outcomes)
-    assert batches == [1, 2, *[1] * 6]  # the second was of three
+    job, numbers, lengths = job_of(vehicle, None), list[int](), list[int]()
+    batches = Batches(samples_of(vehicle, job.base, range(9)), 9)
+    for finished in LocalRuns(job, 1, vectorise=False, clock=clock).runs(batches):
+        lengths.append(len(finished))
+        numbers += [one.key.number for one in finished]
+    assert lengths == [1, 2, *[1] * 6]  # the second was of three
     assert sorted(numbers) == list(range(9))
 
 
+def numbered(numbers: Iterable[int]) -> list[Run]:
+    return [Run(number, ANY) for number in numbers]
+
+
 def test_batches_grow_to_a_quarter_of_a_second_and_end_at_about_the_same_time() -> None:
-    batches = Batches(range(1000), 1000)
+    batches = Batches(numbered(range(1000)), 1000)
     assert len(batches.take(2)) == 1  # nobody knows yet how long one takes
     batches.note(1, 0.01)
     assert len(batches.take(2)) == 25
@@ -196,21 +209,21 @@ def test_batches_grow_to_a_quarter_of_a_second_and_end_at_about_the_same_time() 
     rest = []
     while batch := batches.take(2):
         rest += batch
-    assert rest == list(range(1 + 25 + 163, 1000))
+    assert rest == numbered(range(1 + 25 + 163, 1000))
 
 
 def test_what_is_left_of_a_batch_is_handed_out_again_first() -> None:
-    batches = Batches(range(10), 10)
+    batches = Batches(numbered(range(10)), 10)
     batches.note(1, 0.001)
-    assert batches.take(1) == [0, 1, 2, 3]
-    batches.note(1, 0.001, [1, 2, 3])
+    assert batches.take(1) == numbered([0, 1, 2, 3])
+    batches.note(1, 0.001, numbered([1, 2, 3]))
     assert batches.left == 9
-    assert batches.take(1) == [1, 2, 3]
-    assert batches.take(1) == [4, 5]
+    assert batches.take(1) == numbered([1, 2, 3])
+    assert batches.take(1) == numbered([4, 5])
 
 
 def test_a_batch_of_groups_is_whole_groups_until_the_last() -> None:
-    batches = Batches(range(100), 100)
+    batches = Batches(numbered(range(100)), 100)
     assert len(batches.take(1, 16)) == 16
     batches.note(16, 2.0)  # a group takes as long as two batches may
     assert len(batches.take(1, 16)) == 16
@@ -220,17 +233,18 @@ def test_a_batch_of_groups_is_whole_groups_until_the_last() -> None:
 
 
 def test_a_batch_of_groups_has_at_most_the_samples_that_it_may_have() -> None:
-    batches = Batches(range(1000), 1000)
+    batches = Batches(numbered(range(1000)), 1000)
     batches.note(1, 1e-6)
     assert [len(batches.take(1, 8, most)) for most in (8, 64, 333)] == [8, 64, 304]
 
 
 def test_a_restart_that_cannot_run_discards_nothing(vehicle: Plan, tmp_path: Path) -> None:
-    alone = local(1, ensemble=False), local(1, ensemble=False)
+    alone = local(1, vectorise=False), local(1, vectorise=False)
     path = sweep(vehicle, tmp_path, alone[0])
     before = path.read_bytes()
-    with pytest.raises(EnsembleError, match="no recordings and no timeout"):
-        sweep(vehicle, tmp_path, local(1, ensemble=True), recorded=(), restart=True)
+    timed = replace(vehicle, timeout=9.0)
+    with pytest.raises(EnsembleError, match="no timeout"):
+        sweep(timed, tmp_path, local(1, vectorise=True), restart=True)
     assert path.read_bytes() == before
     done: list[int] = []
     assert sweep(vehicle, tmp_path, alone[1], restart=True, progress=done.append).read_bytes() == before
@@ -243,6 +257,17 @@ def made_of(tmp_path: Path, text: str) -> Plan:
     return plan(scenario.load(path))
 
 
+def note_of(made: Plan, workers: int) -> str:
+    """What is said of where the samples run, before the first does."""
+
+    def stop(note: str) -> None:
+        raise KeyboardInterrupt(note)
+
+    with pytest.raises(KeyboardInterrupt) as said:
+        next(LocalRuns(job_of(made, None), workers, note=stop).runs(Batches([], made.count)))
+    return str(said.value)
+
+
 def varying(name: str, low: float, high: float) -> str:
     """Another variable in place of the inertia."""
     varied = VEHICLE.replace("plant.inertia", name)
@@ -250,37 +275,32 @@ def varying(name: str, low: float, high: float) -> str:
 
 
 @pytest.mark.parametrize(
-    ("text", "recorded", "reason"),
+    ("text", "reason"),
     [
-        (VEHICLE, (), "no recordings and no timeout"),
-        (VEHICLE.replace("[sweep]", "[sweep]\ntimeout = 9.0"), None, "no recordings and no timeout"),
-        (varying("experiment.step_size", 0.01, 0.02), None, "experiment.step_size is varied"),
-        (varying("plant.internal_step", 0.01, 0.02), None, "plant.internal_step is varied"),
+        (VEHICLE.replace("[sweep]", "[sweep]\ntimeout = 9.0"), "no timeout"),
+        (varying("experiment.step_size", 0.01, 0.02), "experiment.step_size is varied"),
+        (varying("plant.internal_step", 0.01, 0.02), "plant.internal_step is varied"),
         (
             VEHICLE.replace("stop_time", "tolerance = 1e-4\nstop_time"),
-            None,
             "tolerance: an Ensemble does not",
         ),
-        (VEHICLE.replace(f"= {COUNT}", "= 7"), None, "7 runs are less than the 8 that step at once"),
-        (VEHICLE.replace("stop_time = 4.0", "stop_time = 3e4"), None, "8 runs at once record"),
-        (VEHICLE, None, "takes longer than 6000 steps save"),
+        (VEHICLE.replace(f"= {COUNT}", "= 7"), "7 runs are less than the 8 that step at once"),
+        (VEHICLE.replace("stop_time = 4.0", "stop_time = 3e4"), "8 runs at once record"),
+        (VEHICLE, "takes longer than 6000 steps save"),
     ],
 )
 def test_where_an_ensemble_cannot_run_samples_or_does_not_pay_simulators_do(
-    text: str, recorded: tuple[str, ...] | None, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    text: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nothing is compiled for these."""
     monkeypatch.setattr(ensemble_choice, "is_compiled", lambda *_: False)
-    made = made_of(tmp_path, text)
-    with pytest.raises(EnsembleError, match=reason):
-        ensemble_samples(made, Job.of(made, recorded), made.count, is_asked_for=False, threads=1)
+    assert reason in note_of(made_of(tmp_path, text), 1)
 
 
 def test_threads_share_the_memory_of_recordings(tmp_path: Path) -> None:
     """Of these samples one group fits, not two."""
     made = made_of(tmp_path, VEHICLE.replace("stop_time = 4.0", "stop_time = 1.5e4"))
-    with pytest.raises(EnsembleError, match="16 runs at once record 480 MB"):
-        ensemble_samples(made, Job.of(made, None), made.count, is_asked_for=False, threads=2)
+    assert "16 runs at once record 480 MB" in note_of(made, 2)
 
 
 def test_the_note_says_what_runs_the_samples(planned: Make, tmp_path: Path) -> None:
@@ -289,7 +309,7 @@ def test_the_note_says_what_runs_the_samples(planned: Make, tmp_path: Path) -> N
     sweep(planned(), tmp_path, local(1, note=notes.append))
     assert notes == ["1 processes of simulators: r is no native FMU that l1-depth build wrote for this user"]
     with pytest.raises(EnsembleError, match=r"r is no native FMU that l1-depth build wrote for this user"):
-        sweep(planned(), tmp_path, local(1, ensemble=True), restart=True)
+        sweep(planned(), tmp_path, local(1, vectorise=True), restart=True)
 
 
 @pytest.mark.slow
@@ -298,6 +318,7 @@ def test_ensembles_give_the_same_table(
 ) -> None:
     """Also where a metric fails, here of half the samples by the sign of the noise: each is run alone."""
 
+    @run_by_run
     def refuse_positive(recording: Recording, signal: str) -> float:
         if recording[signal][0] > 0.0:
             raise OrchestrationError("positive")
@@ -324,8 +345,8 @@ def test_simulators_continue_what_ensembles_began(vehicle: Plan, tmp_path: Path,
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        sweep(vehicle, tmp_path / "again", local(1, ensemble=True), progress=interrupt)
+        sweep(vehicle, tmp_path / "again", local(1, vectorise=True), progress=interrupt)
     done: list[int] = []
-    path = sweep(vehicle, tmp_path / "again", local(1, ensemble=False), progress=done.append)
+    path = sweep(vehicle, tmp_path / "again", local(1, vectorise=False), progress=done.append)
     assert (done[0], sum(done)) == (8, COUNT)
     assert path.read_bytes() == swept(vehicle, tmp_path / "once", 1)[0]

@@ -1,14 +1,14 @@
-"""Metrics of many runs at once are those of each run alone, to the last bit."""
+"""Metrics of a recording of many runs are those of each run alone, to the last bit."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from orchestration.errors import ScenarioError
 from orchestration.results import metrics
-from orchestration.results.metrics_of_all import evaluate_all
 from orchestration.results.recording import Recording
-from orchestration.results.recordings import OF_ALL, Recordings
 
 RUNS, POINTS, STEP = 5, 1237, 0.02
 WINDOW = {"window": [1.0, 20.0]}
@@ -34,7 +34,7 @@ CALLS: dict[str, dict[str, Any]] = {
 }
 
 
-def recordings(one_reference: bool = True) -> Recordings:
+def recordings(one_reference: bool = True) -> Recording:
     """Noisy runs, late by other times; the second one leads, the last settles nowhere."""
     random, time = np.random.default_rng(3), STEP * np.arange(POINTS)
     delays = np.array([[1.3], [-0.4], [0.0], [0.31], [2.0]])
@@ -43,22 +43,19 @@ def recordings(one_reference: bool = True) -> Recordings:
     r = np.sin(0.7 * time) + (np.zeros((RUNS, 1)) if one_reference else 0.1 * random.random((RUNS, 1)))
     values = np.stack([z, np.broadcast_to(r, z.shape)])
     provenance = {"algorithm": "jacobi", "extrapolation": 0}
-    return Recordings(Recording(("z", "r"), ("", ""), time, values[:, 0].T, provenance), values)
+    return Recording(("z", "r"), ("", ""), time, values.transpose(1, 2, 0), provenance)
 
 
-def alone(runs: Recordings, run: int, call: dict[str, Any]) -> float:
+def alone(runs: Recording, run: int, call: dict[str, Any]) -> float:
     """The metric of a recording with a row for each point, as a run makes it."""
-    values = np.ascontiguousarray(runs.values[:, run].T)
-    first = runs.first
-    recording = Recording(first.names, first.units, first.time, values, first.provenance)
+    recording = replace(runs, values=np.ascontiguousarray(runs.values[run]))
     return metrics.evaluate(recording, {"one": call})["one"]
 
 
-def assert_bits_of_single_runs(runs: Recordings, call: dict[str, Any]) -> None:
+def assert_bits_of_single_runs(runs: Recording, call: dict[str, Any]) -> None:
     """Also of those that are not a number."""
-    rows = evaluate_all(runs, {"one": call})
     expected = [alone(runs, run, call) for run in range(RUNS)]
-    assert np.array([row["one"] for row in rows if row]).tobytes() == np.array(expected).tobytes()
+    assert metrics.evaluate(runs, {"one": call})["one"].tobytes() == np.array(expected).tobytes()
 
 
 @pytest.mark.parametrize("one_reference", [True, False])
@@ -68,32 +65,26 @@ def test_every_metric_has_the_bits_of_single_runs(function: str, one_reference: 
     assert_bits_of_single_runs(runs, call)
 
 
-def test_the_metrics_of_sweeps_are_computed_at_once() -> None:
-    at_once = {function.__name__ for function in OF_ALL}
-    assert at_once == metrics.FUNCTIONS.keys() - {"time_below", "energy_residual", "phase_lag"}
-
-
 @pytest.mark.parametrize("function", ["shift_lag", "energy_residual"])
 def test_points_at_other_distances_too(function: str) -> None:
     equal = recordings()
     time = np.sort([*equal.time[:-1], 7.77])
-    runs = Recordings(
-        Recording(("z", "r"), ("", ""), time, equal.first.values, equal.first.provenance), equal.values
-    )
+    runs = replace(equal, time=time)
     call = {"function": function, **CALLS[function]}
     assert_bits_of_single_runs(runs, call)
 
 
-def test_a_run_without_a_finite_metric_has_none_and_the_others_have_theirs() -> None:
+def test_a_metric_that_is_infinite_or_cannot_be_computed_in_one_of_the_runs_is_an_error() -> None:
     runs = recordings()
-    runs.values[0, 1, 5] = np.inf
-    call = {"function": "peak", "signal": "z"}
-    rows = evaluate_all(runs, {"peak": call})
-    assert [row is None for row in rows] == [False, True, False, False, False]
-    assert rows[0] == {"peak": alone(runs, 0, call)}
-
-
-def test_a_metric_that_cannot_be_computed_is_one_of_no_run() -> None:
-    """A window outside the run, and a signal that was not recorded."""
+    runs.values[1, 5, 0] = np.inf
+    with pytest.raises(ScenarioError, match="expected a finite number"):
+        metrics.evaluate(runs, {"peak": {"function": "peak", "signal": "z"}})
     for arguments in ({"signal": "z", "window": [90.0, 91.0]}, {"signal": "y"}):
-        assert evaluate_all(recordings(), {"mean": {"function": "mean", **arguments}}) == [None] * RUNS
+        with pytest.raises(ScenarioError):
+            metrics.evaluate(runs, {"mean": {"function": "mean", **arguments}})
+
+
+def test_a_run_that_ended_too_early_for_a_metric_has_none_in_any_form() -> None:
+    ended = replace(recordings(), provenance={"terminated": "plant"})
+    late = {"function": "mean", "signal": "z", "window": [0.0, 900.0]}
+    assert np.isnan(metrics.evaluate(ended, {"late": late})["late"]).tolist() == [True] * RUNS

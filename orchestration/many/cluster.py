@@ -1,0 +1,192 @@
+"""Runs on the workers of a Dask cluster, which may join, leave and end while they run.
+
+The job, FMUs included, is a plugin of the workers: the scheduler keeps it and gives it to every worker, also
+to those that join later or replace one that has ended. Each unpacks it once, in its own local folder.
+"""
+
+import time
+import uuid
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import CancelledError
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import cloudpickle
+
+from fmus.extras import imports_of
+from orchestration.errors import SweepError
+from orchestration.many.batches import Batches, Finished, Run
+from orchestration.many.isolated import Isolated
+from orchestration.many.job import Done, Failure, Job, changed, differences
+from orchestration.many.runners import ClosedError
+
+with imports_of("sweep", "a sweep on a cluster"):
+    from distributed import (
+        Client,
+        Future,
+        KilledWorker,
+        Reschedule,
+        Worker,
+        WorkerPlugin,
+        get_worker,
+        wait,
+    )
+
+PATIENCE_S = 30.0  # for a scheduler to answer and for its first worker
+LOOK_S = 5.0  # after which workers that have joined meanwhile get work
+WITHOUT_WORKERS_S = 120.0
+_AHEAD = 3  # batches for each thread: one runs, the others wait
+
+
+@contextmanager
+def remote(address: str) -> Iterator[Callable[[Job], "ClusterRuns"]]:
+    """The workers of a scheduler somewhere, such as tcp://host:8786, as a place of the runs of a job."""
+    try:
+        client = Client(address, timeout=PATIENCE_S, name="l1-depth sweep")
+    except (OSError, ValueError) as error:
+        raise SweepError(f"no Dask scheduler at {address}: {error}") from error
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE_S)
+        except TimeoutError:
+            raise SweepError(f"the scheduler at {address} has no workers: expected one or more") from None
+        yield partial(ClusterRuns, client)
+
+
+class JobPlugin(WorkerPlugin):
+    """Makes runs on a worker, in one process of FMUs for each of its threads."""
+
+    def __init__(self, name: str, job: Job) -> None:
+        self.name = name
+        self._pickled = cloudpickle.dumps(job.with_packed_fmus())
+
+    def setup(self, worker: Worker) -> None:
+        self._folder = TemporaryDirectory(
+            dir=worker.local_directory, prefix="sweep-", ignore_cleanup_errors=True
+        )
+        self._job: Job = cloudpickle.loads(self._pickled).with_unpacked_fmus(Path(self._folder.name))
+        self._idle: list[Isolated] = []
+        self._all: list[Isolated] = []
+
+    def teardown(self, worker: Worker) -> None:
+        for runner in self._all:
+            runner.close()
+        self._folder.cleanup()
+
+    def run(self, pickled: bytes) -> tuple[list[Done], float]:
+        """Returns the first of the runs, in a process that no other thread uses, and their time [s]."""
+        try:
+            runner = self._idle.pop()
+        except IndexError:  # not asked for before: another thread may take the last one meanwhile
+            runner = Isolated(self._job, Path(self._folder.name))
+            self._all.append(runner)
+        start = time.perf_counter()
+        try:
+            done = runner.run([changed(self._job.base, changes) for changes in cloudpickle.loads(pickled)])
+            return done, time.perf_counter() - start
+        except ClosedError:  # this worker leaves the cluster
+            raise Reschedule from None
+        finally:
+            self._idle.append(runner)
+
+
+def run_batch(plugin: str, pickled: bytes) -> tuple[list[Done], float]:
+    """Returns what `JobPlugin.run` returns, of the worker that this is called on."""
+    installed = get_worker().plugins[plugin]
+    assert isinstance(installed, JobPlugin)
+    return installed.run(pickled)
+
+
+class ClusterRuns:
+    """The runs of a job on the workers that a client reaches."""
+
+    def __init__(self, client: Client, job: Job) -> None:
+        self.client, self._job = client, job
+
+    def runs(self, batches: Batches) -> Generator[list[Finished], None, None]:
+        """Yields the runs as they are finished; see `Place`. SweepError if the cluster is lost."""
+        plugin = JobPlugin(f"l1-depth-sweep-{uuid.uuid4()}", self._job)
+        self.client.register_plugin(plugin)
+        try:
+            yield from _Dispatch(self.client, self._job, plugin.name, batches).work()
+        finally:
+            if self.client.status == "running":
+                self.client.unregister_worker_plugin(plugin.name)
+
+
+@dataclass
+class _Dispatch:
+    """The runs that the cluster makes.
+
+    The runs of a batch whose workers ended are made again, each in a task of its own; then alone; one whose
+    workers end again is a failure.
+    """
+
+    client: Client
+    job: Job
+    plugin: str  # its name: others may run on the same cluster
+    batches: Batches
+    again: deque[Sequence[Run]] = field(default_factory=deque)
+    suspects: deque[Sequence[Run]] = field(default_factory=deque)
+    alone: Sequence[Run] | None = None
+    running: dict[Future, Sequence[Run]] = field(default_factory=dict)
+    last_time_with_workers: float = field(default_factory=time.monotonic)
+
+    def work(self) -> Iterator[list[Finished]]:
+        try:
+            while self._fill():
+                with suppress(TimeoutError, CancelledError):
+                    wait(list(self.running), timeout=LOOK_S, return_when="FIRST_COMPLETED")
+                for future in [future for future in self.running if future.status != "pending"]:
+                    yield from self._handled(future, self.running.pop(future))
+        finally:
+            self.client.cancel(list(self.running))
+
+    def _fill(self) -> bool:
+        """Give every thread work; False if there is none and nothing runs."""
+        threads = self._threads()
+        while len(self.running) < _AHEAD * threads and (batch := self._next(threads)):
+            self._submit(batch)
+        if self.suspects and not self.running:
+            self.alone = self.suspects.popleft()
+            self._submit(self.alone)
+        return bool(self.running)
+
+    def _next(self, threads: int) -> Sequence[Run]:
+        return self.again.popleft() if self.again else self.batches.take(_AHEAD * threads)
+
+    def _submit(self, batch: Sequence[Run]) -> None:
+        changes = [differences(self.job.base, run.experiment) for run in batch]
+        task = self.client.submit(run_batch, self.plugin, cloudpickle.dumps(changes), pure=False)
+        self.running[task] = batch
+
+    def _threads(self) -> int:
+        """Of all workers; workers that are replaced may be none for a while."""
+        threads_by_worker: dict[str, int] = self.client.nthreads()  # type: ignore[assignment]
+        if threads_by_worker:
+            self.last_time_with_workers = time.monotonic()
+        elif time.monotonic() - self.last_time_with_workers > WITHOUT_WORKERS_S:
+            raise SweepError(
+                f"the cluster has had no workers for {WITHOUT_WORKERS_S:g} s; what is done is kept"
+            )
+        return max(sum(threads_by_worker.values()), 1)
+
+    def _handled(self, future: Future, batch: Sequence[Run]) -> Iterator[list[Finished]]:
+        if future.status == "finished":
+            made, seconds = future.result()
+            self.batches.note(len(made), seconds, batch[len(made) :])
+            yield [Finished(run.key, done) for run, done in zip(batch, made, strict=False)]
+        elif future.status == "lost":  # its worker ended when it was done, before its results were fetched
+            self.again.append(batch)
+        elif future.status != "error":
+            raise SweepError("the Dask scheduler was lost; what is done is kept")
+        elif not isinstance(future.exception(), KilledWorker):
+            raise SweepError(f"a worker cannot run samples: {future.exception()}")
+        elif batch is self.alone:
+            yield [Finished(run.key, Done(Failure("every worker that ran it ended"))) for run in batch]
+        else:
+            (self.again if len(batch) > 1 else self.suspects).extend([run] for run in batch)

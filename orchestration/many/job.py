@@ -1,0 +1,102 @@
+"""What the runs of one `run_many` share, and how little of each is sent to another process."""
+
+import math
+import os
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from tempfile import gettempdir
+from typing import Any, NamedTuple
+
+from orchestration.errors import OrchestrationError
+from orchestration.results.recording import Recording
+from orchestration.system.experiment import Experiment
+from orchestration.system.system import System
+
+Changes = tuple[Mapping[str, Any], Mapping[str, Mapping[str, Any]]]
+"""Field of an experiment -> its value; and field of `ENTRIES` -> name -> value of the entries that differ."""
+ENTRIES = ("parameters", "inputs", "signals")
+
+Reduce = Callable[[Recording], Sequence[Any]]
+"""Returns a result for each run of a recording with an axis of runs; a function of a module, or picklable."""
+
+
+class Done(NamedTuple):
+    """A run that is done.
+
+    result: of `reduce`, or a `Failure`; warned: the components whose FMUs returned warnings
+    seconds: processor time of the run, not a number if others ran beside it
+    """
+
+    result: Any
+    warned: tuple[str, ...] = ()
+    seconds: float = math.nan
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A run without a result; `reason` says why, in one line."""
+
+    reason: str
+
+
+@dataclass(frozen=True)
+class Job:
+    """What all runs share.
+
+    fmus: file name -> content, where the system's components are such file names
+    base: the experiment of the first run; others are sent as their differences from it
+    timeout: longest time [s] of a run, None for ever
+    not_in_vectors: why the runs cannot step together in vectors, empty if nothing is known against it
+    """
+
+    system: System
+    base: Experiment
+    reduce: Reduce
+    timeout: float | None = None
+    not_in_vectors: str = ""
+    fmus: Mapping[str, bytes] = field(default_factory=dict)
+
+    def with_packed_fmus(self) -> "Job":
+        """Returns the job for another machine: its FMUs go with it."""
+        components = self.system.components
+        files = {name: Path(name, path.name) for name, path in components.items()}
+        fmus = {files[name].as_posix(): path.read_bytes() for name, path in components.items()}
+        return replace(self, fmus=fmus, system=replace(self.system, components=files))
+
+    def with_unpacked_fmus(self, folder: Path) -> "Job":
+        """Returns the job with its FMUs as files in a folder."""
+        for name, content in self.fmus.items():
+            path = folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+        components = {name: folder / path for name, path in self.system.components.items()}
+        return replace(self, fmus={}, system=replace(self.system, components=components))
+
+    def error_line(self, error: Exception) -> str:
+        """Returns an error as one line that does not depend on where this process keeps its files."""
+        text = str(error) if isinstance(error, OrchestrationError) else f"{type(error).__name__}: {error}"
+        for path in self.system.components.values():
+            text = text.replace(f"{path.parent}{os.sep}", "")
+        text = re.sub(rf"{re.escape(gettempdir())}/[^/\s]+/", "", text)  # of what was unpacked
+        return " ".join(text.split())
+
+
+def differences(base: Experiment, experiment: Experiment) -> Changes:
+    """Returns what differs from the base: fields and entries that are other objects."""
+    whole, entries = dict[str, Any](), dict[str, Mapping[str, Any]]()
+    for one in fields(Experiment):
+        old, new = getattr(base, one.name), getattr(experiment, one.name)
+        if one.name in ENTRIES and new.keys() == old.keys():
+            entries[one.name] = {name: value for name, value in new.items() if value is not old[name]}
+        elif new is not old:
+            whole[one.name] = new
+    return whole, {name: values for name, values in entries.items() if values}
+
+
+def changed(base: Experiment, changes: Changes) -> Experiment:
+    """Returns the experiment that differs from the base so: the inverse of `differences`."""
+    whole, entries = changes
+    merged = {name: {**getattr(base, name), **values} for name, values in entries.items()}
+    return replace(base, **whole, **merged)

@@ -1,0 +1,146 @@
+"""Many runs are those of `simulate`, in the order given, wherever they are made."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+
+from orchestration import Failure, Recording, run_many, simulate
+from orchestration.errors import EnsembleError
+from orchestration.many import local as places
+from orchestration.many.job import changed, differences
+from orchestration.results import metrics
+from orchestration.scenarios import scenario
+from orchestration.scenarios.scenario import Scenario
+from orchestration.system.experiment import Experiment
+from orchestration.system.signals import Constant
+from orchestration.system.system import System
+
+INERTIAS = (5.0, 5.5, 6.0, -1.0, 6.5, 5.2, 5.1, 5.3, 5.4)  # the fourth is refused
+
+
+@pytest.fixture
+def nominal(scenario_fmus: None) -> Scenario:
+    loaded = scenario.load(scenario.find("nominal-extended"))
+    return replace(loaded, experiment=replace(loaded.experiment, stop_time=1.0))
+
+
+@pytest.fixture
+def experiments(nominal: Scenario) -> list[Experiment]:
+    given = nominal.experiment
+    return [replace(given, parameters={**given.parameters, "plant.inertia": m}) for m in INERTIAS]
+
+
+def rmse(runs: Recording) -> Sequence[float]:
+    return metrics.rmse(runs, "plant.depth", "controller.depth_reference").tolist()
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        {"vectorise": False, "workers": 1},
+        {"vectorise": True, "workers": 1},
+        pytest.param({"isolate": True, "workers": 2}, marks=pytest.mark.cluster),
+    ],
+)
+def test_recordings_come_in_the_order_given_with_the_bytes_of_simulate(
+    nominal: Scenario, experiments: list[Experiment], place: dict[str, Any]
+) -> None:
+    made = list(run_many(nominal.system, experiments, **place))
+    assert len(made) == len(INERTIAS)
+    for inertia, experiment, recording in zip(INERTIAS, experiments, made, strict=True):
+        if inertia < 0.0:
+            assert isinstance(recording, Failure)
+            assert "plant.inertia = -1.0: expected" in recording.reason
+            continue
+        alone = simulate(nominal.system, experiment)
+        assert recording.names == alone.names
+        assert recording.provenance == alone.provenance
+        assert recording.time.tobytes() == alone.time.tobytes()
+        assert recording.values.tobytes() == alone.values.tobytes()
+
+
+@pytest.mark.parametrize("vectorise", [False, True])
+def test_a_reduction_takes_the_place_of_recordings(
+    nominal: Scenario, experiments: list[Experiment], vectorise: bool
+) -> None:
+    made = list(run_many(nominal.system, experiments, reduce=rmse, vectorise=vectorise))
+    expected = [
+        metrics.rmse(simulate(nominal.system, one), "plant.depth", "controller.depth_reference")
+        for one, inertia in zip(experiments, INERTIAS, strict=True)
+        if inertia > 0.0
+    ]
+    assert [value for value in made if not isinstance(value, Failure)] == expected
+
+
+def test_a_reduction_that_fails_for_one_run_is_a_failure_of_that_run_alone(
+    nominal: Scenario, experiments: list[Experiment]
+) -> None:
+    first = simulate(nominal.system, experiments[0])["plant.depth"]
+
+    def not_the_first(runs: Recording) -> list[float]:
+        if any(np.array_equal(run, first) for run in runs["plant.depth"]):
+            raise ValueError("the first")
+        return runs["plant.depth"][:, -1].tolist()
+
+    for vectorise in (False, True):
+        made = list(run_many(nominal.system, experiments, reduce=not_the_first, vectorise=vectorise))
+        assert made[0] == Failure("ValueError: the first")
+        assert [type(value) for value in made[1:3]] == [float, float]
+
+
+def test_experiments_that_differ_in_more_than_values_are_refused_vectors_or_simulated(
+    nominal: Scenario, experiments: list[Experiment]
+) -> None:
+    mixed = [*experiments[:2], replace(experiments[2], stop_time=0.5)]
+    with pytest.raises(EnsembleError, match="experiments differ in stop_time"):
+        list(run_many(nominal.system, mixed, vectorise=True))
+    assert [len(one.time) for one in run_many(nominal.system, mixed)] == [51, 51, 26]
+
+
+def test_a_foreign_fmu_that_crashes_is_a_failure_and_leaves_no_process(rogue: Callable[..., Path]) -> None:
+    before = set(psutil.Process().children(recursive=True))
+    good = Experiment(1.0, 0.1, inputs={"r.u": 2.0})
+    bad = replace(good, parameters={"r.misdeed": "segfault", "r.misdeed_time": 0.5})
+    made = list(run_many(System({"r": rogue()}), [good, bad, good], workers=1))
+    assert made[1] == Failure("the worker process ended: SIGSEGV")
+    assert made[0].values.tolist() == made[2].values.tolist()
+    assert set(psutil.Process().children(recursive=True)) <= before
+
+
+def test_no_experiments_are_no_runs(nominal: Scenario) -> None:
+    assert list(run_many(nominal.system, [])) == []
+
+
+def test_runs_end_when_nobody_asks_for_the_next(
+    nominal: Scenario, experiments: list[Experiment], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    closed: list[bool] = []
+    close = places.Simulated.close
+    monkeypatch.setattr(places.Simulated, "close", lambda self: (closed.append(True), close(self)))
+    runs = run_many(nominal.system, experiments, vectorise=False, workers=1)
+    next(runs)
+    runs.close()  # type: ignore[attr-defined]
+    assert closed == [True]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"parameters": {"p.a": 2.0, "p.b": -0.0}},
+        {"parameters": {"p.a": 1.0}},
+        {"inputs": {"p.u": 1.0}, "stop_time": 2.0},
+        {"signals": {"p.v": Constant(3.0)}},
+    ],
+)
+def test_an_experiment_is_what_its_differences_make_of_the_base(changes: dict[str, Any]) -> None:
+    """Also where an entry is missing, or is 0 of another sign."""
+    base = Experiment(1.0, 0.1, parameters={"p.a": 1.0, "p.b": 0.0}, signals={"p.v": Constant(1.0)})
+    other = replace(base, **changes)
+    assert repr(changed(base, differences(base, other))) == repr(other)
+    assert differences(base, replace(base)) == ({}, {})
