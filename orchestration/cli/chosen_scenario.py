@@ -14,7 +14,6 @@ from orchestration.errors import ScenarioError, ScenarioWarning, SystemDefinitio
 from orchestration.fmi.description import start_value
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
-from orchestration.system.prepared_run import prepare
 
 
 def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHANGES) -> Scenario:
@@ -43,7 +42,7 @@ def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHA
     chosen = replace(chosen, name=changes.name(chosen.name), arguments=arguments)
     build_missing_fmus([chosen])
     try:
-        prepared = prepare(chosen.system, chosen.experiment)
+        prepared = chosen.prepared
     except SystemDefinitionError as error:
         raise ScenarioError(scenario.located(str(error), chosen.files)) from error
     open_inputs = [f"{port.name} = {start_value(port.variable)}" for port in prepared.system.open_inputs]

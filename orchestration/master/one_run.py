@@ -20,6 +20,7 @@ from orchestration.system.experiment import (
     suggested_times,
 )
 from orchestration.system.faults import Fault
+from orchestration.system.prepared_run import PreparedRun, prepare
 from orchestration.system.signals import Signal
 from orchestration.system.system import System
 from orchestration.system.values import Value
@@ -83,9 +84,20 @@ def simulate(
                 f"simulate: expected an experiment or its settings, got both: {', '.join(given)}"
             )
     options: dict[str, Any] = {"real_time": real_time, "checkpoints": checkpoints, "resume": resume}
+    return simulate_prepared(system, prepare(system, experiment), progress, timeout, **options)
+
+
+def simulate_prepared(
+    system: System,
+    prepared: PreparedRun,
+    progress: Progress | None = None,
+    timeout: float | None = None,
+    **options: Any,
+) -> Recording:
+    """Run what `prepare` made of this system; arguments and errors are those of `simulate`."""
     if timeout is not None:
         from orchestration.master.subprocess_run import simulate_in_subprocess  # few runs start processes
 
-        return simulate_in_subprocess(system, experiment, timeout, progress, options)
+        return simulate_in_subprocess(system, prepared, timeout, progress, options)
     with Simulator(system) as simulator:
-        return simulator.run(experiment, progress, **options)
+        return simulator.run(prepared, progress, **options)

@@ -16,7 +16,7 @@ from orchestration.master.checkpoint import Checkpoint, Checkpoints, check_can_s
 from orchestration.master.compiled_loop import compiled_loop
 from orchestration.master.error_estimate import with_error_estimate
 from orchestration.master.failure import reason_of
-from orchestration.master.initialisation import ConnectionGroup, initialise
+from orchestration.master.initialisation import ConnectionGroup, connection_groups, initialise
 from orchestration.master.interrupt import deferred_interrupt
 from orchestration.master.loop import python_loop
 from orchestration.master.loop_data import Report, Storage
@@ -29,6 +29,7 @@ from orchestration.master.wiring import WiredRun, build_wiring
 from orchestration.results.recording import Recording
 from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_again import PreparedRuns
+from orchestration.system.prepared_run import PreparedRun
 from orchestration.system.system import System
 
 
@@ -64,7 +65,7 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
 
     def run(
         self,
-        experiment: Experiment,
+        run: Experiment | PreparedRun,
         progress: Progress | None = None,
         *,
         real_time: float | None = None,
@@ -72,7 +73,7 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
         resume: Checkpoint | None = None,
         storage: Storage | None = None,
     ) -> Recording:
-        """Run an experiment and return its recording.
+        """Run an experiment, or one that is prepared for this system, and return its recording.
 
         progress: called some ten times a second with the communication points done, and all of the run; also
             by the second run of an error estimate, of half as many points
@@ -86,17 +87,19 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
         with self._begin_run():
             pacing = None if real_time is None else Pacing(real_time)
             if checkpoints or resume:
-                check_can_save(self._checked.check(experiment)[0])
-            wired, groups, guard = self._prepare_run(experiment, (), storage)
+                check_can_save(run.system if isinstance(run, PreparedRun) else self._checked.check(run)[0])
+            wired, groups, guard = self._prepare_run(run, (), storage)
             threads = self._threads if storage is None else 1  # who watches a call asks for one
-            run = RunInProgress(wired, self._loop(wired.wiring), guard, threads)
-            run.batch = self._first_batch
-            recording = _run_to_end(run, groups, progress, pacing, checkpoints, resume, storage is None)
-            self._first_batch = max(1, run.batch // 2)  # the next run may be slower
+            in_progress = RunInProgress(wired, self._loop(wired.wiring), guard, threads)
+            in_progress.batch = self._first_batch
+            recording = _run_to_end(
+                in_progress, groups, progress, pacing, checkpoints, resume, storage is None
+            )
+            self._first_batch = max(1, in_progress.batch // 2)  # the next run may be slower
             self._must_reload = False
         return (
             with_error_estimate(recording, wired.prepared, lambda coarser: self.run(coarser, progress))
-            if experiment.error_estimate
+            if wired.prepared.experiment.error_estimate
             else recording
         )
 
@@ -172,13 +175,16 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
             self._stepped = None
 
     def _prepare_run(
-        self, experiment: Experiment, external: tuple[str, ...], storage: Storage | None = None
+        self, run: Experiment | PreparedRun, external: tuple[str, ...], storage: Storage | None = None
     ) -> tuple[WiredRun, tuple[ConnectionGroup, ...], ProcessGuard]:
         """Check an experiment, load or reset the FMUs and wire them."""
-        system, groups = self._checked.check(experiment, external)
-        runs = self._prepared_runs
-        prepared = runs.prepare(system, experiment, external)
-        earlier = self._wired if runs.only_values_differ else None
+        if isinstance(run, PreparedRun):
+            self._prepared_runs = PreparedRuns()  # the next run is not compared with this one
+            groups, prepared = connection_groups(run.system), run.with_values(run.experiment)
+        else:
+            system, groups = self._checked.check(run, external)
+            prepared = self._prepared_runs.prepare(system, run, external)
+        earlier = self._wired if self._prepared_runs.only_values_differ else None
         self._wired = None  # of another run, also if this one is never wired
         storage = storage or Storage(np.empty(prepared.shape), new_report())
         if self._guard:

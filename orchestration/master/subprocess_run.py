@@ -6,7 +6,6 @@ import time
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import cloudpickle
@@ -33,7 +32,7 @@ _NOT_BEGUN = -1
 
 def simulate_in_subprocess(
     system: System,
-    experiment: Experiment,
+    prepared: PreparedRun,
     timeout: float,
     progress: Progress | None = None,
     options: Mapping[str, Any] | None = None,
@@ -46,9 +45,9 @@ def simulate_in_subprocess(
     """
     if not timeout > 0.0:
         raise SystemDefinitionError(f"timeout {timeout!r} s: expected more than 0")
-    prepared = prepare(system, experiment)
-    alone = replace(experiment, error_estimate=False)
-    task = _packed(Task(system, alone, dict(options or {}), prepared.shape))
+    experiment = prepared.experiment
+    alone = replace(prepared, experiment=replace(experiment, error_estimate=False))
+    task = _packed(Task(system, alone, dict(options or {})))
     with (
         contextlib.closing(WorkerProcess(run_task)) as process,
         contextlib.closing(SharedRecord(process.folder, prepared.shape, is_new=True)) as record,
@@ -64,7 +63,10 @@ def simulate_in_subprocess(
         stopped = _call_progress(progress, len(outcome.time) - 1, len(outcome.time) - 1)
     recording = _unwrapped(outcome, stopped)
     if experiment.error_estimate:
-        second = partial(simulate_in_subprocess, system, timeout=timeout)
+
+        def second(coarser: Experiment) -> Recording:
+            return simulate_in_subprocess(system, prepare(system, coarser), timeout)
+
         return with_error_estimate(recording, prepared, second)
     return recording
 
@@ -72,7 +74,8 @@ def simulate_in_subprocess(
 def _packed(task: Task) -> bytes:
     """OrchestrationError for what cannot be given to another process."""
     content = b""
-    signals = {f"the signal of {name}": signal for name, signal in task.experiment.signals.items()}
+    given = task.prepared.experiment.signals
+    signals = {f"the signal of {name}": signal for name, signal in given.items()}
     for what, value in {**signals, "the experiment": task}.items():
         try:
             content = cloudpickle.dumps(value)

@@ -26,7 +26,7 @@ from orchestration.master.interrupt import kept_interrupts
 from orchestration.master.loop_data import Report, Storage
 from orchestration.master.simulator import Simulator
 from orchestration.results.recording import Recording
-from orchestration.system.experiment import Experiment
+from orchestration.system.prepared_run import PreparedRun
 from orchestration.system.system import System
 
 STOP = "stop"  # the message that asks the run to stop, as an interrupt does
@@ -36,12 +36,11 @@ Outcome = Recording | BaseException
 
 @dataclass(frozen=True)
 class Task:
-    """options: of `Simulator.run`; shape: of its record"""
+    """A run to make; options: of `Simulator.run`"""
 
     system: System
-    experiment: Experiment
+    prepared: PreparedRun
     options: Mapping[str, Any]
-    shape: tuple[int, int]
 
 
 class Warned(NamedTuple):
@@ -110,7 +109,7 @@ def _run(parent: Parent, folder: Path) -> Recording:
             "expected signals that can be imported, or no timeout"
         ) from error
     threading.Thread(target=_stop_when_asked, args=(parent,), daemon=True).start()
-    storage = SharedRecord(folder, task.shape, is_new=False).storage
+    storage = SharedRecord(folder, task.prepared.shape, is_new=False).storage
     storage.report[Report.RECORDED] = 0
     with warnings.catch_warnings():
         warnings.simplefilter("always")
@@ -118,7 +117,7 @@ def _run(parent: Parent, folder: Path) -> Recording:
             Warned(str(message), category, filename, lineno), cloudpickle.dumps
         )
         with Simulator(task.system) as simulator:
-            return simulator.run(task.experiment, storage=storage, **task.options)
+            return simulator.run(task.prepared, storage=storage, **task.options)
 
 
 def _packed(outcome: object) -> bytes:

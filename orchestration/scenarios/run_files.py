@@ -7,15 +7,14 @@ from pathlib import Path
 
 from fmus.files import lasting_folder, write_json_atomically
 from orchestration.errors import OrchestrationError, SimulationError
-from orchestration.master import simulate
 from orchestration.master.checkpoint import Checkpoint, Checkpoints
+from orchestration.master.one_run import simulate_prepared
 from orchestration.results import metrics
 from orchestration.results.files import reserved
 from orchestration.results.formats import RecordingFormat
 from orchestration.results.metric_units import MetricDocument, metric_units, with_units
 from orchestration.results.recording import Recording
 from orchestration.scenarios.scenario import Scenario
-from orchestration.system.prepared_run import prepare
 
 
 @dataclass(frozen=True)
@@ -57,10 +56,10 @@ def run(
     """
     file = folder / f"{loaded.name}.{file_format}"
     try:
-        with reserved(file, prepare(loaded.system, loaded.experiment).shape):
-            recording = simulate(
+        with reserved(file, loaded.prepared.shape):
+            recording = simulate_prepared(
                 loaded.system,
-                loaded.experiment,
+                loaded.prepared,
                 progress,
                 timeout=timeout,
                 real_time=real_time,

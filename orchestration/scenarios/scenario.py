@@ -6,7 +6,7 @@ A file is laid over its base, and `overrides` over both (`layers`).
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,7 @@ from orchestration.scenarios.read_layers import (
 from orchestration.scenarios.replaced import replacements, warn_of_dropped, without_removed
 from orchestration.scenarios.toml_file import KeyPath, TomlFile
 from orchestration.system.experiment import Event, Experiment
+from orchestration.system.prepared_run import PreparedRun, prepare
 from orchestration.system.signal_derivatives import with_derivatives
 from orchestration.system.system import System
 
@@ -61,6 +62,11 @@ class Scenario:
     sweep: Mapping[str, Any] = field(default_factory=dict)
     files: tuple[TomlFile, ...] = ()
     arguments: tuple[str, ...] = ()
+
+    @cached_property
+    def prepared(self) -> PreparedRun:
+        """The run, checked and prepared; raises what `prepare` raises."""
+        return prepare(self.system, self.experiment)
 
 
 def load(

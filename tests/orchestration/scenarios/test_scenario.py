@@ -1,12 +1,15 @@
 """Scenario files: what they may say, and what they are told when they say something else."""
 
 import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from orchestration.errors import ScenarioError, ScenarioWarning
 from orchestration.scenarios import scenario
+from orchestration.system import prepared_again, prepared_run
 from orchestration.system.experiment import Algorithm, Initialisation
 from orchestration.system.faults import Delay, Fault
 
@@ -316,3 +319,41 @@ def test_a_scenario_does_not_take_the_title_of_its_base(tmp_path: Path) -> None:
     child = scenario.load(write(tmp_path, CHILD))
     assert (child.title, child.resolved["title"]) == ("mine", "mine")
     assert scenario.load(write(tmp_path, CHILD + 'title = "Mine"\n')).title == "Mine"
+
+
+@pytest.mark.parametrize("options", [[], ["--timeout", "60"]])
+def test_a_run_at_the_command_line_is_prepared_once(
+    command: Callable[..., object],
+    scenario_fmus: None,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    options: list[str],
+) -> None:
+    """In its process and in that of its FMUs: a file of the library counts the calls in both."""
+    counted = tmp_path / "prepared"
+    prepare_checked = prepared_run.prepare_checked
+
+    def count(*arguments: Any) -> Any:
+        with counted.open("a", encoding="utf-8") as lines:
+            lines.write("prepared\n")
+        return prepare_checked(*arguments)
+
+    for module in (prepared_run, prepared_again):
+        monkeypatch.setattr(module, "prepare_checked", count)
+    (tmp_path / "sitecustomize.py").write_text(_COUNTING.format(file=str(counted)), encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    command("run", "nominal-l1", "--formats", "none", *options)
+    assert counted.read_text(encoding="utf-8").splitlines() == ["prepared"]
+
+
+_COUNTING = """
+from orchestration.system import prepared_again, prepared_run
+prepare_checked = prepared_run.prepare_checked
+
+def count(*arguments):
+    with open({file!r}, "a") as lines:
+        lines.write("prepared\\n")
+    return prepare_checked(*arguments)
+
+prepared_run.prepare_checked = prepared_again.prepare_checked = count
+"""
