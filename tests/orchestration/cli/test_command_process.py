@@ -55,7 +55,7 @@ def test_what_is_built_and_run_needs_no_home_that_can_be_written(
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "results" / "example-l1.png").is_file()
     line = f"l1-depth: {tmp_path}/home/.cache cannot be written: what is built is not kept"
-    assert done.stderr.startswith(line)
+    assert line in done.stderr  # a busy machine announces the wait for the compiler first
     assert done.stderr.count("\n") == 1
 
 

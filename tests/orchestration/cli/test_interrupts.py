@@ -27,7 +27,7 @@ AT_WORK = {
     "check {fmu}": "fmus.compliance.check.check",
     "inspect {fmu}": "orchestration.fmi.description.describe_any",
     "scenarios": "orchestration.scenarios.scenario.load",
-    "run nominal-l1 --out .": "orchestration.system.prepared_again.prepare_checked",
+    "run nominal-l1 --out .": "orchestration.system.prepared_run.prepare_checked",
     "sweep monte-carlo": "orchestration.sweep.run.sweep",
     "report .": "orchestration.report.found_results",
     "score L1DepthController --out .": "orchestration.study.score.score",
