@@ -4,8 +4,9 @@ A figure stands before a comment with the expression that gives it: 1.02<!-- {tu
 What a sentence says besides is a condition: <!-- holds: {tuned/l1.nominal.rmse} < 2 -->.
 """
 
-import math
+import json
 import re
+import runpy
 import tomllib
 from dataclasses import astuple
 from functools import cache
@@ -104,15 +105,20 @@ def test_the_tables_are_those_of_the_run(document: Score) -> None:
 
 
 def test_the_statistics_are_those_of_the_plants(document: Score) -> None:
-    count = read_protocol().tables.plants.count
-    for plants in (row.plants for row in document.rows):
-        assert plants is not None
-        assert plants.count == count
-        assert plants.failure_rate == len(plants.failed) / count
-        for figure in plants.figures.values():
-            assert len(figure.values) == count
-            expected = [x if math.isfinite(x) else math.nan for x in astuple(distribution(figure.values))]
-            assert [figure.median, figure.p95, figure.cvar] == pytest.approx(expected, nan_ok=True)
+    """As far as the file has the values on each plant: of the two controllers that are compared below."""
+    count, checked = read_protocol().tables.plants.count, []
+    for row in document.rows:
+        assert row.plants is not None
+        assert row.plants.count == count
+        assert row.plants.failure_rate == len(row.plants.failed) / count
+        for figure in row.plants.figures.values():
+            if figure.values:
+                checked.append(row.name)
+                assert len(figure.values) == count
+                statistics = [figure.median, figure.p95, figure.cvar]
+                # the file has eight digits of them
+                assert statistics == pytest.approx(astuple(distribution(figure.values)), rel=1e-7)
+    assert sorted(checked) == sorted([compare.PAPERS, "tuned/pid"])
 
 
 def test_the_differences_are_of_the_same_plants(document: Score) -> None:
@@ -127,6 +133,14 @@ def test_the_differences_are_of_the_same_plants(document: Score) -> None:
         compare.figure(document, f"tuned/pid.difference.rmse.{part}") for part in ("median", "low", "high")
     ]
     assert given == pytest.approx([expected.median_difference, expected.low, expected.high])
+
+
+def test_the_committed_run_is_what_the_page_reads_of_a_comparison() -> None:
+    """Printed by `python .ci/comparison_page.py results/comparison.json`."""
+    text = (EXPLANATION / "comparison.json").read_text(encoding="utf-8")
+    page = runpy.run_path(str(EXPLANATION.parent.parent / ".ci" / "comparison_page.py"))
+    assert page["written"](page["reduced"](json.loads(text))) == text
+    assert len(text) < 300_000  # a document of the repository, not a store of results
 
 
 def test_the_run_is_of_the_protocol_and_the_gains_that_ship(document: Score) -> None:

@@ -17,7 +17,7 @@ CRITERION = (
 
 
 def write(tuning: Tuning, fixed: Mapping[str, Any], provenance: Mapping[str, Any], path: Path) -> None:
-    """Write the gains of the best seed, and the cost curves of all.
+    """Writes the gains of the best seed, and where the searches of all seeds ended.
 
     fixed: parameters that the tuning did not change, which belong to the law -> value
     provenance: plain data about the controller, the protocol and the cost
@@ -71,17 +71,10 @@ def _tuned_gains(tuning: Tuning, protocol: str) -> dict[str, Any]:
 
 
 def _seed(search: SearchResult) -> dict[str, Any]:
-    """The curve has a point [evaluations, lowest cost] wherever the cost falls, and one at the end."""
-    curve = [
-        [count, cost]
-        for count, (before, cost) in enumerate(
-            zip((float("inf"), *search.curve), search.curve, strict=False), 1
-        )
-        if cost < before
-    ]
+    """Returns what a search ended at."""
     return {
         "seed": search.seed,
         "cost": search.cost,
+        "evaluations": len(search.curve),
         "gains": dict(search.gains),
-        "curve": [*curve, [len(search.curve), search.cost]],
     }

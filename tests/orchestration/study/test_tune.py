@@ -202,6 +202,6 @@ def test_the_file_holds_gains_for_scenarios_and_says_how_far_to_trust_them(tmp_p
     assert (entry["unit"], entry["limits"]) == ("N/m", [0.1, 100.0])
     tables = [*written["tuning"]["seeds"], written["tuning"]["refinement"]]
     for table, search in zip(tables, (*tuning.searches, tuning.refinement), strict=True):
-        for count, cost in table["curve"]:
-            assert search.curve[count - 1] == cost
-        assert table["curve"][-1] == [30, search.cost]
+        assert (table["seed"], table["cost"]) == (search.seed, search.cost)
+        assert table["evaluations"] == len(search.curve) == 10 * len(GAINS)
+        assert table["gains"] == search.gains

@@ -1,0 +1,61 @@
+"""Prints docs/explanation/comparison.json: what the page reads of a comparison by `l1-depth compare --full`.
+
+    python .ci/comparison_page.py results/comparison.json > docs/explanation/comparison.json
+
+The figures of a case keep eight digits. The values on each plant stay where a test computes from them again.
+"""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from orchestration.study.compare import PAPERS
+
+_DIGITS = 8
+_WITH_PLANTS = (PAPERS, "tuned/pid")
+_WITH_VALUES = "rmse"
+
+
+def reduced(document: dict[str, Any]) -> dict[str, Any]:
+    """Returns the document with rounded figures, and the plants' values of two controllers alone."""
+    return {
+        **document,
+        "rows": [_row(row) for row in document["rows"]],
+        "differences": [entry for entry in document["differences"] if entry["figure"] == _WITH_VALUES],
+    }
+
+
+def _row(row: dict[str, Any]) -> dict[str, Any]:
+    plants = row["plants"]
+    figures = {
+        name: {**_rounded(figure | {"values": []}), "values": _values(row["name"], name, figure["values"])}
+        for name, figure in plants["figures"].items()
+    }
+    return {**row, "cases": _rounded(row["cases"]), "plants": {**plants, "figures": figures}}
+
+
+def _values(controller: str, figure: str, values: list[float]) -> list[float]:
+    return values if controller in _WITH_PLANTS and figure == _WITH_VALUES else []
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
+
+
+def written(document: dict[str, Any]) -> str:
+    """Returns the document as JSON, with a line for each row and each difference."""
+    parts = [f"{json.dumps(key)}: {_part(value)}" for key, value in document.items()]
+    return "{\n" + ",\n".join(parts) + "\n}\n"
+
+
+def _part(value: Any) -> str:
+    if not isinstance(value, list):
+        return json.dumps(value)
+    return "[\n" + ",\n".join(json.dumps(item, separators=(",", ":")) for item in value) + "\n]"
+
+
+if __name__ == "__main__":
+    print(written(reduced(json.loads(Path(sys.argv[1]).read_text(encoding="utf-8")))), end="")
