@@ -129,8 +129,8 @@ def _units() -> str:
     table = _table(("Unit", "Base units of FMI", "Factor", "Offset"), rows)
     return (
         f"Coherent units of the base units of FMI 2.0: {known}.\n\n"
-        "Any other that these base units can express: `fmus.units` asks Pint. The value in base units is\n"
-        "factor times value plus offset. Some of them:\n\n"
+        "Any other that these base units can express: Pint knows them (`pip install 'l1-depth[units]'`).\n"
+        "The value in base units is factor times value plus offset. Some of them:\n\n"
         f"{table}\n\nA misspelt unit gets the nearest one."
     )
 

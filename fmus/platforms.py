@@ -1,6 +1,6 @@
 """The platforms of FMI 2.0 that native FMUs are built for, and where a library stands inside an FMU.
 
-Also what this machine has: its platform, instruction sets and processors.
+Also what this machine has: its platform, instruction sets, processors and the user's cache.
 """
 
 import os

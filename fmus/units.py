@@ -1,7 +1,7 @@
 """Units over the base units of FMI 2.0 (2.2.2): kg, m, s, A, K, mol, cd and rad.
 
 Names are written as in the standard: "N.s/m", "1/s2", "kg/(m.s)", "rev/min", "degC". Pint knows what they
-mean; it is loaded for a name that the table below does not have.
+mean; it is an extra, and loaded for a name that the table below does not have.
 """
 
 import re
@@ -11,6 +11,7 @@ from functools import cache
 from typing import Any
 
 from fmus.errors import ExportError, nearest
+from fmus.extras import require
 
 # Coherent units, by their exponents over the base units. "1" is dimensionless.
 BASE_UNITS: dict[str, dict[str, int]] = {
@@ -75,8 +76,6 @@ class Unit:
 @cache
 def unit(name: str) -> Unit:
     """What a name means; ExportError for one that FMI cannot express, with the nearest one that it can."""
-    if name in BASE_UNITS:
-        return Unit(BASE_UNITS[name])
     exponents, factor, offset = _converted(name)
     return Unit(exponents, float(factor), float(offset))
 
@@ -94,9 +93,10 @@ def display(unit_name: str, display_name: str) -> tuple[float, float]:
 
 @cache
 def _converted(name: str) -> tuple[dict[str, int], Decimal, Decimal]:
-    """(exponents, factor, offset), exact but for irrational factors."""
-    import pint
-
+    """Returns (exponents, factor, offset), exact but for irrational factors."""
+    if name in BASE_UNITS:
+        return BASE_UNITS[name], Decimal(1), Decimal(0)
+    pint = require("pint", "units", f"unit {name!r}")
     try:
         if not _GRAMMAR.fullmatch(name):
             raise ValueError(name)
@@ -138,10 +138,8 @@ def _check_plurals(name: str) -> None:
 
 @cache
 def _registry() -> Any:
-    import pint
-
     exact: Any = Decimal
-    registry = pint.UnitRegistry(
+    registry = require("pint", "units", "a unit").UnitRegistry(
         non_int_type=exact,
         preprocessors=[lambda name: _EXPONENT.sub(r"**(\1)", name).replace(".", "*")],
     )

@@ -7,10 +7,9 @@ system keeps the folders of a user from others.
 import hashlib
 import os
 import stat
+import sys
 from contextlib import suppress
 from pathlib import Path
-
-from platformdirs import user_cache_path
 
 from fmus.files import write_bytes_atomically
 
@@ -21,7 +20,12 @@ _REMEDY = "remove it, or set XDG_CACHE_HOME (for FMUs L1_DEPTH_FMUS) to a folder
 
 def cache_folder(name: str) -> Path:
     """Returns the folder of this name in the user's cache, whether or not it is there."""
-    return user_cache_path("l1-depth", appauthor=False) / name
+    if sys.platform == "win32":
+        local = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
+        return Path(local, "l1-depth", "Cache", name)
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "l1-depth" / name
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "l1-depth", name)
 
 
 def reason_for_distrust(path: Path) -> str:

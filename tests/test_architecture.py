@@ -227,10 +227,11 @@ DISTRIBUTIONS = {
     "PIL": "pillow",
     "annotated_types": "pydantic",
     "distributed": "dask",
-    "pydantic_core": "pydantic-core",
+    "pydantic_core": "pydantic",  # which pins it to one version, and whose documentation imports from it
     "tomli_w": "tomli-w",
 }
 EXTRAS = {
+    "fmus": {"units"},
     "fmus.compliance": {"check"},
     "orchestration.gym": {"gym"},
     "orchestration.many": {"sweep"},
@@ -278,7 +279,7 @@ def test_what_is_declared_is_imported() -> None:
     declared = project()
     imported = {name: third_party(path) for name, path in MODULES.items()}
     assert declared[""] <= set().union(*imported.values()) | {"fmpy"}  # files alone, in platforms.py
-    for extra in ("check", "gym", "report", "study", "sweep", "tables"):
+    for extra in ("check", "gym", "report", "study", "sweep", "tables", "units"):
         rooms = [name for name, extras in EXTRAS.items() if extra in extras]
         users = [names for module, names in imported.items() if room(module) in rooms]
         assert declared[extra] <= set().union(*users), f"the extra {extra!r}"

@@ -18,7 +18,7 @@ from tests.shared_builds import Build, built_once, session_folder
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("fmus", "controller_fmu", "plant_fmu", "orchestration")
 # what `pip install --no-deps l1-depth` needs beside it to run FMUs (docs/how-to/run-without-building.md)
-FOR_RUNNING = ("cloudpickle", "fmpy", "numpy", "platformdirs", "scipy")
+FOR_RUNNING = ("cloudpickle", "fmpy", "numpy", "scipy")
 
 pytestmark = pytest.mark.packaging
 

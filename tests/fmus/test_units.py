@@ -1,18 +1,19 @@
 """What the name of a unit means over the base units of FMI 2.0 and which names mean nothing."""
 
+import re
+import sys
+
 import pytest
 
-from fmus.errors import ExportError
+from fmus.errors import ExportError, MissingExtraError
 from fmus.units import BASE_UNITS, Unit, display, unit
 
 
 @pytest.mark.parametrize("name", BASE_UNITS)
 def test_the_table_says_what_pint_says(name: str) -> None:
-    """By way of a unit that is not in the table: a thousand of it in a display unit."""
-    assert display(name, name) == (1.0, 0.0)
-    assert unit(f"1/({name})" if name != "1" else "%").exponents == {
-        k: -e for k, e in BASE_UNITS[name].items()
-    }
+    """By way of a unit that is not in the table."""
+    inverse = Unit({base: -exponent for base, exponent in BASE_UNITS[name].items()})
+    assert unit(f"1/({name})" if name != "1" else "m/m") == inverse
 
 
 @pytest.mark.parametrize(
@@ -73,3 +74,14 @@ def test_a_value_in_a_display_unit_is_factor_times_value_plus_offset() -> None:
 def test_a_unit_that_fmi_cannot_express_is_refused(name: str, message: str) -> None:
     with pytest.raises(ExportError, match=message):
         unit(name)
+
+
+def test_a_unit_besides_those_of_the_table_names_the_extra_that_knows_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "pint", None)  # as if it were not installed
+    assert display("rad/s", "rad/s") == (1.0, 0.0)
+    with pytest.raises(
+        MissingExtraError, match=re.escape("unit 'grad' needs pint: pip install 'l1-depth[units]'")
+    ):
+        display("rad", "grad")
