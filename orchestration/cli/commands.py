@@ -20,7 +20,7 @@ _PANELS = {
     "FMUs": ("fmu.new", "fmu.build", "fmu.check", "fmu.inspect"),
     "Scenarios": ("run.scenarios", "run.run", "sweep.sweep", "run.report"),
     "Controllers compared": ("score.score", "study.tune", "study.compare", "margins.margins"),
-    "The paper": ("paper.reproduce", "paper.identify", "paper.identifiability"),
+    "The paper": ("paper.reproduce", "paper.identify"),
     "Other tools": ("exchange.package", "exchange.export"),
 }
 """Panel of the help -> module of this package, and function in it: a command of that name."""

@@ -1,4 +1,4 @@
-"""Commands reproduce, identify and identifiability."""
+"""Commands reproduce and identify."""
 
 from pathlib import Path
 from typing import Annotated
@@ -65,35 +65,3 @@ def identify(
     units = {gain.name: gain.unit for gain in identification.GAINS}
     print(values_table("Fitted gains", "Gain", fit.gains, units))
     print(out)
-
-
-def identifiability(
-    out: OutFolder = Path("identifiability"),
-    formats: FigureFormatsOption = "png",
-) -> None:
-    """Find what the paper's figures determine: gains that agree, fits, predictions. Goes on where it was."""
-    from fmus.files import write_json_atomically, write_text_atomically
-    from orchestration.cli.chosen_scenario import build_missing_fmus
-    from orchestration.scenarios import scenario
-    from orchestration.study import identifiability as identifiability_study
-    from orchestration.study import identifiability_tables
-
-    written_formats = figure_formats(formats)
-    check_writable(out)
-    build_missing_fmus([scenario.load(path) for path in scenario.shipped().values()])
-    with progress("identifiability", identifiability_study.FULL.stages) as bar:
-        document, points = identifiability_study.study(out, lambda name: bar.advance(note=name))
-    tables = identifiability_tables.tables(document)
-    write_json_atomically(out / "identification.json", document)
-    write_text_atomically(
-        out / "tables.md", "\n".join(f"{name}\n\n{table}" for name, table in tables.items())
-    )
-    identifiability_study.write_parameters(document["fits"]["wide ranges"]["all"], out / "all-figures.toml")
-    figures = (
-        identifiability_tables.write_points(points, out / "identification", written_formats)
-        if written_formats
-        else []
-    )
-    print(
-        *(out / name for name in ("identification.json", "tables.md", "all-figures.toml")), *figures, sep="\n"
-    )

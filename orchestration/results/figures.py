@@ -108,15 +108,6 @@ def stacked_panels(heights_in: Sequence[float], x_label: str) -> tuple[Figure, l
     return figure, panels
 
 
-def panel_grid(rows: int, columns: int, height_in: float) -> tuple[Figure, list[Axes]]:
-    """A figure as wide as a page: panels (a), (b), ... row by row, each with axes of its own."""
-    figure = Figure(figsize=(_WIDTH_IN, rows * height_in), layout="constrained")
-    panels = list(figure.subplots(rows, columns, squeeze=False).flat)
-    for index, panel in enumerate(panels):
-        panel.set_title(f"({chr(ord('a') + index)})", loc="left", fontsize=9.0, fontweight="bold")
-    return figure, panels
-
-
 def draw_curve(panel: Axes, time: np.ndarray, values: np.ndarray, **line: Any) -> None:
     """A signal as a line through the smallest and the largest value of each of many short intervals."""
     chosen = _extremes(values)

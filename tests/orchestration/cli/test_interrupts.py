@@ -36,7 +36,6 @@ AT_WORK = {
     "margins nominal-l1": "orchestration.study.margins.judge",
     "reproduce": "orchestration.scenarios.reproduce.run_all",
     "identify": "orchestration.scenarios.identify.metric_units",
-    "identifiability": "orchestration.study.identifiability.posterior",
     "package nominal-l1": "orchestration.exchange.ssp_write.ramp_sources",
     "export modelica": "orchestration.exchange.modelica.texts",
 }

@@ -91,9 +91,7 @@ def test_what_cannot_be_scored_is_refused(
     assert complaint in refused("score", *arguments, "--protocol", protocol_file)
 
 
-@pytest.mark.parametrize(
-    "arguments", ["compare", "margins nominal-l1", "identify", "identifiability", "reproduce"]
-)
+@pytest.mark.parametrize("arguments", ["compare", "margins nominal-l1", "identify", "reproduce"])
 def test_what_cannot_be_written_is_refused_before_it_runs(
     refused: Callable[..., str], arguments: str
 ) -> None:
