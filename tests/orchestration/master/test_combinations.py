@@ -133,6 +133,9 @@ def test_both_loops_agree_and_interrupts_change_nothing(
     periods = stepping.get("periods", {})
     if periods and misdeed is Misdeed.DISCARD:
         misdeed = Misdeed.NONE  # with step sizes of its own no component goes back
+    if "tolerance" in stepping:
+        # a drop-out holds the noise on its input, which then jumps by more than the tolerance
+        faulty = [*dict(faulty).items()]
     experiment = Experiment(
         start + RUN,
         step,
