@@ -24,7 +24,6 @@ from tests.shared_builds import (
     LIKE_ANOTHER,
     Build,
     LazyFmus,
-    foreign_folder,
     once_for_each_option,
     session_folder,
 )
@@ -226,34 +225,34 @@ def foreign(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Path]:
 @pytest.fixture(scope="session")
 def linear(tmp_path_factory: pytest.TempPathFactory) -> Build:
     """Builds linear FMUs: the options are those of `foreign_fmus.linear`."""
-    return once_for_each_option(foreign_fmus.linear, foreign_folder(tmp_path_factory, "linear"))
+    return once_for_each_option(foreign_fmus.linear, session_folder(tmp_path_factory, "linear"))
 
 
 @pytest.fixture(scope="session")
 def function(tmp_path_factory: pytest.TempPathFactory) -> Build:
     """Builds FMUs that compute y = expression of u, in C: `foreign_fmus.function`."""
-    return once_for_each_option(foreign_fmus.function, foreign_folder(tmp_path_factory, "function"))
+    return once_for_each_option(foreign_fmus.function, session_folder(tmp_path_factory, "function"))
 
 
 @pytest.fixture(scope="session")
 def motor(tmp_path_factory: pytest.TempPathFactory) -> Build:
     """Builds motors with an adaptive solver of their own: the options are those of `foreign_fmus.motor`."""
-    return once_for_each_option(foreign_fmus.motor, foreign_folder(tmp_path_factory, "motor"))
+    return once_for_each_option(foreign_fmus.motor, session_folder(tmp_path_factory, "motor"))
 
 
 @pytest.fixture(scope="session")
 def stair(tmp_path_factory: pytest.TempPathFactory) -> Build:
     """Builds stairs, which terminate the simulation at 9 s: the options are those of `foreign_fmus.stair`."""
-    return once_for_each_option(foreign_fmus.stair, foreign_folder(tmp_path_factory, "stair"))
+    return once_for_each_option(foreign_fmus.stair, session_folder(tmp_path_factory, "stair"))
 
 
 @pytest.fixture(scope="session")
 def forker(tmp_path_factory: pytest.TempPathFactory) -> Build:
     """Builds FMUs that fork their process: the options are those of `foreign_fmus.forker`."""
-    return once_for_each_option(foreign_fmus.forker, foreign_folder(tmp_path_factory, "forker"))
+    return once_for_each_option(foreign_fmus.forker, session_folder(tmp_path_factory, "forker"))
 
 
 @pytest.fixture(scope="session")
 def rogue(tmp_path_factory: pytest.TempPathFactory) -> Build:
     """Builds FMUs that misbehave on demand: the options are those of `foreign_fmus.rogue`."""
-    return once_for_each_option(foreign_fmus.rogue, foreign_folder(tmp_path_factory, "rogue"))
+    return once_for_each_option(foreign_fmus.rogue, session_folder(tmp_path_factory, "rogue"))

@@ -1,7 +1,6 @@
 """FMUs built once a session for all of pytest-xdist's processes, each when a test first asks for it."""
 
 import hashlib
-import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,6 @@ import pytest
 from filelock import FileLock
 
 Build = Callable[..., Path]
-FOREIGN_FMUS = "L1_DEPTH_FOREIGN_FMUS"
 
 LIKE_ANOTHER = (
     "AdrcDepthController", "PidDepthController", "SlidingModeDepthController", "SuperTwistingDepthController",
@@ -24,15 +22,6 @@ def session_folder(factory: pytest.TempPathFactory, name: str) -> Path:
     root = base.parent if base.name.startswith("popen-") else base
     folder = root / name
     folder.mkdir(exist_ok=True)
-    return folder
-
-
-def foreign_folder(factory: pytest.TempPathFactory, name: str) -> Path:
-    """As `session_folder`, of FMUs without our code; of all sessions if the environment names a folder."""
-    if FOREIGN_FMUS not in os.environ:
-        return session_folder(factory, name)
-    folder = Path(os.environ[FOREIGN_FMUS], name)
-    folder.mkdir(parents=True, exist_ok=True)
     return folder
 
 
