@@ -15,6 +15,7 @@ from fmus.block import Block, variable
 from fmus.export import native
 from fmus.files import write_archive
 from fmus.platforms import instruction_sets
+from fmus.user_cache import record_build
 from orchestration import Ensemble, Event, Experiment, Simulator, System
 from orchestration.errors import EnsembleError, OrchestrationError
 
@@ -169,6 +170,7 @@ WAVES = Block(
 def build(path: Path, block: Block = BLOCK, **options: bool) -> System:
     _, members = native.content(block, **options)
     write_archive(path, members | native.libraries(block.name, members, ()))
+    record_build(path.read_bytes())
     return System({"block": path})
 
 
