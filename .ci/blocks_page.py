@@ -8,7 +8,7 @@ from typing import Any
 
 from fmus import numerics
 from fmus.block import Block, NoValues, variable
-from fmus.units import BASE_UNITS, Unit, unit
+from fmus.block.units import BASE_UNITS, Unit, unit
 
 _HEAD = """\
 # Blocks

@@ -18,7 +18,7 @@ from setuptools.command.build_py import build_py
 from setuptools.command.sdist import sdist
 
 _ROOT = Path(__file__).parent.parent
-_COMPILED = Path("orchestration/master/loop.c")
+_COMPILED = Path("orchestration/run/loop.c")
 
 
 def get_requires_for_build_wheel(config_settings: Any = None) -> list[str]:
@@ -63,7 +63,7 @@ class BuildWithLoop(build_py):
 
     def _compile(self, source: Path, folder: Path) -> None:
         sys.path.insert(0, str(_ROOT))
-        from fmus.compiled_library import compile_source, file_name
+        from fmus.native.compiled_library import compile_source, file_name
         from fmus.platforms import PLATFORMS
 
         for platform in PLATFORMS:

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from orchestration.study.compare import PAPERS
+from orchestration.score.compare import PAPERS
 
 _DIGITS = 8
 _WITH_PLANTS = (PAPERS, "tuned/pid")

@@ -10,7 +10,7 @@ from controller_fmu.depth_interface_guide import (
     TRIED_ON,
     VEHICLE_LIMIT,
 )
-from fmus.guide import Guide, Source
+from fmus.block.guide import Guide, Source
 
 EQUATIONS = """\
 z_1' = z_2 + 3 w_o (z - z_1)

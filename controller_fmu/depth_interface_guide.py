@@ -1,6 +1,6 @@
 """What the documentation of every depth controller says besides its variables."""
 
-from fmus.guide import Experiment, Source
+from fmus.block.guide import Experiment, Source
 
 CONVENTIONS = (
     "Depth is positive down, and so is every force; a positive demand pushes the vehicle down.",

@@ -1,7 +1,7 @@
 """What the documentation of DepthReference says besides its variables."""
 
 from controller_fmu.l1.depth_controller_guide import PAPER
-from fmus.guide import Experiment, Guide
+from fmus.block.guide import Experiment, Guide
 
 GUIDE = Guide(
     equations="""\

@@ -12,7 +12,7 @@ from controller_fmu.depth_interface_guide import (
     TRIED_ON,
     VEHICLE_LIMIT,
 )
-from fmus.guide import Guide, Source
+from fmus.block.guide import Guide, Source
 
 EQUATIONS = """\
 u          = -k_m x + f - theta_hat |x|_inf - sigma_hat,   x = (z, v)

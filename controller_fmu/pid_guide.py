@@ -11,7 +11,7 @@ from controller_fmu.depth_interface_guide import (
     TRIED_ON,
     VEHICLE_LIMIT,
 )
-from fmus.guide import Guide, Source
+from fmus.block.guide import Guide, Source
 
 EQUATIONS = """\
 u     = -k_p e - k_i int e dt - k_d (v - beta r') + beta D r',   e = z - r

@@ -11,7 +11,7 @@ from controller_fmu.depth_interface_guide import (
     TRIED_ON,
     VEHICLE_LIMIT,
 )
-from fmus.guide import Guide, Source
+from fmus.block.guide import Guide, Source
 
 EQUATIONS = """\
 s = e' + 2 lambda e + lambda^2 int e dt,   e = z - r,   e' = v - r'

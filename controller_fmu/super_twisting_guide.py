@@ -11,7 +11,7 @@ from controller_fmu.depth_interface_guide import (
     TRIED_ON,
     VEHICLE_LIMIT,
 )
-from fmus.guide import Guide, Source
+from fmus.block.guide import Guide, Source
 
 EQUATIONS = """\
 s = e' + lambda e,   e = z - r,   e' = v - r',   g = s / (|s| + eps)

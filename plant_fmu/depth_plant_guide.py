@@ -1,6 +1,6 @@
 """What the documentation of RovDepthPlant says besides its variables."""
 
-from fmus.guide import Experiment, Guide, Source
+from fmus.block.guide import Experiment, Guide, Source
 
 GUIDE = Guide(
     equations="""\

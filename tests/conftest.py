@@ -12,13 +12,14 @@ import fmpy
 import pytest
 from hypothesis import settings
 
-from fmus import catalogue, platforms
+from fmus import platforms
 from fmus.block import Block
+from fmus.block.instance import Instance
+from fmus.build import builder
+from fmus.build.stamp import Order
 from fmus.errors import ExportError
-from fmus.export import toolchain
-from fmus.instance import Instance
+from fmus.native import toolchain
 from fmus.registry import FOLDER_VARIABLE, Flavour, block_names, fmu_folder
-from fmus.stamp import Order
 from tests import foreign_fmus, foreign_pythonfmu
 from tests.shared_builds import (
     LIKE_ANOTHER,
@@ -110,7 +111,7 @@ def _lazily_built(flavour: Flavour) -> LazyFmus:
     """With stamps: a command that runs them then traces no block."""
 
     def build(name: str, folder: Path) -> Path:
-        (files,) = catalogue.build_orders([Order(name, folder, flavour)])
+        (files,) = builder.build_orders([Order(name, folder, flavour)])
         assert not isinstance(files, ExportError), files
         return files[0]
 
@@ -135,7 +136,7 @@ def built_everywhere(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, P
     return LazyFmus(
         block_names(),
         session_folder(tmp_path_factory, "built everywhere"),
-        lambda name, folder: catalogue.build(name, folder, platforms=platforms.PLATFORMS),
+        lambda name, folder: builder.build(name, folder, platforms=platforms.PLATFORMS),
     )
 
 

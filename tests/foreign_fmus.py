@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from fmus.export import archive
-from fmus.export.toolchain import compile_library
+from fmus.build import archive
 from fmus.files import write_archive
+from fmus.native.toolchain import compile_library
 from fmus.platforms import host_platform, library_name
 from tests.shared_builds import built_once
 

@@ -3,7 +3,7 @@
 from contextlib import closing
 from typing import Any
 
-from fmus.process import ProcessEndedError, Worker, WorkerProcess
+from fmus.fmi.process import ProcessEndedError, Worker, WorkerProcess
 
 
 def answer_of(worker: Worker, job: object, timeout: float) -> Any:

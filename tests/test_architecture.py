@@ -76,22 +76,22 @@ def arrows() -> set[tuple[str, str]]:
 # A module imports its own room and rooms of lower numbers; a module with a number of its own is its own room.
 LEVELS = {
     "fmus": 0,
-    "fmus.documentation": 1,
-    "fmus.export": 2,
+    "fmus.build.documentation": 1,
+    "fmus.build": 2,
     "fmus.compliance": 2,
-    "fmus.catalogue": 3,
-    "fmus.compiled_library": 3,
+    "fmus.build.builder": 3,
+    "fmus.native.compiled_library": 3,
     "orchestration.errors": 4,
-    "orchestration.fmi": 5,
+    "fmus.fmi": 5,
     "orchestration.system": 6,
     "orchestration.results": 6,
-    "orchestration.master": 7,
+    "orchestration.run": 7,
     "orchestration.many": 8,
     "orchestration.scenarios": 9,
     "orchestration.exchange": 10,
     "orchestration.sweep": 10,
     "orchestration.gym": 10,
-    "orchestration.study": 11,
+    "orchestration.score": 11,
     "orchestration.report": 12,
     "orchestration.cli": 13,
     "orchestration": 14,  # the names that it exports, each imported when it is asked for
@@ -99,24 +99,24 @@ LEVELS = {
 
 # What running FMUs needs of `fmus`. `compiled_library` imports the compiler if nothing compiled is there.
 FOR_RUNNING = {
-    "fmus.binding",
-    "fmus.compiled_library",
+    "fmus.fmi.binding",
+    "fmus.native.compiled_library",
     "fmus.errors",
     "fmus.extras",
     "fmus.files",
-    "fmus.fmi_types",
-    "fmus.lanes",
-    "fmus.plain_types",
+    "fmus.fmi.variable_types",
+    "fmus.native.lanes",
+    "fmus.fmi.integer_enumerations",
     "fmus.platforms",
-    "fmus.process",
+    "fmus.fmi.process",
     "fmus.registry",
     "fmus.user_cache",
-    "fmus.watched",
+    "fmus.fmi.parent_process",
 }
 
 
 def room(module: str) -> str:
-    """What a module is a part of: "orchestration.master", "fmus" for "fmus.block", "plant_fmu"."""
+    """What a module is a part of: "orchestration.run", "fmus" for "fmus.block", "plant_fmu"."""
     while module not in LEVELS and "." in module:
         module = module.rpartition(".")[0]
     return module
@@ -169,7 +169,7 @@ def test_every_package_is_installed() -> None:
 
 @pytest.mark.parametrize("package", ["controller_fmu", "plant_fmu"])
 def test_models_import_only_the_standard_library_and_the_declaration(package: str) -> None:
-    allowed = {package, "fmus.block", "fmus.guide", "fmus.numerics", *sys.stdlib_module_names}
+    allowed = {package, "fmus.block", "fmus.block.guide", "fmus.numerics", *sys.stdlib_module_names}
     for path in (ROOT / package).rglob("*.py"):
         extra = {"numpy", "scipy"} if path.name == "design.py" else set()
         for name in imports(path):
@@ -179,9 +179,9 @@ def test_models_import_only_the_standard_library_and_the_declaration(package: st
 def test_orchestration_knows_no_model() -> None:
     for package in ("controller_fmu", "plant_fmu"):
         known = {name for name in importers(package) if is_in(name, "orchestration")}
-        assert {name for name in known if not is_in(name, "orchestration.study")} == set()
+        assert {name for name in known if not is_in(name, "orchestration.score")} == set()
     for name, imported in arrows():
-        if is_in(name, "orchestration.study") and is_in(imported, "controller_fmu"):
+        if is_in(name, "orchestration.score") and is_in(imported, "controller_fmu"):
             assert imported == "controller_fmu.design"
 
 
@@ -190,7 +190,7 @@ def test_product_code_does_not_know_its_tests() -> None:
 
 
 def test_running_fmus_needs_no_export() -> None:
-    builders = ("orchestration.cli", "orchestration.study")  # of what they run themselves
+    builders = ("orchestration.cli", "orchestration.score")  # of what they run themselves
     for name, imported in arrows():
         if is_in(name, "orchestration") and room(name) not in builders and is_in(imported, "fmus"):
             assert imported in FOR_RUNNING, f"{name} imports {imported}"
@@ -198,7 +198,7 @@ def test_running_fmus_needs_no_export() -> None:
 
 def test_one_file_runs_the_compiler() -> None:
     names = {name for name, path in MODULES.items() if re.search("[\"']ziglang[\"']", text(path))}
-    assert names == {"fmus.export.toolchain", "fmus.stamp"}  # which compares its version
+    assert names == {"fmus.native.toolchain", "fmus.build.stamp"}  # which compares its version
 
 
 def test_the_master_loads_nothing_that_running_does_not_need() -> None:
@@ -214,8 +214,8 @@ def test_the_master_loads_nothing_that_running_does_not_need() -> None:
         "rich",
         "typer",
     ]
-    heavy += ["fmus.export", "fmus.block", "fmus.catalogue", "orchestration.scenarios"]
-    code = f"import sys, orchestration.master; print([n for n in {heavy} if n in sys.modules])"
+    heavy += ["fmus.build", "fmus.block", "fmus.build.builder", "orchestration.scenarios"]
+    code = f"import sys, orchestration.run; print([n for n in {heavy} if n in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 
@@ -237,7 +237,7 @@ EXTRAS = {
     "orchestration.many": {"sweep"},
     "orchestration.report": {"report"},
     "orchestration.results": {"tables"},
-    "orchestration.study": {"study"},
+    "orchestration.score": {"study"},
     "orchestration.sweep": {"sweep"},
 }
 
@@ -288,19 +288,19 @@ def test_what_is_declared_is_imported() -> None:
 @pytest.mark.parametrize(
     ("package", "allowed"),
     [
-        ("pythonfmu", {"fmus.export.slave"}),
+        ("pythonfmu", {"fmus.build.slave"}),
         (
             "casadi",
             {
                 "fmus.numerics.symbols",
-                "fmus.export.right_derivative",
-                *(f"fmus.export.{name}" for name in ("guard", "symbolic", "operations", "c_functions")),
+                "fmus.build.right_derivative",
+                *(f"fmus.build.{name}" for name in ("guard", "symbolic", "operations", "c_functions")),
             },
         ),
         ("matplotlib", {"orchestration.results.figures"}),
         ("plotly", {"orchestration.report.render"}),
-        ("PIL", {"fmus.documentation.icon"}),
-        ("pint", {"fmus.units"}),
+        ("PIL", {"fmus.build.documentation.icon"}),
+        ("pint", {"fmus.block.units"}),
     ],
 )
 def test_libraries_stay_in_their_file(package: str, allowed: set[str]) -> None:

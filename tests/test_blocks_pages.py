@@ -7,7 +7,7 @@ from types import ModuleType
 import pytest
 
 from controller_fmu import adrc, mrac, pid, sliding_mode, super_twisting
-from fmus.new_block import write_new_block
+from fmus.build.new_block import write_new_block
 
 from .page_examples import examples
 

@@ -15,12 +15,12 @@ from typing import Any
 
 import pytest
 
-from orchestration.study import compare
-from orchestration.study.protocol import read_protocol
-from orchestration.study.score_document import Score
-from orchestration.study.statistics import compare as paired
-from orchestration.study.statistics import distribution
-from orchestration.study.tuned_gains import FOLDER, tuned_gains
+from orchestration.score import compare
+from orchestration.score.protocol import read_protocol
+from orchestration.score.score_document import Score
+from orchestration.score.statistics import compare as paired
+from orchestration.score.statistics import distribution
+from orchestration.score.tuned_gains import FOLDER, tuned_gains
 
 EXPLANATION = Path(__file__).parent.parent / "docs" / "explanation"
 PAGE = (EXPLANATION / "comparison.md").read_text(encoding="utf-8")

@@ -124,7 +124,7 @@ def test_the_wheel_holds_every_file_and_the_loop_of_five_platforms(wheel: Path) 
     assert sources <= names
     assert len(loops) == len(PLATFORMS)
     for platform, loop in zip(sorted(PLATFORMS), loops, strict=True):
-        assert loop.startswith(f"orchestration/master/loop-{platform}-")
+        assert loop.startswith(f"orchestration/run/loop-{platform}-")
 
 
 def test_a_wheel_follows_from_its_sources_byte_for_byte_whatever_the_umask(
@@ -174,7 +174,7 @@ recording = simulate(system, stop_time=1000.0, step_size=0.01)
 print(time.process_time() - start)
 assert len(recording.time) == 100001
 unneeded = {"casadi", "ziglang", "pint", "PIL", "matplotlib", "plotly", "pandas", "rich", "typer"}
-unneeded |= {"fmus.export"}
+unneeded |= {"fmus.build"}
 assert not unneeded & set(sys.modules), unneeded & set(sys.modules)
 maps = Path("/proc/self/maps").read_text()
 print(*{line.split("/", 1)[1] for line in maps.splitlines() if "l1-depth-" in line})
@@ -221,7 +221,7 @@ def test_folders_of_the_users_do_not_hide_an_editable_install(
     (cwd / "test_own.py").write_text("def test_own(): pass\n")
     python = bin_folder / "python"
     run([bin_folder / "l1-depth", "--help"], cwd)
-    code = "import fmus.block, plant_fmu.heave, orchestration.master as m; print(m.__file__)"
+    code = "import fmus.block, plant_fmu.heave, orchestration.run as m; print(m.__file__)"
     assert Path(run([python, "-c", code], cwd).strip()).is_relative_to(unpacked)
     assert "judge this FMU" in run([python, "-m", "pytest", "--help"], cwd)
     assert "1 passed" in run([python, "-m", "pytest", "-p", "no:cacheprovider"], cwd)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from fmus import catalogue
+from fmus.build import builder
 from orchestration.scenarios import scenario
 from orchestration.system.prepared_run import prepare
 
@@ -22,7 +22,7 @@ def block(language: str) -> str:
 
 
 def test_the_python_example_runs(tmp_path: Path) -> None:
-    catalogue.build("ExamplePlant", tmp_path / "fmus-built")
+    builder.build("ExamplePlant", tmp_path / "fmus-built")
     done = subprocess.run(
         [sys.executable, "-c", block("python")], capture_output=True, text=True, check=True, cwd=tmp_path
     )

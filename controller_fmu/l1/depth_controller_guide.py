@@ -9,7 +9,7 @@ from controller_fmu.depth_interface_guide import (
     VEHICLE_LIMIT,
 )
 from controller_fmu.l1.parameters import EQUATIONS
-from fmus.guide import Guide, Source
+from fmus.block.guide import Guide, Source
 
 PAPER = Source(
     "Maalouf, Chemori and Creuze: A new extension of the L1 adaptive controller to drastically reduce the"

@@ -2,7 +2,7 @@
 
 from controller_fmu.l1.depth_controller_guide import LAW_LIMITS, PAPER
 from controller_fmu.l1.parameters import EQUATIONS
-from fmus.guide import Experiment, Guide, Source
+from fmus.block.guide import Experiment, Guide, Source
 
 GUIDE = Guide(
     equations=EQUATIONS

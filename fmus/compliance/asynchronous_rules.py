@@ -2,11 +2,11 @@
 
 from collections.abc import Iterator
 
-from fmus.binding import OK, WARNING, status_name
 from fmus.compliance.comparison import differing
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotJudgedError, behaviour_rule
 from fmus.compliance.values import if_not_claimed, is_utf_8, unless_claimed
+from fmus.fmi.binding import OK, WARNING, status_name
 
 _COMPUTATION = "4.2.2 Computation (fmi2DoStep)"
 _ASYNCHRONOUS = "canRunAsynchronuously"

@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from fmus.binding import platform_name
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.fmu_process import START_S
 from fmus.compliance.instance_rules import ONLY_ONCE
@@ -20,7 +19,8 @@ from fmus.compliance.registry import registered
 from fmus.compliance.rule import Level, Result, Rule, Stage
 from fmus.compliance.script import KINDS
 from fmus.errors import HostError
-from fmus.process import WorkerProcess
+from fmus.fmi.binding import platform_name
+from fmus.fmi.process import WorkerProcess
 
 DEFAULT_TIMEOUT_S = 30.0
 _STEPS = "steps-and-terminates"

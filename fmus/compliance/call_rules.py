@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from functools import partial
 
-from fmus.binding import ERROR, FATAL
 from fmus.compliance.input_derivative_rules import INTERPOLATES
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, behaviour_rule
@@ -11,6 +10,7 @@ from fmus.compliance.script import KINDS, Reply, Script
 from fmus.compliance.session import session
 from fmus.compliance.values import continuous_reals, references_of, start_value
 from fmus.compliance.variable import Variable
+from fmus.fmi.binding import ERROR, FATAL
 
 _STATES = "4.2.4 State Machine of Calling Sequence from Master to Slave"
 

@@ -8,7 +8,11 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from fmus.binding import (
+from fmus.compliance.observed_callbacks import MessageLog, RefusingAllocator, logger_of_formats, set_traps
+from fmus.compliance.process_settings import ProcessSettings
+from fmus.compliance.saved_states import SavedStates
+from fmus.compliance.script import ARGUMENTS, UNWRITTEN
+from fmus.fmi.binding import (
     CO_SIMULATION,
     DO_STEP_STATUS,
     ERROR,
@@ -20,11 +24,7 @@ from fmus.binding import (
     element_type,
     reference_array,
 )  # fmt: skip
-from fmus.callbacks import AllocateMemory, Callbacks, CountingAllocator, FreeMemory, StepFinished
-from fmus.compliance.observed_callbacks import MessageLog, RefusingAllocator, logger_of_formats, set_traps
-from fmus.compliance.process_settings import ProcessSettings
-from fmus.compliance.saved_states import SavedStates
-from fmus.compliance.script import ARGUMENTS, UNWRITTEN
+from fmus.fmi.callbacks import AllocateMemory, Callbacks, CountingAllocator, FreeMemory, StepFinished
 
 _UNWRITTEN = 77  # no fmi2Status
 _GUARD = 0xA5  # each byte behind an array

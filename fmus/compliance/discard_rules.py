@@ -4,11 +4,11 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 
-from fmus.binding import DISCARD, LAST_SUCCESSFUL_TIME, TERMINATED
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotApplicableError, NotJudgedError, behaviour_rule
 from fmus.compliance.script import Reply, Script
 from fmus.compliance.values import unless_claimed
+from fmus.fmi.binding import DISCARD, LAST_SUCCESSFUL_TIME, TERMINATED
 
 _MANY_STEPS = 16
 

@@ -8,11 +8,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from fmus.binding import library_member
 from fmus.compliance.variable import Variable, integer, is_true
 from fmus.extras import require
 from fmus.files import extract_archive, too_large
-from fmus.fmi_types import TYPES
+from fmus.fmi.binding import library_member
+from fmus.fmi.variable_types import TYPES
 
 etree: Any = require("lxml.etree", "check", "a check of FMUs")  # without types
 DESCRIPTION = "modelDescription.xml"

@@ -8,7 +8,7 @@ from typing import Any
 
 from fmus.compliance.rule import DEFECT
 from fmus.compliance.script import CallError, DefectError
-from fmus.process import WorkerProcess
+from fmus.fmi.process import WorkerProcess
 
 Call = tuple[Any, ...]  # a method of `LoadedFmu` and its arguments
 START_S = 60.0  # for the interpreter, whatever the rules take

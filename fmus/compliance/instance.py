@@ -10,12 +10,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from fmus.binding import DISCARD, ERROR, FATAL, WARNING, Library
-from fmus.callbacks import CountingAllocator
 from fmus.compliance.called_instance import CalledInstance
 from fmus.compliance.process_settings import ProcessSettings
 from fmus.compliance.rule import defect
-from fmus.process import Parent
+from fmus.fmi.binding import DISCARD, ERROR, FATAL, WARNING, Library
+from fmus.fmi.callbacks import CountingAllocator
+from fmus.fmi.process import Parent
 
 MOST_MEMORY = 4 << 30  # bytes
 MOST_OF_A_FILE = 1 << 30  # bytes

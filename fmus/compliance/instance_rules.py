@@ -4,11 +4,11 @@ import itertools
 import time
 from collections.abc import Iterator
 
-from fmus.binding import ERROR
 from fmus.compliance.comparison import differing, failing_or_differing
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import NotJudgedError, behaviour_rule
 from fmus.compliance.values import if_not_claimed, other_values, settable_before
+from fmus.fmi.binding import ERROR
 
 _STATUS = "2.1.3 Status Returned by Functions"
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"

@@ -17,7 +17,7 @@ from fmus.compliance.rule import (
     messages_of,
 )
 from fmus.compliance.script import CallError, DefectError
-from fmus.process import ProcessEndedError
+from fmus.fmi.process import ProcessEndedError
 
 FUNDAMENTAL = (
     "library-loads", "instantiates-and-frees", "steps-and-terminates", "frees-in-every-state",

@@ -14,7 +14,7 @@ from typing import Any
 
 from fmus.errors import MissingExtraError
 from fmus.extras import imports_of
-from fmus.process import Parent, ProcessEndedError, WorkerProcess
+from fmus.fmi.process import Parent, ProcessEndedError, WorkerProcess
 
 LIMIT_S = 60.0  # for the import of LIEF, and for a library where no other limit is given
 Member = tuple[str, str, bytes]

@@ -3,10 +3,10 @@
 from collections.abc import Iterator, Sequence
 from weakref import WeakKeyDictionary
 
-from fmus.binding import platform_name
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.library_reader import LIMIT_S, Library, Reading
 from fmus.compliance.rule import IS_BROKEN, Level, NotJudgedError, Stage, rule
+from fmus.fmi.binding import platform_name
 
 _BINARIES = "2.3 FMU Distribution (binaries)"
 _MACHINES = {

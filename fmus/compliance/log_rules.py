@@ -5,13 +5,13 @@ from collections.abc import Iterator, Sequence
 from functools import cache
 from itertools import takewhile
 
-from fmus.binding import OK, WARNING
 from fmus.compliance.comparison import failing_or_differing
 from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotApplicableError, behaviour_rule
 from fmus.compliance.script import CallError, Message, Script
 from fmus.compliance.session import NAME, session
+from fmus.fmi.binding import OK, WARNING
 
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
 _ONLY_ONCE = "canBeInstantiatedOnlyOncePerProcess"

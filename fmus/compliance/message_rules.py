@@ -3,12 +3,12 @@
 import re
 from collections.abc import Iterator
 
-from fmus.binding import WARNING
 from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.log_rules import calls_that_log, declared_categories, messages_of_a_session
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotJudgedError, behaviour_rule
 from fmus.compliance.session import NAME
+from fmus.fmi.binding import WARNING
 
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
 _NUMBER = r"(?:\*(?:\d+\$)?|\d+)"  # a width or a precision, also as an argument

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from fmus.callbacks import AllocateMemory, CountingAllocator, FreeMemory, Log, Logger
 from fmus.compliance.process_settings import ProcessSettings
+from fmus.fmi.callbacks import AllocateMemory, CountingAllocator, FreeMemory, Log, Logger
 
 _MOST_MESSAGES = 1000
 

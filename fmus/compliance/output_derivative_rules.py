@@ -4,7 +4,6 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 
-from fmus.binding import DISCARD, ERROR
 from fmus.compliance.comparison import same, texts
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.input_derivative_rules import INTERPOLATES
@@ -15,6 +14,7 @@ from fmus.compliance.script import Reply
 from fmus.compliance.slopes import Comparison, compared, read_in_steps, with_short_steps, wrong_slope
 from fmus.compliance.values import continuous_reals, references_of, unless_claimed
 from fmus.compliance.variable import Variable
+from fmus.fmi.binding import DISCARD, ERROR
 
 _TRANSFER = "4.2.1 Transfer of Input / Output Values and Parameters"
 _FAR = 10.0  # times: a derivative of one communication point, and not of the next

@@ -8,13 +8,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
-from fmus.binding import DISCARD, ERROR, OK, TERMINATED, WARNING
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.fmu_process import Call, FmuProcess, start_process
 from fmus.compliance.rule import NotApplicableError, NotJudgedError
 from fmus.compliance.script import CallError, Message, Reply, Script
 from fmus.compliance.variable import Variable, number
-from fmus.process import WorkerProcess
+from fmus.fmi.binding import DISCARD, ERROR, OK, TERMINATED, WARNING
+from fmus.fmi.process import WorkerProcess
 
 T = TypeVar("T")
 _LICENCE = re.compile("licen[cs]e", re.IGNORECASE)

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from fmus.build.documentation.reference_files import LS_REF
 from fmus.compliance.fmu_file import BrokenMemberError, FmuFile, parsed_xml
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import behaviour_rule
 from fmus.compliance.variable import Variable, number
-from fmus.documentation.reference_files import LS_REF
 
 _FOLDER = f"extra/{LS_REF}/"
 _UNDERSTOOD = {"TransientSimulation", "Stimuli", "References"}

@@ -4,9 +4,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from fmus.binding import WARNING, status_name
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.variable import Variable
+from fmus.fmi.binding import WARNING, status_name
 
 KINDS = ("Real", "Integer", "Boolean", "String")
 UNWRITTEN = "values"  # among what a call changed: those that were asked for were not

@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from fmus.binding import ERROR, OK
 from fmus.compliance.comparison import RESTARTED, differing, failing_or_differing, same, texts, unlike
 from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe
@@ -21,6 +20,7 @@ from fmus.compliance.values import (
     values_out_of_range,
 )
 from fmus.compliance.variable import Variable
+from fmus.fmi.binding import ERROR, OK
 
 _PLATFORM = "2.1.2 Platform Dependent Definitions (fmi2TypesPlatform.h)"
 _INITIALIZATION = "2.1.6 Initialization, Termination, and Resetting an FMU"

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 
-from fmus.binding import ERROR
 from fmus.compliance.accepted import accepted_together
 from fmus.compliance.comparison import differing, failing_or_differing
 from fmus.compliance.instance_rules import unknown_reference
@@ -16,6 +15,7 @@ from fmus.compliance.values import (
     settable_while_stepping,
     unless_claimed,
 )
+from fmus.fmi.binding import ERROR
 
 _CLAUSE = "2.1.8 Getting and Setting the Complete FMU State"
 _SAVES, _SERIALISES = "canGetAndSetFMUstate", "canSerializeFMUstate"

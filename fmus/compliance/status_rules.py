@@ -2,11 +2,11 @@
 
 from collections.abc import Iterable, Iterator
 
-from fmus.binding import DISCARD, LAST_SUCCESSFUL_TIME, OK, PENDING, TERMINATED, status_name
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, NotJudgedError, behaviour_rule
 from fmus.compliance.script import Reply
 from fmus.compliance.session import session
+from fmus.fmi.binding import DISCARD, LAST_SUCCESSFUL_TIME, OK, PENDING, TERMINATED, status_name
 
 _STATUS = "2.1.3 Status Returned by Functions"
 _STATUS_KINDS = ("fmi2DoStepStatus", "fmi2PendingStatus", "fmi2LastSuccessfulTime", "fmi2Terminated")

@@ -3,7 +3,6 @@
 import itertools
 from collections.abc import Iterator
 
-from fmus.binding import DISCARD, ERROR
 from fmus.compliance.comparison import differing, failing_or_differing, steadily, texts
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.instance_rules import unknown_reference
@@ -12,6 +11,7 @@ from fmus.compliance.rule import Level, NotApplicableError, NotJudgedError, beha
 from fmus.compliance.script import Reading, Reply, Script
 from fmus.compliance.session import LARGE_TOLERANCE, TOLERANCE, run_with_tolerance
 from fmus.compliance.values import continuous_reals, unless_claimed
+from fmus.fmi.binding import DISCARD, ERROR
 
 _SETUP = "2.1.6 Initialization, Termination, and Resetting an FMU (fmi2SetupExperiment)"
 _COMPUTATION = "4.2.2 Computation (fmi2DoStep)"

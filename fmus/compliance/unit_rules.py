@@ -3,11 +3,11 @@
 from collections.abc import Iterator
 from typing import Any
 
+from fmus.block.units import BASE_UNITS
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.rule import Level, Stage, repeated, rule
 from fmus.compliance.variable import integer, number
 from fmus.errors import nearest
-from fmus.units import BASE_UNITS
 
 _CLAUSE = "2.2.2 Definition of Units (UnitDefinitions)"
 _TYPES = "2.2.3 Definition of Types (TypeDefinitions)"

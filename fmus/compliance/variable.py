@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from fmus.fmi_types import TRANSFER_TYPE
+from fmus.fmi.variable_types import TRANSFER_TYPE
 
 # (causality, variability) -> values that `initial` may have, the default first
 INITIAL = {

@@ -14,7 +14,7 @@ def main() -> None:
     With L1_DEPTH_DEBUG set, an error that is not foreseen comes with its traceback.
     """
     try:
-        from fmus.watched import run_watched
+        from fmus.fmi.parent_process import run_watched
 
         status = run_watched(run_interruptible)
     except KeyboardInterrupt:  # before there is a handler

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from fmus.fmi_types import FmiValue
+from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.assigned_text import AssignedText
 from orchestration.system.open_inputs import OpenInputs

@@ -7,11 +7,11 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from fmus import stamp
+from fmus.build import stamp
+from fmus.fmi.description import start_value
 from fmus.registry import Flavour
 from orchestration.cli.changes import NO_CHANGES, Changes
 from orchestration.errors import ScenarioError, ScenarioWarning, SystemDefinitionError
-from orchestration.fmi.description import start_value
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
 
@@ -67,17 +67,17 @@ def build_missing_fmus(scenarios: Iterable[Scenario]) -> None:
 
 def _build_missing(fmus: Iterable[Path]) -> None:
     if stale := stamp.stale(fmus):
-        from fmus import catalogue  # which loads what builds FMUs
+        from fmus.build import builder  # which loads what builds FMUs
 
-        catalogue.build_missing(stale)
+        builder.build_missing(stale)
 
 
 def _fmu_of_file(path: Path, flavour: Flavour) -> Path:
     if current := stamp.Stamps().current(stamp.order_of_file(path, flavour), to_run=True):
         return current[0]
-    from fmus import catalogue
+    from fmus.build import builder
 
-    return catalogue.fmu_of_file(path, flavour)
+    return builder.fmu_of_file(path, flavour)
 
 
 @contextmanager

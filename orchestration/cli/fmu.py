@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fmus.build.stamp import Order, Stamps
 from fmus.errors import ExportError
 from fmus.platforms import PLATFORMS, check_platforms
 from fmus.registry import FOLDER_VARIABLE, Flavour, block_names, fmu_folder
-from fmus.stamp import Order, Stamps
 from orchestration.cli.shared import FlavourOption, fail, print_table, progress, refuse_without_effect
 
 if TYPE_CHECKING:
-    from orchestration.fmi.model_description import ScalarVariable
+    from fmus.fmi.model_description import ScalarVariable
 
 _FOLDERS = {Flavour.NATIVE: Path("fmus-built"), Flavour.PYTHON: Path("fmus-built", "python")}
 Current = Mapping[Order, Sequence[Path] | None]
@@ -27,7 +27,7 @@ def new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Of the file, such as pid or depth_pid.")],
 ) -> None:
     """Write a block to start from, NAME.py, and its test: a PID controller of depth."""
-    from fmus.new_block import write_new_block
+    from fmus.build.new_block import write_new_block
 
     for path in write_new_block(name, Path()):
         print(path)
@@ -137,11 +137,11 @@ def _names(order: Order) -> list[str]:
     """The names of the blocks of an order: an installed one has that of its entry point."""
     if order.source in block_names():
         return [order.source]
-    from fmus import catalogue
-    from fmus.block_file import blocks_in
+    from fmus.block.block_file import blocks_in
+    from fmus.build import builder
 
     if not order.file:
-        return [catalogue.load_block(order.source).name]  # raises ExportError
+        return [builder.load_block(order.source).name]  # raises ExportError
     with blocks_in(Path(order.source)) as blocks:
         return [block.name for block in blocks]
 
@@ -150,9 +150,9 @@ def _built(orders: Sequence[Order], current: Current) -> Generator[Sequence[Path
     """What each order makes, or why it cannot; only those that are not as they would be built are built."""
     stale = [order for order in orders if not current.get(order)]
     if stale:
-        from fmus import catalogue  # which loads what builds FMUs
+        from fmus.build import builder  # which loads what builds FMUs
 
-        built = catalogue.build_orders(stale)
+        built = builder.build_orders(stale)
         yield from (current.get(order) or next(built) for order in orders)
     else:
         yield from (current[order] or () for order in orders)
@@ -184,7 +184,7 @@ def check(
     from fmus.compliance.check import FORMATS, NO_VERDICT, explain
     from fmus.compliance.check import check as count_errors
     from fmus.errors import HostError
-    from orchestration.fmi.description import describe
+    from fmus.fmi.description import describe
 
     if rule:
         try:
@@ -212,7 +212,7 @@ def inspect(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
 ) -> None:
     """Show what an FMU is, and each variable with its unit, range and start value."""
-    from orchestration.fmi.description import describe_any
+    from fmus.fmi.description import describe_any
 
     description = describe_any(fmu)
     document = {

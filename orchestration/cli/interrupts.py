@@ -17,7 +17,7 @@ from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
-from fmus.watched import end_is_meant, share_temporary_folder
+from fmus.fmi.parent_process import end_is_meant, share_temporary_folder
 
 INTERRUPTED = 130  # exit status that shells expect after Ctrl-C
 SAME_S = 1.0  # a signal that soon after the first is the same one, passed on by a shell for instance
@@ -29,7 +29,7 @@ def interruptible() -> Iterator[None]:
     """SIGINT, SIGTERM and SIGHUP end what is inside with status 130.
 
     Temporary files of this process and of those that it starts are in one folder, which is removed at the
-    end. Worker processes end with this one, see `fmus.process`.
+    end. Worker processes end with this one, see `fmus.fmi.process`.
     """
     interrupt = _Interrupt()
     try:

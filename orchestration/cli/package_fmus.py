@@ -4,25 +4,25 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from fmus import catalogue
-from fmus.fmi_types import FmiValue
+from fmus.block.start_values import with_start_values
+from fmus.block.units import BASE_UNITS
+from fmus.build import builder
+from fmus.build.ramp_source import ramp_source
+from fmus.fmi.variable_types import FmiValue
 from fmus.platforms import PLATFORMS
-from fmus.ramp_source import ramp_source
 from fmus.registry import Flavour, block_fmus
-from fmus.start_values import with_start_values
-from fmus.units import BASE_UNITS
 from orchestration.exchange.signal_sources import RampSource
 
 
 def build_ramp_source(source: RampSource, folder: Path) -> Path:
     """Write the FMU of a source to a folder, for the platforms of the FMU that it drives.
 
-    Its output has no unit where `fmus.units` does not know the input's: its values are then in that unit too.
+    Its output has no unit where `fmus.block.units` does not know the input's: its values are then in that unit too.
     """
     unit = source.unit if source.unit in BASE_UNITS else None
     block = ramp_source(f"Ramps_{source.name}", source.name, unit, source.points)
     block = with_start_values(block, source.starts)
-    return catalogue.build_block(block, folder, platforms=_platforms(source.driven))
+    return builder.build_block(block, folder, platforms=_platforms(source.driven))
 
 
 def build_started(fmu: Path, starts: Mapping[str, FmiValue], folder: Path) -> Path:
@@ -36,8 +36,8 @@ def build_started(fmu: Path, starts: Mapping[str, FmiValue], folder: Path) -> Pa
     ((name, flavour),) = known
     if flavour is not Flavour.NATIVE:
         return fmu
-    block = with_start_values(catalogue.load_block(name), numbers)
-    return catalogue.build_block(block, folder, platforms=_platforms(fmu))
+    block = with_start_values(builder.load_block(name), numbers)
+    return builder.build_block(block, folder, platforms=_platforms(fmu))
 
 
 def _platforms(fmu: Path) -> Sequence[str]:

@@ -75,8 +75,8 @@ def run(
 ) -> None:
     """Run one scenario, and write its recording (CSV or Parquet), its metrics (JSON) and a figure."""
     from orchestration.cli import chosen_scenario
-    from orchestration.master.checkpoint import Checkpoints, read_checkpoint
     from orchestration.results.tables import metrics_table
+    from orchestration.run.checkpoint import Checkpoints, read_checkpoint
     from orchestration.scenarios import run_files
 
     written_formats = figure_formats(formats)

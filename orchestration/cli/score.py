@@ -12,9 +12,9 @@ from orchestration.cli.changes import ControllerMapOption, ControllerSetOption, 
 from orchestration.cli.shared import OutFolder, check_writable, console, print_table, progress
 
 if TYPE_CHECKING:
-    from orchestration.study.score import ScoreResult
-    from orchestration.study.score_document import Score
-    from orchestration.study.score_view import ScoreTable
+    from orchestration.score.score import ScoreResult
+    from orchestration.score.score_document import Score
+    from orchestration.score.score_view import ScoreTable
 
 ProtocolOption = Annotated[
     Path | None,
@@ -47,8 +47,8 @@ def score(
 ) -> None:
     """Score a controller on the simulated vehicle: terminal tables, score.json and an interactive page."""
     from orchestration.cli.scored_controllers import scored_controllers
-    from orchestration.study import score as scoring
-    from orchestration.study.protocol import read_protocol
+    from orchestration.score import score as scoring
+    from orchestration.score.protocol import read_protocol
 
     protocol = read_protocol(protocol_file) if protocol_file else read_protocol()
     chosen = scored_controllers(controllers, league, settings, mapped, open_inputs)

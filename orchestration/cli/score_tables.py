@@ -6,9 +6,9 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from orchestration.study import score_view
-from orchestration.study.score_document import Score
-from orchestration.study.score_view import Cell, ScoreTable
+from orchestration.score import score_view
+from orchestration.score.score_document import Score
+from orchestration.score.score_view import Cell, ScoreTable
 
 BEST, FAILED = "*", "!"
 _COLUMN_WIDTH = 13  # with its padding and its edge

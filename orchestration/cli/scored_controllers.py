@@ -5,7 +5,7 @@ from pathlib import Path
 
 from orchestration.cli.changes import CONTROLLER, Changes
 from orchestration.errors import ScenarioError
-from orchestration.study.loop import Controller
+from orchestration.score.loop import Controller
 from orchestration.system.open_inputs import OpenInputs
 
 
@@ -17,7 +17,7 @@ def scored_controllers(
     open_inputs: OpenInputs | None,
 ) -> list[Controller]:
     """The FMUs, blocks and Python files of blocks; settings and mapping are of the only one."""
-    from fmus import catalogue
+    from fmus.build import builder
 
     changes = Changes.of_options("", settings, mapped, open_inputs)
     if len(names) > 1 and (settings or mapped):
@@ -34,7 +34,7 @@ def scored_controllers(
     return [
         Controller(
             name=Path(name).stem,
-            fmu=str(catalogue.fmu_of_file(Path(name)) if name.endswith(".py") else name),
+            fmu=str(builder.fmu_of_file(Path(name)) if name.endswith(".py") else name),
             league=league,
             parameters=own,
             mapping=mapping,

@@ -25,9 +25,9 @@ from orchestration.errors import ScenarioError
 from orchestration.system.open_inputs import OpenInputs
 
 if TYPE_CHECKING:
-    from orchestration.study.loop import Controller
-    from orchestration.study.protocol import Protocol
-    from orchestration.study.tune import Evaluate, Problem, Tuning
+    from orchestration.score.loop import Controller
+    from orchestration.score.protocol import Protocol
+    from orchestration.score.tune import Evaluate, Problem, Tuning
 
 
 def tune(
@@ -63,10 +63,10 @@ def tune(
     open_inputs: OpenInputsOption = None,
 ) -> None:
     """Search the gains of least cost on practice cases of the protocol; an interrupted tuning continues."""
-    from orchestration.study import tune_file, tune_problem, tune_space
-    from orchestration.study.loop import Loop
-    from orchestration.study.protocol import read_protocol
-    from orchestration.study.tune_ensembles import evaluations as started
+    from orchestration.score import tune_file, tune_problem, tune_space
+    from orchestration.score.loop import Loop
+    from orchestration.score.protocol import read_protocol
+    from orchestration.score.tune_ensembles import evaluations as started
 
     protocol = read_protocol()
     controller = _controller(name, league, settings, mapped, open_inputs, protocol)
@@ -99,7 +99,7 @@ def _search(
     bar: ProgressBar,
 ) -> "Tuning":
     """The tuning; an interruption ends the command with a message that says what is done."""
-    from orchestration.study.tune import tune as search
+    from orchestration.score.tune import tune as search
 
     total, done = evaluations * len(problem.gains) * (len(seeds) + 1), 0
 
@@ -128,7 +128,7 @@ def _controller(
     """The controller of the protocol, or of an FMU, with what the options change."""
     from fmus.registry import block_names
     from orchestration.cli.scored_controllers import scored_controllers
-    from orchestration.study.loop import built_in
+    from orchestration.score.loop import built_in
 
     known = [*protocol.controllers, *block_names()]
     if name not in known and not name.endswith((".py", ".fmu")):
@@ -179,8 +179,8 @@ def compare(
     Writes comparison.json, comparison.md with the tables, and an interactive page.
     """
     from fmus.files import write_text_atomically
-    from orchestration.study import compare as comparison
-    from orchestration.study.protocol import read_protocol
+    from orchestration.score import compare as comparison
+    from orchestration.score.protocol import read_protocol
 
     protocol = read_protocol(protocol_file) if protocol_file else read_protocol()
     check_writable(out)

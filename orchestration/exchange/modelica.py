@@ -10,7 +10,9 @@ from importlib import resources
 from pathlib import Path
 
 from fmus.files import extract_archive
-from fmus.fmi_types import NUMBERS
+from fmus.fmi.description import describe
+from fmus.fmi.model_description import ModelDescription
+from fmus.fmi.variable_types import NUMBERS
 from fmus.platforms import FMPY
 from orchestration.errors import ScenarioError
 from orchestration.exchange.limits import (
@@ -29,8 +31,6 @@ from orchestration.exchange.modelica_blocks import (
     vectors,
 )
 from orchestration.exchange.template_files import filled
-from orchestration.fmi.description import describe
-from orchestration.fmi.model_description import ModelDescription
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.prepared_run import PreparedRun, Setting, prepare
 from orchestration.system.system import CheckedSystem

@@ -3,11 +3,11 @@
 import json
 from collections.abc import Iterable, Mapping
 
-from fmus.fmi_types import TRANSFER_TYPE, FmiValue
+from fmus.fmi.description import of_causality, start_value
+from fmus.fmi.model_description import ModelDescription, ScalarVariable
+from fmus.fmi.variable_types import TRANSFER_TYPE, FmiValue
 from orchestration.errors import ScenarioError
 from orchestration.exchange.template_files import filled
-from orchestration.fmi.description import of_causality, start_value
-from orchestration.fmi.model_description import ModelDescription, ScalarVariable
 
 
 def block(name: str, description: ModelDescription, step_size: float) -> str:

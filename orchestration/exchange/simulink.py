@@ -7,7 +7,9 @@ import re
 from pathlib import Path
 from shutil import copyfile
 
-from fmus.fmi_types import NUMBERS, FmiValue
+from fmus.fmi.description import of_causality, start_value
+from fmus.fmi.model_description import ScalarVariable
+from fmus.fmi.variable_types import NUMBERS, FmiValue
 from orchestration.errors import ScenarioError
 from orchestration.exchange.limits import (
     check_plain_connections,
@@ -16,8 +18,6 @@ from orchestration.exchange.limits import (
     straight_points,
 )
 from orchestration.exchange.template_files import filled
-from orchestration.fmi.description import of_causality, start_value
-from orchestration.fmi.model_description import ScalarVariable
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.prepared_run import Setting, prepare
 from orchestration.system.system import CheckedSystem, Port

@@ -3,7 +3,7 @@
 from xml.etree.ElementTree import Element
 
 from fmus.errors import nearest
-from fmus.fmi_types import FmiValue
+from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
 from orchestration.exchange.ssp_package import OpenedPackage
 from orchestration.exchange.ssp_xml import read_value, tag

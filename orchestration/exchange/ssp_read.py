@@ -16,12 +16,12 @@ from xml.etree.ElementTree import Element
 
 from fmus.errors import nearest
 from fmus.files import extract_archive
+from fmus.fmi.description import describe, of_causality, start_value
+from fmus.fmi.model_description import ModelDescription
 from orchestration.errors import ScenarioError
 from orchestration.exchange.ssp_package import OpenedPackage
 from orchestration.exchange.ssp_parameters import Values, bound_values, chosen_values
 from orchestration.exchange.ssp_xml import STRUCTURE, tag
-from orchestration.fmi.description import describe, of_causality, start_value
-from orchestration.fmi.model_description import ModelDescription
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System

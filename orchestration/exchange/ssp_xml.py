@@ -4,7 +4,7 @@ from contextlib import suppress
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from fmus.fmi_types import FmiValue
+from fmus.fmi.variable_types import FmiValue
 
 _STANDARD = "http://ssp-standard.org/SSP1/SystemStructure"
 NAMESPACES = {

@@ -9,7 +9,7 @@ from time import perf_counter
 
 import cloudpickle
 
-from fmus.process import Parent, ProcessEndedError, WorkerProcess
+from fmus.fmi.process import Parent, ProcessEndedError, WorkerProcess
 from orchestration.errors import OrchestrationError, SweepError
 from orchestration.many.job import Changes, Done, Failure, Job, changed, differences
 from orchestration.many.runners import BATCH_S, ClosedError, Simulated

@@ -9,14 +9,14 @@ from pathlib import Path
 from queue import SimpleQueue
 from tempfile import TemporaryDirectory
 
-from fmus.lanes import LANES
+from fmus.fmi.description import describe, is_independent
+from fmus.native.lanes import LANES
 from orchestration.errors import EnsembleError, FmuWarning
-from orchestration.fmi.description import describe, is_independent
 from orchestration.many.batches import Batches, Finished, Run
+from orchestration.many.ensemble_choice import check_ensemble
 from orchestration.many.isolated import Isolated
 from orchestration.many.job import Job
 from orchestration.many.runners import Runner, Simulated, Vectorised
-from orchestration.master.ensemble_choice import check_ensemble
 
 _BATCH_BYTES = 2**24  # of recorded values, if a group of vectors has less
 _Batch = tuple[list[Finished], Sequence[Run], float]  # what is done, what is left, and seconds

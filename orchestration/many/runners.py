@@ -7,10 +7,10 @@ from time import perf_counter, thread_time
 from typing import Any, Protocol
 
 from orchestration.errors import EnsembleError, OrchestrationError
+from orchestration.many.ensemble import Ensemble
 from orchestration.many.job import ENTRIES, Done, Failure, Job
-from orchestration.master.ensemble import Ensemble
-from orchestration.master.simulator import Simulator
 from orchestration.results.recording import Recording
+from orchestration.run.simulator import Simulator
 from orchestration.system.experiment import Experiment
 
 BATCH_S = 0.25

@@ -7,9 +7,9 @@ import numpy as np
 
 from orchestration.report.embedded import packed
 from orchestration.report.render import page
-from orchestration.study import score_view
-from orchestration.study.score import ScoreResult
-from orchestration.study.score_document import OF_A_ROW, Score
+from orchestration.score import score_view
+from orchestration.score.score import ScoreResult
+from orchestration.score.score_document import OF_A_ROW, Score
 
 _SCRIPTS = ("common.js", "tables.js", "score.js")
 _LINES = ("depth", "u")

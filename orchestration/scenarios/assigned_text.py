@@ -2,7 +2,7 @@
 
 import tomllib
 
-from fmus.fmi_types import FmiValue
+from fmus.fmi.variable_types import FmiValue
 
 
 class AssignedText(str):

@@ -4,8 +4,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from fmus.fmi.model_description import ScalarVariable
 from orchestration.errors import SystemDefinitionError
-from orchestration.fmi.model_description import ScalarVariable
 from orchestration.results.metrics import SIGNALS
 from orchestration.scenarios.layers import Data, Layer, source_of, with_events
 from orchestration.scenarios.replaced import Replacement

@@ -17,9 +17,9 @@ import tomli_w
 
 from fmus.files import write_text_atomically
 from orchestration.errors import OrchestrationError
-from orchestration.master import simulate
 from orchestration.results import metrics
 from orchestration.results.metric_units import metric_units, with_units
+from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from orchestration.scenarios.published import PUBLISHED, Published
 from orchestration.scenarios.worker_pool import Submit, worker_pool

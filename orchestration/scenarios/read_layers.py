@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from fmus.errors import nearest
-from fmus.fmi_types import FmiValue
+from fmus.fmi.variable_types import FmiValue
 from fmus.registry import block_names
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.assigned_text import AssignedText

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from fmus.fmi.model_description import ModelDescription
 from orchestration.errors import ScenarioError, ScenarioWarning
-from orchestration.fmi.model_description import ModelDescription
 from orchestration.scenarios.layers import Data, Layer
 from orchestration.system.system import Port
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 from fmus.files import lasting_folder, write_json_atomically
 from orchestration.errors import OrchestrationError, SimulationError
-from orchestration.master.checkpoint import Checkpoint, Checkpoints
-from orchestration.master.one_run import simulate_prepared
 from orchestration.results import metrics
 from orchestration.results.files import reserved
 from orchestration.results.formats import RecordingFormat
 from orchestration.results.metric_units import MetricDocument, metric_units, with_units
 from orchestration.results.recording import Recording
+from orchestration.run.checkpoint import Checkpoint, Checkpoints
+from orchestration.run.one_run import simulate_prepared
 from orchestration.scenarios.scenario import Scenario
 
 

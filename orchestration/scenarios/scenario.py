@@ -10,11 +10,11 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
-from fmus.fmi_types import FmiValue
+from fmus.fmi.description import describe
+from fmus.fmi.model_description import ModelDescription
+from fmus.fmi.variable_types import FmiValue
 from fmus.registry import Flavour, fmu_path
 from orchestration.errors import ScenarioError, SystemDefinitionError
-from orchestration.fmi.description import describe
-from orchestration.fmi.model_description import ModelDescription
 from orchestration.results import metrics
 from orchestration.scenarios.adapters import adapted, mappings, with_chosen_entries
 from orchestration.scenarios.declarations import fault, signal

@@ -8,12 +8,12 @@ from typing import Protocol
 import numpy as np
 
 from orchestration.errors import EnsembleError, OrchestrationError
-from orchestration.master import Simulator
-from orchestration.master.ensemble import Ensemble
-from orchestration.master.ensemble_choice import check_ensemble
-from orchestration.master.saved_state import SavedState
-from orchestration.master.stepped_ensemble import SteppedEnsemble
+from orchestration.many.ensemble import Ensemble
+from orchestration.many.ensemble_choice import check_ensemble
+from orchestration.many.stepped_ensemble import SteppedEnsemble
 from orchestration.results.recording import Recording
+from orchestration.run import Simulator
+from orchestration.run.saved_state import SavedState
 from orchestration.scenarios.task import Task
 from orchestration.system.experiment import Experiment
 from orchestration.system.open_inputs import OpenInputs

@@ -6,7 +6,7 @@ from contextlib import ExitStack, closing, contextmanager
 from queue import SimpleQueue
 from typing import Any
 
-from fmus.process import Parent, ProcessEndedError, WorkerProcess
+from fmus.fmi.process import Parent, ProcessEndedError, WorkerProcess
 from orchestration.errors import OrchestrationError
 
 Submit = Callable[..., Future[Any]]

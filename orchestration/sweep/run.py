@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fmus.fmi_types import FmiValue
+from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import SweepError
 from orchestration.many.batches import Batches, Finished, Place, Run
 from orchestration.many.job import Failure, Job

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from fmus.errors import nearest
-from fmus.fmi_types import FmiValue
+from fmus.fmi.description import start_value
+from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
-from orchestration.fmi.description import start_value
 from orchestration.system.experiment import Algorithm, Experiment
 from orchestration.system.signals import Constant
 from orchestration.system.system import CheckedSystem, Port

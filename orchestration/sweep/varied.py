@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from fmus.fmi_types import FmiValue
+from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import OrchestrationError, ScenarioError
 from orchestration.scenarios.file_tables import Table
 from orchestration.sweep.distributions import distribution

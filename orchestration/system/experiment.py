@@ -13,8 +13,8 @@ from typing import Any, Literal
 import numpy as np
 
 from fmus.errors import nearest
+from fmus.fmi.description import describe
 from orchestration.errors import SystemDefinitionError
-from orchestration.fmi.description import describe
 from orchestration.system.faults import Fault
 from orchestration.system.open_inputs import OpenInputs
 from orchestration.system.signals import Signal

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from fmus.fmi_types import NUMBERS, FmiValue
+from fmus.fmi.description import start_value
+from fmus.fmi.model_description import ScalarVariable
+from fmus.fmi.variable_types import NUMBERS, FmiValue
 from orchestration.errors import SystemDefinitionError
-from orchestration.fmi.description import start_value
-from orchestration.fmi.model_description import ScalarVariable
 from orchestration.system.coarser import coarser
 from orchestration.system.experiment import Experiment
 from orchestration.system.experiment_checks import (

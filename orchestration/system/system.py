@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from fmus.errors import nearest
+from fmus.fmi.description import describe, of_causality
+from fmus.fmi.model_description import ModelDescription, ScalarVariable
 from orchestration.errors import SystemDefinitionError
-from orchestration.fmi.description import describe, of_causality
-from orchestration.fmi.model_description import ModelDescription, ScalarVariable
 from orchestration.system.open_inputs import OpenInputs
 from orchestration.system.transformation import LinearTransformation
 

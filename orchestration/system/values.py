@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from fmus.fmi_types import INTEGER_RANGE, FmiValue
+from fmus.fmi.variable_types import INTEGER_RANGE, FmiValue
 from orchestration.errors import SystemDefinitionError
 from orchestration.system.system import Port
 

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from orchestration.fmi.description import describe
+from fmus.fmi.description import describe
 from orchestration.scenarios.scenario import Scenario
 
 # of the sensor, what no other program can repeat: noise, and rounding to a resolution

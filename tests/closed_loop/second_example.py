@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from fmus import compiled_library
+from fmus.native import compiled_library
 from fmus.user_cache import cache_folder
 
 NUMBERS: dict[str, float] = {

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from functools import cache
 
-from orchestration.master import simulate
+from orchestration.run import simulate
 from orchestration.scenarios.scenario import Scenario
 from tests.closed_loop.same_experiment import component_values, slope
 from tests.closed_loop.second_program import L1Case

@@ -15,8 +15,8 @@ from controller_fmu.l1 import depth_controller
 from controller_fmu.l1.augmentation import Augmentation
 from controller_fmu.l1.matrices import LawMatrices
 from controller_fmu.l1.projection import project
-from orchestration.master import simulate
 from orchestration.results.recording import Recording
+from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from orchestration.system.experiment import Algorithm
 from plant_fmu import depth_plant

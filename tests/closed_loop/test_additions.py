@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from fmus.registry import Flavour
-from orchestration.master import simulate
 from orchestration.results import metrics
 from orchestration.results.recording import Recording
+from orchestration.run import simulate
 from orchestration.scenarios import scenario
 
 OMEGA, W = 0.2, 160.0  # rad/s: of the example's reference, and bandwidth of its filter

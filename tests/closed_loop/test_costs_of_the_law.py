@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from controller_fmu.l1 import depth_controller, law, lowpass
-from fmus import catalogue
-from fmus.export import symbolic
-from orchestration.master import Simulator
+from fmus.build import builder, symbolic
 from orchestration.results.metrics import evaluate
 from orchestration.results.recording import Recording
+from orchestration.run import Simulator
 from orchestration.scenarios import scenario
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -29,7 +28,7 @@ def no_anti_windup(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[
         law, "integrate_error", lambda h, integral, error, saturation_error: integral + h * error
     )
     symbolic.traced.cache_clear()
-    yield catalogue.build_block(depth_controller.BLOCK, tmp_path)
+    yield builder.build_block(depth_controller.BLOCK, tmp_path)
     symbolic.traced.cache_clear()
 
 

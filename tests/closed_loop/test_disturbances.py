@@ -9,9 +9,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from fmus.registry import Flavour, fmu_path
-from orchestration.master import simulate
 from orchestration.results import metrics
 from orchestration.results.recording import Recording
+from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from orchestration.system.experiment import Experiment
 from orchestration.system.open_inputs import OpenInputs

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from orchestration.errors import FmuWarning
-from orchestration.master import Simulator
 from orchestration.results.recording import ERROR_ESTIMATE
+from orchestration.run import Simulator
 from orchestration.scenarios import scenario
 
 pytestmark = pytest.mark.usefixtures("scenario_fmus")

@@ -13,8 +13,8 @@ import pytest
 from controller_fmu.l1 import law as l1
 from controller_fmu.l1 import siso_controller
 from controller_fmu.l1.feedforward import ReferenceFeedforward, reference_feedforward
-from orchestration.master import simulate
 from orchestration.results import metrics
+from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from orchestration.scenarios.run_files import Result
 from plant_fmu import example_plant

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from fmus.registry import Flavour
-from orchestration.master import simulate
 from orchestration.results import metrics
 from orchestration.results.recording import Recording
+from orchestration.run import simulate
 from orchestration.scenarios import reproduce, scenario
 from orchestration.scenarios.run_files import Result
 

@@ -10,13 +10,13 @@ import fmpy
 import numpy as np
 import pytest
 
-from fmus import catalogue
-from fmus.export.toolchain import compile_library
+from fmus.build import builder
+from fmus.build.new_block import write_new_block
 from fmus.files import write_archive
-from fmus.new_block import write_new_block
+from fmus.native.toolchain import compile_library
 from fmus.platforms import host_platform, library_name
-from orchestration.master import simulate
 from orchestration.results.recording import Recording
+from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from tests.page_examples import examples
 
@@ -53,7 +53,7 @@ def test_a_controller_in_c_gives_the_depth_of_the_same_block(
     scenario_fmus: None, c_pid: Path, tmp_path: Path
 ) -> None:
     (block, *_) = write_new_block("pid", tmp_path)
-    own, foreign = run_with(catalogue.fmu_of_file(block)), run_with(c_pid)
+    own, foreign = run_with(builder.fmu_of_file(block)), run_with(c_pid)
     depth = own["plant.depth"]
     assert depth.max() > 0.2  # m: it dives
     np.testing.assert_allclose(foreign["plant.depth"], depth, rtol=0.0, atol=1e-6)  # m

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from fmus import catalogue
+from fmus.build import builder
 from orchestration.scenarios import scenario
 from orchestration.scenarios.identify import GAINS
 from orchestration.scenarios.published import PUBLISHED
@@ -99,7 +99,7 @@ def test_the_fmus_defaults_are_the_identified_gains() -> None:
     """The parameter file and the block must not drift apart."""
     path = Path(scenario.__file__).parent / "parameters" / "identified.toml"
     identified = scenario.parameter_values(path)
-    starts = {v.name: v.start for v in catalogue.load_block("L1DepthController").variables}
+    starts = {v.name: v.start for v in builder.load_block("L1DepthController").variables}
     assert set(identified) == {gain.name for gain in GAINS}
     for name, value in identified.items():
         assert starts[name.removeprefix("controller.")] == value

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from orchestration.master import simulate
+from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from orchestration.system.signals import Constant
 from tests.closed_loop.second_example import second_example

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from orchestration.margins.fmu_margins import DELAY_RESOLUTION, delay_margin
+from orchestration.margins.hold import LoopSignal
 from orchestration.scenarios import scenario
-from orchestration.study.fmu_margins import DELAY_RESOLUTION, delay_margin
-from orchestration.study.hold import LoopSignal
 from tests.closed_loop.second_program import L1Case, LawStep, sampled
 from tests.closed_loop.shipped_case import noisy_case
 

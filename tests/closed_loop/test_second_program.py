@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from orchestration.master import simulate
 from orchestration.results import metrics
 from orchestration.results.recording import Recording
+from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.signals import values_at

@@ -10,11 +10,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orchestration.master import simulate
+from orchestration.run import simulate
 from orchestration.scenarios.scenario import Scenario
-from orchestration.study.loop import KNOWS_RATES, Controller, Loop
-from orchestration.study.protocol import read_protocol
-from orchestration.study.tuned_gains import tuned
+from orchestration.score.loop import KNOWS_RATES, Controller, Loop
+from orchestration.score.protocol import read_protocol
+from orchestration.score.tuned_gains import tuned
 from tests.closed_loop.same_experiment import SMOOTH, slope
 from tests.closed_loop.second_laws import Adrc, Mrac, Pid, SlidingMode, SuperTwisting
 from tests.closed_loop.second_loop import Case, run

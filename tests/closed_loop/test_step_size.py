@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestration.master import simulate
+from orchestration.run import simulate
 from orchestration.scenarios import scenario
 
 DURATION = 4.0

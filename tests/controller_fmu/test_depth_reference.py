@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from controller_fmu.depth_reference import BLOCK, POINTS
-from fmus.instance import BlockError
+from fmus.block.instance import BlockError
 from orchestration.system.signal_derivatives import derivative
 from orchestration.system.signals import Ramps
 

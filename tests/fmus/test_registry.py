@@ -6,12 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from fmus import catalogue, registry
+from fmus import registry
+from fmus.build import builder
 from fmus.errors import ExportError, MissingExtraError
 from fmus.extras import require
+from fmus.fmi.description import describe
 from fmus.registry import FOLDER_VARIABLE, Flavour
 from orchestration.errors import FmuLoadError
-from orchestration.fmi.description import describe
 
 
 def test_the_environment_names_the_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -54,7 +55,7 @@ def test_a_folder_that_cannot_be_written_is_one_line_with_the_variable(
     file.touch()
     monkeypatch.setenv(FOLDER_VARIABLE, str(file))
     with pytest.raises(ExportError, match=rf"cannot write FMUs to {file}.*set {FOLDER_VARIABLE}"):
-        catalogue.build_missing([registry.fmu_path("ExamplePlant")])
+        builder.build_missing([registry.fmu_path("ExamplePlant")])
 
 
 def test_the_registry_loads_nothing_heavy() -> None:

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from fmus import catalogue
+from fmus.build import builder
+from fmus.build.stamp import Order, Stamps
+from fmus.fmi.description import describe
 from fmus.registry import FOLDER_VARIABLE, fmu_path
-from fmus.stamp import Order, Stamps
 from fmus.user_cache import reason_for_distrust, write_cached
 from orchestration.errors import FmuLoadError, OrchestrationError
-from orchestration.fmi.description import describe
-from orchestration.study import score_cache
-from orchestration.study.score_document import Row
+from orchestration.score import score_cache
+from orchestration.score.score_document import Row
 from tests.described_fmus import described
 from tests.other_user import give_to_another_user
 
@@ -104,7 +104,7 @@ def test_an_fmu_that_is_built_under_a_umask_of_002_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "fmus"))
-    describe(catalogue.build("ExamplePlant"))
+    describe(builder.build("ExamplePlant"))
 
 
 def test_a_row_of_a_score_that_others_can_write_is_refused(

@@ -15,8 +15,8 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from fmus import catalogue
-from orchestration.master import simulate
+from fmus.build import builder
+from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from tests.importers.comparison import SCENARIOS, Outcome, outcome, packaged
 from tests.importers.importers import IMPORTERS
@@ -43,7 +43,7 @@ def main(
 def _outcomes() -> Iterator[Outcome]:
     loaded = [scenario.load(scenario.find(name)) for name in SCENARIOS]
     for chosen in loaded:
-        catalogue.build_missing(chosen.system.components.values())
+        builder.build_missing(chosen.system.components.values())
     ours = [simulate(chosen.system, chosen.experiment) for chosen in loaded]
     with tempfile.TemporaryDirectory() as folder:
         jobs = [packaged(chosen, Path(folder)) for chosen in loaded]

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 
 import pytest
 
-from orchestration.master import simulate
 from orchestration.results.recording import Recording
+from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
 from tests.importers.comparison import SCENARIOS, packaged

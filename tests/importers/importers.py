@@ -20,7 +20,7 @@ import numpy as np
 from fmpy.fmi2 import FMU2Slave
 from numpy.typing import ArrayLike
 
-from fmus.process import Parent
+from fmus.fmi.process import Parent
 from orchestration.exchange.ssp_xml import STRUCTURE, tag
 
 _NANOSECOND = 1e-9

@@ -13,8 +13,8 @@ import pytest
 
 from orchestration.exchange.ssp_version import SspVersion
 from orchestration.exchange.ssp_xml import STRUCTURE
-from orchestration.master import simulate
 from orchestration.results.recording import Recording
+from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Experiment

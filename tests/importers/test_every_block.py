@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fmus import catalogue
+from fmus.build import builder
 from fmus.compliance.examine import examine
-from orchestration.master import simulate
 from orchestration.results.recording import Recording
+from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from tests.importers.comparison import least_difference, packaged, run_isolated
 from tests.importers.importers import IMPORTERS, ImporterJob, Trajectory
@@ -19,7 +19,7 @@ from tests.importers.importers import IMPORTERS, ImporterJob, Trajectory
 pytestmark = pytest.mark.importers
 
 ROUNDING = 1e-12  # of numbers up to 10, over 100 steps
-NAMES = catalogue.block_names()
+NAMES = builder.block_names()
 DEPTH_CONTROLLERS = [name for name in NAMES if name.endswith("DepthController")]
 OUTPUTS = ("L1DepthController.demanded_force", "ExamplePlant.output", "ThrustAllocation.voltage[1]")
 FED = [

@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 from fmpy.fmi2 import FMU2Slave
 
-from fmus import catalogue
+from fmus.build import builder
 from tests.importers.importers import loaded_by_fmpy
 
 pytestmark = pytest.mark.importers
 
 
-NAMES = catalogue.block_names()
+NAMES = builder.block_names()
 
 
 def outputs_after(slave: FMU2Slave, name: str, inputs_before_setup: bool) -> list[float]:
     """Outputs after ten steps with inputs that are not their start values, set before or after the setup."""
-    block = catalogue.load_block(name)
+    block = builder.load_block(name)
     references = [v.value_reference for v in block.of_causality("input")]
     values = [0.3] * len(references)
     if inputs_before_setup:
@@ -62,7 +62,7 @@ def test_two_copies_of_one_library_in_one_process_keep_apart(
     built: Mapping[str, Path], tmp_path: Path, name: str
 ) -> None:
     """As an importer has them that extracts an FMU once for each instance."""
-    block = catalogue.load_block(name)
+    block = builder.load_block(name)
     one, other = (
         loaded_by_fmpy(built[name], tmp_path / "one"),
         loaded_by_fmpy(built[name], tmp_path / "other"),

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import fmpy
 
-from fmus.export.toolchain import compile_library
+from fmus.native.toolchain import compile_library
 from fmus.platforms import host_platform, library_name
 from tests.mutants.base import replaced, written
 from tests.mutants.mutant import Mutant

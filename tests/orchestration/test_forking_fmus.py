@@ -11,11 +11,11 @@ import pytest
 
 from orchestration.errors import OrchestrationError
 from orchestration.many.local import local
-from orchestration.master import simulate
+from orchestration.run import simulate
 from orchestration.scenarios import scenario
-from orchestration.study.isolated_loop import IsolatedLoop, RunError
-from orchestration.study.loop import Controller, Loop
-from orchestration.study.protocol import FILE, read_protocol
+from orchestration.score.isolated_loop import IsolatedLoop, RunError
+from orchestration.score.loop import Controller, Loop
+from orchestration.score.protocol import FILE, read_protocol
 from orchestration.sweep import table
 from orchestration.sweep.plan import plan
 from orchestration.sweep.run import sweep

@@ -11,8 +11,8 @@ import pytest
 
 from orchestration.errors import EnsembleError
 from orchestration.gym import FmuVectorEnv, Task, task_of
-from orchestration.master import ensemble_choice
-from orchestration.master.ensemble_choice import check_ensemble
+from orchestration.many import ensemble_choice
+from orchestration.many.ensemble_choice import check_ensemble
 from orchestration.scenarios import scenario, task_runs
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.signals import Ramps

@@ -20,7 +20,7 @@ import tomli_w
 
 from orchestration import Recording
 from orchestration.scenarios import scenario
-from orchestration.study.protocol import read_protocol
+from orchestration.score.protocol import read_protocol
 
 FILE = Path(__file__).with_name("same_results.json")
 C_LIBRARY = " ".join(platform.libc_ver())

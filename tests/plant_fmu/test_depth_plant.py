@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fmus import catalogue
+from fmus.build import builder
 
-PLANT = catalogue.load_block("RovDepthPlant")
+PLANT = builder.load_block("RovDepthPlant")
 DEEP = {"initial_depth": 5.0, "net_weight": 0.0}
 
 

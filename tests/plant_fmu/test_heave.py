@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fmus import catalogue
-from fmus.instance import BlockError
+from fmus.block.instance import BlockError
+from fmus.build import builder
 from plant_fmu import heave
 
-PLANT = catalogue.load_block("RovDepthPlant")
+PLANT = builder.load_block("RovDepthPlant")
 IDEAL = {"thruster_ideal": True, "sensor_ideal": True}
 LONG = {"internal_step": 0.04}  # s, the longest that the sensor allows: a time constant is 0.1 s or more
 

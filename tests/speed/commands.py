@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
 
-from fmus import catalogue
+from fmus.build import builder
 from fmus.platforms import PLATFORMS, host_platform
 from orchestration.errors import OrchestrationError
 from orchestration.scenarios import scenario
@@ -151,7 +151,7 @@ def _of_importers(job: ImporterJob, state: State) -> list[Command]:
 def measure(options: Options) -> Part:
     """All commands of each state by turns, after a round that does not count."""
     chosen = scenario.load(scenario.find(SCENARIO))
-    catalogue.build_missing(chosen.system.components.values())
+    builder.build_missing(chosen.system.components.values())
     own = [_of_state(state, options) for state in options.states]
     others = _of_importers(packaged(chosen, options.folder), options.now)
     everything = [*others, *(command for of_state in own for command in of_state.values())]

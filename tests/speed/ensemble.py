@@ -10,12 +10,12 @@ from contextlib import ExitStack
 from dataclasses import replace
 from statistics import median
 
-from fmus import catalogue
-from fmus.fmi_types import FmiValue
-from fmus.lanes import LANES
+from fmus.build import builder
+from fmus.fmi.variable_types import FmiValue
+from fmus.native.lanes import LANES
 from fmus.platforms import instruction_sets
-from orchestration.master import Simulator
-from orchestration.master.ensemble import Ensemble
+from orchestration.many.ensemble import Ensemble
+from orchestration.run import Simulator
 from orchestration.scenarios import scenario
 from orchestration.sweep.plan import Plan, plan
 from tests.speed.part import Goal, Options, Part, Table, spread
@@ -42,7 +42,7 @@ def nanoseconds(run: Callable[[], object], steps: int) -> float:
 def costs(sizes: tuple[int, ...], rounds: int) -> _Figures:
     """(instruction set, instances) -> ns a step and instance, a value a round."""
     chosen = scenario.load(scenario.find(SCENARIO))
-    catalogue.build_missing([*chosen.system.components.values()])
+    builder.build_missing([*chosen.system.components.values()])
     planned = plan(chosen)
     experiment = replace(chosen.experiment, record=("plant.depth", "controller.demanded_force"))
     steps = experiment.step_count

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from statistics import median
 
-from fmus import catalogue
+from fmus.build import builder
 from fmus.platforms import host_platform
 from tests.speed.programs import (
     C_SOURCES,
@@ -27,9 +27,9 @@ class Layer:
 
 def layer(name: str, steps: int = 200_000, rounds: int = 7) -> Layer:
     """A block measured, medians over rounds in which the two take turns."""
-    step = catalogue.load_block(name).step_size
+    step = builder.load_block(name).step_size
     with workplace() as folder:
-        _, library = extracted(catalogue.build_if_stale(name), folder, host_platform())
+        _, library = extracted(builder.build_if_stale(name), folder, host_platform())
         compile_equations(folder, 0, folder / "sources")
         compile_program(
             folder,

@@ -17,8 +17,8 @@ from typing import Any
 
 from fmpy.fmi2 import FMU2Slave
 
-from fmus.process import Parent
-from orchestration.master import Simulator
+from fmus.fmi.process import Parent
+from orchestration.run import Simulator
 from tests.importers.importers import IMPORTERS, ImporterJob, loaded_by_fmpy
 from tests.speed.pair import LEVEL, SIGNAL, STEP_SIZE, Pair
 

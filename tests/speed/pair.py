@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fmus.block import Block, NoValues, variable
-from fmus.export import native as native_flavour
+from fmus.build import native as native_flavour
 from fmus.files import write_archive
 from orchestration.cli.package_fmus import build_ramp_source
 from orchestration.exchange import ssp_write

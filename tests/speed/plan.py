@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fmus.fmi_types import TRANSFER_TYPE
+from fmus.fmi.variable_types import TRANSFER_TYPE
 from orchestration.exchange.limits import check_plain_exchange
 from orchestration.system.prepared_run import PreparedRun
 from orchestration.system.system import Port

@@ -11,10 +11,10 @@ from typing import Any
 
 import fmpy
 
-from fmus.export.toolchain import FLAGS, FMI_HEADERS, zig
+from fmus.fmi.description import describe
+from fmus.native.toolchain import FLAGS, FMI_HEADERS, zig
 from fmus.platforms import library_name
 from orchestration.errors import OrchestrationError
-from orchestration.fmi.description import describe
 
 C_SOURCES = Path(__file__).parent / "c"
 _LOADER = Path(str(resources.files("orchestration.exchange")))  # of load.h

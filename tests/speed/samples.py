@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 
-from fmus.lanes import LANES
+from fmus.native.lanes import LANES
 from orchestration.errors import OrchestrationError
 from tests.speed.part import Goal, Options, Part, Table
 from tests.speed.states import COMMAND, State

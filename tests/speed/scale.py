@@ -14,8 +14,8 @@ from statistics import median
 
 import numpy as np
 
-from fmus import catalogue
-from orchestration.master import Simulator
+from fmus.build import builder
+from orchestration.run import Simulator
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 from tests.speed import pair
@@ -51,7 +51,7 @@ def slope(numbers: Sequence[int], values: Sequence[float]) -> Slope:
 
 def threads(internal_steps: int, rounds: int) -> _Costs:
     """Wall clock [s] of a step of `HEAVY` FMUs on one thread, on all, and as a simulator decides."""
-    fmu, step = catalogue.build_if_stale("ExamplePlant"), 1e-3
+    fmu, step = builder.build_if_stale("ExamplePlant"), 1e-3
     names = [f"c{i}" for i in range(HEAVY)]
     system = System(dict.fromkeys(names, fmu))
     count = max(100, 1_000_000 // internal_steps)  # some 0.3 s, of which the decision takes a part

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from fmus import catalogue
+from fmus.build import builder
 from fmus.platforms import host_platform
 from fmus.registry import Flavour
 from orchestration.errors import OrchestrationError
-from orchestration.master import Simulator
+from orchestration.run import Simulator
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Experiment
@@ -52,7 +52,7 @@ def loop(name: str, rounds: int = 7, before: State | None = None) -> Loop:
     """
     native = scenario.load(scenario.find(name))
     python = scenario.load(scenario.find(name), flavour=Flavour.PYTHON)
-    catalogue.build_missing([*native.system.components.values(), *python.system.components.values()])
+    builder.build_missing([*native.system.components.values(), *python.system.components.values()])
     with Simulator(python.system) as simulator:
         python_s = _seconds(simulator, python.experiment)
     with workplace() as folder, Simulator(native.system) as simulator:

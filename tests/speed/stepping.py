@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from orchestration.gym import FmuEnv, FmuVectorEnv
-from orchestration.master import Simulator
+from orchestration.run import Simulator
 from orchestration.scenarios.task import Task, task_of
 from tests.speed.part import Options, Part, Table
 

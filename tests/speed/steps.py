@@ -6,9 +6,9 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from fmus.fmi.description import describe, of_causality
 from fmus.platforms import host_platform
 from fmus.registry import block_names
-from orchestration.fmi.description import describe, of_causality
 from tests.speed.layers import Layer, layer
 from tests.speed.part import Goal, Options, Part, Table, ratios, spread
 from tests.speed.programs import C_SOURCES, compile_program, extracted, output_of

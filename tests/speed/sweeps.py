@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 
-from fmus import catalogue
-from fmus.lanes import LANES
-from orchestration.master import Simulator
+from fmus.build import builder
+from fmus.native.lanes import LANES
+from orchestration.run import Simulator
 from orchestration.scenarios import scenario
 from orchestration.sweep.plan import Plan, plan
 from orchestration.sweep.run import job_of, samples_of
@@ -131,7 +131,7 @@ def sweeps(options: Options, samples: int, runs: Runs) -> tuple[dict[str, Way], 
 def measure(options: Options) -> Part:
     """A sweep in each way, and a Dask cluster."""
     chosen = scenario.load(scenario.find(SCENARIO))
-    catalogue.build_missing([*chosen.system.components.values()])
+    builder.build_missing([*chosen.system.components.values()])
     samples = 50 if options.quick else _SAMPLES
     with Runs(plan(chosen), samples // 5) as runs:
         measured, alone = sweeps(options, samples, runs)

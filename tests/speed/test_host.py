@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from orchestration.errors import OrchestrationError
-from orchestration.master import simulate
+from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from orchestration.system.experiment import Algorithm, Event, Experiment
 from orchestration.system.prepared_run import prepare

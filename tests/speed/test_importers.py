@@ -11,7 +11,7 @@ import pytest
 
 from fmus.block import NoValues
 from orchestration.errors import OrchestrationError
-from orchestration.master import Simulator
+from orchestration.run import Simulator
 from tests.speed import importers
 from tests.speed import pair as pair_module
 from tests.speed.importers import Bare, Entry, compare, entry, measurement_of, table

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import typer
 
-from fmus import catalogue
+from fmus.build import builder
 from orchestration.errors import OrchestrationError
-from orchestration.master import Simulator
+from orchestration.run import Simulator
 from tests.speed import __main__ as speed
 from tests.speed import scenarios
 from tests.speed.cluster import lost
@@ -25,7 +25,7 @@ from tests.speed.steps import of_layers
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", catalogue.block_names())
+@pytest.mark.parametrize("name", builder.block_names())
 def test_a_block_is_measured_both_ways(name: str) -> None:
     """The C program itself checks that both ways end with the same output."""
     measured = layer(name, steps=1000, rounds=1)

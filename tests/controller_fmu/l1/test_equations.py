@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from controller_fmu.l1.parameters import EQUATIONS
-from fmus import catalogue
+from fmus.build import builder
 
 THEORY = Path(__file__).parents[3] / "docs" / "explanation" / "theory.md"
 NOT_PRINTED_IN_THE_PAPER = {
@@ -21,14 +21,14 @@ def test_the_theory_page_shows_the_equations_of_the_law() -> None:
 
 @pytest.mark.parametrize("block", ["L1Controller", "L1DepthController"])
 def test_the_documentation_inside_the_fmu_shows_the_equations_of_the_law(block: str) -> None:
-    guide = catalogue.load_block(block).guide
+    guide = builder.load_block(block).guide
     assert guide is not None
     assert guide.equations.startswith(EQUATIONS)
 
 
 @pytest.mark.parametrize("block", list(NOT_PRINTED_IN_THE_PAPER))
 def test_numbers_of_the_example_that_the_paper_does_not_print_are_not_called_published(block: str) -> None:
-    sources = {v.name.split("[")[0]: v.source for v in catalogue.load_block(block).variables}
+    sources = {v.name.split("[")[0]: v.source for v in builder.load_block(block).variables}
     for name in NOT_PRINTED_IN_THE_PAPER[block]:
         assert "published" not in sources[name]
         assert "not printed in the paper" in sources[name]

@@ -20,7 +20,7 @@ from controller_fmu.l1.feedforward import ReferenceFeedforward, reference_feedfo
 from controller_fmu.l1.law import Control, Measurement
 from controller_fmu.l1.matrices import law_matrices
 from controller_fmu.observer import VelocitySource
-from fmus import catalogue
+from fmus.build import builder
 from orchestration.system.signal_derivatives import derivative
 from orchestration.system.signals import Ramps, values_at
 
@@ -56,7 +56,7 @@ def test_the_vehicles_is_the_force_that_its_model_needs() -> None:
 
 def test_an_output_that_the_control_moves_at_once_is_refused_with_a_feedforward(driver: Any) -> None:
     """f would depend on the past of r as well: it is the static inverse for C B_m = 0 alone."""
-    block = catalogue.load_block("L1Controller")
+    block = builder.load_block("L1Controller")
     driver(block, **{"output_vector[2]": 0.1}).begin()
     for kind in (INSIDE, OUTSIDE):
         with pytest.raises(ValueError, match=r"C B_m = 0 .* with a reference_feedforward"):

@@ -17,10 +17,10 @@ from controller_fmu.l1.augmentation import Augmentation
 from controller_fmu.l1.feedforward import ReferenceFeedforward
 from controller_fmu.l1.law import Held, LawState, Measurement
 from controller_fmu.l1.lowpass import FilterOrder, FilterState
-from fmus import catalogue
+from fmus.build import builder
 
 SEEN = Measurement(x=(2.0, -1.0), y=2.0, r=3.0)
-CONTROLLER = catalogue.load_block("L1Controller")
+CONTROLLER = builder.load_block("L1Controller")
 
 
 def parameters(**values: Any) -> siso_controller.Parameters:
@@ -101,7 +101,7 @@ def test_the_vehicles_prediction_is_driven_by_the_force_of_its_voltages(driver: 
     h, m, d, j = 0.02, 5.5, 2.5, math.cos(0.3)
     step = expm(np.array([[0.0, 1.0, 0.0], [0.0, -d / m, 1.0 / m], [0.0, 0.0, 0.0]]) * h)
     controller = driver(
-        catalogue.load_block("L1DepthController"), adaptation_gain=0.0, velocity_source=2, roll=0.3,
+        builder.load_block("L1DepthController"), adaptation_gain=0.0, velocity_source=2, roll=0.3,
         voltage_limit=limit, augmentation=Augmentation.PI, depth_reference=0.5,
     ).begin()  # fmt: skip
     x, largest, saturated = np.zeros(2), 0.0, False
@@ -150,7 +150,7 @@ def test_the_output_has_a_share_of_both_states(driver: Any) -> None:
 
 
 def test_an_internal_step_is_at_most_the_observers_period(driver: Any) -> None:
-    block = catalogue.load_block("L1DepthController")
+    block = builder.load_block("L1DepthController")
     driver(block, internal_step=0.04, observer_period=0.04).begin()
     with pytest.raises(ValueError, match="internal_step at most observer_period"):
         driver(block, internal_step=0.05, observer_period=0.04).begin()
@@ -172,8 +172,8 @@ def test_a_prediction_error_is_that_of_one_time(driver: Any) -> None:
 def test_a_step_does_not_depend_on_how_it_is_called(driver: Any, block: str) -> None:
     """Two communication steps, or one with two internal steps: the same under held inputs."""
     inputs = {"L1Controller": "measured_state[1]", "L1DepthController": "measured_depth"}
-    two = driver(catalogue.load_block(block), **{inputs[block]: 0.3}).begin()
-    one = driver(catalogue.load_block(block), **{inputs[block]: 0.3}, internal_step=0.02).begin()
+    two = driver(builder.load_block(block), **{inputs[block]: 0.3}).begin()
+    one = driver(builder.load_block(block), **{inputs[block]: 0.3}, internal_step=0.02).begin()
     two.step(0.02).step(0.02)
     one.step(0.04)
     assert two["sigma_hat"] == one["sigma_hat"]
@@ -200,7 +200,7 @@ def test_no_step_size_or_gain_makes_the_filter_diverge(
 
 def saturated_controller(driver: Any, **values: Any) -> Any:
     """Held at 0 m for 40 s under a reference of 5 m: the thrusters saturate at 6 N."""
-    block = catalogue.load_block("L1DepthController")
+    block = builder.load_block("L1DepthController")
     controller = driver(block, augmentation=Augmentation.PI, depth_reference=5.0, **values).begin()
     for _ in range(2000):
         controller.step(0.02)
@@ -281,7 +281,7 @@ def one_step(
 
 
 def test_a_measured_velocity_bypasses_the_observer(driver: Any) -> None:
-    block = catalogue.load_block("L1DepthController")
+    block = builder.load_block("L1DepthController")
     controller = driver(block, velocity_source=2, measured_depth_rate=0.1).begin()
     assert controller["estimated_depth_rate"] == 0.1
     assert driver(block, measured_depth_rate=0.1).begin()["estimated_depth_rate"] == 0.0
@@ -289,14 +289,14 @@ def test_a_measured_velocity_bypasses_the_observer(driver: Any) -> None:
 
 def test_a_tilted_vehicle_is_driven_by_less(driver: Any) -> None:
     """u = K^-1 T^+ J' (u_m + u_a + u_p)."""
-    controller = driver(catalogue.load_block("L1DepthController"), measured_depth=1.0, roll=0.3, pitch=0.2)
+    controller = driver(builder.load_block("L1DepthController"), measured_depth=1.0, roll=0.3, pitch=0.2)
     controller.begin()
     expected = math.cos(0.3) * math.cos(0.2) * controller["demanded_force"] / (2.0 * 0.25)
     assert controller["voltage[1]"] == pytest.approx(expected)
 
 
 def test_a_tilt_acts_from_the_step_on_in_which_it_is_measured(driver: Any) -> None:
-    controller = driver(catalogue.load_block("L1DepthController"), measured_depth=1.0).begin().step(0.02)
+    controller = driver(builder.load_block("L1DepthController"), measured_depth=1.0).begin().step(0.02)
     controller["roll"] = 1.0
     controller.step(0.02)
     expected = math.cos(1.0) * controller["demanded_force"] / (2.0 * 0.25)

@@ -13,7 +13,7 @@ from controller_fmu.l1 import siso_controller
 from controller_fmu.l1.adaptation import AdaptationLaw, Estimates, Interval
 from controller_fmu.l1.piecewise import Sample, adapt_at_samples
 from controller_fmu.l1.second_order import Matrix
-from fmus import catalogue
+from fmus.build import builder
 
 A_M, B, B_U = np.array([[0.0, 1.0], [-1.0, -1.4]]), np.array([0.0, 1.0]), np.array([1.0, 0.0])
 SLOW: Matrix = ((-1.0, 0.0), (0.0, -1.0))
@@ -153,7 +153,7 @@ def test_in_the_loop_a_constant_disturbance_leaves_what_the_offset_leaves(driver
     """e = H(0) (1 - e^(-a Ts)) d, with C(0) = 1: the filter passes the estimate, and H(0) = 1."""
     h = 0.02
     controller = driver(
-        catalogue.load_block("L1Controller"), adaptation_law=PIECEWISE, adaptation_period=h,
+        builder.load_block("L1Controller"), adaptation_law=PIECEWISE, adaptation_period=h,
         filter_bandwidth=10.0, reference=0.5,
         **{"prediction_error_matrix[1,1]": -a, "prediction_error_matrix[2,2]": -a},
     ).begin()  # fmt: skip
@@ -181,4 +181,4 @@ def test_an_error_matrix_of_which_nothing_could_be_sampled_is_refused(
 ) -> None:
     entries = {f"prediction_error_matrix{index}": value for index, value in values.items()}
     with pytest.raises(ValueError, match=expected):
-        driver(catalogue.load_block(block), **entries).begin()
+        driver(builder.load_block(block), **entries).begin()

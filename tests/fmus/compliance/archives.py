@@ -3,14 +3,15 @@
 import zipfile
 from pathlib import Path
 
-from fmus import catalogue, files
+from fmus import files
+from fmus.build import builder
+from fmus.build import native as native_flavour
+from fmus.build.documentation import reference_files
+from fmus.build.documentation.reference_results import reference_run
 from fmus.compliance.examine import examine
 from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.registry import all_rules
 from fmus.compliance.rule import Stage
-from fmus.documentation import reference_files
-from fmus.documentation.reference_results import reference_run
-from fmus.export import native as native_flavour
 
 Members = dict[str, bytes]
 PATCHED = "RovDepthPlant"  # its outputs move at the start values
@@ -57,7 +58,7 @@ def patched(patch: dict[str, str], folder: Path, with_references: bool = False) 
 
     with_references: with the reference results of the block, which take the check a while
     """
-    block = catalogue.load_block(PATCHED)
+    block = builder.load_block(PATCHED)
     _, content = native_flavour.content(block)
     for old, new in patch.items():
         (path,) = [

@@ -5,14 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from fmus import catalogue
+from fmus.build import builder
 from fmus.compliance.examine import examine
 from fmus.compliance.registry import all_rules
 
 from .archives import PYTHONFMU_ERRORS, broken_rules, errors
 
 
-@pytest.mark.parametrize("name", catalogue.block_names())
+@pytest.mark.parametrize("name", builder.block_names())
 def test_our_native_fmus_break_no_rule(built: Mapping[str, Path], name: str) -> None:
     assert broken_rules(built[name]) == {}
 
@@ -21,7 +21,7 @@ def test_our_native_fmus_break_no_rule(built: Mapping[str, Path], name: str) -> 
     "name",
     [
         name if name == "L1Controller" else pytest.param(name, marks=pytest.mark.slow)
-        for name in catalogue.block_names()
+        for name in builder.block_names()
     ],
 )
 def test_our_python_fmus_break_what_the_binary_of_pythonfmu_breaks(

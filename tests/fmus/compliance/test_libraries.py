@@ -5,9 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from fmus import catalogue, files
+from fmus import files
+from fmus.build import builder
+from fmus.build import native as native_flavour
 from fmus.compliance.examine import examine
-from fmus.export import native as native_flavour
 from fmus.platforms import host_platform, library_name
 
 from .archives import broken_rules, members, write
@@ -24,7 +25,7 @@ OTHERS = [
 @pytest.fixture(scope="module")
 def elsewhere(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An FMU for every platform but this one."""
-    return catalogue.build(NAME, tmp_path_factory.mktemp("elsewhere"), platforms=OTHERS)
+    return builder.build(NAME, tmp_path_factory.mktemp("elsewhere"), platforms=OTHERS)
 
 
 def test_an_fmu_without_a_library_for_this_platform_is_judged_but_for_its_behaviour(elsewhere: Path) -> None:
@@ -57,7 +58,7 @@ def test_a_library_that_lacks_a_function_is_caught_on_every_platform(
 
 
 def test_a_library_compiled_without_a_function_is_caught(tmp_path: Path) -> None:
-    _, content = native_flavour.content(catalogue.load_block(NAME))
+    _, content = native_flavour.content(builder.load_block(NAME))
     source = content["sources/fmi2.c"]
     content["sources/fmi2.c"] = source.replace(b"fmi2Status fmi2Terminate(", b"fmi2Status fmi2End(")
     content |= native_flavour.libraries(NAME, content, ())

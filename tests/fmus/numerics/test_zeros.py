@@ -14,8 +14,8 @@ import casadi
 import pytest
 
 from fmus import numerics
-from fmus.export import toolchain
-from fmus.export.c_functions import c_function
+from fmus.build.c_functions import c_function
+from fmus.native import toolchain
 from fmus.numerics.symbols import unsimplified
 from fmus.platforms import host_platform, library_name
 

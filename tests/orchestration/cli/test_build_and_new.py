@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from fmus import catalogue, registry
+from fmus import registry
+from fmus.build import builder
 from orchestration.results.recording import Recording
 
 Command = Callable[..., Any]
@@ -47,7 +48,7 @@ def test_the_block_that_new_writes_runs_in_the_papers_loop_and_passes_every_rule
     command("run", short_scenario(stop=4.0), "--controller", "pid.py", "--out", "results")
     recording = Recording.read(Path("results", "short-Pid.csv"))
     assert 0.0 < recording["plant.total_force"][-1] <= 6.0
-    fmu = catalogue.fmu_of_file(Path("pid.py"))
+    fmu = builder.fmu_of_file(Path("pid.py"))
     assert re.search(r": \d+ passed, \d+ not applicable\n$", command("check", fmu).stdout)
 
 

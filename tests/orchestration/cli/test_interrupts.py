@@ -22,18 +22,18 @@ from tests.foreign_fmus import Misdeed
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 # a command, and a function that it calls when it is at work
 AT_WORK = {
-    "new pid": "fmus.new_block.write_new_block",
-    "build ExamplePlant --out out": "fmus.catalogue.build_orders",
+    "new pid": "fmus.build.new_block.write_new_block",
+    "build ExamplePlant --out out": "fmus.build.builder.build_orders",
     "check {fmu}": "fmus.compliance.check.check",
-    "inspect {fmu}": "orchestration.fmi.description.describe_any",
+    "inspect {fmu}": "fmus.fmi.description.describe_any",
     "scenarios": "orchestration.scenarios.scenario.load",
     "run nominal-l1 --out .": "orchestration.system.prepared_run.prepare_checked",
     "sweep monte-carlo": "orchestration.sweep.run.sweep",
     "report .": "orchestration.report.found_results",
-    "score L1DepthController --out .": "orchestration.study.score.score",
-    "tune l1-pi --out .": "orchestration.study.tune_problem.problem_of",
-    "compare --out .": "orchestration.study.compare.compare",
-    "margins nominal-l1": "orchestration.study.margins.judge",
+    "score L1DepthController --out .": "orchestration.score.score.score",
+    "tune l1-pi --out .": "orchestration.score.tune_problem.problem_of",
+    "compare --out .": "orchestration.score.compare.compare",
+    "margins nominal-l1": "orchestration.margins.margins.judge",
     "reproduce": "orchestration.scenarios.reproduce.run_all",
     "identify": "orchestration.scenarios.identify.metric_units",
     "package nominal-l1": "orchestration.exchange.ssp_write.ramp_sources",
@@ -165,7 +165,7 @@ def _wait_for(condition: Callable[[], object]) -> None:
 
 
 def _is_idle(process: subprocess.Popen[str]) -> bool:
-    (command,) = psutil.Process(process.pid).children()  # see `fmus/watched.py`
+    (command,) = psutil.Process(process.pid).children()  # see `fmus/fmi/parent_process.py`
     used = command.cpu_times()
     time.sleep(0.5)
     return command.cpu_times() == used

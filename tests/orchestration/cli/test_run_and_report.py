@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from orchestration.master import simulate
 from orchestration.results.recording import Recording
+from orchestration.run import simulate
 from orchestration.scenarios import scenario
 
 Command = Callable[..., Any]

@@ -12,10 +12,10 @@ import tomli_w
 from rich.console import Console
 
 from orchestration.cli.score_tables import differences_table, in_parts
-from orchestration.study import compare, score_rows
-from orchestration.study.protocol import read_protocol
-from orchestration.study.score import ScoreResult
-from orchestration.study.score_document import Score
+from orchestration.score import compare, score_rows
+from orchestration.score.protocol import read_protocol
+from orchestration.score.score import ScoreResult
+from orchestration.score.score_document import Score
 from tests.orchestration.report.made_up_score import made_up_score
 
 COMPARISON = Path(__file__).parents[3] / "docs" / "explanation" / "comparison.json"

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import rumoca
 
-from fmus import catalogue
-from fmus.export import toolchain
+from fmus.build import builder
+from fmus.native import toolchain
 from orchestration.errors import OrchestrationError
 from orchestration.exchange import modelica
-from orchestration.master import simulate
+from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from orchestration.system.experiment import Algorithm
 from orchestration.system.signals import Cosine
@@ -127,7 +127,7 @@ def test_the_external_functions_compile_for_other_platforms(
 
 def _open_only(folder: str, name: str) -> str:
     """Opens the plant with its first voltage and its depth alone."""
-    variables = catalogue.load_block("RovDepthPlant").variables
+    variables = builder.load_block("RovDepthPlant").variables
     voltage, depth = (
         v.value_reference for name in ("voltage[1]", "depth") for v in variables if v.name == name
     )

@@ -10,13 +10,13 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from fmus.fmi.description import describe, of_causality
 from orchestration.cli.package_fmus import build_ramp_source
 from orchestration.errors import ScenarioError
 from orchestration.exchange import ssp_read, ssp_write
 from orchestration.exchange.signal_sources import RampSource, ramp_sources, with_sources
-from orchestration.fmi.description import describe, of_causality
-from orchestration.master import simulate
 from orchestration.results.recording import Recording
+from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Experiment

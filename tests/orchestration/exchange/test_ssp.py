@@ -16,7 +16,7 @@ from orchestration.cli.package_fmus import build_ramp_source, build_started
 from orchestration.exchange import ssp_read, ssp_write
 from orchestration.exchange.ssp_version import SspVersion
 from orchestration.exchange.ssp_xml import STRUCTURE, tag
-from orchestration.master import simulate
+from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from tests.described_fmus import described
 

@@ -11,7 +11,7 @@ from orchestration.cli.package_fmus import build_ramp_source
 from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.exchange import ssp_read, ssp_write
 from orchestration.exchange.ssp_xml import STRUCTURE
-from orchestration.master import simulate
+from orchestration.run import simulate
 from orchestration.scenarios import scenario
 
 

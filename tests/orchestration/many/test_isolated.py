@@ -15,8 +15,8 @@ from orchestration.errors import SweepError
 from orchestration.many.isolated import Isolated
 from orchestration.many.job import Done, Failure, Job
 from orchestration.many.runners import ClosedError
-from orchestration.master import simulate
 from orchestration.results.recording import Recording
+from orchestration.run import simulate
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 

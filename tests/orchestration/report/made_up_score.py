@@ -2,9 +2,9 @@
 
 import math
 
-from orchestration.study.protocol import read_protocol
-from orchestration.study.score import ScoreResult
-from orchestration.study.score_document import (
+from orchestration.score.protocol import read_protocol
+from orchestration.score.score import ScoreResult
+from orchestration.score.score_document import (
     CaseResult,
     FigureOverPlants,
     PairedDifference,
@@ -13,8 +13,8 @@ from orchestration.study.score_document import (
     Score,
     protocol_info,
 )
-from orchestration.study.score_rows import OVER_PLANTS
-from orchestration.study.scored_run import Trace
+from orchestration.score.score_rows import OVER_PLANTS
+from orchestration.score.scored_run import Trace
 
 CASES = ("nominal", "buoyancy")
 MEAN_AND_VARIATION = {"mine": (2.0, 300.0), "pid": (1.0, 400.0), "l1": (3.0, 500.0)}

@@ -20,8 +20,8 @@ from orchestration.errors import SweepError
 from orchestration.many import cluster
 from orchestration.many.cluster import ClusterRuns
 from orchestration.many.job import Job
-from orchestration.master import simulate
 from orchestration.results.recording import Recording
+from orchestration.run import simulate
 from orchestration.sweep import run as running
 from orchestration.sweep import table
 from orchestration.sweep.plan import Plan

@@ -9,12 +9,12 @@ from pathlib import Path
 import psutil
 import pytest
 
-from fmus.fmi_types import FmiValue
+from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import EnsembleError, OrchestrationError
+from orchestration.many import ensemble_choice
 from orchestration.many.batches import Batches, Finished, Run
 from orchestration.many.job import Failure
 from orchestration.many.local import LocalRuns, local
-from orchestration.master import ensemble_choice
 from orchestration.results import metrics
 from orchestration.results.recording import Recording, run_by_run
 from orchestration.scenarios import scenario

@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 from orchestration.errors import OrchestrationError
-from orchestration.master import simulate
+from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from orchestration.sweep.distributions import (
     Distribution,

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from orchestration.cli.package_fmus import build_ramp_source
 from orchestration.errors import OrchestrationError, SystemDefinitionError
 from orchestration.exchange import modelica, simulink, ssp_write
-from orchestration.master import simulate
+from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from orchestration.system.experiment import Algorithm, Experiment
 from orchestration.system.faults import (

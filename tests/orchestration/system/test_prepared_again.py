@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from orchestration.errors import SystemDefinitionError
-from orchestration.master import Simulator, simulate
+from orchestration.run import Simulator, simulate
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.faults import Fault, Offset
 from orchestration.system.prepared_again import PreparedRuns

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from orchestration.errors import SystemDefinitionError
-from orchestration.master import Simulator, simulate
+from orchestration.run import Simulator, simulate
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 

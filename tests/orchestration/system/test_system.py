@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
+from fmus.fmi.description import describe
 from orchestration.errors import FmuLoadError, SystemDefinitionError
-from orchestration.fmi.description import describe
 from orchestration.system.system import System, check
 from tests.described_fmus import described
 

@@ -9,7 +9,7 @@ import pytest
 
 from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.exchange.limits import check_plain_connections
-from orchestration.master import simulate
+from orchestration.run import simulate
 from orchestration.system.faults import Fault, Offset
 from orchestration.system.system import System, check
 from orchestration.system.transformation import LinearTransformation

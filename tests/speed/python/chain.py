@@ -9,7 +9,7 @@ import time
 from itertools import cycle, pairwise
 from pathlib import Path
 
-from orchestration.master import Simulator
+from orchestration.run import Simulator
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 

@@ -8,7 +8,7 @@ import re
 import sys
 from pathlib import Path
 
-from orchestration.master import simulate
+from orchestration.run import simulate
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 

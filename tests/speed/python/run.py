@@ -8,13 +8,13 @@ import hashlib
 import sys
 import time
 
-from fmus import catalogue
-from orchestration.master import Simulator
+from fmus.build import builder
 from orchestration.results import metrics
+from orchestration.run import Simulator
 from orchestration.scenarios import scenario
 
 chosen = scenario.load(scenario.find(sys.argv[1]))
-catalogue.build_missing([*chosen.system.components.values()])
+builder.build_missing([*chosen.system.components.values()])
 with Simulator(chosen.system) as simulator:
     recording = simulator.run(chosen.experiment)
     start = time.thread_time()

@@ -2,7 +2,7 @@
 
 import sys
 
-from fmus.export.toolchain import compile_library
+from fmus.native.toolchain import compile_library
 
 # exported, as Zig ends with a fault where a library for macOS exports nothing
 TEXT = '#include <math.h>\n__attribute__((visibility("default"))) double f(double x) { return sin(x); }\n'

@@ -1,0 +1,328 @@
+"""One declaration per variable, from which everything else is derived.
+
+A block is a set of dataclasses (parameters, calculated parameters, inputs, state, outputs) and
+pure functions between them. Nothing here knows FMI's XML or C: the model description, the
+checks, the documentation table and the FMU are all derived from a `Block`.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import KW_ONLY, Field, dataclass, field, fields, is_dataclass, make_dataclass
+from enum import IntEnum
+from functools import cache, cached_property
+from typing import Any, Literal, TypeVar
+
+from fmus.block.guide import NO_GUIDE, Guide
+
+Value = float | int | bool
+Numbers = float | tuple["Numbers", ...]
+Texts = str | None | tuple["Texts", ...]
+Start = TypeVar("Start")
+_SHORTEST, _LONGEST = 1e-7, 1e6  # internal step of a block that declares none, in s
+
+
+def variable(
+    start: Start,
+    description: str,
+    *,
+    unit: Texts = "1",
+    display_unit: Texts = None,
+    min: Numbers | None = None,
+    max: Numbers | None = None,
+    nominal: Numbers | None = None,
+    variability: Literal["fixed", "tunable"] | None = None,
+    source: str = "",
+) -> Start:
+    """Declare one variable of a block.
+
+    start: float, int, bool or IntEnum member; a tuple declares a vector `name[1], name[2]`, a
+        tuple of tuples a matrix `name[1,1]`, row by row.
+    unit: any that `fmus.block.units` knows, such as "m", "N.s/m", "deg", "rev/min" or "degC"; "1" for a number.
+    display_unit: in which tools may show the value, such as "deg" beside the unit "rad".
+    unit, display_unit, min, max, nominal: one value, or a tuple of the shape of `start`.
+    variability: "fixed" or "tunable" for a parameter; otherwise the class decides.
+    source: where a number comes from: published, estimate or guess.
+    """
+    start = _plain(start)
+    if isinstance(start, list):  # which a dataclass refuses with a message about its own
+        raise TypeError(f"start {start!r}: expected a tuple")
+    ranges = {"minimum": _plain(min), "maximum": _plain(max), "nominal": _plain(nominal)}
+    texts = {"description": description, "source": source}
+    units = {"unit": unit, "display_unit": display_unit}
+    metadata = {"units": units, "variability": variability, "ranges": ranges, "texts": texts}
+    return field(default=start, metadata=metadata)
+
+
+def _plain(value: Any) -> Any:
+    """Returns a value with Python's numbers in place of NumPy's, and a list in place of an array."""
+    if isinstance(value, tuple):
+        return tuple(map(_plain, value))
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+@dataclass(frozen=True)
+class ScalarVariable:
+    """One scalar of a block's interface, in the terms of FMI 2.0 (2.2.7)."""
+
+    name: str
+    value_reference: int
+    causality: str
+    variability: str
+    initial: str | None
+    start: Value
+    description: str
+    unit: str | None
+    display_unit: str | None
+    minimum: Value | None
+    maximum: Value | None
+    nominal: float | None
+    source: str
+    enumeration: type[IntEnum] | None
+
+    @cached_property
+    def type(self) -> str:
+        """FMI type: Real, Integer, Boolean or Enumeration."""
+        if self.enumeration:
+            return "Enumeration"
+        return {float: "Real", int: "Integer", bool: "Boolean"}[type(self.start)]
+
+    @property
+    def settable(self) -> bool:
+        return self.causality in ("parameter", "input")
+
+    def cast(self, value: Value) -> Value:
+        """The value in the Python type of the start value, or as enumeration member."""
+        return (self.enumeration or type(self.start))(value)
+
+    def refuse(self, value: Value) -> str | None:
+        """Why this value is not acceptable, or None if it is."""
+        low, high = self.minimum, self.maximum
+        if not math.isfinite(value):
+            return f"{self.name} = {value!r}: expected a finite number"
+        unknown = self.enumeration and value not in list(self.enumeration)
+        outside = (low is not None and value < low) or (high is not None and value > high)
+        return f"{self.name} = {value!r}: expected {self.expected}" if unknown or outside else None
+
+    @property
+    def expected(self) -> str:
+        """Which values are acceptable, in words."""
+        if self.enumeration:
+            return "one of " + ", ".join(f"{m.value} ({m.name.lower()})" for m in self.enumeration)
+        unit = f" {self.unit}" if self.unit not in (None, "1") else ""
+        if self.type == "Boolean":
+            return "0 (false) or 1 (true)"
+        if self.minimum is None and self.maximum is None:
+            return f"a finite number{unit}"
+        low = "-inf" if self.minimum is None else self.minimum
+        high = "inf" if self.maximum is None else self.maximum
+        return f"{low}..{high}{unit}"
+
+
+# causality, FMI variability, initial of each of a block's interface classes
+_ROLES = {
+    "parameters": ("parameter", "tunable", "exact"),
+    "calculated": ("calculatedParameter", "tunable", "calculated"),
+    "inputs": ("input", "continuous", None),
+    "outputs": ("output", "continuous", "calculated"),
+}
+
+
+@dataclass(frozen=True)
+class NoValues:
+    """Stands for a class of variables that a block does not have."""
+
+
+_STATE_AS_DECLARED: Any = None
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """A model as data: frozen dataclasses and the pure functions between them.
+
+    initial_state(t, inputs, parameters, calculated) -> State; by default the state as it is declared
+    step(t, h, state, inputs, parameters, calculated) -> State, over h seconds, inputs held
+    output(t, state, parameters, calculated) -> Outputs
+    calculate(parameters) -> Calculated, what follows from parameters alone
+    requirements(parameters, calculated) -> ((condition, what is expected), ...)
+
+    `Parameters` has an `internal_step` [s], the longest step that `step` may be asked for; a block that
+    declares none is given one that starts at `step_size`.
+    stop_time, step_size: of the experiment that the FMU suggests, in s.
+    guide: what the documentation says besides the variables.
+    version, author, license: of the model, as its author gives them.
+    """
+
+    name: str
+    description: str
+    _: KW_ONLY
+    parameters: type = NoValues
+    inputs: type = NoValues
+    state: type = NoValues
+    outputs: type
+    initial_state: Callable[..., Any] = _STATE_AS_DECLARED
+    step: Callable[..., Any] = lambda t, h, state, inputs, parameters, calculated: state
+    output: Callable[..., Any]
+    calculated: type = NoValues
+    calculate: Callable[[Any], Any] = lambda parameters: NoValues()
+    requirements: Callable[[Any, Any], tuple[tuple[Any, str], ...]] = lambda parameters, calculated: ()
+    stop_time: float = 1.0
+    step_size: float = 0.01
+    guide: Guide = NO_GUIDE
+    version: str | None = None
+    author: str | None = None
+    license: str | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("stop_time", "step_size"):
+            object.__setattr__(self, name, _plain(getattr(self, name)))
+        for mistake in self._mistakes():
+            raise TypeError(f"block {self.name!r}: {mistake}")
+        for role in ("parameters", "calculated", "inputs", "state", "outputs"):
+            if not is_frozen(getattr(self, role)):
+                raise TypeError(f"block {self.name!r}: {role}: expected a class with @dataclass(frozen=True)")
+        if "internal_step" not in {declared.name for declared in fields(self.parameters)}:
+            if not _SHORTEST <= self.step_size <= _LONGEST:
+                expected = f"expected {_SHORTEST!r}..{_LONGEST!r} s, the range of the internal step"
+                raise TypeError(f"block {self.name!r}: step_size {self.step_size!r}: {expected}")
+            start = float(self.step_size)
+            object.__setattr__(self, "parameters", _with_internal_step(self.parameters, start))
+        if self.initial_state is _STATE_AS_DECLARED:
+            object.__setattr__(self, "initial_state", lambda *_: self.state())
+
+    def _mistakes(self) -> Iterator[str]:
+        """In the fields that are no classes and functions."""
+        for name in ("name", "description", "version", "author", "license"):
+            text = getattr(self, name)
+            if not isinstance(text, str) and (text is not None or name in ("name", "description")):
+                yield f"{name} {text!r}: expected a text"
+        for name in ("stop_time", "step_size"):
+            number = getattr(self, name)
+            if not isinstance(number, float | int) or isinstance(number, bool):
+                yield f"{name} {number!r}: expected a number of seconds"
+            elif not 0.0 < number < math.inf:
+                yield f"{name} {number!r}: expected a finite number of seconds above 0"
+
+    @cached_property
+    def variables(self) -> tuple[ScalarVariable, ...]:
+        """Every interface scalar; its place is its value reference."""
+        scalars: list[ScalarVariable] = []
+        for role in _ROLES:
+            for declared in fields(getattr(self, role)):
+                scalars.extend(_scalars(declared, role, len(scalars)))
+        return tuple(scalars)
+
+    def of_causality(self, causality: str) -> tuple[ScalarVariable, ...]:
+        return tuple(v for v in self.variables if v.causality == causality)
+
+
+def is_frozen(cls: Any) -> bool:
+    """Whether it is a class with @dataclass(frozen=True)."""
+    is_own = isinstance(cls, type) and "__dataclass_params__" in vars(cls)  # and not only of a base class
+    return is_own and cls.__dataclass_params__.frozen
+
+
+def _with_internal_step(parameters: type, start: float) -> type:
+    """The class with one more parameter, which its functions need not know."""
+    internal_step = variable(
+        start, "Longest internal step", unit="s", min=_SHORTEST, max=_LONGEST, variability="fixed"
+    )
+    return make_dataclass(
+        parameters.__name__, [("internal_step", float, internal_step)], bases=(parameters,), frozen=True
+    )
+
+
+def _scalars(declared: Field, role: str, first_reference: int) -> Iterator[ScalarVariable]:
+    said = declared.metadata
+    causality, variability, initial = _ROLES[role]
+    for offset, (index, start) in enumerate(_elements(declared.default)):
+        is_real = isinstance(start, float)
+        discrete = "discrete" if variability == "continuous" and not is_real else variability
+        yield ScalarVariable(
+            name=declared.name + (f"[{','.join(str(i + 1) for i in index)}]" if index else ""),
+            value_reference=first_reference + offset,
+            causality=causality,
+            variability=said["variability"] or discrete,
+            initial=initial,
+            start=start,
+            enumeration=type(start) if isinstance(start, IntEnum) else None,
+            **said["texts"],
+            **{name: _at(value, index) if is_real else None for name, value in said["units"].items()},
+            **{name: _at(value, index) for name, value in said["ranges"].items()},
+        )
+
+
+def _elements(value: Any, index: tuple[int, ...] = ()) -> Iterator[tuple[tuple[int, ...], Any]]:
+    if isinstance(value, tuple):
+        for i, element in enumerate(value):
+            yield from _elements(element, (*index, i))
+    else:
+        yield index, value
+
+
+def _at(value: Any, index: tuple[int, ...]) -> Any:
+    for i in index:
+        if isinstance(value, tuple):
+            value = value[i]
+    return value
+
+
+def flatten(value: Any) -> list[Any]:
+    """The scalars of a dataclass instance or nested tuple, in the order of declaration."""
+    scalars: list[Any] = []
+    _collect(value, scalars)
+    return scalars
+
+
+def _collect(value: Any, scalars: list[Any]) -> None:
+    if isinstance(value, tuple):
+        members = value
+    elif (names := _member_names(value if isinstance(value, type) else type(value))) is not None:
+        members = [getattr(value, name) for name in names]
+    else:
+        scalars.append(value)
+        return
+    for member in members:
+        if member.__class__ is float:  # as most are: no call for each
+            scalars.append(member)
+        else:
+            _collect(member, scalars)
+
+
+@cache
+def _member_names(cls: type) -> tuple[str, ...] | None:
+    """Of a dataclass; of any other class None."""
+    return tuple(member.name for member in fields(cls)) if is_dataclass(cls) else None
+
+
+def unflatten(template: Any, scalars: list[Any]) -> Any:
+    """The inverse of `flatten`: `scalars` in the shape of `template`, a class or an instance.
+
+    Raises ValueError when the number of scalars does not fit.
+    """
+    remaining = iter(scalars)
+    try:
+        value = _fill(template, remaining)
+    except StopIteration:
+        raise ValueError(f"{len(scalars)} scalars are too few") from None
+    if next(remaining, None) is not None:
+        raise ValueError(f"{len(scalars)} scalars are too many")
+    return value
+
+
+def _fill(template: Any, scalars: Iterator[Any]) -> Any:
+    if template.__class__ is float:
+        return next(scalars)
+    if isinstance(template, tuple):
+        return tuple([_fill(element, scalars) for element in template])
+    cls = template if isinstance(template, type) else type(template)
+    if (names := _member_names(cls)) is None:
+        return next(scalars)
+    if template is cls:
+        return cls(*[_fill(member, scalars) for member in _defaults(cls)])
+    return cls(*[_fill(getattr(template, name), scalars) for name in names])
+
+
+@cache
+def _defaults(cls: type) -> tuple[Any, ...]:
+    """Of the members of a dataclass."""
+    return tuple(member.default for member in fields(cls))

@@ -1,0 +1,282 @@
+"""Building the FMUs of the installed blocks, which `fmus.registry` names, and of the blocks of a file."""
+
+import io
+import keyword
+import re
+import zipfile
+import zlib
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager, suppress
+from pathlib import Path
+from xml.etree import ElementTree
+
+from fmus.block import Block
+from fmus.block.block_file import DEVICES, blocks_in, from_sources
+from fmus.block.instance import BlockError, Instance
+from fmus.build import native as native_flavour
+from fmus.build import python as python_flavour
+from fmus.build.check_sampling import check_samples
+from fmus.build.check_trace import check_faithful, check_shipped
+from fmus.build.documentation import reference_files
+from fmus.build.documentation.icon import icon
+from fmus.build.documentation.reference_results import ReferenceRun, reference_run
+from fmus.build.documentation.terminals import terminals
+from fmus.build.guard import location, own_line
+from fmus.build.shipped import ShippedLibrary
+from fmus.build.stamp import Order, Stamps, order_of_file
+from fmus.build.symbolic import traced
+from fmus.errors import ExportError, nearest
+from fmus.files import packed, write_bytes_atomically
+from fmus.fmi.binding import library_member
+from fmus.platforms import host_platform, library_name, usable_processors
+from fmus.registry import FOLDER_VARIABLE, Flavour, block_entry_points, block_fmus, block_names, fmu_folder
+from fmus.user_cache import record_build, write_cached
+
+_AT_ONCE = usable_processors()  # orders that are compiled
+_EXPORTS = {Flavour.NATIVE: native_flavour, Flavour.PYTHON: python_flavour}
+
+
+def load_block(name: str) -> Block:
+    """The block of that name; ExportError offers the nearest one."""
+    point = block_entry_points().get(name)
+    if point is None:
+        file = f"; the file is {name}.py" if Path(f"{name}.py").is_file() else ""
+        raise ExportError(f"no block named {name!r}; {nearest(name, block_names())}{file}")
+    try:
+        with from_sources():
+            block = point.load()
+    except (Exception, SystemExit) as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise ExportError(
+            f"block {name!r}: its entry point {point.value} cannot be loaded: {reason}"
+        ) from error
+    if not isinstance(block, Block):
+        raise ExportError(f"block {name!r}: its entry point {point.value} is {block!r}: expected a Block")
+    if block.name != name:
+        raise ExportError(f"entry point {name!r} loads a block named {block.name!r}: expected one name")
+    return verified(block)
+
+
+@contextmanager
+def loaded(name_or_path: str) -> Iterator[tuple[Block, ...]]:
+    """The installed block of a name, or the blocks of a Python file, until the context ends.
+
+    Raises ExportError for a block that cannot become an FMU.
+    """
+    try:
+        if name_or_path.endswith(".py"):
+            with blocks_in(Path(name_or_path)) as blocks:
+                yield tuple(map(verified, blocks))
+        else:
+            yield (load_block(name_or_path),)
+    except SystemExit as error:
+        file, line, expression = own_line(error) or (name_or_path, 1, "a function")
+        raise ExportError(f"{file}:{line}: {expression}: ends Python: expected a returned value") from error
+
+
+def verified(block: Block) -> Block:
+    """The block, if it takes a step at its start values."""
+    name = block.name
+    is_word = re.fullmatch(r"[A-Za-z](_?[A-Za-z0-9])*", name)
+    if not is_word or keyword.iskeyword(name) or name.lower() in DEVICES:
+        raise ExportError(
+            f"block {name!r}: expected ASCII letters, digits and single underscores, and no word of Python's "
+            "or device of Windows"
+        )
+    traced(block)  # before a call with numbers, which a function could remember
+    trial = Instance(block)
+    try:
+        trial.exit_initialization_mode()
+        trial.do_step(0.0, block.step_size)
+        trial.get(len(block.variables) - 1)
+    except Exception as error:
+        where = location(block.step)
+        raise ExportError(
+            f"block {name!r}: {where}cannot take a step at its start values: {error!r}"
+        ) from error
+    return block
+
+
+def build(
+    name: str,
+    folder: Path | None = None,
+    flavour: Flavour = Flavour.NATIVE,
+    platforms: Sequence[str] = (),
+    *,
+    with_terminals: bool = False,
+    reals_only: bool = False,
+) -> Path:
+    """Write `folder/NAME.fmu`, whatever stands there; by default where scenarios find it.
+
+    platforms: of the libraries in a native FMU, by default this one; those in a python one are PythonFMU's.
+    with_terminals: with terminalsAndIcons.xml, which some importers of FMI 2.0 cannot read
+    reals_only: a native FMU whose every variable is a Real, for importers that know no other type
+    """
+    options = {"with_terminals": with_terminals, "reals_only": reals_only}
+    return build_block(load_block(name), folder or fmu_folder(flavour), flavour, platforms, **options)
+
+
+def build_block(
+    block: Block,
+    folder: Path,
+    flavour: Flavour = Flavour.NATIVE,
+    platforms: Sequence[str] = (),
+    *,
+    with_terminals: bool = False,
+    reals_only: bool = False,
+) -> Path:
+    """As `build`, of a block that no entry point names."""
+    order = Order(block.name, folder, flavour, tuple(platforms), with_terminals, reals_only)
+    with _building(block, order) as write:
+        return next(iter(write()))
+
+
+@contextmanager
+def _building(block: Block, order: Order) -> Iterator[Callable[[], dict[Path, bytes]]]:
+    """The FMU of a block: its libraries are compiled until the function that this gives writes it.
+
+    The function gives what it wrote: the FMU, then what belongs to it.
+    """
+    if order.reals_only and order.flavour is not Flavour.NATIVE:
+        raise ExportError("an FMU of Reals only: expected the native flavour")
+    export = _EXPORTS[order.flavour]
+    guid, members = native_flavour.content(block, True) if order.reals_only else export.content(block)
+    with export.compiled_libraries(block.name, members, order.platforms) as libraries:
+        compared = check_faithful(block)
+        check_samples(block)
+        reference = _reference_run(block)
+        shown = {"model.png": icon(block)} | reference_files.members(reference, block.name)
+        shown |= terminals(block) if order.with_terminals else {}
+
+        def write() -> dict[Path, bytes]:
+            built = libraries()
+            if path := library_member(built, block.name):
+                # OSError: no library can be loaded from where temporary files are
+                with suppress(OSError), closing(ShippedLibrary(block, guid, built[path])) as library:
+                    check_shipped(compared, library)
+            files = {order.folder / f"{block.name}.fmu": packed(members | built | shown)}
+            if order.with_cross_check:
+                beside = reference_files.cross_check_files(reference, block.name)
+                files |= {order.folder / name: beside[name] for name in sorted(beside)}
+            is_cached = order.folder.is_relative_to(fmu_folder(order.flavour))
+            write_file = write_cached if is_cached else write_bytes_atomically
+            record_build(next(iter(files.values())))
+            for path, content in files.items():
+                write_file(path, content)
+            return files
+
+        yield write
+
+
+def _reference_run(block: Block) -> ReferenceRun:
+    """As `reference_run`; ExportError names the line of the block that cannot go on."""
+    try:
+        return reference_run(block)
+    except BlockError as error:
+        own = own_line(error.__cause__) if isinstance(error.__cause__, Exception) else None
+        where = f"{own[0]}:{own[1]}: {own[2]}: " if own else location(block.step)
+        raise ExportError(f"block {block.name!r}: {where}the reference run ends: {error}") from error
+
+
+def build_orders(orders: Iterable[Order]) -> Iterator[list[Path] | ExportError]:
+    """Write the FMUs of each order, whatever stands there, and stamp them.
+
+    Gives the files of each, or why it cannot be built. Some are compiled while the next are traced.
+    """
+    compiling: deque[_CompilingOrder | ExportError] = deque()
+    with ExitStack() as stack:
+        for order in orders:
+            try:
+                compiling.append(_CompilingOrder(order, stack))
+            except ExportError as error:
+                compiling.append(error)
+            if len(compiling) > _AT_ONCE:
+                yield _ended(compiling.popleft())
+        yield from map(_ended, compiling)
+
+
+def _ended(order: "_CompilingOrder | ExportError") -> list[Path] | ExportError:
+    try:
+        return order if isinstance(order, ExportError) else order.written()
+    except ExportError as error:
+        return error
+
+
+class _CompilingOrder:
+    """An order whose FMUs are being compiled; it does not outlive the stack."""
+
+    def __init__(self, order: Order, stack: ExitStack) -> None:
+        self._order, self._stamps = order, Stamps()
+        sources = self._stamps.sources(order)
+        with loaded(order.source) as blocks:
+            self._writers = [stack.enter_context(_building(block, order)) for block in blocks]
+            self._sources = sources and sources.if_loaded
+
+    def written(self) -> list[Path]:
+        files = {path: content for write in self._writers for path, content in write().items()}
+        fmus = {path.name: content for path, content in files.items() if path.suffix == ".fmu"}
+        self._stamps.write(self._order, self._sources, fmus)
+        return [*files]
+
+
+def build_if_stale(name: str, folder: Path | None = None, flavour: Flavour = Flavour.NATIVE) -> Path:
+    """`folder/NAME.fmu`, built if it is missing, not of the present sources, or of another platform.
+
+    folder: by default the one where scenarios find it
+    """
+    return _built_if_stale(Order(name, folder or fmu_folder(flavour), flavour))
+
+
+def fmu_of_file(path: Path, flavour: Flavour = Flavour.NATIVE) -> Path:
+    """The FMU of the only block that a Python file defines, in the user's cache, built if it is stale."""
+    return _built_if_stale(order_of_file(path, flavour))
+
+
+def _built_if_stale(order: Order) -> Path:
+    """The FMU of the only block of an order."""
+    stamps = Stamps()
+    if current := stamps.current(order, to_run=True):
+        return current[0]
+    sources = stamps.sources(order)
+    with loaded(order.source) as blocks:
+        block, *others = blocks
+        if others:
+            names = ", ".join(defined.name for defined in blocks)
+            raise ExportError(
+                f"{order.source} defines {names}: expected one block; build them, and choose an FMU"
+            )
+        path = order.folder / f"{block.name}.fmu"
+        guid, _ = _EXPORTS[order.flavour].content(block)
+        native = order.flavour is Flavour.NATIVE
+        needed = library_name(block.name, host_platform()) if native else None
+        found = path.read_bytes() if path.is_file() else b""
+        fits = _fits(found, guid, needed)
+        if not fits:
+            with _building(block, order) as write:
+                found = write()[path]
+        stamps.write(order, sources and sources.if_loaded, {path.name: found}, was_built=not fits)
+    return path
+
+
+def build_missing(paths: Iterable[Path]) -> None:
+    """Build those of the paths that scenarios find the FMUs of blocks at, where missing or stale."""
+    for name, flavour in block_fmus(paths):
+        try:
+            build_if_stale(name, flavour=flavour)
+        except OSError as error:
+            raise ExportError(
+                f"cannot write FMUs to {fmu_folder(flavour)}: {error.strerror or error}; "
+                f"set {FOLDER_VARIABLE} to another folder"
+            ) from error
+
+
+def _fits(fmu: bytes, guid: str, library: str | None) -> bool:
+    """Whether an FMU runs as what was traced; its GUID does not tell its icon, for one."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(fmu)) as archive:
+            root = ElementTree.fromstring(archive.read("modelDescription.xml"))
+            is_complete = not archive.testzip() and (library is None or library in archive.namelist())
+    except (zipfile.BadZipFile, zlib.error, KeyError, ElementTree.ParseError):
+        return False
+    return is_complete and root.get("guid") == guid

@@ -1,0 +1,50 @@
+"""Whether a block takes all of its samples: `sampled` takes one in a step at most."""
+
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+from fmus.block import Block
+from fmus.build.guard import location
+from fmus.errors import ExportError
+from fmus.numerics import Clock
+
+_STEPS = 200  # internal steps, until one that is half a per cent longer than the period is late
+
+
+def check_samples(block: Block) -> None:
+    """ExportError for a block that misses samples with all variables at their start values."""
+    p, u, t = block.parameters(), block.inputs(), 0.0
+    try:
+        c = block.calculate(p)
+        state = block.initial_state(t, u, p, c)
+        for i in range(_STEPS if any(True for _ in _clocks(state)) else 0):
+            t, before = i * p.internal_step, state
+            state = block.step(t, p.internal_step, before, u, p, c)
+            _check_step(block, t, p.internal_step, before, state)
+    except ExportError:
+        raise
+    except (ArithmeticError, ValueError):  # which the comparison with the traced functions judges
+        return
+
+
+def _check_step(block: Block, t: float, h: float, before: Any, after: Any) -> None:
+    """A clock that is late starts again between t and t + h, where a block's own Clock(t) does not."""
+    for old, new in zip(_clocks(before), _clocks(after), strict=True):
+        if new.start != old.start and new.count == 0 and new.start > t and new.start != t + h:
+            raise ExportError(
+                f"block {block.name!r}: {location(block.step)}step misses samples in internal steps of "
+                f"{h!r} s: expected a step_size, or a parameter internal_step, of at most the sampling period"
+            )
+
+
+def _clocks(value: Any) -> Iterator[Clock]:
+    """The clocks in a state, at any depth."""
+    if isinstance(value, Clock):
+        yield value
+    elif isinstance(value, tuple):
+        for element in value:
+            yield from _clocks(element)
+    elif is_dataclass(value):
+        for member in fields(value):
+            yield from _clocks(getattr(value, member.name))

@@ -1,0 +1,270 @@
+"""Whether a traced block computes what its Python functions do: both are called at random points.
+
+A difference is rounding if the Python function itself changes as much when its arguments change by a few
+units in the last place. Any other difference refuses the block.
+"""
+
+import math
+import random
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import fields, is_dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from fmus.block import Block, flatten, unflatten
+from fmus.build.guard import NO_MEMORY, location, own_line
+from fmus.build.random_points import disturbed, drawn, rounded
+from fmus.build.shipped import ShippedLibrary
+from fmus.build.symbolic import traced
+from fmus.errors import ExportError
+from fmus.numerics.symbols import are_numbers
+
+_POINTS, _STEPS = 60, 3  # draws of parameters; steps from each, with inputs drawn anew
+_DRAWS = 20  # of parameters for a point, until they meet the requirements
+_EQUAL = 1e-12  # relative: a few roundings of elementary functions, which differ between C libraries
+_PERTURBATIONS, _AMPLIFIED = 8, 32.0
+_MOST_AMPLIFIED = (
+    0.2  # of the points; a function that amplifies rounding at more of them is not compared at all
+)
+_AT_TWO_CALLS = f"at one call and {{}} at another, same arguments; {NO_MEMORY}"
+_TRACED = "when it is traced"
+_COMPILED = "when it is compiled; set ZIG_GLOBAL_CACHE_DIR to an empty folder, and build again"
+_FUNCTIONS = ("calculate", "requirements", "initial_state", "output", "step")
+
+
+def check_faithful(block: Block) -> dict[str, "_Comparison"]:
+    """Checks that the traced functions of a block give the values of its Python functions.
+
+    Returns the calls of each function, for `check_shipped`. Raises ExportError for a difference.
+    """
+    # The points follow from the variables alone: a block under another name is compared at the same ones.
+    rng = random.Random(0)
+    compare = {name: _Comparison(block, name) for name in _FUNCTIONS}
+    for point in range(_POINTS):
+        _compare_at_a_point(block, compare, rng, at_start=point == 0)
+    _compare_at_zeros(block, compare)
+    for comparison in compare.values():
+        comparison.check(rng)
+    return compare
+
+
+def check_shipped(compare: dict[str, "_Comparison"], library: ShippedLibrary) -> None:
+    """Checks that the library of an FMU gives the values of Python; raises ExportError for a difference.
+
+    It gives outputs for the states that it reaches alone: they are compared where Python reached the same.
+    """
+    rng, outputs = random.Random(0), {}
+    given = {"calculate": [library.calculated(p) for (p,), _, _ in compare["calculate"].calls]}
+    for name in ("initial_state", "step"):
+        reached = [library.reached(*arguments) or (0.0, None, []) for arguments, _, _ in compare[name].calls]
+        given[name] = [x for _, x, _ in reached]
+        for (arguments, state, numbers), (t, x, y) in zip(compare[name].calls, reached, strict=True):
+            outputs |= {(t, id(state), id(arguments[-2])): y} if x == numbers else {}
+    calls = compare["output"].calls
+    given["output"] = [outputs.get((t, id(x), id(p))) for (t, x, p, _), _, _ in calls]
+    for name, numbers in given.items():
+        compare[name].check_numbers(numbers, _COMPILED, rng)
+
+
+def _compare_at_a_point(
+    block: Block, compare: dict[str, "_Comparison"], rng: random.Random, at_start: bool
+) -> None:
+    """Draw parameters, inputs and a time; follow the state over a few steps, and disturb it in between."""
+    for _ in range(_DRAWS):
+        changed = 0.0 if at_start else rng.choice((0.1, 0.5, 1.0))
+        p = drawn(block, "parameter", block.parameters, changed, rng)
+        c = compare["calculate"](p)
+        required = None if c is None else compare["requirements"](p, c)
+        if required is not None and all(holds for holds, _ in required):
+            break
+    else:
+        return
+    _check_whole(block, "calculate", block.calculated, c)
+    t = 0.0 if at_start else rng.uniform(-0.5, 1.0) * block.stop_time  # a run may begin before 0
+    x, h = None, p.internal_step * rng.choice((1.0, rng.uniform(0.1, 1.0)))
+    for _ in range(_STEPS):
+        u = drawn(block, "input", block.inputs, changed, rng)
+        is_reached = x is None
+        x = compare["initial_state"](t, u, p, c) if x is None else disturbed(x, rng)
+        if x is None:
+            return
+        y = compare["output"](t, x, p, c, is_reached=is_reached)
+        x, t = compare["step"](t, h, x, u, p, c, is_reached=is_reached), t + h
+        if x is not None:
+            _check_whole(block, "step", block.state, x)
+        if is_reached:
+            reached = y, None if x is None else compare["output"](t, x, p, c)
+            for outputs in filter(None, reached):
+                _check_whole(block, "output", block.outputs, outputs)
+
+
+def _compare_at_zeros(block: Block, compare: dict[str, "_Comparison"]) -> None:
+    """The first step from the start values, with one input after the other at zero: where divisions end."""
+    inputs = block.of_causality("input")
+    p = unflatten(block.parameters, [v.start for v in block.of_causality("parameter")])
+    c = compare["calculate"](p)
+    for zero in inputs if c is not None else ():
+        if zero.refuse(0) is None:
+            u = unflatten(block.inputs, [v.cast(0) if v is zero else v.start for v in inputs])
+            if (x := compare["initial_state"](0.0, u, p, c)) is not None:
+                compare["step"](0.0, p.internal_step, x, u, p, c)
+
+
+def _check_whole(block: Block, name: str, declared: type, result: Any) -> None:
+    """ExportError if a function gives a number that its Integer, Boolean or Enumeration cannot be."""
+    for path, start, x in zip(_names(result), flatten(declared), flatten(result), strict=False):
+        if isinstance(start, int) and x not in _items(start, x):
+            raise ExportError(
+                f"block {block.name!r}: {location(getattr(block, name))}{name} gives {path} = {x!r}: "
+                f"expected {_expected(start)}, as {declared.__name__} declares it with {start!r}; "
+                f"write {float(start)!r} for any number"
+            )
+
+
+def _items(start: int, x: float) -> tuple[float, ...]:
+    """What a variable with this start value can be, as far as x could be among it."""
+    if isinstance(start, bool):
+        return 0, 1
+    return tuple(type(start)) if isinstance(start, IntEnum) else (round(x),)
+
+
+def _expected(start: int) -> str:
+    if isinstance(start, IntEnum):
+        return "one of " + ", ".join(f"{m.value} ({m.name.lower()})" for m in type(start))
+    return "0 or 1" if isinstance(start, bool) else "a whole number"
+
+
+class _Comparison:
+    """A function of a block beside its traced form."""
+
+    def __init__(self, block: Block, name: str) -> None:
+        self._python: Callable[..., Any] = getattr(block, name)
+        self._traced = getattr(traced(block), name)
+        self._where = f"block {block.name!r}: {location(self._python)}{name}"
+        self.calls: list[tuple[Sequence[Any], Any, list[float]]] = []  # arguments, result, its numbers
+        self._errors: list[tuple[Sequence[Any], Exception]] = []  # arguments without a result
+        self._attempts = 0
+
+    def __call__(self, *arguments: Any, is_reached: bool = True) -> Any:
+        """What the Python function returns; None where that is no finite number.
+
+        is_reached: whether the block can have these arguments; an error at others is none of the block
+        """
+        self._attempts += 1
+        errors = len(self._errors)
+        result, numbers = self._evaluate(arguments)
+        if not is_reached:
+            del self._errors[errors:]
+        if numbers is not None:
+            self.calls.append((arguments, result, numbers))
+        return result
+
+    def _evaluate(self, arguments: Sequence[Any]) -> tuple[Any, list[float] | None]:
+        try:
+            result = self._python(*arguments)
+            values = flatten(result) if is_dataclass(result) else [holds for holds, _ in result]
+            if not all(isinstance(value, complex) or are_numbers(value) for value in values):
+                raise ExportError(f"{self._where} gives what an earlier call has kept; {NO_MEMORY}")
+            if any(isinstance(value, complex) or not math.isfinite(value) for value in values):
+                return None, None
+        except ExportError:
+            raise
+        except (ArithmeticError, ValueError) as error:
+            self._errors.append((arguments, error))
+            return None, None
+        except Exception as error:
+            raise ExportError(f"{self._where} raises {_described(error)}") from error
+        return result, list(map(float, values))
+
+    def check(self, rng: random.Random) -> None:
+        """ExportError for the first point where the function differs, or if too few can be compared."""
+        if self._attempts and not self.calls:
+            last = f": {_described(self._errors[-1][1])}" if self._errors else ""
+            raise ExportError(
+                f"{self._where} gives no finite numbers at any of {self._attempts} random points{last}"
+            )
+        self._check_errors()
+        for arguments, result, numbers in self.calls:
+            again = self._evaluate(arguments)[1] or [math.nan] * len(numbers)
+            exactly = [0.0] * len(numbers)
+            self._compare(result, numbers, again, exactly, _AT_TWO_CALLS)
+        self.check_numbers(self._traced_numbers([a for a, _, _ in self.calls]), _TRACED, rng)
+
+    def check_numbers(self, given: Sequence[list[float] | None], how: str, rng: random.Random) -> None:
+        """Checks the numbers of each call, None where there are none; raises ExportError for a difference."""
+        amplified = 0
+        for (arguments, result, numbers), others in zip(self.calls, given, strict=True):
+            rounding = [_EQUAL * abs(x) for x in numbers]
+            if others is not None and not all(map(_are_near, numbers, others, rounding)):
+                amplified += 1
+                moved = self._moved(arguments, numbers, rng)
+                allowed = [max(a, _AMPLIFIED * b) for a, b in zip(rounding, moved, strict=True)]
+                self._compare(result, numbers, others, allowed, f"in Python and {{}} {how}")
+        if amplified > _MOST_AMPLIFIED * len(self.calls):
+            raise ExportError(f"{self._where} differs {how} at {amplified} of {len(self.calls)} points")
+
+    def _check_errors(self) -> None:
+        """ExportError where Python divides by zero or leaves a domain, and compiled code gives numbers.
+
+        Not where a number is too large for Python, which compiled code takes for infinite.
+        """
+        errors = [(a, error) for a, error in self._errors if not isinstance(error, OverflowError)]
+        results = self._traced_numbers([arguments for arguments, _ in errors])
+        for (_, error), numbers in zip(errors, results, strict=True):
+            if all(map(math.isfinite, numbers)):
+                raise ExportError(
+                    f"{self._where} raises {_described(error)}, where compiled code gives numbers; exclude "
+                    "such values with min, max or requirements, or give an alternative of "
+                    "fmus.numerics.where that is not always legal as a function: lambda: ..."
+                )
+
+    def _traced_numbers(self, calls: list[Sequence[Any]]) -> list[list[float]]:
+        """What the traced function gives for all arguments, in one call."""
+        if not calls:
+            return []
+        columns = zip(*(map(flatten, arguments) for arguments in calls), strict=True)
+        matrices = [np.array(scalars, float).reshape(len(calls), -1).T for scalars in columns]
+        return self._traced.map(len(calls))(*matrices).full().T.tolist()
+
+    def _moved(self, arguments: Sequence[Any], numbers: Sequence[float], rng: random.Random) -> list[float]:
+        """How far the numbers move when the arguments change by roundings."""
+        moved = [0.0] * len(numbers)
+        for _ in range(_PERTURBATIONS):
+            other = self._evaluate([rounded(argument, rng) for argument in arguments])[1] or numbers
+            moved = [max(most, abs(x - y)) for most, x, y in zip(moved, other, numbers, strict=True)]
+        return moved
+
+    def _compare(
+        self, result: Any, numbers: list[float], others: list[float], allowed: list[float], how: str
+    ) -> None:
+        """ExportError for the first number that is not near the other; `how` says where that is from."""
+        if all(map(_are_near, numbers, others, allowed)):
+            return
+        names = _names(result) if is_dataclass(result) else (f"({text})" for _, text in result)
+        for name, x, y, difference in zip(names, numbers, others, allowed, strict=True):
+            if not _are_near(x, y, difference):
+                raise ExportError(f"{self._where} gives {name} = {x!r} {how.format(repr(y))}")
+
+
+def _described(error: Exception) -> str:
+    """What is raised, and in which line of the user's."""
+    own = own_line(error)
+    return f"{error!r} at {own[0]}:{own[1]}: {own[2]}" if own else repr(error)
+
+
+def _are_near(x: float, y: float, allowed: float) -> bool:
+    return abs(x - y) <= allowed  # False for NaN
+
+
+def _names(value: Any, name: str = "") -> Iterator[str]:
+    """Names of the scalars of a dataclass, in the order of `flatten`."""
+    if isinstance(value, tuple):
+        for i, element in enumerate(value):
+            yield from _names(element, f"{name}[{i + 1}]")
+    elif is_dataclass(value):
+        for field in fields(value):
+            yield from _names(getattr(value, field.name), f"{name}.{field.name}".lstrip("."))
+    else:
+        yield name

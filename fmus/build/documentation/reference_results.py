@@ -1,0 +1,118 @@
+"""What a block answers to the experiment of its guide.
+
+Computed by `Instance`, so that an FMU of either flavour is checked against the block itself.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+from fmus.block import Block, ScalarVariable, Value
+from fmus.block.guide import Point
+from fmus.block.instance import Instance
+from fmus.errors import ExportError, nearest
+from fmus.numerics import ramps
+
+_MOST_INTERVALS = 400
+# minutes of a build: a step takes Python ten microseconds or more
+_MOST_STEPS = 1e7
+
+
+@dataclass(frozen=True)
+class ReferenceRun:
+    """The experiment of a block in numbers: times in s, rows of (time, value, ...)."""
+
+    stop_time: float
+    step_size: float
+    output_interval: float
+    inputs: tuple[str, ...]
+    input_rows: tuple[tuple[Value, ...], ...]
+    outputs: tuple[str, ...]
+    output_rows: tuple[tuple[Value, ...], ...]
+
+
+def reference_run(block: Block) -> ReferenceRun:
+    """Inputs and outputs of the experiment of a block's guide.
+
+    Outputs are those before the inputs of the same time are set, as every master records them; a start
+    value or stimulus outside its range raises BlockError, a stimulus that fits no Real input or an experiment
+    of too many steps ExportError.
+    """
+    experiment = block.guide.experiment
+    step_size = float(experiment.step_size or block.step_size)
+    stop_time = float(experiment.stop_time or block.stop_time)
+    if not stop_time / step_size <= _MOST_STEPS:
+        guide = f"guide=Guide(experiment=Experiment(stop_time={1000 * step_size:g})) from fmus.block.guide"
+        raise ExportError(
+            f"block {block.name!r}: {stop_time / step_size:.3g} steps of {step_size!r} s to {stop_time!r} s: "
+            f"expected at most {_MOST_STEPS:.0e} of the reference results; shorten stop_time or add {guide}"
+        )
+    count = max(1, round(stop_time / step_size))
+    fewest = math.ceil(count / _MOST_INTERVALS)
+    every = next(steps for steps in range(fewest, count + 1) if count % steps == 0)
+    stimuli = _stimuli(block)
+    return ReferenceRun(
+        stop_time=count * step_size,
+        step_size=step_size,
+        output_interval=every * step_size,
+        inputs=tuple(v.name for v in block.of_causality("input")),
+        input_rows=tuple(_input_rows(block, stimuli, count * step_size)),
+        outputs=tuple(v.name for v in block.of_causality("output")),
+        output_rows=tuple(_trajectory(block, stimuli, step_size, count, every)),
+    )
+
+
+def _stimuli(block: Block) -> dict[str, tuple[Point, ...]]:
+    names = [v.name for v in block.of_causality("input") if v.type == "Real"]
+    given = block.guide.experiment.stimuli
+    stimuli = {name: tuple((float(t), float(value)) for t, value in points) for name, points in given}
+    for name, points in stimuli.items():
+        if name not in names:
+            raise ExportError(f"guide of {block.name}: no Real input {name!r}; {nearest(name, names)}")
+        if not points or any(b[0] <= a[0] for a, b in pairwise(points)):
+            raise ExportError(f"guide of {block.name}: {name}: expected points at increasing times")
+    return stimuli
+
+
+def _value_at(v: ScalarVariable, stimuli: dict[str, tuple[Point, ...]], t: float) -> Value:
+    """Value of an input at time t [s]."""
+    points = stimuli.get(v.name)
+    return ramps(t, *zip(*points, strict=True), smooth=False) if points else v.start
+
+
+def _trajectory(
+    block: Block, stimuli: dict[str, tuple[Point, ...]], step_size: float, count: int, every: int
+) -> Iterator[tuple[Value, ...]]:
+    instance = Instance(block)
+    inputs = block.of_causality("input")
+    references = [v.value_reference for v in block.of_causality("output")]
+
+    driven = [(v.value_reference, *zip(*stimuli[v.name], strict=True)) for v in inputs if v.name in stimuli]
+
+    def drive(t: float) -> None:
+        for reference, times, values in driven:
+            instance.set(reference, ramps(t, times, values, smooth=False))
+
+    instance.start(0.0)
+    for v in inputs:
+        instance.set(v.value_reference, v.start)
+    drive(0.0)
+    instance.exit_initialization_mode()
+    for i in range(count + 1):
+        t = i * step_size
+        if i % every == 0:
+            yield (t, *(instance.get(reference) for reference in references))
+        if i < count:
+            drive(t)
+            instance.do_step(t, step_size)
+
+
+def _input_rows(
+    block: Block, stimuli: dict[str, tuple[Point, ...]], stop_time: float
+) -> Iterator[tuple[Value, ...]]:
+    """A row wherever an input bends: between rows, straight lines."""
+    inputs = block.of_causality("input")
+    bends = {t for points in stimuli.values() for t, _ in points if 0.0 < t < stop_time}
+    for t in sorted({0.0, stop_time} | bends) if inputs else ():
+        yield (t, *(_value_at(v, stimuli, t) for v in inputs))

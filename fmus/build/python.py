@@ -1,0 +1,119 @@
+"""Block -> FMU that runs the block's own Python source, standard library only, through PythonFMU.
+
+PythonFMU gives the binary and the interface of the slave. Model description, GUID, state and module
+names are our own; what its binary makes impossible is listed in docs/fidelity.md.
+"""
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from importlib import resources
+from pathlib import Path
+
+from fmus.block import Block
+from fmus.build.archive import GUID, GUID_IN_NAMES, licenses, with_guid
+from fmus.build.documentation.page import documentation
+from fmus.build.model_description import model_description
+from fmus.build.sources import defined_as, in_package, source_closure
+from fmus.errors import ExportError
+
+_CAPABILITIES = {
+    "canInterpolateInputs": "false",
+    "maxOutputDerivativeOrder": "0",
+    "canNotUseMemoryManagementFunctions": "true",
+    "providesDirectionalDerivative": "false",
+}
+
+_PATIENCE_S = 60  # for an import, which takes less than 1 s
+_OURS = {"controller_fmu", "plant_fmu", "fmus"}  # need nothing but their modules, as the tests show
+
+_ENTRY = '''"""Entry point of the FMU {name}: the class that PythonFMU's binary instantiates."""
+
+import ctypes
+
+from {package}.{module} import {attribute}
+from {package}.fmus.export.slave import BlockSlave
+
+# PythonFMU 0.7 drops one reference to this dictionary too many whenever it has run this file
+ctypes.pythonapi.Py_IncRef(ctypes.py_object(globals()))
+
+
+class {name}(BlockSlave):
+    block = {attribute}
+    fingerprint = "{guid}"
+'''
+
+
+def content(block: Block) -> tuple[str, dict[str, bytes]]:
+    """(GUID, path -> content) of the FMU; the GUID is derived from everything inside."""
+    dependencies = resources.files("fmus.build.documentation") / "externalDependencies.txt"
+    module, attribute = defined_as(block)
+    entry = f"{block.name.lower()}_{GUID_IN_NAMES}"
+    package = f"{entry}_sources"
+    text = in_package(source_closure(module), package) | {
+        f"{entry}.py": _ENTRY.format(
+            name=block.name, package=package, module=module, attribute=attribute, guid=GUID
+        ),
+        "slavemodule.txt": entry,
+    }
+    if module.partition(".")[0] not in _OURS:
+        _check_import(block, text, entry)
+    members = {
+        **{f"resources/{path}": source.encode() for path, source in text.items()},
+        **_binaries(block.name),
+        **licenses("l1-depth", "pythonfmu"),
+        **documentation(block),
+        "documentation/externalDependencies.txt": dependencies.read_bytes(),
+        "modelDescription.xml": model_description(block, GUID, _CAPABILITIES),
+    }
+    return with_guid(members)
+
+
+def _check_import(block: Block, text: dict[str, str], entry: str) -> None:
+    """ExportError for sources that need what the FMU does not carry, such as a file with a table.
+
+    The packages that are installed here can be imported: a block that needs one passes.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        for path, source in text.items():
+            (Path(folder) / path).parent.mkdir(parents=True, exist_ok=True)
+            (Path(folder) / path).write_text(source, encoding="utf-8")
+        code = f"import sys; sys.path.insert(0, {folder!r}); import {entry}"
+        command = [sys.executable, "-I", "-c", code]
+        try:
+            run = subprocess.run(
+                command, cwd=folder, capture_output=True, text=True, check=False, timeout=_PATIENCE_S
+            )
+        except subprocess.TimeoutExpired:
+            raise ExportError(
+                f"block {block.name!r}: its modules were not imported within {_PATIENCE_S} s: "
+                "expected modules that only define it"
+            ) from None
+    if run.returncode:
+        reason = (run.stderr.strip().splitlines() or ["no reason given"])[-1]
+        raise ExportError(
+            f"block {block.name!r}: an FMU of the python flavour carries Python modules alone, which cannot "
+            f"be imported: {reason}; write what they need into them, or build the native flavour"
+        )
+
+
+@contextmanager
+def compiled_libraries(
+    name: str, members: dict[str, bytes], platforms: Sequence[str]
+) -> Iterator[Callable[[], dict[str, bytes]]]:
+    """Nothing to compile: PythonFMU's binaries are among the members. Raises ExportError for any platform."""
+    if platforms:
+        raise ExportError("platforms of the python flavour: expected none, its libraries are PythonFMU's")
+    yield dict
+
+
+def _binaries(name: str) -> dict[str, bytes]:
+    folder = resources.files("pythonfmu") / "resources" / "binaries"
+    return {
+        f"binaries/{platform.name}/{name}{library.name[library.name.rindex('.') :]}": library.read_bytes()
+        for platform in folder.iterdir()
+        for library in platform.iterdir()
+        if library.name.endswith((".so", ".dll", ".dylib"))
+    }

@@ -1,0 +1,153 @@
+"""A block traced to CasADi: what its functions compute, as expressions and as C99.
+
+Every function takes and gives column vectors in the order of `flatten`; parameters `p`, calculated
+parameters `c`, inputs `u`, state `x`, outputs `y`, times `t` and `h` in s.
+"""
+
+import math
+from functools import cache, partial
+from typing import Any
+
+import casadi
+
+from fmus.block import Block, flatten, unflatten
+from fmus.build import guard
+from fmus.build.c_functions import c_function, c_functions
+from fmus.build.declaration import check_declaration, check_requirements, check_result
+from fmus.build.right_derivative import right_derivative
+from fmus.errors import ExportError
+from fmus.numerics.symbols import unsimplified
+
+
+class Traced:
+    """The functions of a block as CasADi functions.
+
+    calculate: p -> c
+    requirements: (p, c) -> 1 for each condition that holds, 0 for each that does not
+    initial_state: (t, u, p, c) -> x
+    step: (t, h, x, u, p, c) -> x
+    output: (t, x, p, c) -> y
+    output_rate: (t, x, u, p, c) -> dy/dt just after t: outputs after a step, derived by its length
+    calculate_derivative: (p, v) -> directional derivative of c along the seed v of p
+    initial_derivative: (t, u, p, c, v) -> that of y along the seed v of (p, c, u), in initialisation mode
+    output_derivative: (t, x, p, c, v) -> that of y along the seed v of (p, c), the state held
+    initial_sparsity: which of (c, y) follow from which of (p, u) in initialisation mode
+    required: what each of the requirements expects, in words
+    """
+
+    def __init__(self, block: Block) -> None:
+        self.block = block
+        check_declaration(block)
+        t, h = casadi.SX.sym("t"), casadi.SX.sym("h")
+        call = partial(guard.call, block.name)
+        interface = (block.parameters, block.calculated, block.inputs)
+        (ps, p), (cs, c), (us, u) = (_symbols(block, role) for role in interface)
+        calculated, conditions = call(block.calculate, p), call(block.requirements, p, c)
+        check_result(block, "calculate", calculated)
+        check_requirements(block, conditions)
+        initial = call(block.initial_state, t, u, p, c)
+        check_result(block, "initial_state", initial)
+        xs, x = _symbols(block, initial)
+        stepped = call(block.step, t, h, x, u, p, c)
+        check_result(block, "step", stepped)
+        outputs = call(block.output, t, x, p, c)
+        check_result(block, "output", outputs)
+        self.required = tuple(text for _, text in conditions)
+        self.calculate = self._function("calculate", "p", [ps], "c", calculated)
+        self.requirements = self._function(
+            "requirements", "p c", [ps, cs], "holds", tuple(holds for holds, _ in conditions)
+        )
+        self.initial_state = self._function("initial_state", "t u p c", [t, us, ps, cs], "x", initial)
+        self.step = self._function("step", "t h x u p c", [t, h, xs, us, ps, cs], "next", stepped)
+        self.output = self._function("output", "t x p c", [t, xs, ps, cs], "y", outputs)
+        for name in ("calculate", "step", "output"):
+            self._check_constants(name)
+
+        rate = right_derivative(_column(call(block.output, t + h, stepped, p, c)), h)
+        self.output_rate = self._function("output_rate", "t x u p c", [t, xs, us, ps, cs], "rate", rate)
+
+        first = _column(call(block.output, t, initial, p, c))
+        known = casadi.vertcat(ps, cs, us)
+        self.calculate_derivative = self._along("calculate_derivative", "p", [ps], _column(calculated), ps)
+        self.initial_derivative = self._along("initial_derivative", "t u p c", [t, us, ps, cs], first, known)
+        held = _column(outputs), casadi.vertcat(ps, cs)
+        self.output_derivative = self._along("output_derivative", "t x p c", [t, xs, ps, cs], *held)
+        unknowns = casadi.vertcat(_column(calculated), casadi.substitute(first, cs, _column(calculated)))
+        self.initial_sparsity = casadi.jacobian_sparsity(unknowns, casadi.vertcat(ps, us))
+
+    def _check_constants(self, name: str) -> None:
+        """ExportError for a function with a constant that is NaN."""
+        function: casadi.Function = getattr(self, name)
+        for i in range(function.n_instructions()):
+            is_constant = function.instruction_id(i) == casadi.OP_CONST
+            if is_constant and math.isnan(function.instruction_constant(i)):
+                where = guard.location(getattr(self.block, name))
+                raise ExportError(
+                    f"block {self.block.name!r}: {where}{name} holds a constant that is not a number"
+                )
+
+    def functions(self) -> dict[str, casadi.Function]:
+        """Everything that an FMU needs, by name."""
+        return {name: value for name, value in vars(self).items() if isinstance(value, casadi.Function)}
+
+    def c_code(self) -> str:
+        """All functions as static C99 functions called model_FUNCTION, with the arguments of this class.
+
+        What a step needs of its size and the parameters alone is computed apart, by model_step_constants.
+        """
+        step, constants = c_functions(self.step, "model_step", held=("h", "p", "c"), inputs="u")
+        others = {name: function for name, function in self.functions().items() if name != "step"}
+        codes = [c_function(function, f"model_{name}", name == "output") for name, function in others.items()]
+        return "\n".join([f"enum {{ N_STEP_CONSTANTS = {constants} }};\n", step, *codes])
+
+    def _along(
+        self, name: str, names: str, arguments: list, result: casadi.SX, known: casadi.SX
+    ) -> casadi.Function:
+        seed = casadi.SX.sym("v", known.numel())
+        along = casadi.jtimes(result, known, seed)
+        return self._function(name, f"{names} v", [*arguments, seed], "along", along)
+
+    def _function(
+        self, name: str, names: str, arguments: list, result_name: str, result: Any
+    ) -> casadi.Function:
+        column = casadi.densify(result if isinstance(result, casadi.SX) else _column(result))
+        column = unsimplified(casadi.cse, column)
+        return casadi.Function(name, arguments, [column], names.split(), [result_name])
+
+
+@cache
+def traced(block: Block) -> Traced:
+    """The functions of a block, traced once in a process. ExportError for a block that cannot be traced."""
+    try:
+        return Traced(block)
+    except ExportError:
+        raise
+    except (TypeError, AttributeError, RuntimeError, NotImplementedError) as error:
+        if " are free." in str(error):  # symbols that are no arguments of a function, in CasADi's words
+            reason = (
+                f"a function changes its arguments, or gives what an earlier call has kept; {guard.NO_MEMORY}"
+            )
+            raise ExportError(f"block {block.name!r} cannot be traced: {reason}") from error
+        raise ExportError(f"block {block.name!r} cannot be traced: {error}") from error
+
+
+def _symbols(block: Block, template: Any) -> tuple[casadi.SX, Any]:
+    """A column of symbols, and the same in the shape of the template, a class of the block or a value."""
+    count = len(flatten(template() if isinstance(template, type) else template))
+    column = casadi.SX.sym("x", count)
+    return column, guard.call(block.name, unflatten, template, [column[i] for i in range(count)])
+
+
+def _column(value: Any) -> casadi.SX:
+    scalars = flatten(value)
+    return casadi.vertcat(*map(casadi.SX, scalars)) if scalars else casadi.SX(0, 1)
+
+
+def initial_dependencies(block: Block) -> dict[int, tuple[int, ...]]:
+    """Value reference of each initial unknown -> those of the parameters and inputs it follows from."""
+    unknowns = (*block.of_causality("calculatedParameter"), *block.of_causality("output"))
+    knowns = (*block.of_causality("parameter"), *block.of_causality("input"))
+    dependencies: dict[int, list[int]] = {v.value_reference: [] for v in unknowns}
+    for row, column in zip(*traced(block).initial_sparsity.get_triplet(), strict=True):
+        dependencies[unknowns[row].value_reference].append(knowns[column].value_reference)
+    return {unknown: tuple(sorted(known)) for unknown, known in dependencies.items()}

@@ -1,0 +1,205 @@
+"""The FMI 2.0 binding: the library of an unpacked FMU, and calls of its functions for an instance."""
+
+import contextlib
+import ctypes
+import sys
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import Any
+
+from fmus.errors import ExportError
+from fmus.fmi.callbacks import Callbacks
+from fmus.platforms import SHARED_LIBRARY_SUFFIX, SYSTEM_PLATFORM, host_platform, library_name
+
+OK, WARNING, DISCARD, ERROR, FATAL, PENDING = range(6)  # fmi2Status
+DO_STEP_STATUS, LAST_SUCCESSFUL_TIME, TERMINATED = 0, 2, 3  # fmi2StatusKind
+_STATUS_NAMES = ("ok", "warning", "discard", "error", "fatal", "pending")
+
+# type of the functions that transfer numbers -> ctypes element, as fmi2TypesPlatform.h has it
+ELEMENTS = {"Real": ctypes.c_double, "Integer": ctypes.c_int, "Boolean": ctypes.c_int}
+_FALSE, _TRUE = 0, 1  # fmi2Boolean
+CO_SIMULATION = 1  # fmi2Type
+
+
+def element_type(transfer_type: str) -> Any:
+    return ctypes.c_char_p if transfer_type == "String" else ELEMENTS[transfer_type]
+
+
+def status_name(status: int) -> str:
+    """The name of an fmi2Status; a number that is none is named as it is."""
+    return _STATUS_NAMES[status] if 0 <= status < len(_STATUS_NAMES) else f"status {status}"
+
+
+def platform_name() -> str:
+    """The FMI name of this machine's platform, or else the name of its system and address size."""
+    try:
+        return host_platform()
+    except ExportError:
+        return SYSTEM_PLATFORM
+
+
+def library_member(members: Collection[str], model_identifier: str) -> str | None:
+    """The path inside an FMU of the library that this machine loads; None if there is none.
+
+    members: the paths in the FMU. The folder of the FMI platform comes first, then the folder that FMPy uses,
+    which tells no processor.
+    """
+    candidates = [f"binaries/{SYSTEM_PLATFORM}/{model_identifier}{SHARED_LIBRARY_SUFFIX}"]
+    with contextlib.suppress(ExportError):
+        candidates.insert(0, library_name(model_identifier, host_platform()))
+    return next((path for path in candidates if path in members), None)
+
+
+def reference_array(references: Sequence[int]) -> Any:
+    """Value references as the functions of FMI take them."""
+    return (ctypes.c_uint * len(references))(*references)
+
+
+# Functions of FMI 2.0 by the types of their arguments: p(ointer), s(ize), d(ouble), i(nt). They return a
+# status unless `_RESULTS` has another type.
+_SIGNATURES = {
+    "": "GetTypesPlatform GetVersion",
+    "p": "FreeInstance EnterInitializationMode ExitInitializationMode Terminate Reset CancelStep",
+    "pp": "GetFMUstate SetFMUstate FreeFMUstate",
+    "ppp": "SerializedFMUstateSize",
+    "pip": "GetStatus GetRealStatus GetIntegerStatus GetBooleanStatus GetStringStatus",
+    "pddi": "DoStep",
+    "pisp": "SetDebugLogging",
+    "ppps": "SerializeFMUstate",
+    "ppsp": "GetReal GetInteger GetBoolean GetString SetReal SetInteger SetBoolean SetString "
+    "DeSerializeFMUstate",
+    "ppspp": "SetRealInputDerivatives GetRealOutputDerivatives",
+    "ppspspp": "GetDirectionalDerivative",
+    "piddid": "SetupExperiment",
+    "pipppii": "Instantiate",
+}
+_RESULTS = {
+    "Instantiate": ctypes.c_void_p,
+    "FreeInstance": None,
+    "GetTypesPlatform": ctypes.c_char_p,
+    "GetVersion": ctypes.c_char_p,
+}
+_TYPES = {"p": ctypes.c_void_p, "s": ctypes.c_size_t, "d": ctypes.c_double, "i": ctypes.c_int}
+
+
+class Library:
+    """A loaded library; its FMI functions are attributes.
+
+    It is loaded by its whole path, from which the system also resolves what it needs; the working directory,
+    which all threads share, stays as it is. Raises OSError if the system refuses, AttributeError if a
+    function is missing.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._functions = ctypes.CDLL(str(path.resolve()))
+        missing = []
+        for types, names in _SIGNATURES.items():
+            for name in names.split():
+                function = getattr(self._functions, f"fmi2{name}", None)
+                if function is None:
+                    missing.append(f"fmi2{name}")
+                    continue
+                function.argtypes = [_TYPES[letter] for letter in types]
+                function.restype = _RESULTS.get(name, ctypes.c_int)
+        if missing:
+            self.unload()
+            raise AttributeError(
+                f"{path.name} lacks {', '.join(missing)}: expected every function of FMI 2.0"
+            )
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._functions, name)
+
+    def unload(self) -> None:
+        system = ctypes.windll.kernel32 if sys.platform == "win32" else ctypes.CDLL(None)
+        free = system.FreeLibrary if sys.platform == "win32" else system.dlclose
+        free.argtypes = [ctypes.c_void_p]
+        free(self._functions._handle)
+
+
+class BoundInstance(ABC):
+    """An instance of an FMU whose functions are called by name; `check_status` decides about each status.
+
+    handle: the fmi2Component, None before `instantiate` and if the FMU refused; log: its messages
+    """
+
+    def __init__(self, library: Library, callbacks: Callbacks) -> None:
+        self.library, self.callbacks, self.log = library, callbacks, callbacks.log
+        self.handle: ctypes.c_void_p | None = None
+
+    @abstractmethod
+    def check_status(self, function: str, status: int) -> None:
+        """Raise an error for a status that is a failure of the function."""
+
+    def instantiate(self, name: str, guid: str, resources: Path, logging_on: bool) -> bool:
+        """Create the instance; False if the FMU returns NULL."""
+        address = self.library.fmi2Instantiate(
+            name.encode(),
+            CO_SIMULATION,
+            guid.encode(),
+            resources.as_uri().encode(),
+            ctypes.byref(self.callbacks.structure),
+            _FALSE,
+            logging_on,
+        )
+        self.handle = ctypes.c_void_p(address) if address else None
+        return self.handle is not None
+
+    def status(self, function: str, *arguments: Any) -> int:
+        """The status that a function of the library returns for the instance."""
+        return getattr(self.library, function)(self.handle, *arguments)
+
+    def call(self, function: str, *arguments: Any) -> None:
+        """Call a function and check its status."""
+        self.check_status(function, self.status(function, *arguments))
+
+    def get_values(self, transfer_type: str, references: Sequence[int]) -> list[Any]:
+        """The values of variables of one type, in one call; Strings as bytes."""
+        buffer = (element_type(transfer_type) * len(references))()
+        self.call(f"fmi2Get{transfer_type}", reference_array(references), len(references), buffer)
+        return list(buffer)
+
+    def set_values(self, transfer_type: str, references: Sequence[int], values: Sequence[Any]) -> None:
+        """Set variables of one type in one call; Strings are given as bytes."""
+        buffer = (element_type(transfer_type) * len(references))(*values)
+        self.call(f"fmi2Set{transfer_type}", reference_array(references), len(references), buffer)
+
+    def set_up_experiment(
+        self, start_time: float, stop_time: float | None = None, tolerance: float | None = None
+    ) -> None:
+        stop, given = ((_FALSE, 0.0) if x is None else (_TRUE, x) for x in (stop_time, tolerance))
+        self.call("fmi2SetupExperiment", *given, start_time, *stop)
+
+    def enter_initialization_mode(self) -> None:
+        self.call("fmi2EnterInitializationMode")
+
+    def exit_initialization_mode(self) -> None:
+        self.call("fmi2ExitInitializationMode")
+
+    def get_fmu_state(self, state: int | None = None) -> int:
+        """The FMU's state as it is now; the saved state that is given, if any, is overwritten."""
+        pointer = ctypes.c_void_p(state)
+        self.call("fmi2GetFMUstate", ctypes.byref(pointer))
+        return pointer.value or 0
+
+    def set_fmu_state(self, state: int) -> None:
+        self.call("fmi2SetFMUstate", ctypes.c_void_p(state))
+
+    def free_fmu_state(self, state: int) -> None:
+        self.call("fmi2FreeFMUstate", ctypes.byref(ctypes.c_void_p(state)))
+
+    def serialize_fmu_state(self, state: int) -> bytes:
+        """A saved state as bytes, from which another instance of this FMU can restore it."""
+        size, saved = ctypes.c_size_t(), ctypes.c_void_p(state)
+        self.call("fmi2SerializedFMUstateSize", saved, ctypes.byref(size))
+        content = ctypes.create_string_buffer(max(size.value, 1))
+        self.call("fmi2SerializeFMUstate", saved, content, size)
+        return content.raw[: size.value]
+
+    def deserialize_fmu_state(self, content: bytes) -> int:
+        """A saved state from the bytes of `serialize_fmu_state`."""
+        pointer = ctypes.c_void_p()
+        buffer = ctypes.create_string_buffer(content, len(content))
+        self.call("fmi2DeSerializeFMUstate", buffer, len(content), ctypes.byref(pointer))
+        return pointer.value or 0

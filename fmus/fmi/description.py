@@ -1,0 +1,124 @@
+"""The model description of an FMU."""
+
+import zipfile
+from functools import lru_cache
+from itertools import product
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree import ElementTree
+
+from fmus.errors import nearest
+from fmus.fmi.model_description import ModelDescription, ScalarVariable, model_description
+from fmus.fmi.variable_types import FmiValue
+from fmus.registry import block_fmus, is_in_cache
+from fmus.user_cache import is_own_build, reason_for_distrust
+from orchestration.errors import FmuLoadError
+
+_MOST_DESCRIPTIONS = 256  # that stay in memory
+
+
+class FileVersion(NamedTuple):
+    """A file as it is now: another version of it differs in one of these."""
+
+    path: Path
+    inode: int
+    size: int
+    modified: int  # ns; a copy may keep it
+    changed: int  # ns; a copy may not
+
+    @staticmethod
+    def of(path: Path) -> "FileVersion":
+        status = path.stat()
+        return FileVersion(
+            path.absolute(), status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
+        )
+
+
+def describe(path: Path) -> ModelDescription:
+    """Returns the model description of an FMI 2.0 co-simulation FMU; FmuLoadError says what is wrong."""
+    description = describe_any(path)
+    if description.coSimulation is None:
+        raise FmuLoadError(f"{path} is for model exchange alone: expected an FMU for co-simulation")
+    return description
+
+
+def describe_any(path: Path) -> ModelDescription:
+    """Returns the model description of an FMI 2.0 FMU, also of one for model exchange alone.
+
+    It is read once while the file does not change: all who ask share it, and must not change it.
+    """
+    if not path.is_file():
+        folder = path.parent
+        beside = [other.name for other in folder.glob("*.fmu")]
+        for block, flavour in block_fmus([path]):
+            command = f"l1-depth build --cache --flavour {flavour} {block}"
+            raise FmuLoadError(f"the FMU of block {block} is not built: {command} writes {path}")
+        raise FmuLoadError(f"no FMU at {path}; in that folder, {nearest(path.name, beside)}")
+    return _read(path, FileVersion.of(path))
+
+
+@lru_cache(_MOST_DESCRIPTIONS)
+def _read(path: Path, version: FileVersion) -> ModelDescription:
+    if is_in_cache(path) and (reason := reason_for_distrust(path)):
+        raise FmuLoadError(reason)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            root = ElementTree.fromstring(archive.read("modelDescription.xml"))
+    except (zipfile.BadZipFile, EOFError, KeyError) as error:
+        raise FmuLoadError(
+            f"{path} is not an FMU: expected a zip with a modelDescription.xml: {error}"
+        ) from error
+    except (LookupError, ValueError) as error:
+        raise _unreadable(path, ValueError(f"{error}: expected XML in UTF-8 (FMI 2.0.5, 2.2)")) from error
+    except Exception as error:  # whatever unpacking and parsing a damaged file raise
+        raise _unreadable(path, error) from error
+    if (fmi_version := root.get("fmiVersion")) != "2.0":
+        raise FmuLoadError(f"{path} is an FMU of FMI {fmi_version}: expected FMI 2.0")
+    try:
+        description = model_description(root)
+    except ValueError as error:
+        raise _unreadable(path, error) from error
+    identifier = description.coSimulation.modelIdentifier if description.coSimulation else "none"
+    if not identifier or set(identifier) & set("/\\:") or ".." in identifier:  # leads out of the archive
+        raise FmuLoadError(f"{path}: modelIdentifier {identifier!r}: expected a C identifier")
+    _take_over_declared_types(description)
+    # those of this exporter list sources: other FMUs, which may be large, need not be read
+    has_sources = root.find("CoSimulation/SourceFiles") is not None
+    description.is_own_build = has_sources and is_own_build(path.read_bytes())
+    return description
+
+
+def _unreadable(path: Path, error: Exception) -> FmuLoadError:
+    return FmuLoadError(f"{path}: the model description cannot be read: {' '.join(str(error).split())}")
+
+
+def is_independent(description: ModelDescription) -> bool:
+    """Whether an FMU is a native one that a build of this user wrote.
+
+    The instances of these have no memory in common, also within one library, and change nothing in the
+    process, as `tests/fmus/native/test_no_globals.py` proves. Any other FMU may do anything, whatever tool it
+    names: so may the Python of a block.
+    """
+    return description.is_own_build
+
+
+def of_causality(description: ModelDescription, causality: str) -> list[ScalarVariable]:
+    """The variables of a causality, in the order of the model description."""
+    return [variable for variable in description.modelVariables if variable.causality == causality]
+
+
+def start_value(variable: ScalarVariable) -> FmiValue:
+    """The start value in the Python type of the variable; 0, False or "" where none is given."""
+    text = str(variable.start or "")
+    if variable.type == "String":
+        return text
+    if variable.type == "Boolean":
+        return text.lower() in ("true", "1")
+    return float(text or 0) if variable.type == "Real" else int(text or 0)
+
+
+def _take_over_declared_types(description: ModelDescription) -> None:
+    """Give each variable what only its SimpleType states: unit, range, nominal (FMI 2.0.5, 2.2.3)."""
+    for variable, attribute in product(description.modelVariables, ("unit", "min", "max", "nominal")):
+        if getattr(variable, attribute) is None:
+            setattr(variable, attribute, getattr(variable.declaredType, attribute, None))

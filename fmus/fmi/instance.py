@@ -1,0 +1,216 @@
+"""One FMU instance: loaded, called through arrays bound once, and always freed.
+
+Every call that an FMU refuses becomes an FmuError with the messages that the FMU logged.
+"""
+
+import contextlib
+import ctypes
+import warnings
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fmus.fmi.binding import (
+    ERROR,
+    FATAL,
+    LAST_SUCCESSFUL_TIME,
+    OK,
+    TERMINATED,
+    WARNING,
+    BoundInstance,
+    Callbacks,
+    status_name,
+)
+from fmus.fmi.model_description import ModelDescription, ScalarVariable
+from fmus.fmi.unpacked import unpacked
+from fmus.fmi.variable_types import TRANSFER_TYPE, FmiValue
+from orchestration.errors import FmuError, FmuLoadError, FmuWarning
+
+_MOST_MESSAGES = 10  # in an error or a warning
+
+
+class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"]):
+    """An instance of an FMI 2.0 co-simulation FMU, between instantiation and `close`.
+
+    The library is its own, but for native FMUs that this user built, which never return fatal: so a fatal
+    error, after which FMI forbids calls of any instance, ends this instance alone. Raises FmuLoadError if the
+    FMU cannot be loaded.
+
+    is_fresh: whether it was instantiated or reset, and neither set nor initialised since
+    has_warned: whether a call returned a warning since it was instantiated or reset
+    time [s]: of the present call
+    busy: shape (1,), `number` while a call is in progress, else 0; calls: shape (1,), how many have returned.
+    Another process can watch them.
+    """
+
+    def __init__(self, name: str, path: Path, description: ModelDescription) -> None:
+        self.name, self.description, self.time = name, description, 0.0
+        self.is_fresh, self._stepping, self._failed, self._dead = True, False, False, False
+        self.has_warned = False
+        self.number, self.busy, self.calls = 1, np.zeros(1, np.int64), np.zeros(1, np.int64)
+        self.after_call: Callable[[], object] = lambda: None
+        self.termination_log: list[str] = []
+        callbacks = Callbacks()
+        try:
+            with contextlib.ExitStack() as resources:
+                resources.callback(callbacks.close)
+                fmu = resources.enter_context(unpacked(path, description))
+                super().__init__(fmu.library, callbacks)
+                guid, folder = description.guid or "", fmu.folder / "resources"
+                if not self.instantiate(name, guid, folder, logging_on=True):
+                    raise RuntimeError("fmi2Instantiate returned NULL")
+                self._resources = resources.pop_all()
+        except FmuLoadError:
+            raise
+        except Exception as error:
+            reason = "; ".join(message for _, message in callbacks.log) or str(error)
+            raise FmuLoadError(f"{name}: {path} cannot be instantiated: {reason}") from error
+
+    @property
+    def address(self) -> int:
+        """Of the instance in memory."""
+        return (self.handle and self.handle.value) or 0
+
+    def function(self, name: str) -> int:
+        """Address of a function of the FMU's library."""
+        return ctypes.cast(getattr(self.library, name), ctypes.c_void_p).value or 0
+
+    def reset(self) -> bool:
+        """Reset to the state after instantiation; False if the FMU refuses, and must be loaded anew."""
+        status = self.status("fmi2Reset")
+        self.log.clear()
+        self._dead = self._dead or status == FATAL
+        if status == 0:
+            self.is_fresh, self._stepping, self._failed, self.termination_log = True, False, False, []
+            self.has_warned = False
+            self.time = 0.0
+        return status == 0
+
+    def set(self, variable: ScalarVariable, value: FmiValue) -> None:
+        """Set one variable, outside the loop."""
+        self.set_all([(variable, value)])
+
+    def set_all(self, settings: Iterable[tuple[ScalarVariable, FmiValue]]) -> None:
+        """Set variables, those of one type in one call, outside the loop."""
+        self.is_fresh = False  # also where a call is refused: others may have set values before
+        groups: dict[str, list[tuple[int, FmiValue | bytes]]] = {}
+        for variable, value in settings:
+            pair = variable.valueReference, str(value).encode() if variable.type == "String" else value
+            groups.setdefault(TRANSFER_TYPE[variable.type], []).append(pair)
+        for transfer_type, members in groups.items():
+            self.set_values(transfer_type, *zip(*members, strict=True))
+
+    def get(self, variable: ScalarVariable) -> Any:
+        """Read one variable, outside the loop."""
+        (value,) = self.get_values(TRANSFER_TYPE[variable.type], [variable.valueReference])
+        return (value or b"").decode("utf-8", "replace") if variable.type == "String" else value
+
+    def initialise(self, start_time: float, stop_time: float | None, tolerance: float | None = None) -> None:
+        """Set the experiment up and enter initialization mode; tolerance: relative, of its solver."""
+        self.time = start_time
+        self.is_fresh = False
+        self.set_up_experiment(start_time, stop_time, tolerance)
+        self.enter_initialization_mode()
+
+    def exit_initialization_mode(self) -> None:
+        super().exit_initialization_mode()
+        self._stepping = True
+
+    def set_fmu_state(self, state: int) -> None:
+        super().set_fmu_state(state)
+        self.forget_failure()
+
+    def forget_failure(self) -> None:
+        """What a state from before an error was set for."""
+        self._failed = False
+
+    @property
+    def is_dead(self) -> bool:
+        """Whether a call returned fatal, after which FMI forbids any."""
+        return self._dead
+
+    def free_fmu_state(self, state: int) -> None:
+        """Free a saved state; after a fatal error nothing is called, the state goes with the library."""
+        if not self._dead:
+            super().free_fmu_state(state)
+
+    def last_successful_time(self) -> float | None:
+        """The time up to which a discarded step was computed [s]; None if the FMU does not provide it."""
+        time = ctypes.c_double()
+        status = self.status("fmi2GetRealStatus", LAST_SUCCESSFUL_TIME, ctypes.byref(time))
+        self._remember(status)
+        return time.value if status == 0 else None
+
+    def terminates(self) -> bool:
+        """Whether the FMU discarded the step because it terminates the simulation (FMI 2.0.5, 4.2.3).
+
+        `termination_log` then holds what it logged. An FMU that logged an error has failed.
+        """
+        if self.log.error_logged[0]:
+            return False
+        self.termination_log = [message for _, message in self.log]
+        answer = ctypes.c_int()
+        status = self.status("fmi2GetBooleanStatus", TERMINATED, ctypes.byref(answer))
+        self._remember(status)
+        return status == 0 and bool(answer.value)
+
+    def status(self, function: str, *arguments: Any) -> int:
+        self.busy[0] = self.number
+        try:
+            return super().status(function, *arguments)
+        finally:
+            self.after_call()
+            self.busy[0] = 0
+            self.calls[0] += 1
+
+    def check_status(self, function: str, status: int) -> None:
+        """Raise FmuError for a refused call, warn for a warning, and clear the log.
+
+        A call that returned ok but logged an error is refused too: some FMUs report an error only there.
+        """
+        if not status and not self.log:
+            return
+        log = list(self.log)
+        self.log.clear()
+        logged = [s for s, _ in log if s in (ERROR, FATAL)]
+        worst = max([status, *logged]) if status >= OK else status
+        self._remember(status)
+        messages = _shortened([message for _, message in log])
+        if worst not in (OK, WARNING):
+            raise FmuError(self.name, self.time, function, status_name(worst), messages)
+        if worst:
+            self.has_warned = True
+            text = "; ".join(messages) or "it logged nothing"
+            warnings.warn(
+                f"{self.name} at t = {self.time:.9g} s: {function}: {text}", FmuWarning, stacklevel=2
+            )
+
+    def _remember(self, status: int) -> None:
+        self._failed = self._failed or not OK <= status < ERROR
+        self._dead = self._dead or status == FATAL
+
+    def close(self) -> None:
+        """Terminate and free the instance, unload its library, remove its folder.
+
+        FMI forbids fmi2Terminate after an error, and any call after a fatal error.
+        """
+        try:
+            if self.handle and self._stepping and not (self._failed or self._dead):
+                self._dead = self.status("fmi2Terminate") == FATAL
+            if self.handle and not self._dead:
+                self.status("fmi2FreeInstance")
+        finally:
+            self.handle = None
+            self._resources.close()
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+def _shortened(messages: list[str]) -> list[str]:
+    """The different messages, at most as many as can be read."""
+    different = list(dict.fromkeys(messages))
+    left = len(different) - _MOST_MESSAGES
+    return [*different[:_MOST_MESSAGES], *([f"and {left} more"] if left > 0 else [])]

@@ -1,0 +1,243 @@
+"""The model description of an FMI 2.0 FMU as objects, with the names of the standard (FMI 2.0.5, 2.2).
+
+What running an FMU needs is read; `l1-depth check` judges the rest. FMPy reads the same, and takes longer to
+import than a run takes.
+"""
+# ruff: noqa: N815  (names of the standard)
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from xml.etree.ElementTree import Element
+
+from fmus.fmi.variable_types import INTEGER_RANGE, TRANSFER_TYPE, TYPES
+
+_REFERENCES = 2**32  # numbers that fmi2ValueReference has
+# variability -> causality -> what `initial` is where it is not stated (2.2.7)
+_OF_PARAMETERS = {"parameter": "exact", "calculatedParameter": "calculated", "local": "calculated"}
+_OF_SIGNALS = {"input": "exact", "output": "calculated", "local": "calculated", "independent": None}
+_INITIAL = {
+    "constant": {"output": "exact", "local": "exact"},
+    "fixed": _OF_PARAMETERS,
+    "tunable": _OF_PARAMETERS,
+    "discrete": {name: initial for name, initial in _OF_SIGNALS.items() if initial},
+    "continuous": _OF_SIGNALS,
+}
+
+
+@dataclass(eq=False)
+class Item:
+    name: str
+    value: str
+
+
+@dataclass(eq=False)
+class SimpleType:
+    """A type that variables declare; items: of an Enumeration."""
+
+    name: str
+    type: str
+    items: list[Item]
+    unit: str | None
+    min: str | None
+    max: str | None
+    nominal: str | None
+
+
+@dataclass(eq=False)
+class ScalarVariable:
+    """A variable; numbers as they are written, None where they are not."""
+
+    name: str
+    valueReference: int
+    type: str
+    causality: str
+    variability: str
+    initial: str | None
+    description: str | None
+    declaredType: SimpleType | None
+    unit: str | None
+    min: str | None
+    max: str | None
+    nominal: str | None
+    start: str | None
+
+
+@dataclass(eq=False)
+class Unknown:
+    """What depends on other variables; dependencies: None where they are not stated, and may be all."""
+
+    variable: ScalarVariable
+    dependencies: list[ScalarVariable] | None
+
+
+@dataclass(eq=False)
+class BaseUnit:
+    """value in base units = factor * value + offset; the exponents of these."""
+
+    kg: int
+    m: int
+    s: int
+    A: int
+    K: int
+    mol: int
+    cd: int
+    rad: int
+    factor: float
+    offset: float
+
+
+@dataclass(eq=False)
+class Unit:
+    name: str
+    baseUnit: BaseUnit | None
+
+
+@dataclass(eq=False)
+class CoSimulation:
+    """Capabilities (4.3.1)."""
+
+    modelIdentifier: str
+    needsExecutionTool: bool
+    canHandleVariableCommunicationStepSize: bool
+    canInterpolateInputs: bool
+    canRunAsynchronuously: bool
+    canBeInstantiatedOnlyOncePerProcess: bool
+    canNotUseMemoryManagementFunctions: bool
+    canGetAndSetFMUstate: bool
+    canSerializeFMUstate: bool
+    providesDirectionalDerivative: bool
+
+
+@dataclass(eq=False)
+class DefaultExperiment:
+    startTime: str | None
+    stopTime: str | None
+    stepSize: str | None
+
+
+@dataclass(eq=False)
+class ModelDescription:
+    """The description of an FMU.
+
+    coSimulation: None for an FMU of model exchange alone
+    is_own_build: whether a build of this user wrote the file, which the description itself cannot prove
+    """
+
+    fmiVersion: str
+    modelName: str
+    guid: str
+    description: str | None
+    generationTool: str | None
+    coSimulation: CoSimulation | None
+    defaultExperiment: DefaultExperiment | None
+    unitDefinitions: list[Unit]
+    modelVariables: list[ScalarVariable]
+    outputs: list[Unknown]
+    initialUnknowns: list[Unknown]
+    is_own_build: bool = False
+
+
+def model_description(root: Element) -> ModelDescription:
+    """What a modelDescription.xml holds; ValueError says what of it cannot be read."""
+    types = {
+        definition.name: definition for definition in map(_simple_type, root.findall("TypeDefinitions/*"))
+    }
+    variables = [_variable(element, types) for element in root.findall("ModelVariables/ScalarVariable")]
+    interface, experiment = root.find("CoSimulation"), root.find("DefaultExperiment")
+    return ModelDescription(
+        fmiVersion=_required(root, "fmiVersion"),
+        modelName=root.get("modelName", ""),
+        guid=root.get("guid", ""),
+        description=root.get("description"),
+        generationTool=root.get("generationTool"),
+        coSimulation=None if interface is None else _co_simulation(interface),
+        defaultExperiment=None
+        if experiment is None
+        else DefaultExperiment(*map(experiment.get, ("startTime", "stopTime", "stepSize"))),
+        unitDefinitions=[_unit(element) for element in root.findall("UnitDefinitions/Unit")],
+        modelVariables=variables,
+        outputs=_unknowns(root, "Outputs", variables),
+        initialUnknowns=_unknowns(root, "InitialUnknowns", variables),
+    )
+
+
+def _required(element: Element, attribute: str) -> str:
+    value = element.get(attribute)
+    if value is None:
+        name = element.get("name")
+        raise ValueError(f"{element.tag}{f' {name}' if name else ''} has no {attribute}")
+    return value
+
+
+def _co_simulation(element: Element) -> CoSimulation:
+    capabilities = {f.name: element.get(f.name) in ("true", "1") for f in fields(CoSimulation)[1:]}
+    return CoSimulation(element.get("modelIdentifier", ""), **capabilities)
+
+
+def _simple_type(element: Element) -> SimpleType:
+    name = _required(element, "name")
+    for kind in element:
+        items = [Item(_required(item, "name"), _required(item, "value")) for item in kind.findall("Item")]
+        return SimpleType(name, kind.tag, items, *map(kind.get, ("unit", "min", "max", "nominal")))
+    raise ValueError(f"SimpleType {name} has no type")
+
+
+def _unit(element: Element) -> Unit:
+    name, base = _required(element, "name"), element.find("BaseUnit")
+    if base is None:
+        return Unit(name, None)
+    exponents = (int(base.get(unit, "0")) for unit in ("kg", "m", "s", "A", "K", "mol", "cd", "rad"))
+    scale = {"factor": float(base.get("factor", "1")), "offset": float(base.get("offset", "0"))}
+    return Unit(name, BaseUnit(*exponents, **scale))
+
+
+def _variable(element: Element, types: Mapping[str, SimpleType]) -> ScalarVariable:
+    name = _required(element, "name")
+    kind = next((child for child in element if child.tag in TYPES), None)
+    if kind is None:
+        raise ValueError(f"variable {name} has no type: expected one of {', '.join(TYPES)}")
+    declared = kind.get("declaredType")
+    if declared is not None and declared not in types:
+        raise ValueError(f"variable {name}: declaredType {declared!r} is not defined")
+    causality, variability = element.get("causality", "local"), element.get("variability", "continuous")
+    initial = element.get("initial")
+    if not initial:
+        if causality not in _INITIAL.get(variability, {}):
+            raise ValueError(
+                f"variable {name}: a causality {causality!r} of variability {variability!r} has no default "
+                "of initial: expected that it is stated"
+            )
+        initial = _INITIAL[variability][causality]
+    reference = int(_required(element, "valueReference"))
+    low, high = INTEGER_RANGE
+    if not 0 <= reference < _REFERENCES:
+        raise ValueError(f"variable {name}: valueReference {reference}: expected 0..{_REFERENCES - 1}")
+    if TRANSFER_TYPE[kind.tag] == "Integer" and not low <= int(kind.get("start") or 0) <= high:
+        raise ValueError(f"variable {name}: start {kind.get('start')}: expected {low}..{high}")
+    return ScalarVariable(
+        name,
+        reference,
+        kind.tag,
+        causality,
+        variability,
+        initial,
+        element.get("description"),
+        types[declared] if declared is not None else None,
+        *map(kind.get, ("unit", "min", "max", "nominal", "start")),
+    )
+
+
+def _unknowns(root: Element, name: str, variables: Sequence[ScalarVariable]) -> list[Unknown]:
+    """The unknowns of a part of the model structure, which names variables by their numbers, from 1."""
+
+    def variable(number: str) -> ScalarVariable:
+        if not 1 <= int(number) <= len(variables):
+            raise ValueError(f"{name}: no variable {number}: expected 1 to {len(variables)}")
+        return variables[int(number) - 1]
+
+    unknowns = []
+    for element in root.findall(f"ModelStructure/{name}/Unknown"):
+        dependencies = element.get("dependencies")
+        listed = None if dependencies is None else list(map(variable, dependencies.split()))
+        unknowns.append(Unknown(variable(_required(element, "index")), listed))
+    return unknowns

@@ -1,0 +1,1 @@
+"""The C layer of native FMUs, and its compiler."""

@@ -1,0 +1,270 @@
+"""The communication loop of an ensemble: its arrays, and the compiled loop over them."""
+
+import ctypes
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from fmus.errors import ExportError
+from fmus.native.lanes import LANES
+from orchestration.errors import EnsembleError
+from orchestration.many.lane_library import LaneLibrary, aligned, load_compiled
+from orchestration.run.initialisation import ConnectionGroup
+from orchestration.system.experiment import Algorithm
+from orchestration.system.experiment_checks import check_fits
+from orchestration.system.prepared_run import PreparedRun
+from orchestration.system.system import Port
+from orchestration.system.transformation import LinearTransformation
+
+Array = np.ndarray
+_UNCHANGED = LinearTransformation()
+_LARGEST = np.finfo(float).max
+
+
+class GroupData(NamedTuple):
+    """All data of the loop for one group, which `ensemble.c` declares member by member.
+
+    n_points .. n_columns: of communication points, components, signals, varied signals, recorded variables
+    gauss_seidel: 1 for Gauss-Seidel, 0 for Jacobi; points: [s]
+    step, memory: of each component the addresses of its function and of the group
+
+    Variables are addresses of their lanes. Connections into component c are first[c]..first[c+1]-1:
+    source, target; source_component; factor, offset: as in `Connections`; minimum, maximum: of the target
+    signal_values: one row for each signal, one column for each point; signal: the inputs
+    varied_values: addresses of the signals that differ between instances, each of shape (points, lanes);
+    they are set after the others; varied: the inputs
+    column: the recorded variables; rows: their values, shape (columns, points, lanes)
+    recorded: points that are recorded of each instance; failure: 0, or 1 + the component whose step it
+    refused, or -1 - the connection whose value its target cannot have
+    """
+
+    n_points: int
+    n_components: int
+    n_signals: int
+    n_varied: int
+    n_columns: int
+    gauss_seidel: int
+    points: Array
+    step: Array
+    memory: Array
+    first: Array
+    source_component: Array
+    source: Array
+    target: Array
+    minimum: Array
+    maximum: Array
+    factor: Array
+    offset: Array
+    signal_values: Array
+    signal: Array
+    varied_values: Array
+    varied: Array
+    column: Array
+    rows: Array
+    recorded: Array
+    failure: Array
+
+
+@dataclass(frozen=True)
+class EnsembleLoop:
+    """The groups of an ensemble, ready to run.
+
+    memory: component -> its groups; see `LaneLibrary.memory`
+    varied: driven input -> the signal of each instance at each point, shape (groups, points, lanes)
+    rows: recorded values, shape (groups, columns, points, lanes)
+    recorded, failure: as in `GroupData`, shape (groups, lanes)
+    """
+
+    prepared: PreparedRun
+    libraries: Mapping[str, LaneLibrary]
+    instructions: str
+    memory: Mapping[str, Array]
+    varied: Mapping[str, Array]
+    rows: Array
+    recorded: Array
+    failure: Array
+
+    @property
+    def connections(self) -> list[tuple[str, str]]:
+        """Source and target of the connections, those into the first component first."""
+        order = {name: c for c, name in enumerate(self.libraries)}
+        connections = sorted(self.prepared.system.connections, key=lambda ends: order[ends[1].component])
+        return [(source.name, target.name) for source, target in connections]
+
+    def run_group(self, group: int) -> None:
+        """Run a group from the first communication point to the last, with the changes of events."""
+        self.run_points(group, self.data_of_group(group), 0, len(self.prepared.points) - 1)
+
+    def data_of_group(self, group: int) -> tuple[ctypes.Array[ctypes.c_int64], GroupData]:
+        """The data of a group as the compiled loop takes them, and the arrays that hold them."""
+        data = self.data(group)
+        members = [member.ctypes.data if isinstance(member, np.ndarray) else member for member in data]
+        return (ctypes.c_int64 * len(members))(*members), data
+
+    def exchange(self, data: tuple[ctypes.Array[ctypes.c_int64], GroupData], point: int) -> None:
+        """Set what signals and connections drive at a communication point, and record it."""
+        loop_library(self.instructions).ensemble_exchange(data[0], point)
+
+    def run_points(
+        self, group: int, data: tuple[ctypes.Array[ctypes.c_int64], GroupData], first: int, last: int
+    ) -> None:
+        """Run a group from one communication point to another; data: of `data_of_group`."""
+        is_end = last + 1 == len(self.prepared.points)
+        changes = (p for p in self.prepared.changes if first < p and (p < last or (is_end and p == last)))
+        starts = sorted({first, *changes})
+        for start, end in zip(starts, [*starts[1:], last], strict=True):
+            self._change(group, start)
+            loop_library(self.instructions).ensemble_run(data[0], start, end)
+
+    def data(self, group: int) -> GroupData:
+        """The arrays of a group."""
+        prepared, experiment = self.prepared, self.prepared.experiment
+        components, connections = list(self.libraries), self.connections
+        owners = [prepared.system.ports[target].component for _, target in connections]
+        sources = [components.index(prepared.system.ports[source].component) for source, _ in connections]
+        changes = [prepared.system.transformations.get(target, _UNCHANGED) for _, target in connections]
+        limits = np.array([prepared.input_ranges[target] for _, target in connections]).reshape(-1, 2)
+        minimum, maximum = np.ascontiguousarray(limits.T).clip(-_LARGEST, _LARGEST)
+        return GroupData(
+            n_points=len(prepared.points),
+            n_components=len(components),
+            n_signals=len(experiment.signals),
+            n_varied=len(self.varied),
+            n_columns=len(prepared.recorded),
+            gauss_seidel=int(experiment.algorithm is Algorithm.GAUSS_SEIDEL),
+            points=prepared.points,
+            step=_integers([library.step for library in self.libraries.values()]),
+            memory=_integers([self.memory[name][group].ctypes.data for name in components]),
+            first=_integers([0, *np.cumsum([owners.count(name) for name in components])]),
+            source_component=_integers(sources),
+            source=self._addresses(group, [source for source, _ in connections]),
+            target=self._addresses(group, [target for _, target in connections]),
+            minimum=minimum,
+            maximum=maximum,
+            factor=np.array([change.factor for change in changes], float),
+            offset=np.array([change.offset or -0.0 for change in changes], float),
+            signal_values=prepared.signal_values,
+            signal=self._addresses(group, list(experiment.signals)),
+            varied_values=_integers([values[group].ctypes.data for values in self.varied.values()]),
+            varied=self._addresses(group, list(self.varied)),
+            column=self._addresses(group, prepared.recorded),
+            rows=self.rows[group],
+            recorded=self.recorded[group],
+            failure=self.failure[group],
+        )
+
+    def _addresses(self, group: int, names: Sequence[str]) -> Array:
+        """Of the lanes of variables."""
+        ports = [self.prepared.system.ports[name] for name in names]
+        first = {name: memory[group].ctypes.data for name, memory in self.memory.items()}
+        return _integers([first[p.component] + 8 * LANES * int(p.variable.valueReference) for p in ports])
+
+    def reason(self, instance: int) -> str:
+        """Why an instance ended early."""
+        failure, count = self.failure.ravel()[instance], self.recorded.ravel()[instance]
+        time = f"t = {self.prepared.points[count - 1]:.9g} s"
+        if failure < 0:
+            source, target = self.connections[-1 - failure]
+            return f"{source} -> {target} at {time}: a value that the input cannot have"
+        component = list(self.libraries)[failure - 1]
+        return f"{component} at {time}: the step is refused; Simulator.run of this instance says why"
+
+    def values(self, port: Port) -> Array:
+        """A variable of all instances, shape (groups, lanes): a view of the memory."""
+        first = LANES * int(port.variable.valueReference)
+        return self.memory[port.component][:, first : first + LANES]
+
+    def initialise(self, group: ConnectionGroup | None = None) -> None:
+        """Compute what follows from parameters and inputs, and exchange it over connections.
+
+        group: of `connection_groups`, one connection; without one, every component is computed
+        """
+        connections = group.connections if group else ()
+        for component in {source.component for source, _ in connections} or self.libraries:
+            for index, memory in enumerate(self.memory[component]):
+                refused = self.libraries[component].initialise(memory, float(self.prepared.points[0]))
+                self._note_refused(index, component, refused)
+        for source, target in connections:
+            value = self.values(source)
+            transformation = self.prepared.system.transformations.get(target.name)
+            with np.errstate(over="ignore", invalid="ignore"):  # such a value is refused below
+                arriving = transformation.factor * value + transformation.offset if transformation else value
+            low, high = self.prepared.input_ranges[target.name]
+            number = 1 + list(self.libraries).index(target.component)
+            self.values(target)[:] = arriving
+            bad = ~((arriving >= low) & (arriving <= high) & np.isfinite(arriving))
+            self.failure[bad], self.recorded[bad] = number, 0
+
+    def _change(self, group: int, point: int) -> None:
+        """Set what events change at a communication point."""
+        changes = self.prepared.changes.get(point, ())
+        for port, value in changes:
+            self.values(port)[group] = float(value)
+        for component in {port.component for port, _ in changes}:
+            self.libraries[component].parameters_changed(self.memory[component][group])
+
+    def _note_refused(self, group: int, component: str, refused: int) -> None:
+        """The instances of the refused lanes do not begin."""
+        for lane in range(LANES) if refused else ():
+            if refused >> lane & 1 and not self.failure[group, lane]:
+                self.failure[group, lane] = 1 + list(self.libraries).index(component)
+                self.recorded[group, lane] = 0
+
+
+def check_memory(
+    prepared: PreparedRun, libraries: Mapping[str, LaneLibrary], count: int, varied: int
+) -> None:
+    """SystemDefinitionError for more than the memory of this machine.
+
+    count: of instances, each with its recording and so many varied signals
+    """
+    groups, (points, columns) = -(-count // LANES), prepared.shape
+    words = LANES * points * (columns + varied) + sum(library.words for library in libraries.values())
+    signals = f" and {varied} signals" if varied else ""
+    check_fits(
+        8 * groups * words,
+        f"{count} instances of {points} communication points of {columns} variables{signals}",
+        "record fewer variables, or run fewer instances at once",
+    )
+
+
+def build_loop(
+    prepared: PreparedRun,
+    libraries: Mapping[str, LaneLibrary],
+    instructions: str,
+    values: Mapping[str, Array],
+    varied: Mapping[str, Array],
+    count: int,
+) -> EnsembleLoop:
+    """The groups of so many instances.
+
+    values: component -> its variables by value reference, which all instances have in common
+    varied: as in `EnsembleLoop`
+    """
+    groups = -(-count // LANES)
+    memory = {name: library.memory(groups, values[name]) for name, library in libraries.items()}
+    points = len(prepared.points)
+    rows = aligned(groups, len(prepared.recorded), points, LANES)
+    recorded, failure = np.full((groups, LANES), points), np.zeros((groups, LANES), np.int64)
+    return EnsembleLoop(prepared, libraries, instructions, memory, varied, rows, recorded, failure)
+
+
+def _integers(values: Sequence[int]) -> Array:
+    return np.array(values, np.int64)
+
+
+@lru_cache
+def loop_library(instructions: str) -> ctypes.CDLL:
+    """The compiled loop, for every ensemble of these instructions; EnsembleError if it cannot be compiled."""
+    try:
+        library = load_compiled(Path(__file__).with_name("ensemble.c"), instructions)
+    except (ExportError, OSError) as error:
+        raise EnsembleError(f"no ensemble: {error}; a Simulator runs the system") from error
+    library.ensemble_run.argtypes = [ctypes.c_void_p, *[ctypes.c_int64] * 2]
+    library.ensemble_exchange.argtypes = [ctypes.c_void_p, ctypes.c_int64]
+    library.ensemble_run.restype = library.ensemble_exchange.restype = None
+    return library

@@ -1,0 +1,121 @@
+"""The figures that follow from the design of an L1 controller: L1-norm condition and linear margins."""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from controller_fmu.design import (
+    NO_EXTENSION,
+    Extension,
+    l1_condition,
+    proportional_gain_range,
+    smallest_bandwidth,
+)
+from orchestration.margins.l1_design import Design
+from orchestration.margins.l1_loop import Law, Plant, loop
+from orchestration.margins.linear_margins import margins
+from orchestration.margins.margin_figure import Figure
+
+CONDITION, LINEAR = "L1-norm condition", "linear loop"
+_BOOK = "Hovakimyan and Cao (2010)"
+_EXTENDED = "derived in docs/explanation/margins.md; not in the paper"
+_NYQUIST = "frequency response of the linear loop; limit after Hovakimyan and Cao (2010)"
+_OMEGAS = 9  # input gains tried over their box: the norm need not be monotonic in omega
+
+
+def norm_figures(design: Design) -> Iterator[Figure]:
+    """|G|_L1 L with and without the extension, and where the condition is lost."""
+    law = design.law
+    omegas = np.unique(np.linspace(*design.omegas, _OMEGAS)).tolist()
+    box = f"omega in {omegas[0]:g}..{omegas[-1]:g}, " + (f"{len(omegas)} values; " if omegas[1:] else "")
+    state = f"{box}L = {design.lipschitz:g}, perfect measurement, no delay and no lag; it holds below 1"
+    common = np.array(law.a_m), np.array(law.b), law.filter_order, law.bandwidth, design.lipschitz
+
+    def condition(name: str, extension: Extension, assumption: str, source: str) -> Figure:
+        value = _or_none(l1_condition, *common, extension, omegas)
+        return Figure(CONDITION, name, value, "1", assumption, source)
+
+    yield condition("norm of G times L, without the extension", NO_EXTENSION, state, _BOOK)
+    for gain in design.frozen_gains:
+        frozen = Extension(law.c, gain)
+        name = f"norm of G times L, nonlinear P frozen at {gain:.4g}"
+        yield condition(name, frozen, f"{state}; a norm at a frozen gain is no guarantee", _EXTENDED)
+    is_pi = bool(design.extension.proportional_gain or design.extension.integral_gain)
+    if is_pi and not design.frozen_gains:
+        yield condition("norm of G times L, with the extension", design.extension, state, _EXTENDED)
+    extension = replace(design.extension, proportional_gain=0.0) if is_pi else Extension(law.c)
+    least, largest = proportional_gain_range(*common, extension, omegas)
+    note = "of a linear P in place of the nonlinear one; " if design.frozen_gains else ""
+    note += "K_I as it is, up to 1e4 k_g" if extension.integral_gain else "K_I = 0, up to 1e4 k_g"
+    if least > 0.0:
+        yield Figure(CONDITION, "K_P from which it holds", least, design.gain_unit, state, _EXTENDED, note)
+    yield Figure(CONDITION, "K_P up to which it holds", largest, design.gain_unit, state, _EXTENDED, note)
+    a_m, b, order, _, lipschitz = common
+    with_extension = design.extension if is_pi and not design.frozen_gains else NO_EXTENSION
+    pairs = {"without": NO_EXTENSION, "with": with_extension}
+    for label, chosen in pairs.items():
+        if label == "without" or chosen is not NO_EXTENSION:
+            least = _or_none(smallest_bandwidth, a_m, b, order, lipschitz, extension=chosen, omegas=omegas)
+            source = _BOOK if label == "without" else _EXTENDED
+            name = f"bandwidth from which it holds, {label} the extension"
+            yield Figure(CONDITION, name, least, "rad/s", state, source)
+
+
+def _or_none(function: Callable[..., float], *arguments: Any, **options: Any) -> float:
+    """The value; not a number for an unstable G, or where no bandwidth satisfies the condition."""
+    try:
+        return function(*arguments, **options)
+    except ValueError:
+        return math.nan
+
+
+def linear_figures(design: Design) -> Iterator[Figure]:
+    """Delay and gain margins of the loop in the limit of fast adaptation, and at the adaptation gain."""
+    law, true_state = replace(design.law, kappa=math.inf), replace(design.law, kappa=math.inf, observer=None)
+    lagging, prompt = design.plant, design.plant.without_lag()
+    limit = "limit of fast adaptation"
+    loops = {"ideal": (true_state, prompt)}
+    if lagging != prompt:
+        loops["thruster lag"] = true_state, lagging
+    if law.observer:
+        loops["observer"] = law, prompt
+    if law.observer and lagging != prompt:
+        loops["lag and observer"] = law, lagging
+    if law.observer:
+        sampled = replace(law, observer=replace(law.observer, sampled=True))
+        loops["lag and sampled observer" if lagging != prompt else "sampled observer"] = sampled, lagging
+    for label, (chosen, plant) in loops.items():
+        yield from _margins(label, chosen, plant, limit, bool(design.frozen_gains))
+    if design.has_rest:
+        at_rest = f"kappa = {design.law.kappa:g} at rest, theta_hat = 0"
+        yield from _margins(
+            "at this adaptation gain", design.law, lagging, at_rest, bool(design.frozen_gains)
+        )
+
+
+def gamma_figures(design: Design, gains: Sequence[float]) -> Iterator[Figure]:
+    """The delay margin of the linear loop against the adaptation gain."""
+    for gain in gains:
+        law = replace(design.law, kappa=design.law.kappa * gain / design.adaptation_gain)
+        at_rest = f"adaptation_gain = {gain:g}"
+        first, *_ = _margins(at_rest, law, design.plant, "at rest, theta_hat = 0", bool(design.frozen_gains))
+        yield first
+
+
+def _margins(label: str, law: Law, plant: Plant, limit: str, frozen: bool) -> Iterator[Figure]:
+    """Of one loop; a delay of the control and one of every measurement give the same poles."""
+    known = "true state"
+    if law.observer:
+        known = f"{'bilinear' if law.observer.sampled else 'continuous'} equivalent of the observer"
+    known += f"; nonlinear P linear about e = 0, gain {law.proportional_gain:.4g}" if frozen else ""
+    assumption = (
+        f"{limit}; {known}; linear at rest, no quadratic damping, saturation, sampling or delay of the sensor"
+    )
+    loop_margins = margins(loop(law, plant))
+    at = f"lost at {loop_margins.frequency:.3g} rad/s" if math.isfinite(loop_margins.delay) else ""
+    yield Figure(LINEAR, f"delay margin, {label}", loop_margins.delay, "s", assumption, _NYQUIST, at)
+    yield Figure(LINEAR, f"largest gain, {label}", loop_margins.high_gain, "1", assumption, _NYQUIST)
+    yield Figure(LINEAR, f"smallest gain, {label}", loop_margins.low_gain, "1", assumption, _NYQUIST)

@@ -1,0 +1,30 @@
+"""The master algorithm: connects FMI 2.0 co-simulation FMUs and steps them together.
+
+Communication points are t_i = start + i h, never accumulated; a last shorter step lands on the stop
+time. At each point: scheduled changes are made, outputs are exchanged and recorded.
+
+    Jacobi         every component steps from t_i to t_{i+1} with the outputs of t_i
+    Gauss-Seidel   in the order of the components, each with the newest outputs there are
+
+Inputs are held over a step, first order in h, or extrapolated with their last slope, second order.
+
+    one_run.py         one run, with every setting as an argument
+    simulator.py       FMUs that stay loaded, and runs of them
+    initialisation.py  initial values
+    wiring.py          a prepared run as arrays
+    loop.py            the communication loop over these arrays, compiled
+    stepping.py        from the first point to the last, with events and progress, and its recording
+    step_by_step.py, stepped_run.py, variable_access.py, saved_state.py  a run led by the caller's own loop
+    step_control.py, tolerance.py, split_step.py  shorter steps: after a discard, and to meet a tolerance
+    error_estimate.py  how far exchanging at communication points leads astray, by a second run
+    snapshot.py, checkpoint.py  the system at one point, in memory and as a file
+    subprocess_run.py  a run whose FMUs are in a process of their own
+    process_guard.py   what an FMU changes in the process is put back
+    pacing.py, interrupt.py, failure.py
+"""
+
+from orchestration.run.one_run import simulate
+from orchestration.run.simulator import Simulator
+from orchestration.run.stepping import Progress
+
+__all__ = ["Progress", "Simulator", "simulate"]

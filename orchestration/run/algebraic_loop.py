@@ -1,0 +1,207 @@
+"""Algebraic loops of initial values: x = F(x), x the inputs of the loop, F the outputs that result from them.
+
+Solved by fixed-point iteration, by Newton's method, or by both in this order.
+"""
+
+import math
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from fmus.fmi.instance import FmuInstance
+from fmus.fmi.variable_types import FmiValue
+from orchestration.errors import FmuError, OrchestrationError
+from orchestration.system.experiment import Initialisation
+from orchestration.system.system import Port
+from orchestration.system.transformation import LinearTransformation
+
+Connection = tuple[Port, Port]
+Transformations = Mapping[str, LinearTransformation]
+"""Of connections, by the names of their inputs."""
+
+_MOST_ITERATIONS = 1000
+_TOLERANCE = 1e-12  # of a value or its nominal, whichever is larger
+_DIVERGENCE = 1e3  # growth of the change from iteration to iteration, from which on it diverges
+_PENALTY = 10.0  # times the largest residual so far: the residual of a value that is discarded
+_SINGULAR = 1e-7  # smallest singular value of the Jacobian; difference quotients are good to about 1e-8
+_DIFFERENCE = 1.5e-8  # relative change for a difference quotient, about the root of the rounding
+
+
+class NoSolutionError(Exception):
+    """Why values could not be found."""
+
+
+def exchange_once(
+    connections: Sequence[Connection], instances: Mapping[str, FmuInstance], transformations: Transformations
+) -> list[float]:
+    """Read each output and set its input, one connection after the other; returns the values as numbers."""
+    values = []
+    for source, target in connections:
+        value = arriving_value(source, target, instances, transformations)
+        number = _number(value)
+        if not math.isfinite(number):
+            raise NoSolutionError(
+                f"{source.name} is {value:g}: expected a finite number, as it goes to {target.name}"
+            )
+        instances[target.component].set(target.variable, value)
+        values.append(number)
+    return values
+
+
+def _number(value: FmiValue) -> float:
+    """The value; of a String, a number that tells it from others."""
+    return float(zlib.crc32(value.encode()) if isinstance(value, str) else value)
+
+
+def arriving_value(
+    source: Port, target: Port, instances: Mapping[str, FmuInstance], transformations: Transformations
+) -> FmiValue:
+    """The value of an output as it arrives at an input."""
+    value = instances[source.component].get(source.variable)
+    return transformations[target.name](value) if target.name in transformations else value
+
+
+def solve_loop(
+    connections: Sequence[Connection],
+    instances: Mapping[str, FmuInstance],
+    transformations: Transformations,
+    method: Initialisation,
+) -> None:
+    """Find inputs that equal their outputs, and set them.
+
+    Raises OrchestrationError if no method finds a solution, FmuError for a call that an FMU refuses.
+    """
+    loop = _Loop(connections, instances, transformations)
+    start = loop.values()
+    reasons = []
+    for solve, other in ((_iterate, Initialisation.NEWTON), (_solve_by_newton, Initialisation.FIXED_POINT)):
+        if method is not other:
+            try:
+                return solve(loop, start)
+            except NoSolutionError as reason:
+                reasons.append(str(reason))
+    raise OrchestrationError(
+        f"initial values: no solution was found for the loop {loop.names} ({'; '.join(reasons)}); "
+        "break it, or let its FMUs start from other values"
+    )
+
+
+class _Loop:
+    """x = F(x); names, nominal: of the inputs x, shape (n,)."""
+
+    def __init__(
+        self,
+        connections: Sequence[Connection],
+        instances: Mapping[str, FmuInstance],
+        transformations: Transformations,
+    ) -> None:
+        self.connections, self.instances, self.transformations = connections, instances, transformations
+        self.nominal = np.array([_nominal(connection) for connection in connections])
+        self.is_real = all(port.variable.type == "Real" for ends in connections for port in ends)
+        self.names = ", ".join(target.name for _, target in connections)
+
+    def values(self) -> np.ndarray:
+        """The present inputs x, shape (n,)."""
+        return np.array([_number(self.instances[t.component].get(t.variable)) for _, t in self.connections])
+
+    def outputs(self, values: np.ndarray) -> np.ndarray:
+        """F(x): set the inputs, then read the outputs."""
+        for (_, target), value in zip(self.connections, values.tolist(), strict=True):
+            self.instances[target.component].set(target.variable, value)
+        arriving = (arriving_value(*c, self.instances, self.transformations) for c in self.connections)
+        return np.array(list(arriving))
+
+    def relative_size(self, change: np.ndarray, values: np.ndarray) -> float:
+        """The largest change of a value, relative to it or its nominal; infinite if it is not a number."""
+        with np.errstate(invalid="ignore", over="ignore"):
+            largest = np.max(np.abs(change) / np.maximum(np.abs(values), self.nominal))
+        return float(largest) if math.isfinite(largest) else math.inf
+
+
+def _nominal(connection: Connection) -> float:
+    """The input's nominal, or the output's, or 1."""
+    declared = (port.variable.nominal for port in reversed(connection))
+    return abs(float(next((nominal for nominal in declared if nominal is not None), 1.0))) or 1.0
+
+
+def _iterate(loop: _Loop, start: np.ndarray) -> None:
+    """Fixed-point iteration: exchange until the values no longer change."""
+    before, least, change = np.full(start.shape, math.inf), math.inf, math.inf
+    for _ in range(_MOST_ITERATIONS):
+        try:
+            values = np.array(exchange_once(loop.connections, loop.instances, loop.transformations), float)
+        except FmuError as error:
+            raise _discarded_value("fixed-point iteration ends", error) from error
+        change = np.max(np.abs(values - before) / loop.nominal)
+        if loop.relative_size(values - before, values) <= _TOLERANCE:
+            return
+        if _DIVERGENCE * least < change < math.inf:
+            raise NoSolutionError(
+                f"fixed-point iteration diverges, from changes of {least:.3g} to {change:.3g}"
+            )
+        before, least = values, min(least, change)
+    raise NoSolutionError(
+        f"fixed-point iteration still changes values by {change:.3g} after {_MOST_ITERATIONS} iterations"
+    )
+
+
+def _solve_by_newton(loop: _Loop, start: np.ndarray) -> None:
+    """Newton's method (Powell's hybrid one) on F(x) - x, in units of the nominals.
+
+    A value that an FMU discards, or for which an output is not finite, gets a large residual: the method then
+    takes a shorter step.
+    """
+    from scipy.optimize import root  # only for loops: it takes as long to import as all the rest
+
+    if not loop.is_real:
+        raise NoSolutionError("Newton's method needs variables of type Real")
+    discards: list[FmuError] = []
+    largest = np.zeros(len(start))
+
+    def residual(scaled: np.ndarray) -> np.ndarray:
+        values = scaled * loop.nominal
+        return (loop.outputs(values) - values) / loop.nominal
+
+    def guarded_residual(scaled: np.ndarray) -> np.ndarray:
+        try:
+            result = residual(scaled)
+        except FmuError as error:
+            if error.status != "discard" or not largest.any():
+                raise
+            discards.append(error)
+            return _PENALTY * largest
+        if not np.all(np.isfinite(result)) and largest.any():
+            return _PENALTY * largest
+        largest[:] = np.fmax(largest, np.abs(result).max())
+        return result
+
+    try:
+        solution = root(guarded_residual, start / loop.nominal, options={"xtol": 1e-15}).x
+        _check_solution(loop, solution, residual)
+    except FmuError as error:
+        raise _discarded_value("Newton's method ends", error) from error
+    except NoSolutionError as reason:
+        raise _discarded_value(str(reason), discards[-1]) if discards else reason from None
+
+
+def _check_solution(loop: _Loop, solution: np.ndarray, residual: Callable[[np.ndarray], np.ndarray]) -> None:
+    from scipy.optimize import approx_fprime
+
+    values = solution * loop.nominal
+    width = _DIFFERENCE * np.maximum(np.abs(solution), 1.0)
+    jacobian: Any = approx_fprime(solution, residual, width)
+    difference = residual(solution) * loop.nominal  # last, so that the FMUs keep these values
+    size = loop.relative_size(difference, values)
+    if size > _TOLERANCE:
+        raise NoSolutionError(f"Newton's method ends where values still differ by {size:.3g}")
+    if np.linalg.svd(np.atleast_2d(jacobian), compute_uv=False)[-1] < _SINGULAR:
+        raise NoSolutionError("Newton's method ends where the loop is singular: its solution is not unique")
+
+
+def _discarded_value(method: str, error: FmuError) -> NoSolutionError:
+    """The reason for a discarded value; any worse error is raised as it is."""
+    if error.status != "discard":
+        raise error
+    return NoSolutionError(f"{method}, and a value was discarded: {error}")

@@ -1,0 +1,208 @@
+"""The whole system at one communication point as one file, and a run that continues from it.
+
+The file holds the FMUs' serialised states, the values of every connection, and the record so far. A run that
+continues from it gives the same record, to the last bit, as a run without interruption. Its past must be the
+same; its future, a later stop time for instance, may differ.
+"""
+
+import hashlib
+import json
+import math
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fmus.files import open_atomically
+from orchestration.errors import OrchestrationError, SystemDefinitionError
+from orchestration.run.loop_data import CHANGING, CHANGING_OF_CONNECTIONS, Report
+from orchestration.run.stepping import MOST_STEPS, RunInProgress
+from orchestration.system.system import CheckedSystem
+
+_VERSION = 5
+_HEAD = ("position", "time", "step_control", "past", "texts")  # members of a checkpoint that are plain data
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A saved system.
+
+    position, time: index and time [s] of the communication point
+    step_control: `StepControl.state`
+    past: part of the run -> digest of its data until then
+    texts: of Strings, whose numbers are in the arrays
+    states: component -> serialised state of its FMU; arrays: those of the loop, by name
+    """
+
+    position: int
+    time: float
+    step_control: Mapping[str, Any]
+    past: Mapping[str, str]
+    texts: list[str]
+    states: Mapping[str, bytes]
+    arrays: Mapping[str, np.ndarray]
+
+    def write(self, path: str | Path) -> None:
+        """Write the file; an older one is replaced when the new one is complete."""
+        head = {name: getattr(self, name) for name in _HEAD}
+        head |= {"version": _VERSION, "components": list(self.states)}
+        content: dict[str, Any] = {
+            f"state {i}": np.frombuffer(state, np.uint8) for i, state in enumerate(self.states.values())
+        }
+        content |= {f"array {name}": array for name, array in self.arrays.items()}
+        content["head"] = np.frombuffer(json.dumps(head).encode(), np.uint8)
+        with open_atomically(Path(path)) as stream:
+            np.savez(stream, **content)
+
+
+def read_checkpoint(path: str | Path) -> Checkpoint:
+    """The inverse of `Checkpoint.write`; OrchestrationError for another file."""
+    try:
+        with np.load(path, allow_pickle=False) as content:
+            head = json.loads(content["head"].tobytes())
+            if head["version"] != _VERSION:
+                raise OrchestrationError(
+                    f"{path}: checkpoint of version {head['version']}: expected {_VERSION}"
+                )
+            return Checkpoint(
+                **{name: head[name] for name in _HEAD},
+                states={n: content[f"state {i}"].tobytes() for i, n in enumerate(head["components"])},
+                arrays={n[6:]: content[n] for n in content.files if n.startswith("array ")},
+            )
+    except FileNotFoundError:
+        raise OrchestrationError(f"no checkpoint {path}") from None
+    except (zipfile.BadZipFile, OSError, KeyError, ValueError, TypeError, AttributeError, EOFError) as error:
+        raise OrchestrationError(f"{path} is not a checkpoint, or is damaged: {error}") from error
+
+
+def check_can_save(system: CheckedSystem) -> None:
+    """SystemDefinitionError if an FMU cannot serialise its state."""
+    incapable = system.components_without("canSerializeFMUstate")
+    if incapable:
+        raise SystemDefinitionError(
+            f"checkpoint: {', '.join(incapable)} cannot serialise its state: expected canSerializeFMUstate"
+        )
+
+
+def capture(run: RunInProgress) -> Checkpoint:
+    """The system at the present communication point; OrchestrationError where no run can continue."""
+    wiring, position = run.wiring, run.position
+    is_last = position == len(wiring.points) - 1
+    if is_last and np.any(position % wiring.periods):
+        raise OrchestrationError(
+            "at the end of the run components are between communication points of their own"
+        )
+    states = {}
+    for name, instance in run.instances.items():
+        state = instance.get_fmu_state()
+        states[name] = instance.serialize_fmu_state(state)
+        instance.free_fmu_state(state)
+    return Checkpoint(
+        position=position,
+        time=float(wiring.points[position]),
+        step_control=run.step_control.state if run.step_control else {},
+        past=_past(run, position),
+        texts=run.wired.texts.table,
+        states=states,
+        arrays={name: array.copy() for name, array in _saved_arrays(run, position).items()},
+    )
+
+
+def restore(checkpoint: Checkpoint, run: RunInProgress) -> None:
+    """Set an initialised run to the checkpoint; OrchestrationError if it belongs to another run."""
+    position, past = checkpoint.position, _past(run, checkpoint.position)
+    different = [part for part in past if past[part] != checkpoint.past.get(part)]
+    if different:
+        raise OrchestrationError(
+            f"the checkpoint belongs to another run, of which {', '.join(different)} differ: "
+            "expected the same past"
+        )
+    if position >= len(run.wiring.points):
+        raise OrchestrationError(
+            f"the checkpoint is at t = {checkpoint.time:.9g} s: expected a stop time behind that"
+        )
+    for name, array in _saved_arrays(run, position).items():
+        saved = checkpoint.arrays.get(name)
+        if saved is None or (saved.shape, saved.dtype) != (array.shape, array.dtype):
+            raise OrchestrationError(f"the checkpoint is damaged: expected {name} of shape {array.shape}")
+        array[:] = saved
+    run.wired.texts.table = checkpoint.texts
+    run.wiring.report[Report.RECORDED] = position
+    for name, instance in run.instances.items():
+        state = instance.deserialize_fmu_state(checkpoint.states[name])
+        instance.set_fmu_state(state)
+        instance.free_fmu_state(state)
+    run.position = position
+    if run.step_control:
+        run.step_control.state = checkpoint.step_control
+
+
+def _saved_arrays(run: RunInProgress, position: int) -> dict[str, np.ndarray]:
+    wiring = run.wiring
+    return {
+        **{name: getattr(wiring, name) for name in CHANGING},
+        **{name: getattr(wiring.connections, name) for name in CHANGING_OF_CONNECTIONS},
+        "rows": wiring.rows[:position],
+        "history": wiring.faults.history[:, : position + 1],
+    }
+
+
+def _past(run: RunInProgress, position: int) -> dict[str, str]:
+    """Digests of everything that determines a run up to a communication point."""
+    prepared, wiring, until = run.prepared, run.wiring, position + 1
+    faults = wiring.faults
+    periods, modes = (array.tobytes() for array in (wiring.periods, wiring.connections.input_mode))
+    settings = [(port.name, value) for port, value in prepared.settings]
+    experiment = prepared.experiment
+    of_fmus = [experiment.fmu_tolerance] if experiment.fmu_tolerance else []
+    changes = [
+        (index, port.name, value)
+        for index, values in sorted(prepared.changes.items())
+        for port, value in values
+        if index < position
+    ]
+    parts: dict[str, list[object]] = {
+        "the FMUs": [(name, d.guid) for name, d in prepared.system.descriptions.items()],
+        # without a tolerance of the FMUs as in checkpoints from before there was one
+        "the algorithm": [wiring.gauss_seidel, periods, modes, experiment.tolerance, *of_fmus],
+        "the communication points": [wiring.points[:until].tobytes()],
+        "the connections": [*run.wired.bus.connections, sorted(prepared.system.transformations.items())],
+        "the record": list(prepared.recorded),
+        "the signals": [wiring.signal_values[:, :until].tobytes()],
+        "the faults": [x[:, :until].tobytes() for x in (faults.source, faults.weight, faults.addition)],
+        "parameters, inputs and events": [settings, changes],
+    }
+    return {name: hashlib.sha256(repr(part).encode()).hexdigest() for name, part in parts.items()}
+
+
+@dataclass(frozen=True)
+class Checkpoints:
+    """Where to save the system: when the run is interrupted, and every so many simulated seconds."""
+
+    path: str | Path
+    every: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not self.every > 0.0:
+            raise OrchestrationError(f"a checkpoint every {self.every!r} s: expected more than 0")
+
+    def save(self, run: RunInProgress) -> None:
+        """Write a checkpoint of the present communication point."""
+        capture(run).write(self.path)
+
+    def checkpoint_callback(self, run: RunInProgress) -> Callable[[int], int]:
+        """A callback of `RunInProgress.run_to_end` that saves when due, and returns the steps to the next."""
+        points = run.wiring.points
+        due = float(points[run.position]) + self.every
+
+        def save_if_due(position: int) -> int:
+            nonlocal due
+            if points[position] >= due:
+                self.save(run)
+                due = float(points[position]) + self.every
+            return min(max(1, int(np.searchsorted(points, due)) - position), MOST_STEPS)
+
+        return save_if_due

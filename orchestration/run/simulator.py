@@ -1,0 +1,280 @@
+"""A system whose FMUs stay loaded, and the runs that it makes."""
+
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fmus.fmi.description import describe
+from fmus.fmi.instance import FmuInstance
+from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
+from orchestration.results.recording import Recording
+from orchestration.run.checked_systems import CheckedSystems
+from orchestration.run.checkpoint import Checkpoint, Checkpoints, check_can_save, restore
+from orchestration.run.compiled_loop import compiled_loop
+from orchestration.run.error_estimate import with_error_estimate
+from orchestration.run.failure import reason_of
+from orchestration.run.initialisation import ConnectionGroup, connection_groups, initialise
+from orchestration.run.interrupt import deferred_interrupt
+from orchestration.run.loop import python_loop
+from orchestration.run.loop_data import Report, Storage
+from orchestration.run.pacing import Pacing
+from orchestration.run.process_guard import ProcessGuard, new_report
+from orchestration.run.step_by_step import StepByStep, replay
+from orchestration.run.stepped_run import SteppedRun
+from orchestration.run.stepping import Progress, RunInProgress
+from orchestration.run.wiring import WiredRun, build_wiring
+from orchestration.system.experiment import Experiment
+from orchestration.system.prepared_again import PreparedRuns
+from orchestration.system.prepared_run import PreparedRun
+from orchestration.system.system import System
+
+
+class Simulator(StepByStep, AbstractContextManager["Simulator"]):
+    """A system whose FMUs stay loaded over many runs, made at once or step by step; a context manager.
+
+    The FMUs are loaded for the first run and reset for the next; after a failure they are loaded anew.
+    compiled: whether the communication loop runs compiled, or in Python: slower, with the same results to the
+    last bit
+    threads: that step the FMUs of a Jacobi run side by side, with the same results; 1 for one after another.
+    None for as many as make it faster, if that is measured, and one for FMUs that may share memory. Of `run`
+    alone: what is led step by step has one thread
+    Raises FmuLoadError for a file that is no FMU.
+    """
+
+    def __init__(self, system: System, compiled: bool = True, threads: int | None = None) -> None:
+        if threads is not None and threads < 1:
+            raise OrchestrationError(f"threads: {threads}: expected at least 1")
+        self.system, self._threads = system, threads
+        self._loop = compiled_loop if compiled else python_loop
+        self._descriptions = {name: describe(Path(path)) for name, path in system.components.items()}
+        self._loaded = ExitStack()
+        self._instances: dict[str, FmuInstance] = {}
+        self._must_reload = False
+        self._guard: ProcessGuard | None = None
+        self._running = threading.Lock()
+        # of the run that is led step by step: what was set, the recorded values, and these with an estimate
+        self._estimated: tuple[list[Any], np.ndarray, Recording] | None = None
+        self._first_batch = 1
+        self._prepared_runs = PreparedRuns()
+        self._wired: WiredRun | None = None  # of the run before
+        self._checked = CheckedSystems(system, self._descriptions)
+
+    def run(
+        self,
+        run: Experiment | PreparedRun,
+        progress: Progress | None = None,
+        *,
+        real_time: float | None = None,
+        checkpoints: Checkpoints | None = None,
+        resume: Checkpoint | None = None,
+        storage: Storage | None = None,
+    ) -> Recording:
+        """Run an experiment, or one that is prepared for this system, and return its recording.
+
+        progress: called some ten times a second with the communication points done, and all of the run; also
+            by the second run of an error estimate, of half as many points
+        real_time: simulated seconds in a second of the wall clock; without it, as fast as possible
+        checkpoints: where and how often to save the whole system
+        resume: a checkpoint of the same run, from which to continue
+
+        Raises SystemDefinitionError or FmuLoadError before the run starts, SimulationError afterwards: its
+        `recording` holds the values recorded until then.
+        """
+        with self._begin_run():
+            pacing = None if real_time is None else Pacing(real_time)
+            if checkpoints or resume:
+                check_can_save(run.system if isinstance(run, PreparedRun) else self._checked.check(run)[0])
+            wired, groups, guard = self._prepare_run(run, (), storage)
+            threads = self._threads if storage is None else 1  # who watches a call asks for one
+            in_progress = RunInProgress(wired, self._loop(wired.wiring), guard, threads)
+            in_progress.batch = self._first_batch
+            recording = _run_to_end(
+                in_progress, groups, progress, pacing, checkpoints, resume, storage is None
+            )
+            self._first_batch = max(1, in_progress.batch // 2)  # the next run may be slower
+            self._must_reload = False
+        return (
+            with_error_estimate(recording, wired.prepared, lambda coarser: self.run(coarser, progress))
+            if wired.prepared.experiment.error_estimate
+            else recording
+        )
+
+    def start(self, experiment: Experiment, external: Sequence[str] = ()) -> None:
+        """Initialise the system for an experiment, at its start time, to be led step by step.
+
+        external: inputs that the caller sets between the steps, beginning with their value in
+        `experiment.inputs`, or the FMU's start value. They are held over a step, and recorded.
+
+        Raises what `run` raises; SystemDefinitionError for an error estimate, which `recording` makes beside
+        this run, of an FMU that can be instantiated only once.
+        """
+        with self._begin_run():
+            if experiment.error_estimate:
+                self._check_can_load_twice()
+            wired, groups, guard = self._prepare_run(experiment, tuple(external))
+            run = SteppedRun(wired, self._loop(wired.wiring), guard)
+            try:
+                with deferred_interrupt():
+                    _initialise(run, groups)
+            except (KeyboardInterrupt, Exception) as error:
+                run.free()
+                raise SimulationError(reason_of(error), run.recording()) from error
+            guard.note_handlers()  # with that of SIGINT between the steps
+            self._must_reload = False
+            self._stepped = run
+
+    def recording(self) -> Recording:
+        """As `StepByStep.recording`; an error estimate loads the FMUs a second time, if anything is new."""
+        first, recording = self._started(), super().recording()
+        if not first.prepared.experiment.error_estimate:
+            return recording
+
+        def repeat(experiment: Experiment) -> Recording:
+            with Simulator(self.system, self._loop is compiled_loop) as second:
+                second.start(experiment, list(first.prepared.external))
+                return replay(second, first)
+
+        written = list(first.variables.written)
+        if self._estimated and self._estimated[0] == written:
+            _, values, estimated = self._estimated
+            if np.array_equal(values, recording.values, equal_nan=True):
+                return estimated
+        estimated = with_error_estimate(recording, first.prepared, repeat)
+        self._estimated = written, recording.values, estimated
+        return estimated
+
+    def _check_can_load_twice(self) -> None:
+        for name, description in self._descriptions.items():
+            interface = description.coSimulation
+            if interface and interface.canBeInstantiatedOnlyOncePerProcess:
+                raise SystemDefinitionError(
+                    f"error_estimate: {name} can be instantiated only once in a process: "
+                    "expected run(experiment), which makes the second run after the first"
+                )
+
+    @contextmanager
+    def _begin_run(self) -> Iterator[None]:
+        """End the run that was led step by step; refuse another one meanwhile."""
+        if not self._running.acquire(blocking=False):
+            raise OrchestrationError("this simulator is running: expected another one for a run meanwhile")
+        try:
+            self._end_stepped()
+            yield
+        finally:
+            self._running.release()
+
+    def _end_stepped(self) -> None:
+        self._estimated = None
+        if self._stepped:
+            self._must_reload = self._must_reload or bool(self._stepped.failure)
+            self._stepped.free()
+            self._stepped = None
+
+    def _prepare_run(
+        self, run: Experiment | PreparedRun, external: tuple[str, ...], storage: Storage | None = None
+    ) -> tuple[WiredRun, tuple[ConnectionGroup, ...], ProcessGuard]:
+        """Check an experiment, load or reset the FMUs and wire them."""
+        if isinstance(run, PreparedRun):
+            self._prepared_runs = PreparedRuns()  # the next run is not compared with this one
+            groups, prepared = connection_groups(run.system), run.with_values(run.experiment)
+        else:
+            system, groups = self._checked.check(run, external)
+            prepared = self._prepared_runs.prepare(system, run, external)
+        earlier = self._wired if self._prepared_runs.only_values_differ else None
+        self._wired = None  # of another run, also if this one is never wired
+        storage = storage or Storage(np.empty(prepared.shape), new_report())
+        if self._guard:
+            self._guard.close()
+        guard = self._guard = ProcessGuard(self.system.components, storage.report)
+        self._load_or_reset(storage.report, guard)
+        if earlier and earlier.instances is self._instances:
+            wired = earlier.again(prepared, storage)
+        else:
+            wired = build_wiring(prepared, self._instances, storage)
+        self._wired = wired.without_rows()
+        return wired, groups, guard
+
+    def _load_or_reset(self, report: np.ndarray, guard: ProcessGuard) -> None:
+        """Load the FMUs that are not loaded, and reset the used ones."""
+        for instance in self._instances.values():  # who resets is busy in this run
+            instance.busy = report[Report.BUSY :]
+        if self._must_reload or not all(x.is_fresh or x.reset() for x in self._instances.values()):
+            self.close()
+        self._must_reload = True  # should anything fail before a run is done
+        if not self._instances:
+            with ExitStack() as loading:
+                instances = {}
+                for c, (name, path) in enumerate(self.system.components.items()):
+                    report[Report.BUSY] = -1 - c
+                    instance = FmuInstance(name, Path(path), self._descriptions[name])
+                    instances[name] = loading.enter_context(instance)
+                    guard.restore(name)
+                self._instances, self._loaded = instances, loading.pop_all()
+            report[Report.BUSY] = 0
+        for instance in self._instances.values():
+            instance.after_call = guard.restore_float_mode
+
+    @property
+    def warned(self) -> list[str]:
+        """The components whose FMUs returned warnings in the last run."""
+        return [name for name, instance in self._instances.items() if instance.has_warned]
+
+    def close(self) -> None:
+        """Free every instance; the next run loads them again."""
+        self._end_stepped()
+        self._instances, self._must_reload = {}, False
+        self._loaded.close()
+        if self._guard:
+            self._guard.close()
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+def _run_to_end(
+    run: RunInProgress,
+    groups: Sequence[ConnectionGroup],
+    progress: Progress | None,
+    pacing: Pacing | None,
+    checkpoints: Checkpoints | None,
+    resume: Checkpoint | None,
+    owns_rows: bool,
+) -> Recording:
+    """Initialise or restore a run, and run it to its end. SimulationError holds what was recorded."""
+    try:
+        with deferred_interrupt() as check_interrupt:
+            _initialise(run, groups)
+            if resume:
+                restore(resume, run)
+            callback = checkpoints.checkpoint_callback(run) if checkpoints else None
+            run.run_to_end(check_interrupt, progress, pacing, callback)
+        return run.recording(pacing, is_final=owns_rows)
+    except KeyboardInterrupt as error:
+        run.record_now()
+        saved = _save_interrupted(checkpoints, run) if checkpoints else ""
+        raise SimulationError(reason_of(error) + saved, run.recording(pacing)) from error
+    except Exception as error:  # also of a signal: the recorded values must not be lost
+        raise SimulationError(reason_of(error), run.recording(pacing)) from error
+    finally:
+        run.free()
+
+
+def _initialise(run: RunInProgress, groups: Sequence[ConnectionGroup]) -> None:
+    if not run.wiring.independent:
+        run.guard.note_handlers()  # with that of SIGINT
+    initialise(run.prepared, groups, run.instances)
+    run.read_outputs()
+    run.restore_process()
+
+
+def _save_interrupted(checkpoints: Checkpoints, run: RunInProgress) -> str:
+    """Save an interrupted run; returns the end of its error message."""
+    try:
+        checkpoints.save(run)
+    except (OrchestrationError, OSError) as error:
+        return f"; not saved: {error}"
+    return f"; saved in {checkpoints.path}"

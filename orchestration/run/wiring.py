@@ -1,0 +1,237 @@
+"""A prepared run and its FMU instances as the arrays of the communication loop."""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fmus.fmi.description import is_independent
+from fmus.fmi.instance import FmuInstance
+from orchestration.run.bus import SIGNAL, BusLayout, VariableGroup, component_of, lay_out_bus
+from orchestration.run.loop_data import (
+    CHANGING_OF_CONNECTIONS,
+    Call,
+    Calls,
+    Connections,
+    Faults,
+    Report,
+    Storage,
+    Wiring,
+)
+from orchestration.run.texts import Texts
+from orchestration.system.experiment import Algorithm
+from orchestration.system.prepared_run import PreparedRun
+from orchestration.system.transformation import LinearTransformation
+
+_UNCHANGED = LinearTransformation()
+_NOTHING_TO_TAKE = 2**32 - 1  # `ticket` of loop.c
+# How much longer than usual a step may be than the interval from which its slope was taken. With a tolerance
+# the error is estimated, and a step may follow half a step and be five times as long as the whole.
+_SLOPE_VALIDITY, _SLOPE_VALIDITY_WITH_TOLERANCE = 2.0, 10.0
+
+
+@dataclass(frozen=True)
+class WiredRun:
+    """A prepared run, its FMU instances and their wiring, and the names of the wiring's elements.
+
+    functions: kind of call -> the FMI function of each of its rows
+    references: value references and orders, whose addresses are in the wiring
+    texts: the values of Strings
+    """
+
+    prepared: PreparedRun
+    instances: Mapping[str, FmuInstance]
+    wiring: Wiring
+    bus: BusLayout
+    functions: Mapping[int, Sequence[str]]
+    references: Sequence[np.ndarray]
+    texts: Texts
+
+    def without_rows(self) -> "WiredRun":
+        """The same for `again`: it does not keep what was recorded in memory."""
+        return replace(self, wiring=self.wiring._replace(rows=np.empty((0, 0))))
+
+    def again(self, prepared: PreparedRun, storage: Storage) -> "WiredRun":
+        """That of a run which differs in settings alone, with the same instances; this one has ended."""
+        if self.texts.table != Texts().table:
+            return build_wiring(prepared, self.instances, storage)
+        wiring = self.wiring._replace(
+            points=prepared.points,
+            signal_values=prepared.signal_values,
+            rows=storage.rows,
+            report=storage.report,
+            error_logged=_report_calls(self.instances, storage.report),
+        )
+        _set_start(wiring, prepared)
+        return replace(self, prepared=prepared, wiring=wiring)
+
+
+def build_wiring(prepared: PreparedRun, instances: Mapping[str, FmuInstance], storage: Storage) -> WiredRun:
+    """The arrays of a run at its start time."""
+    bus, experiment = lay_out_bus(prepared), prepared.experiment
+    count, periods = len(instances), np.array([prepared.periods[name] for name in instances], np.int64)
+    fixed = prepared.system.components_without("canHandleVariableCommunicationStepSize")
+    unable = prepared.system.components_without("canGetAndSetFMUstate")
+    memory, parts = _memory(bus, count)
+    values, slopes, integers = parts["bus"], parts["slopes"], parts["integers"]
+    ones = np.ones(len(bus.index), np.int32)
+    groups = {
+        Call.SET_INPUTS: [(group, f"fmi2Set{group.type}") for group in bus.inputs],
+        Call.SET_DERIVATIVES: [(group, "fmi2SetRealInputDerivatives") for group in bus.derivatives],
+        Call.GET_OUTPUTS: [(group, f"fmi2Get{group.type}") for group in bus.outputs],
+    }
+    functions = {int(kind): [function for _, function in rows] for kind, rows in groups.items()}
+    references: list[np.ndarray] = [ones]
+    texts = Texts()
+
+    def calls(kind: Call, reals: np.ndarray) -> Calls:
+        return _calls(instances, groups[kind], references, reals, integers, texts)
+
+    wiring = Wiring(
+        gauss_seidel=int(experiment.algorithm is Algorithm.GAUSS_SEIDEL),
+        full_steps=int(not experiment.tolerance),
+        independent=int(all(is_independent(instance.description) for instance in instances.values())),
+        points=prepared.points,
+        bus=values,
+        slopes=slopes,
+        integers=integers,
+        orders=ones.ctypes.data,
+        memory=memory,
+        instances=np.array([instance.address for instance in instances.values()], np.int64),
+        do_step=_addresses("fmi2DoStep", instances),
+        real_status=_addresses("fmi2GetRealStatus", instances),
+        boolean_status=_addresses("fmi2GetBooleanStatus", instances),
+        get_state=_addresses("fmi2GetFMUstate", instances, unable),
+        set_state=_addresses("fmi2SetFMUstate", instances, unable),
+        periods=periods,
+        fixed_step_size=np.isin(list(instances), fixed) * periods * experiment.step_size,
+        step_start=parts["step_start"],
+        error_logged=_report_calls(instances, storage.report),
+        warning=parts["warning"],
+        warning_time=np.zeros(count),
+        input_calls=calls(Call.SET_INPUTS, values),
+        derivative_calls=calls(Call.SET_DERIVATIVES, slopes),
+        output_calls=calls(Call.GET_OUTPUTS, values),
+        connections=_connections(prepared, bus, parts),
+        faults=_faults(prepared),
+        signal_values=prepared.signal_values,
+        signal_index=np.array([bus.index[f"{SIGNAL}{name}"] for name in experiment.signals], np.int64),
+        record_index=np.array([bus.index[name] for name in prepared.recorded], np.int64),
+        rows=storage.rows,
+        report=storage.report,
+        step_status=np.zeros(count, np.int64),
+        team=np.array([0, 0, _NOTHING_TO_TAKE, 0, 0, 0], np.int64),
+    )
+    functions |= {Call.DO_STEP: ["fmi2DoStep"]}
+    functions |= {Call.GET_STATE: ["fmi2GetFMUstate"], Call.SET_STATE: ["fmi2SetFMUstate"]}
+    _set_start(wiring, prepared)
+    for name, value in prepared.external.items():
+        values[bus.index[f"{SIGNAL}{name}"]] = value
+    return WiredRun(prepared, instances, wiring, bus, functions, references, texts)
+
+
+def _set_start(wiring: Wiring, prepared: PreparedRun) -> None:
+    """Set what a step changes to what it is at the start time, without external values."""
+    wiring.memory[:] = 0.0
+    wiring.step_start[:] = prepared.experiment.start_time
+    wiring.connections.sample_time[:] = -np.inf
+
+
+def _memory(bus: BusLayout, count: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """All that a step changes as one array, and its parts by name; count: of components."""
+    n, n_connections, n_integers = len(bus.index), len(bus.connections), bus.integer_count
+    sizes = dict.fromkeys(CHANGING_OF_CONNECTIONS, n_connections)
+    sizes |= {"bus": n, "slopes": n, "step_start": count, "warning": count, "integers": -(-n_integers // 2)}
+    memory = np.empty(sum(sizes.values()))
+    parts: dict[str, np.ndarray] = dict(
+        zip(sizes, np.split(memory, np.cumsum([*sizes.values()])[:-1]), strict=True)
+    )
+    parts["warning"] = parts["warning"].view(np.int64)
+    parts["integers"] = parts["integers"].view(np.int32)[:n_integers]
+    return memory, parts
+
+
+def _addresses(function: str, instances: Mapping[str, FmuInstance], unable: Sequence[str] = ()) -> np.ndarray:
+    """Address of a function for each component, 0 for those that do not have it."""
+    values = [0 if name in unable else instance.function(function) for name, instance in instances.items()]
+    return np.array(values, np.int64)
+
+
+def _report_calls(instances: Mapping[str, FmuInstance], report: np.ndarray) -> np.ndarray:
+    """Let the instances count their calls in the report; returns the array where they flag logged errors."""
+    error_logged = np.zeros(len(instances), np.int64)
+    busy, calls = (report[index : index + 1] for index in (Report.BUSY, Report.CALLS))
+    for c, instance in enumerate(instances.values()):
+        instance.log.error_logged = error_logged[c : c + 1]
+        instance.number, instance.busy, instance.calls = c + 1, busy, calls
+    return error_logged
+
+
+def _calls(
+    instances: Mapping[str, FmuInstance],
+    groups: Sequence[tuple[VariableGroup, str]],
+    references: list[np.ndarray],
+    reals: np.ndarray,
+    integers: np.ndarray,
+    texts: Texts,
+) -> Calls:
+    """One row for each group; its value references are added to `references`."""
+    rows = []
+    for group, function in groups:
+        references.append(np.array([v.valueReference for v in group.variables], np.uint32))
+        array, index = (
+            (reals, group.bus_index) if group.integer_index < 0 else (integers, group.integer_index)
+        )
+        addresses = references[-1].ctypes.data, array.ctypes.data + index * array.itemsize
+        sizes = len(group.variables), group.bus_index, group.integer_index
+        instance = instances[group.component]
+        is_string = group.type == "String"
+        address = texts.function(instance, function) if is_string else instance.function(function)
+        rows.append((address, *addresses, *sizes))
+    return Calls(
+        _first_of_each([group.component for group, _ in groups], instances), *_columns(rows, 6, np.int64)
+    )
+
+
+def _connections(prepared: PreparedRun, bus: BusLayout, parts: Mapping[str, np.ndarray]) -> Connections:
+    numbers = {name: c for c, name in enumerate(prepared.system.components)}
+    faults = {name: row for row, name in enumerate(prepared.fault_patterns)}
+    validity = _SLOPE_VALIDITY_WITH_TOLERANCE if prepared.experiment.tolerance else _SLOPE_VALIDITY
+    targets = [component_of(target) for _, target in bus.connections]
+    indices, limits = [], []
+    for (source, target), own, mode in zip(bus.connections, targets, bus.input_modes, strict=True):
+        owner, ends = component_of(source), (bus.index[source], bus.index[target])
+        indices.append((*ends, numbers.get(owner, -1), faults.get(target, -1), mode))
+        periods = prepared.periods[own] / prepared.periods.get(owner, 1)
+        transformation = prepared.system.transformations.get(target, _UNCHANGED)
+        change = transformation.factor, transformation.offset or -0.0
+        limits.append((*prepared.input_ranges[target], validity * periods, *change))
+    return Connections(
+        _first_of_each(targets, prepared.system.components),
+        *_columns(indices, 5, np.int64),
+        *_columns(limits, 5, np.float64),
+        **{name: parts[name] for name in CHANGING_OF_CONNECTIONS},
+    )
+
+
+def _faults(prepared: PreparedRun) -> Faults:
+    patterns = [*prepared.fault_patterns.values()]
+    shape = len(patterns), len(prepared.points)
+    terms = max((pattern.source.shape[1] for pattern in patterns), default=1)
+    source, weight = np.full((*shape, terms), -1, np.int64), np.ones((*shape, terms))
+    faults = Faults(terms, source, weight, np.zeros(shape), np.zeros(shape))
+    for row, pattern in enumerate(patterns):
+        faults.put(row, slice(None), pattern)
+    return faults
+
+
+def _columns(rows: Sequence[tuple[float, ...]], width: int, kind: type[np.generic]) -> np.ndarray:
+    """Rows as contiguous columns, shape (width, rows)."""
+    return np.ascontiguousarray(np.array(rows, kind).reshape(-1, width).T)
+
+
+def _first_of_each(owners: Iterable[str], components: Iterable[str]) -> np.ndarray:
+    """Index of each component's first entry, and the number of entries; `owners` are in order."""
+    counts = Counter(owners)
+    return np.cumsum([0, *(counts[name] for name in components)], dtype=np.int64)

@@ -1,0 +1,158 @@
+"""The comparison: every controller of the protocol with the gains that it comes with, and tuned.
+
+Names of rows: "start/l1" has the start values of its FMU, which for L1 are the gains identified from the
+paper; "tuned/l1" has those of gains/l1.toml. The tables are made for docs/explanation/comparison.md.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+
+from fmus.platforms import usable_processors
+from orchestration.score import score_view
+from orchestration.score.loop import Controller, built_in
+from orchestration.score.protocol import Protocol
+from orchestration.score.score import ScoreResult, runs_each, score
+from orchestration.score.score_document import OF_A_ROW, CaseResult, Score
+from orchestration.score.score_view import Cell, ScoreTable
+from orchestration.score.tuned_gains import tuned
+
+START, TUNED = "start", "tuned"
+PAPERS = f"{TUNED}/l1-pi"  # the paper's controller, which the others are compared with plant by plant
+
+
+def controllers(protocol: Protocol) -> list[Controller]:
+    """Every controller of the protocol, tuned and with the start values of its FMU."""
+    return [
+        replace(chosen(protocol, name), name=f"{which}/{name}")
+        for which, chosen in ((TUNED, tuned), (START, built_in))
+        for name in protocol.controllers
+    ]
+
+
+def compare(
+    protocol: Protocol,
+    full: bool = False,
+    workers: int = usable_processors(),
+    progress: Callable[[int], object] = lambda done: None,
+) -> ScoreResult:
+    """The score of them all; with `full` on every plant, each compared with the paper's controller, tuned."""
+    papers, *others = sorted(controllers(protocol), key=lambda controller: controller.name != PAPERS)
+    return score([papers], protocol, beside=others, full=full, workers=workers, progress=progress)
+
+
+def run_count(protocol: Protocol, full: bool) -> int:
+    """Runs of a comparison."""
+    return len(controllers(protocol)) * runs_each(protocol, full)
+
+
+def for_page(result: ScoreResult) -> ScoreResult:
+    """The same with titles that say which gains a row has, for a page that shows all rows together."""
+    endings = {TUNED: "tuned", START: "as it comes"}
+    rows = [
+        row.model_copy(update={"title": f"{row.title}, {endings[row.name.partition('/')[0]]}"})
+        for row in result.document.rows
+    ]
+    return replace(result, document=result.document.model_copy(update={"rows": rows}))
+
+
+def part(document: Score, which: str, league: str) -> Score:
+    """The rows of one kind and league, each table of which marks the best of its columns."""
+    rows = [row for row in document.rows if row.name.startswith(f"{which}/") and row.league == league]
+    return document.model_copy(update={"rows": rows})
+
+
+def shown_tables(document: Score) -> dict[str, ScoreTable]:
+    """Returns the tables of the rows of each kind and league, by their names."""
+    made: dict[str, ScoreTable] = {}
+    for league in document.protocol.leagues:
+        for which in (TUNED, START):
+            made[f"{which} {league} overview"] = score_view.overview(part(document, which, league))
+        rows = part(document, TUNED, league)
+        made[f"{TUNED} {league} rmse"] = score_view.of_figure(rows, "rmse")
+        plants = score_view.over_plants(rows)
+        if plants:
+            made[f"{TUNED} {league} plants"] = plants
+    return made
+
+
+def tables(document: Score) -> dict[str, str]:
+    """The tables of the page in Markdown, by the name that stands before them there."""
+    made = {name: _markdown(table) for name, table in shown_tables(document).items()}
+    if document.differences:
+        made[f"{TUNED} differences"] = _differences(document)
+    return made
+
+
+def with_tuned_differences(document: Score) -> Score:
+    """Returns the score with the differences in RMSE between tuned controllers alone."""
+    entries = [e for e in document.differences if e.other.startswith(f"{TUNED}/") and e.figure == "rmse"]
+    return document.model_copy(update={"differences": entries})
+
+
+def _markdown(table: ScoreTable) -> str:
+    headings = [f"{c.title} [{c.unit}]" if c.unit else c.title for c in table.columns]
+    return _lines(
+        headings,
+        ([row.title, *map(_text, cells)] for row, cells in zip(table.rows, table.cells, strict=True)),
+    )
+
+
+def _differences(document: Score) -> str:
+    """The paper's controller minus each other tuned one, in RMSE."""
+    titles = {row.name: row.title for row in document.rows}
+    return _lines(
+        ["Plants", "Median difference [cm]", "95 % interval [cm]", "p, Holm"],
+        (
+            [
+                titles[entry.other],
+                str(entry.pairs),
+                f"{entry.median_difference:.3g}",
+                f"{entry.interval[0]:.3g} to {entry.interval[1]:.3g}",
+                f"{entry.p_holm:.1g}",
+            ]
+            for entry in with_tuned_differences(document).differences
+        ),
+    )
+
+
+def _lines(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table of Markdown, of controllers."""
+    lines = [["Controller", *headings], [":---", *["---:"] * len(headings)], *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _text(cell: Cell) -> str:
+    text = f"**{cell.text}**" if cell.is_best else cell.text
+    return f"{text} !" if cell.failed else text
+
+
+def figure(document: Score, key: str) -> float:
+    """The number that the page names by a key.
+
+    Such as "tuned/l1.nominal.rmse", "tuned/l1.delay_margin", "tuned/l1.plants.rmse.p95", or, of the paper's
+    controller minus this one over the plants, "tuned/l1.difference.rmse.high".
+
+    Raises KeyError for a key of no figure.
+    """
+    name, *path = key.split(".")
+    row = next((row for row in document.rows if row.name == name), None)
+    match path:
+        case [case, figure_name] if row and figure_name in row.cases.get(case, CaseResult()).figures:
+            return row.cases[case].figures[figure_name]
+        case [figure_name] if row and figure_name in OF_A_ROW:
+            return getattr(row, figure_name)
+        case ["plants", "failure_rate"] if row and row.plants:
+            return row.plants.failure_rate
+        case ["plants", figure_name, "median" | "p95" | "cvar" as statistic] if row and row.plants:
+            return getattr(row.plants.figures[figure_name], statistic)
+        case ["difference", figure_name, statistic] if row:
+            return _difference(document, name, figure_name, statistic)
+    raise KeyError(key)
+
+
+def _difference(document: Score, other: str, figure_name: str, statistic: str) -> float:
+    for entry in document.differences:
+        if (entry.other, entry.figure) == (other, figure_name):
+            low, high = entry.interval
+            return {"median": entry.median_difference, "low": low, "high": high, "p": entry.p_holm}[statistic]
+    raise KeyError(f"{other}.difference.{figure_name}")

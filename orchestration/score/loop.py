@@ -1,0 +1,225 @@
+"""One controller in the loop of the protocol: its FMU stays loaded from run to run.
+
+with Loop(Controller("mine", "my.fmu"), read_protocol()) as loop:
+    loop.figures(protocol.cases["nominal"])["rmse"]
+"""
+
+import warnings
+from collections.abc import Collection, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from fmus.errors import nearest
+from fmus.fmi.description import describe, of_causality, start_value
+from fmus.fmi.variable_types import FmiValue
+from fmus.registry import Flavour
+from orchestration.errors import ScenarioError, ScenarioWarning
+from orchestration.many.ensemble import Ensemble
+from orchestration.results.recording import Recording
+from orchestration.run.simulator import Simulator
+from orchestration.scenarios import scenario
+from orchestration.scenarios.read_layers import file_layers, shipped_bases
+from orchestration.scenarios.scenario import Scenario
+from orchestration.score.figures import figures_of, judged_signals
+from orchestration.score.protocol import REFERENCE, Case, Protocol, check_vehicle
+from orchestration.system.experiment import Experiment
+from orchestration.system.signal_derivatives import derivative
+from orchestration.system.signals import Ramps, Signal
+
+OWN = "controller."
+KNOWS_RATES = "reference-rates"
+_RATES = {"depth_reference_rate": 1, "depth_reference_acceleration": 2}  # input -> order of the derivative
+_RECORD = (REFERENCE, "plant.depth", "plant.voltage[1]", "plant.voltage[2]")
+
+
+@dataclass(frozen=True)
+class Controller:
+    """A controller to be run.
+
+    fmu: an .fmu or the name of a block; parameters: variable -> value, of what is not at its start value
+    mapping: name of the depth control interface -> variable that stands for it
+    settings: "component.variable" -> value, of the other components
+    """
+
+    name: str
+    fmu: str
+    league: str = "position"
+    title: str = ""
+    parameters: Mapping[str, FmiValue] = field(default_factory=dict)
+    mapping: Mapping[str, str] = field(default_factory=dict)
+    settings: Mapping[str, FmiValue] = field(default_factory=dict)
+    open_inputs: str = "error"
+    flavour: Flavour = Flavour.NATIVE
+
+    def variable(self, name: str) -> str:
+        """ "controller.variable" for a name of the depth control interface."""
+        return OWN + self.mapping.get(name, name)
+
+
+def built_in(protocol: Protocol, name: str) -> Controller:
+    """The controller that the protocol has under that name."""
+    if name not in protocol.controllers:
+        raise ScenarioError(f"no controller {name!r}; {nearest(name, protocol.controllers)}")
+    table = protocol.controllers[name]
+    return Controller(name, table.fmu, table.league, table.title, table.parameters)
+
+
+@cache
+def build_missing(fmu: Path) -> None:
+    """Build the FMU of one of our blocks, if it is missing or stale, once in a process."""
+    from fmus.build import builder  # which loads CasADi
+
+    builder.build_missing([fmu])
+
+
+class Loop(AbstractContextManager["Loop"]):
+    """A controller in the loop with the vehicle, in any case of a protocol."""
+
+    def __init__(self, controller: Controller, protocol: Protocol) -> None:
+        if controller.league not in protocol.tables.leagues:
+            known = protocol.tables.leagues
+            raise ScenarioError(f"no league {controller.league!r}; {nearest(controller.league, known)}")
+        self.controller, self.protocol = controller, protocol
+        self._scenarios: dict[str, Scenario] = {}
+        self._simulator: Simulator | None = None
+        self._ensemble: Ensemble | None = None
+
+    def figures(
+        self, case: Case, gains: Mapping[str, FmiValue] = {}, names: Collection[str] = ()
+    ) -> dict[str, float]:
+        """Name -> figure of one run, of all figures or of those named.
+
+        gains: variable of the controller -> value, over those that it has
+        Raises SimulationError for a run that ends early.
+        """
+        return figures_of(self.run(case, gains), case, self.protocol, names)
+
+    def run(self, case: Case, gains: Mapping[str, FmiValue] = {}) -> Recording:
+        """The signals that figures are computed of, in one run."""
+        loaded = self.scenario(case)
+        experiment = self.experiment(case, gains)
+        if self._simulator is None or self._simulator.system != loaded.system:
+            _close(self._simulator)
+            self._simulator = Simulator(loaded.system)
+        return self.judged(case, experiment, self._simulator.run(experiment))
+
+    def ensemble(self, case: Case) -> Ensemble:
+        """An ensemble of the system of a case; EnsembleError if there can be none."""
+        system = self.scenario(case).system
+        if self._ensemble is None or self._ensemble.system != system:
+            _close(self._ensemble)
+            self._ensemble = Ensemble(system)
+        return self._ensemble
+
+    def judged(self, case: Case, experiment: Experiment, recording: Recording) -> Recording:
+        """The signals that figures are computed of, from a recording of the experiment of a case."""
+        nominal = _start_values(self.scenario(case).system.components["plant"])
+        given = {**nominal, **{n.removeprefix("plant."): v for n, v in experiment.parameters.items()}}
+        limits = [float(given[f"thruster_voltage_limit[{i}]"]) for i in (1, 2)]
+        thrust = [float(nominal[f"thruster_gain[{i}]"]) for i in (1, 2)]
+        return judged_signals(recording, experiment.record, limits, thrust)
+
+    def scenario(self, case: Case) -> Scenario:
+        """The case as a scenario with this controller; its own values and gains are not in it."""
+        key = repr(case.layer)
+        if key not in self._scenarios:
+            self._scenarios[key] = self._loaded(case)
+        return self._scenarios[key]
+
+    def _loaded(self, case: Case) -> Scenario:
+        controller = self.controller
+        path = shipped_bases()[self.protocol.tables.base]
+        overrides: dict[str, Any] = {"experiment": {"open_inputs": controller.open_inputs}}
+        if controller.mapping:
+            overrides["mapping"] = {"controller": dict(controller.mapping)}
+        settings = {f"{OWN}{name}": value for name, value in controller.parameters.items()}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ScenarioWarning)  # of entries that only our own controller has
+            loaded = scenario.load(
+                path,
+                overrides,
+                controller.flavour,
+                layers_between=[_judging(path), case.layer],
+                settings={"controller": controller.fmu, **settings, **controller.settings},
+                build=build_missing,
+            )
+        for fmu in loaded.system.components.values():
+            build_missing(Path(fmu))
+        check_vehicle(self.protocol, _start_values(loaded.system.components["plant"]))
+        inherited = {
+            name: value
+            for name, value in loaded.experiment.parameters.items()
+            if not name.startswith(OWN) or name in settings
+        }
+        experiment = replace(loaded.experiment, parameters=inherited)
+        return replace(loaded, experiment=experiment)
+
+    def experiment(self, case: Case, gains: Mapping[str, FmiValue] = {}) -> Experiment:
+        """The experiment of a case with the values that differ from run to run."""
+        loaded = self.scenario(case)
+        experiment = loaded.experiment
+        parameters: dict[str, Any] = dict(experiment.parameters)
+        inputs: dict[str, Any] = dict(experiment.inputs)
+        for name, value in case.values.items():
+            (inputs if name in inputs else parameters)[name] = value
+        parameters |= {f"{OWN}{name}": value for name, value in gains.items()}
+        signals = dict(experiment.signals)
+        if case.trajectory:
+            signals[self.controller.variable("depth_reference")] = Ramps(case.trajectory)
+        self._drive_rates(loaded, inputs, signals)
+        return replace(experiment, parameters=parameters, inputs=inputs, signals=signals)
+
+    def _drive_rates(self, loaded: Scenario, inputs: dict[str, FmiValue], signals: dict[str, Signal]) -> None:
+        """Drive the rates of the reference by its derivatives, or hold them at 0, as the league says."""
+        reference = signals[self.controller.variable("depth_reference")]
+        known = _inputs(loaded.system.components["controller"])
+        for name, order in _RATES.items():
+            variable = self.controller.variable(name)
+            if variable.removeprefix(OWN) not in known:
+                continue
+            inputs.pop(variable, None)
+            signals.pop(variable, None)
+            if self.controller.league == KNOWS_RATES:
+                signals[variable] = derivative(reference, order, variable)
+            else:
+                inputs[variable] = 0.0
+
+    def parameters(self) -> dict[str, FmiValue]:
+        """The controller's own values, each of the type that its variable has."""
+        given = self.scenario(self.protocol.nominal).experiment
+        values: dict[str, Any] = {**given.inputs, **given.parameters}
+        return {name: values[f"{OWN}{name}"] for name in self.controller.parameters}
+
+    def close(self) -> None:
+        """Free the FMUs; the next run loads them again."""
+        _close(self._simulator, self._ensemble)
+        self._simulator = self._ensemble = None
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+def _close(*runners: Simulator | Ensemble | None) -> None:
+    for runner in runners:
+        if runner is not None:
+            runner.close()
+
+
+@cache
+def _start_values(fmu: Path) -> dict[str, Any]:
+    return {v.name: start_value(v) for v in describe(fmu).modelVariables}
+
+
+@cache
+def _inputs(fmu: Path) -> set[str]:
+    return {v.name for v in of_causality(describe(fmu), "input")}
+
+
+@cache
+def _judging(path: Path) -> dict[str, Any]:
+    """A layer over a base: what is recorded for figures, in place of the metrics of the base."""
+    metrics = {name: False for layer in file_layers(path) for name in layer.data.get("metrics", {})}
+    return {"record": list(_RECORD), "metrics": metrics}

@@ -1,0 +1,203 @@
+"""The protocol of the score: its cases, figures and controllers, from protocol.toml.
+
+What is kept for the table of a score alone stands in table.toml, which `study.table_seeds` reads.
+"""
+
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import TypeAdapter
+
+from fmus.errors import nearest
+from fmus.fmi.variable_types import FmiValue
+from fmus.registry import block_names
+from orchestration.errors import ScenarioError
+from orchestration.results import metrics
+from orchestration.scenarios.file_format import METRIC
+from orchestration.scenarios.file_tables import Table, checked
+from orchestration.scenarios.read_layers import shipped_bases
+from orchestration.scenarios.toml_file import KeyPath, TomlFile, read_toml
+from orchestration.score.protocol_format import (
+    COMPARED,
+    DELAY_MARGIN,
+    SIGNALS,
+    ControllerTable,
+    FigureTable,
+    ProtocolFile,
+)
+
+FILE = Path(__file__).with_name("protocol.toml")
+REFERENCE = "controller.depth_reference"
+SENSOR_SEED = "plant.sensor_seed"
+_VEHICLE = "plant."
+_BAND = 0.05  # of the target: the paper's settling band
+_FILE = TypeAdapter(ProtocolFile)
+_METRIC: TypeAdapter[Any] = TypeAdapter(Annotated[Table, METRIC])
+
+
+@dataclass(frozen=True)
+class Target:
+    """A depth [m] that the reference comes to, and the window [s] from the start until it leaves.
+
+    moves: whether it comes there from another depth
+    """
+
+    depth: float
+    window: tuple[float, float]
+    moves: bool = True
+
+    @property
+    def band(self) -> float:
+        """Half the width [m] of the band in which the depth has settled: 5 % of the target."""
+        return _BAND * self.depth
+
+
+@dataclass(frozen=True)
+class Case:
+    """A run of the vehicle: what differs from the base scenario, and what of it is judged.
+
+    layer: as a scenario file gives it; values: parameters and constant inputs laid over it
+    trajectory: [time, depth] of the reference in place of that of the layer; judged: [start, end] in s
+    """
+
+    name: str
+    title: str
+    layer: Mapping[str, Any]
+    target: Target
+    judged: tuple[float, float]
+    tuned_on: bool = False
+    values: Mapping[str, FmiValue] = field(default_factory=dict)
+    trajectory: Sequence[Sequence[float]] = ()
+
+    def with_seed(self, seed: int) -> "Case":
+        """The same with another seed of the sensor's noise."""
+        return replace(self, values={**self.values, SENSOR_SEED: seed})
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """A protocol file, read and checked."""
+
+    file: TomlFile
+    tables: ProtocolFile
+
+    @property
+    def version(self) -> str:
+        return self.tables.version
+
+    @property
+    def statement(self) -> str:
+        return self.tables.statement.strip()
+
+    @property
+    def figures(self) -> Mapping[str, FigureTable]:
+        return self.tables.figures
+
+    @property
+    def controllers(self) -> Mapping[str, ControllerTable]:
+        return self.tables.controllers
+
+    @cached_property
+    def cases(self) -> dict[str, Case]:
+        """The cases of the table by name, at the first practice seed."""
+        return {name: self._case(name) for name in self.tables.cases}
+
+    @property
+    def nominal(self) -> Case:
+        """The case of the paper: the first."""
+        return next(iter(self.cases.values()))
+
+    def _case(self, name: str) -> Case:
+        table = self.tables.cases[name]
+        points = self.tables.trajectory
+        stop = table.stop_time or points[-1][0]
+        layer = {key: value for key, value in self.file.data["cases"][name].items() if key in _LAYER_KEYS}
+        reference = {"kind": "ramps", "smooth": False, "points": points}
+        if table.hold:
+            reference = {"kind": "constant", "value": table.hold}
+            layer["parameters"] = {"plant.initial_depth": table.hold, **layer.get("parameters", {})}
+        layer["signals"] = {REFERENCE: reference, **layer.get("signals", {})}
+        layer["experiment"] = {"stop_time": stop}
+        start, end = table.judged or (0.0, stop)
+        target = Target(table.hold, (start, end), moves=False) if table.hold else first_target(points)
+        seed = {SENSOR_SEED: self.tables.practice_seeds[0]}
+        return Case(name, table.title, layer, target, (start, end), table.tuned_on, seed)
+
+
+_LAYER_KEYS = ("parameters", "inputs", "signals", "faults")
+
+
+def metric_of(table: FigureTable, case: Case) -> dict[str, Any]:
+    """A figure of a case as a scenario declares a metric."""
+    call: dict[str, Any] = {"function": table.function, **table.arguments}
+    if table.at_target:
+        call |= {"target": case.target.depth, "window": list(case.target.window)}
+        if table.function == "settling_time":
+            call["band"] = case.target.band
+    elif not table.whole_run:
+        call["window"] = list(case.judged)
+    return call
+
+
+def first_target(points: Iterable[Sequence[float]]) -> Target:
+    """The first depth that a trajectory holds; ScenarioError if it holds none."""
+    listed = list(points)
+    for (_, before), (until, after) in pairwise(listed):
+        if before == after:
+            return Target(after, (listed[0][0], until))
+    raise ScenarioError(f"trajectory {listed}: expected two points in a row of one depth")
+
+
+def read_protocol(path: Path = FILE) -> Protocol:
+    """The protocol of a file, by default of the one that ships; ScenarioError names file and line."""
+    file = read_toml(path)
+    protocol = Protocol(file, checked(_FILE, file.data, file.at))
+    for keys, name, known in _names(protocol.tables):
+        if name not in known:
+            shown = ".".join(map(str, keys))
+            raise ScenarioError(f"{file.at(keys)}: {shown} = {name!r}; {nearest(name, known)}")
+    for name in (name for name in COMPARED if name not in protocol.figures):
+        raise ScenarioError(f"{file.at(('figures',))}: figures.{name} is missing: tables show it")
+    for name, table in protocol.figures.items():
+        keys = ("figures", name, "arguments")
+        checked(_METRIC, metric_of(table, protocol.nominal), lambda key, keys=keys: file.at((*keys, *key)))
+    return protocol
+
+
+def check_vehicle(protocol: Protocol, variables: Collection[str]) -> None:
+    """Refuse a case or a plant that names a variable which the vehicle does not have."""
+    tables, known = protocol.tables, [f"{_VEHICLE}{variable}" for variable in variables]
+    names: list[tuple[KeyPath, str]] = []
+    for case, table in tables.cases.items():
+        for part in ("parameters", "inputs", "signals"):
+            names += [(("cases", case, part, name), name) for name in getattr(table, part)]
+    for drawn, entry in tables.plants.vary.items():
+        keys = ("plants", "vary", drawn, "variables")
+        names += [(keys, name) for name in entry.variables]  # type: ignore[attr-defined]
+    for keys, name in names:
+        if name.startswith(_VEHICLE) and name not in known:
+            raise ScenarioError(f"{protocol.file.at(keys)}: no variable {name}; {nearest(name, known)}")
+
+
+def _names(tables: ProtocolFile) -> Iterator[tuple[KeyPath, str, Collection[str]]]:
+    """Keys, the name that stands there, and the names that may."""
+    yield ("base",), tables.base, shipped_bases()
+    for name, table in tables.figures.items():
+        yield ("figures", name, "function"), table.function, metrics.FUNCTIONS
+        for argument in sorted(table.arguments.keys() & metrics.SIGNALS):
+            yield ("figures", name, "arguments", argument), table.arguments[argument], SIGNALS
+    for name in tables.failure:
+        yield ("failure", name), name, tables.figures
+    for name in tables.cost.cases:
+        yield ("cost", "cases"), name, tables.cases
+    yield ("cost", "figure"), tables.cost.figure, tables.figures
+    for name in tables.cost.bounds:
+        yield ("cost", "bounds", name), name, [*tables.figures, DELAY_MARGIN]
+    blocks = block_names()
+    for name, controller in tables.controllers.items():
+        yield ("controllers", name, "league"), controller.league, tables.leagues
+        yield ("controllers", name, "fmu"), controller.fmu, blocks

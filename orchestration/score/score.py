@@ -1,0 +1,135 @@
+"""The score: controllers in every case of the protocol, beside those that the protocol has.
+
+result = score([Controller("mine", "my.fmu")])
+result.document.figure(result.document.scored[0], "nominal", "rmse")
+"""
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+
+from fmus.platforms import usable_processors
+from orchestration.errors import ScenarioError
+from orchestration.score.loop import Controller, Loop
+from orchestration.score.protocol import Protocol, read_protocol
+from orchestration.score.protocol_format import COMPARED
+from orchestration.score.score_document import PairedDifference, Row, Score, protocol_info
+from orchestration.score.score_rows import Progress, Scoring
+from orchestration.score.scored_run import Trace
+from orchestration.score.statistics import compare, holm
+from orchestration.score.tuned_gains import tuned
+from orchestration.system.prepared_run import prepare
+
+
+@dataclass(frozen=True)
+class ScoreResult:
+    """The document of a score, and what is drawn: row and case -> the trace of that run."""
+
+    document: Score
+    traces: Mapping[str, Mapping[str, Trace]]
+
+
+def score(
+    controllers: Sequence[Controller],
+    protocol: Protocol | None = None,
+    *,
+    beside: Sequence[Controller] | None = None,
+    full: bool = False,
+    timeout: float | None = None,
+    workers: int = usable_processors(),
+    progress: Progress = lambda done: None,
+) -> ScoreResult:
+    """Run every case, with `full` every plant too, and compare with the controllers of the protocol.
+
+    beside: the other controllers, by default those of the protocol, tuned; their rows are kept in a cache
+    timeout: longest time [s] of a run, by default that of the protocol
+    progress: called with how many more runs are done, of `run_count`
+    Each controller runs in a process of its own. One that fails, hangs or crashes has its row with the
+    reason; one that does not fit the vehicle raises OrchestrationError before anything runs.
+    """
+    protocol = protocol or read_protocol()
+    if timeout is not None and not timeout > 0.0:
+        raise ScenarioError(f"timeout {timeout!r} s: expected more than 0")
+    if beside is None:
+        beside = [tuned(protocol, name) for name in protocol.controllers]
+    chosen = _with_other_names(controllers, beside)
+    scoring = Scoring(protocol, full, timeout or protocol.tables.time_limit, progress)
+    rows = _rows(scoring, chosen, beside, workers)
+    document = Score(
+        made_by=f"l1-depth {version('l1-depth')}",
+        protocol=protocol_info(protocol),
+        rows=[row for row, _ in rows],
+    )
+    document.differences = _differences(document)
+    return ScoreResult(document, {row.name: traces for row, traces in rows})
+
+
+def runs_each(protocol: Protocol, full: bool) -> int:
+    """Runs of a controller's row."""
+    return len(protocol.cases) + (protocol.tables.plants.count if full else 0)
+
+
+def run_count(controllers: int, protocol: Protocol, full: bool) -> int:
+    """Runs of a score of so many controllers beside those of the protocol."""
+    return (controllers + len(protocol.controllers)) * runs_each(protocol, full)
+
+
+def _with_other_names(controllers: Sequence[Controller], beside: Sequence[Controller]) -> list[Controller]:
+    """The controllers, under names that those beside them do not have; ScenarioError for two of one name."""
+    taken = {controller.name for controller in beside}
+    renamed = [replace(c, name=f"{c.name} (scored)") if c.name in taken else c for c in controllers]
+    names = [controller.name for controller in (*renamed, *beside)]
+    for name in names:
+        if names.count(name) > 1:
+            raise ScenarioError(f"two controllers are called {name!r}: expected different names")
+    return renamed
+
+
+def _rows(
+    scoring: Scoring, scored: Sequence[Controller], beside: Sequence[Controller], workers: int
+) -> list[tuple[Row, dict[str, Trace]]]:
+    """The rows of the scored controllers, then of those beside them, and their traces."""
+    with ExitStack() as stack:
+        loops = [stack.enter_context(Loop(c, scoring.protocol)) for c in (*scored, *beside)]
+        for loop in loops:
+            nominal = scoring.protocol.nominal
+            prepare(loop.scenario(nominal).system, loop.experiment(nominal))
+        pool = stack.enter_context(ThreadPoolExecutor(workers))
+        stack.callback(scoring.close)
+        stack.callback(pool.shutdown, wait=False, cancel_futures=True)  # first: no thread takes another row
+        futures = [pool.submit(scoring.row, loop, i < len(scored)) for i, loop in enumerate(loops)]
+        return [future.result() for future in futures]
+
+
+def _differences(document: Score) -> list[PairedDifference]:
+    """The scored controllers against each of the others, plant by plant; corrected for their number."""
+    return [
+        difference
+        for row in document.scored
+        if row.plants
+        for figure in COMPARED
+        for difference in _differences_in(figure, row, document.rows)
+    ]
+
+
+def _differences_in(figure: str, scored: Row, rows: Sequence[Row]) -> list[PairedDifference]:
+    """One figure of one scored controller, minus that of each other row."""
+    values = {row.name: row.plants.figures[figure].values for row in rows if row.plants}
+    own = values.pop(scored.name)
+    comparisons = {name: compare(own, other) for name, other in values.items()}
+    corrected = holm({name: comparison.p for name, comparison in comparisons.items()})
+    return [
+        PairedDifference(
+            scored=scored.name,
+            other=name,
+            figure=figure,
+            pairs=comparison.pairs,
+            median_difference=comparison.median_difference,
+            interval=(comparison.low, comparison.high),
+            p=comparison.p,
+            p_holm=corrected[name],
+        )
+        for name, comparison in comparisons.items()
+    ]

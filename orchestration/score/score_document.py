@@ -1,0 +1,191 @@
+"""score.json as types, from which its schema is derived. What did not happen, or cannot be said, is null.
+
+`python -m orchestration.score.score_document` writes the schema that ships.
+"""
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainSerializer, WithJsonSchema
+
+from orchestration.score.protocol import Protocol
+from orchestration.score.protocol_format import DELAY_MARGIN
+
+SCHEMA = Path(__file__).with_name("score.schema.json")
+
+Number = Annotated[
+    float,
+    BeforeValidator(lambda value: math.nan if value is None else value),
+    PlainSerializer(lambda value: value if math.isfinite(value) else None, when_used="json"),
+    WithJsonSchema({"type": ["number", "null"]}),
+]
+
+
+class Part(BaseModel, strict=True, validate_assignment=True):
+    """A part of the document; it has no other keys, and no value that the schema refuses."""
+
+    model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True, ser_json_inf_nan="null")
+
+
+class Figure(Part):
+    """What a figure is."""
+
+    title: str
+    unit: str
+    meaning: str
+    """Its definition."""
+    greatest_is_best: bool = False
+
+
+class CaseInfo(Part):
+    """What a case is."""
+
+    title: str
+    tuned_on: bool
+    """Built-in controllers are tuned on this case: its figures are no test of them."""
+
+
+class ProtocolInfo(Part):
+    """The protocol that every figure here is of."""
+
+    version: str
+    statement: str
+    """What the figures tell about, and what they do not."""
+    leagues: dict[str, str]
+    figures: dict[str, Figure]
+    cases: dict[str, CaseInfo]
+    failure: dict[str, float]
+    """Figure -> a run with more of it failed, as does one that does not settle or ends early."""
+
+
+class CaseResult(Part):
+    """One run."""
+
+    figures: dict[str, Number] = {}
+    failed: list[str] = []
+    """Why it counts as failed; empty if it does not."""
+
+
+class FigureOverPlants(Part):
+    """How a figure is distributed over the plants."""
+
+    median: Number
+    p95: Number
+    cvar: Number
+    """Mean of the worst 5 %; null if a plant without a value is among them."""
+    values: list[Number]
+    """Plant by plant; null where the run ended early."""
+
+
+class PlantsResult(Part):
+    """The runs of --full."""
+
+    count: int
+    failure_rate: float
+    """Share of the plants on which the controller failed."""
+    failed: dict[str, list[str]] = {}
+    """Number of a plant -> why it counts as failed."""
+    figures: dict[str, FigureOverPlants]
+
+
+class Row(Part):
+    """One controller."""
+
+    name: str
+    title: str
+    league: str
+    scored: bool
+    """Whether it is what the command was given, not one of the protocol."""
+    fmu: dict[str, Any]
+    """Model, GUID, generation tool and SHA-256 of its FMU."""
+    parameters: dict[str, Any] = {}
+    """Variable -> value of what is not at its start value."""
+    uses_true_rate: bool | None = None
+    """Whether its figures depend on the true depth rate, which no sensor of the vehicle measures."""
+    delay_margin: Number = math.nan
+    """Longest additional delay [s] of the nominal case; null if it is not judged."""
+    microseconds: Number = math.nan
+    """Of a communication step of the controller's FMU alone, on the machine of the score."""
+    cases: dict[str, CaseResult] = {}
+    plants: PlantsResult | None = None
+
+
+class PairedDifference(Part):
+    """A figure of the scored controller minus that of another one, over the same plants."""
+
+    scored: str
+    other: str
+    figure: str
+    pairs: int
+    """Plants on which both have a value."""
+    median_difference: Number
+    interval: tuple[Number, Number]
+    """95 % of the median difference, by bootstrap."""
+    p: Number
+    """Of Wilcoxon's signed-rank test."""
+    p_holm: Number
+    """The same, corrected for the number of controllers compared."""
+
+
+class Score(Part):
+    """What `l1-depth score` writes."""
+
+    made_by: str
+    protocol: ProtocolInfo
+    rows: list[Row]
+    differences: list[PairedDifference] = []
+
+    @property
+    def scored(self) -> list[Row]:
+        return [row for row in self.rows if row.scored]
+
+    def figure(self, row: Row, case: str, name: str) -> float:
+        """A figure of a row; not a number where there is none."""
+        return row.cases[case].figures.get(name, math.nan) if case in row.cases else math.nan
+
+
+MICROSECONDS = "microseconds"
+OF_A_ROW: Mapping[str, Figure] = {
+    DELAY_MARGIN: Figure(
+        title="Delay margin",
+        unit="s",
+        meaning="longest additional delay of the measured depth with which the nominal loop holds quietly: "
+        "standard deviation below 3 mm from 100 s to 140 s; the first loss on a scan",
+        greatest_is_best=True,
+    ),
+    MICROSECONDS: Figure(
+        title="Step",
+        unit="us",
+        meaning="processor time of a communication step of the controller's FMU alone",
+    ),
+}
+"""Figures that a row has once, not for each case."""
+
+
+def protocol_info(protocol: Protocol) -> ProtocolInfo:
+    """What a document says about the protocol."""
+    figures = {
+        name: Figure(title=table.title, unit=table.unit, meaning=table.meaning)
+        for name, table in protocol.figures.items()
+    }
+    return ProtocolInfo(
+        version=protocol.version,
+        statement=protocol.statement,
+        leagues=dict(protocol.tables.leagues),
+        figures={**figures, **OF_A_ROW},
+        cases={name: CaseInfo(title=c.title, tuned_on=c.tuned_on) for name, c in protocol.cases.items()},
+        failure=dict(protocol.tables.failure),
+    )
+
+
+def schema() -> str:
+    """The JSON schema of score.json, as `SCHEMA` holds it."""
+    dialect = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
+    return json.dumps({**dialect, **Score.model_json_schema(mode="serialization")}, indent=1) + "\n"
+
+
+if __name__ == "__main__":
+    SCHEMA.write_text(schema(), encoding="utf-8")

@@ -1,0 +1,214 @@
+"""Tuning: one optimiser, the same number of evaluations for each free gain, several seeds, for every law.
+
+The searches of all seeds go on together, a generation of each at a time, so that several processes have work.
+A last search of as many evaluations begins at the best gains of them all: what it gains shows whether the
+cost is flat there.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from fmus.extras import imports_of
+from orchestration.errors import OrchestrationError
+from orchestration.score.tune_journal import Journal, Key
+from orchestration.score.tune_search import Search
+from orchestration.score.tune_space import FreeGain
+
+REFINEMENT = 0  # the seed of the last search
+LAST_PART = 0.5  # of the evaluations of the last search: what they still gain shows whether the cost is flat
+LARGEST_IMPROVEMENT = 0.02  # of the cost, in the last part
+LARGEST_SPREAD = 0.05  # of the lowest cost: where most of the seeds come so near to it, they agree
+
+
+Evaluate = Callable[[Sequence[dict[str, float]]], Iterable[Mapping[str, Any]]]
+"""Several {gain: value} -> in their order {"cost": a finite number, and what else is of interest}."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is tuned.
+
+    gains: those that are free
+    tuned: plain data that says what the cost depends on; a journal of something else is refused
+    """
+
+    gains: tuple[FreeGain, ...]
+    tuned: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """What the search of one seed ended at.
+
+    curve: the lowest cost after each evaluation; figures: of the best gains
+    """
+
+    seed: int
+    gains: Mapping[str, float]
+    figures: Mapping[str, Any]
+    curve: tuple[float, ...]
+
+    @property
+    def cost(self) -> float:
+        return self.curve[-1]
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """The searches of all seeds, and the last one, which begins where the best of them ended."""
+
+    problem: Problem
+    searches: tuple[SearchResult, ...]
+    refinement: SearchResult
+
+    @property
+    def best(self) -> SearchResult:
+        return min((*self.searches, self.refinement), key=lambda search: search.cost)
+
+    @property
+    def optimiser(self) -> str:
+        return _optimiser()
+
+    @property
+    def evaluations(self) -> int:
+        return sum(len(search.curve) for search in (*self.searches, self.refinement))
+
+    @property
+    def improvement(self) -> float:
+        """How much lower the cost became in the last part of the last search, relative to what it was."""
+        curve = self.refinement.curve
+        first_part = curve[: int((1.0 - LAST_PART) * len(curve))]
+        before = min([*(search.cost for search in self.searches), *first_part])
+        return (before - self.best.cost) / before if before else 0.0
+
+    @property
+    def spread(self) -> float:
+        """How far the median of the seeds' costs is above the lowest, relative to it."""
+        lowest = self.best.cost
+        return (median(search.cost for search in self.searches) - lowest) / lowest if lowest else 0.0
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether more evaluations hardly lower the cost about the best gains."""
+        return self.improvement <= LARGEST_IMPROVEMENT
+
+    @property
+    def seeds_agree(self) -> bool:
+        """Whether half of the seeds come near the lowest cost; else the surface has valleys or ridges."""
+        return self.spread <= LARGEST_SPREAD
+
+
+def tune(
+    problem: Problem,
+    seeds: Sequence[int],
+    evaluations_per_gain: int,
+    path: Path,
+    evaluate: Evaluate,
+    progress: Callable[[int, float], None] = lambda done, cost: None,
+) -> Tuning:
+    """Search the gains of least cost; the same seeds give the same gains, interrupted or not.
+
+    path: of the journal, which holds what is done
+    progress: called with how many more evaluations are done, and the lowest cost until then
+    """
+    evaluations = evaluations_per_gain * len(problem.gains)
+    if evaluations < 1 or not seeds:
+        raise OrchestrationError("nothing to tune: expected a gain, a seed and an evaluation or more")
+    journal = Journal(path, {**problem.tuned, **_what_is_searched(problem, evaluations)})
+    done, lowest = journal.begin(), math.inf
+
+    def run_searches(searches: Sequence[_SeedSearch]) -> tuple[SearchResult, ...]:
+        nonlocal lowest
+        while rows := [row for search in searches for row in search.ask()]:
+            for row in _evaluated(rows, done, evaluate, journal):
+                lowest = min(lowest, row["cost"])
+                progress(1, lowest)
+            for search in searches:
+                search.tell()
+        return tuple(search.result() for search in searches)
+
+    results = run_searches([_SeedSearch(problem, seed, evaluations) for seed in seeds])
+    best = min(results, key=lambda result: result.cost)
+    (refinement,) = run_searches([_SeedSearch(problem, REFINEMENT, evaluations, best.gains)])
+    return Tuning(problem, results, refinement)
+
+
+def _evaluated(
+    rows: Sequence[dict[str, Any]],
+    done: Mapping[Key, dict[str, Any]],
+    evaluate: Evaluate,
+    journal: Journal,
+) -> Iterator[dict[str, Any]]:
+    """The rows in their order, each completed with its cost, of the journal or evaluated and added there."""
+    stored = [done.get((row["seed"], row["evaluation"])) for row in rows]
+    missing = [row["gains"] for row, finished in zip(rows, stored, strict=True) if finished is None]
+    costs = iter(evaluate(missing))
+    for row, finished in zip(rows, stored, strict=True):
+        if finished:
+            _check_same(row, finished, journal.path)
+        row.update(finished or next(costs))
+        if not finished:
+            journal.add(row)
+        yield row
+
+
+def _what_is_searched(problem: Problem, evaluations: int) -> dict[str, Any]:
+    return {
+        "gains": {gain.name: [gain.low, gain.high] for gain in problem.gains},
+        "evaluations": evaluations,
+        "optimiser": _optimiser(),
+    }
+
+
+def _optimiser() -> str:
+    with imports_of("study", "tuning"):
+        return f"CMA-ES (cmaes {version('cmaes')})"
+
+
+def _check_same(row: Mapping[str, Any], stored: Mapping[str, Any], path: Path) -> None:
+    if stored["gains"] != row["gains"]:
+        raise OrchestrationError(
+            f"{path}: evaluation {row['evaluation']} of seed {row['seed']} has other gains than the "
+            "search asks for: expected the same libraries as before; --restart discards it"
+        )
+
+
+class _SeedSearch:
+    """The search of one seed, with every evaluation that it asked for; start: the gains that it begins at."""
+
+    def __init__(
+        self, problem: Problem, seed: int, evaluations: int, start: Mapping[str, float] | None = None
+    ) -> None:
+        self._gains, self._seed = problem.gains, seed
+        begin = [gain.position(start[gain.name]) for gain in problem.gains] if start else None
+        self._search = Search(len(problem.gains), seed, evaluations, begin)
+        self._rows: list[dict[str, Any]] = []
+        self._asked = 0
+
+    def ask(self) -> list[dict[str, Any]]:
+        """The evaluations of the next generation, each to be completed with its cost."""
+        points = self._search.ask()
+        self._asked = len(points)
+        for point in points:
+            gains = {gain.name: gain.value(float(x)) for gain, x in zip(self._gains, point, strict=True)}
+            self._rows.append({"seed": self._seed, "evaluation": len(self._rows), "gains": gains})
+        return self._rows[len(self._rows) - self._asked :]
+
+    def tell(self) -> None:
+        if self._asked:
+            self._search.tell([row["cost"] for row in self._rows[-self._asked :]])
+
+    def result(self) -> SearchResult:
+        curve: list[float] = []
+        for row in self._rows:
+            curve.append(min(row["cost"], *curve[-1:]) if curve else row["cost"])
+        best = min(self._rows, key=lambda row: row["cost"])
+        figures = {
+            key: value for key, value in best.items() if key not in ("seed", "evaluation", "gains", "cost")
+        }
+        return SearchResult(self._seed, best["gains"], figures, tuple(curve))

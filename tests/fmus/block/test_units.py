@@ -1,0 +1,87 @@
+"""What the name of a unit means over the base units of FMI 2.0 and which names mean nothing."""
+
+import re
+import sys
+
+import pytest
+
+from fmus.block.units import BASE_UNITS, Unit, display, unit
+from fmus.errors import ExportError, MissingExtraError
+
+
+@pytest.mark.parametrize("name", BASE_UNITS)
+def test_the_table_says_what_pint_says(name: str) -> None:
+    """By way of a unit that is not in the table."""
+    inverse = Unit({base: -exponent for base, exponent in BASE_UNITS[name].items()})
+    assert unit(f"1/({name})" if name != "1" else "m/m") == inverse
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("deg", Unit({"rad": 1}, 0.017453292519943295)),
+        ("rev/min", Unit({"rad": 1, "s": -1}, 0.10471975511965977)),
+        ("degC", Unit({"K": 1}, 1.0, 273.15)),
+        ("degF", Unit({"K": 1}, 5.0 / 9.0, 459.67 * 5.0 / 9.0)),
+        ("degC/min", Unit({"K": 1, "s": -1}, 1.0 / 60.0)),  # a difference of temperatures has no offset
+        ("Nm", Unit({"kg": 1, "m": 2, "s": -2})),
+        ("m.s-2", Unit({"m": 1, "s": -2})),
+        ("W/(m2.K)", Unit({"kg": 1, "s": -3, "K": -1})),
+        ("l/min", Unit({"m": 3, "s": -1}, 1e-3 / 60.0)),
+        ("kWh", Unit({"kg": 1, "m": 2, "s": -2}, 3.6e6)),
+        ("mol/l", Unit({"mol": 1, "m": -3}, 1e3)),
+        ("lm", Unit({"cd": 1, "rad": 2})),
+        ("%", Unit({}, 0.01)),
+        ("metres", Unit({"m": 1})),  # the plural of a name, not of a symbol
+        ("days", Unit({"s": 1}, 86400.0)),
+        ("ms", Unit({"s": 1}, 1e-3)),
+    ],
+)
+def test_a_value_in_base_units_is_factor_times_value_plus_offset(name: str, expected: Unit) -> None:
+    assert unit(name).exponents == expected.exponents
+    assert unit(name).factor == pytest.approx(expected.factor, rel=1e-15)  # the rounding of the expectation
+    assert unit(name).offset == pytest.approx(expected.offset, rel=1e-15)
+
+
+def test_a_value_in_a_display_unit_is_factor_times_value_plus_offset() -> None:
+    assert display("rad", "deg") == (57.29577951308232, 0.0)
+    assert display("K", "degC") == (1.0, -273.15)
+    assert display("degC", "degF") == pytest.approx((1.8, 32.0), rel=1e-15)
+    with pytest.raises(ExportError, match="display unit 'm': expected one of the dimension of 'rad'"):
+        display("rad", "m")
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("kgg", "unknown unit 'kgg'; nearest is 'kg'"),
+        ("N/(m.sek)", r"unknown unit 'N/\(m.sek\)': no unit 'sek'; nearest is 'sec'"),
+        ("rads", "unit 'rads': no unit 'rads'; nearest is 'rad/s'"),  # Pint's unit of dose
+        ("N.m/rads", "no unit 'rads'; nearest is 'rad/s'"),
+        ("Nms/rad", r"unit 'Nms/rad': 'Nms' is a plural of 'Nm': expected 'Nm' or 'Nm\.s'"),
+        ("Pas", r"expected 'Pa' or 'Pa\.s'"),
+        ("kNms", r"expected 'kNm' or 'kNm\.s'"),
+        ("MPas", r"expected 'MPa' or 'MPa\.s'"),
+        ("byte", "expected one of powers of kg, m, s, A, K, mol, cd, rad"),
+        ("dB", "expected one of powers of kg"),  # a logarithm has no factor
+        ("G", "expected one of whole powers of kg"),  # of Gaussian units
+        ("m**0.5", "unit 'm\\*\\*0.5': expected a name as 'N.s/m'"),
+        ("m/", "expected a name as"),
+        ("", "expected a name as"),
+        ("3 m", "expected a name as"),
+    ],
+)
+def test_a_unit_that_fmi_cannot_express_is_refused(name: str, message: str) -> None:
+    with pytest.raises(ExportError, match=message):
+        unit(name)
+
+
+def test_a_unit_besides_those_of_the_table_names_the_extra_that_knows_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "pint", None)  # as if it were not installed
+    assert display("rad/s", "rad/s") == (1.0, 0.0)
+    with pytest.raises(
+        MissingExtraError, match=re.escape("unit 'grad' needs pint: pip install 'l1-depth[units]'")
+    ):
+        display("rad", "grad")

@@ -1,0 +1,118 @@
+"""What a block may contain: each small block works as its Python functions do, or its line is refused."""
+
+import inspect
+import random
+import re
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fmus import numerics as n
+from fmus.block.instance import Instance
+from fmus.build import builder
+from fmus.build.check_sampling import check_samples
+from fmus.build.check_trace import check_faithful
+from fmus.build.symbolic import traced
+from fmus.errors import ExportError
+from fmus.numerics import sampled
+
+from .refused_blocks import REFUSED, REFUSED_STATES
+from .small_blocks import WORKING, Number, Rule, SampledMean, block_of, one_block_of_all
+
+# where no line of the rule is at fault, but what it returns
+NAMED_BY_THE_FUNCTION = ("a list", "a state", "an argument", "an array", "an exception that is caught")
+
+
+@pytest.mark.parametrize("name", WORKING)
+def test_it_works(name: str) -> None:
+    check_faithful(WORKING[name])
+    builder.verified(WORKING[name])
+
+
+@pytest.mark.parametrize("zero", [0.0, -1.0])
+@pytest.mark.parametrize("name", WORKING)
+def test_its_outputs_have_derivatives(name: str, zero: float) -> None:
+    """Also where an alternative that is not taken has none."""
+    block = WORKING[name]
+    function = traced(block).output_rate
+    arguments = [[v.start for v in block.of_causality(kind)] for kind in ("input", "parameter")]
+    arguments[0][0] = zero
+    state = [0.25] * function.size1_in(1)
+    (rate,) = function(0.0, state, *arguments, []).full().ravel()
+    assert abs(rate) < 1e3
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_it_is_refused_with_its_line_and_what_to_write(name: str) -> None:
+    rule, message = REFUSED[name]
+    with pytest.raises(ExportError, match=re.escape(message) + "( -?[0-9]|$)") as refusal:
+        check_faithful(block_of(rule, Number))
+    if not name.startswith(NAMED_BY_THE_FUNCTION):
+        assert line_of(str(refusal.value), rule) in lines(rule)
+
+
+@pytest.mark.parametrize("name", REFUSED_STATES)
+def test_a_state_of_another_type_is_refused(name: str) -> None:
+    rule, state, message = REFUSED_STATES[name]
+    with pytest.raises(ExportError, match=re.escape(message)):
+        check_faithful(block_of(rule, state))
+
+
+def test_a_block_whose_steps_are_longer_than_its_period_is_refused() -> None:
+    """Also by half a per cent; a step as long as the period misses nothing."""
+    steps = {period: block_of(partial(measures_every, period), SampledMean) for period in (0.0995, 0.1)}
+    with pytest.raises(
+        ExportError, match=r"step misses samples in internal steps of 0\.1 s: expected a step_size"
+    ):
+        check_samples(steps[0.0995])
+    check_samples(steps[0.1])
+
+
+def test_a_block_that_leaves_a_domain_on_its_way_is_judged_by_the_comparison() -> None:
+    """From 1 s on its step has the root of a negative number: no error of this check."""
+    block = block_of(lambda s, u, p, t, h: sampled(t, 0.1, s, SampledMean(n.sqrt(1.0 - t))), SampledMean)
+    check_samples(block)
+
+
+def measures_every(period: float, s: SampledMean, u: Any, p: Any, t: float, h: float) -> SampledMean:
+    return sampled(t, period, s, SampledMean(u.u))
+
+
+@pytest.mark.parametrize("name", ["an Integer state", "a Boolean state", "an Enumeration state"])
+def test_a_saved_state_is_restored_in_its_types(name: str) -> None:
+    instance, other = Instance(WORKING[name]), Instance(WORKING[name])
+    instance.exit_initialization_mode()
+    instance.do_step(0.0, 0.3)
+    other.restore(instance.snapshot())
+    assert other.snapshot() == instance.snapshot()
+
+
+def line_of(message: str, rule: Rule) -> int:
+    """The last line of the rule's file that a message names."""
+    return int(re.findall(re.escape(str(inspect.getsourcefile(rule))) + r":(\d+)", message)[-1])
+
+
+def lines(rule: Rule) -> range:
+    code, start = inspect.getsourcelines(rule)
+    return range(start, start + len(code))
+
+
+@pytest.mark.slow
+def test_all_that_work_are_one_native_fmu_with_the_results_of_python(tmp_path: Path, load: Any) -> None:
+    block = one_block_of_all()
+    fmu = load(builder.build_block(block, tmp_path)).begin()
+    python, rng = Instance(block), random.Random(1)
+    python.exit_initialization_mode()
+    for i in range(300):
+        u, is_on, count = rng.choice((0.0, rng.uniform(-3.0, 3.0))), rng.random() < 0.3, rng.randint(-3, 3)
+        fmu["u"] = u
+        fmu.slave.setBoolean([fmu.references["is_on"]], [is_on])
+        fmu.slave.setInteger([fmu.references["count"]], [count])
+        for name, value in (("u", u), ("is_on", is_on), ("count", count)):
+            python.set(fmu.references[name], value)
+        fmu.slave.doStep(0.1 * i, 0.1)
+        python.do_step(0.1 * i, 0.1)
+        for v in block.of_causality("output"):
+            assert fmu[v.name] == python.get(v.value_reference), v.name

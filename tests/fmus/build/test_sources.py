@@ -1,0 +1,54 @@
+"""An FMU carries every source that it needs, and nothing that a bare Python lacks."""
+
+import ast
+import sys
+import textwrap
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from fmus.build import archive, builder
+from fmus.build.sources import defined_as, in_package, source_closure
+from fmus.errors import ExportError
+
+
+@pytest.mark.parametrize("name", builder.block_names())
+def test_the_closure_imports_the_standard_library_and_itself_only(name: str) -> None:
+    closure = source_closure(builder.load_block(name).step.__module__)
+    for source in closure.values():
+        for statement in ast.parse(source).body:
+            if isinstance(statement, ast.ImportFrom) and not statement.level:
+                module = statement.module or ""
+                assert module in closure or module.split(".")[0] in sys.stdlib_module_names
+
+
+def test_every_absolute_import_moves_into_the_package() -> None:
+    closure = source_closure("plant_fmu.depth_plant")
+    moved = in_package(closure, "unique")
+    assert "from unique.fmus.block import" in moved["unique/plant_fmu/depth_plant.py"]
+    assert "from unique.plant_fmu import depth_sensor" in moved["unique/plant_fmu/depth_plant.py"]
+    for source in moved.values():
+        assert "\nfrom fmus" not in source
+        assert "\nfrom plant_fmu" not in source
+        assert "\nfrom pythonfmu" not in source
+
+
+def test_a_block_that_imports_numpy_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "needs_numpy.py").write_text(textwrap.dedent("import numpy\n"))
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ExportError, match="needs_numpy imports numpy: expected the standard library"):
+        source_closure("needs_numpy")
+
+
+def test_a_block_that_no_module_holds_is_refused_by_the_python_flavour() -> None:
+    """Its sources would define another block."""
+    block = replace(builder.load_block("ExamplePlant"), description="another")
+    with pytest.raises(ExportError, match="'ExamplePlant': expected a name at the top level of a module"):
+        defined_as(block)
+
+
+def test_a_licence_that_the_installed_project_lacks_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(archive, "distributions", lambda name: [])
+    with pytest.raises(ExportError, match="the installed pythonfmu has no LICENSE among its licences"):
+        archive.licenses("pythonfmu")

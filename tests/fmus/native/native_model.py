@@ -1,0 +1,324 @@
+"""What a native FMU must answer: FMI 2.0.5 and the promises of its C layer, once more and independently.
+
+Shares with the FMU only the traced equations of the block, which CasADi evaluates here. Every method is one
+FMI call and returns (status, what was written or None); a refused call changes nothing but the mode.
+"""
+
+import copy
+import math
+import sys
+from dataclasses import dataclass, field
+from functools import cache
+
+import casadi
+
+from fmus.block import Block
+from fmus.build.symbolic import Traced
+from fmus.fmi.variable_types import TRANSFER_TYPE
+
+OK, WARNING, DISCARD, ERROR = 0, 1, 2, 3
+INSTANTIATED, INITIALIZATION, STEPPING, TERMINATED, FAILED = [
+    "instantiated",
+    "initialization",
+    "step",
+    "end",
+    "error",
+]
+WRITABLE = (INSTANTIATED, INITIALIZATION, STEPPING)
+ALL: tuple[str, ...] = ("logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal")
+TYPES = {name: transferred[0] for name, transferred in TRANSFER_TYPE.items()}
+LAST_TIME, ENDED = 2, 3  # fmi2LastSuccessfulTime, fmi2Terminated
+_HIGHEST = sys.float_info.max
+
+
+class Null(list):
+    """No items: a NULL where an array of so many is announced."""
+
+    def __init__(self, size: int) -> None:
+        super().__init__()
+        self.size = size
+
+    def __bool__(self) -> bool:
+        return self.size > 0
+
+
+_traced = cache(Traced)
+
+
+@dataclass
+class Data:
+    """What a saved state holds. `is_held`: outputs are what the last step left, not what the inputs give."""
+
+    values: list[float]
+    rates: list[float]
+    mode: str = INSTANTIATED
+    time: float = 0.0
+    is_held: bool = False
+    state: list[float] = field(default_factory=list)
+
+
+class Model:
+    """One instance, as it must behave."""
+
+    def __init__(self, block: Block, logging: bool) -> None:
+        self.block, self._traced = block, _traced(block)
+        count = {c: len(block.of_causality(c)) for c in ("parameter", "calculatedParameter", "input")}
+        self.calculated = slice(count["parameter"], count["parameter"] + count["calculatedParameter"])
+        self.inputs = slice(self.calculated.stop, self.calculated.stop + count["input"])
+        self.outputs = slice(self.inputs.stop, len(block.variables))
+        self.log: set[str] = set(ALL) if logging else set(ALL) - {"logStatusDiscard"}
+        self._n_states = self._traced.step.numel_out(0)
+        self.reset()
+
+    def reset(self) -> tuple[int, None]:
+        starts = [float(v.start) for v in self.block.variables]
+        rates = [0.0] * (self.inputs.stop - self.inputs.start)
+        self.data = Data(starts, rates, state=[0.0] * self._n_states)
+        self.stop = _HIGHEST  # of the setup, whichever state is restored
+        return OK, None
+
+    # values
+
+    def get(self, kind: str, references: list[int] | Null, out: bool) -> tuple[int, list | None]:
+        if self._is_malformed(kind, references, out):
+            return self._error()
+        if any(not self.is_settable(r) for r in references) and not self._refresh():
+            return self._error()
+        return OK, [self.data.values[r] for r in references]
+
+    def set(self, kind: str, references: list[int] | Null, values: list | Null) -> tuple[int, None]:
+        is_given = not isinstance(values, Null)
+        if self.data.mode not in WRITABLE or self._is_malformed(kind, references, is_given):
+            return self._error()
+        pairs = list(zip(references, values, strict=True)) if references and is_given else []
+        for reference, value in pairs:
+            variable = self.block.variables[reference]
+            late = variable.variability == "fixed" and self.data.mode == STEPPING
+            if not self.is_settable(reference) or late:
+                return self._error()
+            if not self.is_acceptable(reference, value):
+                return DISCARD, None
+        for reference, value in pairs:
+            if self.data.values[reference] != value:
+                self.data.values[reference] = float(value)
+        return OK, None
+
+    def is_settable(self, reference: int) -> bool:
+        return reference < self.calculated.start or self.inputs.start <= reference < self.inputs.stop
+
+    def is_acceptable(self, reference: int, value: float) -> bool:
+        variable = self.block.variables[reference]
+        if variable.type == "Boolean":
+            return value in (0, 1)
+        return variable.refuse(value) is None
+
+    def _is_malformed(self, kind: str, references: list[int] | Null, is_given: bool) -> bool:
+        if isinstance(references, Null):
+            return bool(references)
+        known = all(r < len(self.block.variables) for r in references)
+        typed = known and all(TYPES[self.block.variables[r].type] == kind for r in references)
+        return not typed or bool(references and not is_given)
+
+    def _error(self) -> tuple[int, None]:
+        self.data.mode = FAILED
+        return ERROR, None
+
+    # what follows from parameters and inputs
+
+    def _calculate(self, name: str, *arguments: list[float] | float) -> list[float]:
+        columns = [casadi.DM(a) if a else casadi.DM(0, 1) for a in self._columns(arguments)]
+        return getattr(self._traced, name)(*columns).nonzeros()
+
+    @staticmethod
+    def _columns(arguments: tuple[list[float] | float, ...]) -> list[list[float]]:
+        return [a if isinstance(a, list) else [a] for a in arguments]
+
+    def _prepared(self) -> list[float] | None:
+        """The calculated parameters, None if the parameters contradict each other."""
+        parameters = self.data.values[: self.calculated.start]
+        calculated = self._calculate("calculate", parameters)
+        holds = self._calculate("requirements", parameters, calculated)
+        return calculated if all(condition == 1 for condition in holds) else None
+
+    def _refresh(self) -> bool:
+        if self.data.is_held:
+            return True
+        calculated = self._prepared()
+        if calculated is None:
+            return False
+        d, p = self.data, self.data.values[: self.calculated.start]
+        state = self._calculate("initial_state", d.time, d.values[self.inputs], p, calculated)
+        return self._become(d.time, state, p, calculated)
+
+    def _become(self, t: float, state: list[float], p: list[float], calculated: list[float]) -> bool:
+        outputs = self._calculate("output", t, state, p, calculated)
+        if not _is_finite([*state, *outputs]):
+            return False
+        d = self.data
+        d.time, d.state, d.values[self.calculated], d.values[self.outputs] = t, state, calculated, outputs
+        return True
+
+    # modes
+
+    def setup(self, start: float, has_stop: bool, stop: float) -> tuple[int, None]:
+        good = math.isfinite(start) and (not has_stop or stop > start)
+        if self.data.mode != INSTANTIATED or not good:
+            return self._error()
+        self.data.time, self.stop = start, min(stop, _HIGHEST) if has_stop else _HIGHEST
+        return OK, None
+
+    def enter(self) -> tuple[int, None]:
+        return self._go(INSTANTIATED, INITIALIZATION)
+
+    def leave(self) -> tuple[int, None]:
+        if self.data.mode == INITIALIZATION and not self._refresh():
+            return self._error()
+        answer = self._go(INITIALIZATION, STEPPING)
+        self.data.is_held = self.data.is_held or answer[0] == OK
+        return answer
+
+    def terminate(self) -> tuple[int, None]:
+        return self._go(STEPPING, TERMINATED)
+
+    def cancel(self) -> tuple[int, None]:
+        return self._error()
+
+    def _go(self, before: str, after: str) -> tuple[int, None]:
+        if self.data.mode != before:
+            return self._error()
+        self.data.mode = after
+        return OK, None
+
+    # steps
+
+    def step(self, t: float, h: float) -> tuple[int, None]:
+        d = self.data
+        tolerance = min(1e-9 * max(1.0, abs(t)), 1e-3 * h) + 8.0 * sys.float_info.epsilon * abs(t)
+        legal = d.mode == STEPPING and math.isfinite(t) and math.isfinite(h) and h > 0
+        if not (legal and abs(t - d.time) <= tolerance and t + h <= self.stop + tolerance):
+            return self._error()
+        calculated, ratio = self._prepared(), h / self.internal_step * (1 - 1e-9)
+        if calculated is None or not ratio <= 1e9:
+            return self._error()
+        state, count = d.state, max(1, math.ceil(ratio))
+        p, internal = d.values[: self.calculated.start], h / count
+        for i in range(count):
+            u = self._moving((i + 0.5) * internal)
+            state = self._calculate("step", t + i * internal, internal, state, u, p, calculated)
+        if not self._become(t + h, state, p, calculated):
+            return DISCARD, None
+        d.rates = [0.0] * len(d.rates)
+        return OK, None
+
+    @property
+    def internal_step(self) -> float:
+        (reference,) = [v.value_reference for v in self.block.variables if v.name == "internal_step"]
+        return self.data.values[reference]
+
+    def _moving(self, elapsed: float) -> list[float]:
+        """Inputs so long after the communication point, within their ranges."""
+        variables = self.block.variables[self.inputs]
+        moving = []
+        for v, u, rate in zip(variables, self.data.values[self.inputs], self.data.rates, strict=True):
+            low = -_HIGHEST if v.minimum is None else v.minimum
+            high = _HIGHEST if v.maximum is None else v.maximum
+            moving.append(min(max(u + elapsed * rate, low), high) if rate else u)
+        return moving
+
+    # derivatives
+
+    def set_input_derivatives(
+        self, references: list[int] | Null, orders: list[int] | Null, values: list[float] | Null
+    ) -> tuple[int, None]:
+        given = not isinstance(values, Null)
+        if self.data.mode not in WRITABLE or self._is_malformed("R", references, given):
+            return self._error()
+        if references and isinstance(orders, Null):
+            return self._error()
+        for reference, order, value in zip(references, orders, values, strict=False):
+            is_input = self.inputs.start <= reference < self.inputs.stop
+            if not is_input or order < 1 or not math.isfinite(value):
+                return self._error()
+        for reference, order, value in zip(references, orders, values, strict=False):
+            if order == 1:
+                self.data.rates[reference - self.inputs.start] = value
+        return (WARNING if any(order > 1 for order in orders) else OK), None
+
+    def get_output_derivatives(
+        self, references: list[int] | Null, orders: list[int] | Null, out: bool
+    ) -> tuple[int, list[float] | None]:
+        if self.data.mode not in (STEPPING, TERMINATED, FAILED) or self._is_malformed("R", references, out):
+            return self._error()
+        if references and (isinstance(orders, Null) or any(order < 1 for order in orders)):
+            return self._error()
+        if any(r < self.outputs.start for r in references):
+            return self._error()
+        d, v, c = self.data, self.data.values, self._prepared()
+        if c is None:
+            return self._error()
+        p = v[: self.calculated.start]
+        rates = self._calculate("output_rate", d.time, d.state, v[self.inputs], p, c)
+        pairs = zip(references, orders, strict=False)
+        return OK, [rates[r - self.outputs.start] if order == 1 else 0.0 for r, order in pairs]
+
+    def directional_derivative(
+        self, unknown: list[int] | Null, known: list[int] | Null, seed: list[float] | Null, out: bool
+    ) -> tuple[int, list[float] | None]:
+        malformed = self._is_malformed("R", unknown, out) or self._is_malformed(
+            "R", known, not isinstance(seed, Null)
+        )
+        if self.data.mode == INSTANTIATED or malformed:
+            return self._error()
+        if any(map(self.is_settable, unknown)) or not all(map(self.is_settable, known)):
+            return self._error()
+        d, p, u = self.data, self.data.values[: self.calculated.start], self.data.values[self.inputs]
+        along = [0.0] * len(self.data.values)
+        for reference, value in zip(known, seed, strict=False):
+            along[reference] += value
+        if d.mode == INITIALIZATION and not self._refresh():
+            return self._error()
+        c = self._calculate("calculate", p)
+        along[self.calculated] = self._calculate("calculate_derivative", p, along[: len(p)])
+        if d.mode == INITIALIZATION:
+            seeds = along[: self.outputs.start]
+            along[self.outputs] = self._calculate("initial_derivative", d.time, u, p, c, seeds)
+        else:
+            seeds = along[: self.inputs.start]
+            along[self.outputs] = self._calculate("output_derivative", d.time, d.state, p, c, seeds)
+        return OK, [along[r] for r in unknown]
+
+    # the rest
+
+    def get_status(self, kind: str, what: int, out: bool) -> tuple[int, list | None]:
+        available = (kind, what) in (("R", LAST_TIME), ("B", ENDED))
+        if self.data.mode not in (STEPPING, TERMINATED) or (available and not out):
+            return self._error()
+        if not available:
+            return DISCARD, None
+        return OK, [self.data.time if kind == "R" else 0]
+
+    def set_debug_logging(self, on: bool, categories: list[str | None] | Null) -> tuple[int, None]:
+        if isinstance(categories, Null) and categories:
+            return self._error()
+        unknown = any(category not in (*ALL, "logAll") for category in categories)
+        named: set[str] = set(ALL) if "logAll" in categories else set(ALL) & set(categories)
+        usual: set[str] = set(ALL) if on else set(ALL) - {"logStatusDiscard"}
+        self.log = usual if not categories else named if on else self.log - named
+        return (WARNING if unknown else OK), None
+
+    def saved(self) -> Data:
+        return copy.deepcopy(self.data)
+
+    def restore(self, saved: Data | None) -> tuple[int, None]:
+        if saved is None:
+            return self._error()
+        self.data = copy.deepcopy(saved)
+        return OK, None
+
+    def refuse(self) -> tuple[int, None]:
+        """An illegal call."""
+        return self._error()
+
+
+def _is_finite(state: list[float]) -> bool:
+    return all(map(math.isfinite, state))

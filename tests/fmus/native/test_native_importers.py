@@ -1,0 +1,116 @@
+"""Importers differ: in URIs, logging, and in how many FMUs they load."""
+
+import ctypes
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import pytest
+from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CoSimulation
+
+from fmus.build import builder
+from fmus.build import native as native_flavour
+from fmus.errors import ExportError
+from fmus.files import write_archive
+
+
+def slave_of(path: Path, folder: Path, **changes: str) -> FMU2Slave:
+
+    description: Any = fmpy.read_model_description(str(path))
+    fmpy.extract(str(path), folder)
+    options = {"guid": description.guid, "instanceName": "it", **changes}
+    return FMU2Slave(unzipDirectory=str(folder), modelIdentifier=description.modelName, **options)
+
+
+@pytest.mark.parametrize(
+    "uri",
+    [
+        None,
+        b"file:///tmp/a/resources",
+        b"file:/tmp/a/resources",
+        b"file://localhost/tmp/a/resources",
+        b"FILE:///C:/Program%20Files/%C3%A4/resources",
+        b"file:///tmp/a%23b+c%25d/resources/",
+        b"/tmp/not a uri/resources",
+        b"",
+    ],
+)
+def test_every_form_of_resource_location_is_as_good(
+    built: Mapping[str, Path], tmp_path: Path, uri: bytes | None
+) -> None:
+    """The model needs no file, so that it can not fail for the importer's way of writing a URI."""
+    slave = slave_of(built["ExamplePlant"], tmp_path)
+    make = slave.dll.fmi2Instantiate
+    make.restype = ctypes.c_void_p
+    component = make(b"it", fmi2CoSimulation, slave.guid.encode(), uri, ctypes.byref(defaultCallbacks), 0, 0)
+    assert component
+    slave.dll.fmi2FreeInstance(ctypes.c_void_p(component))
+
+
+@pytest.mark.parametrize("changes", [{"guid": "{another}"}, {"guid": ""}, {"instanceName": ""}])
+def test_a_wrong_guid_or_name_instantiates_nothing(
+    built: Mapping[str, Path], tmp_path: Path, changes: dict[str, str]
+) -> None:
+    slave = slave_of(built["ExamplePlant"], tmp_path, **changes)
+    with pytest.raises(Exception, match="Failed to instantiate"):
+        slave.instantiate()
+
+
+def test_errors_are_always_logged_and_discards_in_debug_mode(built: Mapping[str, Path], load: Any) -> None:
+    quiet = load(built["ExamplePlant"], logging=False).begin()
+    assert quiet.status("setReal", [0, 9], [0.1, math.inf]) == "error"
+    assert len(quiet.log) == 1
+    quiet.slave.reset()
+    assert quiet.status("setReal", [9], [math.inf]) == "discard"
+    assert len(quiet.log) == 1
+
+
+def test_only_enabled_categories_are_logged(built: Mapping[str, Path], load: Any) -> None:
+    fmu = load(built["ExamplePlant"]).begin()
+    fmu.slave.setDebugLogging(True, ["logStatusError"])
+    assert fmu.status("setReal", [9], [math.inf]) == "discard"
+    assert fmu.log == []
+    fmu.slave.setDebugLogging(True, ["logStatusDiscard", "logStatusWarning"])
+    assert fmu.status("setReal", [9], [math.inf]) == "discard"
+    assert fmu.status("setReal", [16], [0.0]) == "error"
+    assert len(fmu.log) == 1
+
+
+def test_percent_and_number_signs_are_escaped(built: Mapping[str, Path], load: Any) -> None:
+    """FMI's logger takes a printf format in which #r1# stands for a variable."""
+    fmu = load(built["ExamplePlant"]).begin()
+    fmu.slave.setDebugLogging(True, ["%n#r1#"])
+    assert "'%%n##r1##'" in fmu.log[-1]
+
+
+def test_two_versions_in_one_process_do_not_see_each_other(
+    built: Mapping[str, Path], load: Any, tmp_path: Path
+) -> None:
+    """A plant that feels twice the control, beside the original."""
+    block = builder.load_block("ExamplePlant")
+
+    def twice(t: float, h: float, x: Any, u: Any, p: Any, c: Any) -> Any:
+        return block.step(t, h, x, replace(u, control=2.0 * u.control), p, c)
+
+    changed = replace(block, step=twice)
+    _, members = native_flavour.content(changed)
+    compiled = native_flavour.libraries(changed.name, members, ())
+    path = write_archive(tmp_path / "changed" / "ExamplePlant.fmu", members | compiled)
+    fmus = load(built["ExamplePlant"]).begin(), load(path).begin()
+    for fmu in fmus:
+        fmu["control"] = 1.0
+        fmu.slave.doStep(0.0, 0.001)
+    assert fmus[1]["state[2]"] == pytest.approx(2.0 * fmus[0]["state[2]"], rel=1e-12)
+
+
+def test_a_block_with_an_if_on_a_value_is_refused_with_the_way_out() -> None:
+    block = builder.load_block("ExamplePlant")
+
+    def branching(t: float, x: Any, p: Any, c: Any) -> Any:
+        return block.output(t, x if x.x[0] > 0.0 else block.state(), p, c)
+
+    with pytest.raises(ExportError, match=r"'ExamplePlant' cannot be traced: .*use fmus.numerics.where"):
+        native_flavour.content(replace(block, output=branching))

@@ -1,0 +1,173 @@
+"""The sources in a native FMU: they build elsewhere, without a warning, to an FMU that does the same."""
+
+import importlib.metadata
+import os
+import re
+import shutil
+import subprocess
+import sys
+import zipfile
+from collections.abc import Iterator, Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import fmpy
+import numpy as np
+import pytest
+from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
+
+from fmus import platforms
+from fmus.build import builder
+from fmus.native import toolchain
+
+BLOCKS = builder.block_names()
+REBUILT = ("L1DepthController", "RovDepthPlant")
+# what is generated has all arguments and functions whether or not a model has use for them
+GENERATED = ("-Wno-unused-function", "-Wno-unused-parameter")
+HEADERS = ("-isystem", str(toolchain.FMI_HEADERS))
+OUR_OWN = (
+    "derivatives.h", "fmi2.c", "instance.h", "log.h", "model.h", "refusals.h", "snapshot.h", "states.h",
+    "steps.h", "values.h",
+)  # fmt: skip
+
+
+def test_every_function_of_fmi_names_its_clause_of_the_standard() -> None:
+    """In the comment above it, or above the functions that share one."""
+    returns = r"(?:fmi2Status|fmi2Component|void|const char \*)"
+    defined = re.compile(rf"^(?:{returns} ?(fmi2\w+)|#define DEFINE_(GET|SET))\(", re.MULTILINE)
+    names = []
+    for file in (resources.files("fmus") / "native").iterdir():
+        text = file.read_text("utf-8")
+        for function in defined.finditer(text):
+            names.append(function[1] or function[2])
+            comment = re.findall(r"^/\*.*?\*/", text[: function.start()], re.DOTALL | re.MULTILINE)[-1]
+            assert re.search(r"\b[24]\.\d\.\d", comment), (function[0], comment)
+    assert len(set(names)) == len(names) == 30  # of 34: six are made by two macros
+
+
+@pytest.fixture(scope="session")
+def rebuilt(built: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """FMUs without libraries, to which `fmpy compile` added this platform's."""
+    folder = tmp_path_factory.mktemp("rebuilt")
+    compiler = folder / "cc"
+    compiler.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m ziglang cc "$@"\n')
+    compiler.chmod(0o755)
+    return {name: _rebuilt(built[name], folder, compiler) for name in REBUILT}
+
+
+def _rebuilt(fmu: Path, folder: Path, compiler: Path) -> Path:
+    copy = folder / fmu.name
+    with zipfile.ZipFile(fmu) as original, zipfile.ZipFile(copy, "w") as archive:
+        for member in original.namelist():
+            if not member.startswith("binaries/"):
+                archive.writestr(member, original.read(member))
+    tools = (_program("cmake"), _program("ninja"))
+    done = subprocess.run(
+        [sys.executable, "-m", "fmpy", "compile", str(copy), "--generator", "Ninja"],
+        env=os.environ
+        | {
+            "PATH": os.pathsep.join(str(tool.parent) for tool in tools),
+            "CC": str(compiler),
+            "CXX": str(compiler),  # fmpy's project asks for one and has no file for it
+        },
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return copy
+
+
+def _program(package: str) -> Path:
+    """The program that a package of PyPI of the same name brings."""
+    for file in importlib.metadata.files(package) or ():
+        if file.stem == package and file.parent.name in ("bin", "Scripts"):
+            return Path(str(file.locate())).resolve()
+    raise AssertionError(f"{package} is not installed")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", REBUILT)
+def test_what_fmpy_compiles_from_the_sources_does_the_same(
+    built: Mapping[str, Path], rebuilt: dict[str, Path], tmp_path: Path, name: str
+) -> None:
+    """To rounding only: another importer's compiler may fuse a product and a sum."""
+    with zipfile.ZipFile(rebuilt[name]) as archive:
+        members = [member for member in archive.namelist() if not member.endswith("/")]
+    libraries = [member for member in members if member.startswith("binaries/")]
+    assert libraries == [platforms.library_name(name, platforms.host_platform())]
+    expected, recompiled = (_trace(fmu) for fmu in (built[name], rebuilt[name]))
+    # 100 steps of rounding errors of 1e-16, which an adaptation gain of 10^4 multiplies at most
+    assert np.all(np.abs(recompiled - expected) <= 1e-11 * np.abs(expected).max(axis=0))
+    assert np.abs(expected).max() > 0
+
+
+def _trace(fmu: Path) -> np.ndarray:
+    """All outputs over 100 steps with inputs that move."""
+    description: Any = fmpy.read_model_description(str(fmu))
+    inputs = [v.name for v in description.modelVariables if v.causality == "input" and v.min is None]
+    outputs = [v.name for v in description.modelVariables if v.causality == "output"]
+    h = float(description.defaultExperiment.stepSize)
+    t = np.arange(101) * h
+    moved = np.array(
+        [(time, *(np.cos(5.0 * time * (k + 1)) for k in range(len(inputs)))) for time in t],
+        dtype=[("time", float), *((name, float) for name in inputs)],
+    )
+    result: Any = fmpy.simulate_fmu(
+        str(fmu), stop_time=t[-1], step_size=h, output_interval=h, input=moved, output=outputs
+    )
+    return np.array([result[name] for name in outputs]).T
+
+
+@pytest.fixture(params=BLOCKS)
+def extracted(request: pytest.FixtureRequest, built: Mapping[str, Path], tmp_path: Path) -> Iterator[Path]:
+    fmpy.extract(str(built[request.param]), tmp_path / "fmu")
+    yield tmp_path / "fmu"
+    shutil.rmtree(tmp_path / "fmu")
+
+
+def test_the_build_description_is_valid_and_names_the_source_files(extracted: Path) -> None:
+    schema = etree.XMLSchema(etree.parse(_schema("fmi3/fmi3BuildDescription.xsd")))
+    description = etree.parse(extracted / "sources" / "buildDescription.xml")
+    schema.assertValid(description)
+    model = ElementTree.parse(extracted / "modelDescription.xml").getroot()
+    listed = [file.get("name") for file in model.iterfind("CoSimulation/SourceFiles/File")]
+    assert listed == [file.get("name") for file in description.iterfind(".//SourceFile")]
+    assert listed
+    for name in listed:
+        assert (extracted / "sources" / str(name)).is_file()
+    (configuration,) = description.iterfind("BuildConfiguration")
+    (interface,) = model.iterfind("CoSimulation")
+    assert configuration.get("modelIdentifier") == interface.get("modelIdentifier")
+
+
+def _schema(name: str) -> Path:
+    return Path(fmpy.__file__).parent / "schema" / name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("target", ["x86_64-linux-gnu", "x86_64-windows-gnu", "aarch64-macos"])
+def test_the_sources_compile_without_a_warning(extracted: Path, target: str) -> None:
+    warnings = ("-Wall", "-Wextra", "-Wpedantic", "-Werror", *GENERATED)
+    toolchain.zig(
+        ["cc", "-target", target, "-std=c99", *warnings, *HEADERS, "-c", "fmi2.c", "-o", "it.o"],
+        extracted / "sources",
+    )
+
+
+@pytest.mark.slow
+def test_our_own_sources_need_no_warning_switched_off(extracted: Path) -> None:
+    """What is generated becomes a system header, of which no warning is given."""
+    sources = extracted / "sources"
+    (sources / "generated").mkdir()
+    (sources / "model_code.h").rename(sources / "generated" / "model_code.h")
+    warnings = ("-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wstrict-prototypes", "-Werror")
+    toolchain.zig(
+        ["cc", "-std=c99", *warnings, "-isystem", "generated", *HEADERS, "-c", "fmi2.c", "-o", "it.o"],
+        sources,
+    )
+    assert all((sources / name).is_file() for name in OUR_OWN)

@@ -1,0 +1,95 @@
+"""The library that an FMU will carry gives what Python gives, or the FMU is not written."""
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+import pytest
+
+from fmus.block import Block
+from fmus.build import builder, native
+from fmus.build.check_trace import _Comparison, check_faithful, check_shipped
+from fmus.build.shipped import ShippedLibrary
+from fmus.errors import ExportError
+
+from .native_block import EVERYTHING
+
+RESULTS = {"calculate": "c", "initial_state": "x", "step": "next", "output": "y"}
+CODE = "sources/model_code.h"
+Members = dict[str, bytes]
+
+
+def altered(members: Mapping[str, bytes], function: str) -> Members:
+    """The same sources, but the first result of a function is larger by a part in a billion."""
+    result = f"{RESULTS[function]}[0]"
+    head = re.compile(rf"(^static [^\n]*\bmodel_{function}\(.*?)^\}}", re.MULTILINE | re.DOTALL)
+    code, count = head.subn(rf"\1    {result} += 1e-9 + 1e-9 * {result};\n}}", members[CODE].decode())
+    assert count == 1
+    return {**members, CODE: code.encode()}
+
+
+@pytest.fixture
+def library_of() -> Iterator[Callable[[Block, str, Mapping[str, bytes]], ShippedLibrary]]:
+    opened: list[ShippedLibrary] = []
+
+    def one(block: Block, guid: str, members: Mapping[str, bytes]) -> ShippedLibrary:
+        (content,) = native.libraries(block.name, dict(members), ()).values()
+        opened.append(ShippedLibrary(block, guid, content))
+        return opened[-1]
+
+    yield one
+    for library in opened:
+        library.close()
+
+
+@pytest.mark.parametrize("function", RESULTS)
+def test_a_library_that_differs_in_one_function_is_refused(
+    library_of: Callable[..., ShippedLibrary], function: str
+) -> None:
+    guid, members = native.content(EVERYTHING)
+    library = library_of(EVERYTHING, guid, altered(members, function))
+    message = (
+        rf"{function} gives .* in Python and .* when it is compiled; set ZIG_GLOBAL_CACHE_DIR to an empty"
+    )
+    with pytest.raises(ExportError, match=message):
+        check_shipped(check_faithful(EVERYTHING), library)
+
+
+@pytest.mark.parametrize("name", ["Everything", *builder.block_names()])
+def test_a_library_is_compared_at_most_points_of_each_function(
+    library_of: Callable[..., ShippedLibrary], monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    block = EVERYTHING if name == "Everything" else builder.load_block(name)
+    shares: dict[str, float] = {}
+    check_numbers = _Comparison.check_numbers
+
+    def counting(comparison: _Comparison, given: list[list[float] | None], *others: object) -> None:
+        name = next(name for name, other in compared.items() if other is comparison)
+        shares[name] = sum(numbers is not None for numbers in given) / len(given)
+        check_numbers(comparison, given, *others)  # type: ignore[arg-type]
+
+    compared = check_faithful(block)
+    monkeypatch.setattr(_Comparison, "check_numbers", counting)
+    check_shipped(compared, library_of(block, *native.content(block)))
+    # but where a result is no value of its type; half of the outputs belong to states that no step reached
+    assert shares["initial_state"] > 0.9
+    assert shares["step"] > 0.9
+    assert shares["output"] >= 0.5
+
+
+def test_an_fmu_whose_library_differs_is_not_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    compiled = native.compiled_libraries
+    monkeypatch.setattr(
+        native,
+        "compiled_libraries",
+        lambda name, members, platforms: compiled(name, altered(members, "step"), platforms),
+    )
+    with pytest.raises(ExportError, match=r"block 'Everything': .*step gives .* when it is compiled"):
+        builder.build_block(EVERYTHING, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_library_of_another_guid_is_refused(library_of: Callable[..., ShippedLibrary]) -> None:
+    _, members = native.content(EVERYTHING)
+    with pytest.raises(ExportError, match="fmi2GetFMUstate returns error: expected ok"):
+        library_of(EVERYTHING, "another", members)

@@ -1,0 +1,155 @@
+"""The compiler's own refusals, and which platform this is."""
+
+import contextlib
+import ctypes
+import math
+import os
+import platform
+import signal
+import subprocess
+import sys
+import time
+from io import FileIO
+from pathlib import Path
+
+import pytest
+
+from fmus.errors import ExportError
+from fmus.native import toolchain
+from fmus.native.toolchain import compile_library, zig
+from fmus.platforms import check_platforms, host_platform
+
+
+@pytest.mark.parametrize(
+    ("system", "machine", "name"),
+    [
+        ("linux", "x86_64", "linux64"),
+        ("linux", "aarch64", "aarch64-linux"),
+        ("darwin", "arm64", "aarch64-darwin"),
+        ("win32", "AMD64", "win64"),
+    ],
+)
+def test_the_host_is_named_as_fmi_does(
+    monkeypatch: pytest.MonkeyPatch, system: str, machine: str, name: str
+) -> None:
+    monkeypatch.setattr(sys, "platform", system)
+    monkeypatch.setattr(platform, "machine", lambda: machine)
+    assert host_platform() == name
+
+
+def test_an_unknown_host_is_told_the_way_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(platform, "machine", lambda: "riscv64")
+    with pytest.raises(ExportError, match=r"no native FMU for .* on riscv64: .*use the python flavour"):
+        host_platform()
+
+
+def test_platforms_are_taken_once_and_misspelt_ones_offer_the_nearest() -> None:
+    assert check_platforms(["win64", "linux64", "win64"]) == ("win64", "linux64")
+    with pytest.raises(ExportError, match="no platform 'darwin'; nearest is 'darwin64'"):
+        check_platforms(["darwin"])
+
+
+def test_what_the_compiler_says_is_passed_on(tmp_path: Path) -> None:
+    (tmp_path / "broken.c").write_text("int main(void) { return nothing; }")
+    with pytest.raises(ExportError, match=r"undeclared identifier 'nothing'"):
+        zig(["cc", "broken.c"], tmp_path)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a FIFO keeps the compiler waiting")
+def test_a_compiler_that_does_not_end_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    os.mkfifo(tmp_path / "endless.c")
+    monkeypatch.setattr(toolchain, "_PATIENCE_S", 0.001)
+    with pytest.raises(ExportError, match=r"did not end within 0.001 s; .*ZIG_GLOBAL_CACHE_DIR"):
+        zig(["cc", "endless.c"], tmp_path)
+
+
+# of clang, and of zig
+@pytest.mark.parametrize(
+    "variable",
+    ["CPATH", "C_INCLUDE_PATH", "CCC_OVERRIDE_OPTIONS", "ZIG_LIB_DIR", "CFLAGS", "BASH_ENV", "ENV"],
+)
+def test_a_variable_of_the_environment_changes_no_library(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variable: str
+) -> None:
+    (tmp_path / "math.h").write_text("static inline double sin(double x) { return 0.5 * x; }\n")
+    # no library of this text is in the compiler's cache, which tells no environments apart
+    exported = f'__attribute__((visibility("default"))) /* {tmp_path} */'
+    source = f"#include <math.h>\n{exported} double result(double x) {{ return sin(x); }}\n"
+    monkeypatch.setenv(variable, f"+-I{tmp_path}" if variable.startswith("CCC") else str(tmp_path))
+    library = compile_library("sine", {"sine.c": source}, ["sine.c"], host_platform())
+    monkeypatch.delenv(variable)
+    (tmp_path / "library").write_bytes(library)
+    result = ctypes.CDLL(str(tmp_path / "library")).result
+    result.argtypes, result.restype = [ctypes.c_double], ctypes.c_double
+    assert result(1.0) == math.sin(1.0)
+
+
+def test_an_interrupt_while_the_compiler_ends_stays_an_interrupt(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wait = subprocess.Popen.wait
+
+    def interrupted(process: subprocess.Popen[bytes], timeout: float | None = None) -> None:
+        wait(process, timeout)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(subprocess.Popen, "wait", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        zig(["version"], tmp_path)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a FIFO keeps the compiler waiting")
+def test_a_long_wait_for_the_compiler_is_announced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    os.mkfifo(tmp_path / "endless.c")
+    monkeypatch.setattr(toolchain, "_SILENT_S", 0.001)
+    monkeypatch.setattr(toolchain, "_PATIENCE_S", 0.001)
+    with pytest.raises(ExportError):
+        zig(["cc", "endless.c"], tmp_path)
+    assert "another build has the lock of its cache" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a FIFO keeps the compiler waiting")
+def test_an_interrupted_build_leaves_no_process_and_no_file(tmp_path: Path) -> None:
+    process, endless = compiling_for_ever(tmp_path)
+    with endless.open("wb", buffering=0) as stream:  # opens when the compiler reads
+        process.send_signal(signal.SIGINT)
+        assert process.wait() != 0
+        assert not list((tmp_path / "temporary").iterdir())
+        wait_for_the_end_of_readers(stream)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a FIFO keeps the compiler waiting")
+def test_a_killed_build_leaves_no_process(tmp_path: Path) -> None:
+    """It would keep the lock of the compiler's cache."""
+    process, endless = compiling_for_ever(tmp_path)
+    with endless.open("wb", buffering=0) as stream:
+        process.kill()
+        process.wait()
+        wait_for_the_end_of_readers(stream)
+
+
+def compiling_for_ever(folder: Path) -> tuple[subprocess.Popen[bytes], Path]:
+    """A process whose compiler reads a header that does not end, and the header."""
+    temporary, endless = folder / "temporary", folder / "endless.h"
+    temporary.mkdir()
+    os.mkfifo(endless)
+    source = f'#include "{endless}"'
+    call = f"compile_library('m', {{'m.c': {source!r}}}, ['m.c'], {host_platform()!r})"
+    process = subprocess.Popen(
+        [sys.executable, "-c", f"from fmus.native.toolchain import compile_library; {call}"],
+        env={**os.environ, "TMPDIR": str(temporary)},
+        stderr=subprocess.DEVNULL,
+    )
+    return process, endless
+
+
+def wait_for_the_end_of_readers(stream: FileIO) -> None:
+    """Only the compiler has the FIFO open for reading."""
+    end = time.monotonic() + 30.0
+    with contextlib.suppress(BrokenPipeError):
+        while time.monotonic() < end:
+            stream.write(b" ")
+            time.sleep(0.01)
+        pytest.fail("the compiler goes on")

@@ -1,0 +1,366 @@
+"""Each instance of an ensemble has the bits of its own run; what an ensemble cannot run is refused."""
+
+import math
+import os
+import re
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fmus.block import Block, variable
+from fmus.build import native
+from fmus.errors import ExportError
+from fmus.files import write_archive
+from fmus.fmi.description import describe
+from fmus.fmi.instance import FmuInstance
+from fmus.numerics import exp
+from fmus.platforms import instruction_sets
+from fmus.user_cache import record_build
+from orchestration import Ensemble, Event, Experiment, Fault, Offset, Ramps, Simulator, System
+from orchestration.errors import EnsembleError, OrchestrationError, SimulationError, SystemDefinitionError
+from orchestration.many import ensemble_loop
+from orchestration.many.ensemble_recording import EnsembleRecording
+from orchestration.many.lane_library import lane_library
+from orchestration.results.recording import Recording
+from tests.shared_builds import built_once, session_folder
+
+CONNECTIONS = [
+    ("plant.measured_depth", "controller.measured_depth"),
+    ("plant.depth_rate", "controller.measured_depth_rate"),
+    ("controller.voltage[1]", "plant.voltage[1]"),
+    ("controller.voltage[2]", "plant.voltage[2]", {"factor": 0.9, "offset": -0.05}),
+]
+REFERENCE = "controller.depth_reference"
+DIVE = Experiment(
+    stop_time=4.01,  # the last step is a shorter one
+    step_size=0.02,
+    parameters={"controller.augmentation": "pi", "plant.sensor_noise": 0.002},
+    signals={REFERENCE: Ramps([(0.0, 0.0), (1.0, 0.4), (10.0, 0.4)], smooth=False)},
+    open_inputs="start",
+)
+CHANGE = Event(2.0, {"plant.buoyancy_change": 0.3, "controller.filter_bandwidth": 5.0})
+HEAVIER = Event(2.0, {"plant.net_weight": 30.0, "plant.weight": 40.0})  # contradictory until both are set
+STIFFER = Event(2.0, {"controller.depth_feedback_gain": 3.0})
+WITHOUT_BUOYANCY = {"plant.net_weight": 29.2}  # of instances that weigh less
+WEIGHTS = {"plant.weight": [29.5, 29.0, 29.43]}
+
+Vary = Mapping[str, Sequence[float]]
+
+
+@pytest.fixture(scope="session")
+def system(built: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -> System:
+    """The vehicle and its controller, compiled for groups of instances once a session."""
+    vehicle = System({"plant": built["RovDepthPlant"], "controller": built["L1DepthController"]}, CONNECTIONS)
+    built_once(
+        session_folder(tmp_path_factory, "ensemble") / "vehicle", lambda path: Ensemble(vehicle).close()
+    )
+    return vehicle
+
+
+def varied(count: int) -> dict[str, list[Any]]:
+    """Parameters, seeds, start values, a choice of the law and a constant input, another of each instance."""
+    draw = np.random.default_rng(7)
+    return {
+        "plant.inertia": draw.uniform(5.0, 7.0, count).tolist(),
+        "plant.sensor_seed": draw.integers(1, 10_000, count).tolist(),
+        "plant.initial_depth": draw.uniform(-0.02, 0.5, count).tolist(),
+        "plant.thruster_rate_limit[1]": np.where(draw.random(count) < 0.5, 0.0, 30.0).tolist(),
+        "plant.sensor_period": draw.choice([0.04, 0.06], count).tolist(),
+        "plant.current_velocity": draw.normal(0.0, 0.05, count).tolist(),
+        "controller.augmentation": draw.choice(["none", "pi"], count).tolist(),
+    }
+
+
+def of_one(experiment: Experiment, vary: Mapping[str, Sequence[Any]], instance: int) -> Experiment:
+    """The experiment of one instance."""
+    own = {name: values[instance] for name, values in vary.items()}
+    inputs = {name: own.pop(name) for name in ("plant.current_velocity",) if name in own}
+    return replace(
+        experiment,
+        parameters={**experiment.parameters, **own},
+        inputs={**experiment.inputs, **inputs},
+    )
+
+
+def assert_same_bits(
+    system: System, experiment: Experiment, vary: Mapping[str, Sequence[Any]], **options: Any
+) -> None:
+    """Signal by signal and instance by instance."""
+    with Ensemble(system, **options) as ensemble, Simulator(system) as simulator:
+        recorded = ensemble.run(experiment, vary)
+        assert not recorded.failures
+        for instance in range(len(recorded)):
+            one, of_ensemble = simulator.run(of_one(experiment, vary, instance)), recorded.recording(instance)
+            assert of_ensemble.names == one.names
+            assert of_ensemble.values.tobytes() == one.values.tobytes()
+
+
+def test_37_instances_have_the_bits_of_37_runs(system: System) -> None:
+    """37: four groups and a part of one."""
+    assert_same_bits(system, DIVE, varied(37))
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"algorithm": "gauss-seidel"},
+        {"events": (CHANGE,)},
+        {"events": (HEAVIER,)},
+        {"events": (STIFFER,), "record": ("controller.feedforward_gain", "plant.depth")},  # calculated
+        {"events": (Event(DIVE.stop_time, {"plant.net_weight": 50.0}),)},  # no step takes it
+        {"step_size": 0.05},  # internal steps
+        {"start_time": 1.0, "record": ("plant.inertia", "controller.depth_reference", "plant.sensor_ideal")},
+    ],
+)
+def test_other_experiments_too(system: System, more: dict[str, Any]) -> None:
+    assert_same_bits(system, replace(DIVE, **more), varied(3))
+
+
+def test_a_signal_has_a_row_for_each_point_and_a_column_for_each_instance(system: System) -> None:
+    with Ensemble(system) as ensemble:
+        recorded = ensemble.run(DIVE, {"plant.initial_depth": [0.0, 0.1, 0.2]})
+    assert recorded["plant.depth"].shape == (len(recorded.time), 3)
+    assert recorded["plant.depth"][0].tolist() == [0.0, 0.1, 0.2]
+    with pytest.raises(OrchestrationError, match=r"nearest is 'plant\.depth'"):
+        recorded["plant.dept"]
+    recorded["plant.depth"][:] = 0.0  # the caller's own
+    assert recorded.recording(2)["plant.depth"][0] == 0.2
+
+
+def test_less_than_a_thread_and_a_run_within_a_run_are_refused(system: System) -> None:
+    vary = {"plant.initial_depth": [0.0]}
+    with Ensemble(system) as ensemble:
+        with pytest.raises(OrchestrationError, match="threads: 0: expected at least 1"):
+            ensemble.run(DIVE, vary, threads=0)
+        with pytest.raises(OrchestrationError, match="this ensemble is running"):
+            ensemble.run(DIVE, vary, progress=lambda *_: ensemble.run(DIVE, vary))
+        assert not ensemble.run(DIVE, vary).failures
+
+
+def test_recordings_larger_than_the_memory_are_refused(
+    system: System, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = replace(DIVE, record=("plant.depth",))
+    with Ensemble(system) as ensemble:
+        monkeypatch.setattr(os, "sysconf", lambda _: 64, raising=False)  # 4096 bytes, enough for one run
+        with pytest.raises(SystemDefinitionError, match=r"9 instances of 202 .* fewer instances"):
+            ensemble.run(one, {"plant.initial_depth": [0.0] * 9})
+
+
+def test_without_a_compiler_the_ensemble_is_refused(system: System, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise ExportError("no compiler")
+
+    monkeypatch.setattr(ensemble_loop, "load_compiled", refuse)
+    ensemble_loop.loop_library.cache_clear()
+    with pytest.raises(EnsembleError, match=r"no compiler.*Simulator"):
+        Ensemble(system)
+
+
+def test_threads_and_progress_change_nothing(system: System) -> None:
+    done: list[tuple[int, int]] = []
+    with Ensemble(system) as ensemble:
+        first = ensemble.run(DIVE, varied(17))
+        second = ensemble.run(DIVE, varied(17), threads=2, progress=lambda *counts: done.append(counts))
+    assert done == [(8, 17), (16, 17), (17, 17)]
+    assert first["plant.depth"].tobytes() == second["plant.depth"].tobytes()
+
+
+def failed(system: System, experiment: Experiment, vary: Vary) -> EnsembleRecording:
+    """An ensemble of which only the instance of index 1 fails, and the others have the bits of their runs."""
+    with Ensemble(system) as ensemble, Simulator(system) as simulator:
+        recorded = ensemble.run(experiment, vary)
+        assert list(recorded.failures) == [1]
+        for instance in (0, 2):
+            one = simulator.run(of_one(experiment, vary, instance))
+            assert recorded.recording(instance).values.tobytes() == one.values.tobytes()
+    return recorded
+
+
+def test_an_instance_that_cannot_begin_is_named_and_disturbs_no_other(system: System) -> None:
+    recorded = failed(
+        system, DIVE, {"plant.net_weight": [-1.0, 30.0, -1.2], "plant.weight": [29.0, 29.0, 29.43]}
+    )
+    assert "net_weight" in recorded.failures[1]
+    assert np.isnan(recorded["plant.depth"][:, 1]).all()
+    assert len(recorded.recording(1).time) == 0
+
+
+@dataclass(frozen=True)
+class Growth:
+    a: float = variable(1.0, "Growth in a step")
+
+
+@dataclass(frozen=True)
+class Limited:
+    u: float = variable(0.0, "Input with a range", max=5.0)
+
+
+@dataclass(frozen=True)
+class Steps:
+    count: float = 0.0
+
+
+@dataclass(frozen=True)
+class Exponential:
+    y: float = variable(1.0, "exp(a count)")
+
+
+GROWING = Block(
+    "Growing",
+    "An output that soon is infinite, of a state that is not",
+    parameters=Growth,
+    inputs=Limited,
+    state=Steps,
+    outputs=Exponential,
+    step=lambda t, h, state, u, p, c: Steps(state.count + 1.0),
+    output=lambda t, state, p, c: Exponential(exp(p.a * state.count)),
+    step_size=0.1,
+)
+
+
+@pytest.fixture(scope="module")
+def growing(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("growing") / "Growing.fmu"
+    _, members = native.content(GROWING)
+    write_archive(path, members | native.libraries(GROWING.name, members, ()))
+    record_build(path.read_bytes())
+    return path
+
+
+def test_an_instance_whose_output_becomes_infinite_fails_though_its_state_is_finite(growing: Path) -> None:
+    """exp(300 n) from n = 3 on."""
+    experiment = Experiment(0.5, 0.1, open_inputs="start")
+    recorded = failed(System({"one": growing}), experiment, {"one.a": [1.0, 300.0, -0.5]})
+    assert recorded.counts.tolist() == [6, 3, 6]
+
+
+def test_the_range_of_an_input_is_that_of_values_it_is_given_not_of_the_last_point(growing: Path) -> None:
+    """5.5 at 0.5 s, where nothing is set any more; and where it is, it ends the instance."""
+    system = System({"one": growing, "two": growing}, [("one.y", "two.u")])
+    beyond = {"one.a": [math.log(5.5) / 5.0, 0.1]}
+    experiment = Experiment(0.5, 0.1, open_inputs="start")
+    assert_same_bits(system, experiment, beyond)
+    with Ensemble(system) as ensemble:
+        longer = ensemble.run(replace(experiment, stop_time=0.6), beyond)
+    assert [*longer.failures] == [0]
+    assert longer.counts.tolist() == [6, 7]
+
+
+def test_an_initial_value_beyond_all_numbers_ends_one_instance_without_a_warning(system: System) -> None:
+    scaled = System(system.components, [(*CONNECTIONS[0], {"factor": 1e308})])
+    vary = {"plant.initial_depth": [0.0, 20.0], "plant.sensor_noise": [0.0, 0.0]}
+    with Ensemble(scaled) as ensemble, warnings.catch_warnings():
+        warnings.simplefilter("error")
+        recorded = ensemble.run(replace(DIVE, stop_time=0.02), vary)
+    assert "measured_depth" in recorded.failures[1]
+
+
+def test_a_run_that_is_refused_leaves_the_next_one_as_it_is(system: System) -> None:
+    """Some of its values were set before an FMU refused another one of the same component."""
+    no_item = {"controller.filter_bandwidth": 2.0, "controller.augmentation": 77}
+    with Ensemble(system) as ensemble:
+        expected = ensemble.run(DIVE, WEIGHTS)
+        with pytest.raises(OrchestrationError, match="augmentation = 77"):
+            ensemble.run(replace(DIVE, parameters=no_item), WEIGHTS)
+        again = ensemble.run(DIVE, WEIGHTS)
+    assert again.values.tobytes() == expected.values.tobytes()
+
+
+@pytest.mark.parametrize("weights", [[30.0, 29.0], [29.0, 30.0], [29.5] * 11])
+def test_recordings_of_all_that_did_not_fail_are_in_c_order(system: System, weights: list[float]) -> None:
+    """As one run has them: where a sum along time rounds."""
+    with Ensemble(system) as ensemble:
+        net = {"plant.net_weight": [29.2] * len(weights)}
+        recorded = ensemble.run(DIVE, {"plant.weight": weights, **net})
+    together = recorded.recordings()
+    assert recorded.complete == [i for i, weight in enumerate(weights) if weight > 29.2]
+    for run, instance in enumerate(recorded.complete):
+        one = recorded.recording(instance)
+        assert together.run(run).values.tobytes() == one.values.tobytes()
+        assert {"varied": one.provenance["varied"], **together.run(run).provenance} == one.provenance
+        assert "varied" not in together.run(run).provenance  # it is not that of all
+    assert {together[name].strides[-1] for name in together.names} == {8}
+    assert (together.run_count, len(together.time)) == (len(recorded.complete), len(recorded.time))
+
+
+def test_the_state_of_another_fmu_is_refused(system: System) -> None:
+    controller, plant = system.components["controller"], system.components["plant"]
+    library = lane_library("plant", plant, instruction_sets()[0])
+    with (
+        FmuInstance("controller", controller, describe(controller)) as instance,
+        pytest.raises(EnsembleError, match="built again"),
+    ):
+        library.values(instance.serialize_fmu_state(instance.get_fmu_state()))
+
+
+def until_failure(system: System, experiment: Experiment) -> Recording:
+    """What a run records that fails."""
+    with Simulator(system) as simulator, pytest.raises(SimulationError) as error:
+        simulator.run(experiment)
+    return error.value.recording
+
+
+def test_an_instance_whose_parameters_become_contradictory_ends_where_its_own_run_ends(
+    system: System,
+) -> None:
+    experiment = replace(DIVE, events=(Event(2.0, WITHOUT_BUOYANCY),))
+    recorded = failed(system, experiment, WEIGHTS)
+    alone = until_failure(system, of_one(experiment, WEIGHTS, 1))
+    assert recorded.recording(1).values.tobytes() == alone.values.tobytes()
+
+
+def test_an_instance_that_cannot_go_on_ends_where_its_own_run_ends(system: System) -> None:
+    """A voltage beyond its input's range."""
+    far = replace(DIVE, parameters={**DIVE.parameters, "plant.sensor_noise": 0.0})
+    recorded = failed(system, far, {"plant.initial_depth": [0.0, 1e300, 0.1]})
+    alone = until_failure(system, of_one(far, {"plant.initial_depth": [1e300]}, 0))
+    assert recorded.recording(1).values.tobytes() == alone.values.tobytes()
+    assert np.isnan(recorded["plant.depth"][len(recorded.recording(1).time) :, 1]).all()
+    assert f"controller at t = {recorded.recording(1).time[-1]:.9g} s: " in recorded.failures[1]
+
+
+@pytest.mark.parametrize(
+    ("more", "name"),
+    [
+        ({"extrapolation": 1}, "extrapolation"),
+        ({"tolerance": 1e-3, "stop_time": 4.0}, "tolerance"),
+        ({"step_sizes": {"controller": 0.04}}, "step_sizes"),
+        ({"faults": (Fault("controller.measured_depth", Offset(0.1)),)}, "faults"),
+        ({"error_estimate": True, "stop_time": 4.0}, "error_estimate"),
+    ],
+)
+def test_what_only_a_simulator_has_is_refused(system: System, more: dict[str, Any], name: str) -> None:
+    with Ensemble(system) as ensemble, pytest.raises(EnsembleError, match=f"{name}: .*Simulator"):
+        ensemble.run(replace(DIVE, **more), varied(2))
+
+
+@pytest.mark.parametrize(
+    ("vary", "problem"),
+    [
+        ({}, "expected lists of one length"),
+        ({"plant.inertia": [5.0], "plant.sensor_seed": [1, 2]}, "expected lists of one length"),
+        ({"plant.inertia": [5.0, -1.0]}, "plant.inertia = -1.0: expected 0.1..1e"),
+        ({"controller.augmentation": ["none", 7]}, "controller.augmentation = 7: expected one of none (1), "),
+        ({"plant.inerta": [5.0]}, "nearest is 'plant.inertia'"),
+        ({"plant.voltage[1]": [1.0]}, "expected a parameter or a constant input"),
+        ({"plant.depth": [1.0]}, "expected a parameter or a constant input"),
+        ({"plant.internal_step": [0.02, 0.01]}, "plant.internal_step: expected one for all"),
+    ],
+)
+def test_what_cannot_be_varied_is_refused(system: System, vary: dict[str, Any], problem: str) -> None:
+    with (
+        Ensemble(system) as ensemble,
+        pytest.raises(SystemDefinitionError, match=re.escape(problem)),
+    ):
+        ensemble.run(DIVE, vary)
+
+
+def test_unknown_instructions_are_refused(system: System) -> None:
+    with pytest.raises(EnsembleError, match="nearest is 'x86-64-v3'"):
+        Ensemble(system, "x86-64-v33")

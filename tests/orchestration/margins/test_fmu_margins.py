@@ -1,0 +1,130 @@
+"""Margins measured through FMUs: against the closed form of a sampled loop, and on the vehicle."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from orchestration.errors import ScenarioError
+from orchestration.margins.fmu_margins import delay_margin, gain_margin
+from orchestration.margins.hold import Hold, HoldRuns, LoopSignal, hold_of, loop_inputs
+from orchestration.scenarios import scenario
+from orchestration.scenarios.scenario import Scenario
+from orchestration.system.experiment import Experiment
+from orchestration.system.system import System
+
+STEP, GAIN = 0.05, 1.0  # s, 1/s
+HOLD = Hold("plant.y[1]", 300.0, 400.0)
+# x(0) such that a mode that neither grows nor decays has a standard deviation of about 3 mm, so that a run is
+# quiet below the margin and is not above, however slowly it grows there
+INITIAL = math.sqrt(2.0) * 3e-3
+
+
+@pytest.fixture
+def integrator(linear: Callable[..., Path]) -> Scenario:
+    """x' = u and u = -x, each an FMU."""
+    plant = linear(a=0.0, b=(1.0,), initial_state=INITIAL)
+    controller = linear(b=(0.0,), c=(0.0,), d=((-GAIN,),))
+    system = System(
+        {"plant": plant, "controller": controller},
+        (("plant.y[1]", "controller.u[1]"), ("controller.y[1]", "plant.u[1]")),
+    )
+    return Scenario("integrator", "", system, Experiment(400.0, STEP), {})
+
+
+def sampled_gain_limit(steps: int) -> float:
+    """The K at which x[n+1] = x[n] - K x[n - steps] is lost: Levin and May (1976)."""
+    return 2.0 * math.sin(0.5 * math.pi / (2 * steps + 1))
+
+
+def test_the_gain_margin_of_a_sampled_integrator_is_that_of_its_difference_equation(
+    integrator: Scenario,
+) -> None:
+    """With Jacobi the control is a step old: x[n+1] = x[n] - g h x[n-1], lost at g h = 1."""
+    scan = gain_margin(integrator, hold=HOLD, largest=30.0, step=1.5, resolution=1.001)
+    expected = sampled_gain_limit(1) / (GAIN * STEP)
+    assert scan.margin == pytest.approx(expected, rel=0.003)  # the initial value excites other modes too
+    assert scan.margin < scan.lost <= 1.001 * scan.margin
+
+
+@pytest.mark.parametrize("loop_signal", list(LoopSignal))
+def test_the_delay_margin_of_a_sampled_integrator_is_that_of_its_difference_equation(
+    integrator: Scenario, loop_signal: LoopSignal
+) -> None:
+    """Lost between m and m + 1 steps, where K = h lies between the limits of both, linear in between."""
+    steps = next(m for m in range(1, 100) if sampled_gain_limit(m + 1) < GAIN * STEP)
+    above, below = sampled_gain_limit(steps), sampled_gain_limit(steps + 1)
+    part = (above - GAIN * STEP) / (above - below)
+    scan = delay_margin(integrator, loop_signal, hold=HOLD, largest=3.0, step=0.2, resolution=1e-3)
+    assert scan.margin == pytest.approx((steps - 1 + part) * STEP, abs=2e-3)
+    assert scan.margin < scan.lost <= scan.margin + 1e-3
+    assert scan.margin == pytest.approx(0.5 * math.pi / GAIN - 1.5 * STEP, abs=2e-3)  # continuous, less 1.5 h
+    assert scan.quiet_again == ()
+
+
+def test_a_scan_can_end_at_the_first_loss(integrator: Scenario) -> None:
+    options = {"hold": HOLD, "largest": 3.0, "step": 0.2, "resolution": 0.05}
+    first, complete = (
+        delay_margin(integrator, only_first_loss=is_first, **options) for is_first in (True, False)
+    )
+    assert (first.margin, first.lost) == (complete.margin, complete.lost)
+    assert first.runs < complete.runs == 16 + 2
+
+
+def test_a_scenario_that_is_not_quiet_has_no_margin(integrator: Scenario) -> None:
+    unstable = replace(integrator, experiment=replace(integrator.experiment, parameters={"plant.a": 1.1}))
+    scan = delay_margin(unstable, hold=HOLD, largest=1.0, step=0.5)
+    assert math.isnan(scan.margin)
+    assert scan.lost == 0.0
+
+
+def test_nothing_lost_is_infinite(integrator: Scenario) -> None:
+    scan = delay_margin(integrator, hold=HOLD, largest=0.4, step=0.2)
+    assert (scan.margin, scan.lost) == (0.4, math.inf)
+
+
+def test_a_scenario_without_a_reference_needs_a_hold(integrator: Scenario) -> None:
+    with pytest.raises(ScenarioError, match="no metric compares a signal with a reference"):
+        hold_of(integrator)
+
+
+def test_a_component_without_a_loop_is_refused(integrator: Scenario) -> None:
+    open_loop = replace(
+        integrator,
+        system=System(integrator.system.components, integrator.system.connections[:1]),
+        experiment=replace(integrator.experiment, inputs={"plant.u[1]": 0.0}),
+    )
+    with pytest.raises(ScenarioError, match="no connection of a loop through plant"):
+        delay_margin(open_loop, hold=HOLD)
+
+
+def test_the_hold_of_the_vehicle_is_the_last_part_of_its_longest_constant_reference(
+    scenario_fmus: None,
+) -> None:
+    chosen = scenario.load(scenario.find("nominal-extended"))
+    assert hold_of(chosen) == Hold("plant.depth", 100.0, 140.0)
+    with pytest.raises(ScenarioError, match=r"controller\.reference is never constant"):
+        hold_of(scenario.load(scenario.find("example-l1")))
+
+
+def test_control_and_measurement_of_the_vehicle_are_what_enters_and_leaves_it(scenario_fmus: None) -> None:
+    with HoldRuns(scenario.load(scenario.find("nominal-extended"))) as runs:
+        assert loop_inputs(runs.prepared, "plant.depth", LoopSignal.CONTROL) == (
+            "plant.voltage[1]",
+            "plant.voltage[2]",
+        )
+        assert loop_inputs(runs.prepared, "plant.depth", LoopSignal.MEASUREMENT) == (
+            "controller.measured_depth",
+            "controller.measured_depth_rate",
+        )
+
+
+def test_the_vehicle_bears_what_its_linear_loop_does_less_its_sampling(scenario_fmus: None) -> None:
+    """With the true state: 0.4133 s in continuous time, less a step by Jacobi and half a one by the hold.
+
+    The law's own step costs less than another half. docs/explanation/margins.md has the figures.
+    """
+    scan = delay_margin(scenario.load(scenario.find("nominal-extended-ideal")), LoopSignal.CONTROL)
+    assert 0.4133 - 2.0 * 0.02 < scan.margin < 0.4133 - 1.5 * 0.02

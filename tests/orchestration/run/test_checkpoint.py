@@ -1,0 +1,227 @@
+"""A run that goes on from a checkpoint is the run that was never interrupted."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fmus.fmi.instance import FmuInstance
+from orchestration.errors import FmuError, OrchestrationError, SimulationError, SystemDefinitionError
+from orchestration.run import simulate
+from orchestration.run.checkpoint import Checkpoint, Checkpoints, read_checkpoint
+from orchestration.scenarios import scenario
+from orchestration.scenarios.declarations import fault
+from orchestration.system.experiment import Algorithm, Event, Experiment
+from orchestration.system.faults import Delay, Fault, Offset, Scale
+from orchestration.system.signals import Cosine
+from orchestration.system.system import System
+from orchestration.system.transformation import LinearTransformation
+from tests.orchestration.linear_systems import LOOP, coupled
+
+Build = Callable[..., Path]
+
+
+def npy() -> bytes:
+    """An array, which is what NumPy's archives are made of."""
+    stream = BytesIO()
+    np.save(stream, np.zeros(3))
+    return stream.getvalue()
+
+
+_REST_S = 0.05  # simulated: the loop rests there, saves, and looks at interrupts
+
+
+def interrupted(
+    system: System, experiment: Experiment, path: Path, at: int, **options: Any
+) -> tuple[Checkpoint, SimulationError]:
+    """Run until communication point `at` is reached, and what is left of it."""
+
+    def stop(done: int, total: int) -> None:
+        if done >= at:
+            raise KeyboardInterrupt
+
+    with pytest.raises(SimulationError, match="interrupted") as caught:
+        simulate(system, experiment, stop, checkpoints=Checkpoints(path, every=_REST_S), **options)
+    return read_checkpoint(path), caught.value
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {},
+        {"algorithm": Algorithm.GAUSS_SEIDEL},
+        {"extrapolation": 1},
+        {"extrapolation": 1, "step_sizes": {"two": 0.03}},
+        {"tolerance": 1e-4, "step_size": 0.2},
+        {"events": (Event(0.5, {"one.a": -3.0}), Event(1.7, {"one.a": -0.5}))},
+        {"faults": (fault({"input": "two.u[1]", "kind": "delay", "delay": 0.3}, "here"),)},
+    ],
+    ids=lambda change: " ".join(change) or "plain",
+)
+def test_it_is_the_same_run_to_the_last_bit(linear: Build, tmp_path: Path, change: dict[str, Any]) -> None:
+    system = coupled(linear, saves_state=True, serialises_state=True, interpolates_inputs=True)
+    experiment = replace(Experiment(2.0, 0.01), **change)
+    uninterrupted = simulate(system, experiment)
+    points = len(uninterrupted.time)
+    checkpoint, broken = interrupted(system, experiment, tmp_path / "checkpoint", points // 2)
+    assert points // 2 <= checkpoint.position < points - 1
+    assert np.array_equal(broken.recording.values, uninterrupted.values[: len(broken.recording.time)])
+    resumed = simulate(system, experiment, resume=checkpoint)
+    assert np.array_equal(resumed.time, uninterrupted.time)
+    assert np.array_equal(resumed.values, uninterrupted.values)
+    assert resumed.provenance == uninterrupted.provenance
+
+
+@pytest.mark.usefixtures("scenario_fmus")
+def test_the_shipped_vehicle_goes_on_from_a_file_bit_for_bit(tmp_path: Path) -> None:
+    """Controller, noise of the sensor and all."""
+    chosen = scenario.load(scenario.find("nominal-extended"))
+    experiment = replace(chosen.experiment, stop_time=30.0)
+    uninterrupted = simulate(chosen.system, experiment)
+    path = tmp_path / "checkpoint"
+    simulate(chosen.system, experiment, checkpoints=Checkpoints(path, every=11.0))
+    checkpoint = read_checkpoint(path)
+    assert checkpoint.position == round(22.0 / experiment.step_size)
+    resumed = simulate(chosen.system, experiment, resume=checkpoint)
+    assert np.array_equal(resumed.values, uninterrupted.values)
+    longer = replace(experiment, stop_time=35.0)
+    assert np.array_equal(
+        simulate(chosen.system, longer, resume=checkpoint).values, simulate(chosen.system, longer).values
+    )
+
+
+def test_the_future_may_be_longer(linear: Build, tmp_path: Path) -> None:
+    system = coupled(linear, saves_state=True, serialises_state=True)
+    checkpoint, _ = interrupted(system, Experiment(1.0, 0.01), tmp_path / "checkpoint", 50)
+    resumed = simulate(system, Experiment(2.0, 0.01), resume=checkpoint)
+    assert np.array_equal(resumed.values, simulate(system, Experiment(2.0, 0.01)).values)
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ({"parameters": {"one.initial_state": 2.0}}, "parameters, inputs and events"),
+        ({"algorithm": Algorithm.GAUSS_SEIDEL}, "the algorithm"),
+        ({"tolerance": 1e-3}, "the algorithm"),
+        ({"fmu_tolerance": 1e-3}, "the algorithm"),
+        ({"step_size": 0.02}, "the communication points, the signals, the faults"),
+        ({"record": ("one.y[1]",)}, "the record"),
+        ({"signals": {"one.u[1]": Cosine(2.0, 1.0)}}, "the signals"),
+        ({"events": (Event(0.1, {"one.a": -0.5}),)}, "parameters, inputs and events"),
+        ({"faults": (Fault("one.u[1]", Offset(2.0)),)}, "the faults"),
+        ({"faults": (Fault("one.u[1]", Delay(0.1)),)}, "the faults"),
+        ({"faults": (Fault("one.u[1]", Scale(2.0)), Fault("one.u[1]", Offset(1.0)))}, "the faults"),
+    ],
+)
+def test_another_past_is_refused(linear: Build, tmp_path: Path, change: dict[str, Any], what: str) -> None:
+    system = System({"one": linear(saves_state=True, serialises_state=True)})
+    signals, faults = {"one.u[1]": Cosine(1.0, 1.0)}, (Fault("one.u[1]", Offset(1.0)),)
+    experiment = Experiment(1.0, 0.01, signals=signals, faults=faults)
+    checkpoint, _ = interrupted(system, experiment, tmp_path / "checkpoint", 50)
+    with pytest.raises(SimulationError, match=f"belongs to another run, of which {what} differ"):
+        simulate(system, replace(experiment, **change), resume=checkpoint)
+
+
+def test_another_factor_of_a_connection_is_another_past(linear: Build, tmp_path: Path) -> None:
+    fmus = coupled(linear, saves_state=True, serialises_state=True).components
+
+    def system(factor: float) -> System:
+        return System(fmus, [(*LOOP[0], LinearTransformation(factor)), LOOP[1]])
+
+    checkpoint, _ = interrupted(system(0.5), Experiment(1.0, 0.01), tmp_path / "checkpoint", 50)
+    with pytest.raises(SimulationError, match="of which the connections differ"):
+        simulate(system(0.6), Experiment(1.0, 0.01), resume=checkpoint)
+
+
+def test_other_fmus_are_refused(linear: Build, tmp_path: Path) -> None:
+    experiment = Experiment(1.0, 0.01, inputs={"one.u[1]": 0.0})
+    states: dict[str, Any] = {"saves_state": True, "serialises_state": True}
+    path = tmp_path / "checkpoint"
+    checkpoint, _ = interrupted(System({"one": linear(**states)}), experiment, path, 50)
+    with pytest.raises(SimulationError, match="of which the FMUs differ"):
+        simulate(System({"one": linear(a=-5.0, **states)}), experiment, resume=checkpoint)
+
+
+def test_fmus_must_serialise_their_state(linear: Build, tmp_path: Path) -> None:
+    with pytest.raises(SystemDefinitionError, match="checkpoint: one, two cannot serialise its state"):
+        simulate(coupled(linear), Experiment(1.0, 0.1), checkpoints=Checkpoints(tmp_path / "checkpoint"))
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x05\x06" + bytes(18), b"text", npy()])
+def test_a_damaged_file_is_named(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "checkpoint"
+    path.write_bytes(content)
+    with pytest.raises(OrchestrationError, match="checkpoint is not a checkpoint, or is damaged"):
+        read_checkpoint(path)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(OrchestrationError, match=r"no checkpoint .*nowhere"):
+        read_checkpoint(tmp_path / "nowhere")
+
+
+def test_an_event_at_the_checkpoint_is_in_the_future(linear: Build, tmp_path: Path) -> None:
+    """Saved before it is made, so that it may still be another."""
+    system = System({"one": linear(saves_state=True, serialises_state=True)})
+    calm = Experiment(1.0, 0.1, inputs={"one.u[1]": 0.0})
+    path = tmp_path / "checkpoint"
+    simulate(
+        system,
+        replace(calm, events=(Event(0.5, {"one.a": -30.0}),)),
+        checkpoints=Checkpoints(path, every=0.5),
+    )
+    checkpoint = read_checkpoint(path)
+    assert checkpoint.time == pytest.approx(0.5)
+    assert np.array_equal(simulate(system, calm, resume=checkpoint).values, simulate(system, calm).values)
+
+
+@pytest.mark.parametrize("saved", ["into a folder", "of an FMU that refuses its state"])
+def test_what_cannot_be_saved_loses_no_recording(
+    linear: Build, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, saved: str
+) -> None:
+    system = coupled(linear, saves_state=True, serialises_state=True)
+    path = tmp_path if saved == "into a folder" else tmp_path / "checkpoint"
+    if saved != "into a folder":
+
+        def refuse(self: FmuInstance, state: int) -> bytes:
+            raise FmuError(self.name, self.time, "fmi2SerializeFMUstate", "error", [])
+
+        monkeypatch.setattr(FmuInstance, "serialize_fmu_state", refuse)
+
+    def stop(done: int, total: int) -> None:
+        if done:
+            raise KeyboardInterrupt
+
+    with pytest.raises(SimulationError, match=r"^interrupted; not saved: ") as caught:
+        simulate(system, Experiment(1.0, 0.1), stop, checkpoints=Checkpoints(path))
+    assert len(caught.value.recording.time) == 2
+
+
+def test_a_component_between_its_own_points_is_not_saved_at_the_end(linear: Build, tmp_path: Path) -> None:
+    """Its last step was shorter than a longer run would make it."""
+    system = coupled(linear, saves_state=True, serialises_state=True)
+
+    def stop(done: int, total: int) -> None:
+        if done == total:
+            raise KeyboardInterrupt
+
+    with pytest.raises(SimulationError, match=r"not saved: at the end of the run components are between"):
+        simulate(
+            system,
+            Experiment(1.0, 0.1, step_sizes={"two": 0.3}),
+            stop,
+            checkpoints=Checkpoints(tmp_path / "checkpoint"),
+        )
+
+
+def test_a_part_of_another_shape_is_refused(linear: Build, tmp_path: Path) -> None:
+    system = coupled(linear, saves_state=True, serialises_state=True)
+    experiment = Experiment(1.0, 0.01)
+    checkpoint, _ = interrupted(system, experiment, tmp_path / "checkpoint", 50)
+    arrays = {**checkpoint.arrays, "bus": np.zeros(1)}
+    with pytest.raises(SimulationError, match="the checkpoint is damaged: expected bus of shape"):
+        simulate(system, experiment, resume=replace(checkpoint, arrays=arrays))

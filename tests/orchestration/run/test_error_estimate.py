@@ -1,0 +1,258 @@
+"""The estimated error of a run beside the true one."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from orchestration.errors import FmuWarning, SystemDefinitionError
+from orchestration.results.recording import ERROR_ESTIMATE, Recording
+from orchestration.run import Simulator, simulate
+from orchestration.system.experiment import Algorithm, Experiment
+from orchestration.system.system import System
+from tests.foreign_fmus import Misdeed
+from tests.orchestration.linear_systems import LOOP, coupled, solution
+
+Build = Callable[..., Path]
+OUTPUTS = ("one.y[1]", "two.y[1]")
+NAMES = ("one", "two", "three", "four")
+
+
+@dataclass(frozen=True)
+class RandomSystem:
+    """x_i' = a_i x_i + u_i, u_i the sum of gains[i, j] y_j, y = x, from `start`; stable."""
+
+    poles: np.ndarray
+    gains: np.ndarray
+    start: np.ndarray
+
+    @classmethod
+    def drawn(cls, random: np.random.Generator) -> "RandomSystem":
+        """Two to four components, each fed by some of the others; the slowest mode decays at 0.05/s."""
+        while True:
+            count = int(random.integers(2, 5))
+            poles, gains = -random.uniform(0.1, 3.0, count), random.normal(0.0, 2.0, (count, count))
+            gains[random.random((count, count)) < 0.3] = 0.0
+            np.fill_diagonal(gains, 0.0)
+            drawn = cls(poles, gains, random.normal(size=count))
+            if gains.any() and np.linalg.eigvals(drawn.matrix).real.max() < -0.05:
+                return drawn
+
+    @property
+    def matrix(self) -> np.ndarray:
+        return np.diag(self.poles) + self.gains
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return NAMES[: len(self.poles)]
+
+    def of_fmus(self, fmu: Path) -> System:
+        """fmu: of three inputs, whose gains the connections have."""
+        connections = []
+        for i, target in enumerate(self.names):
+            sources = np.flatnonzero(self.gains[i])
+            connections += [
+                (f"{self.names[j]}.y[1]", f"{target}.u[{k + 1}]", {"factor": float(self.gains[i, j])})
+                for k, j in enumerate(sources)
+            ]
+        return System(dict.fromkeys(self.names, fmu), connections)
+
+    def experiment(self, stop_time: float, step_size: float, **settings: Any) -> Experiment:
+        values = zip(self.names, self.poles.tolist(), self.start.tolist(), strict=True)
+        parameters = {}
+        for name, pole, start in values:
+            parameters |= {f"{name}.a": pole, f"{name}.initial_state": start}
+        return Experiment(stop_time, step_size, parameters=parameters, open_inputs="start", **settings)
+
+    def solution(self, count: int, step: float) -> np.ndarray:
+        """The outputs at times `step` apart [s], shape (count, components)."""
+        of_a_step, states = expm(self.matrix * step), [self.start]
+        for _ in range(count - 1):
+            states.append(of_a_step @ states[-1])
+        return np.array(states)
+
+
+def ratios(fmu: Path, seed: int) -> tuple[float, float]:
+    """Estimated over true error of a random system: the largest of the run over all outputs, and at its end.
+
+    The step is 0.003 to 0.3 of the fastest mode's time; the run takes 8 to 100 of them.
+    """
+    random = np.random.default_rng(seed)
+    system = RandomSystem.drawn(random)
+    fastest = np.abs([*np.linalg.eigvals(system.matrix), *system.poles]).max()
+    step = 10.0 ** random.uniform(-2.5, -0.5) / fastest
+    settings = {
+        "algorithm": random.choice([*Algorithm]),
+        "extrapolation": int(random.integers(0, 2)),
+        "error_estimate": True,
+    }
+    stop = step * int(random.integers(8, 101))
+    run = simulate(system.of_fmus(fmu), system.experiment(stop, step, **settings))
+    outputs = [f"{name}.y[1]" for name in system.names]
+    true = np.abs(np.column_stack([run[name] for name in outputs]) - system.solution(len(run.time), step))
+    estimated = np.column_stack([run[f"{ERROR_ESTIMATE}{name}"] for name in outputs])
+    return float(estimated.max() / true.max()), float(estimated[-1].max() / true[-1].max())
+
+
+@pytest.mark.parametrize("count", [20, pytest.param(100, marks=pytest.mark.slow)])
+def test_the_estimate_bounds_the_error_of_random_systems(linear: Build, count: int) -> None:
+    """At least the true error in 95 of 100, at most ten times it in the median; FMUs cannot go back."""
+    inputs: dict[str, Any] = {"b": (1.0, 1.0, 1.0), "d": ((0.0, 0.0, 0.0),)}
+    fmus = [linear(**inputs, interpolates_inputs=interpolates) for interpolates in (True, False)]
+    measured = np.array([ratios(fmus[seed % 2], seed) for seed in range(count)])
+    assert np.all(np.mean(measured >= 1.0, axis=0) >= 0.95)
+    assert np.all(np.median(measured, axis=0) <= 10.0)
+
+
+def ends(system: System, **settings: Any) -> tuple[float, float]:
+    """Estimated and true error of `coupled` at the end of a run, the larger of its two outputs."""
+    run = simulate(system, Experiment(2.0, error_estimate=True, **settings))
+    estimated = max(run[f"{ERROR_ESTIMATE}{name}"][-1] for name in OUTPUTS)
+    values = np.array([run[name][-1] for name in OUTPUTS])
+    return float(estimated), float(np.abs(values - solution(run.time[-1:])[0]).max())
+
+
+BACK: dict[str, Any] = {"saves_state": True, "interpolates_inputs": True}
+RUNS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "fixed steps": ({"varies_step_size": False}, {"step_size": 0.01}),
+    "an odd number of them": ({"varies_step_size": False}, {"step_size": 0.08}),
+    "a shorter last step": ({}, {"step_size": 0.03}),
+    "a slow component": ({}, {"step_size": 0.01, "step_sizes": {"two": 0.04}}),
+    "a tolerance": (BACK, {"step_size": 0.5, "tolerance": 1e-3}),
+    "a tolerance of order 2": (BACK, {"step_size": 0.5, "tolerance": 1e-3, "extrapolation": 1}),
+}
+
+
+@pytest.mark.parametrize(("capabilities", "settings"), RUNS.values(), ids=RUNS)
+def test_every_kind_of_run_is_estimated(linear: Build, capabilities: dict, settings: dict) -> None:
+    estimated, true = ends(coupled(linear, **capabilities), **settings)
+    assert true <= estimated <= 10.0 * true
+
+
+@pytest.mark.parametrize(("extrapolation", "factor"), [(0, 3.0), (1, 2.0)])
+def test_the_run_itself_is_the_same(linear: Build, extrapolation: int, factor: float) -> None:
+    """The estimates are further columns, also of a run in a process of its own."""
+    experiment = Experiment(1.0, 0.1, extrapolation=extrapolation)
+    alone = simulate(coupled(linear), experiment)
+    estimated = [
+        simulate(coupled(linear), replace(experiment, error_estimate=True), timeout=timeout)
+        for timeout in (None, 60.0)
+    ]
+    for run in estimated:
+        assert run.names == (*alone.names, *(f"{ERROR_ESTIMATE}{name}" for name in alone.names))
+        assert np.array_equal(run.values[:, :2], alone.values)
+    assert np.array_equal(estimated[0].values, estimated[1].values)
+    difference = np.abs(
+        alone.values[::2] - simulate(coupled(linear), replace(experiment, step_size=0.2)).values
+    )
+    largest = [difference[max(k - 2, 0) : k + 1].max(axis=0) for k in range(len(difference))]
+    assert np.array_equal(estimated[0].values[::2, 2:], factor * np.array(largest))
+    quantities = estimated[0].provenance["error_estimate"]["quantities"]
+    for name in OUTPUTS:
+        column = estimated[0][f"{ERROR_ESTIMATE}{name}"]
+        assert quantities[name] == {"maximum": column.max(), "at_end": column[-1]}
+
+
+def test_a_second_run_that_fails_leaves_the_first(rogue: Build) -> None:
+    """Steps longer than 0.15 s are discarded: the one run takes 0.1 s, the other 0.2 s."""
+    parameters = {"bad.misdeed": int(Misdeed.DISCARD), "bad.misdeed_time": 0.5, "bad.longest_step": 0.15}
+    experiment = Experiment(1.0, 0.1, parameters=parameters, inputs={"bad.u": 1.0}, error_estimate=True)
+    with pytest.warns(FmuWarning, match="no error estimate: the run at twice the step: bad at t = 0.6 s"):
+        run = simulate(System({"bad": rogue()}), experiment)
+    assert run["bad.y"][-1] == pytest.approx(1.0)
+    assert np.isnan(run[f"{ERROR_ESTIMATE}bad.y"]).tolist() == [False] * 7 + [True] * 4
+    estimate = run.provenance["error_estimate"]
+    assert estimate["quantities"] == {"bad.y": {"maximum": None, "at_end": None}}
+    assert estimate["failure"].startswith("bad at t = 0.6 s")
+
+
+def test_what_cannot_be_estimated_is_refused(linear: Build) -> None:
+    system = coupled(linear)
+    with pytest.raises(
+        SystemDefinitionError, match=r"expected a run of at least 0\.2 s, two steps .* got 0\.1 s"
+    ):
+        simulate(system, Experiment(0.1, 0.1, error_estimate=True))
+
+
+def led(simulator: Simulator, experiment: Experiment, detours: int = 0) -> Recording:
+    """The input u[2] of one is set at each point; as many `detours` of two steps are taken back."""
+    simulator.start(experiment, external=["one.u[2]"])
+    while not simulator.is_done:
+        for _ in range(detours):
+            state = simulator.save()
+            while not simulator.is_done and simulator.point < state.position + 2:
+                simulator.set("one.u[2]", 100.0)
+                simulator.step()
+            simulator.restore(state)
+        simulator.set("one.u[2]", math.sin(simulator.time))
+        simulator.step()
+    return simulator.recording()
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_a_run_that_is_led_step_by_step_has_the_estimate_of_a_whole_run(
+    linear: Build, compiled: bool
+) -> None:
+    system, experiment = coupled(linear), Experiment(1.0, 0.1, error_estimate=True)
+    with Simulator(system, compiled) as simulator:
+        complete = simulator.run(experiment)
+        simulator.start(experiment)
+        while not simulator.is_done:
+            simulator.step()
+        run = simulator.recording()
+    assert run.names == complete.names
+    assert np.array_equal(run.values, complete.values)
+    assert run.provenance["error_estimate"] == complete.provenance["error_estimate"]
+
+
+def test_the_estimate_takes_what_was_set_and_not_what_was_taken_back(linear: Build) -> None:
+    """x' = A x + (sin t, 0): the error of holding exchanged and set inputs, beside small steps."""
+    able: dict[str, Any] = {"saves_state": True}
+    fmus = {"one": linear(b=(0.5, 1.0), d=((0.0, 0.0),), **able), "two": linear(a=-2.0, b=(-3.0,), **able)}
+    experiment = Experiment(2.0, 0.05, error_estimate=True)
+    with Simulator(System(fmus, LOOP)) as simulator:
+        run = led(simulator, experiment)
+        with_detours = led(simulator, experiment, detours=1)
+        fine = led(simulator, Experiment(2.0, 0.0005))
+    assert np.array_equal(with_detours.values, run.values)
+    errors = [np.abs(run[name] - fine[name][::100]) for name in OUTPUTS]
+    estimated = [run[f"{ERROR_ESTIMATE}{name}"] for name in OUTPUTS]
+    assert np.max(errors) <= np.max(estimated) <= 10.0 * np.max(errors)
+
+
+def test_the_estimate_of_a_stepped_run_is_made_again_only_after_something_new(linear: Build) -> None:
+    with Simulator(System({"one": linear(b=(1.0,))})) as simulator:
+        simulator.start(Experiment(1.0, 0.1, error_estimate=True), ["one.u[1]"])
+        for _ in range(4):
+            simulator.step()
+        run = simulator.recording()
+        assert simulator.recording() is run
+        simulator.set("one.u[1]", 2.0)
+        changed = simulator.recording()
+        assert changed is not run
+        simulator.step()
+        assert len(simulator.recording().time) == len(changed.time) + 1
+        simulator.start(Experiment(1.0, 0.1), ["one.u[1]"])
+        assert "error_estimate" not in simulator.recording().provenance
+
+
+def test_both_runs_of_an_estimate_report_their_progress(linear: Build) -> None:
+    """So that either can be interrupted from there."""
+    totals: list[int] = []
+    with Simulator(coupled(linear)) as simulator:
+        simulator.run(Experiment(2.0, 0.1, error_estimate=True), lambda done, total: totals.append(total))
+    assert list(dict.fromkeys(totals)) == [20, 10]
+
+
+def test_the_estimate_of_less_than_two_steps_is_no_number(linear: Build) -> None:
+    with Simulator(coupled(linear)) as simulator:
+        simulator.start(Experiment(1.0, 0.1, error_estimate=True))
+        simulator.step()
+        with pytest.warns(FmuWarning, match="no error estimate: .* expected at least two steps, got 1"):
+            run = simulator.recording()
+    assert np.all(np.isnan(run[f"{ERROR_ESTIMATE}{OUTPUTS[0]}"]))

@@ -1,0 +1,332 @@
+"""Initial values by the declared dependencies; loops against solutions that are known."""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fmus.fmi.instance import FmuInstance
+from orchestration.errors import FmuError, OrchestrationError, SimulationError
+from orchestration.run import simulate
+from orchestration.run.initialisation import connection_groups, solve_initial_values
+from orchestration.system.experiment import Experiment, Initialisation
+from orchestration.system.system import CheckedSystem, System, check
+
+Build = Callable[..., Path]
+Connections = tuple[tuple[str, str], ...]
+ROUNDING = 1e-11  # relative: settled to 1e-12, and a loop of gain 0.9 magnifies what is left ten times
+DOTTIE = 0.7390851332151607  # cos(x) = x
+
+AUTOMATIC, FIXED_POINT, NEWTON = Initialisation
+
+
+class Counted:
+    """A component that counts what it is asked for."""
+
+    def __init__(self, component: FmuInstance) -> None:
+        self._component = component
+        self.calls: Counter[str] = Counter()
+
+    def get(self, variable: Any) -> Any:
+        self.calls["get"] += 1
+        return self._component.get(variable)
+
+    def set(self, variable: Any, value: Any) -> None:
+        self.calls["set"] += 1
+        self._component.set(variable, value)
+
+
+@contextmanager
+def initialising(
+    components: Mapping[str, Path], connections: Connections, **inputs: float
+) -> Iterator[tuple[CheckedSystem, dict[str, Any]]]:
+    """A system in initialisation mode; inputs: `component_u` -> value of its first input."""
+    named = {f"{name}.u[1]": value for name, value in inputs.items()}
+    checked = check(System(components, connections), named)
+    with ExitStack() as stack:
+        live = {
+            name: stack.enter_context(FmuInstance(name, path, checked.descriptions[name]))
+            for name, path in components.items()
+        }
+        for component in live.values():
+            component.initialise(0.0, None)
+        for name, value in named.items():
+            port = checked.ports[name]
+            live[port.component].set(port.variable, value)
+        counted = {name: Counted(component) for name, component in live.items()}
+        yield checked, counted
+
+
+def value(checked: CheckedSystem, components: Mapping[str, Any], name: str) -> float:
+    port = checked.ports[name]
+    return components[port.component].get(port.variable)
+
+
+def gain(linear: Build, d: float, offset: float = 1.0, **options: Any) -> Path:
+    """y = offset + d u at the start."""
+    return linear(d=((d,),), initial_state=offset, **options)
+
+
+def settled(
+    components: Mapping[str, Path],
+    connections: Connections,
+    method: Initialisation = AUTOMATIC,
+    **inputs: float,
+) -> dict[str, float]:
+    """The inputs that are connected, by name."""
+    with initialising(components, connections, **inputs) as (checked, live):
+        solve_initial_values(connection_groups(checked), live, method)
+        return {target: value(checked, live, target) for _, target in connections}
+
+
+def test_a_chain_is_one_pass_in_the_order_of_the_dependencies(linear: Build) -> None:
+    double = gain(linear, 2.0)
+    chain = (("b.y[1]", "c.u[1]"), ("a.y[1]", "b.u[1]"))
+    with initialising({"a": double, "b": double, "c": double}, chain, a=5.0) as (checked, live):
+        solve_initial_values(connection_groups(checked), live, AUTOMATIC)
+        assert sum((component.calls for component in live.values()), Counter()) == {"get": 2, "set": 2}
+        assert value(checked, live, "c.u[1]") == 1.0 + 2.0 * (1.0 + 2.0 * 5.0)
+
+
+def test_an_output_that_declares_nothing_follows_every_input(linear: Build) -> None:
+    """A chain in reverse order, and a loop of one component, as if it were declared."""
+    undeclared = gain(linear, 2.0, declares_dependencies=False)
+    chain = (("b.y[1]", "c.u[1]"), ("a.y[1]", "b.u[1]"))
+    with initialising(dict.fromkeys("abc", undeclared), chain, a=5.0) as (checked, live):
+        solve_initial_values(connection_groups(checked), live, AUTOMATIC)
+        assert value(checked, live, "c.u[1]") == 1.0 + 2.0 * (1.0 + 2.0 * 5.0)
+    with initialising({"a": undeclared}, (("a.y[1]", "a.u[1]"),)) as (checked, live):
+        assert [group.is_loop for group in connection_groups(checked)] == [True]
+
+
+def test_an_output_that_follows_no_input_closes_no_loop(linear: Build) -> None:
+    components = {"plant": linear(), "controller": gain(linear, 3.0)}
+    both = (("controller.y[1]", "plant.u[1]"), ("plant.y[1]", "controller.u[1]"))
+    with initialising(components, both) as (checked, live):
+        assert [[t.name for _, t in group.connections] for group in connection_groups(checked)] == [
+            ["controller.u[1]"],
+            ["plant.u[1]"],
+        ]
+        solve_initial_values(connection_groups(checked), live, AUTOMATIC)
+        assert value(checked, live, "plant.u[1]") == 4.0
+
+
+LOOP = (("a.y[1]", "b.u[1]"), ("b.y[1]", "a.u[1]"))
+
+
+@pytest.mark.parametrize("loop_gain", [0.5, -0.7, 0.9])
+@pytest.mark.parametrize("method", list(Initialisation))
+def test_a_contracting_loop_comes_to_its_solution(
+    linear: Build, method: Initialisation, loop_gain: float
+) -> None:
+    check_linear_loop(linear, method, loop_gain)
+
+
+@pytest.mark.parametrize("loop_gain", [0.99, -1.0, -2.0, 30.0])
+@pytest.mark.parametrize("method", [AUTOMATIC, NEWTON])
+def test_newtons_method_solves_what_does_not_contract(
+    linear: Build, method: Initialisation, loop_gain: float
+) -> None:
+    check_linear_loop(linear, method, loop_gain)
+
+
+def check_linear_loop(linear: Build, method: Initialisation, loop_gain: float) -> None:
+    """a.u = 3 + g b.u, b.u = 1 + a.u."""
+    components = {"a": gain(linear, 1.0), "b": gain(linear, loop_gain, 3.0)}
+    solved = settled(components, LOOP, method)
+    solution = (1.0 + 3.0) / (1.0 - loop_gain)
+    precision = ROUNDING * max(1.0, 0.1 / abs(1.0 - loop_gain))
+    assert solved["b.u[1]"] == pytest.approx(solution, rel=precision)
+    assert solved["a.u[1]"] == pytest.approx(solution - 1.0, rel=2.0 * precision)
+
+
+def test_several_loop_variables_of_different_size_are_solved_together(linear: Build) -> None:
+    """u = F u + f of two components with two inputs each, whose values differ by nine orders of magnitude."""
+    matrix = np.array(
+        [[0.0, 0.0, 2.0, 1e6], [0.0, 0.0, 1e-6, -3.0], [-4.0, 0.5, 0.0, 0.0], [0.0, 3.0, 0.0, 0.0]]
+    )
+    offset = np.array([1e6, 1.0, 1e6, 2.0])
+    common: dict[str, Any] = {"b": (0.0, 0.0), "initial_state": 1.0}
+    components = {
+        "a": linear(d=tuple(map(tuple, matrix[2:, :2].tolist())), c=tuple(offset[2:].tolist()), **common),
+        "b": linear(d=tuple(map(tuple, matrix[:2, 2:].tolist())), c=tuple(offset[:2].tolist()), **common),
+    }
+    pairs = tuple((f"{s}.y[{i}]", f"{t}.u[{i}]") for s, t in ("ba", "ab") for i in (1, 2))
+    solved = settled(components, pairs)
+    exact = np.linalg.solve(np.eye(4) - matrix, offset)
+    assert list(solved.values()) == pytest.approx(exact, rel=ROUNDING)
+
+
+def test_fixed_points_alone_give_up_where_they_diverge(linear: Build) -> None:
+    components = {"a": gain(linear, 1.0), "b": gain(linear, -2.0)}
+    with pytest.raises(OrchestrationError, match=r"the loop b.u\[1\], a.u\[1\] .* iteration diverges"):
+        settled(components, LOOP, FIXED_POINT)
+
+
+@pytest.mark.parametrize("method", list(Initialisation))
+def test_a_loop_without_a_solution_is_said(linear: Build, method: Initialisation) -> None:
+    """a.u = 1 + b.u and b.u = 1 + a.u."""
+    components = {"a": gain(linear, 1.0), "b": gain(linear, 1.0)}
+    with pytest.raises(OrchestrationError, match=r"no solution was found for the loop b.u\[1\], a.u\[1\]"):
+        settled(components, LOOP, method)
+
+
+def test_a_solution_that_does_not_stand_alone_is_not_taken(linear: Build) -> None:
+    """a.u = b.u and b.u = a.u hold for every number; Newton's method would give any."""
+    components = {"a": gain(linear, 1.0, 0.0), "b": gain(linear, 1.0, 0.0)}
+    with pytest.raises(OrchestrationError, match="the loop is singular"):
+        settled(components, LOOP, NEWTON)
+
+
+def test_two_loops_and_the_chain_between_them_are_solved_in_order(linear: Build) -> None:
+    """The first loop's value feeds the chain, the chain's the second loop; the chain is read once."""
+    joined = linear(d=((0.5, 1.0),), b=(0.0, 0.0), initial_state=1.0)  # y = 1 + u1 / 2 + u2
+    components = {
+        "a": gain(linear, 0.5),
+        "b": gain(linear, 1.0),
+        "c": gain(linear, 3.0),
+        "d": joined,
+        "e": it(linear),
+    }
+    connections = (
+        ("e.y[1]", "d.u[1]"), ("d.y[1]", "e.u[1]"), ("c.y[1]", "d.u[2]"), ("b.y[1]", "c.u[1]"), *LOOP,
+    )  # fmt: skip
+    with initialising(components, connections) as (checked, live):
+        loops = [len(group.connections) for group in connection_groups(checked) if group.is_loop]
+        solve_initial_values(connection_groups(checked), live, AUTOMATIC)
+        assert loops == [2, 2]
+        assert live["c"].calls == {"get": 1, "set": 1}
+        assert value(checked, live, "c.u[1]") == pytest.approx(4.0, rel=ROUNDING)  # b = 1 + a, a = 1 + b / 2
+        assert value(checked, live, "e.u[1]") == pytest.approx(28.0, rel=ROUNDING)  # d = 1 + d / 2 + 13
+
+
+def it(linear: Build) -> Path:
+    return gain(linear, 1.0, 0.0)
+
+
+@pytest.mark.parametrize("method", list(Initialisation))
+def test_a_nonlinear_loop_comes_to_its_solution(function: Build, method: Initialisation) -> None:
+    assert settled({"f": function("cos(u)")}, (("f.y", "f.u"),), method)["f.u"] == pytest.approx(
+        DOTTIE, rel=ROUNDING
+    )
+
+
+@pytest.mark.parametrize("method", list(Initialisation))
+def test_nominals_say_what_is_small(function: Build, method: Initialisation) -> None:
+    """x = 1e-9 + x / 2; without a nominal, a change of 1e-12 counts as none."""
+    solved = settled({"f": function("1e-9 + 0.5 * u", nominal=1e-9)}, (("f.y", "f.u"),), method)
+    assert solved["f.u"] == pytest.approx(2e-9, rel=ROUNDING, abs=0.0)
+
+
+def test_newtons_method_takes_shorter_steps_where_a_value_is_discarded(function: Build) -> None:
+    """x = x + log(x) - 1 has the solution e; a full step ends below zero from everywhere above e^2."""
+    solved = settled({"f": function("u + log(u) - 1", start=20.0)}, (("f.y", "f.u"),), NEWTON)
+    assert solved["f.u"] == pytest.approx(np.e, rel=ROUNDING)
+
+
+def test_a_loop_whose_every_value_is_discarded_says_so(function: Build) -> None:
+    path = function("log(u) - 10", start=0.5)  # less than its own argument wherever it is defined
+    with pytest.raises(
+        OrchestrationError, match=r"no solution .* was discarded: f at t = 0 s: .*has no value"
+    ):
+        settled({"f": path}, (("f.y", "f.u"),))
+    with pytest.raises(
+        OrchestrationError,
+        match=r"\(Newton's method ends .*, and a value was discarded: f at t = 0 s: .*has no",
+    ):
+        settled({"f": path}, (("f.y", "f.u"),), NEWTON)
+
+
+def test_an_output_that_is_no_number_is_not_passed_on(linear: Build) -> None:
+    components = {"a": linear(c=(10.0,), initial_state=1e308), "b": gain(linear, 2.0)}
+    with initialising(components, (("a.y[1]", "b.u[1]"),), a=0.0) as (checked, live):
+        with pytest.raises(
+            OrchestrationError, match=r"a.y\[1\] is inf: .* finite number, as it goes to b.u\[1\]"
+        ):
+            solve_initial_values(connection_groups(checked), live, AUTOMATIC)
+        assert live["b"].calls["set"] == 0
+
+
+def test_newtons_method_takes_shorter_steps_where_an_output_is_no_number(function: Build) -> None:
+    class Infinite(Counted):
+        """Gives infinity where the FMU discards."""
+
+        def get(self, variable: Any) -> Any:
+            try:
+                return super().get(variable)
+            except FmuError:
+                return math.inf
+
+    with initialising({"f": function("u + log(u) - 1", start=20.0)}, (("f.y", "f.u"),)) as (checked, live):
+        solve_initial_values(connection_groups(checked), {"f": Infinite(live["f"])}, NEWTON)  # type: ignore[dict-item]
+        assert value(checked, live, "f.u") == pytest.approx(np.e, rel=ROUNDING)
+
+
+def test_an_error_of_an_fmu_is_not_taken_for_a_try(linear: Build) -> None:
+    class Broken(Counted):
+        def set(self, variable: Any, value: Any) -> None:
+            raise FmuError("b", 0.0, "fmi2SetReal", "error", ["out of order"])
+
+    components = {"a": gain(linear, 1.0), "b": gain(linear, 0.5)}
+    with initialising(components, LOOP) as (checked, live):
+        broken: Any = live | {"b": Broken(live["b"])}
+        with pytest.raises(FmuError, match="out of order"):
+            solve_initial_values(connection_groups(checked), broken, AUTOMATIC)
+
+
+def test_integers_and_booleans_settle_by_exchange_alone(linear: Build) -> None:
+    through = linear(passes_discrete=True)
+    kinds = ("integer", "boolean")
+    connections = tuple((f"{s}.{k}_out", f"{t}.{k}_in") for s, t in ("ab", "ba") for k in kinds)
+    assert settled({"a": through, "b": through}, connections, a=0.0, b=0.0) == dict.fromkeys(
+        [target for _, target in connections], 0
+    )
+    with pytest.raises(OrchestrationError, match="Newton's method needs variables of type Real"):
+        settled({"a": through, "b": through}, connections, NEWTON, a=0.0, b=0.0)
+
+
+def test_newtons_method_takes_no_loop_in_which_one_variable_is_no_real(linear: Build) -> None:
+    """Integers and Reals are one loop, as no output declares what it follows."""
+    through = linear(passes_discrete=True, declares_dependencies=False, d=((0.5,),))
+    connections = tuple(
+        (f"{s}.{name}_out" if name else f"{s}.y[1]", f"{t}.{name}_in" if name else f"{t}.u[1]")
+        for s, t in ("ab", "ba")
+        for name in ("", "integer", "boolean")
+    )
+    with pytest.raises(OrchestrationError, match="Newton's method needs variables of type Real"):
+        settled({"a": through, "b": through}, connections, NEWTON)
+
+
+def test_the_experiment_chooses_the_method(linear: Build) -> None:
+    system = System({"a": gain(linear, 1.0), "b": gain(linear, -2.0)}, LOOP)
+    run = simulate(system, Experiment(0.01, 0.01))
+    assert run["a.y[1]"][0] == pytest.approx(2.0 / 3.0, rel=ROUNDING)  # a = 1 + b, b = 1 - 2 a
+    with pytest.raises(SimulationError, match="iteration diverges"):
+        simulate(system, Experiment(0.01, 0.01, initialisation=FIXED_POINT))
+
+
+def test_the_controller_follows_the_plant(built: Mapping[str, Path]) -> None:
+    system = System(
+        {"controller": built["L1DepthController"], "plant": built["RovDepthPlant"]},
+        (
+            ("controller.voltage[1]", "plant.voltage[1]"),
+            ("controller.voltage[2]", "plant.voltage[2]"),
+            ("plant.measured_depth", "controller.measured_depth"),
+            ("plant.depth_rate", "controller.measured_depth_rate"),
+        ),
+    )
+    idle = [
+        "plant.thruster_efficiency[1]", "plant.thruster_efficiency[2]", "plant.external_force",
+        "plant.buoyancy_change", "plant.current_velocity", "plant.roll", "plant.pitch",
+        "controller.roll", "controller.pitch", "controller.depth_reference",
+        "controller.depth_reference_rate", "controller.depth_reference_acceleration",
+    ]  # fmt: skip
+    groups = connection_groups(check(system, idle))
+    targets = [target.name for group in groups for _, target in group.connections]
+    assert not any(group.is_loop for group in groups)
+    assert targets.index("controller.measured_depth") < targets.index("plant.voltage[1]")

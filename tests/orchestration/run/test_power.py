@@ -1,0 +1,111 @@
+"""The energy that exchanging at communication points creates, beside the energy of the system."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from orchestration.errors import ScenarioError
+from orchestration.results import metrics
+from orchestration.results.power import energy_residuals
+from orchestration.results.recording import Recording
+from orchestration.run import simulate
+from orchestration.scenarios.declarations import fault
+from orchestration.system.experiment import Algorithm, Experiment
+from orchestration.system.system import System
+
+Build = Callable[..., Path]
+FORCE, VELOCITY = "spring.y[1]", "mass.y[1]"
+STIFFNESS, MASS, DAMPING = 2.0, 0.5, 0.3  # N/m, kg, N.s/m
+
+
+def run(linear: Build, damping: float, step: float, spring_first: bool = False, **settings: Any) -> Recording:
+    """m v' = -F - c v and F' = k v, from 1 m/s: the spring pulls the mass, which pulls the spring."""
+    mass = linear(a=-damping / MASS, b=(-1.0 / MASS,), initial_state=1.0)
+    spring = linear(a=0.0, b=(STIFFNESS,), initial_state=0.0)
+    fmus = {"spring": spring, "mass": mass} if spring_first else {"mass": mass, "spring": spring}
+    system = System(fmus, [(FORCE, "mass.u[1]"), (VELOCITY, "spring.u[1]")])
+    return simulate(system, Experiment(2.0, step, **settings))
+
+
+def energy(recording: Recording) -> np.ndarray:
+    """Of the mass and the spring [J]: m v^2 / 2 + F^2 / (2 k)."""
+    return 0.5 * MASS * recording[VELOCITY] ** 2 + 0.5 * recording[FORCE] ** 2 / STIFFNESS
+
+
+@pytest.mark.parametrize("spring_first", [True, False])
+@pytest.mark.parametrize("algorithm", list(Algorithm))
+def test_the_residual_is_the_energy_that_a_lossless_system_gains(
+    linear: Build, algorithm: Algorithm, spring_first: bool
+) -> None:
+    """Force and velocity are lines where the other is held: the integrals are exact, and so is the sum.
+
+    The spring draws F v from the mass: what the exchange creates enters with the sign of -F.
+    """
+    recording = run(linear, 0.0, 0.05, spring_first, algorithm=algorithm)
+    gained = np.diff(energy(recording))
+    assert np.abs(gained).max() > 1e-4
+    assert -energy_residuals(recording, FORCE, VELOCITY) == pytest.approx(gained, abs=1e-14)
+
+
+def test_what_a_damper_takes_is_no_residual(linear: Build) -> None:
+    """Energy falls by the damper's work, c v^2 in time, and rises by the residual; lines bring h^2."""
+    recording = run(linear, DAMPING, 0.005)
+    gained = energy(recording)[-1] - energy(recording)[0]
+    dissipated = DAMPING * np.trapezoid(recording[VELOCITY] ** 2, recording.time)
+    call = {"function": "energy_residual", "signal": FORCE, "flow": VELOCITY}
+    created = -metrics.evaluate(recording, {"residual": call})["residual"]
+    assert created > 5e-3
+    assert gained + dissipated == pytest.approx(created, abs=1e-5)
+
+
+@pytest.mark.parametrize("algorithm", list(Algorithm))
+def test_the_residual_of_extrapolated_inputs_is_nearly_what_is_gained(
+    linear: Build, algorithm: Algorithm
+) -> None:
+    """Force and velocity then are no lines: what differs is of order h^2, here 0.04 %."""
+    recording = run(linear, 0.0, 0.02, algorithm=algorithm, extrapolation=1)
+    gained = np.diff(energy(recording))
+    assert np.abs(gained + energy_residuals(recording, FORCE, VELOCITY)).max() < 1e-3 * np.abs(gained).max()
+
+
+def test_extrapolated_inputs_create_less(linear: Build) -> None:
+    """Energy of order 2 in the step instead of 1."""
+    created = [
+        [
+            abs(energy_residuals(run(linear, 0.0, h, extrapolation=order), FORCE, VELOCITY).sum())
+            for h in (0.02, 0.01)
+        ]
+        for order in (0, 1)
+    ]
+    ratios = [coarse / fine for coarse, fine in created]
+    assert ratios[0] == pytest.approx(2.0, rel=0.1)
+    assert ratios[1] > 3.5
+
+
+def test_a_run_whose_inputs_are_not_known_between_its_points_has_no_residual(linear: Build) -> None:
+    recording = run(linear, 0.0, 0.5, step_sizes={"spring": 1.0})
+    with pytest.raises(
+        ScenarioError,
+        match="expected a run with steps of one size and without faults, got one with step_sizes_s",
+    ):
+        energy_residuals(recording, FORCE, VELOCITY)
+
+
+def test_a_run_with_faults_has_no_residual(linear: Build) -> None:
+    """A component behind a fault is not given the output itself."""
+    delayed = fault({"input": "mass.u[1]", "kind": "delay", "delay": 0.5}, "fault")
+    recording = run(linear, 0.0, 0.5, faults=(delayed,))
+    with pytest.raises(ScenarioError, match="got one with faults"):
+        energy_residuals(recording, FORCE, VELOCITY)
+
+
+def test_the_residual_of_a_window_is_that_of_the_steps_within_it(linear: Build) -> None:
+    recording = run(linear, 0.0, 0.05)
+    residuals = energy_residuals(recording, FORCE, VELOCITY)
+    call = {"function": "energy_residual", "signal": FORCE, "flow": VELOCITY, "window": [0.5, 1.0]}
+    assert metrics.evaluate(recording, {"residual": call})["residual"] == pytest.approx(
+        residuals[10:20].sum()
+    )

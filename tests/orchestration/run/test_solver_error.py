@@ -1,0 +1,228 @@
+"""Error control where an FMU's own solver leaves an error that no shorter step takes away."""
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from orchestration.errors import FmuError, FmuWarning, SimulationError
+from orchestration.results.recording import Recording
+from orchestration.run import Simulator, simulate, stepping
+from orchestration.run.checkpoint import Checkpoints, read_checkpoint
+from orchestration.run.loop_data import LoopFunctions
+from orchestration.run.snapshot import Snapshot
+from orchestration.run.split_step import step_together_and_split
+from orchestration.run.step_control import StepControl
+from orchestration.run.wiring import WiredRun
+from orchestration.system.experiment import Algorithm, Event, Experiment
+from orchestration.system.system import System
+from tests.foreign_fmus import Misdeed
+from tests.orchestration.linear_systems import LOOP, coupled, solution
+from tests.orchestration.rogue_systems import doing, pair
+
+Build = Callable[..., Path]
+SOLVER_ERROR = 1e-4
+INTERPOLATES = pytest.mark.parametrize("interpolates", [True, False], ids=["by the FMU", "at the middle"])
+
+
+def inexact(linear: Build, **capabilities: Any) -> System:
+    """`coupled`, each of whose FMUs leaves up to `SOLVER_ERROR` in every step longer than 1 us."""
+    return coupled(linear, solver_error=SOLVER_ERROR, saves_state=True, serialises_state=True, **capabilities)
+
+
+def numbers_of_steps(run: Recording) -> list[int]:
+    return [run.provenance[name] for name in ("steps_between_points", "discarded_steps", "inexact_steps")]
+
+
+def true_error(run: Recording) -> float:
+    ours = np.column_stack([run["one.y[1]"], run["two.y[1]"]])
+    return float(np.abs(ours - solution(run.time)).max())
+
+
+@INTERPOLATES
+@pytest.mark.parametrize("extrapolation", [0, 1])
+@pytest.mark.parametrize("algorithm", list(Algorithm))
+def test_steps_stay_as_long_as_the_error_does_not_fall(
+    linear: Build, algorithm: Algorithm, extrapolation: int, interpolates: bool
+) -> None:
+    """A tolerance of 1e-4 in 0.5 s: without its solver's error the FMU takes up to 2000 steps.
+
+    With it the shortest permitted error, of some 1e-9 s, would be far below: steps without end.
+    """
+    experiment = Experiment(0.5, 0.1, tolerance=1e-4, algorithm=algorithm, extrapolation=extrapolation)
+    with pytest.warns(
+        FmuWarning, match=r"tolerance = 0\.0001 may not be met: at t = .* s the error of .*\.y\[1\]"
+    ):
+        run = simulate(inexact(linear, interpolates_inputs=interpolates), experiment)
+    reached = run.provenance["solver_error"]
+    assert 0 < reached["steps"] <= run.provenance["steps_between_points"] < 100
+    assert 1e-4 < true_error(run) <= reached["estimated_error"] < 100 * SOLVER_ERROR
+
+
+def test_a_tolerance_above_the_solvers_error_is_met(linear: Build) -> None:
+    """At 100 times the solver's error the exchange is what the steps are chosen for."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        run = simulate(
+            inexact(linear, interpolates_inputs=True),
+            Experiment(0.5, 0.1, tolerance=100 * SOLVER_ERROR, extrapolation=1),
+        )
+    assert "solver_error" not in run.provenance
+    assert true_error(run) <= 100 * SOLVER_ERROR
+
+
+@INTERPOLATES
+@pytest.mark.parametrize("extrapolation", [0, 1])
+def test_a_stiff_system_is_no_solvers_error(linear: Build, extrapolation: int, interpolates: bool) -> None:
+    """x_1' = -500 x_1 + 500 x_2, x_2' = -x_2 + 0.5 x_1: from 0.5 s down to 2 ms the error hardly falls."""
+    able: dict[str, Any] = {"saves_state": True, "interpolates_inputs": interpolates}
+    fmus = {"one": linear(a=-500.0, b=(500.0,), **able), "two": linear(b=(0.5,), initial_state=0.0, **able)}
+    experiment = Experiment(0.5, 0.5, tolerance=1e-2, extrapolation=extrapolation)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        run = simulate(System(fmus, LOOP), experiment)
+    assert run.provenance["inexact_steps"] > 2
+    assert "solver_error" not in run.provenance
+
+
+@INTERPOLATES
+@pytest.mark.parametrize("algorithm", list(Algorithm))
+def test_a_step_in_two_halves_without_an_exchange_is_the_same_to_an_exact_fmu(
+    linear: Build, algorithm: Algorithm, interpolates: bool, tmp_path: Path
+) -> None:
+    """Stiff from 0.5 s on, where inputs have slopes; what was learned is in the checkpoint of 1 s."""
+    able: dict[str, Any] = {
+        "saves_state": True,
+        "serialises_state": True,
+        "interpolates_inputs": interpolates,
+    }
+    fmus = {"one": linear(b=(1.0,), **able), "two": linear(b=(0.5,), initial_state=0.0, **able)}
+    experiment = Experiment(
+        1.5, 0.5, tolerance=1e-3, extrapolation=1, algorithm=algorithm, events=[Event(0.5, {"one.a": -500.0})]
+    )
+    checkpoints = Checkpoints(tmp_path / "checkpoint", every=1.0)
+    simulate(System(fmus, LOOP), experiment, checkpoints=checkpoints)
+    learned = read_checkpoint(checkpoints.path).step_control["known_solver_error"]
+    assert any(learned)  # to rounding
+    assert max(learned) < 1e-13
+
+
+def test_a_run_continues_with_the_solvers_error_that_it_knows(linear: Build, tmp_path: Path) -> None:
+    system, checkpoints = inexact(linear), Checkpoints(tmp_path / "checkpoint", every=0.3)
+    experiment = Experiment(0.5, 0.1, tolerance=1e-3)
+    with pytest.warns(FmuWarning, match="may not be met"):
+        complete = simulate(system, experiment, checkpoints=checkpoints)
+    with pytest.warns(FmuWarning, match="may not be met"):
+        continued = simulate(system, experiment, resume=read_checkpoint(checkpoints.path))
+    assert np.array_equal(continued.values, complete.values)
+    assert continued.provenance["solver_error"] == complete.provenance["solver_error"]
+    assert numbers_of_steps(continued) == numbers_of_steps(complete)
+
+
+def step_twice_from_each_point(simulator: Simulator) -> None:
+    """Each step to 0.5 s is taken, taken back and taken again."""
+    while simulator.time < 0.45:
+        state = simulator.save()
+        simulator.step()
+        simulator.restore(state)
+        simulator.step()
+
+
+def test_steps_taken_back_do_not_count(linear: Build) -> None:
+    system, experiment = inexact(linear), Experiment(0.5, 0.1, tolerance=1e-3)
+    with Simulator(system) as simulator:
+        with pytest.warns(FmuWarning, match="may not be met"):
+            complete = simulator.run(experiment)
+        simulator.start(experiment)
+        with pytest.warns(FmuWarning, match="may not be met"):
+            step_twice_from_each_point(simulator)
+        run = simulator.recording()
+    assert run.provenance["solver_error"] == complete.provenance["solver_error"]
+    assert numbers_of_steps(run) == numbers_of_steps(complete)
+
+
+def test_steps_before_an_interrupt_between_two_points_do_not_count(
+    linear: Build, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The run continues from the point before them, with the step size and the errors of that point."""
+    system, checkpoints = inexact(linear), Checkpoints(tmp_path / "checkpoint")
+    experiment = Experiment(0.5, 0.1, tolerance=1e-3)
+    with pytest.warns(FmuWarning, match="may not be met"):
+        complete = simulate(system, experiment)
+    tries = iter(range(20))
+    step = StepControl.try_controlled_step
+
+    def interrupted(control: StepControl, point: int, start: float, end: float) -> bool:
+        if next(tries, None) is None and start > experiment.step_size * point + 1e-9:
+            raise KeyboardInterrupt
+        return step(control, point, start, end)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(StepControl, "try_controlled_step", interrupted)
+        with (
+            pytest.warns(FmuWarning, match="may not be met"),
+            pytest.raises(SimulationError, match="interrupted; saved in"),
+        ):
+            simulate(system, experiment, checkpoints=checkpoints)
+    with pytest.warns(FmuWarning, match="may not be met"):
+        continued = simulate(system, experiment, resume=read_checkpoint(checkpoints.path))
+    assert np.array_equal(continued.values, complete.values)
+    assert continued.provenance["solver_error"] == complete.provenance["solver_error"]
+    assert numbers_of_steps(continued) == numbers_of_steps(complete)
+
+
+def test_the_error_of_an_output_with_feedthrough_is_no_mean_over_time(linear: Build) -> None:
+    """Its permitted error is the whole tolerance: here 20 of 130 steps exceed it, not the mean."""
+    system = coupled(linear, 0.02, solver_error=SOLVER_ERROR, saves_state=True)
+    tolerance = 0.8 * SOLVER_ERROR
+    with pytest.warns(FmuWarning, match="may not be met"):
+        run = simulate(system, Experiment(0.2, 0.1, tolerance=tolerance))
+    assert run.provenance["solver_error"]["estimated_error"] > tolerance
+
+
+@pytest.fixture
+def controlled(monkeypatch: pytest.MonkeyPatch) -> list[tuple[WiredRun, LoopFunctions]]:
+    """What each run gives the control of its steps."""
+    given: list[tuple[WiredRun, LoopFunctions]] = []
+
+    def step_control(run: WiredRun, loop: LoopFunctions) -> StepControl:
+        given.append((run, loop))
+        return StepControl(run, loop)
+
+    monkeypatch.setattr(stepping, "StepControl", step_control)
+    return given
+
+
+@pytest.mark.parametrize("failing", ["the whole step", "the second half"])
+@pytest.mark.parametrize(
+    ("misdeed", "message"),
+    [
+        (Misdeed.ERROR, "fmi2DoStep returned error: the rudder is stuck"),
+        (Misdeed.FATAL, "fmi2DoStep returned fatal: the hull is breached"),
+        (Misdeed.DISCARD, ""),
+    ],
+)
+def test_a_step_that_fails_to_find_the_solvers_error_ends_the_run(
+    linear: Build,
+    rogue: Build,
+    controlled: list[tuple[WiredRun, LoopFunctions]],
+    misdeed: Misdeed,
+    message: str,
+    failing: str,
+) -> None:
+    """After a fatal error no state is set; a discarded step only leaves the error unknown."""
+    misdeed_time = 0.0 if failing == "the whole step" else 0.05
+    with Simulator(pair(linear, rogue)) as simulator:
+        simulator.start(doing(misdeed, misdeed_time))
+        ((run, loop),) = controlled
+        before = Snapshot(run, loop)
+        before.take()
+        arguments = run, loop, before, 0, 0.0, 0.1
+        if message:
+            with pytest.raises(FmuError, match=rf"rogue at t = {misdeed_time:g} s: {message}"):
+                step_together_and_split(*arguments)
+        else:
+            assert step_together_and_split(*arguments) is None

@@ -1,0 +1,296 @@
+"""Runs led step by step: the same as `run`, but for what is set between the steps."""
+
+import os
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from orchestration.errors import FmuWarning, OrchestrationError, SimulationError, SystemDefinitionError
+from orchestration.results.recording import Recording
+from orchestration.run import Simulator, simulate
+from orchestration.scenarios.declarations import fault
+from orchestration.system.experiment import Event, Experiment
+from orchestration.system.system import System
+from tests.foreign_fmus import Misdeed
+from tests.orchestration.linear_systems import coupled
+
+Build = Callable[..., Path]
+STATES = {"saves_state": True}
+FORCED = Experiment(1.0, 0.1, inputs={"one.u[1]": 2.0})
+EXTERNAL = ("one.u[1]",)
+
+
+def stepped(simulator: Simulator, experiment: Experiment, external: tuple[str, ...] = ()) -> Recording:
+    simulator.start(experiment, external)
+    while simulator.time < experiment.stop_time:
+        simulator.step()
+    return simulator.recording()
+
+
+@pytest.fixture
+def forced(linear: Build) -> Iterator[Simulator]:
+    """One linear system, x' = -x + u, whose input is external."""
+    with Simulator(System({"one": linear(**STATES)})) as simulator:
+        simulator.start(FORCED, EXTERNAL)
+        yield simulator
+
+
+@pytest.mark.parametrize("is_compiled", [True, False])
+@pytest.mark.parametrize("algorithm", ["jacobi", "gauss-seidel"])
+@pytest.mark.parametrize(
+    ("options", "capabilities"),
+    [
+        ({}, {}),
+        ({"extrapolation": 1}, STATES),
+        ({"events": (Event(0.33, {"one.a": -5.0}), Event(0.4, {"two.a": -1.0}))}, STATES),
+        ({"faults": (fault({"input": "two.u[1]", "kind": "delay", "delay": 0.2}, "fault"),)}, {}),
+        ({"step_sizes": {"two": 0.2}, "extrapolation": 1}, {}),
+        ({"tolerance": 1e-2}, STATES),
+    ],
+    ids=["plain", "extrapolation", "events", "fault", "step sizes", "tolerance"],
+)
+def test_steps_make_the_recording_of_a_run(
+    linear: Build, algorithm: Any, options: Any, capabilities: Any, is_compiled: bool
+) -> None:
+    experiment = Experiment(1.0, 0.1, algorithm=algorithm, **options)
+    with Simulator(coupled(linear, **capabilities), compiled=is_compiled) as simulator:
+        run = simulator.run(experiment)
+        steps = stepped(simulator, experiment)
+    assert np.array_equal(steps.values, run.values)
+    assert np.array_equal(steps.time, run.time)
+    assert (steps.names, steps.units, steps.provenance) == (run.names, run.units, run.provenance)
+
+
+@pytest.mark.parametrize("saves_state", [True, False])
+def test_a_discarded_step_is_taken_in_shorter_ones_as_in_a_run(rogue: Build, saves_state: bool) -> None:
+    """At once: every step is a plain one but the first."""
+    parameters = {"r.misdeed": int(Misdeed.DISCARD), "r.misdeed_time": 0.5, "r.longest_step": 0.04}
+    experiment = Experiment(1.0, 0.1, inputs={"r.u": 1.0}, parameters=parameters)
+    made = []
+    with Simulator(System({"r": rogue(saves_state=saves_state)})) as simulator:
+        for make in (simulator.run, partial(stepped, simulator)):
+            try:
+                made.append(make(experiment))
+            except SimulationError as error:
+                made.append(error.recording)
+    run, steps = made
+    assert len(run.time) == (11 if saves_state else 6)
+    assert np.array_equal(steps.values, run.values)
+    assert steps.provenance == run.provenance
+
+
+def test_warnings_of_fmus_are_emitted_and_their_traces_in_the_process_removed(rogue: Build) -> None:
+    before = Path.cwd()
+    with Simulator(System({"r": rogue()})) as simulator:
+        for misdeed, start, text in (
+            (Misdeed.WARNING, 0.5, "fmi2DoStep"),
+            (Misdeed.CHANGE_FOLDER, 0.0, "working directory"),  # in the first step, which is looked at
+        ):
+            parameters = {"r.misdeed": int(misdeed), "r.misdeed_time": start}
+            with pytest.warns(FmuWarning, match=text):
+                stepped(simulator, Experiment(1.0, 0.1, inputs={"r.u": 1.0}, parameters=parameters))
+    assert Path.cwd() == before
+
+
+@pytest.mark.parametrize("last", [8, 100])
+def test_what_an_fmu_changes_once_in_a_quick_step_is_named_at_the_end_of_the_run(
+    rogue: Build, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, last: int
+) -> None:
+    """A warning that does not blame the FMU alone: between quick steps the program may have done it."""
+
+    def lead() -> None:
+        parameters = {"r.misdeed": int(Misdeed.CHANGE_FOLDER), "r.misdeed_time": 0.05}
+        with Simulator(System({"r": rogue()})) as simulator:
+            simulator.start(Experiment(1.0, 0.01, inputs={"r.u": 1.0}, parameters=parameters))
+            while simulator.point < last:
+                simulator.step()
+
+    monkeypatch.chdir(tmp_path)
+    expected = "working directory of this process changed during quick steps, by one of r or by the program"
+    with pytest.warns(FmuWarning, match=f"{expected}|r changed the working directory"):
+        lead()
+
+
+def test_a_change_of_the_caller_between_quick_steps_stays(
+    forced: Simulator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    forced.step()
+    forced.step()
+    monkeypatch.chdir(tmp_path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FmuWarning)
+        while not forced.is_done:
+            forced.step()
+    assert Path.cwd() == tmp_path
+
+
+@pytest.mark.filterwarnings("ignore::orchestration.errors.FmuWarning")
+def test_what_the_caller_changes_between_steps_is_left_as_it_is(
+    forced: Simulator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its folder and its output, changed before the first step, a middle one, the last one and the end."""
+    output = os.dup(1)
+    try:
+        for steps in (1, 8, 1, 0):
+            folder = tmp_path / f"{forced.point} {steps}"
+            folder.mkdir()
+            monkeypatch.chdir(folder)
+            with (folder / "output").open("w") as file:
+                os.dup2(file.fileno(), 1)
+            for _ in range(steps):
+                forced.step()
+            forced.recording()
+            assert Path.cwd() == folder
+            assert os.fstat(1).st_ino == (folder / "output").stat().st_ino
+    finally:
+        os.dup2(output, 1)
+        os.close(output)
+
+
+def test_what_an_external_input_is_set_to_acts_like_a_signal_of_the_same_values(linear: Build) -> None:
+    system = System({"one": linear()})
+
+    def force(time: float) -> float:
+        return 3.0 if time > 0.45 else -1.0
+
+    run = simulate(system, Experiment(1.0, 0.1, signals={"one.u[1]": force}))
+    with Simulator(system) as simulator:
+        simulator.start(Experiment(1.0, 0.1), external=EXTERNAL)
+        while simulator.time < 1.0:
+            simulator.set("one.u[1]", force(simulator.time))
+            simulator.step()
+        simulator.set("one.u[1]", force(1.0))
+        steps = simulator.recording()
+    assert steps.names == run.names
+    # the initial value of a signal is that of the start time, of an external input the FMU's start value
+    assert np.array_equal(steps.values, run.values)
+
+
+def test_an_external_input_is_held_where_others_are_extrapolated(linear: Build) -> None:
+    made = []
+    with Simulator(System({"one": linear(interpolates_inputs=True)})) as simulator:
+        for order in (0, 1):
+            simulator.start(Experiment(1.0, 0.25, extrapolation=order), EXTERNAL)
+            while not simulator.is_done:
+                simulator.set("one.u[1]", simulator.time)
+                simulator.step()
+            made.append(simulator.recording().values)
+    assert np.array_equal(*made)
+
+
+def test_a_fault_acts_on_an_external_input(linear: Build) -> None:
+    stuck = fault({"input": "one.u[1]", "kind": "stuck", "value": 7.0, "start": 0.5}, "fault")
+    with Simulator(System({"one": linear()})) as simulator:
+        recording = stepped(simulator, Experiment(1.0, 0.25, faults=(stuck,)), EXTERNAL)
+    assert recording["one.u[1]"].tolist() == [0.0, 0.0, 7.0, 7.0, 7.0]
+
+
+def test_a_value_is_got_where_it_is_recorded(forced: Simulator) -> None:
+    read, write = forced.reader("one.y[1]", "one.u[1]"), forced.writer("one.u[1]")
+    assert read() == (1.0, 2.0)
+    write(5.0)
+    assert (forced.get("one.u[1]"), read()) == (5.0, (1.0, 5.0))
+    forced.step()
+    output = forced.get("one.y[1]")
+    assert forced.reader("one.y[1]")() == output
+    recording = forced.recording()
+    assert recording.time.tolist() == [0.0, 0.1]
+    assert recording["one.u[1]"].tolist() == [5.0, 5.0]
+    assert recording["one.y[1]"].tolist() == [1.0, output]
+
+
+def test_a_variable_that_is_not_recorded_is_read_from_its_fmu(linear: Build) -> None:
+    with Simulator(coupled(linear, passes_discrete=True)) as simulator:
+        inputs = {"one.integer_in": 3, "one.boolean_in": True, "two.integer_in": 4, "two.boolean_in": False}
+        simulator.start(Experiment(1.0, 0.1, inputs=inputs, record=("one.y[1]", "one.integer_out")))
+        assert simulator.get("two.a") == -2.0
+        assert simulator.reader("one.y[1]", "two.a")() == (simulator.get("one.y[1]"), -2.0)
+        assert simulator.reader("two.integer_out")() == 4
+        assert repr(simulator.get("one.integer_out")) == "3"
+
+
+def test_tunable_parameters_and_constant_inputs_are_set_between_steps(linear: Build) -> None:
+    system = System({"one": linear()})
+    change = Event(0.5, {"one.a": -4.0, "one.u[1]": 1.0})
+    inputs = {"one.u[1]": 2.0}
+    run = simulate(system, Experiment(1.0, 0.5, inputs=inputs, events=(change,)))
+    with Simulator(system) as simulator:
+        simulator.start(Experiment(1.0, 0.5, inputs=inputs))
+        simulator.step()
+        simulator.writer("one.a", "one.u[1]")(-4.0, 1.0)
+        simulator.step()
+        assert np.array_equal(simulator.recording().values, run.values)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda s: s.set("one.u[1]", "much"), "one.u[1] = 'much': expected a value of type Real"),
+        (lambda s: s.set("one.u[1]", np.nan), "one.u[1] = nan: expected a finite number"),
+        (lambda s: s.set("one.u[1]", -np.inf), "one.u[1] = -inf: expected a finite number"),
+        (lambda s: s.set("one.y[1]", 1.0), "set: one.y[1] does not fit: expected a parameter or an input"),
+        (lambda s: s.set("one.initial_state", 1.0), "set: one.initial_state is fixed"),
+        (lambda s: s.set("one.v", 1.0), "set: no variable 'one.v'; nearest is"),
+        (lambda s: s.get("uno.y[1]"), "get: no component 'uno' for 'uno.y[1]'; known: 'one'"),
+        (lambda s: s.reader("one.z"), "reader: no variable 'one.z'; nearest is"),
+        (lambda s: s.reader(), "reader: expected the name of a variable, or several"),
+        (lambda s: s.writer(), "writer: expected the name of a variable, or several"),
+    ],
+)
+def test_what_cannot_be_got_or_set_is_refused(
+    forced: Simulator, call: Callable[[Simulator], Any], message: str
+) -> None:
+    with pytest.raises(SystemDefinitionError) as refusal:
+        call(forced)
+    assert message in str(refusal.value)
+    forced.step()
+
+
+def test_a_connected_input_cannot_be_set(linear: Build) -> None:
+    with Simulator(coupled(linear)) as simulator:
+        simulator.start(Experiment(1.0, 0.1))
+        with pytest.raises(SystemDefinitionError, match=r"two.u\[1\] is driven already, by a connection"):
+            simulator.set("two.u[1]", 1.0)
+        with pytest.raises(SystemDefinitionError, match=r"two.u\[1\] is driven 2 times: expected once"):
+            simulator.start(Experiment(1.0, 0.1), external=("two.u[1]",))
+
+
+def test_a_step_needs_a_start_and_a_time_before_the_stop_time(linear: Build) -> None:
+    with Simulator(System({"one": linear()})) as simulator:
+        with pytest.raises(OrchestrationError, match="no run is started: expected start"):
+            simulator.get("one.y[1]")
+        recording = stepped(simulator, FORCED)
+        with pytest.raises(OrchestrationError, match="at its stop time, 1 s: expected no further step"):
+            simulator.step()
+        assert np.array_equal(simulator.recording().values, recording.values)
+        simulator.run(FORCED)
+        with pytest.raises(OrchestrationError, match="no run is started"):
+            simulator.step()
+
+
+def test_a_reader_and_a_writer_serve_their_run_alone(forced: Simulator) -> None:
+    read, write = forced.reader("one.y[1]"), forced.writer("one.u[1]")
+    forced.start(FORCED, EXTERNAL)
+    with pytest.raises(OrchestrationError, match="the reader belongs to a run that has ended"):
+        read()
+    with pytest.raises(OrchestrationError, match="the writer belongs to a run that has ended"):
+        write(1.0)
+
+
+def test_a_step_that_fails_keeps_the_recording_and_ends_the_run(rogue: Build) -> None:
+    well_done = Experiment(1.0, 0.1, inputs={"r.u": 0.0})
+    misdeed = {"r.misdeed": int(Misdeed.ERROR), "r.misdeed_time": 0.5}
+    with Simulator(System({"r": rogue()})) as simulator:
+        with pytest.raises(SimulationError) as failure:
+            stepped(simulator, replace(well_done, parameters=misdeed))
+        assert len(failure.value.recording.time) == 6
+        assert np.array_equal(simulator.recording().values, failure.value.recording.values)
+        with pytest.raises(OrchestrationError, match="fmi2DoStep returned error"):
+            simulator.step()
+        assert len(stepped(simulator, well_done).time) == 11

@@ -1,0 +1,46 @@
+"""How far a step may grow or shrink from one to the next, and which errors add up."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from orchestration.run import simulate
+from orchestration.run.checkpoint import Checkpoints, read_checkpoint
+from orchestration.system.experiment import Experiment
+from tests.orchestration.linear_systems import coupled
+
+Build = Callable[..., Path]
+ABLE: dict[str, Any] = {"saves_state": True, "serialises_state": True}
+
+
+def test_a_step_grows_at_most_five_times(linear: Build, tmp_path: Path) -> None:
+    """The error is far below this tolerance: without a limit the next step would be longer than the run."""
+    checkpoints = Checkpoints(tmp_path / "checkpoint", every=0.001)
+    simulate(coupled(linear, **ABLE), Experiment(0.002, 0.001, tolerance=0.5), checkpoints=checkpoints)
+    checkpoint = read_checkpoint(checkpoints.path)
+    assert checkpoint.position == 1
+    assert checkpoint.step_control["step_size"] == pytest.approx(5 * 0.001, rel=1e-12)
+
+
+def test_a_step_shrinks_at_most_to_a_fifth(linear: Build) -> None:
+    """From a step of 1 s to one of below 0.2^5 s it takes at least six attempts."""
+    run = simulate(coupled(linear, **ABLE), Experiment(1.0, 1.0, tolerance=1e-4))
+    assert run.provenance["steps_between_points"] > 5**5
+    assert run.provenance["inexact_steps"] >= 6
+
+
+@pytest.mark.parametrize("through", [0.0, 0.3])
+def test_an_undeclared_output_may_follow_any_input(linear: Build, through: float) -> None:
+    """Its error is taken for one that does not add up, as that of an output that declares so."""
+    experiment = Experiment(1.0, 0.5, tolerance=1e-4)
+    steps = {
+        declares: simulate(
+            coupled(linear, through, declares_dependencies=declares, **ABLE), experiment
+        ).provenance["steps_between_points"]
+        for declares in (True, False)
+    }
+    # y of a system without direct feedthrough that declares so has to be more accurate
+    assert (steps[False] == steps[True]) == (through != 0.0)
+    assert steps[False] <= steps[True]

@@ -1,0 +1,92 @@
+"""What a run costs before its first step grows with the width of its FMUs, and not with its square."""
+
+import re
+import sys
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import pytest
+
+from orchestration.run import simulate
+from orchestration.system.experiment import Event, Experiment
+from orchestration.system.system import System
+
+Build = Callable[..., Path]
+
+
+def widened(fmu: Path, path: Path, width: int, declares_dependencies: bool) -> Path:
+    """A copy of y = x, x' = u with so many names for u and for y."""
+    with zipfile.ZipFile(fmu) as source, zipfile.ZipFile(path, "w") as target:
+        for member in source.namelist():
+            content = source.read(member)
+            if member == "modelDescription.xml":
+                content = _description(content.decode(), width, declares_dependencies).encode()
+            target.writestr(member, content)
+    return path
+
+
+def _description(text: str, width: int, declares_dependencies: bool) -> str:
+    variables = ""
+    for name, causality, start in (("u", "input", ' start="0"'), ("y", "output", "")):
+        element = next(e for e in re.findall("<ScalarVariable[^>]*>", text) if f'name="{name}[1]"' in e)
+        (reference,) = re.findall('valueReference="([^"]*)"', element)
+        for i in range(width):
+            variables += (
+                f'<ScalarVariable name="{name}{i}" valueReference="{reference}" causality="{causality}" '
+                f'variability="continuous"><Real{start}/></ScalarVariable>'
+            )
+    unknowns = ""
+    for i in range(width):
+        dependencies = f' dependencies="{i + 1}"' if declares_dependencies else ""
+        unknowns += f'<Unknown index="{width + i + 1}"{dependencies}/>'
+    head = text[: text.index("<ModelVariables>")]
+    return (
+        f"{head}<ModelVariables>{variables}</ModelVariables><ModelStructure>"
+        f"<Outputs>{unknowns}</Outputs><InitialUnknowns>{unknowns}</InitialUnknowns></ModelStructure>"
+        "</fmiModelDescription>"
+    )
+
+
+def operations(run: Callable[[], object]) -> int:
+    """How many operations of Python's machine a call takes, the same in every run."""
+    count = 0
+
+    def trace(frame: FrameType, event: str, argument: Any) -> Any:
+        nonlocal count
+        frame.f_trace_opcodes = True
+        count += event == "opcode"
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        run()
+    finally:
+        sys.settrace(before)
+    return count
+
+
+@pytest.mark.parametrize("declares_dependencies", [True, False])
+@pytest.mark.parametrize("tolerance", [None, 1e-3])
+def test_twice_the_width_costs_twice_as_much(
+    linear: Build, tmp_path: Path, declares_dependencies: bool, tolerance: float | None
+) -> None:
+    base = linear(saves_state=True)
+
+    def cost(width: int) -> int:
+        fmu = widened(base, tmp_path / f"{width}.fmu", width, declares_dependencies)
+        system = System({"a": fmu, "b": fmu}, [(f"a.y{i}", f"b.u{i}") for i in range(width)])
+        inputs = {f"a.u{i}": 0.0 for i in range(width)}
+        experiment = Experiment(
+            0.02, 0.01, inputs=inputs, events=[Event(0.01, inputs)], tolerance=tolerance, record=["b.y0"]
+        )
+        return operations(lambda: simulate(system, experiment))
+
+    cost(2)  # what is imported or compiled once
+    once, twice, four_times = cost(20), cost(40), cost(80)
+    # What does not depend on the width cancels; a quadratic part alone would make the second difference twice
+    # the first.
+    assert (four_times - twice) / 2 < 1.05 * (twice - once)

@@ -1,0 +1,98 @@
+"""The comparison: whom it has, with which gains, and how its tables and figures are read."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from orchestration.score import compare, score_view, tuned_gains
+from orchestration.score.compare import figure, part, tables
+from orchestration.score.protocol import Protocol, read_protocol
+from orchestration.score.score_document import CaseResult, Row, Score, protocol_info
+
+GAINS = """
+[parameters."controller.augmentation"]
+value = "pi"
+[parameters."controller.proportional_gain"]
+value = 12.5
+"""
+
+
+@pytest.fixture
+def small(small_protocol: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Protocol:
+    """A protocol of two cases and one controller, which is tuned."""
+    (tmp_path / "l1-pi.toml").write_text(GAINS)
+    monkeypatch.setattr(tuned_gains, "FOLDER", tmp_path)
+    return read_protocol(small_protocol())
+
+
+def test_every_controller_stands_twice_tuned_and_as_it_comes(small: Protocol) -> None:
+    tuned, start = compare.controllers(small)
+    assert (tuned.name, start.name) == ("tuned/l1-pi", "start/l1-pi")
+    assert start.parameters == {"augmentation": "pi"}
+    assert tuned.parameters == {"augmentation": "pi", "proportional_gain": 12.5}
+    assert compare.run_count(small, full=True) == 2 * (2 + 3)
+
+
+@pytest.mark.slow
+def test_the_comparison_is_a_score_of_both(small: Protocol) -> None:
+    document = compare.compare(small, workers=1).document
+    assert [row.name for row in document.rows] == ["tuned/l1-pi", "start/l1-pi"]
+    assert [row.name for row in document.scored] == ["tuned/l1-pi"]
+    tuned, start = (figure(document, f"{which}/l1-pi.nominal.rmse") for which in ("tuned", "start"))
+    assert tuned < 0.5 * start  # three times the gain
+
+
+def made_up(protocol: Protocol, **errors: float) -> Score:
+    """Rows in the position league with that error in the nominal case."""
+    rows = [
+        Row(
+            name=f"tuned/{name}",
+            title=name,
+            league="position",
+            scored=False,
+            fmu={},
+            delay_margin=0.1,
+            cases={"nominal": CaseResult(figures={"rmse": error}, failed=["late"] if error > 5 else [])},
+        )
+        for name, error in errors.items()
+    ]
+    return Score(made_by="a test", protocol=protocol_info(protocol), rows=rows)
+
+
+def test_figures_are_found_by_the_keys_of_the_page(protocol: Protocol) -> None:
+    document = made_up(protocol, a=1.25, b=2.5)
+    assert figure(document, "tuned/b.nominal.rmse") == 2.5
+    assert figure(document, "tuned/a.delay_margin") == 0.1
+
+
+@pytest.mark.parametrize(
+    "key", ["tuned/a.nominal.rms", "tuned/a.none.rmse", "tuned/c.nominal.rmse", "tuned/a.x"]
+)
+def test_a_key_of_no_figure_is_an_error(protocol: Protocol, key: str) -> None:
+    with pytest.raises(KeyError, match=key):
+        figure(made_up(protocol, a=1.25), key)
+
+
+def test_a_table_marks_the_best_and_what_failed(protocol: Protocol) -> None:
+    document = made_up(protocol, a=1.25, b=2.5, c=7.0)
+    lines = tables(document)["tuned position rmse"].splitlines()
+    assert [line.split(" | ")[:2] for line in lines[2:]] == [
+        ["| a", "**1.25**"], ["| b", "2.5"], ["| c", "7 !"],
+    ]  # fmt: skip
+    assert not part(document, "start", "position").rows
+    assert len({line.count("|") for line in lines}) == 1
+
+
+def test_a_controller_that_fails_the_nominal_case_has_no_best_delay_margin(protocol: Protocol) -> None:
+    """A vehicle that rests at the surface is quiet with any delay."""
+    document = made_up(protocol, a=1.25, b=2.5, c=7.0)
+    for row, margin in zip(document.rows, (0.1, 0.2, 0.6), strict=True):
+        row.delay_margin = margin
+    nominal = score_view.of_case(document, "nominal")
+    for table in (score_view.overview(document), nominal):
+        column = [column.title for column in table.columns].index("Delay margin")
+        cells = [row[column] for row in table.cells]
+        assert [cell.text for cell in cells] == ["0.1", "0.2", "0.6"]
+        assert [cell.is_best for cell in cells] == [False, True, False]
+        assert cells[2].failed == ("late",)

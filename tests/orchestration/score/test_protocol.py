@@ -1,0 +1,151 @@
+"""The protocol: what a file may say, its cases and plants, and who reads the seeds of the table."""
+
+import json
+import math
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fmus.registry import block_names
+from orchestration.errors import ScenarioError
+from orchestration.scenarios import scenario
+from orchestration.score.plants import plants
+from orchestration.score.protocol import FILE, Protocol, first_target, read_protocol
+from orchestration.score.table_seeds import table_seeds
+
+TUNE = """
+import json, sys
+opened = []
+sys.addaudithook(lambda event, arguments: opened.append(str(arguments[0])) if event == "open" else None)
+from orchestration.cli import study
+from orchestration.score import tune, tune_file, tune_problem, tune_space
+from orchestration.score.loop import Loop, built_in
+from orchestration.score.protocol import read_protocol
+from orchestration.score.tune_cost import cost_of
+protocol = read_protocol()
+with Loop(built_in(protocol, "l1-pi"), protocol) as loop:
+    cost = cost_of(loop, {}, every_seed=True)["cost"]
+tables = [path for path in opened if path.endswith("table.toml")]
+print(json.dumps([cost, tables, "orchestration.score.table_seeds" in sys.modules]))
+"""
+
+
+def test_tune_never_reads_the_seeds_of_the_table() -> None:
+    """Neither its modules nor an evaluation of the cost opens the file or loads the module that reads it."""
+    done = subprocess.run([sys.executable, "-c", TUNE], capture_output=True, text=True, check=True)
+    cost, opened, is_loaded = json.loads(done.stdout)
+    assert cost > 0.0
+    assert opened == []
+    assert is_loaded is False
+
+
+def test_the_seeds_of_the_table_are_no_practice_seeds(protocol: Protocol) -> None:
+    seeds = table_seeds()
+    assert seeds.sensor_seed not in protocol.tables.practice_seeds
+    assert seeds.plants_seed != protocol.tables.plants.practice_seed
+
+
+def test_every_controller_is_an_installed_block_of_a_league(protocol: Protocol) -> None:
+    assert {table.fmu for table in protocol.controllers.values()} <= set(block_names())
+    assert {table.league for table in protocol.controllers.values()} == set(protocol.tables.leagues)
+
+
+def test_the_first_case_is_the_papers(protocol: Protocol) -> None:
+    loaded = scenario.load(scenario.find("nominal-l1"))
+    assert protocol.nominal.target.depth == 0.8
+    assert protocol.nominal.target.band == pytest.approx(0.04)
+    assert protocol.nominal.target.window == (0.0, 140.0)
+    assert protocol.nominal.judged == (loaded.experiment.start_time, loaded.experiment.stop_time)
+
+
+def test_the_cases_of_the_cost_are_marked_as_tuned_on(protocol: Protocol) -> None:
+    assert {name for name, case in protocol.cases.items() if case.tuned_on} == set(protocol.tables.cost.cases)
+
+
+def test_a_target_is_the_first_depth_that_is_held() -> None:
+    target = first_target([[0.0, 0.0], [10.0, 0.5], [20.0, 0.7], [50.0, 0.7], [60.0, 0.2]])
+    assert (target.depth, target.window) == (0.7, (0.0, 50.0))
+    with pytest.raises(ScenarioError, match="expected two points in a row of one depth"):
+        first_target([[0.0, 0.0], [10.0, 0.5]])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "complaint"),
+    [
+        ('function = "iae"', 'function = "iaee"', r":\d+: figures.iae.function = 'iaee'; nearest is 'iae'"),
+        ('league = "position"', 'league = "fixed"', r":\d+: controllers.l1.league = 'fixed'"),
+        ('cases = ["nominal", ', 'cases = ["nominl", ', r":\d+: cost.cases = 'nominl'; nearest is 'nominal'"),
+        ("count = 300", "count = 1", r":\d+: plants.count = 1: expected 2 or more"),
+        ("overshoot = 5.0\nbreach", "oversoot = 5.0\nbreach", r":\d+: failure.oversoot = 'oversoot'"),
+        ('kind = "freeze"', 'kind = "freze"', r":\d+: cases.frozen.faults\[0\]: unknown kind 'freze'"),
+        ("hold = 1.0", "holds = 1.0", r":\d+: cases.hold-step: unknown key 'holds'; nearest is 'hold'"),
+        ('base = "vehicle"', 'base = "vehicel"', r":\d+: base = 'vehicel'; nearest is 'vehicle'"),
+        ("[figures.peak_error]", "[figures.peak]", r"wrong.toml: figures.peak_error is missing"),
+        (
+            "total_variation = 1000.0",
+            "total_variatoin = 1e3",
+            r":\d+: cost.bounds.total_variatoin = .*nearest",
+        ),
+        ('fmu = "PidDepthController"', 'fmu = "PidControler"', r":\d+: controllers.pid.fmu = .*; nearest is"),
+        ("largest = 30.0", "lagest = 30.0", r":\d+: unknown key 'lagest'; nearest is 'largest'"),
+        ('signal = "power"', 'signal = "pover"', r":\d+: figures.energy.arguments.signal = 'pover'; nearest"),
+        (
+            'function = "effort"\narguments = { signal = "power" }',
+            'function = "energy_residual"\narguments = { signal = "u", flow = "dept" }',
+            r":\d+: figures.energy.arguments.flow = 'dept'; nearest is 'depth'",
+        ),
+        ("low = 0.2", "lowest = 0.2", r":\d+: plants.vary.thrust: unknown key 'lowest'"),
+    ],
+)
+def test_a_mistake_is_told_with_its_line(tmp_path: Path, old: str, new: str, complaint: str) -> None:
+    text = FILE.read_text(encoding="utf-8")
+    assert old in text
+    path = tmp_path / "wrong.toml"
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(ScenarioError, match=complaint):
+        read_protocol(path)
+
+
+def test_plants_follow_from_their_seed_and_number_alone(protocol: Protocol) -> None:
+    few, many = plants(protocol, 7, 3), plants(protocol, 7, 5)
+    assert many[:3] == few
+    assert plants(protocol, 8, 3) != few
+
+
+def test_plants_are_within_their_distributions_and_vary_the_trajectory(protocol: Protocol) -> None:
+    drawn = plants(protocol, protocol.tables.plants.practice_seed, 60)
+    limits: dict[str, Any] = {
+        "plant.inertia": (5.0, 7.0),
+        "plant.linear_damping": (1.0, 10.0),
+        "plant.buoyancy_change": (-0.3, 0.3),
+        "plant.thruster_gain[1]": (0.2, 0.3),
+        "plant.sensor_delay": (0.0, 0.06),
+    }
+    for name, (low, high) in limits.items():
+        values = [float(plant.values[name]) for plant in drawn]
+        assert low <= min(values) < max(values) <= high
+        assert len(set(values)) == len(values)
+    for plant in drawn:
+        assert plant.values["plant.thruster_gain[1]"] == plant.values["plant.thruster_gain[2]"]
+        times = np.array(plant.trajectory)[:, 0]
+        assert times[0] == 0.0
+        assert times[-1] == plant.judged[1]
+        assert (np.diff(times) > 0.0).all()
+        assert plant.target == first_target(plant.trajectory)
+        assert not plant.tuned_on
+    assert len({plant.target.depth for plant in drawn}) == len(drawn)
+
+
+def test_the_thrust_of_the_plants_is_uniform_over_its_range(protocol: Protocol) -> None:
+    """The mean of 60 uniform numbers has a standard deviation of 0.1 / sqrt(12 * 60): four of them."""
+    values = [float(plant.values["plant.thruster_gain[1]"]) for plant in plants(protocol, 1, 60)]
+    assert np.mean(values) == pytest.approx(0.25, abs=4.0 * 0.1 / math.sqrt(12 * 60))
+
+
+def test_a_version_of_another_protocol_is_kept(small_protocol: Callable[..., Path]) -> None:
+    assert read_protocol(small_protocol(version="mine")).version == "mine"

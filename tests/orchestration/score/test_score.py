@@ -1,0 +1,181 @@
+"""A score: rows of controllers that run and of those that do not, and what the files hold of it."""
+
+import json
+import math
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+from orchestration.errors import OrchestrationError, ScenarioError
+from orchestration.score import score_document
+from orchestration.score.loop import Controller, Loop
+from orchestration.score.plants import plants
+from orchestration.score.protocol import read_protocol
+from orchestration.score.score import run_count, score
+from orchestration.score.score_document import Row, Score
+from orchestration.score.score_view import of_figure
+from orchestration.score.scored_run import uses_true_rate
+from orchestration.score.table_seeds import table_seeds
+from orchestration.score.tuned_gains import tuned
+from tests.foreign_fmus import Misdeed
+from tests.orchestration.report.made_up_score import made_up_score
+from tests.shared_builds import Build
+
+Written = Callable[..., Path]
+MINE = Controller("mine", "L1DepthController", parameters={"augmentation": "pi", "proportional_gain": 8.0})
+EXACT = replace(MINE, name="exact", parameters={**MINE.parameters, "velocity_source": "measured"})
+
+
+def rogue_doing(fmu: Path, misdeed: Misdeed) -> Controller:
+    """A controller that misbehaves after a second of the run."""
+    return Controller(
+        misdeed.name.lower(),
+        str(fmu),
+        parameters={"misdeed": misdeed.name.lower(), "misdeed_time": 1.0},
+        mapping={"depth_reference": "u", "control_force": "y"},
+    )
+
+
+@pytest.fixture(scope="module")
+def path(small_protocol: Written) -> Path:
+    return small_protocol()
+
+
+@pytest.fixture(scope="module")
+def document(path: Path, rogue: Build) -> Score:
+    """A full score of two controllers beside the one of the protocol."""
+    controllers = [MINE, rogue_doing(rogue(), Misdeed.SEGFAULT)]
+    done: list[int] = []
+    result = score(controllers, read_protocol(path), full=True, workers=2, progress=done.append)
+    assert sum(done) == run_count(2, read_protocol(path), full=True) == 3 * (2 + 3)
+    return result.document
+
+
+def row(document: Score, name: str) -> Row:
+    return next(row for row in document.rows if row.name == name)
+
+
+def test_a_row_has_the_figures_of_the_loop_at_the_seed_of_the_table(document: Score, path: Path) -> None:
+    mine, other = row(document, "mine"), row(document, "l1-pi")
+    assert [mine.scored, other.scored] == [True, False]
+    protocol = read_protocol(path)
+    with Loop(MINE, protocol) as loop:
+        for name, case in protocol.cases.items():
+            figures = loop.figures(case.with_seed(table_seeds().sensor_seed))
+            assert mine.cases[name].figures == pytest.approx(figures, nan_ok=True, rel=0.0)
+    tuned = other.cases["nominal"].figures["rmse"]
+    assert tuned < mine.cases["nominal"].figures["rmse"]
+    assert mine.microseconds > 0.0
+
+
+def test_who_uses_the_true_rate_is_known(document: Score, path: Path) -> None:
+    assert row(document, "mine").uses_true_rate is False
+    protocol = read_protocol(path)
+    with Loop(EXACT, protocol) as loop:
+        assert uses_true_rate(loop, protocol.nominal) is True
+
+
+def test_what_crashes_has_its_row_and_the_others_are_scored(document: Score) -> None:
+    for case in row(document, "segfault").cases.values():
+        assert case.failed == ["its process ended with SIGSEGV"]
+    plants_of_it = row(document, "segfault").plants
+    assert plants_of_it is not None
+    assert plants_of_it.failed["2"] == ["not run: its process ended 3 times before"]
+    assert plants_of_it.failure_rate == 1.0
+    assert plants_of_it.figures["rmse"].median == math.inf
+    assert not any(case.failed for case in row(document, "mine").cases.values())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("misdeed", "reason"),
+    [
+        (Misdeed.ERROR, r"controller at t = 1\S* s: fmi2DoStep returned error"),
+        (Misdeed.NAN_OUTPUT, "expected a finite"),
+    ],
+)
+def test_a_failure_is_told_in_the_words_of_the_run(
+    path: Path, rogue: Build, misdeed: Misdeed, reason: str
+) -> None:
+    bad, good = score([rogue_doing(rogue(), misdeed)], read_protocol(path)).document.rows
+    for case in bad.cases.values():
+        (complaint,) = case.failed
+        assert re.search(reason, complaint), complaint
+    assert not any(case.failed for case in good.cases.values())
+
+
+@pytest.mark.slow
+def test_what_hangs_is_asked_for_nothing_more(path: Path, rogue: Build) -> None:
+    hanging = rogue_doing(rogue(), Misdeed.HANG)
+    hung, mine, _ = score([hanging, MINE], read_protocol(path), timeout=20.0).document.rows
+    first, second = (case.failed for case in hung.cases.values())
+    assert first == ["it took longer than 20 s"]
+    assert second == ["not run: it took too long before"]
+    assert not mine.cases["nominal"].failed
+
+
+def test_what_does_not_fit_the_vehicle_is_refused_before_anything_runs(path: Path) -> None:
+    wrong = replace(MINE, parameters={"velocity_source": "speedometer"})
+    with pytest.raises(OrchestrationError, match=r"velocity_source = 'speedometer': expected one of"):
+        score([wrong], read_protocol(path))
+    with pytest.raises(ScenarioError, match=r"two controllers are called 'mine'"):
+        score([MINE, MINE], read_protocol(path))
+
+
+@pytest.mark.slow
+def test_built_in_rows_are_run_once_for_a_protocol(small_protocol: Written) -> None:
+    """No two runs take the same time: a row with an equal one comes from the cache."""
+    path = small_protocol(version="cached")
+    first, second = (score([MINE], read_protocol(path)).document.rows for _ in range(2))
+    assert second[1].microseconds == first[1].microseconds
+    assert second[0].microseconds != first[0].microseconds
+    another = score([MINE], read_protocol(small_protocol(version="another"))).document.rows
+    assert another[1].microseconds != first[1].microseconds
+
+
+def test_all_controllers_get_the_same_plants(document: Score, path: Path) -> None:
+    protocol = read_protocol(path)
+    mine, other = row(document, "mine").plants, row(document, "l1-pi").plants
+    assert mine is not None
+    assert other is not None
+    with Loop(tuned(protocol, "l1-pi"), protocol) as loop:
+        cases = plants(protocol, table_seeds().plants_seed)
+        assert other.figures["rmse"].values == [loop.figures(case, names=["rmse"])["rmse"] for case in cases]
+    (difference,) = [
+        entry
+        for entry in document.differences
+        if (entry.scored, entry.other, entry.figure) == ("mine", "l1-pi", "rmse")
+    ]
+    pairs = zip(mine.figures["rmse"].values, other.figures["rmse"].values, strict=True)
+    assert difference.median_difference == sorted(a - b for a, b in pairs)[1]
+    assert difference.p == 0.25  # 2 of the 2^3 signs
+    assert difference.p_holm == difference.p  # the only pair: there is none with what crashes
+
+
+def test_the_document_is_what_its_schema_says_and_reads_back(document: Score) -> None:
+    text = document.model_dump_json()
+    schema = json.loads(score_document.SCHEMA.read_text(encoding="utf-8"))
+    jsonschema.validate(json.loads(text), schema)
+    assert json.loads(text)["rows"][0]["cases"]["hold-step"]["figures"]["lag"] is None
+    back = Score.model_validate_json(text)
+    assert math.isnan(back.rows[0].cases["hold-step"].figures["lag"])
+    assert back.model_dump_json() == text
+
+
+def test_the_shipped_schema_is_that_of_the_types() -> None:
+    assert score_document.SCHEMA.read_text(encoding="utf-8") == score_document.schema()
+
+
+def test_a_run_that_failed_is_not_the_best_also_with_the_best_number() -> None:
+    """In its league, of which two are: one run that did not fail has the same number."""
+    document = made_up_score().document
+    best, failed = row(document, "pid").cases["nominal"], row(document, "l1").cases["nominal"]
+    failed.figures["rmse"] = best.figures["rmse"]
+    cells = of_figure(document, "rmse").cells
+    marks = {shown.name: cells[i][0].is_best for i, shown in enumerate(document.rows)}
+    assert failed.failed
+    assert marks == {"mine": False, "pid": True, "l1": False}

@@ -1,0 +1,110 @@
+"""The cache of rows: the rows that were used last stay, and no others."""
+
+import hashlib
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+from orchestration.score import score_cache
+from orchestration.score.loop import Loop, built_in
+from orchestration.score.protocol import Protocol, read_protocol
+from orchestration.score.score_document import Row
+from orchestration.score.tuned_gains import tuned
+
+
+def row(name: str) -> Row:
+    return Row(name=name, title=name, league="position", scored=False, fmu={})
+
+
+def test_rows_whose_last_use_is_longest_ago_are_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(score_cache, "folder", lambda: tmp_path)
+    monkeypatch.setattr(score_cache, "MOST_ROWS", 3)
+    for age, name in ((300.0, "used again"), (200.0, "forgotten"), (100.0, "recent")):
+        score_cache.write(name, row(name), {"nominal": {"time": [0.0]}})
+        os.utime(tmp_path / f"{name}.json", (1e9 - age, 1e9 - age))
+    read = score_cache.read("used again")
+    assert read is not None
+    assert (read.row, read.traces) == (row("used again"), {"nominal": {"time": [0.0]}})
+    score_cache.write("new", row("new"), {})
+    assert {path.stem for path in tmp_path.glob("*.json")} == {"used again", "recent", "new"}
+    assert score_cache.read("forgotten") is None
+
+
+def test_a_row_with_plants_or_other_parameters_is_another_one(small_protocol: Callable[..., Path]) -> None:
+    protocol = read_protocol(small_protocol())
+    controller = tuned(protocol, "l1-pi")
+    with Loop(controller, protocol) as loop:
+        keys = {
+            score_cache.key(one, loop, full)
+            for one in (controller, replace(controller, parameters={}))
+            for full in (False, True)
+        }
+    assert len(keys) == 4
+
+
+@pytest.mark.parametrize(
+    "source", ["master/loop.c", "master/process_guard.h", "results/metrics.py", "scenarios/base/vehicle.toml"]
+)
+def test_a_row_follows_from_sources_of_every_kind(source: str) -> None:
+    content = (Path(score_cache.__file__).parents[1] / source).read_bytes()
+    assert hashlib.sha256(content).hexdigest() in score_cache._digests_of_sources()
+
+
+@pytest.fixture
+def name_of_row(protocol: Protocol) -> Callable[[], str]:
+    """The key of one row, computed anew at each call."""
+    loop = Loop(built_in(protocol, "l1-pi"), protocol)
+
+    def key() -> str:
+        score_cache._digests_of_sources.cache_clear()
+        score_cache._environment.cache_clear()
+        return score_cache.key(loop.controller, loop, False)
+
+    return key
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "fmus/native/lanes.py",
+        "fmus/native/vectors/lanes.c",
+        "fmus/numerics/elementary.py",
+        "controller_fmu/design.py",
+        "orchestration/gym.py",
+        "orchestration/run/loop.c",
+    ],
+)
+def test_a_row_is_found_by_the_sources_of_all_packages(
+    name_of_row: Callable[[], str], source: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, digest = name_of_row(), score_cache._digest
+    assert name_of_row() == before
+    monkeypatch.setattr(
+        score_cache, "_digest", lambda file: "changed" if file.as_posix().endswith(source) else digest(file)
+    )
+    assert name_of_row() != before
+
+
+def test_a_row_is_found_by_the_versions_of_the_libraries(
+    name_of_row: Callable[[], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, installed = name_of_row(), [*metadata.distributions()]
+    assert "scipy" in {library.name for library in installed}
+    others = [library for library in installed if library.name != "scipy"]
+    monkeypatch.setattr(score_cache, "distributions", lambda: others)
+    assert name_of_row() != before
+
+
+@pytest.mark.parametrize("part", ["sys.version", "platform.machine", "platform.libc_ver"])
+def test_a_row_is_found_by_python_and_by_the_machine(
+    name_of_row: Callable[[], str], part: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = name_of_row()
+    monkeypatch.setattr(part, "another" if part == "sys.version" else lambda: "another")
+    assert name_of_row() != before

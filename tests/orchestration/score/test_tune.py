@@ -1,0 +1,207 @@
+"""Tuning on costs that are known: what it finds, how often it asks, how it continues, when a cost is flat."""
+
+import json
+import math
+import tomllib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from orchestration.errors import OrchestrationError
+from orchestration.scenarios import scenario
+from orchestration.score import tune_file
+from orchestration.score.tune import Evaluate, Problem, SearchResult, Tuning, tune
+from orchestration.score.tune_space import FreeGain
+
+GAINS = (FreeGain("kp", 0.1, 100.0, "N/m"), FreeGain("kd", 0.1, 100.0), FreeGain("offset", -2.0, 2.0))
+OPTIMUM = {"kp": 7.0, "kd": 30.0, "offset": -0.5}
+SEEDS = (1, 2, 3)
+
+
+def known_cost(gains: Mapping[str, float]) -> dict[str, Any]:
+    """A valley that is no sum of functions of one gain, with its least value of 2 at OPTIMUM."""
+    a, b = (math.log(gains[name] / OPTIMUM[name]) for name in ("kp", "kd"))
+    c = gains["offset"] - OPTIMUM["offset"]
+    return {"cost": 2.0 + a**2 + 10.0 * (b - a) ** 2 + (c + 0.5 * a) ** 2, "figures": {"nominal": a}}
+
+
+def at_once(cost: Callable[..., dict[str, Any]]) -> Evaluate:
+    """The cost as it is asked for, evaluated in this process."""
+    return lambda gains: map(cost, gains)
+
+
+def tuned(path: Path, cost: Callable[..., Any] = known_cost, evaluations_per_gain: int = 80) -> Tuning:
+    return tune(Problem(GAINS, {"law": "known"}), SEEDS, evaluations_per_gain, path, at_once(cost))
+
+
+class Interrupted:
+    """The known cost, until it is interrupted."""
+
+    def __init__(self, calls: int) -> None:
+        self.calls = calls
+
+    def __call__(self, gains: Mapping[str, float]) -> dict[str, Any]:
+        self.calls -= 1
+        if self.calls < 0:
+            raise KeyboardInterrupt
+        return known_cost(gains)
+
+
+def test_the_search_finds_the_optimum_of_a_known_cost(tmp_path: Path) -> None:
+    tuning = tuned(tmp_path / "journal")
+    for search in tuning.searches:
+        assert search.cost == pytest.approx(2.0, rel=1e-3)  # every seed, with 80 evaluations a gain
+    assert tuning.best.gains == pytest.approx(OPTIMUM, rel=0.05)
+    assert tuning.is_flat
+
+
+def test_one_seed_gives_one_search_and_another_seed_another(tmp_path: Path) -> None:
+    first, second = (tuned(tmp_path / name, evaluations_per_gain=4).searches for name in "ab")
+    assert first == second
+    assert len({search.curve for search in first}) == len(SEEDS)
+
+
+@pytest.mark.parametrize("free", [1, 2, 3])
+def test_every_free_gain_has_the_same_number_of_evaluations(tmp_path: Path, free: int) -> None:
+    asked: list[dict[str, float]] = []
+
+    def cost(gains: dict[str, float]) -> dict[str, float]:
+        asked.append(gains)
+        return {"cost": 1.0}
+
+    tuning = tune(Problem(GAINS[:free]), SEEDS, 7, tmp_path / "journal", at_once(cost))
+    assert len(asked) == tuning.evaluations == 7 * free * (len(SEEDS) + 1)
+    assert {len(search.curve) for search in (*tuning.searches, tuning.refinement)} == {7 * free}
+    assert all(list(gains) == [gain.name for gain in GAINS[:free]] for gains in asked)
+
+
+def test_gains_stay_within_their_ranges_and_the_first_generation_fills_them(tmp_path: Path) -> None:
+    path = tmp_path / "journal"
+    tuned(path, evaluations_per_gain=10)
+    rows = [json.loads(line) for line in path.read_text().split("\n")[1:]]
+    for gain in GAINS:
+        values = [row["gains"][gain.name] for row in rows]
+        assert gain.low <= min(values) < gain.value(0.3)
+        assert gain.value(0.7) < max(values) <= gain.high
+
+
+@pytest.mark.parametrize("cut_off", [0, 5], ids=["between lines", "in a line"])
+def test_an_interrupted_tuning_continues_to_the_same_result(tmp_path: Path, cut_off: int) -> None:
+    path = tmp_path / "journal"
+    with pytest.raises(KeyboardInterrupt):
+        tuned(path, Interrupted(40), 10)
+    text = path.read_text()
+    path.write_text(text[: len(text) - cut_off])  # as after a power failure
+    done = len(path.read_text().split("\n")) - 1 - (cut_off > 0)
+    rest = Interrupted(10 * len(GAINS) * (len(SEEDS) + 1) - done)  # not one evaluation is made twice
+    assert done > 10
+    assert tuned(path, rest, 10) == tuned(tmp_path / "other", known_cost, 10)
+    assert rest.calls == 0
+
+
+def test_the_journal_of_another_tuning_is_refused_and_stays(tmp_path: Path) -> None:
+    path = tmp_path / "journal"
+    tuned(path, evaluations_per_gain=2)
+    before = path.read_text()
+    with pytest.raises(OrchestrationError, match=r"another tuning \(evaluations differ\)"):
+        tuned(path, evaluations_per_gain=3)
+    assert path.read_text() == before
+
+
+def test_a_journal_with_gains_that_the_search_did_not_ask_for_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "journal"
+    tuned(path, evaluations_per_gain=2)
+    first, row, *others = path.read_text().split("\n")
+    changed = json.loads(row)
+    changed["gains"]["kp"] *= 1.001
+    path.write_text("\n".join([first, json.dumps(changed), *others]))
+    with pytest.raises(OrchestrationError, match="evaluation 0 of seed 1 has other gains"):
+        tuned(path, evaluations_per_gain=2)
+
+
+def test_progress_counts_what_is_done_with_the_lowest_cost(tmp_path: Path) -> None:
+    calls: list[tuple[int, float]] = []
+    tuning = tune(
+        Problem(GAINS),
+        SEEDS,
+        4,
+        tmp_path / "journal",
+        at_once(known_cost),
+        lambda done, cost: calls.append((done, cost)),
+    )
+    assert sum(done for done, _ in calls) == tuning.evaluations
+    costs = [cost for _, cost in calls]
+    assert costs == sorted(costs, reverse=True)
+    assert costs[-1] == tuning.best.cost
+
+
+def ends_at(cost: float, falls_at: int = 50, before: float = 8.0) -> SearchResult:
+    """A search of 100 evaluations whose cost falls once."""
+    return SearchResult(1, {}, {}, (*[before] * falls_at, *[cost] * (100 - falls_at)))
+
+
+def tuning_of(*searches: SearchResult, last: SearchResult) -> Tuning:
+    return Tuning(Problem(GAINS), searches, last)
+
+
+def test_a_last_search_begins_at_the_best_gains_in_small_steps(tmp_path: Path) -> None:
+    tuning = tuned(tmp_path / "journal", evaluations_per_gain=10)
+    start = min(tuning.searches, key=lambda search: search.cost)
+    rows = [json.loads(line) for line in (tmp_path / "journal").read_text().split("\n")[1:]]
+    first = [row["gains"] for row in rows if row["seed"] == 0][:7]  # a generation
+    for gain in GAINS:
+        away = [gain.position(gains[gain.name]) - gain.position(start.gains[gain.name]) for gains in first]
+        assert 0.0 < max(map(abs, away)) < 0.25  # five of its steps
+    assert tuning.best.cost == min(start.cost, tuning.refinement.cost) < start.cost
+
+
+def test_the_lowest_cost_must_not_fall_in_the_last_half_of_the_last_search() -> None:
+    earlier = ends_at(8.0)
+    assert tuning_of(earlier, last=ends_at(5.0, falls_at=49)).is_flat
+    assert not tuning_of(earlier, last=ends_at(5.0, falls_at=50)).is_flat
+    assert tuning_of(earlier, last=ends_at(5.0, falls_at=50)).improvement == pytest.approx(0.375)
+    assert tuning_of(earlier, last=ends_at(5.0, falls_at=90, before=5.1)).is_flat  # by 1.96 %
+    assert not tuning_of(earlier, last=ends_at(5.0, falls_at=90, before=5.11)).is_flat  # by 2.15 %
+    assert tuning_of(ends_at(5.0), last=ends_at(5.0, falls_at=90)).is_flat  # a seed was there before
+    assert tuning_of(ends_at(5.0), last=ends_at(6.0)).improvement == 0.0
+
+
+def test_the_least_that_can_be_tuned_has_its_judgements(tmp_path: Path) -> None:
+    """One gain, one seed, one evaluation: no part of the last search is the first one."""
+    tuning = tune(Problem(GAINS[:1]), [1], 1, tmp_path / "journal", at_once(lambda gains: {"cost": 4.0}))
+    assert (tuning.improvement, tuning.evaluations, tuning.is_flat, tuning.seeds_agree) == (
+        0.0,
+        2,
+        True,
+        True,
+    )
+
+
+def test_seeds_agree_if_most_come_near_the_lowest_cost() -> None:
+    near, far, last = ends_at(5.24), ends_at(5.26), ends_at(5.0)
+    assert tuning_of(ends_at(5.0), near, far, last=last).seeds_agree
+    assert not tuning_of(ends_at(5.0), far, far, last=last).seeds_agree
+    assert not tuning_of(near, near, near, last=ends_at(4.9)).seeds_agree
+    assert tuning_of(ends_at(5.0), near, ends_at(7.0), last=last).spread == pytest.approx(0.048)
+
+
+def test_the_file_holds_gains_for_scenarios_and_says_how_far_to_trust_them(tmp_path: Path) -> None:
+    tuning = tuned(tmp_path / "journal", evaluations_per_gain=10)
+    path = tmp_path / "gains.toml"
+    tune_file.write(tuning, {"law": "pi"}, {"protocol": "7"}, path)
+    best = {f"controller.{name}": value for name, value in tuning.best.gains.items()}
+    assert scenario.parameter_values(path) == {"controller.law": "pi", **best}
+    written = tomllib.loads(path.read_text())
+    assert written["tuning"]["is_flat"] is tuning.is_flat
+    assert written["tuning"]["protocol"] == "7"
+    assert written["tuning"]["evaluations"] == 10 * len(GAINS) * (len(SEEDS) + 1)
+    assert [table["cost"] for table in written["tuning"]["seeds"]] == [s.cost for s in tuning.searches]
+    entry = written["parameters"]["controller.kp"]
+    assert (entry["unit"], entry["limits"]) == ("N/m", [0.1, 100.0])
+    tables = [*written["tuning"]["seeds"], written["tuning"]["refinement"]]
+    for table, search in zip(tables, (*tuning.searches, tuning.refinement), strict=True):
+        assert (table["seed"], table["cost"]) == (search.seed, search.cost)
+        assert table["evaluations"] == len(search.curve) == 10 * len(GAINS)
+        assert table["gains"] == search.gains

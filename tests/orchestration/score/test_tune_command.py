@@ -1,0 +1,128 @@
+"""`l1-depth tune`: what it refuses, what it writes, and that it continues after whatever ended it."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Callable
+from importlib.metadata import PackageNotFoundError
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from orchestration.cli.study import print_gains
+from orchestration.scenarios import scenario
+from orchestration.score import tune
+from orchestration.score.tune import Problem, SearchResult, Tuning
+from orchestration.score.tune_space import FreeGain
+
+Command = Callable[..., Any]
+OPTIONS = ("--evaluations", "3", "--seeds", "2", "--workers", "2")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["l1-pie"], "nearest is 'l1-pi'"),
+        (["L1DepthController"], "expected --free NAME=LOW:HIGH; tunable are "),
+        (["l1", "--free", "integral_gian=1:2"], "nearest is 'integral_gain'"),
+        (["l1", "--free", "integral_gain"], "expected NAME=LOW:HIGH"),
+        (["l1", "--set", "controller.filter_bandwidth=1"], "filter_bandwidth: it is set, and free"),
+        (["l1", "--set", "controller.augmentation=pie"], "augmentation"),
+        (["l1", "--map", "measured_depth=z"], "--map: no effect with l1, a controller of the protocol"),
+        (["l1", "--open-inputs", "start"], "--open-inputs: no effect with l1"),
+        (["l1", "--league", "reference-rates"], "--league: no effect with l1"),
+        (["l1", "--out", f"{__file__}/results"], "Not a directory: expected a folder that can be written"),
+    ],
+)
+def test_what_cannot_be_tuned_is_refused(refused: Command, arguments: list[str], message: str) -> None:
+    assert message in refused("tune", *arguments)
+    assert not Path("results").exists()
+
+
+def test_a_tuning_without_its_library_says_how_to_install_it(
+    refused: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def version(distribution: str) -> str:
+        raise PackageNotFoundError(distribution)
+
+    monkeypatch.setattr(tune, "version", version)
+    message = refused("tune", "l1", *OPTIONS)
+    assert message == "l1-depth: tuning needs cmaes: pip install 'l1-depth[study]'\n"
+
+
+@pytest.mark.parametrize(
+    ("gain", "verdict"),
+    [
+        (5.0, "The cost is flat. In the last half"),
+        (
+            10.0,
+            "The cost is limited by the range of kp: a wider one in --free may lower it. In the last half",
+        ),
+    ],
+)
+def test_a_cost_that_a_limit_determines_is_not_called_flat(
+    capsys: pytest.CaptureFixture[str], gain: float, verdict: str
+) -> None:
+    gains = {"kp": gain, "kd": 5.0}
+    search = SearchResult(1, gains, {}, (2.0,) * 4)
+    free = (FreeGain("kp", 1.0, 10.0), FreeGain("kd", 1.0, 10.0))
+    tuning = Tuning(Problem(free), (search,), search)
+    assert tuning.is_flat
+    print_gains(tuning, "pid")
+    assert capsys.readouterr().out.splitlines()[-1].startswith(verdict)
+
+
+def _process(folder: Path) -> subprocess.Popen[str]:
+    program = "from orchestration.cli import main; main()"
+    return subprocess.Popen(
+        [sys.executable, "-c", program, "tune", "l1", *OPTIONS, "--out", str(folder)],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def _wait_for_evaluations(journal: Path, count: int) -> None:
+    while not journal.exists() or journal.read_text().count("\n") < count:
+        time.sleep(0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_a_tuning_continues_after_an_end_to_the_same_file(
+    command: Command, tmp_path: Path, number: signal.Signals
+) -> None:
+    journal = tmp_path / "ended" / "l1.tune.jsonl"
+    process = _process(tmp_path / "ended")
+    _wait_for_evaluations(journal, 4)
+    workers = psutil.Process(process.pid).children(recursive=True)
+    os.kill(process.pid, number)
+    _, error = process.communicate(timeout=60)
+    psutil.wait_procs(workers, timeout=20)
+    assert not [worker for worker in workers if worker.is_running()]
+    if number == signal.SIGINT:
+        assert process.returncode == 130
+        assert "of 27 evaluations are done and kept; the same command continues" in error
+    done = journal.read_text().count("\n")
+    assert 4 <= done < 18
+    command("tune", "l1", *OPTIONS, "--out", "ended")
+    command("tune", "l1", *OPTIONS, "--out", "whole")
+    assert Path("ended", "l1.toml").read_bytes() == Path("whole", "l1.toml").read_bytes()
+    assert [path.name for path in Path("ended").iterdir()] == ["l1.toml"]
+
+
+@pytest.mark.slow
+def test_the_gains_of_any_fmu_are_tuned_for_scenarios(command: Command) -> None:
+    command("new", "pid")
+    options = ("--free", "kp=1:20", "--evaluations", "4", "--seeds", "1", "--workers", "1")
+    done = command("tune", "pid.py", *options)
+    assert done.stdout.splitlines()[-1] == "results/pid.toml"
+    gains = scenario.parameter_values(Path("results/pid.toml"))
+    assert 1.0 <= gains["controller.kp"] <= 20.0
+    written = tomllib.loads(Path("results/pid.toml").read_text())["tuning"]
+    assert (written["controller"], written["evaluations"]) == ("pid", 8)
