@@ -22,6 +22,30 @@ class HostError(Exception):
     """What this machine refuses, such as a full disk, so that nothing can be said of an FMU."""
 
 
+class OrchestrationError(Exception):
+    """Base of every error that a user can put right; its message is one line."""
+
+
+class FmuLoadError(OrchestrationError):
+    """A file that is not an FMI 2.0 co-simulation FMU for this platform."""
+
+
+class FmuError(OrchestrationError):
+    """An FMU refused a call. Names the instance, the time and the FMU's own log line."""
+
+    def __init__(self, instance: str, time: float, call: str, status: str, log: list[str]) -> None:
+        super().__init__(instance, time, call, status, log)
+        self.instance, self.time, self.call, self.status, self.log = instance, time, call, status, log
+
+    def __str__(self) -> str:
+        said = "; ".join(self.log) or "it logged nothing"
+        return f"{self.instance} at t = {self.time:.9g} s: {self.call} returned {self.status}: {said}"
+
+
+class FmuWarning(UserWarning):
+    """An FMU returned fmi2Warning: the simulation goes on."""
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """The end of an error message about an unknown name: the known name much like it, or what there is."""
     choices = list(known)

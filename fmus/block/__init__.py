@@ -37,7 +37,8 @@ def variable(
 
     start: float, int, bool or IntEnum member; a tuple declares a vector `name[1], name[2]`, a
         tuple of tuples a matrix `name[1,1]`, row by row.
-    unit: any that `fmus.block.units` knows, such as "m", "N.s/m", "deg", "rev/min" or "degC"; "1" for a number.
+    unit: one that `fmus.block.units` knows, such as "m", "N.s/m", "deg", "rev/min" or "degC"; "1" for
+        a number.
     display_unit: in which tools may show the value, such as "deg" beside the unit "rad".
     unit, display_unit, min, max, nominal: one value, or a tuple of the shape of `start`.
     variability: "fixed" or "tunable" for a parameter; otherwise the class decides.

@@ -25,7 +25,7 @@ def write_new_block(name: str, folder: Path) -> list[Path]:
             f"{name!r}: expected lower-case letters, digits and single underscores, and no name of Python's, "
             "of an installed package or of a device of Windows"
         )
-    templates = resources.files("fmus") / "templates"
+    templates = resources.files("fmus.build") / "templates"
     texts = {
         folder / file.format(name): Template((templates / template).read_text("utf-8")).substitute(values)
         for file, template in _TEMPLATES.items()

@@ -33,7 +33,7 @@ _PREFIXES = ("__", "ag_", "cr_", "gi_")  # the last three: of generators, whose 
 _NO_NAMES = {*dir(builtins)} - {*_TAKEN["builtins"].split()}
 # attributes that read others by their names, or make sets; the modules of `fmus.numerics` import more
 _NO_ATTRIBUTES = {"*", "format", "format_map", "items", "keys"} | {
-    path.stem for path in Path(__file__).with_name("numerics").glob("*.py")
+    path.stem for path in Path(__file__).parent.with_name("numerics").glob("*.py")
 }
 
 

@@ -14,7 +14,7 @@ def ramp_source(name: str, output: str, unit: str | None, points: int) -> Block:
     """A block `name` with the output `output` and the parameters smooth, point_time[i] and point_value[i].
 
     output: an identifier
-    unit: of the output and of point_value, one that `fmus.block.units` knows; None for an output without a unit
+    unit: of the output and of point_value, one that `fmus.block.units` knows; None for no unit
     points: how many, at least 2; their times start at 0, 1, 2, ... s, their values at 0
     """
 

@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
 
-from fmus.errors import nearest
+from fmus.errors import FmuLoadError, nearest
 from fmus.fmi.model_description import ModelDescription, ScalarVariable, model_description
 from fmus.fmi.variable_types import FmiValue
 from fmus.registry import block_fmus, is_in_cache
 from fmus.user_cache import is_own_build, reason_for_distrust
-from orchestration.errors import FmuLoadError
 
 _MOST_DESCRIPTIONS = 256  # that stay in memory
 

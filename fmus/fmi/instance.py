@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from fmus.errors import FmuError, FmuLoadError, FmuWarning
 from fmus.fmi.binding import (
     ERROR,
     FATAL,
@@ -26,7 +27,6 @@ from fmus.fmi.binding import (
 from fmus.fmi.model_description import ModelDescription, ScalarVariable
 from fmus.fmi.unpacked import unpacked
 from fmus.fmi.variable_types import TRANSFER_TYPE, FmiValue
-from orchestration.errors import FmuError, FmuLoadError, FmuWarning
 
 _MOST_MESSAGES = 10  # in an error or a warning
 

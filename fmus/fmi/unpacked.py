@@ -7,11 +7,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from fmus.errors import FmuLoadError
 from fmus.files import extract_archive
 from fmus.fmi.binding import Library, library_member, platform_name
 from fmus.fmi.description import FileVersion, is_independent
 from fmus.fmi.model_description import ModelDescription
-from orchestration.errors import FmuLoadError
 
 
 class UnpackedFmu:

@@ -69,7 +69,7 @@ def file_name(source: Path, platform: str, content: bytes, options: Sequence[str
 
 def _stem(source: Path, platform: str, options: Sequence[str]) -> str:
     """What names of all libraries start with that are made from this source in this way."""
-    toolchain = Path(__file__).parent / "export" / "toolchain.py"  # it holds the flags of the compiler
+    toolchain = Path(__file__).with_name("toolchain.py")  # it holds the flags of the compiler
     recipe = b"".join(path.read_bytes() for path in (*_files(source), toolchain)) + " ".join(options).encode()
     return f"{source.stem}-{platform}-{_digest(recipe)}"
 

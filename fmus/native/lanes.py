@@ -72,7 +72,7 @@ def lane_sources(fmu: Path) -> dict[str, str]:
         code = lane_code(texts.pop(_CODE))
     except ExportError as error:
         raise ExportError(f"{fmu}: sources/{_CODE}: {error}; build the FMU again") from None
-    templates = resources.files("fmus") / "templates"
+    templates = resources.files("fmus.native") / "vectors"
     own = {name: (templates / name).read_text("utf-8") for name in (SOURCE, *_OWN_HEADERS)}
     return texts | own | {"model_lanes.h": code}
 

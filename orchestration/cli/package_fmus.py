@@ -17,7 +17,8 @@ from orchestration.exchange.signal_sources import RampSource
 def build_ramp_source(source: RampSource, folder: Path) -> Path:
     """Write the FMU of a source to a folder, for the platforms of the FMU that it drives.
 
-    Its output has no unit where `fmus.block.units` does not know the input's: its values are then in that unit too.
+    Its output has no unit where `fmus.block.units` does not know the input's: its values are then in that
+    unit too.
     """
     unit = source.unit if source.unit in BASE_UNITS else None
     block = ramp_source(f"Ramps_{source.name}", source.name, unit, source.points)
