@@ -2,9 +2,8 @@
 
 from typing import Any
 
-from fmus.errors import FmuError, FmuLoadError, FmuWarning, OrchestrationError
-
-__all__ = ["FmuError", "FmuLoadError", "FmuWarning", "OrchestrationError"]
+# those of one FMU stand with the FMU
+from fmus.errors import FmuError, FmuLoadError, FmuWarning, OrchestrationError  # noqa: F401
 
 
 class ScenarioError(OrchestrationError):
