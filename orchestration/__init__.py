@@ -1,8 +1,7 @@
 """Everything that uses FMUs, through their model descriptions alone: the master algorithm and its tools.
 
-What is exported here is what it takes to run a system of FMUs from Python; scenarios, metrics and sweeps are
-modules: `from orchestration.scenarios import scenario`. The names stand in `__init__.pyi` alone, a line each.
-A name is imported when it is asked for: the pytest plugin of the checker must load nothing heavy.
+Users import from here and from `orchestration.gym`. The names stand in `__init__.pyi` alone, a line each. A
+name is imported when it is asked for: the pytest plugin of the checker must load nothing heavy.
 """
 
 from importlib import import_module

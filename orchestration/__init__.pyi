@@ -4,11 +4,16 @@ from orchestration.many.ensemble import Ensemble as Ensemble
 from orchestration.many.ensemble_recording import EnsembleRecording as EnsembleRecording
 from orchestration.many.job import Failure as Failure
 from orchestration.many.run_many import run_many as run_many
+from orchestration.results.metrics import evaluate as evaluate
 from orchestration.results.recording import Recording as Recording
 from orchestration.run import Simulator as Simulator
 from orchestration.run import simulate as simulate
 from orchestration.run.checkpoint import Checkpoints as Checkpoints
 from orchestration.run.checkpoint import read_checkpoint as read_checkpoint
+from orchestration.scenarios.scenario import Scenario as Scenario
+from orchestration.scenarios.scenario import load_scenario as load_scenario
+from orchestration.scenarios.task import task_of as task_of
+from orchestration.sweep.run import run_sweep as run_sweep
 from orchestration.system.experiment import Event as Event
 from orchestration.system.experiment import Experiment as Experiment
 from orchestration.system.faults import Delay as Delay

@@ -30,6 +30,10 @@ FOR_DEVELOPERS = {"docs", "test"}
 QUICK = {"fmpy.md"}  # the others run the command line a dozen times each
 
 
+def _name_in_project(page: Path) -> str:
+    return page.relative_to(ROOT).as_posix()
+
+
 def _name(page: Path) -> str:
     return str(page.relative_to(ROOT / "docs"))
 
@@ -75,6 +79,19 @@ def test_the_architecture_lists_every_file_of_a_run_in_ten_minutes() -> None:
     ]
     files = {path.name for path in (ROOT / "orchestration" / "run").glob("*.py")} - {"__init__.py"}
     assert files | {"loop.c"} == set(re.findall(r"`(\w+\.(?:py|c))`", table))
+
+
+SCRIPTS = sorted((ROOT / "docs").rglob("*.py"))
+FRONT_DOOR = {"orchestration", "orchestration.gym", "fmus", "fmus.block", "fmus.numerics"}
+
+
+@pytest.mark.parametrize("page", [*TEXTS, *SCRIPTS], ids=_name_in_project)
+def test_what_users_import_stands_in_four_modules(page: Path) -> None:
+    """The others may move. `from fmus import numerics` is the one import from `fmus` itself."""
+    text = page.read_text(encoding="utf-8")
+    lines = re.findall(r"^\s*(?:from|import) ((?:fmus|orchestration)[\w.]*)(?: import (.*))?", text, re.M)
+    assert {module for module, _ in lines} <= FRONT_DOOR
+    assert {names for module, names in lines if module == "fmus"} <= {"numerics"}
 
 
 @pytest.mark.parametrize("page", TOOL_PAGES, ids=_name)

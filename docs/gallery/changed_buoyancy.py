@@ -9,20 +9,18 @@ from dataclasses import replace
 import matplotlib.pyplot as plt
 import numpy as np
 
-from orchestration import Simulator
-from orchestration.results import metrics
-from orchestration.scenarios import scenario
+from orchestration import Simulator, evaluate, load_scenario
 
 changes = np.linspace(-0.5, 0.5, 11)  # N, positive lifts
 figure, axes = plt.subplots(layout="constrained")
 for name, label in (("nominal-l1", "L1"), ("nominal-extended", "extended L1 (PI)")):
-    chosen = scenario.load(scenario.find(name))
+    chosen = load_scenario(name)
     rmse = []  # cm
     with Simulator(chosen.system) as simulator:
         for change in changes:
             inputs = {**chosen.experiment.inputs, "plant.buoyancy_change": float(change)}
             recording = simulator.run(replace(chosen.experiment, inputs=inputs))
-            rmse.append(metrics.evaluate(recording, chosen.metrics)["rmse"])
+            rmse.append(evaluate(recording, chosen.metrics)["rmse"])
     axes.plot(changes, rmse, "o-", label=label)
     print(f"{label}: RMSE from {min(rmse):.1f} to {max(rmse):.1f} cm")
 axes.set(xlabel="change of buoyancy [N]", ylabel="RMSE [cm]", ylim=(0.0, None))

@@ -8,10 +8,9 @@ from dataclasses import replace
 
 import matplotlib.pyplot as plt
 
-from orchestration import Drift, DropOut, Fault, Freeze, simulate
-from orchestration.scenarios import scenario
+from orchestration import Drift, DropOut, Fault, Freeze, load_scenario, simulate
 
-chosen = scenario.load(scenario.find("nominal-extended"))
+chosen = load_scenario("nominal-extended")
 sensor = "controller.measured_depth"
 faults = (
     Fault(sensor, Freeze(), start=20.0, end=22.0),  # s

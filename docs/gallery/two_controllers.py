@@ -7,12 +7,11 @@ is less than half as large.
 
 import matplotlib.pyplot as plt
 
-from orchestration import simulate
-from orchestration.scenarios import scenario
+from orchestration import load_scenario, simulate
 
 figure, (depth_axes, error_axes) = plt.subplots(2, 1, sharex=True, layout="constrained")
 for name, label in (("nominal-l1", "L1"), ("nominal-extended", "extended L1 (PI)")):
-    chosen = scenario.load(scenario.find(name))
+    chosen = load_scenario(name)
     recording = simulate(chosen.system, chosen.experiment)
     depth, reference = recording["plant.depth"], recording["controller.depth_reference"]  # m
     depth_axes.plot(recording.time, depth, label=label)

@@ -42,7 +42,7 @@ from orchestration.system.prepared_run import PreparedRun, prepare
 from orchestration.system.signal_derivatives import with_derivatives
 from orchestration.system.system import System
 
-__all__ = ["SHIPPED", "Scenario", "find", "load", "located", "parameter_values", "shipped"]
+__all__ = ["SHIPPED", "Scenario", "find", "load", "load_scenario", "located", "parameter_values", "shipped"]
 
 
 @dataclass(frozen=True)
@@ -135,6 +135,21 @@ def load(
         files=tuple(files),
         arguments=(path.stem if shipped().get(path.stem) == path else str(path),),
     )
+
+
+def load_scenario(
+    scenario: str | Path,
+    overrides: Mapping[str, Any] | None = None,
+    *,
+    settings: Mapping[str, FmiValue] | None = None,
+) -> Scenario:
+    """Returns the shipped scenario of a name, or the scenario of a file that ends with .toml.
+
+    overrides: tables as in a file, laid over it
+    settings: "component.variable" -> value of a parameter or a constant input; component -> FMU or block
+    Raises ScenarioError. The FMUs of our blocks have to be built: `l1-depth build --cache`.
+    """
+    return load(find(str(scenario)), overrides, settings=settings)
 
 
 def _path(fmu: str, flavour: Flavour) -> Path:

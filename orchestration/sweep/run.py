@@ -11,12 +11,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fmus.fmi.variable_types import FmiValue
+from fmus.platforms import usable_processors
 from orchestration.errors import SweepError
 from orchestration.many.batches import Batches, Finished, Place, Run
 from orchestration.many.job import Failure, Job
+from orchestration.many.local import local
 from orchestration.results import metrics
 from orchestration.results.recording import Recording
+from orchestration.scenarios.scenario import Scenario
 from orchestration.sweep.plan import Plan
+from orchestration.sweep.plan import plan as plan_of
 from orchestration.sweep.store import Store
 from orchestration.sweep.table import ERROR, SAMPLE, WARNED, schema
 from orchestration.sweep.target import with_settings
@@ -58,6 +62,24 @@ class Rows:
         if self.recorded is None:
             return [Row(row) for row in rows]
         return [Row(row, _as_parquet(runs.run(i), self.recorded)) for i, row in enumerate(rows)]
+
+
+def run_sweep(
+    scenario: Scenario,
+    folder: Path,
+    *,
+    workers: int | None = None,
+    restart: bool = False,
+    progress: Callable[[int], object] = lambda done: None,
+) -> Path:
+    """Runs the samples of a scenario with a table `sweep` that a folder does not have yet; see `sweep`.
+
+    workers: runs at once, by default as many as there are processors
+    Returns the path of the table. Raises SweepError.
+    """
+    return sweep(
+        plan_of(scenario), folder, local(workers or usable_processors()), restart=restart, progress=progress
+    )
 
 
 def sweep(

@@ -8,6 +8,7 @@ cycle.
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -26,13 +27,11 @@ from vehicle import (
     Vehicle,
 )
 
-from orchestration.scenarios import scenario
-
 LARGEST_SPREAD_MM, SPREAD_TOLERANCE_MM, OVERSHOOT_TOLERANCE_PCT = 3.0, 0.5, 0.25
 _NOT_SETTLED = 40.0  # tolerances: more than a run that settles can be away
 
 _IDENTIFIED = tomllib.loads(
-    (scenario.SHIPPED / "parameters" / "identified.toml").read_text(encoding="utf-8")
+    (files("orchestration.scenarios") / "parameters" / "identified.toml").read_text(encoding="utf-8")
 )["parameters"]
 SHIPPED_RANGES = (
     *(BY_NAME[f"plant.{kind}_damping"] for kind in ("linear", "quadratic")),

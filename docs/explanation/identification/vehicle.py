@@ -10,9 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from orchestration import Ensemble
-from orchestration.results import metrics
-from orchestration.scenarios import scenario
+from orchestration import Ensemble, evaluate, load_scenario
 
 Columns = dict[str, np.ndarray]
 """Name -> value of every run, shape (runs,)."""
@@ -113,7 +111,7 @@ class Vehicle:
     """
 
     def __init__(self, task: str = "nominal-extended", noise: bool = True) -> None:
-        loaded = scenario.load(scenario.find(task))
+        loaded = load_scenario(task)
         exact = {} if noise else {"plant.sensor_noise": 0.0, "plant.sensor_resolution": 0.0}
         self._experiment = replace(
             loaded.experiment,
@@ -155,7 +153,7 @@ class Vehicle:
     def _part(self, vary: dict[str, list[Any]]) -> Columns:
         result = self._ensemble.run(self._experiment, vary, threads=os.cpu_count() or 1)
         figures = {name: np.full(len(result), np.nan) for name in (*self._metrics, "hold_spread")}
-        for name, column in metrics.evaluate(result.recordings(), self._metrics).items():
+        for name, column in evaluate(result.recordings(), self._metrics).items():
             figures[name][result.complete] = column
         held = (result.time >= HOLD[0]) & (result.time <= HOLD[1])
         figures["hold_spread"] = 1e3 * np.std(result["plant.depth"][held], axis=0)
