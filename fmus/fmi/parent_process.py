@@ -135,20 +135,14 @@ def _exit_status(status: int, page: mmap.mmap) -> int:
         return 130
     (busy,) = struct.unpack_from("=q", page, _REPORT + 8 * _BUSY)
     name = _text(page, _NAMES + _NAME_SIZE * (abs(busy) - 1), _NAME_SIZE) if busy else ""
-    end = f"signal {_signal_name(-status)}" if status < 0 else f"exit status {status}"
+    from fmus.fmi.process import ending  # whose imports no other end needs
+
     print(
-        f"l1-depth: {name or 'something'} ended the process with {end}: the run is lost; "
+        f"l1-depth: {name or 'something'} ended the process with {ending(status)}: the run is lost; "
         "with --timeout FMUs have a process of their own",
         file=sys.stderr,
     )
     return 128 - status if status < 0 else UNEXPECTED_END
-
-
-def _signal_name(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:  # most real-time signals have no name
-        return str(number)
 
 
 def _text(page: mmap.mmap, start: int, size: int) -> str:

@@ -19,7 +19,7 @@ Inputs are held over a step, first order in h, or extrapolated with their last s
     error_estimate.py  how far exchanging at communication points leads astray, by a second run
     snapshot.py, checkpoint.py  the system at one point, in memory and as a file
     subprocess_run.py  a run whose FMUs are in a process of their own
-    process_guard.py   what an FMU changes in the process is put back
+    process_guard.py   floating-point mode, an end by `exit`, forked children
     pacing.py, interrupt.py, failure.py
 """
 

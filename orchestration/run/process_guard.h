@@ -5,8 +5,6 @@
 #ifndef _WIN32
 #include <pthread.h>
 #endif
-#include <signal.h>
-#include <stddef.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -88,33 +86,6 @@ EXPORT int guard_restore_float_mode(void) {
 #endif
     return 1;
 }
-
-/* Handlers of those signals that programs live by. */
-
-#ifdef _WIN32
-EXPORT int64_t guard_changed_handlers(void) { return 0; }
-EXPORT void guard_handler(int number, int is_restored) { (void)number, (void)is_restored; }
-#else
-enum { MOST_SIGNALS = 32 };
-static const int signals[] = {SIGHUP,  SIGINT,  SIGILL,  SIGABRT, SIGFPE,
-                              SIGSEGV, SIGPIPE, SIGALRM, SIGTERM, SIGCHLD};
-static struct sigaction handlers[MOST_SIGNALS]; /* by number */
-
-/* The set of signals, a bit each, whose handler is not the one that was noted. */
-EXPORT int64_t guard_changed_handlers(void) {
-    struct sigaction now;
-    int64_t changed = 0;
-    for (size_t i = 0; i < sizeof signals / sizeof *signals; i++)
-        if (!sigaction(signals[i], NULL, &now) && now.sa_handler != handlers[signals[i]].sa_handler)
-            changed |= (int64_t)1 << signals[i];
-    return changed;
-}
-
-/* Put the noted handler of a signal back, or note the present one. */
-EXPORT void guard_handler(int number, int is_restored) {
-    sigaction(number, is_restored ? &handlers[number] : NULL, is_restored ? NULL : &handlers[number]);
-}
-#endif
 
 /* An FMU that calls exit ends the process with status 70 and its text. */
 

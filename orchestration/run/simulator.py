@@ -1,8 +1,9 @@
 """A system whose FMUs stay loaded, and the runs that it makes."""
 
+import os
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, chdir, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -123,7 +124,6 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
             except (KeyboardInterrupt, Exception) as error:
                 run.free()
                 raise SimulationError(reason_of(error), run.recording()) from error
-            guard.note_handlers()  # with that of SIGINT between the steps
             self._must_reload = False
             self._stepped = run
 
@@ -163,7 +163,10 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
             raise OrchestrationError("this simulator is running: expected another one for a run meanwhile")
         try:
             self._end_stepped()
-            yield
+            with chdir(
+                os.curdir
+            ):  # an FMU that leaves the folder would take relative paths of results with it
+                yield
         finally:
             self._running.release()
 
@@ -264,8 +267,6 @@ def _run_to_end(
 
 
 def _initialise(run: RunInProgress, groups: Sequence[ConnectionGroup]) -> None:
-    if not run.wiring.independent:
-        run.guard.note_handlers()  # with that of SIGINT
     initialise(run.prepared, groups, run.instances)
     run.read_outputs()
     run.restore_process()

@@ -20,13 +20,13 @@ from orchestration.run.stepping import RunInProgress
 from orchestration.run.variable_access import VariableAccess, stale
 from orchestration.run.wiring import WiredRun
 
-_LOOK_EVERY_S = 1e-3  # at what FMUs changed in this process, and at their warnings
+_LOOK_EVERY_S = 1e-3  # at what FMUs did to this process, and at their warnings
 _POSITION = int(Report.POSITION)
 _RECORDED, _TERMINATED = int(Report.RECORDED), int(Report.TERMINATED)
 
 
 class _NextLook:
-    """When a step of any run looks again at what FMUs changed in this process, which the runs share [s]."""
+    """The time [s] when a step of any run looks again at what FMUs did to their common process."""
 
     time = 0.0
 
@@ -59,8 +59,6 @@ class SteppedRun(RunInProgress):
             faults.weight.swapaxes(0, 1),
             faults.addition.T,
         )
-        self._is_noted = False  # whether what the caller may change was noted before the present step
-        self._has_quick_steps = False  # since it was compared
         self._moved_point: tuple[int, list[np.ndarray]] = 0, []
         self._unable = self.prepared.system.components_without("canGetAndSetFMUstate")
         self._record = Record(self.wiring.rows, self.wiring.faults.history.T)
@@ -102,12 +100,6 @@ class SteppedRun(RunInProgress):
         is_plain = point not in self._special and not self.failure
         if not is_plain and (self.failure or point == self._last):
             raise OrchestrationError(self.failure or self._end())
-        is_due = self.guard.has_restored or time.perf_counter() > _next_look.time
-        self._is_noted = is_due or not is_plain or point + 1 == self._last
-        if self._is_noted:
-            self._note_surroundings()
-        else:
-            self._has_quick_steps = True
         try:
             if is_plain:
                 self._plain_step(point)
@@ -135,31 +127,9 @@ class SteppedRun(RunInProgress):
         if self._loop.run(point, point + 1) == point:
             self.look_around(failed=True)
             self._repeat_discarded_step(point)
-        elif self._is_noted:
+        elif time.perf_counter() > _next_look.time:
             self.look_around()
             _next_look.time = time.perf_counter() + _LOOK_EVERY_S
-
-    def look_around(self, failed: bool = False) -> None:
-        if not self._is_noted:
-            self._note_surroundings()
-        super().look_around(failed)
-
-    def _note_surroundings(self) -> None:
-        """Note the surroundings that FMUs must leave, and warn if they may have changed those meanwhile.
-
-        What has changed since they were compared is the caller's doing, unless there were quick steps.
-        """
-        changed = self.guard.changed_surroundings() if self._has_quick_steps else []
-        if changed:
-            self.guard.has_restored = True  # from now on around each step
-            warnings.warn(
-                f"{' and '.join(changed)} of this process changed during quick steps, by one of "
-                f"{', '.join(self.instances)} or by the program between them: it is left as it is",
-                FmuWarning,
-                stacklevel=4,
-            )
-        self._has_quick_steps = False
-        self.guard.note_surroundings()
 
     def _step_and_more(self, point: int) -> None:
         """A step with what is due before and after it."""
@@ -175,8 +145,6 @@ class SteppedRun(RunInProgress):
     def recording_now(self) -> Recording:
         """The values recorded until now, those of the present communication point included."""
         if not self.failure:
-            self._note_surroundings()
-            self._is_noted = True
             self.record_now()
             self.look_around()
         return self.recording()
@@ -229,7 +197,6 @@ class SteppedRun(RunInProgress):
             free_states(self.wired, memory)
         super().free()
         try:
-            self._note_surroundings()
             self.restore_process()
         except OrchestrationError as error:
             warnings.warn(str(error), FmuWarning, stacklevel=3)

@@ -138,7 +138,7 @@ class RunInProgress:
         return reached < end
 
     def look_around(self, failed: bool = False) -> None:
-        """Put back what FMUs changed in this process, and warn of what they warned of."""
+        """Looks at what FMUs did to this process, and issues their warnings."""
         self.restore_process()
         emit_warnings(self.wired, failed and not self.wiring.report[Report.TERMINATED])
 
@@ -222,7 +222,7 @@ class RunInProgress:
                 wiring.faults.put(row, index, Pattern(*(x[-1] for x in pattern)))
 
     def restore_process(self) -> None:
-        """Put back what FMUs changed in this process beside their own state, if they may have done so."""
+        """Restores what `ProcessGuard` does, if the FMUs may have changed it."""
         if self.wiring.independent:
             return
         names = ", ".join(self.instances)

@@ -15,6 +15,7 @@ from fmus.fmi.process import ProcessEndedError, WorkerProcess
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.results.recording import Recording
 from orchestration.run.error_estimate import with_error_estimate
+from orchestration.run.failure import reason_of
 from orchestration.run.interrupt import kept_interrupts
 from orchestration.run.loop_data import Report
 from orchestration.run.run_recording import make_recording
@@ -194,15 +195,7 @@ def _unwrapped(outcome: Outcome, stopped: BaseException | None) -> Recording:
     """The recording, or raise why there is none of the whole run."""
     recording = outcome if isinstance(outcome, Recording) else getattr(outcome, "recording", None)
     if recording is not None and (isinstance(stopped, Exception) or (stopped and recording is outcome)):
-        known = isinstance(stopped, OrchestrationError)
-        reason = (
-            "interrupted"
-            if isinstance(stopped, KeyboardInterrupt)
-            else str(stopped)
-            if known
-            else repr(stopped)
-        )
-        outcome = SimulationError(reason, recording)
+        outcome = SimulationError(reason_of(stopped), recording)
     if isinstance(outcome, Recording):
         return outcome
     if stopped:

@@ -6,7 +6,6 @@
 
 #define _XOPEN_SOURCE 600
 #include <fenv.h>
-#include <locale.h>
 #include <signal.h>
 #include <sys/resource.h>
 #include <sys/stat.h>
@@ -37,10 +36,7 @@ enum { /* the items of the enumeration Misdeed */
     TERMINATE, /* a step that crosses or reaches the misdeed's time is discarded, with fmi2Terminated */
     TERMINATE_UNTIMED, /* the same, and it does not know the last successful time */
     EXIT_AT_ONCE, /* _exit, which calls no handler */
-    CLOSE_FILES,  /* all but the standard streams */
-    CLOSE_OUTPUT,
     IGNORE_INTERRUPTS,
-    CHANGE_LOCALE,
     NO_STATUS_OF_STEP, /* -5, which FMI does not have; it steps all the same */
     NO_STATUS_OF_INPUT,
     NO_STATUS_OF_STATE,
@@ -99,10 +95,7 @@ static fmi2Status model_step(Slave *s, double h) {
     if (is_due(s, CHANGE_FOLDER) && chdir("/")) abort();
     if (is_due(s, ROUND_UPWARD)) fesetround(FE_UPWARD);
     if (is_due(s, EXIT_AT_ONCE)) _exit(0);
-    for (int file = 3; file < 256 && is_due(s, CLOSE_FILES); file++) close(file);
-    if (is_due(s, CLOSE_OUTPUT)) close(1);
     if (is_due(s, IGNORE_INTERRUPTS)) signal(SIGINT, SIG_IGN);
-    if (is_due(s, CHANGE_LOCALE)) setlocale(LC_ALL, "C");
     if (is_due(s, HIDE_FILES)) umask(0777);
     if (is_due(s, LEAVE_SESSION)) setsid();
     if (is_due(s, LIMIT_FILES)) setrlimit(RLIMIT_FSIZE, &(struct rlimit){100, 100});

@@ -43,7 +43,7 @@ def started(body: str) -> subprocess.Popen[str]:
         ("busy(); os._exit(0)", 70, f"l1-depth: bad ended the process with exit status 0: {LOST}"),
         ("os._exit(5)", 70, f"l1-depth: something ended the process with exit status 5: {LOST}"),
         (REAL_TIME, 165, f"l1-depth: bad ended the process with signal 37: {LOST}"),
-        (SEGFAULT, 139, f"l1-depth: bad ended the process with signal SIGSEGV: {LOST}"),
+        (SEGFAULT, 139, f"l1-depth: bad ended the process with SIGSEGV: {LOST}"),
         (
             "signal.signal(signal.SIGTERM, signal.SIG_DFL); os.kill(os.getpid(), signal.SIGTERM)",
             130,
