@@ -182,6 +182,8 @@ class ScenarioFile(Table):
     """Name -> function and its arguments; false drops a metric of the base."""
     mapping: dict[str, dict[str, str]] = {}
     """Component -> variable that the base names -> variable of the FMU that stands for it."""
+    optional: dict[str, list[str]] = {}
+    """Component -> variables that another FMU in its place may lack: what names them is then left out."""
     when_replaced: list[WhenReplacedTable] = []
     """Further entries, for another FMU in the place of a component."""
     when_set: list[WhenSetTable] = []

@@ -4,16 +4,12 @@ Tables whose keys are the arguments of a function or a dataclass are derived fro
 declared twice.
 """
 
-import ast
 import inspect
 import math
 import re
 import reprlib
-import textwrap
 from collections.abc import Callable, Collection, Iterable, Mapping
-from contextlib import suppress
 from functools import cache
-from itertools import pairwise
 from typing import Annotated, Any, Literal, TypeVar, Union, cast
 
 import numpy.typing as npt
@@ -79,43 +75,11 @@ class Table(BaseModel):
                 )
         return data
 
-    @classmethod
-    def __get_pydantic_json_schema__(
-        cls, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
-        described = handler(schema)
-        properties = handler.resolve_ref_schema(described).get("properties", {})
-        texts = _texts_of_fields(cls)
-        for name in properties.keys() & texts.keys():
-            properties[name]["description"] = texts[name]
-        return described
-
     def given(self) -> dict[str, Any]:
         """Key -> value of the keys that the file gives."""
         return {
             name: getattr(self, name) for name in type(self).model_fields if name in self.model_fields_set
         }
-
-
-def _texts_of_fields(table: type[Table]) -> dict[str, str]:
-    """Field -> the text below it in the source, which the schema alone needs."""
-    texts: dict[str, str] = {}
-    for cls in reversed(table.__mro__):
-        if issubclass(cls, Table):
-            texts |= _own_texts_of_fields(cls)
-    return texts
-
-
-@cache
-def _own_texts_of_fields(table: type[Table]) -> dict[str, str]:
-    texts: dict[str, str] = {}
-    with suppress(OSError, TypeError):  # of a class without a source
-        (definition,) = ast.parse(textwrap.dedent(inspect.getsource(table))).body
-        for field, below in pairwise(getattr(definition, "body", ())):
-            match field, below:
-                case ast.AnnAssign(target=ast.Name(name)), ast.Expr(ast.Constant(str(text))):
-                    texts[name] = inspect.cleandoc(text)
-    return texts
 
 
 def _scalar(value: object) -> object:

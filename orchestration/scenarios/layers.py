@@ -4,7 +4,7 @@ Tables are merged key by key, lists are replaced. In a table, `false` removes an
 that a layer drives in one way, by a connection, a signal or a constant, is not driven as in the layers below.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,18 +21,34 @@ _DRIVING = ("connections", "inputs", "signals")
 
 @dataclass(frozen=True)
 class Layer:
-    """What one file gives, with its parameter files; or what a command gives, without a file."""
+    """The entries of one file, with its parameter files; or of a command, without a file.
+
+    within: keys of the table of the file that has the entries; they join the lists of the layers below
+    """
 
     data: Data
     files: tuple[TomlFile, ...] = ()
+    within: KeyPath = ()
 
     def at(self, keys: KeyPath) -> str:
-        """Where these keys stand."""
-        return self.files[0].at(keys) if self.files else "command line"
+        """Returns the file and the line of these keys."""
+        return self.files[0].at((*self.within, *keys)) if self.files else "command line"
 
 
-def merged(layers: Iterable[Layer]) -> Data:
-    """All layers in one; ScenarioError for an entry that is removed where there is none."""
+def components_of(layers: Sequence[Layer]) -> dict[str, str]:
+    """Component -> block or path of its FMU, as the uppermost layer has it."""
+    components: dict[str, str] = {}
+    for layer in layers:
+        components |= layer.data.get("components", {})
+    return {name: fmu for name, fmu in components.items() if fmu}
+
+
+def merged(layers: Iterable[Layer], is_boolean: Callable[[str], bool]) -> Data:
+    """Returns all layers in one.
+
+    is_boolean: whether a variable is, so that `false` is its value
+    Raises ScenarioError for an entry that is removed where there is none.
+    """
     data: Data = {}
     for layer in layers:
         below = _without_other_drivers(data, layer.data)
@@ -43,7 +59,7 @@ def merged(layers: Iterable[Layer]) -> Data:
                 data[name] = _connections(below.get(name, []), value, layer)
             elif name == "record":
                 data[name] = _record(below.get(name, []), value, layer)
-        _remove(data, below, layer)
+        _remove(data, below, layer, is_boolean)
     return data
 
 
@@ -79,7 +95,8 @@ def _listed(source: Any, target: str) -> list[Any]:
 
 def _connections(below: list[Any], above: Any, layer: Layer) -> list[Any]:
     if not isinstance(above, dict):
-        return above
+        targets = {target for _, target, *_ in above}
+        return [*(c for c in below if layer.within and c[1] not in targets), *above]
     _check_removed("connections", above, [target for _, target, *_ in below], layer)
     inherited = [connection for connection in below if connection[1] not in above]
     return [*inherited, *(_listed(source, target) for target, source in above.items() if source is not False)]
@@ -87,7 +104,8 @@ def _connections(below: list[Any], above: Any, layer: Layer) -> list[Any]:
 
 def _record(below: list[str], above: Any, layer: Layer) -> list[str]:
     if not isinstance(above, dict):
-        return above
+        inherited = below if layer.within else []
+        return [*inherited, *(name for name in above if name not in inherited)]
     if not below:
         raise ScenarioError(
             f"{layer.at(('record',))}: record: expected a list; a table changes that of a base, there is none"
@@ -97,13 +115,15 @@ def _record(below: list[str], above: Any, layer: Layer) -> list[str]:
     return [*(name for name in below if above.get(name, True)), *added]
 
 
-def _remove(data: Data, below: Data, layer: Layer) -> None:
-    """Remove the signals and components that a layer gives as `false`."""
+def _remove(data: Data, below: Data, layer: Layer, is_boolean: Callable[[str], bool]) -> None:
+    """Removes the components, signals, parameters and inputs that a layer gives as `false`."""
     for table in ("components", "signals"):
-        given = layer.data.get(table, {})
-        _check_removed(table, given, below.get(table, {}), layer)
-        if any(value is False for value in given.values()):
-            data[table] = {name: value for name, value in data[table].items() if value is not False}
+        _check_removed(table, layer.data.get(table, {}), below.get(table, {}), layer)
+    for table in ("components", "signals", "parameters", "inputs"):
+        names = {name for name, value in layer.data.get(table, {}).items() if value is False}
+        removed = {name for name in names & below.get(table, {}).keys() if not is_boolean(name)}
+        if removed:
+            data[table] = {name: value for name, value in data[table].items() if name not in removed}
 
 
 def _check_removed(table: str, given: Mapping[str, Any], below: Iterable[str], layer: Layer) -> None:

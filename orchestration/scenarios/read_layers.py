@@ -14,7 +14,7 @@ from orchestration.errors import ScenarioError
 from orchestration.scenarios.assigned_text import AssignedText
 from orchestration.scenarios.file_format import ParameterFile, ScenarioFile
 from orchestration.scenarios.file_tables import check_part, checked
-from orchestration.scenarios.layers import Data, Layer, merge
+from orchestration.scenarios.layers import Data, Layer, components_of, merge
 from orchestration.scenarios.replaced import Describe
 from orchestration.scenarios.signal_files import with_values
 from orchestration.scenarios.toml_file import TomlFile, read_toml
@@ -55,11 +55,13 @@ def file_layers(path: Path, above: tuple[Path, ...] = ()) -> list[Layer]:
     data = file.data
     check_part(FILE, data, file.at, absent=_OF_A_BASE)
     known = block_names()  # once: it reads the entry points of every installed package
-    for table, keys in _tables_of_components(data):
-        for name, fmu in table.items():
-            table[name] = fmu and _fmu(fmu, path.parent, file.at((*keys, name)), known)
-    for table, keys in _tables_of_signals(data):
-        table["signals"] = with_values(table["signals"], path.parent, file.at, keys)
+    conditional = [(entries, ("when_replaced", i)) for i, entries in enumerate(data.get("when_replaced", []))]
+    for entries, keys in [(data, ()), *conditional]:
+        for name, fmu in entries.get("components", {}).items():
+            where = file.at((*keys, "components", name))
+            entries["components"][name] = fmu and _fmu(fmu, path.parent, where, known)
+        if "signals" in entries:
+            entries["signals"] = with_values(entries["signals"], path.parent, file.at, (*keys, "signals"))
     base = data.pop("base", "")
     below: list[Layer] = []
     if base:
@@ -84,23 +86,6 @@ def with_parameter_files(data: Mapping[str, Any], folder: Path) -> tuple[Data, l
     return merge({"parameters": parameters}, own) if parameters else own, files
 
 
-def _tables_of_components(data: Data) -> list[tuple[dict[str, Any], tuple[str | int, ...]]]:
-    """Each table of components, and its keys."""
-    tables: list[tuple[dict[str, Any], tuple[str | int, ...]]]
-    tables = [(data.get("components", {}), ("components",))]
-    for i, entries in enumerate(data.get("when_replaced", [])):
-        tables.append((entries.get("components", {}), ("when_replaced", i, "components")))
-    return tables
-
-
-def _tables_of_signals(data: Data) -> list[tuple[dict[str, Any], tuple[str | int, ...]]]:
-    """Each table that has `signals`, and the keys of these."""
-    tables: list[tuple[dict[str, Any], tuple[str | int, ...]]] = [(data, ("signals",))]
-    for i, entries in enumerate(data.get("when_replaced", [])):
-        tables.append((entries, ("when_replaced", i, "signals")))
-    return [(table, keys) for table, keys in tables if "signals" in table]
-
-
 def parameter_values(path: Path) -> dict[str, Any]:
     """ "component.variable" -> value of a parameter file, whose entries also tell provenance."""
     return _values_of(read_toml(path))
@@ -121,14 +106,6 @@ def _fmu(fmu: str, folder: Path, where: str, known: Collection[str]) -> str:
     if fmu not in known:
         raise ScenarioError(f"{where}: no block {fmu!r}, and a path must end in .fmu; {nearest(fmu, known)}")
     return fmu
-
-
-def components_of(layers: Sequence[Layer]) -> dict[str, str]:
-    """Component -> block or path of its FMU, as the uppermost layer has it."""
-    components: dict[str, str] = {}
-    for layer in layers:
-        components |= layer.data.get("components", {})
-    return {name: fmu for name, fmu in components.items() if fmu}
 
 
 def command_entries(overrides: Mapping[str, Any], settings: Mapping[str, FmiValue]) -> Data:

@@ -1,23 +1,48 @@
-"""Components that a layer of a scenario replaces by another FMU: what they inherit, and what is dropped.
+"""Components that a layer of a scenario replaces by another FMU: what they inherit, and what is left out.
 
 Entries of the layers below that name a variable of the replaced component stay if the new FMU has a variable
-of that name which can take their part; the others are dropped, and named. Entries of the layer that replaces
-the component, and of those above it, are its own: they stay as they are, and a wrong one is an error.
+of that name which can take their part; the others are left out. Entries of the layer that replaces the
+component, and of those above it, are its own: they stay as they are, and a wrong one is an error.
+
+[optional]                                      variables that another FMU may lack without a warning
+controller = ["measured_depth_rate", "u_m"]
 """
 
+import json
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from fmus.fmi.description import start_value
 from fmus.fmi.model_description import ModelDescription
-from orchestration.errors import ScenarioError, ScenarioWarning
-from orchestration.scenarios.layers import Data, Layer
+from orchestration.errors import ScenarioError, ScenarioWarning, SystemDefinitionError
+from orchestration.results.metrics import SIGNALS
+from orchestration.scenarios.layers import Data, Layer, source_of, with_events
+from orchestration.system.prepared_run import has_start_value
 from orchestration.system.system import Port
+from orchestration.system.values import fmi_value
 
 Describe = Callable[[str], ModelDescription]
 """Block, or path of an FMU -> its model description."""
+
+_MOST_NAMES = 6  # in a message
+# kind of entry -> the part that it gives to its variable: see `_has_part`
+_PARTS = {
+    "parameters": "start",
+    "inputs": "input",
+    "signals": "input",
+    "connections": "input",
+    "faults": "input",
+    "events": "change",
+    "vary": "setting",
+    "record": "signal",
+    "metrics": "signal",
+}
+_WITH_VALUES = ("parameters", "inputs", "events")
 
 
 @dataclass(frozen=True)
@@ -25,109 +50,151 @@ class Replacement:
     """A component whose FMU a layer replaces.
 
     fmu: "" if it is removed; layer: its index; ports: variable -> port of the new FMU
-    dropped: kind of entry -> names; kept: parameters that the new FMU has too -> value
+    optional: variables that it may lack
+    left_out: (variable that an entry lacks, input that the entry drives or ""); taken: inherited parameters
     """
 
     component: str
     fmu: str
     layer: int
     ports: Mapping[str, Port]
-    dropped: dict[str, list[str]] = field(default_factory=dict)
-    kept: dict[str, Any] = field(default_factory=dict)
+    optional: Sequence[str]
+    left_out: list[tuple[str, str]] = field(default_factory=list)
+    taken: dict[str, Any] = field(default_factory=dict)
 
-    def warn(self, parameters: Mapping[str, Any]) -> None:
-        """Name in one warning what was dropped, and the parameters that were kept.
+    def fits(self, part: str, name: str, value: Any, driven: str) -> bool:
+        """Whether the new FMU can have a part in an entry; notes it as left out or taken."""
+        variable = name.partition(".")[2]
+        port = self.ports.get(variable)
+        if port is None or not _has_part(port, part, value):
+            self.left_out.append((variable, driven))
+            return False
+        if part == "start":
+            self.taken[variable] = value
+        return True
 
-        parameters: of the scenario; one that a layer above gives is not the inherited one.
+    def check(self, data: Data) -> None:
+        """Checks that the new FMU is joined to the system, and warns of what may not be meant.
+
+        data: of all layers
+        Raises ScenarioError for an FMU whose variables have other names than what it inherits.
         """
-        parts = []
-        if self.dropped:
-            listed = "; ".join(f"{kind} {', '.join(names)}" for kind, names in self.dropped.items())
-            parts.append(f"dropped{', as it lacks them' if self.fmu else ''}: {listed}")
-        kept = [f"{name} = {value!r}" for name, value in self.kept.items() if parameters.get(name) == value]
-        if kept:
-            parts.append(f"kept, as it has them: parameters {', '.join(kept)}")
-        if parts:
-            state = f"is {Path(self.fmu).name}" if self.fmu else "is removed"
-            warnings.warn("; ".join([f"{self.component} {state}", *parts]), ScenarioWarning, stacklevel=4)
+        if not self.fmu:
+            return
+        state, prefix = f"{self.component} is {Path(self.fmu).name}", f"{self.component}."
+        driven = {*data["inputs"], *data["signals"], *(t for _, t, *_ in data.get("connections", []))}
+        may_be_open = data["experiment"].get("open_inputs") == "start"
+        undriven = [n for n in self._names("input") if not (prefix + n in driven or may_be_open)]
+        inputs = {name for name, target in self.left_out if target == prefix + name}
+        outputs = {name for name, target in self.left_out if target and target not in driven} - inputs
+        unjoined = sorted(outputs | inputs if undriven else outputs)
+        missing = dict.fromkeys(n for n, t in self.left_out if n not in self.optional and t not in driven)
+        names = unjoined or list(missing)
+        lacks = f"{state}, which lacks {_listed(names)}"
+        mapped = f"--map {prefix}{''.join(names[:1])}=NAME or in [mapping.{self.component}]"
+        hint = f"name those that stand for others by {mapped}"
+        if unjoined:
+            may_stay = "; --open-inputs start leaves its inputs at their start values" if undriven else ""
+            raise ScenarioError(
+                f"{lacks}; nothing drives its {', '.join(undriven) or '(no input)'}, its outputs are "
+                f"{', '.join(self._names('output'))}: {hint}{may_stay}"
+            )
+        if missing:
+            _warn(
+                f"{lacks}: left out; {hint}, those that it may lack in [optional], {self.component} = [...]"
+            )
+        own = {n: start_value(self.ports[n].variable) for n in self.taken}
+        values = {n: data["parameters"].get(prefix + n) for n in own}
+        taken = [n for n, v in values.items() if v == self.taken[n] and fmi_value(self.ports[n], v) != own[n]]
+        if taken and self.left_out:
+            listed = _listed([f"{n} = {values[n]!r}" for n in taken])
+            restored = f"--set {prefix}{taken[0]}={json.dumps(own[taken[0]])}"
+            _warn(f"{state}, which takes {listed} of the scenario; its own by {restored}")
 
-    def lost_inputs(self) -> list[str]:
-        """The inputs that a connection or a signal drives, and the new FMU has not."""
-        targets = (shown.partition(" -> ")[2] for shown in self.dropped.get("connections", []))
-        names = (*targets, *self.dropped.get("signals", []))
-        return [name for name in names if name.startswith(f"{self.component}.")]
-
-    def names(self, causality: str) -> list[str]:
-        """The variables of the new FMU that have this causality."""
+    def _names(self, causality: str) -> list[str]:
         return [name for name, port in self.ports.items() if port.variable.causality == causality]
 
 
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
+    return ", ".join(names[:_MOST_NAMES]) + more
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, ScenarioWarning, stacklevel=4)
+
+
 def replacements(layers: Sequence[Layer], describe: Describe) -> dict[str, Replacement]:
-    """The components whose FMU is not that of the layer which gave them first, by name."""
+    """Returns the components whose FMU is not that of the layer which gave them first, by name."""
     fmus: dict[str, Any] = {}
     changed: dict[str, int] = {}
+    optional: dict[str, list[str]] = {}
     for index, layer in enumerate(layers):
         for component, fmu in layer.data.get("components", {}).items():
             if fmus.get(component, fmu) != fmu:
                 changed[component] = index
-            fmus[component] = fmu
-    return {
-        component: Replacement(
-            component, fmus[component] or "", index, _ports(component, fmus[component], describe)
-        )
-        for component, index in changed.items()
+            fmus[component] = fmu or ""
+        for component, names in layer.data.get("optional", {}).items():
+            optional[component] = [*optional.get(component, []), *names]
+    result: dict[str, Replacement] = {}
+    for name, index in changed.items():
+        variables = describe(fmus[name]).modelVariables if fmus[name] else []
+        ports = {v.name: Port(name, v) for v in variables}
+        result[name] = Replacement(name, fmus[name], index, ports, optional.get(name, []))
+    return result
+
+
+def without_misfits(layers: Sequence[Layer], replaced: Mapping[str, Replacement]) -> list[Layer]:
+    """Returns the layers without inherited entries that do not fit."""
+    above = [{n: r for n, r in replaced.items() if r.layer > index} for index in range(len(layers))]
+    return [replace(x, data=_fitting(x.data, a)) if a else x for x, a in zip(layers, above, strict=True)]
+
+
+def _fitting(data: Data, replaced: Mapping[str, Replacement]) -> Data:
+    """Returns the entries of a layer that fit the FMUs which replace components of it."""
+
+    def fits(part: str, name: str, value: Any = None, driven: str = "") -> bool:
+        new = replaced.get(name.partition(".")[0])
+        return new is None or new.fits(part, name, value, driven)
+
+    def is_kept(kind: str, name: str, value: Any) -> bool:
+        if kind == "step_sizes":
+            return name not in replaced or bool(replaced[name].fmu)
+        names = [value[key] for key in SIGNALS if value and key in value] if kind == "metrics" else [name]
+        driven = name if kind in ("connections", "signals") else ""
+        if kind == "connections" and value and not fits("output", source_of(value), driven=driven):
+            return False
+        given = value if kind in _WITH_VALUES else None
+        return kind not in _PARTS or all(fits(_PARTS[kind], n, given, driven) for n in names)
+
+    result: Data = {}
+    for kind, entries in data.items():
+        if kind == "sweep":
+            result[kind] = _fitting(entries, replaced)
+        elif kind == "events":
+            result[kind] = with_events(entries, partial(is_kept, kind))
+        elif isinstance(entries, dict):
+            result[kind] = {name: value for name, value in entries.items() if is_kept(kind, name, value)}
+        elif kind == "connections":
+            result[kind] = [entry for entry in entries if is_kept(kind, entry[1], entry[0])]
+        elif kind in ("record", "faults"):
+            result[kind] = [x for x in entries if is_kept(kind, x["input"] if kind == "faults" else x, None)]
+        else:
+            result[kind] = entries
+    return result
+
+
+def _has_part(port: Port, part: str, value: Any) -> bool:
+    """Whether a variable can have a part in a scenario, and takes the value if one is given."""
+    variable = port.variable
+    is_settable = variable.causality in ("parameter", "input")
+    parts = {
+        "start": has_start_value(variable),
+        "setting": is_settable,
+        "change": is_settable and variable.variability != "fixed",
+        "signal": True,
     }
-
-
-def _ports(component: str, fmu: Any, describe: Describe) -> dict[str, Port]:
-    if fmu is False:
-        return {}
-    return {v.name: Port(component, v) for v in describe(fmu).modelVariables}
-
-
-def warn_of_dropped(replaced: Mapping[str, Replacement], data: Data) -> None:
-    """One warning for each component names what it lacks; ScenarioError if it is not joined to the system."""
-    for replacement in replaced.values():
-        _check_joined(replacement, data)
-    for replacement in replaced.values():
-        replacement.warn(data["parameters"])
-
-
-def _check_joined(replaced: Replacement, data: Data) -> None:
-    """Refuse an FMU whose variables have other names than the connections and signals that it inherits."""
-    prefix = f"{replaced.component}."
-    driven = {*data["inputs"], *data["signals"], *(target for _, target, *_ in data.get("connections", []))}
-    missing: set[str] = set()
-    for shown in replaced.dropped.get("connections", []):
-        source, _, target = shown.partition(" -> ")
-        missing |= {source} if source.startswith(prefix) and target not in driven else set()
-    may_be_open = data["experiment"].get("open_inputs") == "start"
-    undriven = [n for n in replaced.names("input") if not (prefix + n in driven or may_be_open)]
-    if undriven:
-        missing |= set(replaced.lost_inputs())
-    if not (replaced.fmu and missing):
-        return
-    lacks = sorted(name.removeprefix(prefix) for name in missing)
-    may_stay = "; --open-inputs start leaves its inputs at their start values" if undriven else ""
-    raise ScenarioError(
-        f"{replaced.component} is {Path(replaced.fmu).name}, which lacks {', '.join(lacks)}; nothing drives "
-        f"its {', '.join(undriven) or '(no input)'}, its outputs are {', '.join(replaced.names('output'))}: "
-        f"name those that stand for others by --map {prefix}{lacks[0]}=NAME or in "
-        f"[mapping.{replaced.component}]{may_stay}"
-    )
-
-
-def without_removed(data: Data, table: str, layers: Sequence[Layer], describe: Describe) -> dict[str, Any]:
-    """The values of a table without those that are `false`, inherited, and of no Boolean variable."""
-
-    def is_removed(name: str, value: Any) -> bool:
-        is_inherited = sum(name in layer.data.get(table, {}) for layer in layers) > 1
-        return value is False and is_inherited and not _is_boolean(name, data["components"], describe)
-
-    return {name: value for name, value in data[table].items() if not is_removed(name, value)}
-
-
-def _is_boolean(name: str, components: Mapping[str, str], describe: Describe) -> bool:
-    component, _, variable = name.partition(".")
-    variables = describe(components[component]).modelVariables if component in components else []
-    return any(v.name == variable and v.type == "Boolean" for v in variables)
+    with suppress(SystemDefinitionError):
+        has_part = parts.get(part, variable.causality == part)
+        return has_part and (value is None or value is False or fmi_value(port, value) is not None)
+    return False

@@ -16,18 +16,16 @@ from fmus.fmi.variable_types import FmiValue
 from fmus.registry import Flavour, fmu_path
 from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.results import metrics
-from orchestration.scenarios.adapters import adapted, mappings, with_chosen_entries
+from orchestration.scenarios.adapters import adapted, with_chosen_entries
 from orchestration.scenarios.declarations import fault, signal
 from orchestration.scenarios.file_format import ScenarioFile
 from orchestration.scenarios.file_tables import checked
-from orchestration.scenarios.fitting import without_misfits
-from orchestration.scenarios.layers import TABLES, Layer, merged, with_faulted_constants
+from orchestration.scenarios.layers import TABLES, Layer, components_of, merged, with_faulted_constants
 from orchestration.scenarios.read_layers import (
     FILE,
     SHIPPED,
     check_components,
     command_entries,
-    components_of,
     file_layers,
     find,
     parameter_values,
@@ -35,7 +33,7 @@ from orchestration.scenarios.read_layers import (
     values_of_settings,
     with_parameter_files,
 )
-from orchestration.scenarios.replaced import replacements, warn_of_dropped, without_removed
+from orchestration.scenarios.replaced import replacements, without_misfits
 from orchestration.scenarios.toml_file import KeyPath, TomlFile
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.prepared_run import PreparedRun, prepare
@@ -86,7 +84,7 @@ def load(
     settings: "component.variable" -> value of a parameter or a constant input, and component -> the FMU or
     block in its place; checked and laid over all
     build: called with the file of an FMU whose model description is needed to load the scenario
-    Warns (ScenarioWarning) of inherited entries that do not fit an FMU which replaces that of the base.
+    Warns (ScenarioWarning) where an FMU that replaces that of the base may be another than was meant.
     """
     between = (with_parameter_files(data, Path())[0] for data in layers_between)
     layers = [*file_layers(path), *map(Layer, between)]
@@ -100,20 +98,24 @@ def load(
         build(file)
         return describe(file)
 
-    replaced = replacements(layers, description)
-    layers = adapted(layers, replaced, mappings(layers, replaced))
+    def is_boolean(name: str) -> bool:
+        component, _, variable = name.partition(".")
+        fmu = components_of(layers).get(component)
+        variables = description(fmu).modelVariables if fmu else []
+        return any((v.name, v.type) == (variable, "Boolean") for v in variables)
+
+    layers = adapted(layers, replacements(layers, description))
     check_components(settings or {}, layers[:-1])
     layers.append(Layer(values_of_settings(settings or {}, components_of(layers), description)))
     layers = with_chosen_entries(layers)
     replaced = replacements(layers, description)
-    fitting = without_misfits(layers, replaced)
-    data = {"title": path.stem, **{table: {} for table in TABLES}, **merged(fitting)}
-    for table in ("parameters", "inputs"):
-        data[table] = without_removed(data, table, fitting, description)
-    data = with_faulted_constants(data)
+    fitting = merged(without_misfits(layers, replaced), is_boolean)
+    data = with_faulted_constants({"title": path.stem, **{table: {} for table in TABLES}, **fitting})
+    data.pop("optional", None)
     if not data["components"]:
         raise ScenarioError(f"{path}: components is missing")
-    warn_of_dropped(replaced, data)
+    for replacement in replaced.values():
+        replacement.check(data)
     data["metrics"] = {name: metric for name, metric in data["metrics"].items() if metric is not False}
     file = checked(FILE, data, lambda keys: str(path))
     try:

@@ -27,7 +27,7 @@ def test_it_follows_the_trajectory_and_is_quiet_at_its_start_gains(
     assert built["RovDepthPlant"].is_file()
     settings = {"controller": str(built[name])} | ({} if knows_rates else dict.fromkeys(RATES, 0.0))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ScenarioWarning)
+        warnings.simplefilter("error", ScenarioWarning)
         loaded = scenario.load(scenario.find("nominal-extended"), settings=settings)
     run = simulate(loaded.system, loaded.experiment)
     depth, error = run["plant.depth"], run["plant.depth"] - run["controller.depth_reference"]

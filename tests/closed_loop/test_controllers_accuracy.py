@@ -4,7 +4,6 @@ Ideal sensor and measured velocity, thrusters with their lag, the vehicle under 
 """
 
 import math
-import warnings
 from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
@@ -16,7 +15,6 @@ from scipy.linalg import solve_continuous_lyapunov
 
 from controller_fmu import adrc, mrac, pid, sliding_mode, super_twisting
 from orchestration import simulate
-from orchestration.errors import ScenarioWarning
 from orchestration.scenarios import scenario
 from plant_fmu import depth_plant
 
@@ -113,9 +111,7 @@ def co_simulated(controller: Path, h: float, times: np.ndarray) -> np.ndarray:
         "metrics": {"holding_thrust": False},
         "experiment": {"stop_time": DURATION, "step_size": h},
     }  # fmt: skip
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ScenarioWarning)
-        chosen = scenario.load(scenario.find("nominal-extended-ideal"), overrides)
+    chosen = scenario.load(scenario.find("nominal-extended-ideal"), overrides)
     run = simulate(chosen.system, chosen.experiment)
     return np.interp(times, run.time, run["plant.depth"])
 

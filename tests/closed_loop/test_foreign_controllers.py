@@ -48,7 +48,6 @@ def run_with(controller: Path) -> Recording:
     return simulate(chosen.system, chosen.experiment)
 
 
-@pytest.mark.filterwarnings("ignore::orchestration.errors.ScenarioWarning")  # of what only our controller has
 def test_a_controller_in_c_gives_the_depth_of_the_same_block(
     scenario_fmus: None, c_pid: Path, tmp_path: Path
 ) -> None:

@@ -6,7 +6,6 @@ rounded the other way), and for MRAC by the explicit step of its estimates (0.3 
 """
 
 import math
-import warnings
 from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
@@ -16,7 +15,6 @@ import numpy as np
 import pytest
 
 from orchestration import simulate
-from orchestration.errors import ScenarioWarning
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
 from tests.closed_loop.same_experiment import SMOOTH, component_values, slope
@@ -62,9 +60,7 @@ def loop_of(fmu: Path, settings: Mapping[str, Any], stop: float) -> Scenario:
         "experiment": {"stop_time": stop},
         "metrics": dict.fromkeys(scenario.load(shipped).metrics, False),
     }
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ScenarioWarning)  # of entries that only our L1 controller has
-        return scenario.load(shipped, changes, settings={"controller": str(fmu), **settings})
+    return scenario.load(shipped, changes, settings={"controller": str(fmu), **settings})
 
 
 def both_figures(

@@ -5,13 +5,12 @@ from typing import Any
 
 import pytest
 
-from orchestration.errors import ScenarioError
+from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.prepared_run import prepare
 from tests.described_fmus import described
 
-pytestmark = pytest.mark.filterwarnings("ignore::orchestration.errors.ScenarioWarning")
 REFERENCE, DEPTH = "depth_reference", "measured_depth"
 VOLTAGES = ("voltage[1]", "voltage[2]")
 MAPPED = {"depth_reference": "r", "measured_depth": "z", "voltage[1]": "v1", "voltage[2]": "v2"}
@@ -108,18 +107,15 @@ def test_a_mapping_in_a_file_is_of_its_base_and_of_its_own_fmu(tmp_path: Path) -
 
 
 def test_two_connections_to_one_input_in_an_entry_are_refused(tmp_path: Path) -> None:
-    described(tmp_path / "my.fmu", ("r", "z"), ("v1", "v2"))
+    described(tmp_path / "my.fmu", (REFERENCE, DEPTH), ("v1", "v2"))
     (tmp_path / "base.toml").write_text(
         'base = "nominal-l1"\n\n[[when_replaced]]\ncomponent = "controller"\nhas = ["v1"]\nconnections = [\n'
         '    ["controller.v1", "plant.voltage[1]", { factor = 2.0 }],\n'
-        '    ["controller.v2", "plant.voltage[1]"],\n]\n'
+        '    ["controller.v2", "plant.voltage[1]"],\n    ["controller.v2", "plant.voltage[2]"],\n]\n'
     )
-    with pytest.raises(ScenarioError) as refusal:
-        scenario.load(tmp_path / "base.toml", settings={"controller": str(tmp_path / "my.fmu")})
-    assert str(refusal.value) == (
-        f"{tmp_path}/base.toml:6: controller.v1 and controller.v2 are connected to "
-        "plant.voltage[1]: expected one connection to an input"
-    )
+    loaded = scenario.load(tmp_path / "base.toml", settings={"controller": str(tmp_path / "my.fmu")})
+    with pytest.raises(SystemDefinitionError, match=r"plant.voltage\[1\] is driven 2 times"):
+        prepare(loaded.system, loaded.experiment)
 
 
 def test_a_reference_that_a_connection_drives_needs_its_rate_from_there(tmp_path: Path) -> None:

@@ -1,14 +1,20 @@
-"""A component of a scenario is replaced by another FMU: what it inherits, and what is dropped."""
+"""A component of a scenario is replaced by another FMU: what it inherits, and what is left out."""
 
+import shutil
 import zipfile
 from pathlib import Path
 
 import pytest
 
+from fmus.fmi.description import describe
+from fmus.registry import fmu_path
 from orchestration.errors import OrchestrationError, ScenarioError, ScenarioWarning
 from orchestration.results.metric_units import metric_units
 from orchestration.scenarios import scenario
+from orchestration.scenarios.assigned_text import AssignedText
+from orchestration.scenarios.read_layers import shipped_bases
 from orchestration.scenarios.scenario import Scenario
+from orchestration.scenarios.toml_file import read_toml
 from orchestration.system.prepared_run import prepare
 from tests.described_fmus import described
 
@@ -25,11 +31,10 @@ def child(folder: Path, text: str = "", base: str = "nominal-extended") -> Path:
 def with_controller(folder: Path, text: str = "", parameters: tuple[str, ...] = ()) -> Scenario:
     described(folder / "pid.fmu", INPUTS, VOLTAGES, ("internal_step", *parameters))
     path = child(folder, '[components]\ncontroller = "pid.fmu"\n' + text)
-    with pytest.warns(ScenarioWarning):
-        return scenario.load(path)
+    return scenario.load(path)
 
 
-def test_what_fits_stays_and_the_rest_is_dropped(tmp_path: Path) -> None:
+def test_what_fits_stays_and_the_rest_is_left_out_without_a_word(tmp_path: Path) -> None:
     loaded = with_controller(tmp_path)
     ours = scenario.load(scenario.find("nominal-extended"))
     of_controller = [name for name in loaded.experiment.parameters if name.startswith("controller.")]
@@ -43,37 +48,72 @@ def test_what_fits_stays_and_the_rest_is_dropped(tmp_path: Path) -> None:
     assert loaded.resolved["record"] == list(loaded.experiment.record)
 
 
-def test_one_warning_names_all_that_is_dropped(tmp_path: Path) -> None:
-    described(tmp_path / "pid.fmu", INPUTS, VOLTAGES)
+def warnings_of(caught: pytest.WarningsRecorder) -> list[str]:
+    return [str(warning.message) for warning in caught]
+
+
+def test_a_line_names_what_the_scenario_does_not_mark_optional(tmp_path: Path) -> None:
+    """Followed, each of its two hints ends it."""
+    fmu = described(tmp_path / "deaf.fmu", ("depth_reference",), (*VOLTAGES, "z"))
+    path, settings = scenario.find("nominal-extended"), {"controller": str(fmu)}
     with pytest.warns(ScenarioWarning) as caught:
-        scenario.load(child(tmp_path, '[components]\ncontroller = "pid.fmu"\n'))
-    assert len(caught) == 1
-    message = str(caught[0].message)
-    assert "\n" not in message
-    for part in (
-        "controller is pid.fmu",
-        "controller.augmentation",
-        "inputs controller.depth_reference_rate, controller.depth_reference_acceleration, controller.roll, ",
-        "plant.depth_rate -> controller.measured_depth_rate",
-        "controller.u_m",
-        "metrics total_variation",
-    ):
-        assert part in message
+        scenario.load(path, settings=settings)
+    assert warnings_of(caught) == [
+        "controller is deaf.fmu, which lacks measured_depth: left out; name those that stand for others by "
+        "--map controller.measured_depth=NAME or in [mapping.controller], those that it may lack in "
+        "[optional], controller = [...]"
+    ]
+    loaded = scenario.load(path, {"optional": {"controller": ["measured_depth"]}}, settings=settings)
+    assert "optional" not in loaded.resolved
+    described(tmp_path / "deaf.fmu", ("depth_reference", "z"), VOLTAGES)
+    scenario.load(path, {"mapping": {"controller": {"measured_depth": "z"}}}, settings=settings)
 
 
-def test_the_warning_names_the_parameters_that_the_new_fmu_inherits(tmp_path: Path) -> None:
-    """Gains that were chosen for another controller are not taken in silence."""
-    described(tmp_path / "pid.fmu", INPUTS, VOLTAGES, ("proportional_gain",))
-    kept_parameters = r"; kept, as it has them: parameters controller\.proportional_gain = \d+\.\d+$"
-    with pytest.warns(ScenarioWarning, match=kept_parameters):
-        scenario.load(child(tmp_path, '[components]\ncontroller = "pid.fmu"\n'))
+def test_a_line_names_a_few_of_many(tmp_path: Path) -> None:
+    names = "".join(f'"controller.k{i}" = 1.0\n' for i in range(9))
+    fmu = described(tmp_path / "pid.fmu", INPUTS, VOLTAGES)
+    with pytest.warns(ScenarioWarning, match=r"lacks k0, k1, k2, k3, k4, k5 and 3 more: left out; "):
+        scenario.load(child(tmp_path, f"[parameters]\n{names}"), settings={"controller": str(fmu)})
+
+
+def test_a_line_names_the_parameters_that_the_new_fmu_takes(tmp_path: Path) -> None:
+    """Gains that were chosen for another controller are not taken in silence; its hint ends the line."""
+    fmu = described(tmp_path / "pid.fmu", INPUTS, VOLTAGES, ("proportional_gain",))
+    path, settings = scenario.find("nominal-extended"), {"controller": str(fmu)}
+    with pytest.warns(ScenarioWarning) as caught:
+        gain = scenario.load(path, settings=settings).experiment.parameters["controller.proportional_gain"]
+    assert warnings_of(caught) == [
+        f"controller is pid.fmu, which takes proportional_gain = {gain} of the scenario; its own by "
+        "--set controller.proportional_gain=0.0"
+    ]
+    scenario.load(path, settings={**settings, "controller.proportional_gain": AssignedText("0.0")})
+
+
+def test_a_copy_of_the_controller_takes_all_without_a_word(scenario_fmus: None, tmp_path: Path) -> None:
+    copy = shutil.copy(fmu_path("L1DepthController"), tmp_path / "copy.fmu")
+    ours = scenario.load(scenario.find("nominal-extended"))
+    loaded = scenario.load(scenario.find("nominal-extended"), settings={"controller": str(copy)})
+    assert loaded.experiment.parameters == ours.experiment.parameters
+
+
+@pytest.mark.parametrize("base", ["vehicle", "example"])
+def test_what_a_base_marks_optional_is_a_variable_of_its_component(scenario_fmus: None, base: str) -> None:
+    data = read_toml(shipped_bases()[base]).data
+    for component, names in data["optional"].items():
+        variables = describe(fmu_path(data["components"][component])).modelVariables
+        assert set(names) <= {variable.name for variable in variables}
+
+
+def test_an_unknown_component_is_not_marked(tmp_path: Path) -> None:
+    message = r"child.toml:3: optional.contrller: no component 'contrller'; nearest is 'controller'"
+    with pytest.raises(ScenarioError, match=message):
+        scenario.load(child(tmp_path, '[optional]\ncontrller = ["kp"]\n'))
 
 
 def test_a_variable_of_another_causality_or_range_does_not_fit(tmp_path: Path) -> None:
     described(tmp_path / "pid.fmu", INPUTS, (*VOLTAGES, "augmentation"), ("roll", "internal_step:Integer"))
     loaded_path = child(tmp_path, '[components]\ncontroller = "pid.fmu"\n')
-    with pytest.warns(ScenarioWarning, match=r"controller\.internal_step"):
-        loaded = scenario.load(loaded_path)
+    loaded = scenario.load(loaded_path)
     assert not [n for n in (*loaded.experiment.parameters, *loaded.experiment.inputs) if n[0] == "c"]
 
 
@@ -87,7 +127,7 @@ def test_what_the_replacing_scenario_gives_is_never_dropped(tmp_path: Path) -> N
 
 def test_what_fits_the_last_fmu_counts_whatever_stood_between(tmp_path: Path) -> None:
     with_controller(tmp_path, '[parameters]\n"controller.kp" = 3.0\n', ("kp",))
-    with pytest.warns(ScenarioWarning, match=r"dropped, as it lacks them: parameters controller\.kp; kept"):
+    with pytest.warns(ScenarioWarning, match=r"L1DepthController, which lacks kp: left out"):
         loaded = scenario.load(tmp_path / "child.toml", settings={"controller": "L1DepthController"})
     ours = scenario.load(scenario.find("nominal-extended"))
     assert (loaded.system, loaded.experiment) == (ours.system, ours.experiment)
@@ -134,7 +174,7 @@ kind = "freeze"
 [sweep]
 vary = { "controller.adaptation_gain" = { values = [1.0] }, "plant.inertia" = { values = [5.0] } }
 """
-    with pytest.warns(ScenarioWarning, match=r"faults controller.measured_depth_rate; events"):
+    with pytest.warns(ScenarioWarning, match="which lacks adaptation_gain: left out"):
         loaded = scenario.load(child(tmp_path, base), settings={"controller": str(tmp_path / "pid.fmu")})
     assert [dict(event.values) for event in loaded.experiment.events] == [{"plant.roll": 0.1}]
     assert [fault.input for fault in loaded.experiment.faults] == ["controller.measured_depth"]
@@ -157,7 +197,7 @@ def test_what_the_new_fmu_can_take_is_not_dropped_for_its_causality(tmp_path: Pa
         parameter, output = 'parameter" variability="tunable"', 'output" variability="continuous"'
         first = text.replace(parameter, f'{output} initial="exact"', 1)
         archive.writestr("modelDescription.xml", first)
-    with pytest.warns(ScenarioWarning):
+    with pytest.warns(ScenarioWarning, match="takes internal_step = 0.02 of the scenario"):
         loaded = scenario.load(child(tmp_path), settings={"controller": str(fmu)})
     assert loaded.experiment.parameters["controller.internal_step"] == 0.02
     assert "controller.u_m" in loaded.experiment.record
@@ -166,8 +206,7 @@ def test_what_the_new_fmu_can_take_is_not_dropped_for_its_causality(tmp_path: Pa
 def test_an_event_on_what_is_fixed_in_the_new_fmu_is_dropped(tmp_path: Path) -> None:
     event = '[[events]]\ntime = 1.0\nset = { "controller.internal_step" = 0.04 }\n'
     with_controller(tmp_path, event)
-    with pytest.warns(ScenarioWarning, match=r"events controller.internal_step"):
-        loaded = scenario.load(tmp_path / "child.toml", settings={"controller": "L1DepthController"})
+    loaded = scenario.load(tmp_path / "child.toml", settings={"controller": "L1DepthController"})
     assert loaded.experiment.events == ()
 
 
@@ -177,8 +216,7 @@ def test_metrics_have_their_units_with_a_controller_that_states_none(
 ) -> None:
     """The interface fixes them."""
     fmu = described(tmp_path / "pid.fmu", INPUTS, ("control_force",))
-    with pytest.warns(ScenarioWarning):
-        loaded = scenario.load(scenario.find(name), settings={"controller": str(fmu)})
+    loaded = scenario.load(scenario.find(name), settings={"controller": str(fmu)})
     ports = prepare(loaded.system, loaded.experiment).system.ports
     units = metric_units(loaded.metrics, {n: port.variable.unit or "" for n, port in ports.items()})
     assert units["total_variation"] == "N"
