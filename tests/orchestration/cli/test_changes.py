@@ -30,8 +30,7 @@ def test_another_controller_runs_beside_ours(
     short_scenario()
     command("run", "short.toml")
     done = command("run", "short.toml", "--controller", "my.fmu")
-    (line,) = done.stderr.splitlines()  # nothing is dropped, since the FMU is the same
-    assert line.startswith("l1-depth: warning: controller is my.fmu; kept, as it has them: parameters ")
+    assert not done.stderr
     assert "results/short-my.csv" in done.stdout
     ours, other = ((tmp_path / "results" / f"{name}.csv").read_text() for name in ("short", "short-my"))
     assert ours.splitlines()[1:] == other.splitlines()[1:]
@@ -40,7 +39,7 @@ def test_another_controller_runs_beside_ours(
     assert document["scenario"]["components"]["controller"] == str(tmp_path / "my.fmu")
 
 
-def test_what_is_dropped_is_one_line_on_standard_error(
+def test_a_controller_of_the_interface_runs_without_a_warning(
     command: Command, short_scenario: Callable[..., Path], tmp_path: Path
 ) -> None:
     short_scenario()
@@ -48,20 +47,21 @@ def test_what_is_dropped_is_one_line_on_standard_error(
     described(tmp_path / "my.fmu", inputs, ("voltage[1]", "voltage[2]"))
     options = ("--controller", "my.fmu", "--map", "depth_reference=setpoint", "--open-inputs", "start")
     done = command("run", "short.toml", *options, expect=1)
-    dropped, open_inputs, error = done.stderr.splitlines()
-    assert dropped.startswith("l1-depth: warning: controller is my.fmu; dropped, as it lacks them: ")
+    open_inputs, error = done.stderr.splitlines()
     assert open_inputs == "l1-depth: open inputs at their start values: controller.enable = False"
     assert "my.fmu has no binary" in error
 
 
-def test_what_is_dropped_is_told_also_if_the_scenario_is_refused(
+def test_what_is_lacking_is_one_line_also_if_the_scenario_is_refused(
     command: Command, short_scenario: Callable[..., Path], tmp_path: Path
 ) -> None:
     short_scenario(more="[step_sizes]\nplant = 0.03\n")
-    described(tmp_path / "my.fmu", ("depth_reference", "measured_depth"), ("voltage[1]", "voltage[2]"))
+    described(tmp_path / "my.fmu", ("depth_reference",), ("voltage[1]", "voltage[2]"))
     error = command("run", "short.toml", "--controller", "my.fmu", expect=1).stderr
-    dropped, refusal = error.splitlines()
-    assert dropped.startswith("l1-depth: warning: controller is my.fmu; dropped, as it lacks them: ")
+    lacking, refusal = error.splitlines()
+    assert lacking.startswith(
+        "l1-depth: warning: controller is my.fmu, which lacks measured_depth: left out; "
+    )
     assert "step size of plant, 0.03 s: expected a multiple" in refusal
 
 
