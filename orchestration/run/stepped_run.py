@@ -25,21 +25,15 @@ _POSITION = int(Report.POSITION)
 _RECORDED, _TERMINATED = int(Report.RECORDED), int(Report.TERMINATED)
 
 
-class _NextLook:
-    """The time [s] when a step of any run looks again at what FMUs did to their common process."""
-
-    time = 0.0
-
-
-_next_look = _NextLook()
-
-
 class SteppedRun(RunInProgress):
     """An initialised run at its first communication point; `free` ends it.
 
     failure: why no further step can be taken; empty if one can
     variables: to read and set them
     """
+
+    # time [s] when a step of any run looks again, as the runs share the process
+    _next_look = 0.0
 
     def __init__(self, wired: WiredRun, loop: LoopFunctions, guard: ProcessGuard) -> None:
         super().__init__(wired, loop, guard)
@@ -127,9 +121,9 @@ class SteppedRun(RunInProgress):
         if self._loop.run(point, point + 1) == point:
             self.look_around(failed=True)
             self._repeat_discarded_step(point)
-        elif time.perf_counter() > _next_look.time:
+        elif time.perf_counter() > SteppedRun._next_look:
             self.look_around()
-            _next_look.time = time.perf_counter() + _LOOK_EVERY_S
+            SteppedRun._next_look = time.perf_counter() + _LOOK_EVERY_S
 
     def _step_and_more(self, point: int) -> None:
         """A step with what is due before and after it."""

@@ -137,7 +137,9 @@ class Loop(AbstractContextManager["Loop"]):
             overrides["mapping"] = {"controller": dict(controller.mapping)}
         settings = {f"{OWN}{name}": value for name, value in controller.parameters.items()}
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ScenarioWarning)  # of entries that only our own controller has
+            warnings.simplefilter(
+                "ignore", ScenarioWarning
+            )  # of inherited parameters, which are left out below
             loaded = scenario.load(
                 path,
                 overrides,
