@@ -10,7 +10,7 @@ controller = ["measured_depth_rate", "u_m"]
 
 import json
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -50,8 +50,8 @@ class Replacement:
     """A component whose FMU a layer replaces.
 
     fmu: "" if it is removed; layer: its index; ports: variable -> port of the new FMU
-    optional: variables that it may lack
-    left_out: (variable that an entry lacks, input that the entry drives or ""); taken: inherited parameters
+    optional: variables that it may lack; identified: parameters that a file has, chosen for another FMU
+    left_out: (variable that an entry lacks, input that the entry drives or ""); taken: of those identified
     """
 
     component: str
@@ -59,6 +59,7 @@ class Replacement:
     layer: int
     ports: Mapping[str, Port]
     optional: Sequence[str]
+    identified: Collection[str]
     left_out: list[tuple[str, str]] = field(default_factory=list)
     taken: dict[str, Any] = field(default_factory=dict)
 
@@ -69,7 +70,7 @@ class Replacement:
         if port is None or not _has_part(port, part, value):
             self.left_out.append((variable, driven))
             return False
-        if part == "start":
+        if part == "start" and name in self.identified:
             self.taken[variable] = value
         return True
 
@@ -100,9 +101,8 @@ class Replacement:
                 f"{', '.join(self._names('output'))}: {hint}{may_stay}"
             )
         if missing:
-            _warn(
-                f"{lacks}: left out; {hint}, those that it may lack in [optional], {self.component} = [...]"
-            )
+            listed = f"list those that it may lack in [optional], {self.component} = [...]"
+            _warn(f"{lacks}: left out; {hint}; {listed}")
         own = {n: start_value(self.ports[n].variable) for n in self.taken}
         values = {n: data["parameters"].get(prefix + n) for n in own}
         taken = [n for n, v in values.items() if v == self.taken[n] and fmi_value(self.ports[n], v) != own[n]]
@@ -129,6 +129,7 @@ def replacements(layers: Sequence[Layer], describe: Describe) -> dict[str, Repla
     fmus: dict[str, Any] = {}
     changed: dict[str, int] = {}
     optional: dict[str, list[str]] = {}
+    identified = {name for x in layers for file in x.files[1:] for name in file.data.get("parameters", {})}
     for index, layer in enumerate(layers):
         for component, fmu in layer.data.get("components", {}).items():
             if fmus.get(component, fmu) != fmu:
@@ -140,7 +141,7 @@ def replacements(layers: Sequence[Layer], describe: Describe) -> dict[str, Repla
     for name, index in changed.items():
         variables = describe(fmus[name]).modelVariables if fmus[name] else []
         ports = {v.name: Port(name, v) for v in variables}
-        result[name] = Replacement(name, fmus[name], index, ports, optional.get(name, []))
+        result[name] = Replacement(name, fmus[name], index, ports, optional.get(name, []), identified)
     return result
 
 

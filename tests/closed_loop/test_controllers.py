@@ -38,3 +38,16 @@ def test_it_follows_the_trajectory_and_is_quiet_at_its_start_gains(
     assert np.std(depth[in_hold]) < 0.003
     assert abs(np.mean(error[in_hold])) < 0.001  # each has an integrator
     assert np.sqrt(np.mean(error**2)) < (0.012 if knows_rates else 0.025)
+
+
+@pytest.mark.filterwarnings("error::orchestration.errors.ScenarioWarning")
+@pytest.mark.parametrize(
+    "path",
+    [p for n, p in scenario.shipped().items() if not n.startswith("example")],
+    ids=lambda path: path.stem,
+)
+def test_every_scenario_takes_it_without_a_warning(
+    scenario_fmus: None, built: Mapping[str, Path], path: Path
+) -> None:
+    for name in CONTROLLERS:
+        scenario.load(path, settings={"controller": str(built[name])})
