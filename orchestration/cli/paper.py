@@ -20,7 +20,7 @@ from orchestration.cli.shared import (
 
 def reproduce(
     out: OutFolder = Path("results"),
-    workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = usable_processors(),
+    workers: Annotated[int, typer.Option(help="Run so many scenarios at once.", min=1)] = usable_processors(),
     flavour: FlavourOption = Flavour.NATIVE,
     formats: FigureFormatsOption = "png",
 ) -> None:

@@ -17,12 +17,12 @@ import tomli_w
 
 from fmus.files import write_text_atomically
 from orchestration.errors import OrchestrationError
+from orchestration.many.job import Failure
+from orchestration.many.run_many import run_many
 from orchestration.results import metrics
 from orchestration.results.metric_units import metric_units, with_units
-from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from orchestration.scenarios.published import PUBLISHED, Published
-from orchestration.scenarios.worker_pool import Submit, worker_pool
 from orchestration.system.prepared_run import prepare
 
 SCENARIOS = ("nominal-l1", "nominal-extended")
@@ -86,10 +86,19 @@ def residuals(measured: Mapping[str, Mapping[str, float]]) -> np.ndarray:
     return np.nan_to_num(np.array(fit + excess), nan=_NOT_SETTLED)
 
 
-def run_with(name: str, gains: Mapping[str, float]) -> dict[str, float]:
-    """Metrics of one shipped scenario with these gains laid over it."""
-    with_gains = scenario.load(scenario.find(name), {"parameters": dict(gains)})
-    return metrics.evaluate(simulate(with_gains.system, with_gains.experiment), with_gains.metrics)
+def measure(gains: Mapping[str, float]) -> dict[str, dict[str, float]]:
+    """Returns the metrics of each shipped scenario with these gains laid over it.
+
+    Raises OrchestrationError for a run that fails.
+    """
+    loaded = [scenario.load(scenario.find(name), {"parameters": dict(gains)}) for name in SCENARIOS]
+    runs = run_many(loaded[0].system, [one.experiment for one in loaded])
+    measured = {}
+    for one, run in zip(loaded, runs, strict=True):
+        if isinstance(run, Failure):
+            raise OrchestrationError(f"{one.name}: {run.reason}")
+        measured[one.name] = metrics.evaluate(run, one.metrics)
+    return measured
 
 
 def _units() -> dict[str, str]:
@@ -111,18 +120,17 @@ def identify(
     starts: how many of them go to points drawn over the whole range
     progress: called with the lowest cost (half the sum of squares) after every evaluation
     """
-    from scipy.optimize import least_squares  # here, as the processes of the pool import this module too
+    from scipy.optimize import least_squares  # of this command alone, and slow to import
     from scipy.stats import qmc
 
     if not 1 <= starts < evaluations:
         raise OrchestrationError(f"evaluations {evaluations}: expected more than the {starts} starts")
-    with worker_pool(len(SCENARIOS)) as submit:
-        search = _Search(submit, seed, evaluations, progress)
-        drawn = _SCALED_LOW + qmc.LatinHypercube(len(GAINS), rng=seed).random(starts)
-        begin = min(drawn, key=lambda point: float(np.sum(search(point) ** 2)))
-        with suppress(_OutOfEvaluations):
-            least_squares(search, begin, bounds=(_SCALED_LOW, _SCALED_HIGH), diff_step=_STEP, ftol=1e-3)
-        return search.best
+    search = _Search(seed, evaluations, progress)
+    drawn = _SCALED_LOW + qmc.LatinHypercube(len(GAINS), rng=seed).random(starts)
+    begin = min(drawn, key=lambda point: float(np.sum(search(point) ** 2)))
+    with suppress(_OutOfEvaluations):
+        least_squares(search, begin, bounds=(_SCALED_LOW, _SCALED_HIGH), diff_step=_STEP, ftol=1e-3)
+    return search.best
 
 
 # A gain is searched as the position of its logarithm between its limits, scaled to 1..2: SciPy's finite
@@ -143,18 +151,15 @@ class _OutOfEvaluations(Exception):  # noqa: N818  (a signal to stop, not an err
 class _Search:
     """The objective, remembering the best point that it was asked for."""
 
-    def __init__(
-        self, submit: Submit, seed: int, evaluations: int, progress: Callable[[float], None]
-    ) -> None:
-        self._submit, self._evaluations, self._progress = submit, evaluations, progress
+    def __init__(self, seed: int, evaluations: int, progress: Callable[[float], None]) -> None:
+        self._evaluations, self._progress = evaluations, progress
         self.best = Fit({}, {}, _units(), cost=math.inf, evaluations=0, seed=seed)
 
     def __call__(self, scaled_gains: np.ndarray) -> np.ndarray:
         if self.best.evaluations >= self._evaluations:
             raise _OutOfEvaluations
         gains = {g.name: _unscaled(g, float(x)) for g, x in zip(GAINS, scaled_gains, strict=True)}
-        runs = {name: self._submit(run_with, name, gains) for name in SCENARIOS}
-        measured = {name: run.result() for name, run in runs.items()}
+        measured = measure(gains)
         deviations = residuals(measured)
         cost = 0.5 * float(deviations @ deviations)
         if cost < self.best.cost:

@@ -1,21 +1,19 @@
 """Running all scenarios that ship into a folder, side by side, and what sums them up."""
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import as_completed
 from pathlib import Path
 
 from fmus.files import write_json_atomically
 from fmus.registry import Flavour
+from orchestration.errors import OrchestrationError
+from orchestration.many.job import Failure
+from orchestration.many.run_many import run_many
 from orchestration.results.formats import FigureFormat
-from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 from orchestration.scenarios.paper_tables import summary
 from orchestration.scenarios.published import CASES
-from orchestration.scenarios.run_files import Result, run
+from orchestration.scenarios.run_files import Result, write_result
 from orchestration.scenarios.scenario import Scenario
-from orchestration.scenarios.worker_pool import worker_pool
-
-_LONGEST_FIRST = ("example-extended", "example-l1")  # so that no core idles at the end
 
 
 def reproduced(flavour: Flavour = Flavour.NATIVE) -> dict[str, Scenario]:
@@ -30,22 +28,20 @@ def run_all(
     progress: Callable[[str], None] = lambda name: None,
     flavour: Flavour = Flavour.NATIVE,
 ) -> dict[str, Result]:
-    """Run every reproduced scenario in `workers` processes; `progress` gets the name of each that is done."""
-    scenarios = reproduced(flavour)
-    names = sorted(scenarios, key=lambda name: name not in _LONGEST_FIRST)
-    results = {}
-    with worker_pool(workers) as submit:
-        futures = {submit(_run_named, name, folder, flavour): name for name in names}
-        for future in as_completed(futures):
-            name = futures[future]
-            results[name] = Result(scenarios[name], *future.result())
-            progress(name)
+    """Runs every reproduced scenario, `workers` at once; `progress` gets the name of each that is done.
+
+    Raises OrchestrationError for a run that fails.
+    """
+    scenarios, results = list(reproduced(flavour).values()), dict[str, Result]()
+    for system in {repr(loaded.system): loaded.system for loaded in scenarios}.values():
+        group = [loaded for loaded in scenarios if loaded.system == system]
+        runs = run_many(system, [loaded.experiment for loaded in group], workers=workers)
+        for loaded, run in zip(group, runs, strict=True):
+            if isinstance(run, Failure):
+                raise OrchestrationError(f"{loaded.name}: {run.reason}")
+            results[loaded.name] = write_result(loaded, run, folder)
+            progress(loaded.name)
     return results
-
-
-def _run_named(name: str, folder: Path, flavour: Flavour) -> tuple[Recording, dict[str, float]]:
-    result = run(scenario.load(scenario.find(name), flavour=flavour), folder)
-    return result.recording, result.metrics
 
 
 def write_report(

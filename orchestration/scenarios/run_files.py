@@ -70,6 +70,20 @@ def run(
         if len(error.recording.time):
             _write(error.recording, file.with_suffix(f".partial.{file_format}"))
         raise
+    result = write_result(loaded, recording, folder, file_format)
+    for ending in RecordingFormat:
+        file.with_suffix(f".partial.{ending}").unlink(missing_ok=True)
+    return result
+
+
+def write_result(
+    loaded: Scenario,
+    recording: Recording,
+    folder: Path,
+    file_format: RecordingFormat = RecordingFormat.CSV,
+) -> Result:
+    """Writes the two files of `run` of a recording that was made elsewhere."""
+    file = folder / f"{loaded.name}.{file_format}"
     _write(recording, file)
     result = Result(loaded, recording, metrics.evaluate(recording, loaded.metrics))
     document = {
@@ -79,8 +93,6 @@ def run(
         "metrics": result.metrics_with_units,
     }
     write_json_atomically(folder / f"{loaded.name}.json", document)
-    for ending in RecordingFormat:
-        file.with_suffix(f".partial.{ending}").unlink(missing_ok=True)
     return result
 
 

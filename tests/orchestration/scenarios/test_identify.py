@@ -1,9 +1,6 @@
 """The identification: what it minimises, and that one seed gives one fit."""
 
 import tomllib
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +9,6 @@ import pytest
 from orchestration.scenarios import identify as identification
 from orchestration.scenarios import scenario
 from orchestration.scenarios.identify import GAINS, SCENARIOS, TARGETS, identify, residuals
-from orchestration.scenarios.worker_pool import Submit
 
 ON_TARGET: dict[str, dict[str, Any]] = {
     name: {t.metric: t.value for t in TARGETS if t.scenario == name} | {"overshoot": 0.5}
@@ -32,22 +28,7 @@ def test_only_the_nominal_row_is_looked_at() -> None:
     assert all(name.startswith("nominal") for name in SCENARIOS)
 
 
-@contextmanager
-def pool_in_this_process(count: int) -> Iterator[Submit]:
-    """As `worker_pool`, in this process: an interrupt of the command has its own test, with processes."""
-
-    def submit(function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        future.set_result(function(*arguments))
-        return future
-
-    yield submit
-
-
-def test_one_seed_one_fit_and_the_file_is_what_scenarios_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(identification, "worker_pool", pool_in_this_process)
+def test_one_seed_one_fit_and_the_file_is_what_scenarios_read(tmp_path: Path) -> None:
     costs: list[float] = []
     first = identify(seed=3, evaluations=2, starts=1, progress=costs.append)
     second = identify(seed=3, evaluations=2, starts=1)
@@ -73,4 +54,4 @@ def test_the_shipped_gains_are_the_fit_that_their_file_claims() -> None:
     document = tomllib.loads(path.read_text())["identification"]["metrics"]["nominal-extended"]
     claimed = {name: metric["value"] for name, metric in document.items()}
     # the same program on another machine differs by the rounding of its libm, which noise enlarges
-    assert identification.run_with("nominal-extended", {}) == pytest.approx(claimed, rel=1e-3)
+    assert identification.measure({})["nominal-extended"] == pytest.approx(claimed, rel=1e-3)
