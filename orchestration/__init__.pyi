@@ -1,9 +1,9 @@
 from orchestration.errors import OrchestrationError as OrchestrationError
 from orchestration.errors import SimulationError as SimulationError
 from orchestration.many.ensemble import Ensemble as Ensemble
-from orchestration.many.ensemble_recording import EnsembleRecording as EnsembleRecording
 from orchestration.many.job import Failure as Failure
 from orchestration.many.run_many import run_many as run_many
+from orchestration.many.stepped_ensemble import EnsembleRecording as EnsembleRecording
 from orchestration.results.metrics import evaluate as evaluate
 from orchestration.results.recording import Recording as Recording
 from orchestration.run import Simulator as Simulator

@@ -1,15 +1,11 @@
 """Many instances of one system, which step together."""
 
-import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from fmus.errors import nearest
-from fmus.fmi.description import describe, is_independent
-from fmus.fmi.instance import FmuInstance
+from fmus.fmi.description import is_independent
 from fmus.fmi.variable_types import FmiValue
 from fmus.native.lanes import LANES
 from fmus.platforms import INSTRUCTION_SETS, instruction_sets
@@ -22,13 +18,11 @@ from orchestration.many.ensemble_checks import (
     varied_signals,
 )
 from orchestration.many.ensemble_loop import EnsembleLoop, build_loop, check_memory, loop_library
-from orchestration.many.ensemble_recording import EnsembleRecording
 from orchestration.many.lane_library import lane_library
-from orchestration.many.stepped_ensemble import SteppedEnsemble
-from orchestration.run.checked_systems import CheckedSystems
+from orchestration.many.stepped_ensemble import EnsembleRecording, SteppedEnsemble
 from orchestration.run.initialisation import ConnectionGroup, initialise
+from orchestration.run.loaded_system import LoadedSystem
 from orchestration.system.experiment import Experiment
-from orchestration.system.prepared_again import PreparedRuns
 from orchestration.system.prepared_run import PreparedRun
 from orchestration.system.system import System
 
@@ -36,7 +30,7 @@ Values = dict[str, list[FmiValue]]
 """Variable -> its value at the start, of each instance."""
 
 
-class Ensemble(AbstractContextManager["Ensemble"]):
+class Ensemble(LoadedSystem):
     """Many instances of a system of native FMUs that this user built, in groups that step at once.
 
     Every instance has the bits of its own run by a `Simulator` (docs/how-to/ensembles.md says what that rests
@@ -48,8 +42,9 @@ class Ensemble(AbstractContextManager["Ensemble"]):
     Raises EnsembleError for any other FMU, or without a compiler.
     """
 
+    _kind = "ensemble"
+
     def __init__(self, system: System, instructions: str | None = None) -> None:
-        self.system = system
         available = instruction_sets()
         self.instructions = instructions or available[0]
         if self.instructions not in INSTRUCTION_SETS:
@@ -58,11 +53,7 @@ class Ensemble(AbstractContextManager["Ensemble"]):
             )
         if self.instructions not in available:
             raise EnsembleError(f"instructions {instructions!r}: this processor has {', '.join(available)}")
-        self._loaded = ExitStack()
-        self._instances: dict[str, FmuInstance] = {}
-        self._running = threading.Lock()
-        self._descriptions = {name: describe(path) for name, path in system.components.items()}
-        self._checked, self._prepared_runs = CheckedSystems(system, self._descriptions), PreparedRuns()
+        super().__init__(system)
         for name, description in self._descriptions.items():
             if not is_independent(description):
                 raise EnsembleError(
@@ -101,7 +92,9 @@ class Ensemble(AbstractContextManager["Ensemble"]):
         if threads < 1:
             raise OrchestrationError(f"threads: {threads}: expected at least 1")
         with self._begin_run():
-            return self._run(experiment, vary, threads, progress)
+            run = self._start(experiment, vary, instance_count(vary))
+            run.run_to_end(threads, progress)
+            return run.recordings()
 
     def start(
         self, experiment: Experiment, vary: Vary, instances: int, external: Sequence[str]
@@ -111,62 +104,30 @@ class Ensemble(AbstractContextManager["Ensemble"]):
         external: inputs that the caller sets between the steps, as of `Simulator.start`; at least one
         Raises what `run` raises; OrchestrationError if an instance cannot begin.
         """
-        with self._begin_run():
-            return self._start(experiment, vary, instances, external)
-
-    @contextmanager
-    def _begin_run(self) -> Iterator[None]:
-        """Refuse another run meanwhile."""
-        if not self._running.acquire(blocking=False):
-            raise OrchestrationError("this ensemble is running: expected another one for a run meanwhile")
-        try:
-            yield
-        finally:
-            self._running.release()
-
-    def _start(
-        self, experiment: Experiment, vary: Vary, instances: int, external: Sequence[str]
-    ) -> SteppedEnsemble:
         lengths = {name: len(values) for name, values in vary.items()}
         if instances < 1 or not external or {*lengths.values()} - {instances}:
             raise SystemDefinitionError(
                 "start: expected an external input, and as many values as instances, at least 1: "
                 f"got {list(external)}, {lengths} and {instances}"
             )
-        system, groups = self._checked.check(experiment, external)
-        prepared = self._prepared_runs.prepare(system, experiment, tuple(external))
-        check_supported(prepared, groups)
-        values, signals = self._varied(prepared, vary, instances)
-        loop = self._started(prepared, groups, values, signals)
-        for instance in np.flatnonzero(loop.failure.ravel()[:instances]).tolist():
-            reason = self._reason(prepared, groups, values, instance)
+        with self._begin_run():
+            run = self._start(experiment, vary, instances, tuple(external))
+        for instance, reason in run.failures.items():
             raise OrchestrationError(f"instance {instance} cannot begin: {reason}")
-        return SteppedEnsemble(loop, instances)
+        return run
 
-    def _run(
-        self,
-        experiment: Experiment,
-        vary: Vary,
-        threads: int,
-        progress: Callable[[int, int], object] | None,
-    ) -> EnsembleRecording:
-        system, groups = self._checked.check(experiment)
-        prepared = self._prepared_runs.prepare(system, experiment)
+    def _start(
+        self, experiment: Experiment, vary: Vary, count: int, external: tuple[str, ...] = ()
+    ) -> SteppedEnsemble:
+        system, groups = self._check(experiment, external)
+        prepared = self._prepared_runs.prepare(system, experiment, external)
         check_supported(prepared, groups)
-        values, signals = self._varied(prepared, vary, count := instance_count(vary))
-        loop = self._started(prepared, groups, values, signals)
-        can_begin = ~loop.failure.ravel()[:count].astype(bool)
-        reasons = {i: self._reason(prepared, groups, values, i) for i in np.flatnonzero(~can_begin).tolist()}
-        with ThreadPoolExecutor(threads) as pool:
-            apply = pool.map if threads > 1 else map
-            for group, _ in enumerate(apply(loop.run_group, range(len(loop.rows)))):
-                if progress:
-                    progress(min(count, (group + 1) * LANES), count)
-        for instance in np.flatnonzero(can_begin & (loop.failure.ravel()[:count] != 0)).tolist():
-            reasons[instance] = loop.reason(instance)
-        counts = loop.recorded.ravel()[:count]
-        varied = values | {name: tuple(vary[name]) for name in signals}
-        return EnsembleRecording(prepared, varied, loop.rows, counts, dict(sorted(reasons.items())))
+        values, signals = self._varied(prepared, vary, count)
+        loop = self._initialised(prepared, groups, values, signals)
+        varied = {name: vary[name] if name in signals else values[name] for name in vary}
+        run = SteppedEnsemble(loop, count, varied)
+        run.failures = {i: self._reason(prepared, groups, values, i) for i in run.failures}
+        return run
 
     def _varied(self, prepared: PreparedRun, vary: Vary, count: int) -> tuple[Values, dict[str, np.ndarray]]:
         """What begins otherwise in each instance, and its signals: as `EnsembleLoop.varied`."""
@@ -178,7 +139,7 @@ class Ensemble(AbstractContextManager["Ensemble"]):
             values[name] = prepared.typed(name, of_instances[:, 0].ravel()[:count])
         return values, signals
 
-    def _started(
+    def _initialised(
         self,
         prepared: PreparedRun,
         groups: Sequence[ConnectionGroup],
@@ -230,19 +191,6 @@ class Ensemble(AbstractContextManager["Ensemble"]):
             return str(error)
         return ""
 
-    def _load_or_reset(self) -> None:
-        if self._instances and all(
-            instance.is_fresh or instance.reset() for instance in self._instances.values()
-        ):
-            return
-        self.close()
-        with ExitStack() as loading:
-            instances = {}
-            for name, path in self.system.components.items():
-                instance = FmuInstance(name, path, self._descriptions[name])
-                instances[name] = loading.enter_context(instance)
-            self._instances, self._loaded = instances, loading.pop_all()
-
     def _values(self, name: str) -> np.ndarray:
         """The variables of an initialised FMU by value reference."""
         instance = self._instances[name]
@@ -251,11 +199,3 @@ class Ensemble(AbstractContextManager["Ensemble"]):
             return self._libraries[name].values(instance.serialize_fmu_state(state))
         finally:
             instance.free_fmu_state(state)
-
-    def close(self) -> None:
-        """Free the FMUs; the next run loads them again."""
-        self._instances = {}
-        self._loaded.close()
-
-    def __exit__(self, *error: object) -> None:
-        self.close()

@@ -8,9 +8,9 @@ from fmus.platforms import instruction_sets
 from orchestration.errors import EnsembleError
 from orchestration.many.ensemble_checks import check_supported
 from orchestration.many.lane_library import is_compiled
-from orchestration.run.checked_systems import CheckedSystems
+from orchestration.run.initialisation import connection_groups
 from orchestration.system.experiment import Experiment
-from orchestration.system.prepared_run import prepare_checked
+from orchestration.system.prepared_run import check_for, prepare_checked
 from orchestration.system.system import System
 
 _MOST_BYTES = 2**28  # of recorded values of the groups of all threads
@@ -38,9 +38,9 @@ def check_ensemble(
     for name, description in descriptions.items():
         if not is_independent(description):
             raise EnsembleError(f"{name} is no native FMU that l1-depth build wrote for this user")
-    checked, groups = CheckedSystems(system, descriptions).check(experiment, external)
+    checked = check_for(system, experiment, external, descriptions)
     prepared = prepare_checked(checked, experiment, external)
-    check_supported(prepared, groups)
+    check_supported(prepared, connection_groups(checked))
     points, columns = prepared.shape
     group_bytes = 8 * LANES * points * columns
     if not is_asked_for:

@@ -95,10 +95,6 @@ class EnsembleLoop:
         connections = sorted(self.prepared.system.connections, key=lambda ends: order[ends[1].component])
         return [(source.name, target.name) for source, target in connections]
 
-    def run_group(self, group: int) -> None:
-        """Run a group from the first communication point to the last, with the changes of events."""
-        self.run_points(group, self.data_of_group(group), 0, len(self.prepared.points) - 1)
-
     def data_of_group(self, group: int) -> tuple[ctypes.Array[ctypes.c_int64], GroupData]:
         """The data of a group as the compiled loop takes them, and the arrays that hold them."""
         data = self.data(group)
@@ -220,10 +216,10 @@ def check_memory(
 ) -> None:
     """SystemDefinitionError for more than the memory of this machine.
 
-    count: of instances, each with its recording and so many varied signals
+    count: of instances, each with so many varied signals, and its rows beside the recording made of them
     """
     groups, (points, columns) = -(-count // LANES), prepared.shape
-    words = LANES * points * (columns + varied) + sum(library.words for library in libraries.values())
+    words = LANES * points * (2 * columns + varied) + sum(library.words for library in libraries.values())
     signals = f" and {varied} signals" if varied else ""
     check_fits(
         8 * groups * words,

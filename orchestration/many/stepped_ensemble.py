@@ -1,28 +1,73 @@
-"""The instances of an ensemble, led step by step: values are read and set in between, of all at once."""
+"""The instances of an ensemble: led step by step or to the end at once, and what they record."""
 
-from collections.abc import Sequence
+import re
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from fmus.native.lanes import LANES
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.many.ensemble_loop import EnsembleLoop
-from orchestration.many.ensemble_recording import EnsembleRecording
+from orchestration.results.recording import Recording
+from orchestration.run.run_recording import make_recording
+from orchestration.system.signals import Signal
 from orchestration.system.system import Port
-from orchestration.system.values import fmi_value, possible_values, value_range
+from orchestration.system.values import Value, fmi_value, possible_values, value_range
+
+Varied = Mapping[str, Sequence[Value | Signal] | np.ndarray]
+"""Variable -> its values or signals, one of each instance."""
+
+
+@dataclass(frozen=True)
+class EnsembleRecording(Recording):
+    """Recording of many instances, with a first axis of runs; NaN after the end of one that failed.
+
+    varied: what differs; counts: recorded communication points of each instance, shape (runs,)
+    failures: instance -> why it ended early
+    """
+
+    varied: Varied = field(default_factory=dict)
+    counts: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    failures: Mapping[int, str] = field(default_factory=dict)
+
+    @property
+    def complete(self) -> list[int]:
+        """Instances that did not fail."""
+        return [instance for instance in range(len(self.counts)) if instance not in self.failures]
+
+    def recordings(self) -> Recording:
+        """Returns those of `complete`, without `varied`."""
+        of_signals = self.values.transpose(2, 0, 1)  # as they lie in memory
+        values = of_signals[:, self.complete].transpose(1, 2, 0) if self.failures else self.values
+        return Recording(self.names, self.units, self.time, values, self.provenance, self.texts)
+
+    def run(self, index: int) -> Recording:
+        """Returns that of one instance, until its end; what was varied is in its provenance."""
+        count = self.counts[index]
+        varied = {name: _as_plain_data(values[index]) for name, values in self.varied.items()}
+        provenance = {**self.provenance, "varied": varied}
+        time, values = self.time[:count], self.values[index, :count]
+        return Recording(self.names, self.units, time, values, provenance, self.texts)
 
 
 class SteppedEnsemble:
     """Initialised instances, all at the same communication point; `Ensemble.start` makes them.
 
-    point: index of the communication point. The recording is that of `Simulator.step`, to the last bit; but
-    a step that an FMU refuses is an error, where a Simulator tries shorter ones.
+    point: index of the communication point; failures: instance -> why it ended early
+
+    The recording is that of `Simulator.step`, to the last bit; but a step that an FMU refuses is an error,
+    where a Simulator tries shorter ones.
     """
 
-    def __init__(self, loop: EnsembleLoop, count: int) -> None:
-        self._loop, self._prepared, self._count = loop, loop.prepared, count
+    def __init__(self, loop: EnsembleLoop, count: int, varied: Varied) -> None:
+        self._loop, self._prepared, self._count, self._varied = loop, loop.prepared, count, varied
         self._driven = {*loop.prepared.experiment.signals, *(target for _, target in loop.connections)}
         self._groups = [loop.data_of_group(group) for group in range(len(loop.rows))]
-        self.point = 0
+        self.point, self.failures = 0, dict[int, str]()
+        self._note_failures()
 
     @property
     def time(self) -> float:
@@ -47,12 +92,28 @@ class SteppedEnsemble:
             )
         for group, data in enumerate(self._groups):
             self._loop.run_points(group, data, self.point, self.point + 1)
-        failed = np.flatnonzero(self._loop.failure.ravel()[: self._count])
-        if len(failed):
-            raise SimulationError(
-                f"instance {failed[0]}: {self._loop.reason(failed[0])}", self._record().recording(failed[0])
-            )
+        self._note_failures()
+        for instance, reason in self.failures.items():
+            raise SimulationError(f"instance {instance}: {reason}", self._recording().run(instance))
         self.point += 1
+
+    def run_to_end(self, threads: int, progress: Callable[[int, int], object] | None) -> None:
+        """Runs the groups to their end; the other instances of one that fails go on.
+
+        threads, progress: as of `Ensemble.run`
+        """
+        last = len(self.points) - 1
+
+        def run(group: int) -> None:
+            self._loop.run_points(group, self._groups[group], self.point, last)
+
+        with ThreadPoolExecutor(threads) as pool:
+            apply = pool.map if threads > 1 else map
+            for group, _ in enumerate(apply(run, range(len(self._groups)))):
+                if progress:
+                    progress(min(self._count, (group + 1) * LANES), self._count)
+        self.point = last
+        self._note_failures()
 
     def read(self, names: Sequence[str]) -> np.ndarray:
         """The present values of variables, shape (names, instances); Booleans are 0.0 and 1.0."""
@@ -85,17 +146,29 @@ class SteppedEnsemble:
     def recordings(self) -> EnsembleRecording:
         """The values recorded until now, those of the present communication point included."""
         self._exchange()
-        return self._record()
+        return self._recording()
 
     def _exchange(self) -> None:
         """Set and record what the next step sets and records first."""
         for data in self._groups:
             self._loop.exchange(data, self.point)
 
-    def _record(self) -> EnsembleRecording:
-        counts = np.full(self._count, self.point + 1)
-        rows = self._loop.rows[:, :, : self.point + 1].copy()  # which the next steps leave as they are
-        return EnsembleRecording(self._prepared, {}, rows, counts, {})
+    def _note_failures(self) -> None:
+        for instance in np.flatnonzero(self._loop.failure.ravel()[: self._count]).tolist():
+            self.failures.setdefault(instance, self._loop.reason(instance))
+
+    def _recording(self) -> EnsembleRecording:
+        points = self.point + 1
+        # a signal of a run is contiguous, so that a sum along time rounds as that of the run alone
+        of_signals = self._loop.rows[:, :, :points].transpose(1, 0, 3, 2).copy()
+        of_lanes = of_signals.reshape(len(of_signals), self._loop.failure.size, points)
+        values = of_lanes[:, : self._count].transpose(1, 2, 0)
+        counts = np.minimum(self._loop.recorded.ravel()[: self._count], points)
+        for instance in self.failures:
+            values[instance, counts[instance] :] = np.nan
+        common = make_recording(self._prepared, values, points, is_final=True)
+        failures = dict(sorted(self.failures.items()))
+        return EnsembleRecording(**vars(common), varied=self._varied, counts=counts, failures=failures)
 
 
 def _check(port: Port, values: np.ndarray) -> None:
@@ -103,3 +176,11 @@ def _check(port: Port, values: np.ndarray) -> None:
     low, high = value_range(port)
     for value in values[~(possible_values(port, values)[1] & (low <= values) & (values <= high))]:
         fmi_value(port, float(value))  # which refuses it
+
+
+def _as_plain_data(value: Value | Signal) -> Value:
+    """A value itself; of a signal its text with all numbers and digits, without addresses in memory."""
+    if not callable(value):
+        return value
+    with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
+        return re.sub(r" at 0x[0-9A-Fa-f]+", "", repr(value))

@@ -20,17 +20,17 @@ def make_recording(
 ) -> Recording:
     """The recorded values at the first `count` communication points.
 
-    rows: shape `prepared.shape`; texts: of Strings, by their numbers; without them Strings are empty
+    rows: shape `prepared.shape`, of many runs with a first axis of runs
+    texts: of Strings, by their numbers; without them Strings are empty
     more: further entries of the provenance; is_final: all rows become those of the recording, without a copy
     """
     ports = prepared.system.ports
-    is_kept = is_final and count == len(rows)
-    values, time = (
-        (rows, prepared.points[:count]) if is_kept else (rows[:count].copy(), prepared.points[:count].copy())
-    )
+    values, time = rows[..., :count, :], prepared.points[:count]
+    if not (is_final and count == rows.shape[-2]):
+        values, time = values.copy(), time.copy()
     is_string = np.array([ports[name].variable.type == "String" for name in prepared.recorded], bool)
     if not texts:
-        values[:, is_string] = 0.0
+        values[..., is_string] = 0.0
     return Recording(
         names=prepared.recorded,
         units=tuple(ports[name].variable.unit or "" for name in prepared.recorded),

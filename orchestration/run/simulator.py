@@ -1,25 +1,22 @@
 """A system whose FMUs stay loaded, and the runs that it makes."""
 
 import os
-import threading
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, chdir, contextmanager
-from pathlib import Path
+from contextlib import ExitStack, chdir, contextmanager
 from typing import Any
 
 import numpy as np
 
-from fmus.fmi.description import describe
 from fmus.fmi.instance import FmuInstance
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.results.recording import Recording
-from orchestration.run.checked_systems import CheckedSystems
 from orchestration.run.checkpoint import Checkpoint, Checkpoints, check_can_save, restore
 from orchestration.run.compiled_loop import compiled_loop
 from orchestration.run.error_estimate import with_error_estimate
 from orchestration.run.failure import reason_of
 from orchestration.run.initialisation import ConnectionGroup, connection_groups, initialise
 from orchestration.run.interrupt import deferred_interrupt
+from orchestration.run.loaded_system import LoadedSystem
 from orchestration.run.loop import python_loop
 from orchestration.run.loop_data import Report, Storage
 from orchestration.run.pacing import Pacing
@@ -34,7 +31,7 @@ from orchestration.system.prepared_run import PreparedRun
 from orchestration.system.system import System
 
 
-class Simulator(StepByStep, AbstractContextManager["Simulator"]):
+class Simulator(StepByStep, LoadedSystem):
     """A system whose FMUs stay loaded over many runs, made at once or step by step; a context manager.
 
     The FMUs are loaded for the first run and reset for the next; after a failure they are loaded anew.
@@ -46,23 +43,19 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
     Raises FmuLoadError for a file that is no FMU.
     """
 
+    _kind = "simulator"
+
     def __init__(self, system: System, compiled: bool = True, threads: int | None = None) -> None:
         if threads is not None and threads < 1:
             raise OrchestrationError(f"threads: {threads}: expected at least 1")
-        self.system, self._threads = system, threads
+        super().__init__(system)
+        self._threads = threads
         self._loop = compiled_loop if compiled else python_loop
-        self._descriptions = {name: describe(Path(path)) for name, path in system.components.items()}
-        self._loaded = ExitStack()
-        self._instances: dict[str, FmuInstance] = {}
-        self._must_reload = False
         self._guard: ProcessGuard | None = None
-        self._running = threading.Lock()
         # of the run that is led step by step: what was set, the recorded values, and these with an estimate
         self._estimated: tuple[list[Any], np.ndarray, Recording] | None = None
         self._first_batch = 1
-        self._prepared_runs = PreparedRuns()
         self._wired: WiredRun | None = None  # of the run before
-        self._checked = CheckedSystems(system, self._descriptions)
 
     def run(
         self,
@@ -88,7 +81,7 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
         with self._begin_run():
             pacing = None if real_time is None else Pacing(real_time)
             if checkpoints or resume:
-                check_can_save(run.system if isinstance(run, PreparedRun) else self._checked.check(run)[0])
+                check_can_save(run.system if isinstance(run, PreparedRun) else self._check(run)[0])
             wired, groups, guard = self._prepare_run(run, (), storage)
             threads = self._threads if storage is None else 1  # who watches a call asks for one
             in_progress = RunInProgress(wired, self._loop(wired.wiring), guard, threads)
@@ -158,17 +151,11 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
 
     @contextmanager
     def _begin_run(self) -> Iterator[None]:
-        """End the run that was led step by step; refuse another one meanwhile."""
-        if not self._running.acquire(blocking=False):
-            raise OrchestrationError("this simulator is running: expected another one for a run meanwhile")
-        try:
+        """Ends the run that was led step by step; refuses another one meanwhile."""
+        with super()._begin_run():
             self._end_stepped()
-            with chdir(
-                os.curdir
-            ):  # an FMU that leaves the folder would take relative paths of results with it
+            with chdir(os.curdir):  # an FMU that leaves the folder would take relative paths with it
                 yield
-        finally:
-            self._running.release()
 
     def _end_stepped(self) -> None:
         self._estimated = None
@@ -185,7 +172,7 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
             self._prepared_runs = PreparedRuns()  # the next run is not compared with this one
             groups, prepared = connection_groups(run.system), run.with_values(run.experiment)
         else:
-            system, groups = self._checked.check(run, external)
+            system, groups = self._check(run, external)
             prepared = self._prepared_runs.prepare(system, run, external)
         earlier = self._wired if self._prepared_runs.only_values_differ else None
         self._wired = None  # of another run, also if this one is never wired
@@ -193,7 +180,14 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
         if self._guard:
             self._guard.close()
         guard = self._guard = ProcessGuard(self.system.components, storage.report)
-        self._load_or_reset(storage.report, guard)
+        self._report = storage.report
+        for instance in self._instances.values():  # who resets is busy in this run
+            instance.busy = storage.report[Report.BUSY :]
+        self._load_or_reset()
+        self._must_reload = True  # should anything fail before the run is done
+        storage.report[Report.BUSY] = 0
+        for instance in self._instances.values():
+            instance.after_call = guard.restore_float_mode
         if earlier and earlier.instances is self._instances:
             wired = earlier.again(prepared, storage)
         else:
@@ -201,25 +195,12 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
         self._wired = wired.without_rows()
         return wired, groups, guard
 
-    def _load_or_reset(self, report: np.ndarray, guard: ProcessGuard) -> None:
-        """Load the FMUs that are not loaded, and reset the used ones."""
-        for instance in self._instances.values():  # who resets is busy in this run
-            instance.busy = report[Report.BUSY :]
-        if self._must_reload or not all(x.is_fresh or x.reset() for x in self._instances.values()):
-            self.close()
-        self._must_reload = True  # should anything fail before a run is done
-        if not self._instances:
-            with ExitStack() as loading:
-                instances = {}
-                for c, (name, path) in enumerate(self.system.components.items()):
-                    report[Report.BUSY] = -1 - c
-                    instance = FmuInstance(name, Path(path), self._descriptions[name])
-                    instances[name] = loading.enter_context(instance)
-                    guard.restore(name)
-                self._instances, self._loaded = instances, loading.pop_all()
-            report[Report.BUSY] = 0
-        for instance in self._instances.values():
-            instance.after_call = guard.restore_float_mode
+    def _load(self, name: str, loading: ExitStack) -> FmuInstance:
+        assert self._guard
+        self._report[Report.BUSY] = -1 - list(self._descriptions).index(name)
+        instance = super()._load(name, loading)
+        self._guard.restore(name)
+        return instance
 
     @property
     def warned(self) -> list[str]:
@@ -229,13 +210,9 @@ class Simulator(StepByStep, AbstractContextManager["Simulator"]):
     def close(self) -> None:
         """Free every instance; the next run loads them again."""
         self._end_stepped()
-        self._instances, self._must_reload = {}, False
-        self._loaded.close()
+        super().close()
         if self._guard:
             self._guard.close()
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
 
 def _run_to_end(

@@ -201,7 +201,7 @@ class EnsembleRuns:
 
     def recordings(self) -> list[Recording]:
         recorded = self._run.recordings()
-        return [recorded.recording(instance) for instance in range(self._count)]
+        return [recorded.run(instance) for instance in range(self._count)]
 
     def close(self) -> None:
         self._ensemble.close()

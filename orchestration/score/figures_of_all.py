@@ -31,7 +31,7 @@ def figures_of_all(
     for instance in recorded.complete:
         case, experiment = runs[instance]
         with suppress(Exception):  # whatever the reason
-            signals = loop.judged(case, experiment, recorded.recording(instance))
+            signals = loop.judged(case, experiment, recorded.run(instance))
             figures[instance] = figures_of(signals, case, loop.protocol, names)
     return figures
 

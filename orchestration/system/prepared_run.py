@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fmus.fmi.description import start_value
-from fmus.fmi.model_description import ScalarVariable
+from fmus.fmi.model_description import ModelDescription, ScalarVariable
 from fmus.fmi.variable_types import NUMBERS, FmiValue
 from orchestration.errors import SystemDefinitionError
 from orchestration.system.coarser import coarser
@@ -126,9 +126,19 @@ def prepare(system: System, experiment: Experiment) -> PreparedRun:
     return prepare_checked(check_for(system, experiment), experiment)
 
 
-def check_for(system: System, experiment: Experiment) -> CheckedSystem:
-    """Read the model descriptions and check the system, with the inputs that the experiment drives."""
-    return check(system, experiment.driven_inputs, open_inputs=OpenInputs(experiment.open_inputs))
+def check_for(
+    system: System,
+    experiment: Experiment,
+    external: Sequence[str] = (),
+    descriptions: Mapping[str, ModelDescription] | None = None,
+) -> CheckedSystem:
+    """Returns the checked system, with the inputs that the experiment drives.
+
+    external: inputs that the caller sets between the steps
+    descriptions: those of the components, if they have been read already
+    """
+    driven = (*experiment.driven_inputs, *(name for name in external if name not in experiment.inputs))
+    return check(system, driven, descriptions, OpenInputs(experiment.open_inputs))
 
 
 def prepare_checked(

@@ -152,11 +152,11 @@ class Vehicle:
 
     def _part(self, vary: dict[str, list[Any]]) -> Columns:
         result = self._ensemble.run(self._experiment, vary, threads=os.cpu_count() or 1)
-        figures = {name: np.full(len(result), np.nan) for name in (*self._metrics, "hold_spread")}
+        figures = {name: np.full(len(result.counts), np.nan) for name in (*self._metrics, "hold_spread")}
         for name, column in evaluate(result.recordings(), self._metrics).items():
             figures[name][result.complete] = column
         held = (result.time >= HOLD[0]) & (result.time <= HOLD[1])
-        figures["hold_spread"] = 1e3 * np.std(result["plant.depth"][held], axis=0)
+        figures["hold_spread"] = 1e3 * np.std(result["plant.depth"][:, held], axis=1)
         return figures
 
     def of_all_seeds(self, values: Mapping[str, float], seeds: tuple[int, ...] = SEEDS) -> Columns:

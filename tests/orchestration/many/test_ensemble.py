@@ -24,8 +24,8 @@ from fmus.user_cache import record_build
 from orchestration import Ensemble, Event, Experiment, Fault, Offset, Ramps, Simulator, System
 from orchestration.errors import EnsembleError, OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.many import ensemble_loop
-from orchestration.many.ensemble_recording import EnsembleRecording
 from orchestration.many.lane_library import lane_library
+from orchestration.many.stepped_ensemble import EnsembleRecording
 from orchestration.results.recording import Recording
 from tests.shared_builds import built_once, session_folder
 
@@ -94,8 +94,8 @@ def assert_same_bits(
     with Ensemble(system, **options) as ensemble, Simulator(system) as simulator:
         recorded = ensemble.run(experiment, vary)
         assert not recorded.failures
-        for instance in range(len(recorded)):
-            one, of_ensemble = simulator.run(of_one(experiment, vary, instance)), recorded.recording(instance)
+        for instance in range(len(recorded.counts)):
+            one, of_ensemble = simulator.run(of_one(experiment, vary, instance)), recorded.run(instance)
             assert of_ensemble.names == one.names
             assert of_ensemble.values.tobytes() == one.values.tobytes()
 
@@ -121,15 +121,13 @@ def test_other_experiments_too(system: System, more: dict[str, Any]) -> None:
     assert_same_bits(system, replace(DIVE, **more), varied(3))
 
 
-def test_a_signal_has_a_row_for_each_point_and_a_column_for_each_instance(system: System) -> None:
+def test_a_signal_has_a_row_for_each_instance(system: System) -> None:
     with Ensemble(system) as ensemble:
         recorded = ensemble.run(DIVE, {"plant.initial_depth": [0.0, 0.1, 0.2]})
-    assert recorded["plant.depth"].shape == (len(recorded.time), 3)
-    assert recorded["plant.depth"][0].tolist() == [0.0, 0.1, 0.2]
+    assert recorded["plant.depth"].shape == (3, len(recorded.time))
+    assert recorded["plant.depth"][:, 0].tolist() == [0.0, 0.1, 0.2]
     with pytest.raises(OrchestrationError, match=r"nearest is 'plant\.depth'"):
         recorded["plant.dept"]
-    recorded["plant.depth"][:] = 0.0  # the caller's own
-    assert recorded.recording(2)["plant.depth"][0] == 0.2
 
 
 def test_less_than_a_thread_and_a_run_within_a_run_are_refused(system: System) -> None:
@@ -178,7 +176,7 @@ def failed(system: System, experiment: Experiment, vary: Vary) -> EnsembleRecord
         assert list(recorded.failures) == [1]
         for instance in (0, 2):
             one = simulator.run(of_one(experiment, vary, instance))
-            assert recorded.recording(instance).values.tobytes() == one.values.tobytes()
+            assert recorded.run(instance).values.tobytes() == one.values.tobytes()
     return recorded
 
 
@@ -187,8 +185,8 @@ def test_an_instance_that_cannot_begin_is_named_and_disturbs_no_other(system: Sy
         system, DIVE, {"plant.net_weight": [-1.0, 30.0, -1.2], "plant.weight": [29.0, 29.0, 29.43]}
     )
     assert "net_weight" in recorded.failures[1]
-    assert np.isnan(recorded["plant.depth"][:, 1]).all()
-    assert len(recorded.recording(1).time) == 0
+    assert np.isnan(recorded["plant.depth"][1]).all()
+    assert len(recorded.run(1).time) == 0
 
 
 @dataclass(frozen=True)
@@ -281,7 +279,7 @@ def test_recordings_of_all_that_did_not_fail_are_in_c_order(system: System, weig
     together = recorded.recordings()
     assert recorded.complete == [i for i, weight in enumerate(weights) if weight > 29.2]
     for run, instance in enumerate(recorded.complete):
-        one = recorded.recording(instance)
+        one = recorded.run(instance)
         assert together.run(run).values.tobytes() == one.values.tobytes()
         assert {"varied": one.provenance["varied"], **together.run(run).provenance} == one.provenance
         assert "varied" not in together.run(run).provenance  # it is not that of all
@@ -312,7 +310,7 @@ def test_an_instance_whose_parameters_become_contradictory_ends_where_its_own_ru
     experiment = replace(DIVE, events=(Event(2.0, WITHOUT_BUOYANCY),))
     recorded = failed(system, experiment, WEIGHTS)
     alone = until_failure(system, of_one(experiment, WEIGHTS, 1))
-    assert recorded.recording(1).values.tobytes() == alone.values.tobytes()
+    assert recorded.run(1).values.tobytes() == alone.values.tobytes()
 
 
 def test_an_instance_that_cannot_go_on_ends_where_its_own_run_ends(system: System) -> None:
@@ -320,9 +318,9 @@ def test_an_instance_that_cannot_go_on_ends_where_its_own_run_ends(system: Syste
     far = replace(DIVE, parameters={**DIVE.parameters, "plant.sensor_noise": 0.0})
     recorded = failed(system, far, {"plant.initial_depth": [0.0, 1e300, 0.1]})
     alone = until_failure(system, of_one(far, {"plant.initial_depth": [1e300]}, 0))
-    assert recorded.recording(1).values.tobytes() == alone.values.tobytes()
-    assert np.isnan(recorded["plant.depth"][len(recorded.recording(1).time) :, 1]).all()
-    assert f"controller at t = {recorded.recording(1).time[-1]:.9g} s: " in recorded.failures[1]
+    assert recorded.run(1).values.tobytes() == alone.values.tobytes()
+    assert np.isnan(recorded["plant.depth"][1, len(recorded.run(1).time) :]).all()
+    assert f"controller at t = {recorded.run(1).time[-1]:.9g} s: " in recorded.failures[1]
 
 
 @pytest.mark.parametrize(

@@ -192,7 +192,7 @@ def test_functions_choices_and_types_have_the_bits_of_single_runs(system: System
             values: dict[str, Any] = dict(zip(names, case, strict=True))
             inputs = {"block.u": values.pop("block.u")}
             one = simulator.run(replace(experiment, parameters=values, inputs=inputs))
-            of_ensemble = recorded.recording(instance)
+            of_ensemble = recorded.run(instance)
             assert not [name for name in one.names if one[name].tobytes() != of_ensemble[name].tobytes()]
 
 
@@ -209,7 +209,7 @@ def test_sin_and_cos_have_the_bits_of_single_runs(tmp_path: Path, instructions: 
         recorded = ensemble.run(experiment, {"block.frequency": frequencies})
         for instance, frequency in enumerate(frequencies):
             one = simulator.run(replace(experiment, parameters={"block.frequency": frequency}))
-            assert recorded.recording(instance).values.tobytes() == one.values.tobytes()
+            assert recorded.run(instance).values.tobytes() == one.values.tobytes()
 
 
 @pytest.mark.parametrize(
@@ -233,7 +233,7 @@ def test_a_varied_signal_sets_an_enumeration_and_one_that_is_no_item_is_refused(
         recorded = ensemble.run(experiment, {"block.asked": signals})
         for instance, signal in enumerate(signals):
             one = simulator.run(replace(experiment, signals={"block.asked": signal}))
-            assert recorded.recording(instance).values.tobytes() == one.values.tobytes()
+            assert recorded.run(instance).values.tobytes() == one.values.tobytes()
         with pytest.raises(EnsembleError, match="no item"):
             ensemble.run(experiment, {"block.asked": [signals[0], lambda t: 1.0 + (t > 10.0)]})
 

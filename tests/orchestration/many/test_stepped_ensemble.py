@@ -55,7 +55,7 @@ def test_every_step_has_the_bits_of_a_simulator(system: System, inputs: dict[str
                 run.write([CURRENT], currents[run.point][None])
             run.step()
             if run.point == 25:
-                half = [run.recordings().recording(i).values.tobytes() for i in range(3)]
+                half = [run.recordings().run(i).values.tobytes() for i in range(3)]
             read.append(run.read(READ))
             points.append(run.time)
         recorded = run.recordings()
@@ -72,7 +72,7 @@ def test_every_step_has_the_bits_of_a_simulator(system: System, inputs: dict[str
                 assert values() == (*read[point][:2, instance], read[point][3, instance])
                 assert simulator.time == points[point]
                 simulator.step()
-            one, of_ensemble = simulator.recording(), recorded.recording(instance)
+            one, of_ensemble = simulator.recording(), recorded.run(instance)
             assert of_ensemble.values.tobytes() == one.values.tobytes()
             assert of_ensemble.time.tolist() == one.time.tolist() == points
 
@@ -117,7 +117,7 @@ def test_driven_inputs_are_read_at_the_present_point(system: System) -> None:
         for _ in range(3):
             read.append(run.read([reference])[0, 0])
             run.step()
-        assert read == run.recordings()[reference][:3, 0].tolist() == pytest.approx([0.0, 0.016, 0.032])
+        assert read == run.recordings()[reference][0, :3].tolist() == pytest.approx([0.0, 0.016, 0.032])
         arriving, commanded = run.read(["plant.voltage[1]", "controller.voltage[1]"])
         assert arriving == commanded
         with pytest.raises(SystemDefinitionError, match=r"read: no variable 'plant\.dept'; nearest is"):
