@@ -17,7 +17,7 @@ from fmus.extras import imports_of
 from orchestration.errors import SystemDefinitionError
 from orchestration.results.recording import Recording
 from orchestration.scenarios.task import Task, task_of
-from orchestration.scenarios.task_runs import Episode, checked_system, read_names, task_runs
+from orchestration.scenarios.task_runs import Episode, EpisodePlan, task_runs
 from orchestration.system.values import value_range
 
 with imports_of("gym", "a Gymnasium environment"):
@@ -32,7 +32,50 @@ _LARGEST = np.finfo(float).max
 Array = np.ndarray
 
 
-class FmuEnv(gymnasium.Env[Array, Array]):
+class _Agent:
+    """The part that an environment and a vector of them share: everything but the shapes."""
+
+    _runs: Any  # an Episode, or what `task_runs` gives
+    _done: Any
+    _terminated: Any
+
+    def _plan(self, task: Task) -> tuple[EpisodePlan, Box, Box]:
+        """Returns the plan of all episodes, and the spaces of one environment."""
+        plan = EpisodePlan(task)
+        observations, inputs = _spaces(plan)
+        self._task, self._names = task, plan.names
+        self._middle, self._half = 0.5 * (inputs.low + inputs.high), 0.5 * (inputs.high - inputs.low)
+        return plan, observations, Box(-1.0, 1.0, inputs.shape, np.float64)
+
+    def _own_units(self, action: Array, space: Space[Array]) -> Array:
+        """Returns actions from -1 to 1 in units of the inputs; those beyond count as the nearest.
+
+        Raises SystemDefinitionError for another shape.
+        """
+        if np.shape(action) != space.shape:
+            raise SystemDefinitionError(f"action of shape {np.shape(action)}: expected {space.shape}")
+        # np.clip takes as long as a step
+        return self._middle + self._half * np.minimum(np.maximum(action, -1.0), 1.0)
+
+    def _look(self) -> None:
+        values, self._time, self._done, self._terminated = self._runs.look()
+        self._values = dict(zip(self._names, values, strict=True))
+
+    def _step(self, *which: Array) -> Any:
+        """Makes a communication step; returns its reward."""
+        before, start = self._values, self._time
+        self._runs.step(*which)
+        self._look()
+        return self._task.reward(before, self._values, self._time - start)
+
+    def _observation(self) -> Array:
+        return np.array([self._values[name] for name in self._task.observations]).T
+
+    def _info(self) -> dict[str, Any]:
+        return {"time": self._time}
+
+
+class FmuEnv(_Agent, gymnasium.Env[Array, Array]):
     """One environment of a task. `reset(seed=...)` makes the episodes that follow the same again.
 
     Raises SystemDefinitionError for a name that is unknown, or an action without bounds; in an episode what
@@ -42,52 +85,38 @@ class FmuEnv(gymnasium.Env[Array, Array]):
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  # as its base declares it
 
     def __init__(self, task: Task) -> None:
-        self._task, self._episode = task, Episode(task)
-        self.observation_space, of_inputs = _spaces(task)
-        self.action_space = Box(-1.0, 1.0, of_inputs.shape, np.float64)
-        self._middle, self._half = _middle_and_half(of_inputs)
-        self._values: dict[str, float] = {}
+        plan, self.observation_space, self.action_space = self._plan(task)
+        self._runs = Episode(plan)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
         """Begin another episode, with other seeds and parameters where the task draws them."""
         super().reset(seed=seed)
-        self._episode.reset(self.np_random)
+        self._runs.reset(self.np_random)
         self._look()
-        return self._observation(), {"time": self._episode.simulator.time}
+        return self._observation(), self._info()
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """One action: (observation, reward, whether an FMU terminated, whether time is up, {"time": s})."""
-        simulator, reward = self._episode.simulator, 0.0
-        now = simulator.time
-        self._episode.act((self._middle + self._half * _within(action, self.action_space)).tolist())
+        self._runs.act(*self._own_units(action, self.action_space).tolist())
+        reward = 0.0
         for _ in range(self._task.steps):
-            before, start = self._values, now
-            simulator.step()
-            self._look()
-            now = simulator.time
-            reward += float(self._task.reward(before, self._values, now - start))
-            if simulator.is_done:
+            reward += float(self._step())
+            if self._done:
                 break
-        terminated = simulator.is_terminated
-        return self._observation(), reward, terminated, simulator.is_done and not terminated, {"time": now}
-
-    def _look(self) -> None:
-        self._values = dict(zip(self._episode.names, self._episode.values(), strict=True))
-
-    def _observation(self) -> Array:
-        return np.array([self._values[name] for name in self._task.observations])
+        truncated = self._done and not self._terminated
+        return self._observation(), reward, self._terminated, truncated, self._info()
 
     def recording(self) -> Recording:
         """The recording of the present episode until now."""
-        return self._episode.simulator.recording()
+        return self._runs.simulator.recording()
 
     def close(self) -> None:
-        self._episode.simulator.close()
+        self._runs.simulator.close()
 
 
-class FmuVectorEnv(VectorEnv[Array, Array, Array]):
+class FmuVectorEnv(_Agent, VectorEnv[Array, Array, Array]):
     """Many environments of a task in one process; each that is done is reset by the next step.
 
     ensemble: whether they step together, with the same values: by default where they can and their FMUs are
@@ -99,18 +128,12 @@ class FmuVectorEnv(VectorEnv[Array, Array, Array]):
     def __init__(self, task: Task, num_envs: int, ensemble: bool | None = None) -> None:
         if not isinstance(num_envs, int | np.integer) or num_envs < 1:
             raise SystemDefinitionError(f"num_envs = {num_envs!r}: expected a whole number from 1 on")
-        self._task, self.num_envs = task, num_envs
-        self.single_observation_space, of_inputs = _spaces(task)
-        self.single_action_space = Box(-1.0, 1.0, of_inputs.shape, np.float64)
-        self._middle, self._half = _middle_and_half(of_inputs)
+        self.num_envs = num_envs
+        plan, self.single_observation_space, self.single_action_space = self._plan(task)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._runs = task_runs(task, num_envs, ensemble)
-        names = self._runs.names
-        self._observed = [names.index(name) for name in task.observations]
+        self._runs = task_runs(plan, num_envs, ensemble)
         self._randoms: list[np.random.Generator] = []
-        self._values, self._time = np.empty((len(names), num_envs)), np.zeros(num_envs)
-        self._done = np.zeros(num_envs, bool)
 
     def reset(
         self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
@@ -128,37 +151,26 @@ class FmuVectorEnv(VectorEnv[Array, Array, Array]):
                 raise SystemDefinitionError(f"{len(seeds)} seeds: expected {self.num_envs}")
             self._randoms = [np.random.default_rng(s) for s in seeds]
         self._runs.reset(self._randoms, np.ones(self.num_envs, bool))
-        self._done = np.zeros(self.num_envs, bool)
         self._look()
-        return self._values[self._observed].T, {"time": self._time}
+        return self._observation(), self._info()
 
     def step(self, actions: Array) -> tuple[Array, Array, Array, Array, dict[str, Any]]:
         """One action in each environment; those that were done begin an episode, with a reward of 0."""
-        values = self._middle + self._half * _within(actions, self.action_space)
+        values = self._own_units(actions, self.action_space)
         rewards, is_running = np.zeros(self.num_envs), ~self._done
         if self._done.any():
             self._runs.reset(self._randoms, self._done)
         if is_running.any():
             self._runs.act(values, is_running)
+        else:
+            self._look()
         for _ in range(self._task.steps):
+            if not is_running.any():
+                break
             rewards += np.where(is_running, self._step(is_running), 0.0)
-            self._done = self._runs.is_done()
             is_running &= ~self._done
-        terminated = self._runs.is_terminated()
-        observations = self._values[self._observed].T
-        return observations, rewards, terminated, self._done & ~terminated, {"time": self._time}
-
-    def _step(self, is_running: Array) -> Array:
-        """One communication step of the environments that are running; returns the reward of each."""
-        before, start, names = self._values, self._time, self._runs.names
-        if is_running.any():
-            self._runs.step(is_running)
-        self._look()
-        old, new = (dict(zip(names, rows, strict=True)) for rows in (before, self._values))
-        return self._task.reward(old, new, self._time - start)
-
-    def _look(self) -> None:
-        self._values, self._time = self._runs.values(), self._runs.time()
+        truncated = self._done & ~self._terminated
+        return self._observation(), rewards, self._terminated, truncated, self._info()
 
     def recordings(self) -> list[Recording]:
         """The recording of the present episode of each environment until now."""
@@ -168,9 +180,9 @@ class FmuVectorEnv(VectorEnv[Array, Array, Array]):
         self._runs.close()
 
 
-def _spaces(task: Task) -> tuple[Box, Box]:
-    """Of observations, and of actions in their own units: an agent's -1..1 are low..high."""
-    system = checked_system(task)
+def _spaces(plan: EpisodePlan) -> tuple[Box, Box]:
+    """Returns the spaces of observations, and of actions in their own units."""
+    task, system = plan.task, plan.system
 
     def box(names: Sequence[str], purpose: str) -> Box:
         limits = []
@@ -185,27 +197,13 @@ def _spaces(task: Task) -> tuple[Box, Box]:
     if not is_bounded.all():
         names = ", ".join(name for name, bounded in zip(task.actions, is_bounded, strict=True) if not bounded)
         raise SystemDefinitionError(f"{names}: the FMU has no min and max: expected bounds of each action")
-    if not task.actions or not read_names(task)[0]:
+    if not task.actions or not plan.variables:
         raise SystemDefinitionError("task: expected an action, and a variable to observe")
     kinds = {name: system.ports[name].variable.type for name in task.actions}
     others = [f"{name} is of type {kind}" for name, kind in kinds.items() if kind != "Real"]
     if others:
         raise SystemDefinitionError(f"action: {', '.join(others)}: expected inputs of type Real")
     return observations, actions
-
-
-def _middle_and_half(of_inputs: Box) -> tuple[Array, Array]:
-    return 0.5 * (of_inputs.low + of_inputs.high), 0.5 * (of_inputs.high - of_inputs.low)
-
-
-def _within(action: Array, space: Space[Array]) -> Array:
-    """Returns the action, or the nearest from -1 to 1; SystemDefinitionError for one of another shape.
-
-    np.clip takes as long as a step.
-    """
-    if np.shape(action) != space.shape:
-        raise SystemDefinitionError(f"action of shape {np.shape(action)}: expected {space.shape}")
-    return np.minimum(np.maximum(action, -1.0), 1.0)
 
 
 def _scenario_env(*arguments: Any, **settings: Any) -> FmuEnv:

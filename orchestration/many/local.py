@@ -13,7 +13,7 @@ from fmus.fmi.description import describe, is_independent
 from fmus.native.lanes import LANES
 from orchestration.errors import EnsembleError, FmuWarning
 from orchestration.many.batches import Batches, Finished, Run
-from orchestration.many.ensemble_choice import check_ensemble
+from orchestration.many.ensemble_checks import check_ensemble
 from orchestration.many.isolated import Isolated
 from orchestration.many.job import Job
 from orchestration.many.runners import Runner, Simulated, Vectorised

@@ -1,148 +1,138 @@
-"""The runs of a task side by side: a simulator for each, or all as instances of one ensemble."""
+"""The episodes of a task: of one run, or of many side by side with simulators or in an ensemble."""
 
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 
 from orchestration.errors import EnsembleError, OrchestrationError
 from orchestration.many.ensemble import Ensemble
-from orchestration.many.ensemble_choice import check_ensemble
+from orchestration.many.ensemble_checks import check_ensemble
 from orchestration.many.stepped_ensemble import SteppedEnsemble
 from orchestration.results.recording import Recording
 from orchestration.run import Simulator
 from orchestration.run.saved_state import SavedState
 from orchestration.scenarios.task import Task
-from orchestration.system.experiment import Experiment
-from orchestration.system.open_inputs import OpenInputs
+from orchestration.system.prepared_run import check_for
 from orchestration.system.signals import values_at
-from orchestration.system.system import CheckedSystem, check
 from orchestration.system.values import Value
 
 _LARGEST_SEED = 2**31 - 1000  # of the generator in our sensors, and of most others
 Array = np.ndarray
+Look = tuple[Any, Any, Any, Any]
+"""Values of the names of a plan, time [s], and whether a run is done and whether an FMU terminated it.
+
+Numbers of one run; of many arrays of shape (names, runs) and (runs,).
+"""
 
 
-class Episode:
-    """The run of one environment, after `reset`.
+class EpisodePlan:
+    """What all episodes of a task have in common.
 
-    names: of the values that are read: of variables, then of the task's signals
+    variables: that are read; names: of these, then of the task's signals; system: with the actions as inputs
+    experiment: also records what the agent does and sees, since what is recorded is read most quickly
     """
 
     def __init__(self, task: Task) -> None:
-        self._task, self.simulator = task, Simulator(task.system)
-        self._variables, signals = read_names(task)
+        self.task = task
+        self.system = check_for(task.system, task.experiment, task.actions)
+        names = dict.fromkeys((*task.observations, *task.reads))
+        self.variables = [name for name in names if name not in task.signals]
+        signals = [name for name in names if name in task.signals]
+        self.names = (*self.variables, *signals)
         self._signals = [task.signals[name] for name in signals]
-        self.names = (*self._variables, *signals)
-        self._experiment = _recorded(task, self._variables)
-        self._of_signals: Array | None = None  # a row for each communication point
+        self._of_signals: Array | None = None
+        ports, record = self.system.ports, task.experiment.record  # without names all outputs and actions
+        seen = [n for n in self.variables if n in ports and ports[n].variable.causality == "output"]
+        record = [*dict.fromkeys((*record, *seen, *task.actions))] if record else ()
+        self.experiment = replace(task.experiment, record=record)
+
+    def signals(self, points: Array) -> Array:
+        """Returns the task's signals, a row for each communication point: the same in every episode."""
+        if self._of_signals is None:
+            table = [values_at(signal, points) for signal in self._signals]
+            self._of_signals = np.array(table).reshape(-1, len(points)).T
+        return self._of_signals
+
+    def drawn(self, random: np.random.Generator) -> dict[str, Value]:
+        """Returns the values of an episode."""
+        drawn: dict[str, Value] = {name: int(random.integers(1, _LARGEST_SEED)) for name in self.task.seeds}
+        return drawn | {name: draw(random) for name, draw in self.task.vary.items()}
+
+
+class Episode:
+    """The run of one environment, after `reset`."""
+
+    def __init__(self, plan: EpisodePlan) -> None:
+        self._plan, self.simulator = plan, Simulator(plan.task.system)
         self._first: SavedState | None = None
 
     def reset(self, random: np.random.Generator) -> None:
-        """Begin another episode."""
-        task = self._task
-        drawn = _drawn(task, random)
+        """Begins another episode."""
+        plan, simulator = self._plan, self.simulator
+        drawn = plan.drawn(random)
         with suppress(OrchestrationError):  # after an FMU returned fatal
             if self._first:
-                self.simulator.restore(self._first)
+                simulator.restore(self._first)
                 return
-        experiment = replace(self._experiment, parameters={**task.experiment.parameters, **drawn})
-        self.simulator.start(experiment, external=task.actions)
-        if self._of_signals is None:  # the communication points of every episode are the same
-            table = [values_at(signal, self.simulator.points) for signal in self._signals]
-            self._of_signals = np.array(table).T
-        self._read = self.simulator.reader(*self._variables)
-        self._write = self.simulator.writer(*task.actions)
-        if self.simulator.can_save and not drawn:
-            self._first = self.simulator.save()
+        parameters = {**plan.experiment.parameters, **drawn}
+        simulator.start(replace(plan.experiment, parameters=parameters), external=plan.task.actions)
+        self._signals = plan.signals(simulator.points)
+        self._read, self.act = simulator.reader(*plan.variables), simulator.writer(*plan.task.actions)
+        self.step = simulator.step
+        if simulator.can_save and not drawn:
+            self._first = simulator.save()
 
-    def values(self) -> tuple[float, ...]:
-        """The present values of `names`."""
-        values = self._read() if len(self._variables) > 1 else (self._read(),)
-        if self._of_signals is None or not self._signals:
-            return values
-        return (*values, *self._of_signals[self.simulator.point].tolist())
-
-    def act(self, action: Sequence[float]) -> None:
-        """Set the actions, in their own units, from the present point on."""
-        self._write(*action)
-
-
-class TaskRuns(Protocol):
-    """Runs side by side, after `reset`.
-
-    names: as of `Episode`; values: of `names`, shape (names, runs)
-    time [s], is_done, is_terminated: shape (runs,)
-    """
-
-    names: tuple[str, ...]
-
-    def reset(self, randoms: Sequence[np.random.Generator], which: Array) -> None:
-        """Begin another episode in those that are True, shape (runs,)."""
-        ...
-
-    def act(self, values: Array, which: Array) -> None:
-        """Set the actions, in their own units; values: shape (runs, actions)."""
-        ...
-
-    def step(self, which: Array) -> None: ...
-
-    def values(self) -> Array: ...
-
-    def time(self) -> Array: ...
-
-    def is_done(self) -> Array: ...
-
-    def is_terminated(self) -> Array: ...
-
-    def recordings(self) -> list[Recording]: ...
-
-    def close(self) -> None: ...
+    def look(self) -> Look:
+        """Returns what there is to see at the present point."""
+        simulator, values = self.simulator, self._read()
+        if len(self._plan.variables) == 1:
+            values = (values,)
+        if self._signals.shape[1]:
+            values = (*values, *self._signals[simulator.point].tolist())
+        is_done = simulator.is_done
+        return values, simulator.time, is_done, is_done and simulator.is_terminated
 
 
 class SimulatedRuns:
     """Runs that have a simulator each."""
 
-    def __init__(self, task: Task, count: int) -> None:
-        self._episodes = [Episode(task) for _ in range(count)]
-        self._simulators = [episode.simulator for episode in self._episodes]
-        self.names = self._episodes[0].names
+    def __init__(self, plan: EpisodePlan, count: int) -> None:
+        self._episodes = [Episode(plan) for _ in range(count)]
 
     def reset(self, randoms: Sequence[np.random.Generator], which: Array) -> None:
-        for episode, random, is_meant in zip(self._episodes, randoms, which.tolist(), strict=True):
-            if is_meant:
-                episode.reset(random)
+        """Begins another episode in those that are True, shape (runs,)."""
+        for run in np.flatnonzero(which).tolist():
+            self._episodes[run].reset(randoms[run])
 
     def act(self, values: Array, which: Array) -> None:
+        """Sets the actions, in their own units; values: shape (runs, actions)."""
         for episode, action, is_meant in zip(self._episodes, values.tolist(), which.tolist(), strict=True):
             if is_meant:
-                episode.act(action)
+                episode.act(*action)
 
     def step(self, which: Array) -> None:
-        for simulator, is_meant in zip(self._simulators, which.tolist(), strict=True):
+        """Steps to the next communication point."""
+        for episode, is_meant in zip(self._episodes, which.tolist(), strict=True):
             if is_meant:
-                simulator.step()
+                episode.step()
 
-    def values(self) -> Array:
-        return np.array([episode.values() for episode in self._episodes]).T
-
-    def time(self) -> Array:
-        return np.array([simulator.time for simulator in self._simulators])
-
-    def is_done(self) -> Array:
-        return np.array([simulator.is_done for simulator in self._simulators])
-
-    def is_terminated(self) -> Array:
-        return np.array([simulator.is_terminated for simulator in self._simulators])
+    def look(self) -> Look:
+        """Returns what there is to see at the present points."""
+        values, *others = zip(*[episode.look() for episode in self._episodes], strict=True)
+        time, is_done, is_terminated = map(np.array, others)
+        return np.array(values).T, time, is_done, is_terminated
 
     def recordings(self) -> list[Recording]:
-        return [simulator.recording() for simulator in self._simulators]
+        """Returns the recordings of the present episodes."""
+        return [episode.simulator.recording() for episode in self._episodes]
 
     def close(self) -> None:
-        for simulator in self._simulators:
-            simulator.close()
+        """Frees the FMUs."""
+        for episode in self._episodes:
+            episode.simulator.close()
 
 
 class EnsembleRuns:
@@ -153,97 +143,56 @@ class EnsembleRuns:
 
     _run: SteppedEnsemble
 
-    def __init__(self, task: Task, count: int, is_asked_for: bool) -> None:
-        self._task, self._count = task, count
-        self._variables, signals = read_names(task)
-        self.names = (*self._variables, *signals)
-        self._experiment = _recorded(task, self._variables)
-        system = checked_system(task)
+    def __init__(self, plan: EpisodePlan, count: int, is_asked_for: bool) -> None:
+        self._plan, self._count, task = plan, count, plan.task
         for name in (*task.seeds, *task.vary):
-            variable = system.port(name, "vary").variable
+            variable = plan.system.port(name, "vary").variable
             if variable.causality != "parameter" or name.endswith(".internal_step"):
                 raise EnsembleError(f"{name}: expected a parameter but internal_step to draw")
-        check_ensemble(task.system, self._experiment, count, is_asked_for, task.actions)
+        check_ensemble(task.system, plan.experiment, count, is_asked_for, task.actions)
         self._ensemble = Ensemble(task.system)
-        self._signals = [task.signals[name] for name in signals]
-        self._of_signals: Array | None = None  # a row for each signal
 
     def reset(self, randoms: Sequence[np.random.Generator], which: Array) -> None:
-        drawn = [_drawn(self._task, random) for random in randoms]
+        """Begins another episode in all."""
+        drawn = [self._plan.drawn(random) for random in randoms]
         vary = {name: [values[name] for values in drawn] for name in drawn[0]}
-        self._run = self._ensemble.start(self._experiment, vary, self._count, self._task.actions)
-        if self._of_signals is None:  # the communication points of every episode are the same
-            table = [values_at(signal, self._run.points) for signal in self._signals]
-            self._of_signals = np.array(table)
+        actions = self._plan.task.actions
+        self._run = self._ensemble.start(self._plan.experiment, vary, self._count, actions)
 
     def act(self, values: Array, which: Array) -> None:
-        self._run.write(self._task.actions, values.T)
+        """Sets the actions, in their own units; values: shape (runs, actions)."""
+        self._run.write(self._plan.task.actions, values.T)
 
     def step(self, which: Array) -> None:
-        if not self._run.is_done:
-            self._run.step()
+        """Steps to the next communication point."""
+        self._run.step()
 
-    def values(self) -> Array:
-        values = self._run.read(self._variables)
-        if self._of_signals is None or not self._signals:
-            return values
-        present = self._of_signals[:, self._run.point, None]
-        return np.concatenate([values, np.repeat(present, self._count, axis=1)])
-
-    def time(self) -> Array:
-        return np.full(self._count, self._run.time)
-
-    def is_done(self) -> Array:
-        return np.full(self._count, self._run.is_done)
-
-    def is_terminated(self) -> Array:
-        return np.zeros(self._count, bool)
+    def look(self) -> Look:
+        """Returns what there is to see at the present point."""
+        run, count = self._run, self._count
+        signals = self._plan.signals(run.points)[run.point, :, None]
+        values = np.concatenate([run.read(self._plan.variables), np.repeat(signals, count, axis=1)])
+        return values, np.full(count, run.time), np.full(count, run.is_done), np.zeros(count, bool)
 
     def recordings(self) -> list[Recording]:
+        """Returns the recordings of the present episodes."""
         recorded = self._run.recordings()
-        return [recorded.run(instance) for instance in range(self._count)]
+        return [recorded.run(i) for i in range(self._count)]
 
     def close(self) -> None:
+        """Frees the FMUs."""
         self._ensemble.close()
 
 
-def task_runs(task: Task, count: int, ensemble: bool | None) -> TaskRuns:
-    """So many runs of a task: instances of an ensemble where they can be and that pays, else simulators.
+def task_runs(plan: EpisodePlan, count: int, ensemble: bool | None) -> SimulatedRuns | EnsembleRuns:
+    """Returns so many runs: instances of an ensemble where they can be and that pays, else simulators.
 
     ensemble: True also where it does not pay, EnsembleError where it cannot be; False never
     """
     if ensemble is not False:
         try:
-            return EnsembleRuns(task, count, bool(ensemble))
+            return EnsembleRuns(plan, count, bool(ensemble))
         except EnsembleError:
             if ensemble:
                 raise
-    return SimulatedRuns(task, count)
-
-
-def _drawn(task: Task, random: np.random.Generator) -> dict[str, Value]:
-    """The values of an episode."""
-    drawn: dict[str, Value] = {name: int(random.integers(1, _LARGEST_SEED)) for name in task.seeds}
-    return drawn | {name: draw(random) for name, draw in task.vary.items()}
-
-
-def read_names(task: Task) -> tuple[list[str], list[str]]:
-    """What is read: the names of variables, and of the task's signals."""
-    names = dict.fromkeys((*task.observations, *task.reads))
-    return [n for n in names if n not in task.signals], [n for n in names if n in task.signals]
-
-
-def _recorded(task: Task, variables: Sequence[str]) -> Experiment:
-    """The experiment, which also records what the agent does and sees: that is read most quickly."""
-    record = task.experiment.record
-    if not record:  # which is all outputs and actions
-        return task.experiment
-    ports = checked_system(task).ports
-    outputs = [n for n in variables if n in ports and ports[n].variable.causality == "output"]
-    return replace(task.experiment, record=[*dict.fromkeys((*record, *outputs, *task.actions))])
-
-
-def checked_system(task: Task) -> CheckedSystem:
-    """The system, checked with the inputs that the agent drives."""
-    driven = dict.fromkeys((*task.experiment.driven_inputs, *task.actions))
-    return check(task.system, driven, open_inputs=OpenInputs(task.experiment.open_inputs))
+    return SimulatedRuns(plan, count)

@@ -11,8 +11,8 @@ import pytest
 
 from orchestration.errors import EnsembleError
 from orchestration.gym import FmuVectorEnv, Task, task_of
-from orchestration.many import ensemble_choice
-from orchestration.many.ensemble_choice import check_ensemble
+from orchestration.many import ensemble_checks
+from orchestration.many.ensemble_checks import check_ensemble
 from orchestration.scenarios import scenario, task_runs
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.signals import Ramps
@@ -123,7 +123,7 @@ def test_fmus_that_are_not_compiled_for_it_have_simulators(
     task: Task, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """However many steps an ensemble would save: that is not known of a loop of the caller's own."""
-    monkeypatch.setattr(ensemble_choice, "is_compiled", lambda *_: False)
+    monkeypatch.setattr(ensemble_checks, "is_compiled", lambda *_: False)
     monkeypatch.setattr(task_runs, "Ensemble", lambda *_: pytest.fail("an ensemble is made"))
     with closing(FmuVectorEnv(task, 8)) as envs:
         assert envs.reset(seed=1)[0].shape == (8, 3)

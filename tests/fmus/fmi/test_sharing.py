@@ -15,7 +15,7 @@ from fmus.fmi.instance import FmuInstance
 from fmus.user_cache import is_own_build, record_build
 from orchestration.errors import EnsembleError
 from orchestration.many.ensemble import Ensemble
-from orchestration.many.ensemble_choice import check_ensemble
+from orchestration.many.ensemble_checks import check_ensemble
 from orchestration.run import Simulator, simulate
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System

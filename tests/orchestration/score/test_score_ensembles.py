@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from orchestration import Ensemble
-from orchestration.many import ensemble_choice
+from orchestration.many import ensemble_checks
 from orchestration.score.isolated_loop import IsolatedLoop, RunError
 from orchestration.score.loop import Controller, Loop
 from orchestration.score.protocol import Protocol, read_protocol
@@ -74,7 +74,7 @@ def plants_of(path: Path, monkeypatch: pytest.MonkeyPatch) -> Scored:
 
         done: list[int] = []
         with monkeypatch.context() as patch:
-            patch.setattr(ensemble_choice, "is_compiled", lambda *_: is_compiled)
+            patch.setattr(ensemble_checks, "is_compiled", lambda *_: is_compiled)
             patch.setattr(IsolatedLoop, "call", count)
             result = score([controller], read_protocol(path), full=True, progress=done.append)
         assert sum(done) == 1 + COUNT

@@ -12,7 +12,7 @@ import pytest
 
 from fmus.registry import fmu_path
 from orchestration.errors import EnsembleError, ScenarioError
-from orchestration.many import ensemble_choice
+from orchestration.many import ensemble_checks
 from orchestration.score import figures_of_all as together_module
 from orchestration.score import loop as loop_module
 from orchestration.score import tune_ensembles
@@ -65,7 +65,7 @@ def test_few_evaluations_are_not_worth_a_compilation(
         yield evaluate
 
     monkeypatch.setattr(tune_ensembles, "processes", processes)
-    monkeypatch.setattr(ensemble_choice, "is_compiled", lambda *_: False)
+    monkeypatch.setattr(ensemble_checks, "is_compiled", lambda *_: False)
     with evaluations(built_in(protocol, "l1-pi"), protocol, 3, 10) as evaluate:
         assert [*evaluate([{}, {}])] == [{"cost": 3.0}] * 2
     mine = shutil.copy(fmu_path(built_in(protocol, "l1-pi").fmu), tmp_path)

@@ -11,7 +11,7 @@ import pytest
 
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import EnsembleError, OrchestrationError
-from orchestration.many import ensemble_choice
+from orchestration.many import ensemble_checks
 from orchestration.many.batches import Batches, Finished, Run
 from orchestration.many.job import Failure
 from orchestration.many.local import LocalRuns, local
@@ -293,7 +293,7 @@ def test_where_an_ensemble_cannot_run_samples_or_does_not_pay_simulators_do(
     text: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nothing is compiled for these."""
-    monkeypatch.setattr(ensemble_choice, "is_compiled", lambda *_: False)
+    monkeypatch.setattr(ensemble_checks, "is_compiled", lambda *_: False)
     assert reason in note_of(made_of(tmp_path, text), 1)
 
 
@@ -325,7 +325,7 @@ def test_ensembles_give_the_same_table(
         return 0.0
 
     monkeypatch.setitem(metrics.FUNCTIONS, "mean", refuse_positive)
-    monkeypatch.setattr(ensemble_choice, "is_compiled", lambda *_: True)
+    monkeypatch.setattr(ensemble_checks, "is_compiled", lambda *_: True)
     batches: list[int] = []
     notes: list[str] = []
     path = sweep(vehicle, tmp_path / "together", local(2, note=notes.append), progress=batches.append)
