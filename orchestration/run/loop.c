@@ -50,7 +50,7 @@ typedef struct {
     double *history;
 } Faults;
 
-/* Threads that share the steps of the components between two points; orchestration/run/step_threads.py. The low half
+/* Threads that share the steps of the components between two points; orchestration/run/compiled_loop.py. The low half
    of `ticket` is the next component that nobody has taken, the high half counts the steps: a thread that is late by a
    step takes nothing. */
 typedef struct {

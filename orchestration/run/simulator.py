@@ -13,14 +13,13 @@ from orchestration.results.recording import Recording
 from orchestration.run.checkpoint import Checkpoint, Checkpoints, check_can_save, restore
 from orchestration.run.compiled_loop import compiled_loop
 from orchestration.run.error_estimate import with_error_estimate
-from orchestration.run.failure import reason_of
 from orchestration.run.initialisation import ConnectionGroup, connection_groups, initialise
-from orchestration.run.interrupt import deferred_interrupt
+from orchestration.run.interrupt import Pacing, deferred_interrupt
 from orchestration.run.loaded_system import LoadedSystem
 from orchestration.run.loop import python_loop
 from orchestration.run.loop_data import Report, Storage
-from orchestration.run.pacing import Pacing
 from orchestration.run.process_guard import ProcessGuard, new_report
+from orchestration.run.run_recording import reason_of
 from orchestration.run.step_by_step import StepByStep, replay
 from orchestration.run.stepped_run import SteppedRun
 from orchestration.run.stepping import Progress, RunInProgress

@@ -1,11 +1,19 @@
-"""The whole system at one communication point, kept in memory to go back to."""
+"""The whole system at one communication point in memory, to go back to, with the record that leads there.
+
+A run that goes back writes new rows over the old ones of its record. Should it later go to a state that was
+saved on the way it left, the rows that lead there are needed again: they are copied when it leaves that way.
+"""
 
 import ctypes
+from collections.abc import Mapping
 from contextlib import suppress
+from typing import Any
+
+import numpy as np
 
 from orchestration.errors import FmuError
-from orchestration.run.failure import failure_error
 from orchestration.run.loop_data import LoopFunctions, Report, SavedMemory
+from orchestration.run.run_recording import failure_error
 from orchestration.run.wiring import WiredRun
 
 
@@ -53,3 +61,78 @@ def free_states(run: WiredRun, saved: SavedMemory) -> None:
             with suppress(FmuError):  # the instance is freed next, and its states with it
                 instance.free_fmu_state(saved[c])
         saved[c] = 0
+
+
+class Segment:
+    """What is recorded from one saved state to the next.
+
+    before: the segment that leads to its beginning, itself for the first
+    end: the communication point where it ends
+    parts: the rows of each array of the record, once they may be overwritten there
+    """
+
+    __slots__ = ("before", "end", "parts")
+
+    def __init__(self, before: "Segment | None", end: int) -> None:
+        self.before, self.end = before or self, end
+        self.parts: list[np.ndarray] | None = None
+
+
+class Record:
+    """The arrays of a run that grow from point to point, a row for each.
+
+    Those before `present.end` lead to the state that was saved or restored last.
+    """
+
+    def __init__(self, *arrays: np.ndarray) -> None:
+        self._arrays = [array for array in arrays if array.size]
+        self.present = Segment(None, 0)
+
+    def keep(self, point: int) -> Segment:
+        """The segment that leads to a point, of what was recorded until then."""
+        if self.present.end != point:
+            self.present = Segment(self.present, point)
+        return self.present
+
+    def return_to(self, segment: Segment) -> None:
+        """Bring back what was recorded until a segment's end."""
+        present, target, missing = self.present, segment, []
+        while present is not target:
+            if present.end > target.end:
+                if present.parts is None:
+                    start, end = present.before.end, present.end
+                    present.parts = [array[start:end].copy() for array in self._arrays]
+                present = present.before
+            else:
+                missing.append(target)
+                target = target.before
+        for lost in missing:
+            for array, part in zip(self._arrays, lost.parts or (), strict=True):
+                array[lost.before.end : lost.end] = part
+        self.present = segment
+
+
+class SavedState:
+    """The whole system at one communication point of a run: opaque, for `Simulator.restore` in that run.
+
+    written: what the caller has set until then, where that is noted
+    unused: where the run finds memory for its next saved states; this one's returns there when it is deleted
+    """
+
+    __slots__ = ("memory", "position", "segment", "step_control", "unused", "written")
+
+    def __init__(
+        self,
+        memory: SavedMemory,
+        position: int,
+        step_control: Mapping[str, Any],
+        segment: Segment,
+        written: tuple[Any, ...],
+        unused: list[SavedMemory],
+    ) -> None:
+        self.memory, self.position, self.step_control = memory, position, step_control
+        self.written = written
+        self.segment, self.unused = segment, unused
+
+    def __del__(self) -> None:
+        self.unused.append(self.memory)

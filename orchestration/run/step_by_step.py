@@ -7,7 +7,7 @@ import numpy as np
 
 from orchestration.errors import OrchestrationError
 from orchestration.results.recording import Recording
-from orchestration.run.saved_state import SavedState
+from orchestration.run.snapshot import SavedState
 from orchestration.run.stepped_run import SteppedRun
 from orchestration.run.variable_access import Reader, Writer
 from orchestration.system.values import Value

@@ -5,7 +5,7 @@ divided by 2^p - 1, estimates the error of the halves, where p is the order of t
 extrapolation. A step may contribute the share h / T of the tolerance, where T is the duration of the run:
 the sum over all steps stays below the tolerance.
 
-Where the error does not fall with the step, the FMUs' own solvers may have left it (`split_step.py`). Such an
+Where the error does not fall with the step, the FMUs' own solvers may have left it (`tolerance.py`). Such an
 error is permitted: the step stays as long as it is, and the recording holds what the run reaches instead.
 """
 
@@ -17,11 +17,10 @@ import numpy as np
 
 from fmus.fmi.instance import FmuInstance
 from orchestration.errors import FmuWarning, OrchestrationError
-from orchestration.run.failure import failure_error, step_unless_discarded
 from orchestration.run.loop_data import LoopFunctions, Report
+from orchestration.run.run_recording import failure_error, step_unless_discarded
 from orchestration.run.snapshot import Snapshot
-from orchestration.run.split_step import step_together_and_split
-from orchestration.run.tolerance import Tolerance
+from orchestration.run.tolerance import Tolerance, step_together_and_split
 from orchestration.run.wiring import WiredRun
 
 _SHORTEST = 1e-9  # of a communication step

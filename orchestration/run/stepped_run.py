@@ -11,11 +11,10 @@ import numpy as np
 
 from orchestration.errors import FmuWarning, OrchestrationError, SimulationError
 from orchestration.results.recording import Recording
-from orchestration.run.failure import reason_of
 from orchestration.run.loop_data import LoopFunctions, Report, SavedMemory
 from orchestration.run.process_guard import ProcessGuard
-from orchestration.run.saved_state import Record, SavedState
-from orchestration.run.snapshot import free_states, new_memory, restore_after_failure
+from orchestration.run.run_recording import reason_of
+from orchestration.run.snapshot import Record, SavedState, free_states, new_memory, restore_after_failure
 from orchestration.run.stepping import RunInProgress
 from orchestration.run.variable_access import VariableAccess, stale
 from orchestration.run.wiring import WiredRun

@@ -14,14 +14,13 @@ from typing import Any, Protocol
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import OrchestrationError
 from orchestration.results.recording import Recording
-from orchestration.run.failure import emit_warnings, failure_error, is_discarded_step
+from orchestration.run.compiled_loop import StepThreads
+from orchestration.run.interrupt import Pacing
 from orchestration.run.loop_data import LoopFunctions, Report
-from orchestration.run.pacing import Pacing
 from orchestration.run.process_guard import ProcessGuard
-from orchestration.run.run_recording import make_recording
+from orchestration.run.run_recording import emit_warnings, failure_error, is_discarded_step, make_recording
 from orchestration.run.snapshot import Snapshot
 from orchestration.run.step_control import StepControl
-from orchestration.run.step_threads import StepThreads
 from orchestration.run.wiring import WiredRun
 from orchestration.system.faults import Pattern
 from orchestration.system.system import Port

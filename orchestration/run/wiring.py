@@ -8,7 +8,7 @@ import numpy as np
 
 from fmus.fmi.description import is_independent
 from fmus.fmi.instance import FmuInstance
-from orchestration.run.bus import SIGNAL, BusLayout, VariableGroup, component_of, lay_out_bus
+from orchestration.run.bus import SIGNAL, BusLayout, Texts, VariableGroup, component_of, lay_out_bus
 from orchestration.run.loop_data import (
     CHANGING_OF_CONNECTIONS,
     Call,
@@ -19,7 +19,6 @@ from orchestration.run.loop_data import (
     Storage,
     Wiring,
 )
-from orchestration.run.texts import Texts
 from orchestration.system.experiment import Algorithm
 from orchestration.system.prepared_run import PreparedRun
 from orchestration.system.transformation import LinearTransformation

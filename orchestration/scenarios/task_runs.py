@@ -13,7 +13,7 @@ from orchestration.many.ensemble_checks import check_ensemble
 from orchestration.many.stepped_ensemble import SteppedEnsemble
 from orchestration.results.recording import Recording
 from orchestration.run import Simulator
-from orchestration.run.saved_state import SavedState
+from orchestration.run.snapshot import SavedState
 from orchestration.scenarios.task import Task
 from orchestration.system.prepared_run import check_for
 from orchestration.system.signals import values_at

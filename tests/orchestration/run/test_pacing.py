@@ -2,8 +2,8 @@
 
 import pytest
 
-from orchestration.run import pacing
-from orchestration.run.pacing import Pacing
+from orchestration.run import interrupt
+from orchestration.run.interrupt import Pacing
 
 
 class Clock:
@@ -22,7 +22,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
-    monkeypatch.setattr(pacing, "time", clock)
+    monkeypatch.setattr(interrupt, "time", clock)
     return clock
 
 

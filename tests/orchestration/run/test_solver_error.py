@@ -14,8 +14,8 @@ from orchestration.run import Simulator, simulate, stepping
 from orchestration.run.checkpoint import Checkpoints, read_checkpoint
 from orchestration.run.loop_data import LoopFunctions
 from orchestration.run.snapshot import Snapshot
-from orchestration.run.split_step import step_together_and_split
 from orchestration.run.step_control import StepControl
+from orchestration.run.tolerance import step_together_and_split
 from orchestration.run.wiring import WiredRun
 from orchestration.system.experiment import Algorithm, Event, Experiment
 from orchestration.system.system import System

@@ -11,7 +11,7 @@ import pytest
 from fmus.fmi.description import describe
 from orchestration.errors import OrchestrationError, SimulationError
 from orchestration.run import Simulator
-from orchestration.run.step_threads import StepThreads
+from orchestration.run.compiled_loop import StepThreads
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 

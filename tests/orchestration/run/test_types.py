@@ -13,8 +13,8 @@ from orchestration.results import metrics
 from orchestration.results.figures import run_figure
 from orchestration.results.recording import Recording
 from orchestration.run import Simulator, simulate
+from orchestration.run.bus import Texts
 from orchestration.run.checkpoint import Checkpoints, read_checkpoint
-from orchestration.run.texts import Texts
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.faults import Delay, Fault, Stuck
 from orchestration.system.signals import Ramps, Signal, Table
