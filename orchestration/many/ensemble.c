@@ -1,5 +1,5 @@
 /* The communication loop of an ensemble: that of loop.c for a group of LANES instances that step together, without FMI.
-   The structure is `GroupData` of ensemble_loop.py, whose docstring explains its members.
+   The structure is made by `EnsembleLoop._group` of ensemble_loop.py, whose docstring explains its members.
 
    Every member is eight bytes wide: a count, an address, or a number that Python writes there. */
 

@@ -17,7 +17,7 @@ from orchestration.many.ensemble_checks import (
     instance_count,
     varied_signals,
 )
-from orchestration.many.ensemble_loop import EnsembleLoop, build_loop, check_memory, loop_library
+from orchestration.many.ensemble_loop import EnsembleLoop, check_memory, loop_library
 from orchestration.many.lane_library import lane_library
 from orchestration.many.stepped_ensemble import EnsembleRecording, SteppedEnsemble
 from orchestration.run.initialisation import ConnectionGroup, initialise
@@ -28,6 +28,8 @@ from orchestration.system.system import System
 
 Values = dict[str, list[FmiValue]]
 """Variable -> its value at the start, of each instance."""
+Signals = Mapping[str, np.ndarray]
+"""As `varied` of `EnsembleLoop`."""
 
 
 class Ensemble(LoadedSystem):
@@ -122,45 +124,36 @@ class Ensemble(LoadedSystem):
         system, groups = self._check(experiment, external)
         prepared = self._prepared_runs.prepare(system, experiment, external)
         check_supported(prepared, groups)
-        values, signals = self._varied(prepared, vary, count)
+        values: Values = {name: [value] * count for name, value in prepared.external.items()}
+        values |= checked_values(prepared, vary)
+        check_memory(prepared, self._libraries, count, sum(n in experiment.signals for n in vary))
+        signals = varied_signals(prepared, vary)
+        for name, of_all in signals.items():
+            values[name] = prepared.typed(name, of_all[:, 0].ravel()[:count])
         loop = self._initialised(prepared, groups, values, signals)
         varied = {name: vary[name] if name in signals else values[name] for name in vary}
         run = SteppedEnsemble(loop, count, varied)
         run.failures = {i: self._reason(prepared, groups, values, i) for i in run.failures}
         return run
 
-    def _varied(self, prepared: PreparedRun, vary: Vary, count: int) -> tuple[Values, dict[str, np.ndarray]]:
-        """What begins otherwise in each instance, and its signals: as `EnsembleLoop.varied`."""
-        values: Values = {name: [value] * count for name, value in prepared.external.items()}
-        values |= checked_values(prepared, vary)
-        check_memory(prepared, self._libraries, count, sum(n in prepared.experiment.signals for n in vary))
-        signals = varied_signals(prepared, vary)
-        for name, of_instances in signals.items():
-            values[name] = prepared.typed(name, of_instances[:, 0].ravel()[:count])
-        return values, signals
-
     def _initialised(
-        self,
-        prepared: PreparedRun,
-        groups: Sequence[ConnectionGroup],
-        vary: Values,
-        signals: Mapping[str, np.ndarray],
+        self, prepared: PreparedRun, groups: Sequence[ConnectionGroup], values: Values, signals: Signals
     ) -> EnsembleLoop:
         """The instances with their initial values; `failure` of those that cannot begin is not 0.
 
         What they have in common is taken from the FMUs, initialised as the first instance that can begin.
         """
-        count, reason = len(next(iter(vary.values()))), ""
+        count, reason = len(next(iter(values.values()))), ""
         for instance in range(count):
-            reason = self._reason(prepared, groups, vary, instance)
+            reason = self._reason(prepared, groups, values, instance)
             if not reason:
                 break
-        if reason:
+        else:
             raise OrchestrationError(f"none of {count} instances can begin; the last: {reason}")
         common = {name: self._values(name) for name in self._libraries}
-        loop = build_loop(prepared, self._libraries, self.instructions, common, signals, count)
-        for name, values in vary.items():
-            padded = np.array([*values, *values[-1:] * (-count % LANES)], float)
+        loop = EnsembleLoop(prepared, self._libraries, self.instructions, common, signals, count)
+        for name, of_all in values.items():
+            padded = np.array([*of_all, *of_all[-1:] * (-count % LANES)], float)
             loop.values(prepared.system.ports[name])[:] = padded.reshape(-1, LANES)
         for name, library in self._libraries.items():
             steps = loop.memory[name][:, LANES * library.internal_step :][:, :LANES]
@@ -168,20 +161,15 @@ class Ensemble(LoadedSystem):
                 raise EnsembleError(
                     f"{name}.internal_step: expected one for all instances; Simulator has many"
                 )
-        for group in groups:
+        for group in (*groups, None):
             loop.initialise(group)
-        loop.initialise()
         return loop
 
     def _reason(
-        self,
-        prepared: PreparedRun,
-        groups: Sequence[ConnectionGroup],
-        vary: Values,
-        instance: int,
+        self, prepared: PreparedRun, groups: Sequence[ConnectionGroup], values: Values, instance: int
     ) -> str:
         """Why an instance cannot begin, empty if it can: the FMUs are initialised as it."""
-        own = {name: values[instance] for name, values in vary.items()}
+        own = {name: of_all[instance] for name, of_all in values.items()}
         settings = [(port, own.pop(port.name, value)) for port, value in prepared.initial_settings]
         settings += [(prepared.system.ports[name], value) for name, value in own.items()]
         self._load_or_reset()

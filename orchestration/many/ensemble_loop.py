@@ -2,10 +2,9 @@
 
 import ctypes
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -25,99 +24,62 @@ _UNCHANGED = LinearTransformation()
 _LARGEST = np.finfo(float).max
 
 
-class GroupData(NamedTuple):
-    """All data of the loop for one group, which `ensemble.c` declares member by member.
-
-    n_points .. n_columns: of communication points, components, signals, varied signals, recorded variables
-    gauss_seidel: 1 for Gauss-Seidel, 0 for Jacobi; points: [s]
-    step, memory: of each component the addresses of its function and of the group
-
-    Variables are addresses of their lanes. Connections into component c are first[c]..first[c+1]-1:
-    source, target; source_component; factor, offset: as in `Connections`; minimum, maximum: of the target
-    signal_values: one row for each signal, one column for each point; signal: the inputs
-    varied_values: addresses of the signals that differ between instances, each of shape (points, lanes);
-    they are set after the others; varied: the inputs
-    column: the recorded variables; rows: their values, shape (columns, points, lanes)
-    recorded: points that are recorded of each instance; failure: 0, or 1 + the component whose step it
-    refused, or -1 - the connection whose value its target cannot have
-    """
-
-    n_points: int
-    n_components: int
-    n_signals: int
-    n_varied: int
-    n_columns: int
-    gauss_seidel: int
-    points: Array
-    step: Array
-    memory: Array
-    first: Array
-    source_component: Array
-    source: Array
-    target: Array
-    minimum: Array
-    maximum: Array
-    factor: Array
-    offset: Array
-    signal_values: Array
-    signal: Array
-    varied_values: Array
-    varied: Array
-    column: Array
-    rows: Array
-    recorded: Array
-    failure: Array
-
-
-@dataclass(frozen=True)
 class EnsembleLoop:
-    """The groups of an ensemble, ready to run.
+    """The groups of `count` instances, ready to run.
+
+    values: component -> its variables by value reference, which all instances have in common
+    varied: driven input -> the signal of each instance at each point, shape (groups, points, lanes)
 
     memory: component -> its groups; see `LaneLibrary.memory`
-    varied: driven input -> the signal of each instance at each point, shape (groups, points, lanes)
+    connections: source and target, those into the first component first
     rows: recorded values, shape (groups, columns, points, lanes)
-    recorded, failure: as in `GroupData`, shape (groups, lanes)
+    recorded: points that are recorded of each instance; failure: 0, or 1 + the component whose step it
+    refused, or -1 - the connection whose value its target cannot have; both of shape (groups, lanes)
     """
 
-    prepared: PreparedRun
-    libraries: Mapping[str, LaneLibrary]
-    instructions: str
-    memory: Mapping[str, Array]
-    varied: Mapping[str, Array]
-    rows: Array
-    recorded: Array
-    failure: Array
-
-    @property
-    def connections(self) -> list[tuple[str, str]]:
-        """Source and target of the connections, those into the first component first."""
-        order = {name: c for c, name in enumerate(self.libraries)}
-        connections = sorted(self.prepared.system.connections, key=lambda ends: order[ends[1].component])
-        return [(source.name, target.name) for source, target in connections]
-
-    def data_of_group(self, group: int) -> tuple[ctypes.Array[ctypes.c_int64], GroupData]:
-        """The data of a group as the compiled loop takes them, and the arrays that hold them."""
-        data = self.data(group)
-        members = [member.ctypes.data if isinstance(member, np.ndarray) else member for member in data]
-        return (ctypes.c_int64 * len(members))(*members), data
-
-    def exchange(self, data: tuple[ctypes.Array[ctypes.c_int64], GroupData], point: int) -> None:
-        """Set what signals and connections drive at a communication point, and record it."""
-        loop_library(self.instructions).ensemble_exchange(data[0], point)
-
-    def run_points(
-        self, group: int, data: tuple[ctypes.Array[ctypes.c_int64], GroupData], first: int, last: int
+    def __init__(
+        self,
+        prepared: PreparedRun,
+        libraries: Mapping[str, LaneLibrary],
+        instructions: str,
+        values: Mapping[str, Array],
+        varied: Mapping[str, Array],
+        count: int,
     ) -> None:
-        """Run a group from one communication point to another; data: of `data_of_group`."""
+        self.prepared, self.libraries, self._varied = prepared, libraries, varied
+        self._functions = loop_library(instructions)
+        groups, (points, columns) = -(-count // LANES), prepared.shape
+        self.memory = {name: library.memory(groups, values[name]) for name, library in libraries.items()}
+        order = list(libraries)
+        ends = sorted(prepared.system.connections, key=lambda ends: order.index(ends[1].component))
+        self.connections = [(source.name, target.name) for source, target in ends]
+        self.rows = aligned(groups, columns, points, LANES)
+        self.recorded, self.failure = np.full((groups, LANES), points), np.zeros((groups, LANES), np.int64)
+        self._groups = [self._group(group) for group in range(groups)]
+
+    def exchange(self, point: int) -> None:
+        """Set what signals and connections drive at a communication point, and record it."""
+        for group, _ in self._groups:
+            self._functions.ensemble_exchange(group, point)
+
+    def run_points(self, group: int, first: int, last: int) -> None:
+        """Run a group from one communication point to another, with the changes of events."""
         is_end = last + 1 == len(self.prepared.points)
         changes = (p for p in self.prepared.changes if first < p and (p < last or (is_end and p == last)))
         starts = sorted({first, *changes})
         for start, end in zip(starts, [*starts[1:], last], strict=True):
             self._change(group, start)
-            loop_library(self.instructions).ensemble_run(data[0], start, end)
+            self._functions.ensemble_run(self._groups[group][0], start, end)
 
-    def data(self, group: int) -> GroupData:
-        """The arrays of a group."""
+    def _group(self, group: int) -> tuple[ctypes.Array[ctypes.c_int64], list[Any]]:
+        """Returns the structure `Group` of ensemble.c, and what its addresses refer to.
+
+        Counts, then arrays. step, memory: of each component the address of its function and of the group.
+        Variables are addresses of their lanes. Connections into component c are first[c]..first[c+1]-1, with
+        the range of the target, and factor and offset as in `Connections`. signal_values has a row for each
+        signal and a column for each point; varied_values, which are set after these, are of shape
+        (points, lanes). column: the recorded variables, and rows their values, shape (columns, points, lanes)
+        """
         prepared, experiment = self.prepared, self.prepared.experiment
         components, connections = list(self.libraries), self.connections
         owners = [prepared.system.ports[target].component for _, target in connections]
@@ -125,33 +87,35 @@ class EnsembleLoop:
         changes = [prepared.system.transformations.get(target, _UNCHANGED) for _, target in connections]
         limits = np.array([prepared.input_ranges[target] for _, target in connections]).reshape(-1, 2)
         minimum, maximum = np.ascontiguousarray(limits.T).clip(-_LARGEST, _LARGEST)
-        return GroupData(
-            n_points=len(prepared.points),
-            n_components=len(components),
-            n_signals=len(experiment.signals),
-            n_varied=len(self.varied),
-            n_columns=len(prepared.recorded),
-            gauss_seidel=int(experiment.algorithm is Algorithm.GAUSS_SEIDEL),
-            points=prepared.points,
-            step=_integers([library.step for library in self.libraries.values()]),
-            memory=_integers([self.memory[name][group].ctypes.data for name in components]),
-            first=_integers([0, *np.cumsum([owners.count(name) for name in components])]),
-            source_component=_integers(sources),
-            source=self._addresses(group, [source for source, _ in connections]),
-            target=self._addresses(group, [target for _, target in connections]),
-            minimum=minimum,
-            maximum=maximum,
-            factor=np.array([change.factor for change in changes], float),
-            offset=np.array([change.offset or -0.0 for change in changes], float),
-            signal_values=prepared.signal_values,
-            signal=self._addresses(group, list(experiment.signals)),
-            varied_values=_integers([values[group].ctypes.data for values in self.varied.values()]),
-            varied=self._addresses(group, list(self.varied)),
-            column=self._addresses(group, prepared.recorded),
-            rows=self.rows[group],
-            recorded=self.recorded[group],
-            failure=self.failure[group],
-        )
+        members: dict[str, Any] = {
+            "n_points": len(prepared.points),
+            "n_components": len(components),
+            "n_signals": len(experiment.signals),
+            "n_varied": len(self._varied),
+            "n_columns": len(prepared.recorded),
+            "gauss_seidel": int(experiment.algorithm is Algorithm.GAUSS_SEIDEL),
+            "points": prepared.points,
+            "step": _integers([library.step for library in self.libraries.values()]),
+            "memory": _integers([self.memory[name][group].ctypes.data for name in components]),
+            "first": _integers([0, *np.cumsum([owners.count(name) for name in components])]),
+            "source_component": _integers(sources),
+            "source": self._addresses(group, [source for source, _ in connections]),
+            "target": self._addresses(group, [target for _, target in connections]),
+            "minimum": minimum,
+            "maximum": maximum,
+            "factor": np.array([change.factor for change in changes], float),
+            "offset": np.array([change.offset or -0.0 for change in changes], float),
+            "signal_values": prepared.signal_values,
+            "signal": self._addresses(group, list(experiment.signals)),
+            "varied_values": _integers([values[group].ctypes.data for values in self._varied.values()]),
+            "varied": self._addresses(group, list(self._varied)),
+            "column": self._addresses(group, prepared.recorded),
+            "rows": self.rows[group],
+            "recorded": self.recorded[group],
+            "failure": self.failure[group],
+        }
+        values = [m.ctypes.data if isinstance(m, np.ndarray) else m for m in members.values()]
+        return (ctypes.c_int64 * len(values))(*values), list(members.values())
 
     def _addresses(self, group: int, names: Sequence[str]) -> Array:
         """Of the lanes of variables."""
@@ -226,27 +190,6 @@ def check_memory(
         f"{count} instances of {points} communication points of {columns} variables{signals}",
         "record fewer variables, or run fewer instances at once",
     )
-
-
-def build_loop(
-    prepared: PreparedRun,
-    libraries: Mapping[str, LaneLibrary],
-    instructions: str,
-    values: Mapping[str, Array],
-    varied: Mapping[str, Array],
-    count: int,
-) -> EnsembleLoop:
-    """The groups of so many instances.
-
-    values: component -> its variables by value reference, which all instances have in common
-    varied: as in `EnsembleLoop`
-    """
-    groups = -(-count // LANES)
-    memory = {name: library.memory(groups, values[name]) for name, library in libraries.items()}
-    points = len(prepared.points)
-    rows = aligned(groups, len(prepared.recorded), points, LANES)
-    recorded, failure = np.full((groups, LANES), points), np.zeros((groups, LANES), np.int64)
-    return EnsembleLoop(prepared, libraries, instructions, memory, varied, rows, recorded, failure)
 
 
 def _integers(values: Sequence[int]) -> Array:

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -65,7 +66,6 @@ class SteppedEnsemble:
     def __init__(self, loop: EnsembleLoop, count: int, varied: Varied) -> None:
         self._loop, self._prepared, self._count, self._varied = loop, loop.prepared, count, varied
         self._driven = {*loop.prepared.experiment.signals, *(target for _, target in loop.connections)}
-        self._groups = [loop.data_of_group(group) for group in range(len(loop.rows))]
         self.point, self.failures = 0, dict[int, str]()
         self._note_failures()
 
@@ -90,8 +90,8 @@ class SteppedEnsemble:
             raise OrchestrationError(
                 f"the run is at its stop time, {self.time:.9g} s: expected no further step"
             )
-        for group, data in enumerate(self._groups):
-            self._loop.run_points(group, data, self.point, self.point + 1)
+        for group in range(len(self._loop.rows)):
+            self._loop.run_points(group, self.point, self.point + 1)
         self._note_failures()
         for instance, reason in self.failures.items():
             raise SimulationError(f"instance {instance}: {reason}", self._recording().run(instance))
@@ -102,14 +102,11 @@ class SteppedEnsemble:
 
         threads, progress: as of `Ensemble.run`
         """
-        last = len(self.points) - 1
-
-        def run(group: int) -> None:
-            self._loop.run_points(group, self._groups[group], self.point, last)
-
+        last, groups = len(self.points) - 1, range(len(self._loop.rows))
         with ThreadPoolExecutor(threads) as pool:
             apply = pool.map if threads > 1 else map
-            for group, _ in enumerate(apply(run, range(len(self._groups)))):
+            run = partial(self._loop.run_points, first=self.point, last=last)
+            for group, _ in enumerate(apply(run, groups)):
                 if progress:
                     progress(min(self._count, (group + 1) * LANES), self._count)
         self.point = last
@@ -119,7 +116,7 @@ class SteppedEnsemble:
         """The present values of variables, shape (names, instances); Booleans are 0.0 and 1.0."""
         ports = [self._prepared.system.port(name, "read") for name in names]
         if not self._driven.isdisjoint(names):
-            self._exchange()
+            self._loop.exchange(self.point)
         return np.array([self._loop.values(port).reshape(-1)[: self._count] for port in ports])
 
     def write(self, names: Sequence[str], values: np.ndarray) -> None:
@@ -145,13 +142,8 @@ class SteppedEnsemble:
 
     def recordings(self) -> EnsembleRecording:
         """The values recorded until now, those of the present communication point included."""
-        self._exchange()
+        self._loop.exchange(self.point)
         return self._recording()
-
-    def _exchange(self) -> None:
-        """Set and record what the next step sets and records first."""
-        for data in self._groups:
-            self._loop.exchange(data, self.point)
 
     def _note_failures(self) -> None:
         for instance in np.flatnonzero(self._loop.failure.ravel()[: self._count]).tolist():

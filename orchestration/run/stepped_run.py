@@ -39,7 +39,6 @@ class SteppedRun(RunInProgress):
         self.failure = ""
         self.variables = VariableAccess(self)
         self._last = len(self.wiring.points) - 1
-        self._report = self.wiring.report.data
         self._points: Any = self.wiring.points.data
         has_tolerance = self.step_control and self.step_control.tolerance
         every_point = range(self._last + 1)  # points where more is due than a step
@@ -77,15 +76,6 @@ class SteppedRun(RunInProgress):
     def is_done(self) -> bool:
         """Whether the run is at its stop time, or a component has terminated the simulation."""
         return self._report[_POSITION] == self._last or self.is_terminated
-
-    @property
-    def position(self) -> int:
-        """Index of the present communication point."""
-        return self._report[_POSITION]
-
-    @position.setter
-    def position(self, point: int) -> None:
-        self._report[_POSITION] = point
 
     def step(self) -> None:
         """Step to the next communication point. SimulationError if that fails, or the run is at its end."""

@@ -28,6 +28,7 @@ from orchestration.system.system import Port
 _BATCH_S = 0.05
 _GROWTH = 8  # largest growth of a batch from one to the next: the first ones measure how long a step takes
 MOST_STEPS = 1_000_000  # in a batch
+_POSITION = int(Report.POSITION)
 
 
 class Progress(Protocol):
@@ -52,6 +53,7 @@ class RunInProgress:
         self.wired, self._loop, self.guard = wired, loop, guard
         self._threads = StepThreads(wired, loop, threads)
         self.prepared, self.instances, self.wiring = wired.prepared, wired.instances, wired.wiring
+        self._report = wired.wiring.report.data  # quicker than the array
         self._termination: dict[str, Any] = {}
         self._changes = sorted(wired.prepared.changes)
         self._check_interrupt: Callable[[], None] = lambda: None
@@ -62,11 +64,11 @@ class RunInProgress:
     @property
     def position(self) -> int:
         """Index of the present communication point; the loop moves it on, whatever interrupts Python."""
-        return int(self.wiring.report[Report.POSITION])
+        return self._report[_POSITION]
 
     @position.setter
     def position(self, point: int) -> None:
-        self.wiring.report[Report.POSITION] = point
+        self._report[_POSITION] = point
 
     def read_outputs(self) -> None:
         """Read the outputs at the first communication point."""
