@@ -15,10 +15,9 @@ from fmus.fmi.process import ProcessEndedError, WorkerProcess
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.results.recording import Recording
 from orchestration.run.error_estimate import with_error_estimate
-from orchestration.run.failure import reason_of
 from orchestration.run.interrupt import kept_interrupts
 from orchestration.run.loop_data import Report
-from orchestration.run.run_recording import make_recording
+from orchestration.run.run_recording import make_recording, reason_of
 from orchestration.run.stepping import Progress
 from orchestration.run.subprocess_worker import STOP, Outcome, SharedRecord, Task, Warned, run_task
 from orchestration.system.experiment import Experiment
