@@ -65,10 +65,11 @@ class BuildWithLoop(build_py):
         sys.path.insert(0, str(_ROOT))
         from fmus.native.compiled_library import compile_source, file_name
         from fmus.platforms import PLATFORMS
+        from fmus.store import sealed
 
         for platform in PLATFORMS:
-            content = compile_source(source, platform)
-            (folder / file_name(source, platform, content)).write_bytes(content)
+            content = sealed(compile_source(source, platform))
+            (folder / file_name(source, platform)).write_bytes(content)
 
 
 class SourcesWithBackend(sdist):

@@ -4,7 +4,6 @@ Blocks are entry points of the group `l1_depth.blocks`, so that another package'
 `MyBlock = "my_package.my_module:BLOCK"`.
 """
 
-import hashlib
 import os
 import sys
 from collections.abc import Callable, Iterable
@@ -14,7 +13,7 @@ from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
-from fmus.user_cache import cache_folder
+from fmus import store
 
 GROUP = "l1_depth.blocks"
 FOLDER_VARIABLE = "L1_DEPTH_FMUS"
@@ -57,10 +56,9 @@ def fmu_folder(flavour: Flavour = Flavour.NATIVE) -> Path:
 
     It is in the user's cache, another one for each installation, so that two versions do not overwrite each
     other's FMUs. The environment variable L1_DEPTH_FMUS names another folder. FMUs that another user can have
-    written are refused there (`fmus.user_cache`).
+    written are refused there (`fmus.store`).
     """
-    installation = hashlib.sha256(str(Path(__file__).resolve().parent).encode()).hexdigest()[:12]
-    own = cache_folder("fmus") / installation
+    own = store.folder(store.FMUS) / store.digest(str(Path(__file__).resolve().parent).encode())[:12]
     return Path(os.environ.get(FOLDER_VARIABLE) or own).absolute() / flavour.value
 
 

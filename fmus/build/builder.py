@@ -11,6 +11,7 @@ from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from xml.etree import ElementTree
 
+from fmus import store
 from fmus.block import Block
 from fmus.block.block_file import DEVICES, blocks_in, from_sources
 from fmus.block.instance import BlockError, Instance
@@ -31,7 +32,6 @@ from fmus.files import packed, write_bytes_atomically
 from fmus.fmi.binding import library_member
 from fmus.platforms import host_platform, library_name, usable_processors
 from fmus.registry import FOLDER_VARIABLE, Flavour, block_entry_points, block_fmus, block_names, fmu_folder
-from fmus.user_cache import record_build, write_cached
 
 _AT_ONCE = usable_processors()  # orders that are compiled
 _EXPORTS = {Flavour.NATIVE: native_flavour, Flavour.PYTHON: python_flavour}
@@ -160,8 +160,8 @@ def _building(block: Block, order: Order) -> Iterator[Callable[[], dict[Path, by
                 beside = reference_files.cross_check_files(reference, block.name)
                 files |= {order.folder / name: beside[name] for name in sorted(beside)}
             is_cached = order.folder.is_relative_to(fmu_folder(order.flavour))
-            write_file = write_cached if is_cached else write_bytes_atomically
-            record_build(next(iter(files.values())))
+            write_file = store.write if is_cached else write_bytes_atomically
+            store.record_build(next(iter(files.values())))
             for path, content in files.items():
                 write_file(path, content)
             return files
@@ -207,7 +207,7 @@ class _CompilingOrder:
     """An order whose FMUs are being compiled; it does not outlive the stack."""
 
     def __init__(self, order: Order, stack: ExitStack) -> None:
-        self._order, self._stamps = order, Stamps()
+        self._stamps = Stamps()
         sources = self._stamps.sources(order)
         with loaded(order.source) as blocks:
             self._writers = [stack.enter_context(_building(block, order)) for block in blocks]
@@ -216,7 +216,7 @@ class _CompilingOrder:
     def written(self) -> list[Path]:
         files = {path: content for write in self._writers for path, content in write().items()}
         fmus = {path.name: content for path, content in files.items() if path.suffix == ".fmu"}
-        self._stamps.write(self._order, self._sources, fmus)
+        self._stamps.write(self._sources, fmus)
         return [*files]
 
 
@@ -255,7 +255,7 @@ def _built_if_stale(order: Order) -> Path:
         if not fits:
             with _building(block, order) as write:
                 found = write()[path]
-        stamps.write(order, sources and sources.if_loaded, {path.name: found}, was_built=not fits)
+        stamps.write(sources and sources.if_loaded, {path.name: found}, was_built=not fits)
     return path
 
 

@@ -5,13 +5,14 @@ named after its own content; absolute imports between them are rewritten to that
 """
 
 import ast
-import importlib.util
 import re
 import sys
 import tokenize
+from collections.abc import Iterator
 from pathlib import Path
 
 from fmus.block import Block
+from fmus.build.imports import Import, ImpureError, Modules, imports_in
 from fmus.errors import ExportError
 
 _CODING = re.compile(r"^([ \t\f]*#.*?coding[:=][ \t]*)[-\w.]+", re.MULTILINE)  # PEP 263
@@ -34,26 +35,33 @@ def defined_as(block: Block) -> tuple[str, str]:
 
 
 def source_closure(module: str) -> dict[str, str]:
-    """Module name -> source of every module that `module` imports at import time, itself included.
+    """Returns the source of every module that `module` imports at import time, itself included, by name.
 
     Raises ExportError for a module beyond the standard library that is not plain Python
     beside the block or PythonFMU's own.
     """
-    sources: dict[str, str] = {}
-    waiting = [module, *SHARED_BY_EVERY_FMU]
-    folder = None if "." in module else _file(module).parent
-    while waiting:
-        name = waiting.pop()
-        if name in sources:
-            continue
-        sources[name] = _read(name)
-        parts = name.split(".")
-        if parts[0] == "pythonfmu":
-            sources["pythonfmu"] = ""
-        else:
-            waiting.extend(".".join(parts[:i]) for i in range(1, len(parts)))
-        waiting.extend(_imported(name, sources[name], folder))
-    return dict(sorted(sources.items()))
+    modules, folder = Modules(), None
+
+    def imports(name: str, file: str) -> Iterator[Import]:
+        for statement in ast.parse(modules.read(file)).body if name != "pythonfmu" else ():
+            for base, members in imports_in([statement], name, file):
+                if base.partition(".")[0] not in sys.stdlib_module_names:
+                    _refuse_foreign(name, base, folder)
+                    _refuse_unmoved(name, statement)
+                    if modules.file(base) is None:
+                        raise ImpureError(base)
+                    yield base, members
+
+    try:
+        folder = None if "." in module else Path(modules.file(module) or "").parent
+        files = modules.closure([module, *SHARED_BY_EVERY_FMU], imports)
+    except ImpureError as error:
+        raise ExportError(f"{error}: expected a module of plain Python") from None
+    return {
+        name: _text(file) if file and name != "pythonfmu" else ""
+        for name, file in sorted(files.items())
+        if file is not None
+    }
 
 
 def in_package(sources: dict[str, str], package: str) -> dict[str, str]:
@@ -72,62 +80,20 @@ def in_package(sources: dict[str, str], package: str) -> dict[str, str]:
     return moved
 
 
-def _file(name: str) -> Path:
-    spec = importlib.util.find_spec(name)
-    if spec is None or not spec.origin or not spec.origin.endswith(".py"):
-        raise ExportError(f"{name}: expected a module of plain Python")
-    return Path(spec.origin)
+def _text(file: str) -> str:
+    with tokenize.open(file) as stream:
+        source = stream.read()
+        return source if stream.encoding.startswith("utf-8") else _CODING.sub(r"\1utf-8", source, count=1)
 
 
-def _read(name: str) -> str:
-    spec = importlib.util.find_spec(name)
-    if spec and spec.submodule_search_locations and spec.origin is None:  # a folder without __init__.py
-        return ""
-    with tokenize.open(_file(name)) as file:
-        source = file.read()
-        return source if file.encoding.startswith("utf-8") else _CODING.sub(r"\1utf-8", source, count=1)
-
-
-def _imported(name: str, source: str, folder: Path | None) -> list[str]:
-    """The modules that a module imports, but for those of the standard library.
-
-    folder: in which modules may be imported that are in no package
-    """
-    imported = []
-    for statement in ast.parse(source).body:
-        if isinstance(statement, ast.Import):
-            for alias in statement.names:
-                if alias.name.partition(".")[0] in sys.stdlib_module_names:
-                    continue
-                _refuse_foreign(name, alias.name, folder)
-                if len(statement.names) > 1 or ("." in alias.name and not alias.asname):
-                    raise ExportError(
-                        f"{name} imports {alias.name}: expected a line import NAME, or from NAME import"
-                    )
-                imported.append(alias.name)
-        elif isinstance(statement, ast.ImportFrom):
-            base = _absolute(name, statement)
-            if base.partition(".")[0] in sys.stdlib_module_names:
-                continue
-            _refuse_foreign(name, base, folder)
-            submodules = [f"{base}.{alias.name}" for alias in statement.names]
-            modules = [submodule for submodule in submodules if _is_module(submodule)]
-            imported.extend(modules if len(modules) == len(submodules) else [base, *modules])
-    return imported
-
-
-def _absolute(name: str, statement: ast.ImportFrom) -> str:
-    if not statement.level:
-        return statement.module or ""
-    package = name.rsplit(".", statement.level)[0]
-    return f"{package}.{statement.module}" if statement.module else package
-
-
-def _is_module(name: str) -> bool:
-    try:
-        return importlib.util.find_spec(name) is not None
-    except ModuleNotFoundError:
-        return False
+def _refuse_unmoved(importer: str, statement: ast.stmt) -> None:
+    """Refuse an import that `in_package` cannot rewrite."""
+    match statement:
+        case ast.Import(names=[ast.alias(name=name, asname=asname), *others]):
+            if others or ("." in name and not asname):
+                raise ExportError(
+                    f"{importer} imports {name}: expected a line import NAME, or from NAME import"
+                )
 
 
 def _refuse_foreign(importer: str, name: str, folder: Path | None) -> None:

@@ -1,33 +1,31 @@
 """What a built FMU was made from, so that an unchanged one is known without tracing its block again.
 
 A stamp names FMUs by their content and lists what decided about it: the files of the block and of what it
-imports, the files of this package, the libraries that build, and the options. It is in the user's cache. A
+imports. The files of this package, the libraries that build, and the options are in its key in the store. A
 block that may depend on anything else, such as a file that it reads when it is imported, gets no stamp: what
 is traced of it decides, as for an FMU without a stamp.
 """
 
-import hashlib
 import json
 import os
 import platform
 import sys
-import sysconfig
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
-from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
-from importlib.metadata import EntryPoint, distributions
+from functools import cached_property, partial
+from importlib.machinery import SourceFileLoader
+from importlib.metadata import distributions
 from pathlib import Path
 
 import fmus
+from fmus import store
 from fmus.block.block_file import SourceLoader
-from fmus.build.pure_source import ImpureError, imports_of, may_take
+from fmus.build.imports import Import, ImpureError, Modules, may_take, pure_imports
 from fmus.registry import Flavour, block_entry_points, block_fmus, fmu_folder, fmu_path
-from fmus.user_cache import cache_folder, reason_for_distrust, write_cached
 
 _LIBRARIES = ("casadi", "fmpy", "l1-depth", "pillow", "pint", "pythonfmu", "ziglang")
-_NOT_BUILDING = {"compliance", "__pycache__"}  # folders of this package that no FMU is made from
+_NOT_BUILDING = ("compliance",)  # folders of this package that no FMU is made from
 _NO_FILE = "", ""  # no module of a name, or one of Python's or of this package's
 _RECENT_S = 2.0  # a file that changed so shortly before the process began may have been loaded before that
 
@@ -53,10 +51,15 @@ class Order:
         """The absolute path of the Python file; "" for an installed block."""
         return str(Path(self.source).absolute()) if self.source.endswith(".py") else ""
 
+    @property
+    def beside(self) -> str:
+        """The folder of the Python file, where its modules are found first; "" for an installed block."""
+        return str(Path(self.file).parent) if self.file else ""
+
 
 def order_of_file(path: Path, flavour: Flavour) -> Order:
     """The FMU of a Python file's block that a command runs, in a folder of the user's cache."""
-    folder = hashlib.sha256(str(path.absolute()).encode()).hexdigest()[:12]
+    folder = store.digest(str(path.absolute()).encode())[:12]
     return Order(str(path), fmu_folder(flavour) / folder, flavour)
 
 
@@ -74,11 +77,12 @@ def stale(paths: Iterable[Path]) -> list[Path]:
 class Sources:
     """What an order depends on.
 
+    key: of its stamp, which follows from everything but the modules
     modules: name -> (file, digest), or `_NO_FILE`
     changed: when one of the files was changed last [s since the epoch]
     """
 
-    recipe: str
+    key: str
     modules: dict[str, tuple[str, str]]
     changed: float
 
@@ -98,74 +102,64 @@ class Stamps:
 
     def __init__(self, package: Path = Path(fmus.__file__).parent, begun: float = fmus.IMPORTED_AT) -> None:
         self._package, self._begun = package, begun
-        self._files: dict[str, tuple[bytes, float]] = {}
-        self._specs: dict[tuple[str, str], ModuleSpec | None] = {}
+        self._modules = Modules()
+        store.keep_fmus()
 
     def current(self, order: Order, to_run: bool = False) -> list[Path] | None:
         """The FMUs of an order, if they are what would be built now; None if that is not known.
 
         to_run: whether they may differ in what runs do not need, such as their icons
         """
-        damaged = ValueError, TypeError, KeyError, AttributeError
-        with suppress(ImpureError, OSError, *damaged):
-            stamp = json.loads((path := _stamp_file(order)).read_text(encoding="utf-8"))
-            files = {order.folder / name: digest for name, digest in stamp["fmus"].items()}
-            modules = {name: (file, digest) for name, (file, digest) in stamp["modules"].items()}
-            unchanged = (
-                not reason_for_distrust(path)
+        with suppress(ImpureError, OSError):
+            stamp = json.loads(store.get("stamps", self._key(order)) or b"null")
+            if (
+                stamp
                 and (to_run or stamp["was_built"])
-                and stamp["recipe"] == self._recipe(order)
-                and all(self._module(name, order) == modules[name] for name in modules)
-                and all(_digest(path.read_bytes()) == digest for path, digest in files.items())
-            )
-            return [*files] if unchanged else None
+                and all([*self._module(name, order)] == module for name, module in stamp["modules"].items())
+                and all(
+                    store.digest((order.folder / name).read_bytes()) == fmu
+                    for name, fmu in stamp["fmus"].items()
+                )
+            ):
+                return [order.folder / name for name in stamp["fmus"]]
         return None
 
     def sources(self, order: Order) -> Sources | None:
         """What an order depends on, as it is now; None if that cannot be known from files alone."""
-        try:
-            modules = dict(self._closure(order))
-            recipe = self._recipe(order)
-        except (ImpureError, ImportError, OSError, SyntaxError, ValueError):
-            return None
-        return Sources(recipe, modules, max(changed for _, changed in self._files.values()))
+        with suppress(ImpureError, ImportError, OSError, SyntaxError, ValueError):
+            root = Path(order.file).stem if order.file else self._origin(order).partition(":")[0]
+            names = self._modules.closure([root], partial(self._followed, order), order.beside)
+            modules = {name: self._module(name, order) for name in names}
+            key, (changed, _) = self._key(order), self._own_files
+            return Sources(key, modules, max(changed, self._modules.changed))
+        return None
 
-    def write(
-        self, order: Order, sources: Sources | None, fmus: Mapping[str, bytes], was_built: bool = True
-    ) -> None:
+    def write(self, sources: Sources | None, fmus: Mapping[str, bytes], was_built: bool = True) -> None:
         """Stamp FMUs, unless one of the sources may have changed since it was imported.
 
         sources: from before they were imported, and only if they were loaded
         fmus: content by the name of the file, where another process may have written since
         was_built: otherwise they were found, and run as what was traced
         """
-        if sources is None or sources.changed > self._begun - _RECENT_S:
-            return
-        if Stamps(self._package, self._begun).sources(order) != sources:
-            return
-        digests = {name: _digest(fmu) for name, fmu in fmus.items()}
-        content = {"recipe": sources.recipe, "modules": sources.modules, "fmus": digests}
-        content["was_built"] = was_built
-        with suppress(OSError):  # without a cache that can be written, the next build traces again
-            write_cached(_stamp_file(order), json.dumps(content, indent=2).encode())
+        if sources and sources.changed <= self._begun - _RECENT_S:
+            digests = {name: store.digest(fmu) for name, fmu in fmus.items()}
+            content = {"modules": sources.modules, "fmus": digests, "was_built": was_built}
+            store.put("stamps", sources.key, json.dumps(content).encode())
 
-    def _recipe(self, order: Order) -> str:
-        """Digest of everything but the modules of the block."""
+    def _key(self, order: Order) -> str:
+        """Returns the digest of the folder, and of all but modules that decides about the FMUs in it."""
         options = order.flavour, order.platforms, order.with_terminals, order.reals_only
         host = sys.version, sys.flags.optimize, sys.platform, platform.machine()
         date = os.environ.get("SOURCE_DATE_EPOCH")
-        parts = self._origin(order), *options, *host, date, self._libraries, self._own_files
-        return _digest(repr(parts).encode())
+        parts = str(order.folder.absolute()), self._origin(order), *options, *host, date
+        return store.digest(*parts, self._libraries, self._own_files[1])
 
     def _origin(self, order: Order) -> str:
         """MODULE:NAME of an installed block, or the path of a file."""
-        if not order.file and order.source not in self._entry_points:
+        point = block_entry_points().get(order.source)
+        if not order.file and point is None:
             raise ImpureError(order.source)
-        return order.file or self._entry_points[order.source].value
-
-    @cached_property
-    def _entry_points(self) -> dict[str, EntryPoint]:
-        return block_entry_points()
+        return order.file or getattr(point, "value", "")
 
     @cached_property
     def _libraries(self) -> list[tuple[str, ...]]:
@@ -175,77 +169,32 @@ class Stamps:
         return sorted({(name, *(one.read_text(file) or "" for file in files)) for name, one in found})
 
     @cached_property
-    def _own_files(self) -> list[tuple[str, str]]:
-        """(path, digest) of each file of this package that may decide about an FMU."""
-        files = []
-        for folder, names, members in os.walk(self._package):
-            names[:] = sorted(set(names) - _NOT_BUILDING)
-            files += [os.path.join(folder, member) for member in sorted(members)]  # noqa: PTH118
-        return [(os.path.relpath(file, self._package), self._digest_of(file)) for file in files]
+    def _own_files(self) -> tuple[float, list[tuple[str, str]]]:
+        """The last change [s] and the digests by path of the files of this package that decide about FMUs."""
+        files = [*store.digests(self._package, _NOT_BUILDING)]
+        return max(changed for *_, changed in files), [(path, digest) for path, digest, _ in files]
 
-    def _closure(self, order: Order) -> Iterator[tuple[str, tuple[str, str]]]:
-        """Each module that the block's module imports, itself included, with its file and digest."""
-        waiting = [Path(order.file).stem if order.file else self._entry_points[order.source].module]
-        known: set[str] = set()
-        while waiting:
-            name = waiting.pop()
-            if name in known:
-                continue
-            known.add(name)
-            file, digest = self._module(name, order)
-            if not file:
-                raise ImpureError(name)
-            yield name, (file, digest)
-            waiting.append(name.rpartition(".")[0] or name)
-            for base, members in imports_of(self._files[file][0], name, _is_package(file)):
-                top = base.partition(".")[0]
-                if top == "fmus" or (top in sys.stdlib_module_names and self._module(top, order) == _NO_FILE):
-                    if not may_take(base, members):
-                        raise ImpureError(base)
-                    if top != "fmus":
-                        yield top, _NO_FILE  # as long as no file of the user's hides it
-                    continue
-                waiting.append(base)
-                for submodule in (f"{base}.{member}" for member in members):
-                    if self._spec(submodule, order):
-                        waiting.append(submodule)
-                    else:
-                        yield submodule, _NO_FILE  # a name in a module, as long as there is no such file
+    def _followed(self, order: Order, name: str, file: str) -> Iterator[Import]:
+        """Yields what a pure module imports; of Python, the names that no file of the user's may hide."""
+        for base, members in pure_imports(self._modules.read(file), name, file):
+            top = base.partition(".")[0]
+            found = self._modules.file(top, order.beside)
+            if top == "fmus" or (found is None and top in sys.stdlib_module_names):
+                if not may_take(base, members):
+                    raise ImpureError(base)
+                if top != "fmus":
+                    yield top, ()
+            elif self._modules.file(base, order.beside) is None:
+                raise ImpureError(base)
+            else:
+                yield base, members
 
     def _module(self, name: str, order: Order) -> tuple[str, str]:
         """File and digest of the module that an import of this name loads; `_NO_FILE` if there is none."""
-        spec = self._spec(name, order)
-        if spec is None or (name in sys.stdlib_module_names and _is_of_python(spec)):
-            return _NO_FILE
-        if not spec.has_location or not str(spec.origin).endswith(".py"):
-            raise ImpureError(name)
-        return str(spec.origin), self._digest_of(str(spec.origin))
-
-    def _spec(self, name: str, order: Order) -> ModuleSpec | None:
-        """What an import of this name finds, without importing its package."""
-        key = name, order.file
-        if key not in self._specs:
-            self._specs[key] = None
-            package = name.rpartition(".")[0]
-            parent = self._spec(package, order) if package else None
-            if parent is not None or not package:
-                path = parent.submodule_search_locations if parent else None
-                own = None if package else self._beside(name, order)
-                specs = (finder.find_spec(name, path) for finder in sys.meta_path)
-                no_path = package and not path
-                self._specs[key] = own or (None if no_path else next(filter(None, specs), None))
-        return self._specs[key]
-
-    def _beside(self, name: str, order: Order) -> ModuleSpec | None:
-        """What an import finds in the folder of the order's file."""
-        return PathFinder.find_spec(name, [str(Path(order.file).parent)]) if order.file else None
-
-    def _digest_of(self, file: str) -> str:
-        if file not in self._files:
-            status = os.stat(file)  # noqa: PTH116
-            with open(file, "rb") as stream:  # noqa: PTH123
-                self._files[file] = stream.read(), max(status.st_mtime, status.st_ctime)
-        return _digest(self._files[file][0])
+        file = self._modules.file(name, order.beside)
+        return (
+            (file, store.digest(self._modules.read(file) if file else b"")) if file is not None else _NO_FILE
+        )
 
 
 def _is_loaded(name: str, file: str, digest: str) -> bool:
@@ -261,21 +210,3 @@ def _is_loaded(name: str, file: str, digest: str) -> bool:
     with suppress(OSError, SyntaxError, ValueError, ImportError):  # it was changed meanwhile
         return loader.get_code(name) == loader.source_to_code(loader.get_data(file), file)
     return False
-
-
-def _stamp_file(order: Order) -> Path:
-    key = _digest(repr((order.file or order.source, str(order.folder.absolute()))).encode())
-    return cache_folder("stamps") / f"{key}.json"
-
-
-def _is_of_python(spec: ModuleSpec) -> bool:
-    """Whether a module is that of the standard library, and none of the user's that hides it."""
-    return not spec.has_location or Path(str(spec.origin)).is_relative_to(sysconfig.get_path("stdlib"))
-
-
-def _is_package(file: str) -> bool:
-    return Path(file).name == "__init__.py"
-
-
-def _digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()

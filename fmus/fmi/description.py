@@ -11,7 +11,9 @@ from fmus.errors import FmuLoadError, nearest
 from fmus.fmi.model_description import ModelDescription, ScalarVariable, model_description
 from fmus.fmi.variable_types import FmiValue
 from fmus.registry import block_fmus, is_in_cache
+from fmus.store import is_own_build, keep_fmus, reason_for_distrust
 from fmus.user_cache import is_own_build, reason_for_distrust
+from orchestration.errors import FmuLoadError
 
 _MOST_DESCRIPTIONS = 256  # that stay in memory
 
@@ -58,6 +60,7 @@ def describe_any(path: Path) -> ModelDescription:
 
 @lru_cache(_MOST_DESCRIPTIONS)
 def _read(path: Path, version: FileVersion) -> ModelDescription:
+    keep_fmus()
     if is_in_cache(path) and (reason := reason_for_distrust(path)):
         raise FmuLoadError(reason)
     try:

@@ -73,14 +73,12 @@ def tune(
     problem = tune_problem.problem_of(controller, protocol, [tune_space.parse(text) for text in free])
     check_writable(out)
     journal = out / f"{controller.name}.tune.jsonl"
-    if restart:
-        journal.unlink(missing_ok=True)
     total = evaluations * len(problem.gains) * (seeds + 1)
     with (
         progress(f"tune {controller.name}", total) as bar,
         started(controller, protocol, workers, total) as evaluate,
     ):
-        tuning = _search(problem, range(1, seeds + 1), evaluations, journal, evaluate, bar)
+        tuning = _search(problem, range(1, seeds + 1), evaluations, journal, evaluate, bar, restart)
     provenance = tune_problem.provenance(tuning, controller, protocol)
     path = out / f"{controller.name}.toml"
     with Loop(controller, protocol) as loop:
@@ -97,6 +95,7 @@ def _search(
     journal: Path,
     evaluate: "Evaluate",
     bar: ProgressBar,
+    restart: bool,
 ) -> "Tuning":
     """The tuning; an interruption ends the command with a message that says what is done."""
     from orchestration.score.tune import tune as search
@@ -109,7 +108,7 @@ def _search(
         bar.advance(count, f"best {cost:.4g} cm")
 
     try:
-        return search(problem, seeds, evaluations, journal, evaluate, advance)
+        return search(problem, seeds, evaluations, journal, evaluate, advance, restart)
     except KeyboardInterrupt:
         fail(
             f"interrupted: {done} of {total} evaluations are done and kept; the same command continues",

@@ -14,8 +14,6 @@ from fmus.errors import ExportError
 from fmus.fmi.description import FileVersion
 from fmus.native import compiled_library
 from fmus.native.lanes import LANES, SOURCE, lane_sources
-from fmus.platforms import host_platform
-from fmus.user_cache import cache_folder
 from orchestration.errors import EnsembleError
 
 _MAGIC, _FORMAT, _GUID, _HEAD = b"L1-STATE", 2, 16, 52  # snapshot.h: magic, format, then the GUID
@@ -97,12 +95,9 @@ def is_compiled(fmu: Path, instructions: str) -> bool:
     """Whether the library of an FMU is in the user's cache; not that of an FMU that can have none."""
     try:
         with _written_source(fmu) as source:
-            found = compiled_library.find(
-                source, _cache(), host_platform(), only_own=True, options=_options(instructions)
-            )
+            return compiled_library.is_compiled(source, _options(instructions))
     except (ExportError, OSError):
         return False
-    return found is not None
 
 
 @lru_cache(_MOST_LIBRARIES)
@@ -122,11 +117,7 @@ def _written_source(fmu: Path) -> Iterator[Path]:
 
 def load_compiled(source: Path, instructions: str) -> ctypes.CDLL:
     """The library of a C source for groups of instances, from this user's cache if it is there."""
-    return compiled_library.load(source, _cache(), _options(instructions))
-
-
-def _cache() -> Path:
-    return cache_folder("libraries")
+    return compiled_library.load(source, _options(instructions))
 
 
 def _options(instructions: str) -> list[str]:

@@ -24,7 +24,6 @@ from fmus.errors import ExportError
 from fmus.fmi.description import is_independent
 from fmus.native import compiled_library
 from fmus.platforms import usable_processors
-from fmus.user_cache import cache_folder
 from orchestration.run.loop import python_loop
 from orchestration.run.loop_data import LoopFunctions, Team, Wiring
 from orchestration.run.wiring import WiredRun
@@ -94,7 +93,7 @@ def _library_or_error() -> ctypes.CDLL | Exception:
     """The error too is asked for once: a compiler that is not there takes its time to say so."""
     source = Path(__file__).parent / _SOURCE
     try:
-        loaded = compiled_library.load(source, cache_folder("libraries"))
+        loaded = compiled_library.load(source)
     except (ExportError, OSError) as error:
         return error
     for function, (result, arguments) in _SIGNATURES.items():

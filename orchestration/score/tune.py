@@ -15,7 +15,7 @@ from typing import Any
 
 from fmus.extras import imports_of
 from orchestration.errors import OrchestrationError
-from orchestration.score.tune_journal import Journal, Key
+from orchestration.many.journal import Journal
 from orchestration.score.tune_search import Search
 from orchestration.score.tune_space import FreeGain
 
@@ -110,17 +110,18 @@ def tune(
     path: Path,
     evaluate: Evaluate,
     progress: Callable[[int, float], None] = lambda done, cost: None,
+    restart: bool = False,
 ) -> Tuning:
     """Search the gains of least cost; the same seeds give the same gains, interrupted or not.
 
-    path: of the journal, which holds what is done
+    path: of the journal, which holds what is done; restart: discard it first
     progress: called with how many more evaluations are done, and the lowest cost until then
     """
     evaluations = evaluations_per_gain * len(problem.gains)
     if evaluations < 1 or not seeds:
         raise OrchestrationError("nothing to tune: expected a gain, a seed and an evaluation or more")
-    journal = Journal(path, {**problem.tuned, **_what_is_searched(problem, evaluations)})
-    done, lowest = journal.begin(), math.inf
+    about = {**problem.tuned, **_what_is_searched(problem, evaluations)}
+    lowest = math.inf
 
     def run_searches(searches: Sequence[_SeedSearch]) -> tuple[SearchResult, ...]:
         nonlocal lowest
@@ -132,20 +133,30 @@ def tune(
                 search.tell()
         return tuple(search.result() for search in searches)
 
-    results = run_searches([_SeedSearch(problem, seed, evaluations) for seed in seeds])
-    best = min(results, key=lambda result: result.cost)
-    (refinement,) = run_searches([_SeedSearch(problem, REFINEMENT, evaluations, best.gains)])
+    with Journal(path, about, "tuning") as journal:
+        if restart:
+            journal.discard()
+        journal.begin()
+        done = {_key(row): row for _, row in journal.rows() if "cost" in row}
+        results = run_searches([_SeedSearch(problem, seed, evaluations) for seed in seeds])
+        best = min(results, key=lambda result: result.cost)
+        (refinement,) = run_searches([_SeedSearch(problem, REFINEMENT, evaluations, best.gains)])
     return Tuning(problem, results, refinement)
+
+
+def _key(row: Mapping[str, Any]) -> tuple[int, int]:
+    """Returns what a row is found by: its seed, and the number of the evaluation from 0."""
+    return row["seed"], row["evaluation"]
 
 
 def _evaluated(
     rows: Sequence[dict[str, Any]],
-    done: Mapping[Key, dict[str, Any]],
+    done: Mapping[tuple[int, int], dict[str, Any]],
     evaluate: Evaluate,
     journal: Journal,
 ) -> Iterator[dict[str, Any]]:
     """The rows in their order, each completed with its cost, of the journal or evaluated and added there."""
-    stored = [done.get((row["seed"], row["evaluation"])) for row in rows]
+    stored = [done.get(_key(row)) for row in rows]
     missing = [row["gains"] for row, finished in zip(rows, stored, strict=True) if finished is None]
     costs = iter(evaluate(missing))
     for row, finished in zip(rows, stored, strict=True):
@@ -153,7 +164,7 @@ def _evaluated(
             _check_same(row, finished, journal.path)
         row.update(finished or next(costs))
         if not finished:
-            journal.add(row)
+            journal.add([row])
         yield row
 
 

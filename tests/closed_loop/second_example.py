@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 
 from fmus.native import compiled_library
-from fmus.user_cache import cache_folder
 
 NUMBERS: dict[str, float] = {
     "amplitude": 100.0, "frequency": 0.2, "theta1": 4.0, "theta2": -4.5, "gain": 1e4, "bound": 10.0,
@@ -53,6 +52,6 @@ def second_example(
 @cache
 def _library() -> ctypes.CDLL:
     source = Path(__file__).with_suffix(".c")
-    library = compiled_library.load(source, cache_folder("libraries"))
+    library = compiled_library.load(source)
     library.second_example.restype = ctypes.c_double
     return library

@@ -96,7 +96,7 @@ def compile_s(state: State) -> float:
     """CPU seconds to compile the libraries of an ensemble, with empty caches."""
     program = "import sys; from pathlib import Path; from orchestration import Ensemble, System\n"
     # the record that these FMUs were built here is in the cache that is not used
-    program += "from fmus.user_cache import record_build; fmus = [*map(Path, sys.argv[1:])]\n"
+    program += "from fmus.store import record_build; fmus = [*map(Path, sys.argv[1:])]\n"
     program += "for fmu in fmus: record_build(fmu.read_bytes())\n"
     program += "Ensemble(System({str(i): fmu for i, fmu in enumerate(fmus)}))"
     fmus = [str(state.fmus / f"{name}.fmu") for name in ("L1DepthController", "RovDepthPlant")]

@@ -12,7 +12,7 @@ import pytest
 from fmus.fmi import description, unpacked
 from fmus.fmi.description import describe, is_independent
 from fmus.fmi.instance import FmuInstance
-from fmus.user_cache import is_own_build, record_build
+from fmus.store import is_own_build, record_build
 from orchestration.errors import EnsembleError
 from orchestration.many.ensemble import Ensemble
 from orchestration.many.ensemble_checks import check_ensemble

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from fmus import store
 from fmus.errors import ExportError
 from fmus.native import compiled_library, toolchain
 from fmus.native.compiled_library import file_name, load
@@ -28,8 +29,9 @@ def source(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def cache(tmp_path: Path) -> Path:
-    return tmp_path / "cache" / "libraries"
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return store.folder("libraries")
 
 
 @pytest.fixture
@@ -43,9 +45,8 @@ def no_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
 def ship(source: Path) -> Path:
     """Put the library beside the source, as in a wheel."""
     platform = host_platform()
-    content = compiled_library.compile_source(source, platform)
-    path = source.parent / file_name(source, platform, content)
-    path.write_bytes(content)
+    path = source.parent / file_name(source, platform)
+    path.write_bytes(store.sealed(compiled_library.compile_source(source, platform)))
     return path
 
 
@@ -58,23 +59,23 @@ def test_the_library_beside_its_source_is_loaded_without_a_compiler_and_without_
 ) -> None:
     ship(source)
     request.getfixturevalue("no_compiler")
-    assert number(load(source, cache)) == 42
+    assert number(load(source)) == 42
     assert not cache.exists()
 
 
 def test_a_library_is_compiled_once(source: Path, cache: Path, request: pytest.FixtureRequest) -> None:
-    load(source, cache)
+    load(source)
     (path,) = cache.iterdir()
     request.getfixturevalue("no_compiler")
-    assert number(load(source, cache)) == 42
+    assert number(load(source)) == 42
     assert [*cache.iterdir()] == [path]
     assert cache.stat().st_mode & 0o077 == 0
 
 
 def test_a_changed_source_is_compiled_again(source: Path, cache: Path) -> None:
-    load(source, cache)
+    load(source)
     source.write_text(SOURCE.replace("42", "43"))
-    assert number(load(source, cache)) == 43
+    assert number(load(source)) == 43
 
 
 @pytest.mark.parametrize("shipped", [True, False])
@@ -84,11 +85,11 @@ def test_a_damaged_library_is_never_loaded(source: Path, cache: Path, shipped: b
     if shipped:
         path = ship(source)
     else:
-        load(source, cache)
+        load(source)
         (path,) = cache.iterdir()
     content = path.read_bytes()
     path.write_bytes(content[:size])
-    assert number(load(source, cache)) == 42
+    assert number(load(source)) == 42
     assert (cache / path.name).read_bytes() == content
 
 
@@ -101,15 +102,15 @@ def planted(source: Path, cache: Path, tmp_path: Path) -> Path:
     other.write_text(SOURCE.replace("42", "666"))
     content = compiled_library.compile_source(other, host_platform())
     cache.mkdir(mode=0o700, parents=True)
-    path = cache / file_name(source, host_platform(), content)
-    path.write_bytes(content)
+    path = cache / file_name(source, host_platform())
+    path.write_bytes(store.sealed(content))
     path.chmod(0o600)
     return path
 
 
 def test_a_user_is_believed(source: Path, cache: Path, planted: Path) -> None:
     """What the next tests plant would be loaded if others could not have written it."""
-    assert number(load(source, cache)) == 666
+    assert number(load(source)) == 666
 
 
 @pytest.mark.parametrize("mode", [0o777, 0o770, 0o702])
@@ -117,8 +118,8 @@ def test_a_folder_that_others_can_write_is_not_used(
     source: Path, cache: Path, planted: Path, mode: int
 ) -> None:
     cache.chmod(mode)
-    assert compiled_library.find(source, cache, host_platform(), only_own=True) is None
-    assert number(load(source, cache)) == 42
+    assert not compiled_library.is_compiled(source)
+    assert number(load(source)) == 42
     assert [*cache.iterdir()] == [planted]
 
 
@@ -127,11 +128,11 @@ def test_a_library_that_a_umask_of_002_lets_others_write_is_cached_all_the_same(
 ) -> None:
     before = os.umask(0o002)
     try:
-        load(source, cache)
+        load(source)
     finally:
         os.umask(before)
     request.getfixturevalue("no_compiler")
-    assert number(load(source, cache)) == 42
+    assert number(load(source)) == 42
 
 
 @pytest.mark.parametrize("mode", [0o666, 0o660, 0o602])
@@ -139,12 +140,12 @@ def test_a_file_that_others_can_write_is_not_loaded(
     source: Path, cache: Path, planted: Path, mode: int
 ) -> None:
     planted.chmod(mode)
-    assert number(load(source, cache)) == 42
+    assert number(load(source)) == 42
 
 
 def test_a_link_is_not_followed(source: Path, cache: Path, planted: Path, tmp_path: Path) -> None:
     planted.symlink_to(planted.rename(tmp_path / "elsewhere"))
-    assert number(load(source, cache)) == 42
+    assert number(load(source)) == 42
 
 
 def test_what_belongs_to_another_user_is_not_used(
@@ -152,15 +153,15 @@ def test_what_belongs_to_another_user_is_not_used(
 ) -> None:
     for path in (cache, planted):
         give_to_another_user(path, monkeypatch)
-    assert number(load(source, cache)) == 42
+    assert number(load(source)) == 42
     assert [*cache.iterdir()] == [planted]
 
 
-def test_where_nothing_can_be_cached_each_process_compiles(source: Path, tmp_path: Path) -> None:
+def test_where_nothing_can_be_cached_each_process_compiles(source: Path, cache: Path) -> None:
     """A file stands where the folder would be."""
-    blocked = tmp_path / "file"
-    blocked.touch()
-    assert number(load(source, blocked / "libraries")) == 42
+    cache.parent.parent.mkdir()
+    cache.parent.touch()
+    assert number(load(source)) == 42
 
 
 def test_nothing_is_left_among_the_temporary_files(
@@ -170,7 +171,7 @@ def test_nothing_is_left_among_the_temporary_files(
     temporary = tmp_path / "temporary"
     temporary.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
-    assert number(load(source, cache)) == 42
+    assert number(load(source)) == 42
     assert [*temporary.iterdir()] == []
 
 
@@ -179,4 +180,4 @@ def test_without_library_and_compiler_the_error_names_both(
 ) -> None:
     monkeypatch.setitem(sys.modules, "fmus.native.toolchain", None)
     with pytest.raises(ExportError, match=r"no library of answer.c for .*, and no compiler: "):
-        load(source, cache)
+        load(source)

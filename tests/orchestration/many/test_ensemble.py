@@ -20,7 +20,7 @@ from fmus.fmi.description import describe
 from fmus.fmi.instance import FmuInstance
 from fmus.numerics import exp
 from fmus.platforms import instruction_sets
-from fmus.user_cache import record_build
+from fmus.store import record_build
 from orchestration import Ensemble, Event, Experiment, Fault, Offset, Ramps, Simulator, System
 from orchestration.errors import EnsembleError, OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.many import ensemble_loop

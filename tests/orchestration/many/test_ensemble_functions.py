@@ -15,7 +15,7 @@ from fmus.block import Block, variable
 from fmus.build import native
 from fmus.files import write_archive
 from fmus.platforms import instruction_sets
-from fmus.user_cache import record_build
+from fmus.store import record_build
 from orchestration import Ensemble, Event, Experiment, Simulator, System
 from orchestration.errors import EnsembleError, OrchestrationError
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from fmus import store
 from orchestration.score import score_cache
 from orchestration.score.loop import Loop, built_in
 from orchestration.score.protocol import Protocol, read_protocol
@@ -23,16 +24,17 @@ def row(name: str) -> Row:
 def test_rows_whose_last_use_is_longest_ago_are_removed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(score_cache, "folder", lambda: tmp_path)
-    monkeypatch.setattr(score_cache, "MOST_ROWS", 3)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setitem(store.MOST, score_cache.KIND, 3)
+    folder = store.folder(score_cache.KIND)
     for age, name in ((300.0, "used again"), (200.0, "forgotten"), (100.0, "recent")):
         score_cache.write(name, row(name), {"nominal": {"time": [0.0]}})
-        os.utime(tmp_path / f"{name}.json", (1e9 - age, 1e9 - age))
+        os.utime(folder / name, (1e9 - age, 1e9 - age))
     read = score_cache.read("used again")
     assert read is not None
     assert (read.row, read.traces) == (row("used again"), {"nominal": {"time": [0.0]}})
     score_cache.write("new", row("new"), {})
-    assert {path.stem for path in tmp_path.glob("*.json")} == {"used again", "recent", "new"}
+    assert {path.name for path in folder.iterdir()} == {"used again", "recent", "new"}
     assert score_cache.read("forgotten") is None
 
 
@@ -53,7 +55,7 @@ def test_a_row_with_plants_or_other_parameters_is_another_one(small_protocol: Ca
 )
 def test_a_row_follows_from_sources_of_every_kind(source: str) -> None:
     content = (Path(score_cache.__file__).parents[1] / source).read_bytes()
-    assert hashlib.sha256(content).hexdigest() in score_cache._digests_of_sources()
+    assert hashlib.sha256(content).hexdigest() in dict(score_cache._sources()).values()
 
 
 @pytest.fixture
@@ -62,7 +64,7 @@ def name_of_row(protocol: Protocol) -> Callable[[], str]:
     loop = Loop(built_in(protocol, "l1-pi"), protocol)
 
     def key() -> str:
-        score_cache._digests_of_sources.cache_clear()
+        score_cache._sources.cache_clear()
         score_cache._environment.cache_clear()
         return score_cache.key(loop.controller, loop, False)
 
@@ -83,11 +85,13 @@ def name_of_row(protocol: Protocol) -> Callable[[], str]:
 def test_a_row_is_found_by_the_sources_of_all_packages(
     name_of_row: Callable[[], str], source: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before, digest = name_of_row(), score_cache._digest
+    before, read = name_of_row(), store.read_with_time
     assert name_of_row() == before
-    monkeypatch.setattr(
-        score_cache, "_digest", lambda file: "changed" if file.as_posix().endswith(source) else digest(file)
-    )
+
+    def changed(file: str) -> tuple[bytes, float]:
+        return (b"changed", 0.0) if file.replace(os.sep, "/").endswith(source) else read(file)
+
+    monkeypatch.setattr(store, "read_with_time", changed)
     assert name_of_row() != before
 
 

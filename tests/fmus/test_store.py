@@ -6,11 +6,12 @@ from pathlib import Path
 
 import pytest
 
+from fmus import store
 from fmus.build import builder
 from fmus.build.stamp import Order, Stamps
 from fmus.fmi.description import describe
 from fmus.registry import FOLDER_VARIABLE, fmu_path
-from fmus.user_cache import reason_for_distrust, write_cached
+from fmus.store import reason_for_distrust
 from orchestration.errors import FmuLoadError, OrchestrationError
 from orchestration.score import score_cache
 from orchestration.score.score_document import Row
@@ -24,7 +25,7 @@ OWN_GROUP_WRITES = 0o002
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     path = tmp_path / "l1-depth" / "rows" / "row.json"
-    write_cached(path, b"a row")
+    store.write(path, b"a row")
     return path
 
 
@@ -38,7 +39,7 @@ def shared_umask() -> Iterator[None]:
 @pytest.mark.usefixtures("shared_umask")
 def test_what_a_umask_of_002_writes_is_trusted(tmp_path: Path) -> None:
     path = tmp_path / "l1-depth" / "rows" / "row.json"
-    write_cached(path, b"a row")
+    store.write(path, b"a row")
     assert reason_for_distrust(path) == ""
     assert {folder.stat().st_mode & 0o777 for folder in (path.parent, path.parent.parent)} == {0o700}
 
@@ -62,7 +63,7 @@ def test_what_belongs_to_another_user_is_not_trusted(
 def test_what_belongs_to_root_is_trusted(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An image of a container may hold FMUs that root built; root can replace this program too."""
     monkeypatch.setattr(os, "geteuid", lambda: path.stat().st_uid + 1)
-    monkeypatch.setattr("fmus.user_cache._ROOT", path.stat().st_uid)
+    monkeypatch.setattr("fmus.store._ROOT", path.stat().st_uid)
     assert reason_for_distrust(path) == ""
 
 
@@ -74,7 +75,7 @@ def test_a_link_is_not_trusted(path: Path, tmp_path: Path) -> None:
 def test_nothing_is_written_to_a_folder_of_others(path: Path) -> None:
     path.parent.chmod(0o777)
     with pytest.raises(PermissionError, match=r"can be written by other users.*: remove it, or set"):
-        write_cached(path.with_name("another.json"), b"another")
+        store.write(path.with_name("another.json"), b"another")
     assert [*path.parent.iterdir()] == [path]
 
 
@@ -110,11 +111,11 @@ def test_an_fmu_that_is_built_under_a_umask_of_002_runs(
 def test_a_row_of_a_score_that_others_can_write_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(score_cache, "folder", lambda: tmp_path / "score")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     row = Row(name="pid", title="PID", league="position", scored=False, fmu={})
     score_cache.write("key", row, {})
     assert score_cache.read("key")
-    (tmp_path / "score").chmod(0o770)
+    (tmp_path / "l1-depth" / "score").chmod(0o770)
     with pytest.raises(OrchestrationError, match=r"score can be written by other users.*: remove it"):
         score_cache.read("key")
 
@@ -129,7 +130,7 @@ def test_a_stamp_that_others_can_write_stamps_nothing(
     assert sources
     order.folder.mkdir()
     (order.folder / "ExamplePlant.fmu").write_bytes(b"an FMU")
-    stamps.write(order, sources, {"ExamplePlant.fmu": b"an FMU"})
+    stamps.write(sources, {"ExamplePlant.fmu": b"an FMU"})
     assert Stamps().current(order)
     (stamp,) = (tmp_path / "l1-depth" / "stamps").iterdir()
     stamp.chmod(0o666)

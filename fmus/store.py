@@ -1,0 +1,223 @@
+"""The store of what outlives a process: entries in the user's cache, each found by a kind and a key.
+
+Callers say what they key on and what they store. A key follows from all that the content follows from. So no
+entry is ever out of date: it is there or not. The entries that were used longest ago are removed.
+
+Libraries are executed, and rows of a score are published as results of this user. So an entry is used only if
+no other user can have written it, and if it is as it was written. On Windows the system keeps the folders of
+a user from others.
+"""
+
+import hashlib
+import os
+import secrets
+import stat
+import sys
+from collections.abc import Collection, Iterator
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from functools import cache
+from pathlib import Path
+
+from fmus.files import write_bytes_atomically
+
+if sys.platform == "win32":
+    import msvcrt
+else:
+    import fcntl
+
+FMUS, BUILDS = "fmus", "builds"
+MOST = {BUILDS: 10_000, "libraries": 300, "score": 150, "stamps": 1000}
+"""Kind -> how many entries are kept. A row of a score has 400 kB: 150 are three scores and a comparison.
+
+The files of `FMUS` are no entries: scenarios name them.
+"""
+
+_IN_USE = "in-use.lock"  # which processes that run FMUs share
+_ROOT = 0  # this user can replace the program itself
+_WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
+_REMEDY = "remove it, or set XDG_CACHE_HOME (for FMUs L1_DEPTH_FMUS) to a folder of your own"
+_SEAL_BYTES = hashlib.sha256().digest_size
+_MOST_READERS = 1 << 20  # bytes of a lock in Windows: a process that shares it takes one of them
+
+
+def digest(*parts: object) -> str:
+    """Returns the SHA-256 of bytes, or of the representations of other parts."""
+    content = parts[0] if len(parts) == 1 and isinstance(parts[0], bytes) else repr(parts).encode()
+    return hashlib.sha256(content).hexdigest()
+
+
+def digests(folder: Path, skipped: Collection[str] = ()) -> Iterator[tuple[str, str, float]]:
+    """Yields path, digest and time of the last change [s] of each file below a folder, in the order of paths.
+
+    skipped: names of folders, beside those of compiled Python
+    """
+    for parent, names, files in os.walk(folder):
+        names[:] = sorted({*names} - {"__pycache__", *skipped})
+        for name in sorted(files):
+            file = os.path.join(parent, name)  # noqa: PTH118
+            content, changed = read_with_time(file)
+            yield os.path.relpath(file, folder), digest(content), changed
+
+
+def read_with_time(file: str) -> tuple[bytes, float]:
+    """Returns the content of a file, and when it was last changed [s since the epoch]."""
+    with open(file, "rb") as stream:  # noqa: PTH123
+        status = os.fstat(stream.fileno())
+        return stream.read(), max(status.st_mtime, status.st_ctime)
+
+
+def folder(kind: str = "") -> Path:
+    """Returns the folder of a kind in the user's cache, by default the one of all kinds."""
+    if sys.platform == "win32":
+        local = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
+        return Path(local, "l1-depth", "Cache", kind)
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "l1-depth" / kind
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "l1-depth", kind)
+
+
+def get(kind: str, key: str) -> bytes | None:
+    """Returns the content of an entry; None if there is none, or none that can be trusted."""
+    path = folder(kind) / key
+    content = None if reason_for_distrust(path) else unsealed(path)
+    if content is not None:
+        with suppress(OSError):  # of a cache that can only be read
+            os.utime(path)
+    return content
+
+
+def put(kind: str, key: str, content: bytes) -> None:
+    """Stores an entry, and removes those used longest ago; a cache that cannot be written stores nothing."""
+    with suppress(OSError):
+        write(folder(kind) / key, sealed(content))
+        for _, _, path in sorted(entries(kind))[: -MOST[kind]]:
+            _remove(path)
+
+
+def sealed(content: bytes) -> bytes:
+    """Returns a content with its digest at the end, where the loader of a system ignores it in a library."""
+    return content + hashlib.sha256(content).digest()
+
+
+def unsealed(path: Path) -> bytes | None:
+    """Returns the content of a sealed file; None if it is missing or damaged."""
+    with suppress(OSError):
+        data = path.read_bytes()
+        if sealed(content := data[:-_SEAL_BYTES]) == data:
+            return content
+    return None
+
+
+def reason_for_distrust(path: Path) -> str:
+    """Returns why a file of a cache is not used, "" if nobody else can have written it, nor its folder.
+
+    What is missing is no reason. The text ends with what to do.
+    """
+    return _distrust(path.parent) or _distrust(path)
+
+
+def _distrust(path: Path) -> str:
+    with suppress(OSError):
+        status = path.lstat()
+        reasons = {
+            "is a link": stat.S_ISLNK(status.st_mode),
+            "belongs to another user": os.name != "nt" and status.st_uid not in (_ROOT, os.geteuid()),
+            "can be written by other users": os.name != "nt" and status.st_mode & _WRITABLE_BY_OTHERS,
+        }
+        return next((f"{path} {reason}: {_REMEDY}" for reason, holds in reasons.items() if holds), "")
+    return ""
+
+
+def write(path: Path, content: bytes) -> None:
+    """Writes a file of a cache, whatever the umask is; missing folders become private.
+
+    Raises PermissionError, with what to do, for a folder that others can write.
+    """
+    for parent in reversed([parent for parent in (path.parent, *path.parents) if not parent.exists()]):
+        parent.mkdir(mode=0o700, exist_ok=True)
+    if reason := _distrust(path.parent):
+        raise PermissionError(reason)
+    write_bytes_atomically(path, content, mode=0o644)
+
+
+def record_build(fmu: bytes) -> None:
+    """Records an FMU that was built by its digest: that of its library, its sources and all else."""
+    put(BUILDS, digest(fmu), b"")
+
+
+def is_own_build(fmu: bytes) -> bool:
+    """Whether a build of this user wrote an FMU, wherever it is now and whatever tool it names."""
+    return get(BUILDS, digest(fmu)) is not None
+
+
+@contextmanager
+def locked(path: Path, shared: bool = False) -> Iterator[None]:
+    """Holds the lock of a file until the context ends, or the process in any way.
+
+    shared: with other processes that share it; waits for one that does not
+    Raises BlockingIOError at once if another process holds the lock.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with ExitStack() as stack:
+        file = None
+        while (
+            file is None or not os.fstat(file.fileno()).st_nlink
+        ):  # its last holder has removed it meanwhile
+            file = stack.enter_context(path.open("ab"))
+            _lock(file.fileno(), shared)
+        if not shared:
+            stack.callback(_remove, path)
+        yield
+
+
+def _remove(path: Path) -> None:
+    with suppress(OSError):  # of another user, open in Windows, or removed meanwhile
+        path.unlink()
+
+
+def _lock(descriptor: int, shared: bool) -> None:
+    if sys.platform == "win32":
+        os.lseek(descriptor, secrets.randbelow(_MOST_READERS) if shared else 0, os.SEEK_SET)
+        try:
+            mode = msvcrt.LK_LOCK if shared else msvcrt.LK_NBLCK
+            msvcrt.locking(descriptor, mode, 1 if shared else _MOST_READERS)
+        except OSError as error:
+            raise BlockingIOError(*error.args) from None
+    else:
+        fcntl.flock(descriptor, fcntl.LOCK_SH if shared else fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def keep_fmus() -> None:
+    """Keeps the FMUs of the cache, and the records of builds, until this process ends."""
+    _kept(folder(_IN_USE))
+
+
+@cache
+def _kept(lock: Path) -> ExitStack:
+    stack = ExitStack()
+    with suppress(OSError):  # of a cache that cannot be written
+        stack.enter_context(locked(lock, shared=True))
+    return stack
+
+
+def entries(kind: str) -> Iterator[tuple[float, int, Path]]:
+    """Yields the last use [s since the epoch], the size [bytes] and the path of each file of a kind."""
+    for parent, _, names in os.walk(folder(kind)):
+        for path in (Path(parent, name) for name in names):
+            with suppress(FileNotFoundError):  # another process has removed it
+                status = path.lstat()
+                yield status.st_mtime, status.st_size, path
+
+
+def clear(kind: str) -> list[int]:
+    """Removes the entries of a kind, which other processes then make anew; returns their sizes [bytes].
+
+    Raises BlockingIOError for FMUs and their records while another process runs some.
+    """
+    freed = []
+    with locked(folder(_IN_USE)) if kind in (FMUS, BUILDS) else nullcontext():
+        for _, size, path in entries(kind):
+            with suppress(OSError):  # of another user, or removed meanwhile
+                path.unlink()
+                freed.append(size)
+    return freed

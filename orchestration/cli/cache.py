@@ -1,0 +1,56 @@
+"""Command cache: what is kept for this user between commands."""
+
+import os
+from typing import Annotated, Literal
+
+import typer
+
+from fmus import store
+from fmus.errors import nearest
+from fmus.registry import FOLDER_VARIABLE
+from orchestration.cli.shared import fail
+
+_CONTENT = {
+    store.BUILDS: "records of the FMUs that you built, which let them run in ensembles",
+    store.FMUS: "FMUs that scenarios run",
+    "libraries": "compiled code of runs and ensembles",
+    "score": "rows of scores and comparisons",
+    "stamps": "what FMUs were built from, so that unchanged ones are not built again",
+}
+
+
+def cache(
+    action: Annotated[
+        Literal["show", "clear"], typer.Argument(help="Show what is kept, or remove it.")
+    ] = "show",
+    kinds: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="KIND...",
+            help=f"Of these kinds alone: {', '.join(_CONTENT)}.",
+            autocompletion=lambda: [*_CONTENT],
+        ),
+    ] = None,
+) -> None:
+    """Show or clear what is kept between commands: where it is, and how large.
+
+    What is cleared is made again when it is needed, so it can be cleared at any time, also while other
+    commands run. After **l1-depth cache clear score**, the next score runs every controller. The records of
+    builds are cleared only where they are named: without its record, an FMU runs like one of another tool.
+
+    What was used longest ago is removed by itself. Your results are not in the cache: an interrupted sweep or
+    tuning continues from the files beside its results.
+    """
+    for kind in kinds or ():
+        if kind not in _CONTENT:
+            fail(f"no kind {kind!r}; {nearest(kind, _CONTENT)}", 2)
+    print(store.folder(), f"{'kind':<10}{'files':>7}{'MB':>10}", sep="\n")
+    for kind in kinds or [kind for kind in _CONTENT if action == "show" or kind != store.BUILDS]:
+        try:
+            sizes = store.clear(kind) if action == "clear" else [size for _, size, _ in store.entries(kind)]
+            note = "freed" if action == "clear" else _CONTENT[kind]
+        except BlockingIOError:
+            sizes, note = [], "kept: another command runs FMUs"
+        print(f"{kind:<10}{len(sizes):>7}{sum(sizes) / 1e6:>10.2f}  {note}")
+    if folder := os.environ.get(FOLDER_VARIABLE):
+        print(f"FMUs of scenarios are in {folder}, as {FOLDER_VARIABLE} says: they are not counted and stay")
