@@ -204,6 +204,26 @@ def test_one_file_runs_the_compiler() -> None:
     assert names == {"fmus.native.toolchain", "fmus.build.stamp"}  # which compares its version
 
 
+def test_one_file_knows_the_users_cache_and_holds_locks() -> None:
+    """All else stores by kind and key, so that every entry is written, trusted and cleared in one way."""
+    assert {name for name, path in MODULES.items() if '"Caches"' in text(path)} == {"fmus.store"}
+    assert importers("fcntl") | importers("msvcrt") | importers("filelock") == {"fmus.store"}
+    writers = {
+        "fmus.build.builder",
+        "fmus.native.compiled_library",
+        "fmus.build.stamp",
+        "orchestration.score.score_cache",
+    }
+    assert {
+        name for name, path in MODULES.items() if re.search(r"\bstore\.(put|write)\(", text(path))
+    } <= writers
+
+
+def test_one_file_walks_imports() -> None:
+    """From a module to those that it names, which needs absolute names."""
+    assert {name for name, path in MODULES.items() if "resolve_name(" in text(path)} == {"fmus.build.imports"}
+
+
 def test_the_master_loads_nothing_that_running_does_not_need() -> None:
     heavy = [
         "casadi",

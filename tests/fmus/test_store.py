@@ -1,7 +1,9 @@
-"""Files of a cache are used only if no other user can have written them."""
+"""Entries of the store are whole, and used only if no other user can have written them; locks."""
 
 import os
-from collections.abc import Iterator
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -135,3 +137,63 @@ def test_a_stamp_that_others_can_write_stamps_nothing(
     (stamp,) = (tmp_path / "l1-depth" / "stamps").iterdir()
     stamp.chmod(0o666)
     assert Stamps().current(order) is None
+
+
+KEY = "an entry"
+
+
+@pytest.fixture
+def entry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The file of an entry."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    store.put("score", KEY, b"a row")
+    return store.folder("score") / KEY
+
+
+@pytest.mark.parametrize(
+    "change", [lambda data: data[:-1], lambda data: data + b" ", lambda data: b"b" + data[1:]]
+)
+def test_an_entry_is_as_it_was_written_or_not_there(entry: Path, change: Callable[[bytes], bytes]) -> None:
+    assert store.get("score", KEY) == b"a row"
+    entry.write_bytes(change(entry.read_bytes()))
+    assert store.get("score", KEY) is None
+
+
+def test_entries_used_longest_ago_are_removed(entry: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(store.MOST, "score", 2)
+    store.put("score", "older", b"")
+    for age, path in ((100.0, entry), (50.0, entry.with_name("older"))):
+        os.utime(path, (1e9 - age, 1e9 - age))
+    assert store.get("score", KEY)  # which uses it
+    store.put("score", "new", b"")
+    assert {path.name for path in entry.parent.iterdir()} == {KEY, "new"}
+
+
+WRITER = (
+    "import sys; from fmus import store\nfor i in range(300): store.put('score', 'key', sys.argv[1].encode())"
+)
+
+
+@pytest.mark.usefixtures("entry")
+def test_processes_that_write_one_entry_leave_a_whole_one() -> None:
+    contents = ["first" * 10_000, "other" * 20_000]
+    store.put("score", "key", contents[0].encode())
+    writers = [subprocess.Popen([sys.executable, "-c", WRITER, content]) for content in contents]
+    while any(writer.poll() is None for writer in writers):
+        found = store.get("score", "key")
+        assert found is not None
+        assert found.decode() in contents
+    assert [writer.returncode for writer in writers] == [0, 0]
+
+
+def test_a_lock_is_held_once_or_shared(tmp_path: Path) -> None:
+    path = tmp_path / "lock"
+    with store.locked(path), pytest.raises(BlockingIOError), store.locked(path):
+        pass
+    assert not path.exists()
+    with store.locked(path, shared=True), store.locked(path, shared=True):
+        with pytest.raises(BlockingIOError), store.locked(path):
+            pass
+        assert path.exists()
+    with store.locked(path):
+        assert path.exists()

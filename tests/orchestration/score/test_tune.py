@@ -101,6 +101,25 @@ def test_an_interrupted_tuning_continues_to_the_same_result(tmp_path: Path, cut_
     assert rest.calls == 0
 
 
+def test_one_tuning_at_a_time_uses_a_journal(tmp_path: Path) -> None:
+    path = tmp_path / "mine.tune.jsonl"
+
+    def cost(gains: Mapping[str, float]) -> dict[str, Any]:
+        with pytest.raises(OrchestrationError, match=r"mine\.tune\.lock: another process runs this tuning"):
+            tuned(path, evaluations_per_gain=2)
+        return known_cost(gains)
+
+    tuned(path, cost, 2)
+    assert [*tmp_path.iterdir()] == [path]
+
+
+def test_an_earlier_tuning_is_discarded_on_demand(tmp_path: Path) -> None:
+    path = tmp_path / "journal"
+    tuned(path, evaluations_per_gain=2)
+    tune(Problem(GAINS, {"law": "another"}), SEEDS, 2, path, at_once(known_cost), restart=True)
+    assert json.loads(path.read_text().split("\n")[0])["law"] == "another"
+
+
 def test_the_journal_of_another_tuning_is_refused_and_stays(tmp_path: Path) -> None:
     path = tmp_path / "journal"
     tuned(path, evaluations_per_gain=2)
