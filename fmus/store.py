@@ -26,7 +26,7 @@ else:
     import fcntl
 
 FMUS, BUILDS = "fmus", "builds"
-MOST = {BUILDS: 10_000, "libraries": 300, "score": 150, "stamps": 1000}
+MOST = {BUILDS: 10_000, "libraries": 300, "score": 150}
 """Kind -> how many entries are kept. A row of a score has 400 kB: 150 are three scores and a comparison.
 
 The files of `FMUS` are no entries: scenarios name them.
@@ -160,9 +160,8 @@ def locked(path: Path, shared: bool = False) -> Iterator[None]:
     path.parent.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
         file = None
-        while (
-            file is None or not os.fstat(file.fileno()).st_nlink
-        ):  # its last holder has removed it meanwhile
+        # the last holder may remove the file between the two calls that follow
+        while file is None or not os.fstat(file.fileno()).st_nlink:
             file = stack.enter_context(path.open("ab"))
             _lock(file.fileno(), shared)
         if not shared:
@@ -196,13 +195,15 @@ def keep_fmus() -> None:
 def _kept(lock: Path) -> ExitStack:
     stack = ExitStack()
     with suppress(OSError):  # of a cache that cannot be written
+        lock.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         stack.enter_context(locked(lock, shared=True))
     return stack
 
 
 def entries(kind: str) -> Iterator[tuple[float, int, Path]]:
     """Yields the last use [s since the epoch], the size [bytes] and the path of each file of a kind."""
-    for parent, _, names in os.walk(folder(kind)):
+    top = folder(kind)
+    for parent, _, names in () if top.is_symlink() else os.walk(top):
         for path in (Path(parent, name) for name in names):
             with suppress(FileNotFoundError):  # another process has removed it
                 status = path.lstat()

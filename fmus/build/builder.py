@@ -2,6 +2,7 @@
 
 import io
 import keyword
+import os
 import re
 import zipfile
 import zlib
@@ -252,6 +253,8 @@ def _built_if_stale(order: Order) -> Path:
         needed = library_name(block.name, host_platform()) if native else None
         found = path.read_bytes() if path.is_file() else b""
         fits = _fits(found, guid, needed)
+        # without a record of its build, it would run like one of another tool
+        fits = fits and (store.is_own_build(found) or not os.access(path.parent, os.W_OK))
         if not fits:
             with _building(block, order) as write:
                 found = write()[path]

@@ -111,17 +111,13 @@ class Stamps:
         to_run: whether they may differ in what runs do not need, such as their icons
         """
         with suppress(ImpureError, OSError):
-            stamp = json.loads(store.get("stamps", self._key(order)) or b"null")
-            if (
-                stamp
-                and (to_run or stamp["was_built"])
-                and all([*self._module(name, order)] == module for name, module in stamp["modules"].items())
-                and all(
-                    store.digest((order.folder / name).read_bytes()) == fmu
-                    for name, fmu in stamp["fmus"].items()
-                )
-            ):
-                return [order.folder / name for name in stamp["fmus"]]
+            stamp = json.loads(store.get(store.BUILDS, self._key(order)) or b"null")
+            if not stamp or not (to_run or stamp["was_built"]):
+                return None
+            if all([*self._module(name, order)] == module for name, module in stamp["modules"].items()):
+                files = {order.folder / name: digest for name, digest in stamp["fmus"].items()}
+                if all(store.digest(path.read_bytes()) == digest for path, digest in files.items()):
+                    return [*files]
         return None
 
     def sources(self, order: Order) -> Sources | None:
@@ -144,7 +140,7 @@ class Stamps:
         if sources and sources.changed <= self._begun - _RECENT_S:
             digests = {name: store.digest(fmu) for name, fmu in fmus.items()}
             content = {"modules": sources.modules, "fmus": digests, "was_built": was_built}
-            store.put("stamps", sources.key, json.dumps(content).encode())
+            store.put(store.BUILDS, sources.key, json.dumps(content).encode())
 
     def _key(self, order: Order) -> str:
         """Returns the digest of the folder, and of all but modules that decides about the FMUs in it."""

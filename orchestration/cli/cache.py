@@ -11,11 +11,10 @@ from fmus.registry import FOLDER_VARIABLE
 from orchestration.cli.shared import fail
 
 _CONTENT = {
-    store.BUILDS: "records of the FMUs that you built, which let them run in ensembles",
+    store.BUILDS: "records of what you built: unchanged FMUs are not built again, and run in ensembles",
     store.FMUS: "FMUs that scenarios run",
     "libraries": "compiled code of runs and ensembles",
     "score": "rows of scores and comparisons",
-    "stamps": "what FMUs were built from, so that unchanged ones are not built again",
 }
 
 
@@ -51,6 +50,7 @@ def cache(
             note = "freed" if action == "clear" else _CONTENT[kind]
         except BlockingIOError:
             sizes, note = [], "kept: another command runs FMUs"
+        note = store.reason_for_distrust(store.folder(kind)) or note
         print(f"{kind:<10}{len(sizes):>7}{sum(sizes) / 1e6:>10.2f}  {note}")
     if folder := os.environ.get(FOLDER_VARIABLE):
         print(f"FMUs of scenarios are in {folder}, as {FOLDER_VARIABLE} says: they are not counted and stay")

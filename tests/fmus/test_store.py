@@ -134,7 +134,7 @@ def test_a_stamp_that_others_can_write_stamps_nothing(
     (order.folder / "ExamplePlant.fmu").write_bytes(b"an FMU")
     stamps.write(sources, {"ExamplePlant.fmu": b"an FMU"})
     assert Stamps().current(order)
-    (stamp,) = (tmp_path / "l1-depth" / "stamps").iterdir()
+    (stamp,) = (tmp_path / "l1-depth" / "builds").iterdir()
     stamp.chmod(0o666)
     assert Stamps().current(order) is None
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import fmus
+from fmus import store
 from fmus.block.block_file import blocks_in
 from fmus.build import builder
 from fmus.build.new_block import write_new_block
@@ -379,6 +380,22 @@ def test_an_fmu_that_was_found_and_not_built_is_stamped_for_runs_alone(
     assert path.read_bytes() != older
 
 
+def test_an_fmu_without_a_record_of_its_build_is_built_again_where_it_can_be(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would run like one of another tool, as one does in a folder of the administrator's."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    fmu = builder.build("ExamplePlant", tmp_path / "built").read_bytes()
+    shutil.rmtree(store.folder(store.BUILDS))
+    with monkeypatch.context() as of_another_user:
+        of_another_user.setattr(os, "access", lambda path, mode: False)
+        builder.build_if_stale("ExamplePlant", tmp_path / "built")
+    assert not store.is_own_build(fmu)
+    shutil.rmtree(store.folder(store.BUILDS))
+    builder.build_if_stale("ExamplePlant", tmp_path / "built")
+    assert store.is_own_build(fmu)
+
+
 def test_modules_that_were_loaded_from_another_file_or_text_are_not_the_sources(
     order: Order, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -398,7 +415,7 @@ def test_modules_that_were_loaded_from_another_file_or_text_are_not_the_sources(
 
 
 def test_a_damaged_stamp_is_none(order: Order, tmp_path: Path) -> None:
-    (file,) = (tmp_path / "cache").rglob("stamps/*")
+    (file,) = (tmp_path / "cache").rglob("builds/*")
     content = file.read_bytes()
     for damaged in (b"", b"{}", content[:-1], content[1:], content.replace(b"gains", b"pains", 1)):
         file.write_bytes(damaged)
