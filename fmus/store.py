@@ -188,14 +188,15 @@ def _lock(descriptor: int, shared: bool) -> None:
 
 def keep_fmus() -> None:
     """Keeps the FMUs of the cache, and the records of builds, until this process ends."""
-    _kept(folder(_IN_USE))
+    lock = folder(_IN_USE)
+    if lock.parent.is_dir():  # running leaves no cache where there was none
+        _kept(lock)
 
 
 @cache
 def _kept(lock: Path) -> ExitStack:
     stack = ExitStack()
     with suppress(OSError):  # of a cache that cannot be written
-        lock.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         stack.enter_context(locked(lock, shared=True))
     return stack
 
