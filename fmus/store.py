@@ -14,7 +14,7 @@ import secrets
 import stat
 import sys
 from collections.abc import Collection, Iterator
-from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from functools import cache
 from pathlib import Path
 
@@ -151,22 +151,18 @@ def is_own_build(fmu: bytes) -> bool:
 
 
 @contextmanager
-def locked(path: Path, shared: bool = False) -> Iterator[None]:
+def locked(path: Path) -> Iterator[None]:
     """Holds the lock of a file until the context ends, or the process in any way.
 
-    shared: with other processes that share it; waits for one that does not
     Raises BlockingIOError at once if another process holds the lock.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    with ExitStack() as stack:
-        file = None
-        # the last holder may remove the file between the two calls that follow
-        while file is None or not os.fstat(file.fileno()).st_nlink:
-            file = stack.enter_context(path.open("ab"))
-            _lock(file.fileno(), shared)
-        if not shared:
-            stack.callback(_remove, path)
+    descriptor = _lock(path)
+    try:
         yield
+    finally:
+        _remove(path)
+        os.close(descriptor)
 
 
 def _remove(path: Path) -> None:
@@ -174,16 +170,24 @@ def _remove(path: Path) -> None:
         path.unlink()
 
 
-def _lock(descriptor: int, shared: bool) -> None:
-    if sys.platform == "win32":
-        os.lseek(descriptor, secrets.randbelow(_MOST_READERS) if shared else 0, os.SEEK_SET)
+def _lock(path: Path, shared: bool = False) -> int:
+    """Returns the file descriptor of a lock; one that is shared waits for one that is not."""
+    while True:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
         try:
-            mode = msvcrt.LK_LOCK if shared else msvcrt.LK_NBLCK
-            msvcrt.locking(descriptor, mode, 1 if shared else _MOST_READERS)
+            if sys.platform == "win32":
+                os.lseek(descriptor, secrets.randbelow(_MOST_READERS) if shared else 0, os.SEEK_SET)
+                mode = msvcrt.LK_LOCK if shared else msvcrt.LK_NBLCK
+                msvcrt.locking(descriptor, mode, 1 if shared else _MOST_READERS)
+            else:
+                fcntl.flock(descriptor, fcntl.LOCK_SH if shared else fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            raise BlockingIOError(*error.args) from None
-    else:
-        fcntl.flock(descriptor, fcntl.LOCK_SH if shared else fcntl.LOCK_EX | fcntl.LOCK_NB)
+            os.close(descriptor)
+            is_held = isinstance(error, BlockingIOError | PermissionError)  # the latter in Windows
+            raise BlockingIOError(*error.args) if is_held else error from None
+        if os.fstat(descriptor).st_nlink:
+            return descriptor
+        os.close(descriptor)  # of a file that its last holder has removed meanwhile
 
 
 def keep_fmus() -> None:
@@ -194,11 +198,10 @@ def keep_fmus() -> None:
 
 
 @cache
-def _kept(lock: Path) -> ExitStack:
-    stack = ExitStack()
+def _kept(lock: Path) -> int | None:
     with suppress(OSError):  # of a cache that cannot be written
-        stack.enter_context(locked(lock, shared=True))
-    return stack
+        return _lock(lock, shared=True)
+    return None
 
 
 def entries(kind: str) -> Iterator[tuple[float, int, Path]]:

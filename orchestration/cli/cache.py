@@ -34,7 +34,7 @@ def cache(
     """Show or clear what is kept between commands: where it is, and how large.
 
     What is cleared is made again when it is needed, so it can be cleared at any time, also while other
-    commands run. After **l1-depth cache clear score**, the next score runs every controller. The records of
+    commands run. With the kind score, the next score runs every controller. The records of
     builds are cleared only where they are named: without its record, an FMU runs like one of another tool.
 
     What was used longest ago is removed by itself. Your results are not in the cache: an interrupted sweep or

@@ -1,5 +1,6 @@
 """Entries of the store are whole, and used only if no other user can have written them; locks."""
 
+import fcntl
 import os
 import subprocess
 import sys
@@ -186,14 +187,25 @@ def test_processes_that_write_one_entry_leave_a_whole_one() -> None:
     assert [writer.returncode for writer in writers] == [0, 0]
 
 
-def test_a_lock_is_held_once_or_shared(tmp_path: Path) -> None:
-    path = tmp_path / "lock"
+def test_a_lock_is_held_once_and_leaves_no_file(tmp_path: Path) -> None:
+    path = tmp_path / "folder" / "lock"
+    for _ in range(2):
+        with store.locked(path), pytest.raises(BlockingIOError), store.locked(path):
+            pass
+        assert not path.exists()
+
+
+def test_a_lock_that_was_removed_before_it_was_held_is_taken_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else two processes hold locks of two files."""
+    path, lock = tmp_path / "lock", fcntl.flock
+
+    def after_it_was_removed(descriptor: int, operation: int) -> None:
+        monkeypatch.setattr(fcntl, "flock", lock)
+        path.unlink()
+        lock(descriptor, operation)
+
+    monkeypatch.setattr(fcntl, "flock", after_it_was_removed)
     with store.locked(path), pytest.raises(BlockingIOError), store.locked(path):
         pass
-    assert not path.exists()
-    with store.locked(path, shared=True), store.locked(path, shared=True):
-        with pytest.raises(BlockingIOError), store.locked(path):
-            pass
-        assert path.exists()
-    with store.locked(path):
-        assert path.exists()

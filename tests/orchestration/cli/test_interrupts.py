@@ -27,6 +27,7 @@ AT_WORK = {
     "build ExamplePlant --out out": "fmus.build.builder.build_orders",
     "check {fmu}": "fmus.compliance.check.check",
     "inspect {fmu}": "fmus.fmi.description.describe_any",
+    "cache": "fmus.store.entries",
     "scenarios": "orchestration.scenarios.scenario.load",
     "run nominal-l1 --out .": "orchestration.system.prepared_run.prepare_checked",
     "sweep monte-carlo": "orchestration.sweep.run.sweep",
