@@ -1,4 +1,4 @@
-"""Statements in C for operations: what only one alternative needs stands in a branch of its own.
+"""The order of operations: what only one alternative needs stands in a branch of its own.
 
 CasADi evaluates both alternatives of a choice. Here an operation that is needed only where a condition holds
 stands in an `if` of that condition, unless that would save less than a branch may cost. The operations and
@@ -7,6 +7,7 @@ their order in each expression are those of CasADi, so the results are the same 
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from heapq import heappop, heappush
 from itertools import takewhile
 
@@ -19,60 +20,57 @@ true; ~number for one that is false."""
 _BRANCH = 8  # cost of operations that are not worth a branch
 
 
-class Statements:
-    """The statements of a function in an order in which each number is there before it is used.
+@dataclass(frozen=True)
+class Branch:
+    """Operations for a condition, the number of an operation: where it holds, and where it fails."""
 
-    assigned: the operations that have a variable; in_branches: those that not every call carries out
+    condition: int
+    holds: list["Step"]
+    fails: list["Step"]
+
+
+Step = int | Branch
+"""An operation, by its number, or a branch."""
+
+
+class Schedule:
+    """An order of operations in which each number is there before it is used.
+
+    steps: the operations that the results need, without constants and arguments of the function; then the
+    results. numbered: these operations by number; in_branches: those that not every call carries out
     """
 
-    def __init__(self, operations: Sequence[Operation], results: Sequence[int]) -> None:
+    def __init__(self, operations: Sequence[Operation]) -> None:
+        results = [number for number, operation in enumerate(operations) if operation.name == "RESULT"]
         self._operations = operations
-        self._paths = _paths(operations, results)
-        self.assigned = [number for number in sorted(self._paths) if operations[number].arguments]
+        self._paths = _paths(operations, [operations[result].arguments[0] for result in results])
         self.in_branches = {number for number, path in self._paths.items() if path}
-        self._missing = {number: len(self._needed(number)) for number in self.assigned}
+        self.numbered = [number for number in sorted(self._paths) if operations[number].arguments]
+        self._missing = {number: len(self._needed(number)) for number in self.numbered}
         self._users: dict[int, list[int]] = defaultdict(list)
-        for number in self.assigned:
+        for number in self.numbered:
             for argument in self._needed(number):
                 self._users[argument].append(number)
         self._ready: dict[Path, list[int]] = defaultdict(list)  # heaps
         for number, count in self._missing.items():
             if not count:
                 self._ready[self._paths[number]].append(number)
+        self.steps = [*self._steps(()), *results]
 
-    def term(self, number: int) -> str:
-        """What stands for the number of an operation in an expression."""
-        operation = self._operations[number]
-        return f"v{number}" if operation.arguments else operation.text
-
-    def lines(self, path: Path = ()) -> Iterator[str]:
-        """The statements of a branch, as far as they can be carried out, in the order of the operations."""
+    def _steps(self, path: Path) -> Iterator[Step]:
+        """Yields those of a branch, as far as they can be carried out, in the order of the operations."""
         ready = self._ready[path]
         while True:
             while ready:
                 number = heappop(ready)
-                yield self._statement(number)
+                yield number
                 self._finish(number)
             inside = [other for other, heap in self._ready.items() if heap and other[: len(path)] == path]
             if not inside:
                 return
-            first = min(inside, key=lambda other: self._ready[other][0])
-            yield from self._branches(path, first[len(path)])
-
-    def _branches(self, path: Path, condition: int) -> Iterator[str]:
-        """The statements where a condition holds, and where it does not."""
-        number = max(condition, ~condition)
-        holds, fails = ([f"    {line}" for line in self.lines((*path, way))] for way in (number, ~number))
-        yield f"if ({'' if holds else '!'}{self.term(number)}) {{"
-        yield from holds or fails
-        if holds and fails:
-            yield "} else {"
-            yield from fails
-        yield "}"
-
-    def _statement(self, number: int) -> str:
-        operation = self._operations[number]
-        return f"v{number} = {operation.text.format(*map(self.term, operation.arguments))};"
+            condition = min(inside, key=lambda other: self._ready[other][0])[len(path)]
+            number = max(condition, ~condition)
+            yield Branch(number, *(list(self._steps((*path, way))) for way in (number, ~number)))
 
     def _needed(self, number: int) -> set[int]:
         """The operations that must come before one: its arguments, and the conditions of its branch."""
@@ -131,3 +129,45 @@ def _condition(operations: Sequence[Operation], operation: Operation, index: int
 def _common(first: Path, second: Path) -> Path:
     pairs = zip(first, second, strict=False)
     return tuple(a for a, _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
+
+
+def as_late_as_possible(steps: Sequence[Step], operations: Sequence[Operation]) -> list[Step]:
+    """Returns the steps in another order: each right before the first that uses its number.
+
+    A number that is computed long before its use leaves its register: it is stored and loaded again.
+    """
+    ordered: list[Step] = []
+    waiting: dict[int, None] = {}  # in the order of the steps
+
+    def place(number: int) -> None:
+        path = [number] if number in waiting else []
+        while path:  # not by recursion, which would be as deep as the longest chain of operations
+            missing = [used for used in operations[path[-1]].arguments if used in waiting]
+            if missing:
+                path.append(missing[0])
+            else:
+                del waiting[path[-1]]
+                ordered.append(path.pop())
+
+    for step in steps:
+        if isinstance(step, int) and operations[step].name != "RESULT":
+            waiting[step] = None
+            continue
+        for number in _used(step, operations):
+            place(number)
+        if isinstance(step, int):
+            ordered.append(step)
+        else:
+            inside = (as_late_as_possible(part, operations) for part in (step.holds, step.fails))
+            ordered.append(Branch(step.condition, *inside))
+    for number in list(waiting):  # what is used behind this branch
+        place(number)
+    return ordered
+
+
+def _used(step: Step, operations: Sequence[Operation]) -> list[int]:
+    """Returns the operations whose numbers an operation reads, or a branch in its condition and inside."""
+    if isinstance(step, int):
+        return [*operations[step].arguments]
+    inside = [number for part in (*step.holds, *step.fails) for number in _used(part, operations)]
+    return [step.condition, *inside]

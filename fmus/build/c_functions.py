@@ -1,65 +1,200 @@
-"""Functions of CasADi as C99."""
+"""Functions of CasADi in dialects of C, which write the same operations, each a statement.
+
+So the numbers of all dialects are the same bit for bit.
+"""
 
 import textwrap
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import ClassVar
 
 import casadi
 
-from fmus.build.branches import Statements
-from fmus.build.operations import TIMES, Operation, operations_of
+from fmus.build.branches import Schedule, Step, as_late_as_possible
+from fmus.build.operations import CALLS, TIMES, Operation, operations_of
+from fmus.errors import ExportError
 
-_ARGUMENTS = {**{time: f"double {time}" for time in TIMES}, "k": "double *k"}
 
+@dataclass(frozen=True)
+class CFunction:
+    """A static function of C: its arguments are called as CasADi's, and the column of its result.
 
-def c_function(function: casadi.Function, name: str, is_inlined: bool = False) -> str:
-    """A static function of that name: its arguments are called as CasADi's, and the column of its result.
-
-    The times t and h are numbers, all other arguments columns. is_inlined: whether each call becomes a copy
+    is_inlined: whether each call becomes a copy
     """
-    operations, results = operations_of(function)
-    code = _c_function(name, function.name_in(), function.name_out(0), operations, results)
-    return code.replace("static ", "static INLINED ", 1) if is_inlined else code
+
+    name: str
+    arguments: Sequence[str]
+    result: str
+    operations: Sequence[Operation]
+    is_inlined: bool = False
+
+    @cached_property
+    def schedule(self) -> Schedule:
+        """The schedule of its operations, which all dialects share."""
+        return Schedule(self.operations)
 
 
-def c_functions(function: casadi.Function, name: str, held: Collection[str], inputs: str) -> tuple[str, int]:
-    """As `c_function`, but what follows from the arguments `held` alone is computed by another function.
+class ScalarC:
+    """C99 for one instance: a number is a double, a condition 1.0 or 0.0."""
+
+    number, unset = "double", "0"
+    column = "double *"
+    changed = ("k",)  # arguments that a function writes
+    more_arguments: Sequence[str] = ()
+    inlined = "INLINED "
+    branch = "if ({0}) {{", "if (!{0}) {{", "}} else {{"
+    expressions: ClassVar = {
+        "RESULT": "{0}", "ASSIGN": "{0}", "ADD": "{0} + {1}", "SUB": "{0} - {1}", "MUL": "{0} * {1}",
+        "DIV": "{0} / {1}", "NEG": "-{0}", "SQ": "{0} * {0}", "TWICE": "2 * {0}", "INV": "1 / {0}",
+        "LT": "{0} < {1}", "LE": "{0} <= {1}", "EQ": "{0} == {1}", "NE": "{0} != {1}", "NOT": "!{0}",
+        "AND": "{0} && {1}", "OR": "{0} || {1}", "IF_ELSE_ZERO": "{0} ? {1} : 0",
+        "SIGN": "{0} < 0 ? -1 : {0} > 0 ? 1 : {0}", "CHOICE": "({0} ? {1} : {2}) + 0.0",
+    }  # fmt: skip
+
+    def function(self, f: CFunction) -> str:
+        """Returns the C code; the times t and h are numbers, all other arguments columns."""
+        arguments = [*map(self._argument, f.arguments), f"{self.column}{f.result}", *self.more_arguments]
+        head = f"static {self.inlined if f.is_inlined else ''}void {f.name}({', '.join(arguments)})"
+        body = "\n".join(f"    {line}" for line in (*self._declarations(f), *self._lines(f, self._steps(f))))
+        return f"{head} {{\n{body}\n}}\n"
+
+    def _argument(self, name: str) -> str:
+        if name in TIMES:
+            return f"double {name}"
+        return f"{'' if name in self.changed else 'const '}{self.column}{name}"
+
+    def _declarations(self, f: CFunction) -> list[str]:
+        unset, numbered = f.schedule.in_branches, f.schedule.numbered
+        names = ", ".join(f"v{n} = {self.unset}" if n in unset else f"v{n}" for n in numbered)
+        return textwrap.wrap(f"{self.number} {names};", 110, subsequent_indent="    ") if names else []
+
+    def _steps(self, f: CFunction) -> Sequence[Step]:
+        return f.schedule.steps
+
+    def _lines(self, f: CFunction, steps: Sequence[Step]) -> Iterator[str]:
+        for step in steps:
+            if isinstance(step, int):
+                yield self._statement(f, step)
+                continue
+            holds, fails = ([f"    {line}" for line in self._lines(f, p)] for p in (step.holds, step.fails))
+            heads = [head.format(self._term(f, step.condition)) for head in self.branch]
+            yield heads[0 if holds else 1]
+            yield from holds or fails
+            if holds and fails:
+                yield heads[2]
+                yield from fails
+            yield "}"
+
+    def _statement(self, f: CFunction, number: int) -> str:
+        operation = f.operations[number]
+        terms = [self._term(f, argument) for argument in operation.arguments]
+        if operation.name in CALLS:
+            value = self._call(operation, CALLS[operation.name], terms)
+        elif operation.name in self.expressions:
+            value = self.expressions[operation.name].format(*terms)
+        else:
+            raise ExportError(f"{f.name}: operation {operation.name} of CasADi has no expression in C")
+        return f"{operation.text or f'v{number}'} = {value};"
+
+    def _term(self, f: CFunction, number: int) -> str:
+        """Returns what stands for the number of an operation in an expression."""
+        operation = f.operations[number]
+        return f"v{number}" if operation.arguments else operation.text
+
+    def _call(self, operation: Operation, function: str, terms: list[str]) -> str:
+        if operation.place:
+            return f"remembered({function}, {terms[0]}, {operation.place})"
+        return f"{function}({', '.join(terms)})"
+
+
+class VectorC(ScalarC):
+    """C of Clang for a group of instances, a lane for each, with the functions of lane_functions.h.
+
+    A choice takes each lane from its own alternative, and a branch is carried out if one lane at least needs
+    it. All dear calls remember what they were called with.
+
+    memory: how many vectors the calls of all functions until now remember
+    """
+
+    number, unset = "Lanes", "ANY"
+    column = "Lanes *restrict "
+    changed = ()
+    more_arguments = ("Lanes *restrict memory",)
+    inlined = ""
+    branch = "if (any(is_true({0}))) {{", "if (any(is_false({0}))) {{", "}} if (any(is_false({0}))) {{"
+    expressions: ClassVar = {
+        **ScalarC.expressions,
+        "LT": "number({0} < {1})", "LE": "number({0} <= {1})", "EQ": "number({0} == {1})",
+        "NE": "number({0} != {1})", "NOT": "number(is_false({0}))", "SIGN": "sign({0})",
+        "AND": "number(is_true({0}) & is_true({1}))", "OR": "number(is_true({0}) | is_true({1}))",
+        "CHOICE": "choice(is_true({0}), {1}, {2}) + all(0.0)",
+        "IF_ELSE_ZERO": "choice(is_true({0}), {1}, all(0))",
+    }  # fmt: skip
+
+    def __init__(self) -> None:
+        self.memory = 0
+
+    def _steps(self, f: CFunction) -> Sequence[Step]:
+        return as_late_as_possible(f.schedule.steps, f.operations)
+
+    def _term(self, f: CFunction, number: int) -> str:
+        term = super()._term(f, number)
+        return term if f.operations[number].arguments or "[" in term else f"all({term})"
+
+    def _call(self, operation: Operation, function: str, terms: list[str]) -> str:
+        if operation.is_dear_call:
+            terms = [*terms, f"memory + {self.memory}"]
+            self.memory += len(terms)  # of its arguments, and its result
+        return f"lanes_{function}({', '.join(terms)})"
+
+
+def c_function(function: casadi.Function, name: str, is_inlined: bool = False) -> CFunction:
+    """Returns the function of C of that name."""
+    return CFunction(name, function.name_in(), function.name_out(0), operations_of(function), is_inlined)
+
+
+def c_functions(
+    function: casadi.Function, name: str, held: Collection[str], inputs: str
+) -> tuple[list[CFunction], int]:
+    """Returns two: what follows from the arguments `held` alone is computed by a function of its own.
 
     NAME_constants writes these numbers to a column k, which is the last argument of NAME. After them come
     argument and result of each call that follows from the argument `inputs` too, and is dear: NAME computes
     it anew where the argument has changed. Second result: how many numbers there are in k.
     """
-    operations, results = operations_of(function)
-    arguments, result = function.name_in(), function.name_out(0)
-    used = [number for _, number in results]
+    operations, arguments = operations_of(function), function.name_in()
     varies = _follows_from(operations, {*arguments} - {*held})
-    constants = _constants(operations, used, varies)
-    numbered = list(enumerate(constants))
+    constants = _constants(operations, varies)
     calls = _calls_of_inputs(operations, varies, _follows_from(operations, {*arguments} - {*held, inputs}))
-    places = range(len(constants), len(constants) + 2 * len(calls), 2)
-    first = [a for a in arguments if a in held]
-    unknown = [f"k[{i}] = NAN;" for place in places for i in (place, place + 1)]
-    first = _c_function(f"{name}_constants", first, "k", operations, numbered, unknown)
-    for index, number in numbered:
-        operations[number] = Operation("INPUT", f"k[{index}]")
-    for place, number in zip(places, calls, strict=True):
-        operations[number] = operations[number].remembered_in(f"k + {place}")
-    code = _c_function(name, [*arguments, "k"], result, operations, results)
-    return f"{first}\n{code}", len(constants) + 2 * len(calls)
+    count = len(constants) + 2 * len(calls)
+    known = [*(o for o in operations if o.name != "RESULT"), Operation("CONST", text="NAN")]
+    numbers = constants + [len(known) - 1] * 2 * len(calls)
+    results = [Operation("RESULT", (number,), f"k[{index}]") for index, number in enumerate(numbers)]
+    of_held = [argument for argument in arguments if argument in held]
+    for index, number in enumerate(constants):
+        operations[number] = Operation("INPUT", text=f"k[{index}]")
+    for place, number in zip(range(len(constants), count, 2), calls, strict=True):
+        operations[number] = replace(operations[number], place=f"k + {place}")
+    return [
+        CFunction(f"{name}_constants", of_held, "k", known + results),
+        CFunction(name, [*arguments, "k"], function.name_out(0), operations),
+    ], count
 
 
 def _follows_from(operations: Sequence[Operation], names: Collection[str]) -> list[bool]:
     """Of each operation whether it follows from one of these arguments."""
     follows: list[bool] = []
     for operation in operations:
-        is_one = operation.text.split("[")[0] in names and not operation.arguments
+        is_one = operation.name == "INPUT" and operation.text.split("[")[0] in names
         follows.append(is_one or any(follows[argument] for argument in operation.arguments))
     return follows
 
 
-def _constants(operations: Sequence[Operation], results: Sequence[int], varies: Sequence[bool]) -> list[int]:
+def _constants(operations: Sequence[Operation], varies: Sequence[bool]) -> list[int]:
     """The operations that do not vary, and that others or the results use."""
-    users = [operation.arguments for operation, v in zip(operations, varies, strict=True) if v]
-    used = {*results, *(argument for arguments in users for argument in arguments)}
+    users = [o.arguments for o, v in zip(operations, varies, strict=True) if v or o.name == "RESULT"]
+    used = {argument for arguments in users for argument in arguments}
     return sorted(number for number in used if operations[number].arguments and not varies[number])
 
 
@@ -73,22 +208,3 @@ def _calls_of_inputs(
         if operation.is_dear_call and len(operation.arguments) == 1
         if varies[number] and not varies_in_any_step[number]
     ]
-
-
-def _c_function(
-    name: str,
-    argument_names: Sequence[str],
-    result: str,
-    operations: Sequence[Operation],
-    results: Sequence[tuple[int, int]],
-    last_lines: Sequence[str] = (),
-) -> str:
-    arguments = [_ARGUMENTS.get(a, f"const double *{a}") for a in argument_names]
-    statements = Statements(operations, [number for _, number in results])
-    lines = list(statements.lines())
-    lines += [f"{result}[{index}] = {statements.term(number)};" for index, number in results]
-    lines += last_lines
-    names = [f"v{n} = 0" if n in statements.in_branches else f"v{n}" for n in statements.assigned]
-    declared = textwrap.wrap(f"double {', '.join(names)};", 110, subsequent_indent="    ") if names else []
-    code = "\n".join(f"    {line}" for line in (*declared, *lines))
-    return f"static void {name}({', '.join((*arguments, f'double *{result}'))}) {{\n{code}\n}}\n"

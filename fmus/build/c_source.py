@@ -1,7 +1,7 @@
 """Block -> the C99 sources of its native FMU: the hand-written layer and what is generated of the block.
 
-`fmi2.c` is the only file to compile; the others are included by it. Tables go to `model.h`, equations
-to `model_code.h`.
+`fmi2.c` is the only file to compile. It includes the others, with tables in `model.h` and equations in
+`model_code.h`; but `model_lanes.h` has the equations for groups of instances, which an ensemble compiles.
 """
 
 import sys
@@ -29,7 +29,7 @@ def c_sources(block: Block, guid: str, reals_only: bool = False) -> dict[str, st
     template = Template((layer / "model.h.in").read_text("utf-8"))
     functions = traced(block)
     model = template.substitute(_tables(functions, reals_only), guid=guid)
-    return texts | {"model.h": model, "model_code.h": functions.c_code()}
+    return texts | {"model.h": model} | functions.c_code()
 
 
 def _tables(functions: Traced, reals_only: bool) -> dict[str, object]:

@@ -12,11 +12,13 @@ import casadi
 
 from fmus.block import Block, flatten, unflatten
 from fmus.build import guard
-from fmus.build.c_functions import c_function, c_functions
+from fmus.build.c_functions import ScalarC, VectorC, c_function, c_functions
 from fmus.build.declaration import check_declaration, check_requirements, check_result
 from fmus.build.right_derivative import right_derivative
 from fmus.errors import ExportError
 from fmus.numerics.symbols import unsimplified
+
+_ABOUT_LANES = "/* Equations in vectors, for ensembles: an importer compiles those of model_code.h. */\n"
 
 
 class Traced:
@@ -90,15 +92,23 @@ class Traced:
         """Everything that an FMU needs, by name."""
         return {name: value for name, value in vars(self).items() if isinstance(value, casadi.Function)}
 
-    def c_code(self) -> str:
-        """All functions as static C99 functions called model_FUNCTION, with the arguments of this class.
+    def c_code(self) -> dict[str, str]:
+        """Returns file name -> C functions called model_FUNCTION, with the arguments of this class.
 
-        What a step needs of its size and the parameters alone is computed apart, by model_step_constants.
+        model_code.h has all of them, model_lanes.h those of a run for groups of instances. What a step needs
+        of its size and the parameters alone is computed apart, by model_step_constants.
         """
         step, constants = c_functions(self.step, "model_step", held=("h", "p", "c"), inputs="u")
         others = {name: function for name, function in self.functions().items() if name != "step"}
-        codes = [c_function(function, f"model_{name}", name == "output") for name, function in others.items()]
-        return "\n".join([f"enum {{ N_STEP_CONSTANTS = {constants} }};\n", step, *codes])
+        code = {name: c_function(f, f"model_{name}", name == "output") for name, f in others.items()}
+        of_runs = [*step, *(code[name] for name in ("calculate", "requirements", "initial_state", "output"))]
+        size, scalar, vector = f"enum {{ N_STEP_CONSTANTS = {constants} }};\n", ScalarC(), VectorC()
+        lanes = [vector.function(f) for f in of_runs]
+        memory = f"enum {{ N_MEMORY = {vector.memory} }};\n"
+        return {
+            "model_code.h": "\n".join([size, *map(scalar.function, (*step, *code.values()))]),
+            "model_lanes.h": "\n".join([_ABOUT_LANES, size, memory, *lanes]),
+        }
 
     def _along(
         self, name: str, names: str, arguments: list, result: casadi.SX, known: casadi.SX

@@ -7,7 +7,6 @@ import numpy as np
 from fmus.errors import nearest
 from fmus.fmi.description import is_independent
 from fmus.fmi.variable_types import FmiValue
-from fmus.native.lanes import LANES
 from fmus.platforms import INSTRUCTION_SETS, instruction_sets
 from orchestration.errors import EnsembleError, OrchestrationError, SystemDefinitionError
 from orchestration.many.ensemble_checks import (
@@ -18,7 +17,8 @@ from orchestration.many.ensemble_checks import (
     varied_signals,
 )
 from orchestration.many.ensemble_loop import EnsembleLoop, check_memory, loop_library
-from orchestration.many.lane_library import lane_library
+from orchestration.many.ensemble_recording import EnsembleRecording
+from orchestration.many.lane_library import LANES, lane_library
 from orchestration.many.stepped_ensemble import EnsembleRecording, SteppedEnsemble
 from orchestration.run.initialisation import ConnectionGroup, initialise
 from orchestration.run.loaded_system import LoadedSystem

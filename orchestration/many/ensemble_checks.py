@@ -7,10 +7,9 @@ import numpy as np
 
 from fmus.fmi.description import describe, is_independent
 from fmus.fmi.variable_types import FmiValue
-from fmus.native.lanes import LANES
 from fmus.platforms import instruction_sets
 from orchestration.errors import EnsembleError, SystemDefinitionError
-from orchestration.many.lane_library import aligned, is_compiled
+from orchestration.many.lane_library import LANES, aligned, is_compiled
 from orchestration.run.initialisation import ConnectionGroup, connection_groups
 from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_run import PreparedRun, check_for, has_start_value, prepare_checked
@@ -62,7 +61,8 @@ def _check_pays(system: System, instances: int, steps: int, group_bytes: int, th
     if (n_bytes := threads * group_bytes) > _MOST_BYTES:
         raise EnsembleError(f"{threads * LANES} runs at once record {n_bytes / 1e6:.0f} MB")
     best = instruction_sets()[0]
-    if steps < _STEPS_WORTH_COMPILING and not all(is_compiled(p, best) for p in system.components.values()):
+    compiled = [is_compiled(name, path, best) for name, path in system.components.items()]
+    if steps < _STEPS_WORTH_COMPILING and not all(compiled):
         raise EnsembleError(f"to compile the FMUs takes longer than {steps} steps save")
 
 

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from fmus.errors import ExportError
-from fmus.native.lanes import LANES
 from orchestration.errors import EnsembleError
-from orchestration.many.lane_library import LaneLibrary, aligned, load_compiled
+from orchestration.many.lane_library import LANES, LaneLibrary, aligned, load_compiled
 from orchestration.run.initialisation import ConnectionGroup
 from orchestration.system.experiment import Algorithm
 from orchestration.system.experiment_checks import check_fits

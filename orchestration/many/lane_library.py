@@ -1,10 +1,15 @@
-"""A native FMU whose instances step in groups: its equations for vectors, and the memory of the groups."""
+"""A native FMU whose instances step in groups: its equations for vectors, and the memory of the groups.
+
+The equations are a file of the FMU, which its exporter writes beside those of its own library.
+"""
 
 import ctypes
 import math
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
+from importlib import resources
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -13,9 +18,12 @@ import numpy as np
 from fmus.errors import ExportError
 from fmus.fmi.description import FileVersion
 from fmus.native import compiled_library
-from fmus.native.lanes import LANES, SOURCE, lane_sources
 from orchestration.errors import EnsembleError
 
+LANES = 8
+"""Instances of a group: a vector of as many doubles is one register of some processors, two of others."""
+_SOURCE, _HEADERS = "lanes.c", ("lane_functions.h", "lane_sine.h")
+_OF_FMU = ("variables.h", "model.h", "model_lanes.h")
 _MAGIC, _FORMAT, _GUID, _HEAD = b"L1-STATE", 2, 16, 52  # snapshot.h: magic, format, then the GUID
 _FIRST_VALUE = 5  # word of `Data` in instance.h
 _MOST_LIBRARIES = 64
@@ -81,23 +89,27 @@ def aligned(*shape: int) -> np.ndarray:
 
 
 def lane_library(component: str, fmu: Path, instructions: str) -> LaneLibrary:
-    """The library of an FMU, compiled at its first use and kept in the user's cache.
+    """Returns the library of an FMU, compiled at its first use and kept in the user's cache.
 
-    Raises EnsembleError for an FMU that has no sources of this exporter, or if it cannot be compiled.
+    Raises EnsembleError for an FMU without equations for vectors, or if they cannot be compiled.
     """
-    try:
+    with _named(component):
         return _loaded(FileVersion.of(fmu), instructions)
+
+
+def is_compiled(component: str, fmu: Path, instructions: str) -> bool:
+    """Whether the library of an FMU is in the user's cache; EnsembleError for an FMU that can have none."""
+    with _named(component), _written_source(fmu) as source:
+        return compiled_library.is_compiled(source, _options(instructions))
+
+
+@contextmanager
+def _named(component: str) -> Iterator[None]:
+    """Raises EnsembleError of a component in place of what its file or the compiler raises."""
+    try:
+        yield
     except (ExportError, OSError) as error:
         raise EnsembleError(f"{component}: no ensemble of {error}; Simulator runs it") from error
-
-
-def is_compiled(fmu: Path, instructions: str) -> bool:
-    """Whether the library of an FMU is in the user's cache; not that of an FMU that can have none."""
-    try:
-        with _written_source(fmu) as source:
-            return compiled_library.is_compiled(source, _options(instructions))
-    except (ExportError, OSError):
-        return False
 
 
 @lru_cache(_MOST_LIBRARIES)
@@ -108,11 +120,22 @@ def _loaded(fmu: FileVersion, instructions: str) -> LaneLibrary:
 
 @contextmanager
 def _written_source(fmu: Path) -> Iterator[Path]:
-    """The C source of the library of an FMU, in a folder with its headers while the context lasts."""
-    with TemporaryDirectory(prefix="l1-depth-", ignore_cleanup_errors=True) as name:
-        for file, text in lane_sources(fmu).items():
-            Path(name, file).write_text(text, encoding="utf-8", newline="\n")
-        yield Path(name, SOURCE)
+    """The C source of the library of an FMU, in a folder with its headers while the context lasts.
+
+    Raises ExportError for an FMU that has no such headers.
+    """
+    with (
+        TemporaryDirectory(prefix="l1-depth-", ignore_cleanup_errors=True) as name,
+        zipfile.ZipFile(fmu) as archive,
+    ):
+        if missing := {f"sources/{file}" for file in _OF_FMU} - {*archive.namelist()}:
+            files = ", ".join(sorted(missing))
+            raise ExportError(f"{fmu}, which has no {files}: build it again with this version of l1-depth")
+        for file in _OF_FMU:
+            Path(name, file).write_bytes(archive.read(f"sources/{file}"))
+        for file in (_SOURCE, *_HEADERS):
+            Path(name, file).write_bytes((resources.files("fmus.native") / "vectors" / file).read_bytes())
+        yield Path(name, _SOURCE)
 
 
 def load_compiled(source: Path, instructions: str) -> ctypes.CDLL:

@@ -10,12 +10,12 @@ from queue import SimpleQueue
 from tempfile import TemporaryDirectory
 
 from fmus.fmi.description import describe, is_independent
-from fmus.native.lanes import LANES
 from orchestration.errors import EnsembleError, FmuWarning
 from orchestration.many.batches import Batches, Finished, Run
 from orchestration.many.ensemble_checks import check_ensemble
 from orchestration.many.isolated import Isolated
 from orchestration.many.job import Job
+from orchestration.many.lane_library import LANES
 from orchestration.many.runners import Runner, Simulated, Vectorised
 
 _BATCH_BYTES = 2**24  # of recorded values, if a group of vectors has less

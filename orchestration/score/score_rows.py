@@ -10,9 +10,10 @@ from typing import Any
 from pydantic import ValidationError
 
 from fmus.fmi.description import describe
-from fmus.native.lanes import LANES
 from orchestration.errors import EnsembleError, ScenarioError
 from orchestration.many.ensemble_checks import check_ensemble
+from orchestration.many.ensemble_choice import check_ensemble
+from orchestration.many.lane_library import LANES
 from orchestration.score import score_cache
 from orchestration.score.isolated_loop import IsolatedLoop, RunError
 from orchestration.score.loop import Loop

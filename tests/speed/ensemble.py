@@ -12,9 +12,9 @@ from statistics import median
 
 from fmus.build import builder
 from fmus.fmi.variable_types import FmiValue
-from fmus.native.lanes import LANES
 from fmus.platforms import instruction_sets
 from orchestration.many.ensemble import Ensemble
+from orchestration.many.lane_library import LANES
 from orchestration.run import Simulator
 from orchestration.scenarios import scenario
 from orchestration.sweep.plan import Plan, plan

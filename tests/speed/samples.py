@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 
-from fmus.native.lanes import LANES
 from orchestration.errors import OrchestrationError
+from orchestration.many.lane_library import LANES
 from tests.speed.part import Goal, Options, Part, Table
 from tests.speed.states import COMMAND, State
 

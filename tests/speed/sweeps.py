@@ -14,7 +14,7 @@ from pathlib import Path
 from statistics import median
 
 from fmus.build import builder
-from fmus.native.lanes import LANES
+from orchestration.many.lane_library import LANES
 from orchestration.run import Simulator
 from orchestration.scenarios import scenario
 from orchestration.sweep.plan import Plan, plan

@@ -7,7 +7,7 @@ typedef int64_t Mask __attribute__((vector_size(8 * LANES))); /* of each lane al
 #define INLINE static inline __attribute__((always_inline, unused))
 
 /* Of a variable that a branch sets: it is chosen in the lanes that need the branch, and in these it was set. */
-#define ANY(type) __builtin_nondeterministic_value((type){0})
+#define ANY __builtin_nondeterministic_value((Lanes){0})
 
 INLINE Lanes all(double number) { return number - (Lanes){0}; } /* -0 stays -0 */
 INLINE int any(Mask mask) { return __builtin_reduce_or(mask) != 0; }
@@ -19,6 +19,7 @@ INLINE unsigned bits(Mask mask) {
     return result;
 }
 INLINE Mask is_true(Lanes numbers) { return (Mask)(numbers != 0); }
+INLINE Mask is_false(Lanes numbers) { return (Mask)(numbers == 0); }
 INLINE Lanes choice(Mask mask, Lanes first, Lanes second) {
     return (Lanes)(((Mask)first & mask) | ((Mask)second & ~mask));
 }

@@ -14,7 +14,7 @@ import casadi
 import pytest
 
 from fmus import numerics
-from fmus.build.c_functions import c_function
+from fmus.build.c_functions import ScalarC, c_function
 from fmus.native import toolchain
 from fmus.numerics.symbols import unsimplified
 from fmus.platforms import host_platform, library_name
@@ -75,10 +75,11 @@ def functions() -> dict[str, casadi.Function]:
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
     """Function i computes expression i."""
-    codes = [c_function(function, f"f{i}_") for i, function in enumerate(functions().values())]
+    made = [c_function(function, f"f{i}_") for i, function in enumerate(functions().values())]
+    codes = map(ScalarC().function, made)
     calls = [
         f"double f{i}(double x, double y) {{ double r; f{i}_(&x, &y, &r); return r; }}"
-        for i in range(len(codes))
+        for i in range(len(made))
     ]
     folder = tmp_path_factory.mktemp("zeros")
     file = folder / library_name("zeros", host_platform()).rpartition("/")[2]

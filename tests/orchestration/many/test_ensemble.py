@@ -4,6 +4,7 @@ import math
 import os
 import re
 import warnings
+import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,6 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from orchestration.many.ensemble_choice import check_ensemble
+from orchestration.many.ensemble_recording import EnsembleRecording
 
 from fmus.block import Block, variable
 from fmus.build import native
@@ -24,7 +27,8 @@ from fmus.store import record_build
 from orchestration import Ensemble, Event, Experiment, Fault, Offset, Ramps, Simulator, System
 from orchestration.errors import EnsembleError, OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.many import ensemble_loop
-from orchestration.many.lane_library import lane_library
+from orchestration.many.lane_library import LANES, lane_library
+from orchestration.many.run_many import run_many
 from orchestration.many.stepped_ensemble import EnsembleRecording
 from orchestration.results.recording import Recording
 from tests.shared_builds import built_once, session_folder
@@ -236,6 +240,31 @@ def test_an_instance_whose_output_becomes_infinite_fails_though_its_state_is_fin
     experiment = Experiment(0.5, 0.1, open_inputs="start")
     recorded = failed(System({"one": growing}), experiment, {"one.a": [1.0, 300.0, -0.5]})
     assert recorded.counts.tolist() == [6, 3, 6]
+
+
+def test_an_fmu_that_was_built_without_equations_for_vectors_runs_in_simulators(
+    growing: Path, tmp_path: Path
+) -> None:
+    """Unless an ensemble is asked for; the reason is one line."""
+    older = tmp_path / "Growing.fmu"
+    with zipfile.ZipFile(growing) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    write_archive(older, {name: content for name, content in members.items() if "model_lanes" not in name})
+    record_build(older.read_bytes())
+    system, experiment = System({"one": older}), Experiment(0.5, 0.1, open_inputs="start")
+    reason = (
+        r"^one: no ensemble of .*Growing.fmu, which has no sources/model_lanes\.h: build it again.*runs it$"
+    )
+    with pytest.raises(EnsembleError, match=reason):
+        Ensemble(system)
+    with pytest.raises(EnsembleError, match=reason):
+        check_ensemble(system, experiment, 10**9)
+    experiments = [replace(experiment, parameters={"one.a": a}) for a in np.linspace(0.0, 1.0, LANES)]
+    expected = run_many(System({"one": growing}), experiments, vectorise=True)
+    for recorded, one in zip(run_many(system, experiments), expected, strict=True):
+        assert recorded.values.tobytes() == one.values.tobytes()
+    with pytest.raises(EnsembleError, match=reason):
+        list(run_many(system, experiments, vectorise=True))
 
 
 def test_the_range_of_an_input_is_that_of_values_it_is_given_not_of_the_last_point(growing: Path) -> None:

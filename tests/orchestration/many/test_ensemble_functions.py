@@ -2,6 +2,8 @@
 
 import itertools
 import math
+import random
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
@@ -9,15 +11,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fmus.user_cache import record_build
 
 from fmus import numerics as n
-from fmus.block import Block, variable
+from fmus.block import Block, flatten, variable
 from fmus.build import native
+from fmus.build.builder import load_block
+from fmus.build.random_points import drawn
+from fmus.build.symbolic import traced
 from fmus.files import write_archive
 from fmus.platforms import instruction_sets
+from fmus.registry import block_names
 from fmus.store import record_build
 from orchestration import Ensemble, Event, Experiment, Simulator, System
-from orchestration.errors import EnsembleError, OrchestrationError
+from orchestration.errors import EnsembleError, OrchestrationError, SimulationError
+from orchestration.many.lane_library import LANES
 
 pytestmark = pytest.mark.slow
 
@@ -194,6 +202,35 @@ def test_functions_choices_and_types_have_the_bits_of_single_runs(system: System
             one = simulator.run(replace(experiment, parameters=values, inputs=inputs))
             of_ensemble = recorded.run(instance)
             assert not [name for name in one.names if one[name].tobytes() != of_ensemble[name].tobytes()]
+
+
+@pytest.mark.parametrize("name", block_names())
+def test_every_shipped_block_has_the_bits_of_single_runs(name: str, built: Mapping[str, Path]) -> None:
+    """At random parameters and inputs, and up to where a run ends early."""
+    block, rng = load_block(name), random.Random(1)
+    names = [f"block.{v.name}" for v in (*block.of_causality("parameter"), *block.of_causality("input"))]
+    rows: list[list[Any]] = []
+    while len(rows) < 2 * LANES:
+        p = drawn(block, "parameter", block.parameters, rng.choice((0.0, 0.1, 0.3)), rng)
+        p = flatten(replace(p, internal_step=block.step_size))
+        c = traced(block).calculate(p).full()
+        if np.isfinite(c).all() and np.all(traced(block).requirements(p, c).full()):
+            rows.append([*p, *flatten(drawn(block, "input", block.inputs, 0.5, rng))])
+    vary = dict(zip(names, zip(*rows, strict=True), strict=True))
+    experiment = Experiment(50 * block.step_size, block.step_size, open_inputs="start")
+    with Ensemble(System({"block": built[name]})) as ensemble, Simulator(ensemble.system) as simulator:
+        recorded = ensemble.run(experiment, vary)
+        assert len(recorded.failures) < LANES
+        for instance, row in enumerate(rows):
+            count = len(flatten(block.parameters()))
+            values = list(zip(names, row, strict=True))
+            own = replace(experiment, parameters=dict(values[:count]), inputs=dict(values[count:]))
+            try:
+                one = simulator.run(own)
+            except SimulationError as error:
+                one = error.recording
+            assert (len(one.time) < 51) == (instance in recorded.failures)
+            assert recorded.recording(instance).values.tobytes() == one.values.tobytes()
 
 
 @pytest.mark.parametrize("instructions", instruction_sets())

@@ -74,7 +74,7 @@ def name_of_row(protocol: Protocol) -> Callable[[], str]:
 @pytest.mark.parametrize(
     "source",
     [
-        "fmus/native/lanes.py",
+        "orchestration/many/lane_library.py",
         "fmus/native/vectors/lanes.c",
         "fmus/numerics/elementary.py",
         "controller_fmu/design.py",
