@@ -12,8 +12,6 @@ from fmus.fmi.model_description import ModelDescription, ScalarVariable, model_d
 from fmus.fmi.variable_types import FmiValue
 from fmus.registry import block_fmus, is_in_cache
 from fmus.store import is_own_build, keep_fmus, reason_for_distrust
-from fmus.user_cache import is_own_build, reason_for_distrust
-from orchestration.errors import FmuLoadError
 
 _MOST_DESCRIPTIONS = 256  # that stay in memory
 

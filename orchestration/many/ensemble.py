@@ -17,7 +17,6 @@ from orchestration.many.ensemble_checks import (
     varied_signals,
 )
 from orchestration.many.ensemble_loop import EnsembleLoop, check_memory, loop_library
-from orchestration.many.ensemble_recording import EnsembleRecording
 from orchestration.many.lane_library import LANES, lane_library
 from orchestration.many.stepped_ensemble import EnsembleRecording, SteppedEnsemble
 from orchestration.run.initialisation import ConnectionGroup, initialise

@@ -9,9 +9,9 @@ from functools import partial
 
 import numpy as np
 
-from fmus.native.lanes import LANES
 from orchestration.errors import OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.many.ensemble_loop import EnsembleLoop
+from orchestration.many.lane_library import LANES
 from orchestration.results.recording import Recording
 from orchestration.run.run_recording import make_recording
 from orchestration.system.signals import Signal

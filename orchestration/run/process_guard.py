@@ -1,8 +1,8 @@
 """The process of a run: its floating-point mode, an end by `exit`, and children that an FMU forks.
 
 After each call of an FMU the floating-point mode (rounding, denormals) is that of before. An FMU that calls
-`exit` is named, and the status is 70; for `_exit` and crashes see `fmus/fmi/parent_process.py`. A child that an
-FMU forks ends where it returns from a call, and the run ends with an error. Whatever else FMUs change in this
+`exit` is named, and the status is 70; for `_exit` and crashes see `fmus/fmi/parent_process.py`. A child that
+an FMU forks ends where it returns from a call, and the run ends with an error. Whatever else FMUs change in this
 process stays: locale, environment, handlers of signals, open files. With a `timeout` they have a process of
 their own.
 

@@ -12,7 +12,6 @@ from pydantic import ValidationError
 from fmus.fmi.description import describe
 from orchestration.errors import EnsembleError, ScenarioError
 from orchestration.many.ensemble_checks import check_ensemble
-from orchestration.many.ensemble_choice import check_ensemble
 from orchestration.many.lane_library import LANES
 from orchestration.score import score_cache
 from orchestration.score.isolated_loop import IsolatedLoop, RunError

@@ -10,7 +10,6 @@ from typing import Any
 from fmus.registry import fmu_folder
 from orchestration.errors import EnsembleError, FmuWarning
 from orchestration.many.ensemble_checks import check_ensemble
-from orchestration.many.ensemble_choice import check_ensemble
 from orchestration.many.lane_library import LANES
 from orchestration.score.figures_of_all import figures_of_all
 from orchestration.score.isolated_loop import error_line

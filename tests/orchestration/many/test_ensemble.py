@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 from orchestration.many.ensemble_choice import check_ensemble
-from orchestration.many.ensemble_recording import EnsembleRecording
 
 from fmus.block import Block, variable
 from fmus.build import native

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fmus.user_cache import record_build
 
 from fmus import numerics as n
 from fmus.block import Block, flatten, variable
