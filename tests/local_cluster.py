@@ -2,16 +2,14 @@
 
 import logging
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 from tempfile import TemporaryDirectory
 
 from dask import config
 from distributed import Client, LocalCluster, Worker, WorkerPlugin
 
 from orchestration.many.cluster import ClusterRuns
-from orchestration.many.job import Job
 
 
 class IgnoreSigint(WorkerPlugin):
@@ -24,7 +22,7 @@ class IgnoreSigint(WorkerPlugin):
 
 
 @contextmanager
-def local_cluster(workers: int) -> Iterator[tuple[Client, Callable[[Job], ClusterRuns]]]:
+def local_cluster(workers: int) -> Iterator[tuple[Client, ClusterRuns]]:
     """So many processes of one thread each, reachable from this machine alone."""
     with (
         TemporaryDirectory(prefix="l1-depth-sweep-", ignore_cleanup_errors=True) as folder,
@@ -42,4 +40,4 @@ def local_cluster(workers: int) -> Iterator[tuple[Client, Callable[[Job], Cluste
         Client(cluster) as client,
     ):
         client.register_plugin(IgnoreSigint())
-        yield client, partial(ClusterRuns, client)
+        yield client, ClusterRuns(client)

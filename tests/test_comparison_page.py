@@ -16,11 +16,11 @@ from typing import Any
 import pytest
 
 from orchestration.score import compare
+from orchestration.score.loop import GAINS, tuned_gains
 from orchestration.score.protocol import read_protocol
 from orchestration.score.score_document import Score
 from orchestration.score.statistics import compare as paired
 from orchestration.score.statistics import distribution
-from orchestration.score.tuned_gains import FOLDER, tuned_gains
 
 EXPLANATION = Path(__file__).parent.parent / "docs" / "explanation"
 PAGE = (EXPLANATION / "comparison.md").read_text(encoding="utf-8")
@@ -62,7 +62,7 @@ def value(document: Score, expression: str) -> Any:
 @cache
 def search(name: str, key: str) -> Any:
     """What the file of a tuning says of its search."""
-    return tomllib.loads((FOLDER / f"{name}.toml").read_text(encoding="utf-8"))["tuning"][key]
+    return tomllib.loads((GAINS / f"{name}.toml").read_text(encoding="utf-8"))["tuning"][key]
 
 
 def test_every_figure_agrees_with_the_run_to_the_digits_printed(document: Score) -> None:

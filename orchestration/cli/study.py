@@ -63,14 +63,15 @@ def tune(
     open_inputs: OpenInputsOption = None,
 ) -> None:
     """Search the gains of least cost on practice cases of the protocol; an interrupted tuning continues."""
-    from orchestration.score import tune_file, tune_problem, tune_space
+    from orchestration.score import tune_problem
     from orchestration.score.loop import Loop
     from orchestration.score.protocol import read_protocol
-    from orchestration.score.tune_ensembles import evaluations as started
+    from orchestration.score.tune_cost import evaluations as started
+    from orchestration.score.tune_search import parse
 
     protocol = read_protocol()
     controller = _controller(name, league, settings, mapped, open_inputs, protocol)
-    problem = tune_problem.problem_of(controller, protocol, [tune_space.parse(text) for text in free])
+    problem = tune_problem.problem_of(controller, protocol, [parse(text) for text in free])
     check_writable(out)
     journal = out / f"{controller.name}.tune.jsonl"
     total = evaluations * len(problem.gains) * (seeds + 1)
@@ -82,7 +83,7 @@ def tune(
     provenance = tune_problem.provenance(tuning, controller, protocol)
     path = out / f"{controller.name}.toml"
     with Loop(controller, protocol) as loop:
-        tune_file.write(tuning, loop.parameters(), provenance, path)
+        tune_problem.write(tuning, loop.parameters(), provenance, path)
     journal.unlink()
     print_gains(tuning, controller.name)
     print(path)

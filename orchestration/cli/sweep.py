@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from orchestration.many.batches import Place
-    from orchestration.many.job import Job
     from orchestration.sweep.plan import Plan
 
 
@@ -129,14 +128,14 @@ def _workers(
     ensemble: bool | None,
     scheduler: str,
     note: "Callable[[str], object]",
-) -> "AbstractContextManager[Callable[[Job], Place]]":
+) -> "AbstractContextManager[Place]":
     if scheduler:
         from orchestration.many import cluster  # Dask is slow to import
 
         return cluster.remote(scheduler)
-    from orchestration.many.local import local
+    from orchestration.many.local import LocalRuns
 
-    return local(count or usable_processors(), isolated, ensemble, note)
+    return LocalRuns(count or usable_processors(), isolated, ensemble, note)
 
 
 def _run_one(planned: "Plan", sample: int, out: Path) -> None:

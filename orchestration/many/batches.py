@@ -4,34 +4,19 @@ import math
 from collections import deque
 from collections.abc import Generator, Iterable, Sequence
 from itertools import islice
-from typing import Any, NamedTuple, Protocol
+from typing import Protocol
 
-from orchestration.many.job import Done
+from orchestration.many.job import Finished, Job, Run
 from orchestration.many.runners import BATCH_S
-from orchestration.system.experiment import Experiment
 
 _MOST_OF_A_BATCH = 1000
 _SPREAD = 3  # of what is left for a worker it takes this part, so that all end at about the same time
 
 
-class Run(NamedTuple):
-    """A run to make: what its caller knows it by, and its experiment."""
-
-    key: Any
-    experiment: Experiment
-
-
-class Finished(NamedTuple):
-    """A run that was made."""
-
-    key: Any
-    done: Done
-
-
 class Place(Protocol):
-    """Makes runs side by side; a generator that is closed early stops them."""
+    """Makes the runs of one job after another; a generator that is closed early stops them."""
 
-    def runs(self, batches: "Batches") -> Generator[list[Finished], None, None]: ...
+    def runs(self, job: Job, batches: "Batches") -> Generator[list[Finished], None, None]: ...
 
 
 class Batches:

@@ -7,22 +7,22 @@ to those that join later or replace one that has ended. Each unpacks it once, in
 import time
 import uuid
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import cloudpickle
+from fmus.user_cache import record_build
 
 from fmus.extras import imports_of
 from orchestration.errors import SweepError
-from orchestration.many.batches import Batches, Finished, Run
+from orchestration.many.batches import Batches
 from orchestration.many.isolated import Isolated
-from orchestration.many.job import Done, Failure, Job, changed, differences
-from orchestration.many.runners import ClosedError
+from orchestration.many.job import Done, Failure, Finished, Job, Run
+from orchestration.many.runners import ClosedError, vector_limits
 
 with imports_of("sweep", "a sweep on a cluster"):
     from distributed import (
@@ -43,8 +43,8 @@ _AHEAD = 3  # batches for each thread: one runs, the others wait
 
 
 @contextmanager
-def remote(address: str) -> Iterator[Callable[[Job], "ClusterRuns"]]:
-    """The workers of a scheduler somewhere, such as tcp://host:8786, as a place of the runs of a job."""
+def remote(address: str) -> Iterator["ClusterRuns"]:
+    """The workers of a scheduler somewhere, such as tcp://host:8786, as a place of runs."""
     try:
         client = Client(address, timeout=PATIENCE_S, name="l1-depth sweep")
     except (OSError, ValueError) as error:
@@ -54,21 +54,28 @@ def remote(address: str) -> Iterator[Callable[[Job], "ClusterRuns"]]:
             client.wait_for_workers(1, timeout=PATIENCE_S)
         except TimeoutError:
             raise SweepError(f"the scheduler at {address} has no workers: expected one or more") from None
-        yield partial(ClusterRuns, client)
+        yield ClusterRuns(client)
 
 
 class JobPlugin(WorkerPlugin):
-    """Makes runs on a worker, in one process of FMUs for each of its threads."""
+    """Makes runs on a worker, in one process of FMUs for each of its threads.
 
-    def __init__(self, name: str, job: Job) -> None:
-        self.name = name
+    vectors: whether they step together, where the worker has a compiler
+    """
+
+    def __init__(self, name: str, job: Job, vectors: bool) -> None:
+        self.name, self._vectors = name, vectors
         self._pickled = cloudpickle.dumps(job.with_packed_fmus())
 
     def setup(self, worker: Worker) -> None:
         self._folder = TemporaryDirectory(
             dir=worker.local_directory, prefix="sweep-", ignore_cleanup_errors=True
         )
-        self._job: Job = cloudpickle.loads(self._pickled).with_unpacked_fmus(Path(self._folder.name))
+        job: Job = cloudpickle.loads(self._pickled)
+        if self._vectors:  # builds of the user whose code this worker runs
+            for content in job.fmus.values():
+                record_build(content)
+        self._job = job.with_unpacked_fmus(Path(self._folder.name))
         self._idle: list[Isolated] = []
         self._all: list[Isolated] = []
 
@@ -82,11 +89,11 @@ class JobPlugin(WorkerPlugin):
         try:
             runner = self._idle.pop()
         except IndexError:  # not asked for before: another thread may take the last one meanwhile
-            runner = Isolated(self._job, Path(self._folder.name))
+            runner = Isolated(self._job, Path(self._folder.name), self._vectors)
             self._all.append(runner)
         start = time.perf_counter()
         try:
-            done = runner.run([changed(self._job.base, changes) for changes in cloudpickle.loads(pickled)])
+            done = runner.run(self._job.unpickled(pickled))
             return done, time.perf_counter() - start
         except ClosedError:  # this worker leaves the cluster
             raise Reschedule from None
@@ -102,17 +109,19 @@ def run_batch(plugin: str, pickled: bytes) -> tuple[list[Done], float]:
 
 
 class ClusterRuns:
-    """The runs of a job on the workers that a client reaches."""
+    """The workers that a client reaches, as a place of runs."""
 
-    def __init__(self, client: Client, job: Job) -> None:
-        self.client, self._job = client, job
+    def __init__(self, client: Client) -> None:
+        self.client = client
 
-    def runs(self, batches: Batches) -> Generator[list[Finished], None, None]:
+    def runs(self, job: Job, batches: Batches) -> Generator[list[Finished], None, None]:
         """Yields the runs as they are finished; see `Place`. SweepError if the cluster is lost."""
-        plugin = JobPlugin(f"l1-depth-sweep-{uuid.uuid4()}", self._job)
+        threads: dict[str, int] = self.client.nthreads()  # type: ignore[assignment]
+        limits, _ = vector_limits(job, batches.left, max(sum(threads.values()), 1))
+        plugin = JobPlugin(f"l1-depth-sweep-{uuid.uuid4()}", job, bool(limits))
         self.client.register_plugin(plugin)
         try:
-            yield from _Dispatch(self.client, self._job, plugin.name, batches).work()
+            yield from _Dispatch(self.client, job, plugin.name, batches, limits).work()
         finally:
             if self.client.status == "running":
                 self.client.unregister_worker_plugin(plugin.name)
@@ -130,6 +139,7 @@ class _Dispatch:
     job: Job
     plugin: str  # its name: others may run on the same cluster
     batches: Batches
+    limits: Sequence[int]  # of batches: runs of a group, and of a batch
     again: deque[Sequence[Run]] = field(default_factory=deque)
     suspects: deque[Sequence[Run]] = field(default_factory=deque)
     alone: Sequence[Run] | None = None
@@ -157,11 +167,10 @@ class _Dispatch:
         return bool(self.running)
 
     def _next(self, threads: int) -> Sequence[Run]:
-        return self.again.popleft() if self.again else self.batches.take(_AHEAD * threads)
+        return self.again.popleft() if self.again else self.batches.take(_AHEAD * threads, *self.limits)
 
     def _submit(self, batch: Sequence[Run]) -> None:
-        changes = [differences(self.job.base, run.experiment) for run in batch]
-        task = self.client.submit(run_batch, self.plugin, cloudpickle.dumps(changes), pure=False)
+        task = self.client.submit(run_batch, self.plugin, self.job.pickled(batch), pure=False)
         self.running[task] = batch
 
     def _threads(self) -> int:

@@ -1,13 +1,16 @@
-"""What the runs of one `run_many` share, and how little of each is sent to another process."""
+"""Runs to make and runs that were made, what they share, and what of each is sent to another process."""
 
 import math
 import os
+import pickle
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from tempfile import gettempdir
 from typing import Any, NamedTuple
+
+import cloudpickle
 
 from orchestration.errors import OrchestrationError
 from orchestration.results.recording import Recording
@@ -20,6 +23,17 @@ ENTRIES = ("parameters", "inputs", "signals")
 
 Reduce = Callable[[Recording], Sequence[Any]]
 """Returns a result for each run of a recording with an axis of runs; a function of a module, or picklable."""
+
+ENDED, TOO_LONG = "ended", "too long"
+"""Causes of a failure: the process of the run ended, or was ended because the run took too long."""
+
+
+class Run(NamedTuple):
+    """A run to make: what its caller knows it by, its experiment, and what its result is computed with."""
+
+    key: Any
+    experiment: Experiment
+    reduce: Reduce
 
 
 class Done(NamedTuple):
@@ -36,24 +50,34 @@ class Done(NamedTuple):
 
 @dataclass(frozen=True)
 class Failure:
-    """A run without a result; `reason` says why, in one line."""
+    """A run without a result; `reason` says why, in one line.
+
+    cause: `ENDED` or `TOO_LONG` for what the run did to its process
+    """
 
     reason: str
+    cause: str = ""
+
+
+class Finished(NamedTuple):
+    """A run that was made."""
+
+    key: Any
+    done: Done
 
 
 @dataclass(frozen=True)
 class Job:
-    """What all runs share.
+    """What all runs share, wherever they are made.
 
     fmus: file name -> content, where the system's components are such file names
-    base: the experiment of the first run; others are sent as their differences from it
+    base: an experiment like those of the runs, which are sent as their differences from it
     timeout: longest time [s] of a run, None for ever
     not_in_vectors: why the runs cannot step together in vectors, empty if nothing is known against it
     """
 
     system: System
     base: Experiment
-    reduce: Reduce
     timeout: float | None = None
     not_in_vectors: str = ""
     fmus: Mapping[str, bytes] = field(default_factory=dict)
@@ -73,6 +97,20 @@ class Job:
             path.write_bytes(content)
         components = {name: folder / path for name, path in self.system.components.items()}
         return replace(self, fmus={}, system=replace(self.system, components=components))
+
+    def is_like(self, other: "Job") -> bool:
+        """Whether the runs of one may be made with what is loaded for the other."""
+        same = (self.system, self.timeout, self.not_in_vectors)
+        return same == (other.system, other.timeout, other.not_in_vectors)
+
+    def pickled(self, runs: Sequence[Run]) -> bytes:
+        """Returns runs without their keys, for a process that has this job."""
+        return cloudpickle.dumps([(differences(self.base, run.experiment), run.reduce) for run in runs])
+
+    def unpickled(self, content: bytes) -> list[Run]:
+        """Returns the runs, each with its number as the key: the inverse of `pickled`."""
+        runs = enumerate(pickle.loads(content))
+        return [Run(i, changed(self.base, changes), reduce) for i, (changes, reduce) in runs]
 
     def error_line(self, error: Exception) -> str:
         """Returns an error as one line that does not depend on where this process keeps its files."""

@@ -3,18 +3,23 @@
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import fields, replace
+from itertools import groupby
 from time import perf_counter, thread_time
 from typing import Any, Protocol
 
+from fmus.native.lanes import LANES
+
 from orchestration.errors import EnsembleError, OrchestrationError
 from orchestration.many.ensemble import Ensemble
-from orchestration.many.job import ENTRIES, Done, Failure, Job
+from orchestration.many.ensemble_choice import check_ensemble
+from orchestration.many.job import ENTRIES, Done, Failure, Job, Run
 from orchestration.results.recording import Recording
 from orchestration.run.simulator import Simulator
 from orchestration.system.experiment import Experiment
 
 BATCH_S = 0.25
 """Time [s] after which a batch of runs ends, whatever is left of it."""
+_BATCH_BYTES = 2**24  # of recorded values, if a group of vectors has less
 
 
 class ClosedError(OrchestrationError):
@@ -24,7 +29,7 @@ class ClosedError(OrchestrationError):
 class Runner(Protocol):
     """Makes runs; `close` ends one from another thread."""
 
-    def run(self, experiments: Sequence[Experiment]) -> list[Done]:
+    def run(self, runs: Sequence[Run]) -> list[Done]:
         """Returns the first of the runs, at least one; ClosedError if the runner was closed meanwhile."""
         ...
 
@@ -49,24 +54,24 @@ class Simulated(AbstractContextManager["Simulated"]):
             self._simulator = self._loaded.enter_context(Simulator(self._job.system, threads=1))
         return self._simulator
 
-    def run(self, experiments: Sequence[Experiment]) -> list[Done]:
+    def run(self, runs: Sequence[Run]) -> list[Done]:
         """Returns the runs that begin within `BATCH_S`."""
         end, done = self._clock() + BATCH_S, list[Done]()
-        for experiment in experiments:
-            done.append(self.run_one(experiment))
+        for run in runs:
+            done.append(self.run_one(run))
             if self._clock() >= end:
                 break
         return done
 
-    def run_one(self, experiment: Experiment) -> Done:
+    def run_one(self, run: Run) -> Done:
         """Returns one run."""
         start = thread_time()
         try:
             simulator = self.load()
-            recording = simulator.run(experiment, self._check_open)
+            recording = simulator.run(run.experiment, self._check_open)
             self._check_open()  # closed in the second run of an error estimate, it has none
             seconds = thread_time() - start
-            (result,) = self._job.reduce(replace(recording, values=recording.values[None]))
+            (result,) = run.reduce(replace(recording, values=recording.values[None]))
             return Done(result, tuple(simulator.warned), seconds)
         except Exception as error:  # whatever the reason, the others go on
             self._simulator = self._loaded.close()
@@ -85,50 +90,72 @@ class Simulated(AbstractContextManager["Simulated"]):
             raise ClosedError("closed during a run")
 
 
+def vector_limits(
+    job: Job, count: int, workers: int, vectorise: bool | None = None
+) -> tuple[tuple[int, ...], str]:
+    """Decides whether runs step together in vectors, and compiles these.
+
+    count: of the runs; workers: how many make them side by side
+    vectorise: by default where they can and it pays; True raises EnsembleError where they cannot
+    Returns how many runs a group of vectors has, and a batch at most; or nothing, and the reason.
+    """
+    if vectorise is False:
+        return (), ""
+    try:
+        if job.not_in_vectors:
+            raise EnsembleError(job.not_in_vectors)
+        group_bytes = check_ensemble(job.system, job.base, count, bool(vectorise), threads=workers)
+        Ensemble(job.system).close()
+        return (LANES, LANES * max(1, _BATCH_BYTES // group_bytes)), ""
+    except EnsembleError as reason:
+        if vectorise:
+            raise
+        return (), f": {reason}"
+
+
 class Vectorised(AbstractContextManager["Vectorised"]):
     """Makes runs at once as instances of an ensemble; their results are those of `Simulated`.
 
-    A run that fails is made alone, by a simulator that may try shorter steps; so is one that has no result of
-    `reduce`, for its reason.
+    Those of one shape in a row step together: they differ in values of the same parameters, inputs and
+    signals. A run that fails is made alone, by a simulator that may try shorter steps; so is one that has no
+    result of its `reduce`, for its reason.
     is_asked_for: whether experiments that an ensemble cannot run raise EnsembleError; otherwise they are
     simulated one after another
     """
 
     def __init__(self, job: Job, is_asked_for: bool = False) -> None:
-        self._job, self._is_asked_for = job, is_asked_for
+        self._is_asked_for = is_asked_for
         self._ensemble, self._alone = Ensemble(job.system), Simulated(job)
 
-    def run(self, experiments: Sequence[Experiment]) -> list[Done]:
+    def run(self, runs: Sequence[Run]) -> list[Done]:
         """Returns all runs."""
-        together = dict[int, Done]()
-        try:
-            if len(experiments) > 1:
-                recorded = self._ensemble.run(experiments[0], _varied(experiments))
-                if recorded.complete:
-                    results = self._reduced(recorded.recordings())
-                    together = {
-                        i: Done(r) for i, r in zip(recorded.complete, results, strict=True) if r is not None
-                    }
-        except EnsembleError:
-            if self._is_asked_for:
-                raise
-        except OrchestrationError:  # of values that no instance can have
-            pass
-        return [
-            together[i] if i in together else self._alone.run_one(experiment)
-            for i, experiment in enumerate(experiments)
-        ]
+        done, first = list[Done](), 0
+        while first < len(runs):
+            end = first + 1
+            while end < len(runs) and _is_same_shape(runs[first].experiment, runs[end].experiment):
+                end += 1
+            done += self._run_group(runs[first:end])
+            first = end
+        return done
 
-    def _reduced(self, runs: Recording) -> Sequence[Any]:
-        """Returns the result of each run, None where there is none."""
-        try:
-            return self._job.reduce(runs)
-        except Exception:  # of one of them
-            count = len(runs.values)
-            if count == 1:
-                return [None]
-            alone = (replace(runs, values=runs.values[i : i + 1]) for i in range(count))
-            return [self._reduced(run)[0] for run in alone]
+    def _run_group(self, runs: Sequence[Run]) -> list[Done]:
+        results = dict[int, Any]()
+        varied = _varied([run.experiment for run in runs])
+        if varied:
+            try:
+                recorded = self._ensemble.run(runs[0].experiment, varied)
+                if recorded.complete:
+                    reduced = _reduced(recorded.recordings(), [runs[i] for i in recorded.complete])
+                    results = dict(zip(recorded.complete, reduced, strict=True))
+            except EnsembleError:
+                if self._is_asked_for:
+                    raise
+            except OrchestrationError:  # of values that no instance can have
+                pass
+        return [
+            self._alone.run_one(run) if results.get(i) is None else Done(results[i])
+            for i, run in enumerate(runs)
+        ]
 
     def close(self) -> None:
         """End a run of a simulator soon."""
@@ -139,28 +166,44 @@ class Vectorised(AbstractContextManager["Vectorised"]):
         self._alone.__exit__(*error)
 
 
-def _varied(experiments: Sequence[Experiment]) -> dict[str, list[Any]]:
-    """Returns name -> value in each experiment, but where all have the same object.
+def _reduced(recording: Recording, runs: Sequence[Run]) -> list[Any]:
+    """Returns the result of each run of a recording, None where there is none."""
+    results, first = list[Any](), 0
+    for reduce, group in groupby(runs, key=lambda run: run.reduce):
+        count = len([*group])
+        part = replace(recording, values=recording.values[first : first + count])
+        try:
+            results += reduce(part)
+        except Exception:  # of one of them
+            results += _reduced_alone(part, reduce)
+        first += count
+    return results
 
-    Raises EnsembleError for experiments that are equal, or that differ in more than values.
-    """
-    first = experiments[0]
+
+def _reduced_alone(recording: Recording, reduce: Callable[[Recording], Sequence[Any]]) -> list[Any]:
+    results = list[Any]()
+    for i in range(len(recording.values)):
+        try:
+            results += reduce(replace(recording, values=recording.values[i : i + 1]))
+        except Exception:
+            results.append(None)
+    return results
+
+
+def _is_same_shape(one: Experiment, other: Experiment) -> bool:
+    """Whether two experiments differ in values alone."""
     for field in fields(Experiment):
-        values = [getattr(experiment, field.name) for experiment in experiments]
-        if field.name in ENTRIES:
-            is_same = all(value.keys() == values[0].keys() for value in values)
-        else:
-            is_same = all(value is values[0] or value == values[0] for value in values)
-        if not is_same:
-            raise EnsembleError(
-                f"experiments differ in {field.name}: expected parameters, inputs and signals"
-            )
+        a, b = getattr(one, field.name), getattr(other, field.name)
+        if (a.keys() != b.keys()) if field.name in ENTRIES else not (a is b or a == b):
+            return False
+    return True
+
+
+def _varied(experiments: Sequence[Experiment]) -> dict[str, list[Any]]:
+    """Returns name -> value in each experiment of one shape, but where all have the same object."""
     columns = {
         name: [getattr(experiment, entries)[name] for experiment in experiments]
         for entries in ENTRIES
-        for name in getattr(first, entries)
+        for name in getattr(experiments[0], entries)
     }
-    varied = {name: column for name, column in columns.items() if any(v is not column[0] for v in column)}
-    if not varied:
-        raise EnsembleError("the experiments are equal")
-    return varied
+    return {name: column for name, column in columns.items() if any(v is not column[0] for v in column)}

@@ -4,12 +4,16 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import partial
 
 import numpy as np
 
 from fmus.fmi.variable_types import FmiValue
-from orchestration.errors import ScenarioError, SimulationError
-from orchestration.run.simulator import Simulator
+from orchestration.errors import OrchestrationError, ScenarioError, SimulationError
+from orchestration.many.job import Failure, Job, Run
+from orchestration.many.local import LocalRuns
+from orchestration.many.run_many import Make, in_order
+from orchestration.results.recording import Recording
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.faults import Effect, Fault
 from orchestration.system.prepared_run import PreparedRun, prepare
@@ -111,10 +115,33 @@ def _reachable(start: str, arrows: Iterable[tuple[str, str]]) -> set[str]:
     return reached
 
 
-class HoldRuns(AbstractContextManager["HoldRuns"]):
-    """Runs of a scenario until the end of its hold, by FMUs that stay loaded."""
+@dataclass(frozen=True)
+class _Samples:
+    """The reduction of recordings to their samples of a signal from a time [s] on, shape (n,) of each run."""
 
-    def __init__(self, chosen: Scenario, hold: Hold | None = None) -> None:
+    signal: str
+    start: float
+
+    def __call__(self, runs: Recording) -> list[np.ndarray]:
+        samples = runs[self.signal][:, runs.time >= self.start]
+        if not samples.shape[1] or "terminated" in runs.provenance:
+            raise SimulationError("the run ended before the end of the hold", runs)
+        return [*samples]
+
+
+class HoldRuns(AbstractContextManager["HoldRuns"]):
+    """Runs of a scenario until the end of its hold.
+
+    make: makes them, by default in a place of their own, which `close` closes; timeout: of a run [s]
+    """
+
+    def __init__(
+        self,
+        chosen: Scenario,
+        hold: Hold | None = None,
+        make: Make | None = None,
+        timeout: float | None = None,
+    ) -> None:
         self.hold = hold or hold_of(chosen)
         experiment, end = chosen.experiment, self.hold.end
         self._experiment = replace(
@@ -125,7 +152,10 @@ class HoldRuns(AbstractContextManager["HoldRuns"]):
             record=(self.hold.signal,),
         )
         self.prepared = prepare(chosen.system, self._experiment)
-        self._simulator = Simulator(chosen.system)
+        self._place = LocalRuns(1)
+        self._make = make or partial(in_order, self._place)
+        self._job = Job(chosen.system, self._experiment, timeout)
+        self._reduce = _Samples(self.hold.signal, self.hold.start - self._experiment.time_resolution())
         self.count = 0
         try:
             unchanged = self._samples((), {})
@@ -151,23 +181,29 @@ class HoldRuns(AbstractContextManager["HoldRuns"]):
         return bool(samples.std() < self.hold.quiet and abs(samples.mean() - self.mean) < MOVED)
 
     def _samples(self, faults: Sequence[Fault], parameters: Mapping[str, FmiValue]) -> np.ndarray:
-        """The signal in the hold, shape (n,)."""
+        """Returns the signal in the hold, shape (n,).
+
+        Raises SimulationError for a run that failed, OrchestrationError for one whose process ended or was
+        ended: what it would have done is not known.
+        """
         self.count += 1
         experiment = replace(
             self._experiment,
             faults=(*self._experiment.faults, *faults),
             parameters={**self._experiment.parameters, **parameters},
         )
-        recording = self._simulator.run(experiment)
-        tolerance = self._experiment.time_resolution()
-        samples = recording[self.hold.signal][recording.time >= self.hold.start - tolerance]
-        if not len(samples) or "terminated" in recording.provenance:
-            raise SimulationError("the run ended before the end of the hold", recording)
-        return samples
+        if parameters:
+            prepare(self._job.system, experiment)  # raises for one that does not fit, which is no loss
+        (done,) = self._make(self._job, [Run(0, experiment, self._reduce)])
+        if isinstance(done.result, Failure):
+            if done.result.cause:
+                raise OrchestrationError(done.result.reason)
+            raise SimulationError(done.result.reason, None)
+        return done.result
 
     def close(self) -> None:
         """Free the FMUs."""
-        self._simulator.close()
+        self._place.__exit__()
 
     def __exit__(self, *error: object) -> None:
         self.close()

@@ -9,12 +9,11 @@ from dataclasses import replace
 
 from fmus.platforms import usable_processors
 from orchestration.score import score_view
-from orchestration.score.loop import Controller, built_in
+from orchestration.score.loop import Controller, built_in, tuned
 from orchestration.score.protocol import Protocol
 from orchestration.score.score import ScoreResult, runs_each, score
 from orchestration.score.score_document import OF_A_ROW, CaseResult, Score
 from orchestration.score.score_view import Cell, ScoreTable
-from orchestration.score.tuned_gains import tuned
 
 START, TUNED = "start", "tuned"
 PAPERS = f"{TUNED}/l1-pi"  # the paper's controller, which the others are compared with plant by plant

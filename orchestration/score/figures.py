@@ -1,7 +1,9 @@
-"""The figures of one run: metrics of its depth, its reference and its voltages, and whether it failed."""
+"""The figures of a run: metrics of its depth, its reference and its voltages, and whether it failed."""
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -10,11 +12,31 @@ from orchestration.results.recording import Recording
 from orchestration.score.protocol import Case, Protocol, metric_of
 from orchestration.score.protocol_format import SIGNALS
 
+_TRACED = ("depth", "reference", "u")
+_TRACE_PERIOD_S = 0.5
+
+Trace = dict[str, list[float]]
+"""time [s], depth [m], reference [m] and u [N] of a run, every half second."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """The reduction of recordings to what a function computes of the judged signals of each run."""
+
+    columns: tuple[str, ...]
+    limits: tuple[float, ...]
+    gains: tuple[float, ...]
+    compute: Callable[[Recording], Any]
+
+    def __call__(self, runs: Recording) -> list[Any]:
+        each = (runs.run(i) for i in range(len(runs.values)))
+        return [self.compute(judged_signals(run, self.columns, self.limits, self.gains)) for run in each]
+
 
 def judged_signals(
     recording: Recording, columns: Sequence[str], limits: Sequence[float], gains: Sequence[float]
 ) -> Recording:
-    """The recording with the signals that figures are computed of (`SIGNALS`) in place of its own.
+    """Returns the recording with the signals that figures are computed of (`SIGNALS`) in place of its own.
 
     columns: names of reference, depth and both voltages; limits [V], gains [N/V]: of both thrusters
     """
@@ -33,21 +55,36 @@ def judged_signals(
     return Recording(tuple(SIGNALS), tuple(SIGNALS.values()), recording.time, table, recording.provenance)
 
 
-def figures_of(
-    signals: Recording, case: Case, protocol: Protocol, names: Collection[str] = ()
-) -> dict[str, float]:
-    """Name -> figure of a run of a case, of all or of those named; not a number for what did not happen.
+def all_signals(signals: Recording) -> Recording:
+    """Returns the signals, of which nothing is computed where the run is made."""
+    return signals
 
-    signals: as `judged_signals` gives them
-    """
-    tables = {name: table for name, table in protocol.figures.items() if not names or name in names}
-    declared = {
-        name: metric_of(table, case)
-        for name, table in tables.items()
-        if case.target.moves or not table.of_motion
+
+def declared(case: Case, protocol: Protocol, names: Collection[str] = ()) -> dict[str, dict[str, Any] | None]:
+    """Returns name -> metric of the figures of a case, all or those named; None for what cannot happen."""
+    return {
+        name: metric_of(table, case) if case.target.moves or not table.of_motion else None
+        for name, table in protocol.figures.items()
+        if not names or name in names
     }
-    values = metrics.evaluate(signals, declared)
-    return {name: values.get(name, math.nan) for name in tables}
+
+
+def figures_of(signals: Recording, figures: Mapping[str, Mapping[str, Any] | None]) -> dict[str, float]:
+    """Returns name -> figure of a run; not a number for what did not happen.
+
+    signals: as `judged_signals` gives them; figures: as `declared` gives them
+    """
+    values = metrics.evaluate(signals, {name: metric for name, metric in figures.items() if metric})
+    return {name: values.get(name, math.nan) for name in figures}
+
+
+def traced_figures(
+    signals: Recording, figures: Mapping[str, Mapping[str, Any] | None], traced: bool
+) -> tuple[dict[str, float], Trace]:
+    """Returns the figures of a run, and what is drawn of it where it is traced."""
+    stride = max(1, round(_TRACE_PERIOD_S / (signals.time[1] - signals.time[0])))
+    columns = {name: signals[name][::stride] for name in ("time", *_TRACED)} if traced else {}
+    return figures_of(signals, figures), {n: np.round(column, 5).tolist() for n, column in columns.items()}
 
 
 def failures(figures: Mapping[str, float], protocol: Protocol) -> list[str]:

@@ -1,37 +1,43 @@
-"""One controller in the loop of the protocol: its FMU stays loaded from run to run.
+"""One controller in the loop of the protocol: the experiments of its runs, and what these give.
 
 with Loop(Controller("mine", "my.fmu"), read_protocol()) as loop:
     loop.figures(protocol.cases["nominal"])["rmse"]
 """
 
+import threading
 import warnings
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
+from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from fmus.errors import nearest
 from fmus.fmi.description import describe, of_causality, start_value
 from fmus.fmi.variable_types import FmiValue
 from fmus.registry import Flavour
-from orchestration.errors import ScenarioError, ScenarioWarning
-from orchestration.many.ensemble import Ensemble
+from orchestration.errors import ScenarioError, ScenarioWarning, SimulationError
+from orchestration.many.job import Failure, Job, Run
+from orchestration.many.local import LocalRuns
+from orchestration.many.run_many import Make, in_order
 from orchestration.results.recording import Recording
-from orchestration.run.simulator import Simulator
 from orchestration.scenarios import scenario
-from orchestration.scenarios.read_layers import file_layers, shipped_bases
+from orchestration.scenarios.read_layers import file_layers, parameter_values, shipped_bases
 from orchestration.scenarios.scenario import Scenario
-from orchestration.score.figures import figures_of, judged_signals
+from orchestration.score.figures import Judged, all_signals, declared, figures_of
 from orchestration.score.protocol import REFERENCE, Case, Protocol, check_vehicle
 from orchestration.system.experiment import Experiment
 from orchestration.system.signal_derivatives import derivative
 from orchestration.system.signals import Ramps, Signal
 
 OWN = "controller."
+GAINS = Path(__file__).with_name("gains")
+"""Folder of the gains that `l1-depth tune` gave the controllers of the protocol: NAME.toml."""
 KNOWS_RATES = "reference-rates"
 _RATES = {"depth_reference_rate": 1, "depth_reference_acceleration": 2}  # input -> order of the derivative
+_LOADING = threading.Lock()  # filters of warnings are those of all threads
 _RECORD = (REFERENCE, "plant.depth", "plant.voltage[1]", "plant.voltage[2]")
 
 
@@ -67,6 +73,19 @@ def built_in(protocol: Protocol, name: str) -> Controller:
     return Controller(name, table.fmu, table.league, table.title, table.parameters)
 
 
+def tuned_gains(name: str) -> dict[str, FmiValue]:
+    """Variable of the controller -> value; empty for one that was not tuned."""
+    path = GAINS / f"{name}.toml"
+    values = parameter_values(path) if path.is_file() else {}
+    return {variable.removeprefix(OWN): value for variable, value in values.items()}
+
+
+def tuned(protocol: Protocol, name: str) -> Controller:
+    """The controller that the protocol has under that name, with its tuned gains."""
+    controller = built_in(protocol, name)
+    return replace(controller, parameters={**controller.parameters, **tuned_gains(name)})
+
+
 @cache
 def build_missing(fmu: Path) -> None:
     """Build the FMU of one of our blocks, if it is missing or stale, once in a process."""
@@ -75,52 +94,87 @@ def build_missing(fmu: Path) -> None:
     builder.build_missing([fmu])
 
 
-class Loop(AbstractContextManager["Loop"]):
-    """A controller in the loop with the vehicle, in any case of a protocol."""
+class LoopRun(NamedTuple):
+    """A run to make.
 
-    def __init__(self, controller: Controller, protocol: Protocol) -> None:
+    compute: computes a result of the judged signals of one run; a function of a module, or picklable
+    gains: variable of the controller -> value, over those that it has
+    """
+
+    case: Case
+    compute: Callable[[Recording], Any]
+    gains: Mapping[str, FmiValue] = {}
+
+
+class Loop(AbstractContextManager["Loop"]):
+    """A controller in the loop with the vehicle, in any case of a protocol.
+
+    make: makes its runs, by default in a place of its own, which `close` closes; timeout: of a run [s]
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        protocol: Protocol,
+        make: Make | None = None,
+        timeout: float | None = None,
+    ) -> None:
         if controller.league not in protocol.tables.leagues:
             known = protocol.tables.leagues
             raise ScenarioError(f"no league {controller.league!r}; {nearest(controller.league, known)}")
         self.controller, self.protocol = controller, protocol
+        self._place = LocalRuns(1)
+        self.make, self.timeout = make or partial(in_order, self._place), timeout
         self._scenarios: dict[str, Scenario] = {}
-        self._simulator: Simulator | None = None
-        self._ensemble: Ensemble | None = None
 
     def figures(
         self, case: Case, gains: Mapping[str, FmiValue] = {}, names: Collection[str] = ()
     ) -> dict[str, float]:
-        """Name -> figure of one run, of all figures or of those named.
+        """Returns name -> figure of one run, of all figures or of those named.
 
         gains: variable of the controller -> value, over those that it has
         Raises SimulationError for a run that ends early.
         """
-        return figures_of(self.run(case, gains), case, self.protocol, names)
+        compute = partial(figures_of, figures=declared(case, self.protocol, names))
+        return self._one(LoopRun(case, compute, gains))
 
     def run(self, case: Case, gains: Mapping[str, FmiValue] = {}) -> Recording:
-        """The signals that figures are computed of, in one run."""
-        loaded = self.scenario(case)
-        experiment = self.experiment(case, gains)
-        if self._simulator is None or self._simulator.system != loaded.system:
-            _close(self._simulator)
-            self._simulator = Simulator(loaded.system)
-        return self.judged(case, experiment, self._simulator.run(experiment))
+        """Returns the signals that figures are computed of, in one run; raises what `figures` raises."""
+        return self._one(LoopRun(case, all_signals, gains))
 
-    def ensemble(self, case: Case) -> Ensemble:
-        """An ensemble of the system of a case; EnsembleError if there can be none."""
-        system = self.scenario(case).system
-        if self._ensemble is None or self._ensemble.system != system:
-            _close(self._ensemble)
-            self._ensemble = Ensemble(system)
-        return self._ensemble
+    def _one(self, run: "LoopRun") -> Any:
+        (result,) = self.results([run])
+        if isinstance(result, Failure):
+            raise SimulationError(result.reason, None)
+        return result
 
-    def judged(self, case: Case, experiment: Experiment, recording: Recording) -> Recording:
-        """The signals that figures are computed of, from a recording of the experiment of a case."""
+    def results(self, runs: Sequence["LoopRun"]) -> Iterator[Any]:
+        """Yields what is computed of each run, or a `Failure` with the reason, in the order given."""
+        for system, group in groupby(runs, key=lambda run: self.scenario(run.case).system):
+            made = list(self._runs(group))
+            job = Job(system, made[0].experiment, self.timeout)
+            yield from (done.result for done in self.make(job, made))
+
+    def _runs(self, runs: Iterable["LoopRun"]) -> Iterator[Run]:
+        """Yields the runs of many; those of one case in a row share its signals."""
+        for _, group in groupby(runs, key=lambda run: (id(run.case), id(run.compute))):
+            first, *others = group
+            experiment = self.experiment(first.case)
+            judged = Judged(*self._judged_by(first.case, experiment), first.compute)
+            for run in (first, *others):
+                gains = {f"{OWN}{name}": value for name, value in run.gains.items()}
+                changed = replace(experiment, parameters={**experiment.parameters, **gains})
+                yield Run(None, changed, judged)
+
+    def _judged_by(
+        self, case: Case, experiment: Experiment
+    ) -> tuple[tuple[str, ...], tuple[float, ...], tuple[float, ...]]:
+        """Returns what `judged_signals` takes besides a recording."""
         nominal = _start_values(self.scenario(case).system.components["plant"])
         given = {**nominal, **{n.removeprefix("plant."): v for n, v in experiment.parameters.items()}}
-        limits = [float(given[f"thruster_voltage_limit[{i}]"]) for i in (1, 2)]
-        thrust = [float(nominal[f"thruster_gain[{i}]"]) for i in (1, 2)]
-        return judged_signals(recording, experiment.record, limits, thrust)
+        limits = tuple(float(given[f"thruster_voltage_limit[{i}]"]) for i in (1, 2))
+        thrust = tuple(float(nominal[f"thruster_gain[{i}]"]) for i in (1, 2))
+        return tuple(experiment.record), limits, thrust
 
     def scenario(self, case: Case) -> Scenario:
         """The case as a scenario with this controller; its own values and gains are not in it."""
@@ -136,10 +190,8 @@ class Loop(AbstractContextManager["Loop"]):
         if controller.mapping:
             overrides["mapping"] = {"controller": dict(controller.mapping)}
         settings = {f"{OWN}{name}": value for name, value in controller.parameters.items()}
-        with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", ScenarioWarning
-            )  # of inherited parameters, which are left out below
+        with _LOADING, warnings.catch_warnings():
+            warnings.simplefilter("ignore", ScenarioWarning)  # of inherited parameters, left out below
             loaded = scenario.load(
                 path,
                 overrides,
@@ -159,15 +211,14 @@ class Loop(AbstractContextManager["Loop"]):
         experiment = replace(loaded.experiment, parameters=inherited)
         return replace(loaded, experiment=experiment)
 
-    def experiment(self, case: Case, gains: Mapping[str, FmiValue] = {}) -> Experiment:
-        """The experiment of a case with the values that differ from run to run."""
+    def experiment(self, case: Case) -> Experiment:
+        """The experiment of a case with its own values."""
         loaded = self.scenario(case)
         experiment = loaded.experiment
         parameters: dict[str, Any] = dict(experiment.parameters)
         inputs: dict[str, Any] = dict(experiment.inputs)
         for name, value in case.values.items():
             (inputs if name in inputs else parameters)[name] = value
-        parameters |= {f"{OWN}{name}": value for name, value in gains.items()}
         signals = dict(experiment.signals)
         if case.trajectory:
             signals[self.controller.variable("depth_reference")] = Ramps(case.trajectory)
@@ -195,19 +246,8 @@ class Loop(AbstractContextManager["Loop"]):
         values: dict[str, Any] = {**given.inputs, **given.parameters}
         return {name: values[f"{OWN}{name}"] for name in self.controller.parameters}
 
-    def close(self) -> None:
-        """Free the FMUs; the next run loads them again."""
-        _close(self._simulator, self._ensemble)
-        self._simulator = self._ensemble = None
-
     def __exit__(self, *error: object) -> None:
-        self.close()
-
-
-def _close(*runners: Simulator | Ensemble | None) -> None:
-    for runner in runners:
-        if runner is not None:
-            runner.close()
+        self._place.__exit__()
 
 
 @cache

@@ -12,14 +12,14 @@ from importlib.metadata import version
 
 from fmus.platforms import usable_processors
 from orchestration.errors import ScenarioError
-from orchestration.score.loop import Controller, Loop
+from orchestration.many.local import LocalRuns
+from orchestration.score.figures import Trace
+from orchestration.score.loop import Controller, Loop, tuned
 from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.protocol_format import COMPARED
 from orchestration.score.score_document import PairedDifference, Row, Score, protocol_info
-from orchestration.score.score_rows import Progress, Scoring
-from orchestration.score.scored_run import Trace
+from orchestration.score.score_rows import Patience, Progress, Scoring
 from orchestration.score.statistics import compare, holm
-from orchestration.score.tuned_gains import tuned
 from orchestration.system.prepared_run import prepare
 
 
@@ -55,8 +55,8 @@ def score(
     if beside is None:
         beside = [tuned(protocol, name) for name in protocol.controllers]
     chosen = _with_other_names(controllers, beside)
-    scoring = Scoring(protocol, full, timeout or protocol.tables.time_limit, progress)
-    rows = _rows(scoring, chosen, beside, workers)
+    scoring = Scoring(protocol, full, progress)
+    rows = _rows(scoring, chosen, beside, timeout or protocol.tables.time_limit, workers)
     document = Score(
         made_by=f"l1-depth {version('l1-depth')}",
         protocol=protocol_info(protocol),
@@ -88,18 +88,25 @@ def _with_other_names(controllers: Sequence[Controller], beside: Sequence[Contro
 
 
 def _rows(
-    scoring: Scoring, scored: Sequence[Controller], beside: Sequence[Controller], workers: int
+    scoring: Scoring,
+    scored: Sequence[Controller],
+    beside: Sequence[Controller],
+    timeout: float,
+    workers: int,
 ) -> list[tuple[Row, dict[str, Trace]]]:
-    """The rows of the scored controllers, then of those beside them, and their traces."""
+    """Returns the rows of the scored controllers, then of those beside them, and their traces."""
+    nominal, makers = scoring.protocol.nominal, list[tuple[Loop, Patience]]()
+    for controller in (*scored, *beside):
+        patience = Patience(LocalRuns(1, isolate=True))
+        loop = Loop(controller, scoring.protocol, patience, timeout)
+        prepare(loop.scenario(nominal).system, loop.experiment(nominal))
+        makers.append((loop, patience))
     with ExitStack() as stack:
-        loops = [stack.enter_context(Loop(c, scoring.protocol)) for c in (*scored, *beside)]
-        for loop in loops:
-            nominal = scoring.protocol.nominal
-            prepare(loop.scenario(nominal).system, loop.experiment(nominal))
         pool = stack.enter_context(ThreadPoolExecutor(workers))
-        stack.callback(scoring.close)
+        for _, patience in makers:
+            stack.callback(patience.place.close)
         stack.callback(pool.shutdown, wait=False, cancel_futures=True)  # first: no thread takes another row
-        futures = [pool.submit(scoring.row, loop, i < len(scored)) for i, loop in enumerate(loops)]
+        futures = [pool.submit(scoring.row, *maker, i < len(scored)) for i, maker in enumerate(makers)]
         return [future.result() for future in futures]
 
 

@@ -18,10 +18,9 @@ from pydantic import BaseModel
 
 from fmus import store
 from orchestration.errors import OrchestrationError
-from orchestration.score import tuned_gains
-from orchestration.score.loop import Controller, Loop
+from orchestration.score.figures import Trace
+from orchestration.score.loop import GAINS, Controller, Loop
 from orchestration.score.score_document import Row
-from orchestration.score.scored_run import Trace
 
 KIND = "score"
 _PROJECT = Path(__file__).parents[2]
@@ -56,7 +55,7 @@ def _sources() -> list[tuple[str, str]]:
         (path, digest)
         for name in _PACKAGES
         for path, digest, _ in store.digests(_PROJECT / name)
-        if (source := _PROJECT / name / path) != _PROTOCOL and source.parent != tuned_gains.FOLDER
+        if (source := _PROJECT / name / path) != _PROTOCOL and source.parent != GAINS
     ]
 
 

@@ -2,44 +2,93 @@
 
 import hashlib
 import math
-from collections.abc import Callable, Sequence
-from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
+import numpy as np
 from pydantic import ValidationError
 
-from fmus.fmi.description import describe
-from orchestration.errors import EnsembleError, ScenarioError
-from orchestration.many.ensemble_checks import check_ensemble
-from orchestration.many.lane_library import LANES
+from fmus.fmi.description import describe, of_causality
+from orchestration.errors import OrchestrationError, ScenarioError, SimulationError, SweepError
+from orchestration.many.job import ENDED, TOO_LONG, Done, Failure, Job, Run
+from orchestration.many.local import LocalRuns
+from orchestration.many.run_many import in_order
+from orchestration.many.runners import ClosedError
+from orchestration.margins.fmu_margins import delay_margin
+from orchestration.margins.hold import HoldRuns, LoopSignal, last_part
+from orchestration.results.recording import Recording
 from orchestration.score import score_cache
-from orchestration.score.isolated_loop import IsolatedLoop, RunError
-from orchestration.score.loop import Loop
+from orchestration.score.figures import Trace, declared, failures, traced_figures
+from orchestration.score.loop import OWN, Loop, LoopRun
 from orchestration.score.plants import plants
 from orchestration.score.protocol import Case, Protocol
 from orchestration.score.protocol_format import COMPARED
 from orchestration.score.score_document import CaseResult, FigureOverPlants, PlantsResult, Row
-from orchestration.score.scored_run import (
-    ScoredRun,
-    Trace,
-    load_ensemble,
-    measured_delay_margin,
-    microseconds,
-    scored_run,
-    scored_runs,
-    uses_true_rate,
-)
 from orchestration.score.statistics import distribution
 from orchestration.score.table_seeds import table_seeds
+from orchestration.system.experiment import Experiment
+from orchestration.system.system import System
 
 OVER_PLANTS = (*COMPARED, "settling_time", "overshoot", "breach")
 """Figures of the runs over plants."""
 
-
-_MOST_RUNS = 40  # that a delay margin takes; to compile an ensemble takes less
+_MOST_ENDINGS = 3  # of a controller's process
+_FEW_STEPS, _MANY_STEPS = 5_000, 200_000  # that are timed: many where few take a short time
+_SHORT_S = 0.5
+_REPETITIONS = 3
+_TIMED_RUN = 10.0  # timeouts for a run that is timed, which has more steps than a case
+_TRUE_RATE = "measured_depth_rate"
 
 Progress = Callable[[int], object]
+
+
+class Patience:
+    """Makes the runs of one controller, until one took too long or its process has ended three times.
+
+    The others are failures that say so: hundreds of them might each take as long.
+    """
+
+    def __init__(self, place: LocalRuns) -> None:
+        self.place = place
+        self._refusal = ""
+        self._endings = 0
+
+    @property
+    def is_intact(self) -> bool:
+        """Whether no run took too long, and no process ended: at another load of the machine, one might."""
+        return not self._endings and not self._refusal
+
+    def __call__(self, job: Job, runs: Sequence[Run]) -> Iterator[Done]:
+        """Yields the runs of a job in their order."""
+        with closing(in_order(self.place, job, runs)) as made:
+            for _ in runs:
+                yield Done(Failure(self._refusal, ENDED)) if self._refusal else self._noted(made)
+
+    def _noted(self, made: Iterator[Done]) -> Done:
+        try:
+            done = next(made)
+        except SweepError as error:  # its process cannot even start
+            self._refusal = str(error)
+            return Done(Failure(self._refusal, ENDED))
+        cause = done.result.cause if isinstance(done.result, Failure) else ""
+        self._endings += cause == ENDED
+        if cause == TOO_LONG:
+            self._refusal = "not run: it took too long before"
+        elif self._endings == _MOST_ENDINGS:
+            self._refusal = f"not run: its process ended {_MOST_ENDINGS} times before"
+        return done
+
+
+@dataclass(frozen=True)
+class ScoredRun:
+    """Figures of a run, why it counts as failed, and what is drawn of it."""
+
+    figures: dict[str, float]
+    failed: list[str]
+    trace: Trace
 
 
 @dataclass
@@ -48,49 +97,34 @@ class Scoring:
 
     protocol: Protocol
     full: bool
-    timeout: float
     progress: Progress
-    running: list[IsolatedLoop] = field(default_factory=list)
-    closed: bool = False
 
     def __post_init__(self) -> None:
         seeds = table_seeds()
         self.cases = [case.with_seed(seeds.sensor_seed) for case in self.protocol.cases.values()]
         self.plants = plants(self.protocol, seeds.plants_seed) if self.full else []
 
-    def row(self, loop: Loop, scored: bool) -> tuple[Row, dict[str, Trace]]:
-        """The row of a controller, and its traces; of a built-in one from the cache, if they are there."""
+    def row(self, loop: Loop, patience: Patience, scored: bool) -> tuple[Row, dict[str, Trace]]:
+        """Returns the row of a controller and its traces; of a built-in one from the cache, if there."""
         name = "" if scored else score_cache.key(loop.controller, loop, self.full)
         cached = score_cache.read(name) if name else None
         if cached:
             self.progress(len(self.cases) + len(self.plants))
             return cached.row, cached.traces
-        isolated = IsolatedLoop(loop.controller, self.protocol.file.path, self.timeout)
-        self.running.append(isolated)
-        if self.closed:
-            isolated.close()
-        try:
-            row, traces = self._run(loop, isolated, scored)
-            is_intact = isolated.is_intact  # at another load of the machine, the row may be another
-        except ValidationError as error:
-            mistake = error.errors()[0]
-            raise ScenarioError(
-                f"score of {loop.controller.name}: {mistake['loc'][0]} = {mistake['input']!r}: "
-                f"{mistake['msg'].lower()}, so nothing is written; check the FMU with l1-depth check"
-            ) from error
-        finally:
-            isolated.close()
-        if name and is_intact and not self.closed:
+        with patience.place:
+            try:
+                row, traces = self._run(loop, scored)
+            except ValidationError as error:
+                mistake = error.errors()[0]
+                raise ScenarioError(
+                    f"score of {loop.controller.name}: {mistake['loc'][0]} = {mistake['input']!r}: "
+                    f"{mistake['msg'].lower()}, so nothing is written; check the FMU with l1-depth check"
+                ) from error
+        if name and patience.is_intact:
             score_cache.write(name, row, traces)
         return row, traces
 
-    def close(self) -> None:
-        """End what runs."""
-        self.closed = True
-        for isolated in self.running:
-            isolated.close()
-
-    def _run(self, loop: Loop, isolated: IsolatedLoop, scored: bool) -> tuple[Row, dict[str, Trace]]:
+    def _run(self, loop: Loop, scored: bool) -> tuple[Row, dict[str, Trace]]:
         controller, nominal = loop.controller, self.cases[0]
         row = Row(
             name=controller.name,
@@ -101,58 +135,94 @@ class Scoring:
             parameters=loop.parameters(),
         )
         traces: dict[str, Trace] = {}
-        for case in self.cases:
-            run = self._result(isolated, case, traced=True)
+        for case, run in zip(self.cases, self._scored_runs(loop, self.cases, traced=True), strict=True):
             row.cases[case.name] = CaseResult(figures=run.figures, failed=run.failed)
             traces[case.name] = run.trace
-        row.uses_true_rate = _value_or(None, isolated, uses_true_rate, nominal)
-        row.delay_margin = _value_or(math.nan, isolated, measured_delay_margin, nominal)
-        row.microseconds = _value_or(math.nan, isolated, microseconds, nominal)
+        row.uses_true_rate = _value_or(None, uses_true_rate, loop, nominal)
+        row.delay_margin = _value_or(math.nan, delay_margin_of, loop, nominal)
+        row.microseconds = _value_or(math.nan, microseconds, loop, nominal)
         if self.plants:
             names = [name for name in OVER_PLANTS if name in self.protocol.figures]
-            groups = self._groups_of_plants(loop, isolated)
-            runs = [run for group in groups for run in self._results(isolated, group, names)]
-            row.plants = _over_plants(runs, names)
+            row.plants = _over_plants([*self._scored_runs(loop, self.plants, names)], names)
         return row, traces
 
-    def _groups_of_plants(self, loop: Loop, isolated: IsolatedLoop) -> list[Sequence[Case]]:
-        """The plants that run at once: those that step together in an ensemble, if it can be and pays."""
-        first, count, most = self.plants[0], len(self.plants), 1
-        with suppress(EnsembleError, RunError):
-            check_ensemble(loop.scenario(first).system, loop.experiment(first), count)
-            isolated.call(load_ensemble, first, runs=_MOST_RUNS)
-            most = LANES
-        return [self.plants[i : i + most] for i in range(0, count, most)]
-
-    def _results(
-        self, isolated: IsolatedLoop, cases: Sequence[Case], names: Sequence[str]
-    ) -> list[ScoredRun]:
-        """Runs of cases of one layer at once; of one that fails so, that of a simulator."""
-        runs: list[ScoredRun | None] = [None] * len(cases)
-        if len(cases) > 1:
-            with suppress(RunError):
-                runs = isolated.call(scored_runs, cases, names, runs=len(cases))
-            self.progress(sum(run is not None for run in runs))
-        return [run or self._result(isolated, case, names) for run, case in zip(runs, cases, strict=True)]
-
-    def _result(
-        self, isolated: IsolatedLoop, case: Case, names: Sequence[str] = (), traced: bool = False
-    ) -> ScoredRun:
-        """A run, or the reason why there is none."""
-        try:
-            return isolated.call(scored_run, case, names, traced)
-        except RunError as error:
-            return ScoredRun({}, [str(error)])
-        finally:
+    def _scored_runs(
+        self, loop: Loop, cases: Sequence[Case], names: Collection[str] = (), traced: bool = False
+    ) -> Iterator[ScoredRun]:
+        """Yields a run of each case, or the reason why there is none."""
+        figures = (declared(case, self.protocol, names) for case in cases)
+        compute = (partial(traced_figures, figures=of_case, traced=traced) for of_case in figures)
+        for result in loop.results([LoopRun(*pair) for pair in zip(cases, compute, strict=True)]):
+            if isinstance(result, Failure):
+                yield ScoredRun({}, [result.reason], {})
+            else:
+                of_run, trace = result
+                yield ScoredRun(of_run, failures(of_run, self.protocol), trace)
             self.progress(1)
 
 
-def _value_or(default: Any, isolated: IsolatedLoop, function: Callable[..., Any], case: Case) -> Any:
-    """What a function of the loop gives, or the default where its run fails."""
+def _value_or(default: Any, function: Callable[[Loop, Case], Any], loop: Loop, case: Case) -> Any:
+    """Returns what a function of the loop returns, or the default where its run fails."""
     try:
-        return isolated.call(function, case, runs=_MOST_RUNS)
-    except RunError:
+        return function(loop, case)
+    except ClosedError:
+        raise
+    except OrchestrationError:
         return default
+
+
+def uses_true_rate(loop: Loop, case: Case) -> bool:
+    """Checks whether a run depends on the true depth rate, which no sensor of the vehicle measures."""
+    controller = loop.controller
+    variable = controller.variable(_TRUE_RATE)
+    inputs = of_causality(describe(loop.scenario(case).system.components["controller"]), "input")
+    if variable.removeprefix(OWN) not in {v.name for v in inputs}:
+        return False
+    without = replace(controller, settings={**controller.settings, variable: 0.0})
+    blind = Loop(without, loop.protocol, loop.make, loop.timeout)
+    return not np.array_equal(loop.run(case).values, blind.run(case).values)
+
+
+def delay_margin_of(loop: Loop, case: Case) -> float:
+    """Returns how much later [s] the measured depth may be while the case holds its target quietly.
+
+    Of the first loss on a scan, as far as that goes. Not a number if it is not quiet as it is.
+    """
+    scenario = replace(loop.scenario(case), experiment=loop.experiment(case))
+    hold = last_part("plant.depth", case.target.window[1])
+    with HoldRuns(scenario, hold, loop.make, loop.timeout) as runs:
+        return delay_margin(runs, LoopSignal.MEASUREMENT, only_first_loss=True).margin
+
+
+def microseconds(loop: Loop, case: Case) -> float:
+    """Returns the processor time [us] of a communication step of the controller's FMU alone.
+
+    Of the fastest of three runs. Its inputs keep their start values. The time of a short run is subtracted,
+    which is that of the start.
+    """
+    loaded = loop.scenario(case)
+    fmu = loaded.system.components["controller"]
+    parameters = {n: v for n, v in loop.experiment(case).parameters.items() if n.startswith(OWN)}
+    output = next(v.name for v in of_causality(describe(fmu), "output") if v.type != "String")
+    step = loaded.experiment.step_size
+    base = Experiment(step, step, parameters=parameters, record=(OWN + output,), open_inputs="start")
+    timeout = None if loop.timeout is None else _TIMED_RUN * loop.timeout
+    job = Job(System({"controller": fmu}), base, timeout)
+
+    def duration(steps: int) -> float:
+        (done,) = loop.make(job, [Run(None, replace(base, stop_time=steps * step), _last)])
+        if isinstance(done.result, Failure):
+            raise SimulationError(done.result.reason, None)
+        return done.seconds
+
+    many = _MANY_STEPS if duration(_FEW_STEPS) < _SHORT_S else _FEW_STEPS
+    few = many // 10
+    longer, shorter = (min(duration(steps) for _ in range(_REPETITIONS)) for steps in (many, few))
+    return 1e6 * (longer - shorter) / (many - few)
+
+
+def _last(runs: Recording) -> list[float]:
+    return runs.values[:, -1, 0].tolist()
 
 
 def _fmu(loop: Loop) -> dict[str, Any]:

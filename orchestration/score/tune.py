@@ -16,7 +16,8 @@ from typing import Any
 from fmus.extras import imports_of
 from orchestration.errors import OrchestrationError
 from orchestration.many.journal import Journal
-from orchestration.score.tune_search import Search
+from orchestration.score.tune_journal import Journal
+from orchestration.score.tune_search import FreeGain, Search
 from orchestration.score.tune_space import FreeGain
 
 REFINEMENT = 0  # the seed of the last search

@@ -6,17 +6,26 @@ delay margin is one more run, in which the measured depth is late by that much: 
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
+from itertools import islice
 from typing import Any
 
 import numpy as np
+from fmus.native.lanes import LANES
 
-from orchestration.errors import SimulationError
+from orchestration.many.job import Failure
+from orchestration.many.local import LocalRuns
+from orchestration.many.run_many import in_order
 from orchestration.margins.hold import QUIET, last_part
-from orchestration.score.loop import Loop
+from orchestration.results.recording import Recording
+from orchestration.score.figures import declared, figures_of
+from orchestration.score.loop import Controller, Loop, LoopRun
 from orchestration.score.protocol import Case, Protocol
 from orchestration.score.protocol_format import DELAY_MARGIN
+from orchestration.score.tune import Evaluate
 
 LARGEST = 1000.0  # cost of a run that ends early; finite, so that the search goes on
 _SLOPE = 10.0
@@ -25,37 +34,55 @@ Figures = Mapping[str, float]
 Gains = Mapping[str, float]
 
 
-def cost_of(loop: Loop, gains: Gains, every_seed: bool = False) -> dict[str, Any]:
-    """The cost of gains over those of the controller, with the mean figures of each case.
+@contextmanager
+def evaluations(
+    controller: Controller, protocol: Protocol, workers: int = 1, count: int = 1
+) -> Iterator[Evaluate]:
+    """Opens so many processes, which evaluate gains side by side, in vectors where that pays.
+
+    count: of all evaluations. Gains whose runs fail, crash or take too long have the largest cost.
+    """
+    runs = count * (len(practice_cases(protocol)) + 1)
+    with LocalRuns(workers, isolate=True, expected=runs) as place:
+        loop = Loop(controller, protocol, partial(in_order, place), protocol.tables.time_limit)
+        yield partial(costs, loop)
+
+
+def costs(loop: Loop, gains: Sequence[Gains], every_seed: bool = False) -> Iterator[dict[str, Any]]:
+    """Yields the cost of gains over those of the controller, with the mean figures of each case.
 
     every_seed: each case with every practice seed, not with one
     """
-    names, cases = figure_names(loop.protocol), practice_cases(loop.protocol, every_seed)
-    return cost_of_runs(loop, gains, ((case.name, loop.figures(case, gains, names)) for case in cases))
+    protocol, table = loop.protocol, loop.protocol.tables.cost
+    cases, names = practice_cases(protocol, every_seed), {table.figure, *_figure_bounds(protocol)}
+    computed = [(case, partial(figures_of, figures=declared(case, protocol, names))) for case in cases]
+    late = [_late_run(loop, table.bounds[DELAY_MARGIN])] if DELAY_MARGIN in table.bounds else []
+    groups = [gains[first : first + LANES] for first in range(0, len(gains), LANES)]
+    pairs = [*computed, *late]
+    runs = [LoopRun(case, how, one) for group in groups for case, how in pairs for one in group]
+    results = loop.results(runs)
+    for group in groups:
+        of_group = [list(islice(results, len(group))) for _ in pairs]
+        for of_one in zip(*of_group, strict=True):
+            yield _cost(protocol, cases, of_one)
 
 
-def cost_of_runs(loop: Loop, gains: Gains, measured: Iterable[tuple[str, Figures]]) -> dict[str, Any]:
-    """The same of the figures of the runs, each with the name of its case."""
-    table = loop.protocol.tables.cost
+def _cost(protocol: Protocol, cases: Sequence[Case], results: Sequence[Any]) -> dict[str, Any]:
+    """Returns the cost of the figures of each case, and of the unrest of the late run, if it is bounded."""
+    for result in results:
+        if isinstance(result, Failure):
+            return {"cost": LARGEST, "failure": result.reason}
     figures: dict[str, list[Figures]] = {}
-    try:
-        for case, of_run in measured:
-            figures.setdefault(case, []).append(of_run)
-        unrest = _unrest(loop, gains, table.bounds[DELAY_MARGIN]) if DELAY_MARGIN in table.bounds else 0.0
-    except SimulationError as error:
-        return {"cost": LARGEST, "failure": str(error)}
-    bounds = _figure_bounds(loop.protocol)
+    for case, of_run in zip(cases, results, strict=False):
+        figures.setdefault(case.name, []).append(of_run)
+    unrest = results[len(cases)] if len(results) > len(cases) else 0.0
+    bounds, table = _figure_bounds(protocol), protocol.tables.cost
     runs = [run_cost(run, table.figure, bounds) for case in figures.values() for run in case]
     return {
         "cost": min(sum(runs) / len(runs) + _SLOPE * max(0.0, unrest / QUIET - 1.0), LARGEST),
         "figures": {case: _mean(measured) for case, measured in figures.items()},
         "unrest": unrest,
     }
-
-
-def figure_names(protocol: Protocol) -> set[str]:
-    """The figures of a run that the cost depends on."""
-    return {protocol.tables.cost.figure, *_figure_bounds(protocol)}
 
 
 def _figure_bounds(protocol: Protocol) -> dict[str, float]:
@@ -90,14 +117,19 @@ def delayed(case: Case, delay: float, variable: str) -> Case:
     return replace(case, layer={**case.layer, "faults": faults, "experiment": experiment})
 
 
-def _unrest(loop: Loop, gains: Gains, delay: float) -> float:
-    """Standard deviation [m] of the depth at the end of the nominal hold, the measurement being late."""
-    nominal = next(iter(loop.protocol.cases.values()))
-    signals = loop.run(delayed(nominal, delay, loop.controller.variable("measured_depth")), gains)
+def _late_run(loop: Loop, delay: float) -> tuple[Case, Callable[[Recording], float]]:
+    """Returns the nominal case with a late measurement, and what computes the unrest in its hold."""
+    nominal = loop.protocol.nominal
+    hold = last_part("depth", nominal.target.window[1])
+    late = delayed(nominal, delay, loop.controller.variable("measured_depth"))
+    return late, partial(unrest, start=hold.start)
+
+
+def unrest(signals: Recording, start: float) -> float:
+    """Returns the standard deviation [m] of the depth from a time on [s]; infinite if it was terminated."""
     if "terminated" in signals.provenance:
         return math.inf
-    hold = last_part("depth", nominal.target.window[1])
-    return float(np.std(signals[hold.signal][signals.time >= hold.start]))
+    return float(np.std(signals["depth"][signals.time >= start]))
 
 
 def _mean(runs: Sequence[Figures]) -> dict[str, float]:

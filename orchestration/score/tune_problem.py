@@ -1,17 +1,27 @@
-"""What is tuned for one controller: its free gains, its cost, and what the cost depends on."""
+"""What is tuned for one controller, what its cost depends on, and the file of the gains that are found."""
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import tomli_w
+
+from fmus.files import write_text_atomically
 from fmus.fmi.description import describe
 from orchestration.errors import OrchestrationError
 from orchestration.score.loop import Controller, Loop
 from orchestration.score.protocol import Protocol
-from orchestration.score.tune import Problem, Tuning
-from orchestration.score.tune_cost import LARGEST, cost_of, practice_cases
-from orchestration.score.tune_space import FreeGain, with_units
+from orchestration.score.tune import (
+    LARGEST_IMPROVEMENT,
+    LARGEST_SPREAD,
+    LAST_PART,
+    Problem,
+    SearchResult,
+    Tuning,
+)
+from orchestration.score.tune_cost import LARGEST, costs, practice_cases
+from orchestration.score.tune_search import FreeGain, with_units
 from orchestration.system.prepared_run import prepare
 
 
@@ -72,7 +82,7 @@ def provenance(tuning: Tuning, controller: Controller, protocol: Protocol) -> di
             f"does; the last failure: {best.figures.get('failure', 'a cost that is not finite')}"
         )
     with Loop(controller, protocol) as loop:
-        every_seed = cost_of(loop, best.gains, every_seed=True)
+        (every_seed,) = costs(loop, [best.gains], every_seed=True)
     table = protocol.tables.cost
     return {
         "controller": controller.name,
@@ -82,4 +92,75 @@ def provenance(tuning: Tuning, controller: Controller, protocol: Protocol) -> di
         "objective": f"mean {table.figure} over {', '.join(table.cases)}, practice seeds",
         "bounds": dict(table.bounds),
         "cost_of_every_practice_seed": every_seed["cost"],
+    }
+
+
+_CRITERION = (
+    f"flat: the last {100 * LAST_PART:g} % of the search that begins at the best gains of all seeds lower "
+    f"the cost by at most {100 * LARGEST_IMPROVEMENT:g} %; the seeds agree: most of them come within "
+    f"{100 * LARGEST_SPREAD:g} % of the lowest"
+)
+
+
+def write(tuning: Tuning, fixed: Mapping[str, Any], provenance: Mapping[str, Any], path: Path) -> None:
+    """Writes the gains of the best seed, and where the searches of all seeds ended.
+
+    fixed: parameters that the tuning did not change, which belong to the law -> value
+    provenance: plain data about the controller, the protocol and the cost
+    """
+    write_text_atomically(path, tomli_w.dumps(document(tuning, fixed, provenance)))
+
+
+def document(tuning: Tuning, fixed: Mapping[str, Any], provenance: Mapping[str, Any]) -> dict[str, Any]:
+    """What the file contains."""
+    best = tuning.best
+    unchanged = {
+        f"controller.{name}": {"value": value, "source": "fixed: what the law is, not tuned"}
+        for name, value in fixed.items()
+    }
+    return {
+        "tuning": {
+            **provenance,
+            "cost": best.cost,
+            "is_flat": tuning.is_flat,
+            "seeds_agree": tuning.seeds_agree,
+            "criterion": _CRITERION,
+            "improvement_in_the_last_part": tuning.improvement,
+            "median_seed_above_the_lowest": tuning.spread,
+            "optimiser": tuning.optimiser,
+            "evaluations": tuning.evaluations,
+            "figures": dict(best.figures),
+            "seeds": [_seed(search) for search in tuning.searches],
+            "refinement": _seed(tuning.refinement),
+        },
+        "parameters": {**unchanged, **_tuned_gains(tuning, str(provenance.get("protocol")))},
+    }
+
+
+def _tuned_gains(tuning: Tuning, protocol: str) -> dict[str, Any]:
+    """A table for each gain that was free."""
+    best = tuning.best
+    source = (
+        f"tuned: cost {best.cost:.4g} cm of protocol {protocol}, {len(best.curve)} evaluations of each of "
+        f"{len(tuning.searches)} seeds and from the best of them; not a published value"
+    )
+    return {
+        f"controller.{gain.name}": {
+            "value": best.gains[gain.name],
+            "unit": gain.unit,
+            "limits": [gain.low, gain.high],
+            "at_a_limit": gain.is_at_a_limit(best.gains[gain.name]),
+            "source": source,
+        }
+        for gain in tuning.problem.gains
+    }
+
+
+def _seed(search: SearchResult) -> dict[str, Any]:
+    """Returns what a search ended at."""
+    return {
+        "seed": search.seed,
+        "cost": search.cost,
+        "evaluations": len(search.curve),
+        "gains": dict(search.gains),
     }

@@ -14,7 +14,7 @@ from fmus.fmi.variable_types import FmiValue
 from fmus.platforms import usable_processors
 from orchestration.errors import SweepError
 from orchestration.many.batches import Batches, Finished, Place, Run
-from orchestration.many.job import Failure, Job
+from orchestration.many.job import Failure, Finished, Job, Run
 from orchestration.many.local import local
 from orchestration.results import metrics
 from orchestration.results.recording import Recording
@@ -85,14 +85,14 @@ def run_sweep(
 def sweep(
     plan: Plan,
     folder: Path,
-    place_of: AbstractContextManager[Callable[[Job], Place]],
+    place_of: AbstractContextManager[Place],
     recorded: tuple[str, ...] | None = None,
     restart: bool = False,
     progress: Callable[[int], object] = lambda done: None,
 ) -> Path:
     """Run the samples that are missing in a folder, and write the table; returns its path.
 
-    place_of: where the runs of a job are made, entered if a sample is missing
+    place_of: where the runs are made, entered if a sample is missing
     recorded: signals to record of each sample; empty for all, None for no recordings
     restart: discard what an earlier sweep of that name has left, as soon as the first samples are done: what
         cannot be run at all, in this place, discards nothing
@@ -106,8 +106,8 @@ def sweep(
         missing = (number for number in range(plan.count) if number not in done)
         if count := plan.count - len(done):
             job = job_of(plan, recorded)
-            runs = Batches(samples_of(plan, job.base, missing), count)
-            with place_of as place, closing(place(job).runs(runs)) as batches:
+            runs = Batches(samples_of(plan, job.base, missing, recorded), count)
+            with place_of as place, closing(place.runs(job, runs)) as batches:
                 for finished in batches:
                     if restart:
                         store.discard()
@@ -132,16 +132,17 @@ def job_of(plan: Plan, recorded: tuple[str, ...] | None) -> Job:
         if entry.target.table not in ("parameters", "inputs") or entry.target.key.endswith(".internal_step")
     ]
     refusals = [f"{name} is varied: expected parameters but internal_step, and inputs" for name in others]
-    reduce = Rows(plan.scenario.metrics, recorded)
-    return Job(plan.scenario.system, experiment, reduce, plan.timeout, "".join(refusals[:1]))
+    return Job(plan.scenario.system, experiment, plan.timeout, "".join(refusals[:1]))
 
 
-def samples_of(plan: Plan, base: Experiment, numbers: Iterable[int]) -> Iterator[Run]:
-    """Yields the runs of samples; base: of `job_of`."""
-    numbers = iter(numbers)
+def samples_of(
+    plan: Plan, base: Experiment, numbers: Iterable[int], recorded: tuple[str, ...] | None = None
+) -> Iterator[Run]:
+    """Yields the runs of samples, which give rows; base: of `job_of`."""
+    numbers, reduce = iter(numbers), Rows(plan.scenario.metrics, recorded)
     while block := list(islice(numbers, _DRAWN_AT_ONCE)):
         for number, values in zip(block, plan.block(block), strict=True):
-            yield Run(Sample(number, values), with_settings(base, plan.settings(values)))
+            yield Run(Sample(number, values), with_settings(base, plan.settings(values)), reduce)
 
 
 def recorded_signals(text: str, plan: Plan) -> tuple[str, ...] | None:

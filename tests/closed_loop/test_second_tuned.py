@@ -12,9 +12,8 @@ import pytest
 
 from orchestration.run import simulate
 from orchestration.scenarios.scenario import Scenario
-from orchestration.score.loop import KNOWS_RATES, Controller, Loop
+from orchestration.score.loop import KNOWS_RATES, Controller, Loop, tuned
 from orchestration.score.protocol import read_protocol
-from orchestration.score.tuned_gains import tuned
 from tests.closed_loop.same_experiment import SMOOTH, slope
 from tests.closed_loop.second_laws import Adrc, Mrac, Pid, SlidingMode, SuperTwisting
 from tests.closed_loop.second_loop import Case, run

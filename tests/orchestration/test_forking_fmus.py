@@ -4,18 +4,21 @@ import contextlib
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import psutil
 import pytest
 
 from orchestration.errors import OrchestrationError
-from orchestration.many.local import local
+from orchestration.many.job import Failure
+from orchestration.many.local import LocalRuns
+from orchestration.many.run_many import in_order
+from orchestration.results.recording import Recording
 from orchestration.run import simulate
 from orchestration.scenarios import scenario
-from orchestration.score.isolated_loop import IsolatedLoop, RunError
-from orchestration.score.loop import Controller, Loop
-from orchestration.score.protocol import FILE, read_protocol
+from orchestration.score.loop import Controller, Loop, LoopRun
+from orchestration.score.protocol import read_protocol
 from orchestration.sweep import table
 from orchestration.sweep.plan import plan
 from orchestration.sweep.run import sweep
@@ -73,7 +76,7 @@ def test_each_sample_has_its_own_metrics_or_the_cause(
 ) -> None:
     path = folder / "forks.toml"
     path.write_text(SWEEP.format(fmu=forker(call, waits)))
-    swept = sweep(plan(scenario.load(path)), folder / "results", local(1))
+    swept = sweep(plan(scenario.load(path)), folder / "results", LocalRuns(1))
     rows = table.read(swept)[0].to_pylist()
     assert [row["f.u"] for row in rows] == [1.0, 2.0, 3.0, 4.0]
     for row in rows:
@@ -104,9 +107,8 @@ def test_a_run_in_this_process_ends_with_the_cause_and_its_child(forker: Build, 
     assert not psutil.Process().children() or psutil.Process().children()[-1].status() == psutil.STATUS_ZOMBIE
 
 
-def number_of(loop: Loop, number: int) -> int:
-    """The number, after a run of the controller."""
-    loop.run(loop.protocol.nominal)
+def number_of(signals: Recording, number: int) -> int:
+    """Returns the number, whatever the run gave."""
     return number
 
 
@@ -116,12 +118,10 @@ def test_each_case_of_a_score_has_its_own_result_or_the_cause(
 ) -> None:
     names = {"depth_reference": "u", "control_force": "y"}
     controller = Controller("forker", str(forker("fmi2DoStep", waits)), mapping=names)
-    loop = IsolatedLoop(controller, FILE, read_protocol().tables.time_limit)
-    with contextlib.closing(loop):
-        if waits == "parent":
-            with pytest.raises(RunError, match=CAUSE):
-                loop.call(number_of, 0)
-            return
-        for number in range(2):
-            with contextlib.suppress(RunError):
-                assert loop.call(number_of, number) == number
+    protocol = read_protocol()
+    runs = [LoopRun(protocol.nominal, partial(number_of, number=i)) for i in range(2)]
+    with LocalRuns(1, isolate=True) as place:
+        loop = Loop(controller, protocol, partial(in_order, place), protocol.tables.time_limit)
+        for number, result in enumerate(loop.results(runs)):
+            assert isinstance(result, Failure) or (result == number and waits == "child")
+            assert not isinstance(result, Failure) or CAUSE in result.reason

@@ -19,7 +19,7 @@ def loss(chosen: Scenario, samples: int, workers: int) -> tuple[float, float]:
     with local_cluster(workers) as (client, place):
         stream: Any = get_task_stream(client)
         with stream:
-            for _ in place(job).runs(Batches(samples_of(planned, job.base, range(samples)), samples)):
+            for _ in place.runs(job, Batches(samples_of(planned, job.base, range(samples)), samples)):
                 pass
     for task in stream.data:
         computed = [part for part in task["startstops"] if part["action"] == "compute"]

@@ -13,7 +13,7 @@ import pytest
 
 from orchestration.errors import SweepError
 from orchestration.many.isolated import Isolated
-from orchestration.many.job import Done, Failure, Job
+from orchestration.many.job import Done, Failure, Job, Run
 from orchestration.many.runners import ClosedError
 from orchestration.results.recording import Recording
 from orchestration.run import simulate
@@ -40,13 +40,13 @@ def failed(done: Done) -> str | None:
 
 
 def run(runner: Isolated, experiment: Experiment = GOOD) -> Done:
-    (done,) = runner.run([experiment])
+    (done,) = runner.run([Run(0, experiment, means)])
     return done
 
 
 @pytest.fixture
 def job(rogue: Callable[..., Path]) -> Job:
-    return Job(System({"r": rogue()}), RUN, means, TIMEOUT_S)
+    return Job(System({"r": rogue()}), RUN, TIMEOUT_S)
 
 
 @pytest.fixture

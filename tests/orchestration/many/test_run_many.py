@@ -1,5 +1,6 @@
 """Many runs are those of `simulate`, in the order given, wherever they are made."""
 
+import threading
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,8 +12,8 @@ import pytest
 
 from orchestration import Failure, Recording, run_many, simulate
 from orchestration.errors import EnsembleError
-from orchestration.many import local as places
-from orchestration.many.job import changed, differences
+from orchestration.many.job import ENDED, Run, changed, differences
+from orchestration.many.runners import Simulated
 from orchestration.results import metrics
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
@@ -93,13 +94,16 @@ def test_a_reduction_that_fails_for_one_run_is_a_failure_of_that_run_alone(
         assert [type(value) for value in made[1:3]] == [float, float]
 
 
-def test_experiments_that_differ_in_more_than_values_are_refused_vectors_or_simulated(
+def test_experiments_that_differ_in_more_than_values_step_in_vectors_of_their_own(
     nominal: Scenario, experiments: list[Experiment]
 ) -> None:
     mixed = [*experiments[:2], replace(experiments[2], stop_time=0.5)]
-    with pytest.raises(EnsembleError, match="experiments differ in stop_time"):
-        list(run_many(nominal.system, mixed, vectorise=True))
-    assert [len(one.time) for one in run_many(nominal.system, mixed)] == [51, 51, 26]
+    for vectorise in (True, False):
+        made = run_many(nominal.system, mixed, vectorise=vectorise)
+        assert [len(one.time) for one in made] == [51, 51, 26]
+    tolerant = [replace(one, tolerance=1e-4) for one in mixed]
+    with pytest.raises(EnsembleError, match="tolerance: an Ensemble does not run it"):
+        list(run_many(nominal.system, tolerant, vectorise=True))
 
 
 def test_a_foreign_fmu_that_crashes_is_a_failure_and_leaves_no_process(rogue: Callable[..., Path]) -> None:
@@ -107,7 +111,7 @@ def test_a_foreign_fmu_that_crashes_is_a_failure_and_leaves_no_process(rogue: Ca
     good = Experiment(1.0, 0.1, inputs={"r.u": 2.0})
     bad = replace(good, parameters={"r.misdeed": "segfault", "r.misdeed_time": 0.5})
     made = list(run_many(System({"r": rogue()}), [good, bad, good], workers=1))
-    assert made[1] == Failure("the worker process ended: SIGSEGV")
+    assert made[1] == Failure("the worker process ended: SIGSEGV", ENDED)
     assert made[0].values.tolist() == made[2].values.tolist()
     assert set(psutil.Process().children(recursive=True)) <= before
 
@@ -119,13 +123,15 @@ def test_no_experiments_are_no_runs(nominal: Scenario) -> None:
 def test_runs_end_when_nobody_asks_for_the_next(
     nominal: Scenario, experiments: list[Experiment], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    closed: list[bool] = []
-    close = places.Simulated.close
-    monkeypatch.setattr(places.Simulated, "close", lambda self: (closed.append(True), close(self)))
-    runs = run_many(nominal.system, experiments, vectorise=False, workers=1)
+    made: list[Run] = []
+    run_one = Simulated.run_one
+    monkeypatch.setattr(Simulated, "run_one", lambda self, run: (made.append(run), run_one(self, run))[1])
+    threads = threading.active_count()
+    runs = run_many(nominal.system, experiments * 20, vectorise=False, workers=2)
     next(runs)
     runs.close()  # type: ignore[attr-defined]
-    assert closed == [True]
+    assert 1 <= len(made) < len(experiments * 20)
+    assert threading.active_count() == threads
 
 
 @pytest.mark.parametrize(

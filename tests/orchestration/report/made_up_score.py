@@ -2,6 +2,7 @@
 
 import math
 
+from orchestration.score.figures import Trace
 from orchestration.score.protocol import read_protocol
 from orchestration.score.score import ScoreResult
 from orchestration.score.score_document import (
@@ -14,7 +15,6 @@ from orchestration.score.score_document import (
     protocol_info,
 )
 from orchestration.score.score_rows import OVER_PLANTS
-from orchestration.score.scored_run import Trace
 
 CASES = ("nominal", "buoyancy")
 MEAN_AND_VARIATION = {"mine": (2.0, 300.0), "pid": (1.0, 400.0), "l1": (3.0, 500.0)}

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from orchestration.score import compare, score_view, tuned_gains
+from orchestration.score import compare, loop, score_view
 from orchestration.score.compare import figure, part, tables
 from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.score_document import CaseResult, Row, Score, protocol_info
@@ -22,7 +22,7 @@ value = 12.5
 def small(small_protocol: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Protocol:
     """A protocol of two cases and one controller, which is tuned."""
     (tmp_path / "l1-pi.toml").write_text(GAINS)
-    monkeypatch.setattr(tuned_gains, "FOLDER", tmp_path)
+    monkeypatch.setattr(loop, "GAINS", tmp_path)
     return read_protocol(small_protocol())
 
 

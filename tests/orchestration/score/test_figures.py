@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from orchestration.results.recording import Recording
-from orchestration.score.figures import failures, figures_of, judged_signals
+from orchestration.score.figures import declared, failures, figures_of, judged_signals
 from orchestration.score.protocol import Protocol
 
 STEP = 0.02
@@ -35,7 +35,7 @@ def test_figures_of_a_depth_that_is_ahead_by_a_constant(protocol: Protocol) -> N
     """z = r + 0.02 m; both voltages a square wave of 1 V and 2 V with a period of 2 s."""
     wave = 1.0 + (np.floor(TIME + 1e-9) % 2)
     reference = run(np.zeros_like(TIME), wave, wave)["reference"]
-    figures = figures_of(run(reference + 0.02, wave, wave), protocol.nominal, protocol)
+    figures = figures_of(run(reference + 0.02, wave, wave), declared(protocol.nominal, protocol))
     assert figures["rmse"] == pytest.approx(2.0)
     assert figures["peak_error"] == pytest.approx(2.0)
     assert figures["iae"] == pytest.approx(0.02 * 310.0)
@@ -56,7 +56,7 @@ def test_figures_of_a_depth_that_is_ahead_by_a_constant(protocol: Protocol) -> N
 
 def test_a_vehicle_that_stays_at_the_surface_failed(protocol: Protocol) -> None:
     zero = np.zeros_like(TIME)
-    figures = figures_of(run(zero, zero, zero), protocol.nominal, protocol)
+    figures = figures_of(run(zero, zero, zero), declared(protocol.nominal, protocol))
     assert math.isnan(figures["settling_time"])
     assert math.isnan(figures["breach"])
     assert failures(figures, protocol) == ["not settled"]
@@ -65,7 +65,7 @@ def test_a_vehicle_that_stays_at_the_surface_failed(protocol: Protocol) -> None:
 def test_overshoot_and_breach_are_failures_with_their_numbers(protocol: Protocol) -> None:
     zero = np.zeros_like(TIME)
     depth = np.where(TIME < 60.0, 0.9, np.where(TIME < 70.0, 0.0, 0.8))
-    figures = figures_of(run(depth, zero, zero), protocol.nominal, protocol)
+    figures = figures_of(run(depth, zero, zero), declared(protocol.nominal, protocol))
     # 499 steps at 0 m, and what is above 0.05 m of the lines down from 0.9 m and up to 0.8 m
     assert figures["breach"] == pytest.approx(STEP * (499 + 0.05 / 0.9 + 0.05 / 0.8))
     assert failures(figures, protocol) == ["overshoot 12.5 %", "breach 9.98 s"]
@@ -74,7 +74,9 @@ def test_overshoot_and_breach_are_failures_with_their_numbers(protocol: Protocol
 def test_where_the_reference_does_not_move_there_is_neither_lag_nor_overshoot(protocol: Protocol) -> None:
     zero = np.zeros_like(TIME)
     holding = replace(protocol.nominal, target=replace(protocol.nominal.target, moves=False))
-    figures = figures_of(run(zero + 0.8, zero, zero), holding, protocol, ["lag", "overshoot", "rmse"])
+    figures = figures_of(
+        run(zero + 0.8, zero, zero), declared(holding, protocol, ["lag", "overshoot", "rmse"])
+    )
     assert math.isnan(figures["lag"])
     assert math.isnan(figures["overshoot"])
     assert set(figures) == {"lag", "overshoot", "rmse"}

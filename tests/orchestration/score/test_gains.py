@@ -5,20 +5,19 @@ from typing import Any
 
 import pytest
 
-from orchestration.score.loop import OWN, Loop
+from orchestration.score.loop import GAINS, OWN, Loop, tuned
 from orchestration.score.protocol import Protocol, read_protocol
-from orchestration.score.tune_cost import cost_of
-from orchestration.score.tuned_gains import FOLDER, tuned
+from orchestration.score.tune_cost import costs
 
 NAMES = list(read_protocol().controllers)
 
 
 def written(name: str) -> dict[str, Any]:
-    return tomllib.loads((FOLDER / f"{name}.toml").read_text(encoding="utf-8"))
+    return tomllib.loads((GAINS / f"{name}.toml").read_text(encoding="utf-8"))
 
 
 def test_the_controllers_that_are_tuned_are_those_of_the_protocol() -> None:
-    assert {path.stem for path in FOLDER.glob("*.toml")} == set(NAMES)
+    assert {path.stem for path in GAINS.glob("*.toml")} == set(NAMES)
 
 
 def test_all_have_the_same_evaluations_for_each_free_gain_and_seed() -> None:
@@ -58,7 +57,7 @@ def test_a_file_is_of_the_protocol(name: str, protocol: Protocol) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_the_gains_have_the_cost_that_their_file_claims(name: str, protocol: Protocol) -> None:
     with Loop(tuned(protocol, name), protocol) as loop:
-        evaluated = cost_of(loop, {})
+        evaluated = next(costs(loop, [{}]))
     claimed = written(name)["tuning"]
     # the same program on another machine differs by the rounding of its libm, which noise enlarges
     assert evaluated["cost"] == pytest.approx(claimed["cost"], rel=1e-3)

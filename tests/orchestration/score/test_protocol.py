@@ -23,13 +23,13 @@ import json, sys
 opened = []
 sys.addaudithook(lambda event, arguments: opened.append(str(arguments[0])) if event == "open" else None)
 from orchestration.cli import study
-from orchestration.score import tune, tune_file, tune_problem, tune_space
+from orchestration.score import tune, tune_cost, tune_problem, tune_search
 from orchestration.score.loop import Loop, built_in
 from orchestration.score.protocol import read_protocol
-from orchestration.score.tune_cost import cost_of
+from orchestration.score.tune_cost import costs
 protocol = read_protocol()
 with Loop(built_in(protocol, "l1-pi"), protocol) as loop:
-    cost = cost_of(loop, {}, every_seed=True)["cost"]
+    cost = next(costs(loop, [{}], every_seed=True))["cost"]
 tables = [path for path in opened if path.endswith("table.toml")]
 print(json.dumps([cost, tables, "orchestration.score.table_seeds" in sys.modules]))
 """

@@ -12,32 +12,22 @@ import pytest
 
 from orchestration.errors import OrchestrationError, ScenarioError
 from orchestration.score import score_document
-from orchestration.score.loop import Controller, Loop
+from orchestration.score.loop import Controller, Loop, tuned
 from orchestration.score.plants import plants
 from orchestration.score.protocol import read_protocol
 from orchestration.score.score import run_count, score
 from orchestration.score.score_document import Row, Score
+from orchestration.score.score_rows import uses_true_rate
 from orchestration.score.score_view import of_figure
-from orchestration.score.scored_run import uses_true_rate
 from orchestration.score.table_seeds import table_seeds
-from orchestration.score.tuned_gains import tuned
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.report.made_up_score import made_up_score
+from tests.orchestration.score.controllers import rogue_doing
 from tests.shared_builds import Build
 
 Written = Callable[..., Path]
 MINE = Controller("mine", "L1DepthController", parameters={"augmentation": "pi", "proportional_gain": 8.0})
 EXACT = replace(MINE, name="exact", parameters={**MINE.parameters, "velocity_source": "measured"})
-
-
-def rogue_doing(fmu: Path, misdeed: Misdeed) -> Controller:
-    """A controller that misbehaves after a second of the run."""
-    return Controller(
-        misdeed.name.lower(),
-        str(fmu),
-        parameters={"misdeed": misdeed.name.lower(), "misdeed_time": 1.0},
-        mapping={"depth_reference": "u", "control_force": "y"},
-    )
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +71,7 @@ def test_who_uses_the_true_rate_is_known(document: Score, path: Path) -> None:
 
 def test_what_crashes_has_its_row_and_the_others_are_scored(document: Score) -> None:
     for case in row(document, "segfault").cases.values():
-        assert case.failed == ["its process ended with SIGSEGV"]
+        assert case.failed == ["the worker process ended: SIGSEGV"]
     plants_of_it = row(document, "segfault").plants
     assert plants_of_it is not None
     assert plants_of_it.failed["2"] == ["not run: its process ended 3 times before"]
@@ -113,7 +103,7 @@ def test_what_hangs_is_asked_for_nothing_more(path: Path, rogue: Build) -> None:
     hanging = rogue_doing(rogue(), Misdeed.HANG)
     hung, mine, _ = score([hanging, MINE], read_protocol(path), timeout=20.0).document.rows
     first, second = (case.failed for case in hung.cases.values())
-    assert first == ["it took longer than 20 s"]
+    assert first == ["it took longer than the timeout of 20 s"]
     assert second == ["not run: it took too long before"]
     assert not mine.cases["nominal"].failed
 

@@ -11,10 +11,9 @@ import pytest
 
 from fmus import store
 from orchestration.score import score_cache
-from orchestration.score.loop import Loop, built_in
+from orchestration.score.loop import Loop, built_in, tuned
 from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.score_document import Row
-from orchestration.score.tuned_gains import tuned
 
 
 def row(name: str) -> Row:

@@ -1,8 +1,6 @@
 """The plants of a row step together where that pays, and the row is the same to the last bit."""
 
-import math
-from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,17 +8,18 @@ import pytest
 
 from orchestration import Ensemble
 from orchestration.many import ensemble_checks
-from orchestration.score.isolated_loop import IsolatedLoop, RunError
+from orchestration.many.isolated import Isolated
+from orchestration.many.job import Done, Run
+from orchestration.score import score_rows
 from orchestration.score.loop import Controller, Loop
 from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.score import score
 from orchestration.score.score_document import PlantsResult
-from orchestration.score.scored_run import load_ensemble, scored_run, scored_runs
 from tests.foreign_fmus import Misdeed
 from tests.shared_builds import Build, built_once, session_folder
 
 MINE = Controller("mine", "L1DepthController", league="reference-rates")  # three signals of each plant
-Scored = Callable[..., tuple[PlantsResult, Counter[str]]]
+Scored = Callable[..., tuple[PlantsResult, list[int]]]
 COUNT = 19  # two groups and a part of one
 VARY: Mapping[str, Any] = {
     "weight": {"variables": ["plant.weight"], "distribution": "loguniform", "low": 1e-3, "high": 30.0},
@@ -57,29 +56,29 @@ def _compiled(path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
 
 @pytest.fixture
 def plants_of(path: Path, monkeypatch: pytest.MonkeyPatch) -> Scored:
-    """What a row has of its plants, and how often each function was called in its process."""
+    """What a row has of its plants, and how many runs were made at once in its process."""
 
     def score_plants(
         controller: Controller, is_compiled: bool, crashes: bool = False
-    ) -> tuple[PlantsResult, Counter[str]]:
-        calls: Counter[str] = Counter()
-        call = IsolatedLoop.call
+    ) -> tuple[PlantsResult, list[int]]:
+        groups: list[int] = []
+        made = Isolated._made
 
-        def count(self: IsolatedLoop, function: Callable[..., Any], *arguments: Any, runs: int = 1) -> Any:
-            calls[function.__name__] += 1
-            has_figures = function in (load_ensemble, scored_run, scored_runs)
-            if not has_figures or (crashes and function is scored_runs):
-                raise RunError("its process ended with SIGSEGV")  # and no time is taken for other figures
-            return call(self, function, *arguments, runs=runs)
+        def count(self: Isolated, runs: Sequence[Run]) -> list[Done]:
+            groups.append(len(runs))
+            if crashes and len(runs) > 1:
+                self._running().kill()
+            return made(self, runs)
 
         done: list[int] = []
         with monkeypatch.context() as patch:
             patch.setattr(ensemble_checks, "is_compiled", lambda *_: is_compiled)
-            patch.setattr(IsolatedLoop, "call", count)
+            patch.setattr(Isolated, "_made", count)
+            patch.setattr(score_rows, "_value_or", lambda default, *_: default)  # without other runs
             result = score([controller], read_protocol(path), full=True, progress=done.append)
         assert sum(done) == 1 + COUNT
         assert result.document.rows[0].plants is not None
-        return result.document.rows[0].plants, calls
+        return result.document.rows[0].plants, groups
 
     return score_plants
 
@@ -87,26 +86,22 @@ def plants_of(path: Path, monkeypatch: pytest.MonkeyPatch) -> Scored:
 @pytest.mark.usefixtures("_compiled")
 def test_plants_in_ensembles_have_the_figures_and_failures_of_single_runs(plants_of: Scored) -> None:
     """Also those that cannot begin or go on, whose reasons are found by a simulator; and after a crash."""
-    alone, calls = plants_of(MINE, is_compiled=False)
-    assert calls["scored_run"] == 1 + COUNT
-    assert "scored_runs" not in calls
+    alone, groups = plants_of(MINE, is_compiled=False)
+    assert groups == [1] * (1 + COUNT)
     reasons = " ".join(reason for of_plant in alone.failed.values() for reason in of_plant)
     for expected in ("expected net_weight below weight", "not finite any more", "not settled"):
         assert expected in reasons
-    together, calls = plants_of(MINE, is_compiled=True)
+    together, groups = plants_of(MINE, is_compiled=True)
     assert together.model_dump_json() == alone.model_dump_json()
-    assert calls["scored_runs"] == 3
-    ended_early = sum(map(math.isnan, alone.figures["rmse"].values))
-    assert calls["scored_run"] == 1 + ended_early < 1 + COUNT // 2
-    crashed, calls = plants_of(MINE, is_compiled=True, crashes=True)
+    assert groups == [1, 8, 8, 3]
+    crashed, groups = plants_of(MINE, is_compiled=True, crashes=True)
     assert crashed.model_dump_json() == alone.model_dump_json()
-    assert calls["scored_run"] == 1 + COUNT
+    assert sorted(groups) == [1] * (1 + COUNT) + [3, 8, 8]
 
 
 def test_plants_of_a_controller_of_another_tool_run_alone(plants_of: Scored, rogue: Build) -> None:
     mapping = {"depth_reference": "u", "control_force": "y"}
     parameters = {"misdeed": Misdeed.ERROR.name.lower(), "misdeed_time": 1.0}
-    result, calls = plants_of(Controller("rogue", str(rogue()), "position", "", parameters, mapping), True)
+    result, groups = plants_of(Controller("rogue", str(rogue()), "position", "", parameters, mapping), True)
     assert result.failure_rate == 1.0
-    assert calls["scored_run"] == 1 + COUNT
-    assert "scored_runs" not in calls
+    assert groups == [1] * (1 + COUNT)

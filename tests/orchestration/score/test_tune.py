@@ -11,9 +11,9 @@ import pytest
 
 from orchestration.errors import OrchestrationError
 from orchestration.scenarios import scenario
-from orchestration.score import tune_file
+from orchestration.score import tune_problem
 from orchestration.score.tune import Evaluate, Problem, SearchResult, Tuning, tune
-from orchestration.score.tune_space import FreeGain
+from orchestration.score.tune_search import FreeGain
 
 GAINS = (FreeGain("kp", 0.1, 100.0, "N/m"), FreeGain("kd", 0.1, 100.0), FreeGain("offset", -2.0, 2.0))
 OPTIMUM = {"kp": 7.0, "kd": 30.0, "offset": -0.5}
@@ -209,7 +209,7 @@ def test_seeds_agree_if_most_come_near_the_lowest_cost() -> None:
 def test_the_file_holds_gains_for_scenarios_and_says_how_far_to_trust_them(tmp_path: Path) -> None:
     tuning = tuned(tmp_path / "journal", evaluations_per_gain=10)
     path = tmp_path / "gains.toml"
-    tune_file.write(tuning, {"law": "pi"}, {"protocol": "7"}, path)
+    tune_problem.write(tuning, {"law": "pi"}, {"protocol": "7"}, path)
     best = {f"controller.{name}": value for name, value in tuning.best.gains.items()}
     assert scenario.parameter_values(path) == {"controller.law": "pi", **best}
     written = tomllib.loads(path.read_text())

@@ -18,7 +18,7 @@ from orchestration.cli.study import print_gains
 from orchestration.scenarios import scenario
 from orchestration.score import tune
 from orchestration.score.tune import Problem, SearchResult, Tuning
-from orchestration.score.tune_space import FreeGain
+from orchestration.score.tune_search import FreeGain
 
 Command = Callable[..., Any]
 OPTIONS = ("--evaluations", "3", "--seeds", "2", "--workers", "2")

@@ -8,9 +8,9 @@ import pytest
 
 from orchestration.score.loop import Loop, built_in
 from orchestration.score.protocol import Protocol
-from orchestration.score.tune_cost import LARGEST, cost_of, delayed, practice_cases, run_cost
+from orchestration.score.tune_cost import LARGEST, costs, delayed, practice_cases, run_cost
 from orchestration.score.tune_problem import problem_of
-from orchestration.score.tune_space import FreeGain
+from orchestration.score.tune_search import FreeGain
 
 BOUNDS = {"overshoot": 5.0, "total_variation": 1000.0}
 
@@ -47,16 +47,16 @@ def loop(protocol: Protocol) -> Iterator[Loop]:
 
 def test_the_cost_is_the_mean_error_of_the_cases_where_no_bound_is_reached(loop: Loop) -> None:
     """At the gains of the block, which are slow: all bounds hold."""
-    evaluated = cost_of(loop, {})
+    evaluated = next(costs(loop, [{}]))
     errors = [loop.figures(case)["rmse"] for case in practice_cases(loop.protocol)]
     assert evaluated["cost"] == pytest.approx(sum(errors) / 3)
-    assert cost_of(loop, {}) == evaluated
-    assert cost_of(loop, {"filter_bandwidth": 0.5})["cost"] < evaluated["cost"]
+    assert next(costs(loop, [{}])) == evaluated
+    assert next(costs(loop, [{"filter_bandwidth": 0.5}]))["cost"] < evaluated["cost"]
 
 
 def test_a_loop_that_a_late_measurement_makes_swing_costs_more_than_its_error(loop: Loop) -> None:
     """K_P and K_I of about 20 times those of the block: quiet as it is, not with 0.1 s of delay."""
-    evaluated = cost_of(loop, {"proportional_gain": 200.0, "rate_feedback_gain": 60.0})
+    evaluated = next(costs(loop, [{"proportional_gain": 200.0, "rate_feedback_gain": 60.0}]))
     error = sum(figures["rmse"] for figures in evaluated["figures"].values()) / 3
     assert evaluated["unrest"] > 0.003
     assert evaluated["cost"] > error + 1.0
@@ -71,10 +71,10 @@ def test_a_case_can_be_delayed_besides_its_own_faults(protocol: Protocol) -> Non
 
 
 def test_gains_that_the_fmu_refuses_have_a_finite_cost_and_the_reason(loop: Loop) -> None:
-    evaluated = cost_of(loop, {"observer_period": 0.001})
+    evaluated = next(costs(loop, [{"observer_period": 0.001}]))
     assert evaluated["cost"] == LARGEST
     assert "internal_step at most observer_period" in evaluated["failure"]
-    assert cost_of(loop, {})["cost"] < LARGEST  # the FMUs run on
+    assert next(costs(loop, [{}]))["cost"] < LARGEST  # the FMUs run on
 
 
 def test_the_gains_of_a_controller_of_the_protocol_are_those_that_it_has_for_it(

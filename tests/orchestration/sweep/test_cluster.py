@@ -19,7 +19,6 @@ from distributed import Client
 from orchestration.errors import SweepError
 from orchestration.many import cluster
 from orchestration.many.cluster import ClusterRuns
-from orchestration.many.job import Job
 from orchestration.results.recording import Recording
 from orchestration.run import simulate
 from orchestration.sweep import run as running
@@ -31,7 +30,7 @@ pytestmark = pytest.mark.cluster
 
 
 Make = Callable[..., Plan]
-Started = tuple[Client, Callable[[Job], ClusterRuns]]
+Started = tuple[Client, ClusterRuns]
 COUNT = 60
 SWEEP = f"""
 [sweep]
@@ -59,7 +58,7 @@ import cloudpickle
 from orchestration.many import cluster
 
 def run_batch(plugin, pickled):
-    if any(changes[1]["inputs"]["r.u"] == 3 for changes in cloudpickle.loads(pickled)):
+    if any(changes[1]["inputs"]["r.u"] == 3 for changes, _ in cloudpickle.loads(pickled)):
         os.kill(os.getpid(), signal.SIGKILL)
     return cluster.run_batch(plugin, pickled)
 """

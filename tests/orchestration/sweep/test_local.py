@@ -13,8 +13,8 @@ from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import EnsembleError, OrchestrationError
 from orchestration.many import ensemble_checks
 from orchestration.many.batches import Batches, Finished, Run
-from orchestration.many.job import Failure
-from orchestration.many.local import LocalRuns, local
+from orchestration.many.job import Failure, Finished, Run
+from orchestration.many.local import LocalRuns
 from orchestration.results import metrics
 from orchestration.results.recording import Recording, run_by_run
 from orchestration.scenarios import scenario
@@ -66,7 +66,7 @@ def swept(made: Plan, folder: Path, workers: int, isolated: bool = False) -> tup
     path = sweep(
         made,
         folder,
-        local(workers, isolated, vectorise=False),
+        LocalRuns(workers, isolated, vectorise=False),
         progress=lambda done: started.update(children() - before),
     )
     assert children() <= before
@@ -97,18 +97,18 @@ def test_what_was_done_before_an_interrupt_is_not_run_again(vehicle: Plan, tmp_p
 
     before = threading.active_count()
     with pytest.raises(KeyboardInterrupt):
-        sweep(vehicle, tmp_path / "again", local(2, vectorise=False), progress=interrupt)
+        sweep(vehicle, tmp_path / "again", LocalRuns(2, vectorise=False), progress=interrupt)
     assert threading.active_count() == before
     assert COUNT // 3 <= sum(done) < COUNT
     more: list[int] = []
-    path = sweep(vehicle, tmp_path / "again", local(2, vectorise=False), progress=more.append)
+    path = sweep(vehicle, tmp_path / "again", LocalRuns(2, vectorise=False), progress=more.append)
     assert (more[0], sum(more)) == (sum(done), COUNT)
     assert path.read_bytes() == swept(vehicle, tmp_path / "once", 1)[0]
 
 
 def test_a_row_names_the_fmus_that_warned_in_its_sample_alone(planned: Make, tmp_path: Path) -> None:
     made = planned('[sweep.vary."r.misdeed"]\nvalues = ["none", "warning", "none", "error"]\n')
-    rows = table.read(sweep(made, tmp_path, local(1)))[0]
+    rows = table.read(sweep(made, tmp_path, LocalRuns(1)))[0]
     assert rows["warned"].to_pylist() == [None, "r", None, None]
     assert table.names(rows.schema, "warned") == ["warned"]
 
@@ -127,7 +127,7 @@ def test_foreign_fmus_and_samples_with_a_timeout_have_a_process(
         made = planned('[sweep.vary."r.misdeed"]\nvalues = ["segfault", "none"]\n')
         errors = ["the worker process ended: SIGSEGV", None]
     before, started = children(), set()
-    path = sweep(made, tmp_path, local(1), progress=lambda done: started.update(children() - before))
+    path = sweep(made, tmp_path, LocalRuns(1), progress=lambda done: started.update(children() - before))
     assert table.read(path)[0]["error"].to_pylist() == errors
     assert started
 
@@ -135,7 +135,8 @@ def test_foreign_fmus_and_samples_with_a_timeout_have_a_process(
 def made_in_a_thread(made: Plan, count: int) -> list[Finished]:
     job = job_of(made, None)
     batches = Batches(samples_of(made, job.base, range(count)), count)
-    return [one for finished in LocalRuns(job, 1, vectorise=False).runs(batches) for one in finished]
+    with LocalRuns(1, vectorise=False) as place:
+        return [one for finished in place.runs(job, batches) for one in finished]
 
 
 def failed(finished: Finished) -> str:
@@ -170,9 +171,10 @@ def test_a_file_that_is_replaced_meanwhile_changes_no_sample(
     monkeypatch.setattr(Plan, "settings", lambda plan, values: {"parameters": values})
     job, finished = job_of(made, None), list[Finished]()
     batches = Batches(samples_of(made, job.base, range(3)), 3)
-    for more in LocalRuns(job, 1, isolated, vectorise=False).runs(batches):
-        finished += more
-        fmu.write_bytes(b"no FMU")
+    with LocalRuns(1, isolated, vectorise=False) as place:
+        for more in place.runs(job, batches):
+            finished += more
+            fmu.write_bytes(b"no FMU")
     first, second, third = finished
     assert "plant.inertia = -1.0: expected" in failed(second)
     assert first.done.result == third.done.result
@@ -188,15 +190,16 @@ def test_a_batch_ends_after_its_time_and_the_rest_is_run_in_others(vehicle: Plan
 
     job, numbers, lengths = job_of(vehicle, None), list[int](), list[int]()
     batches = Batches(samples_of(vehicle, job.base, range(9)), 9)
-    for finished in LocalRuns(job, 1, vectorise=False, clock=clock).runs(batches):
-        lengths.append(len(finished))
-        numbers += [one.key.number for one in finished]
+    with LocalRuns(1, vectorise=False, clock=clock) as place:
+        for finished in place.runs(job, batches):
+            lengths.append(len(finished))
+            numbers += [one.key.number for one in finished]
     assert lengths == [1, 2, *[1] * 6]  # the second was of three
     assert sorted(numbers) == list(range(9))
 
 
 def numbered(numbers: Iterable[int]) -> list[Run]:
-    return [Run(number, ANY) for number in numbers]
+    return [Run(number, ANY, list) for number in numbers]
 
 
 def test_batches_grow_to_a_quarter_of_a_second_and_end_at_about_the_same_time() -> None:
@@ -239,12 +242,12 @@ def test_a_batch_of_groups_has_at_most_the_samples_that_it_may_have() -> None:
 
 
 def test_a_restart_that_cannot_run_discards_nothing(vehicle: Plan, tmp_path: Path) -> None:
-    alone = local(1, vectorise=False), local(1, vectorise=False)
+    alone = LocalRuns(1, vectorise=False), LocalRuns(1, vectorise=False)
     path = sweep(vehicle, tmp_path, alone[0])
     before = path.read_bytes()
-    timed = replace(vehicle, timeout=9.0)
-    with pytest.raises(EnsembleError, match="no timeout"):
-        sweep(timed, tmp_path, local(1, vectorise=True), restart=True)
+    scenario = replace(vehicle.scenario, experiment=replace(vehicle.scenario.experiment, tolerance=1e-4))
+    with pytest.raises(EnsembleError, match="tolerance: an Ensemble does not"):
+        sweep(replace(vehicle, scenario=scenario), tmp_path, LocalRuns(1, vectorise=True), restart=True)
     assert path.read_bytes() == before
     done: list[int] = []
     assert sweep(vehicle, tmp_path, alone[1], restart=True, progress=done.append).read_bytes() == before
@@ -263,8 +266,8 @@ def note_of(made: Plan, workers: int) -> str:
     def stop(note: str) -> None:
         raise KeyboardInterrupt(note)
 
-    with pytest.raises(KeyboardInterrupt) as said:
-        next(LocalRuns(job_of(made, None), workers, note=stop).runs(Batches([], made.count)))
+    with pytest.raises(KeyboardInterrupt) as said, LocalRuns(workers, note=stop) as place:
+        next(place.runs(job_of(made, None), Batches([], made.count)))
     return str(said.value)
 
 
@@ -277,7 +280,6 @@ def varying(name: str, low: float, high: float) -> str:
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        (VEHICLE.replace("[sweep]", "[sweep]\ntimeout = 9.0"), "no timeout"),
         (varying("experiment.step_size", 0.01, 0.02), "experiment.step_size is varied"),
         (varying("plant.internal_step", 0.01, 0.02), "plant.internal_step is varied"),
         (
@@ -306,10 +308,10 @@ def test_threads_share_the_memory_of_recordings(tmp_path: Path) -> None:
 def test_the_note_says_what_runs_the_samples(planned: Make, tmp_path: Path) -> None:
     """A foreign FMU in a process; an ensemble that is asked for is refused."""
     notes: list[str] = []
-    sweep(planned(), tmp_path, local(1, note=notes.append))
+    sweep(planned(), tmp_path, LocalRuns(1, note=notes.append))
     assert notes == ["1 processes of simulators: r is no native FMU that l1-depth build wrote for this user"]
     with pytest.raises(EnsembleError, match=r"r is no native FMU that l1-depth build wrote for this user"):
-        sweep(planned(), tmp_path, local(1, vectorise=True), restart=True)
+        sweep(planned(), tmp_path, LocalRuns(1, vectorise=True), restart=True)
 
 
 @pytest.mark.slow
@@ -328,7 +330,7 @@ def test_ensembles_give_the_same_table(
     monkeypatch.setattr(ensemble_checks, "is_compiled", lambda *_: True)
     batches: list[int] = []
     notes: list[str] = []
-    path = sweep(vehicle, tmp_path / "together", local(2, note=notes.append), progress=batches.append)
+    path = sweep(vehicle, tmp_path / "together", LocalRuns(2, note=notes.append), progress=batches.append)
     assert notes == ["2 threads of ensembles"]
     assert sorted(batches) == [0, 6, 8, 8, 8]  # groups, until the last
     errors = table.read(path)[0]["error"].to_pylist()
@@ -345,8 +347,8 @@ def test_simulators_continue_what_ensembles_began(vehicle: Plan, tmp_path: Path,
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        sweep(vehicle, tmp_path / "again", local(1, vectorise=True), progress=interrupt)
+        sweep(vehicle, tmp_path / "again", LocalRuns(1, vectorise=True), progress=interrupt)
     done: list[int] = []
-    path = sweep(vehicle, tmp_path / "again", local(1, vectorise=False), progress=done.append)
+    path = sweep(vehicle, tmp_path / "again", LocalRuns(1, vectorise=False), progress=done.append)
     assert (done[0], sum(done)) == (8, COUNT)
     assert path.read_bytes() == swept(vehicle, tmp_path / "once", 1)[0]
