@@ -89,8 +89,6 @@ def sweep(
     if scheduler:
         local_options = {"--workers": workers, "--isolated": isolated, "--ensemble": ensemble}
         refuse_without_effect("--scheduler", local_options)
-    if ensemble:
-        refuse_without_effect("--ensemble", {"--isolated": isolated})
     planned = plan(chosen_scenario.load(name, flavour, changes))
     if sample is not None:
         _run_one(planned, sample, out)

@@ -82,15 +82,6 @@ class Patience:
         return done
 
 
-@dataclass(frozen=True)
-class ScoredRun:
-    """Figures of a run, why it counts as failed, and what is drawn of it."""
-
-    figures: dict[str, float]
-    failed: list[str]
-    trace: Trace
-
-
 @dataclass
 class Scoring:
     """How rows are made."""
@@ -135,29 +126,28 @@ class Scoring:
             parameters=loop.parameters(),
         )
         traces: dict[str, Trace] = {}
-        for case, run in zip(self.cases, self._scored_runs(loop, self.cases, traced=True), strict=True):
-            row.cases[case.name] = CaseResult(figures=run.figures, failed=run.failed)
-            traces[case.name] = run.trace
+        for case, (run, trace) in zip(self.cases, self._judged(loop, self.cases, traced=True), strict=True):
+            row.cases[case.name], traces[case.name] = run, trace
         row.uses_true_rate = _value_or(None, uses_true_rate, loop, nominal)
         row.delay_margin = _value_or(math.nan, delay_margin_of, loop, nominal)
         row.microseconds = _value_or(math.nan, microseconds, loop, nominal)
         if self.plants:
             names = [name for name in OVER_PLANTS if name in self.protocol.figures]
-            row.plants = _over_plants([*self._scored_runs(loop, self.plants, names)], names)
+            row.plants = _over_plants([run for run, _ in self._judged(loop, self.plants, names)], names)
         return row, traces
 
-    def _scored_runs(
+    def _judged(
         self, loop: Loop, cases: Sequence[Case], names: Collection[str] = (), traced: bool = False
-    ) -> Iterator[ScoredRun]:
-        """Yields a run of each case, or the reason why there is none."""
+    ) -> Iterator[tuple[CaseResult, Trace]]:
+        """Yields the result of each case, or the reason why there is none, and what is drawn of it."""
         figures = (declared(case, self.protocol, names) for case in cases)
         compute = (partial(traced_figures, figures=of_case, traced=traced) for of_case in figures)
         for result in loop.results([LoopRun(*pair) for pair in zip(cases, compute, strict=True)]):
             if isinstance(result, Failure):
-                yield ScoredRun({}, [result.reason], {})
+                yield CaseResult(failed=[result.reason]), {}
             else:
                 of_run, trace = result
-                yield ScoredRun(of_run, failures(of_run, self.protocol), trace)
+                yield CaseResult(figures=of_run, failed=failures(of_run, self.protocol)), trace
             self.progress(1)
 
 
@@ -236,7 +226,7 @@ def _fmu(loop: Loop) -> dict[str, Any]:
     }
 
 
-def _over_plants(runs: Sequence[ScoredRun], names: Sequence[str]) -> PlantsResult:
+def _over_plants(runs: Sequence[CaseResult], names: Sequence[str]) -> PlantsResult:
     values = {name: [run.figures.get(name, math.nan) for run in runs] for name in names}
     failed = {str(number): run.failed for number, run in enumerate(runs) if run.failed}
     return PlantsResult(

@@ -46,6 +46,7 @@ def rmse(runs: Recording) -> Sequence[float]:
         {"vectorise": False, "workers": 1},
         {"vectorise": True, "workers": 1},
         pytest.param({"isolate": True, "workers": 2}, marks=pytest.mark.cluster),
+        pytest.param({"isolate": True, "vectorise": True, "workers": 1}, marks=pytest.mark.cluster),
     ],
 )
 def test_recordings_come_in_the_order_given_with_the_bytes_of_simulate(
