@@ -79,6 +79,18 @@ def test_a_reduction_takes_the_place_of_recordings(
     assert [value for value in made if not isinstance(value, Failure)] == expected
 
 
+@pytest.mark.cluster
+def test_a_process_steps_runs_together_and_those_that_fail_alone(
+    nominal: Scenario, experiments: list[Experiment]
+) -> None:
+    def counts(runs: Recording) -> list[int]:
+        return [len(runs.values)] * len(runs.values)
+
+    made = list(run_many(nominal.system, experiments, reduce=counts, isolate=True, vectorise=True, workers=1))
+    assert isinstance(made.pop(3), Failure)
+    assert made == [7] * 7 + [1]  # of the first eight, and the last
+
+
 def test_a_reduction_that_fails_for_one_run_is_a_failure_of_that_run_alone(
     nominal: Scenario, experiments: list[Experiment]
 ) -> None:
