@@ -174,19 +174,9 @@ def _reduced(recording: Recording, runs: Sequence[Run]) -> list[Any]:
         part = replace(recording, values=recording.values[first : first + count])
         try:
             results += reduce(part)
-        except Exception:  # of one of them
-            results += _reduced_alone(part, reduce)
+        except Exception:  # of one of them; each is made alone
+            results += [None] * count
         first += count
-    return results
-
-
-def _reduced_alone(recording: Recording, reduce: Callable[[Recording], Sequence[Any]]) -> list[Any]:
-    results = list[Any]()
-    for i in range(len(recording.values)):
-        try:
-            results += reduce(replace(recording, values=recording.values[i : i + 1]))
-        except Exception:
-            results.append(None)
     return results
 
 
