@@ -68,7 +68,7 @@ class Finished(NamedTuple):
 
 @dataclass(frozen=True)
 class Job:
-    """What all runs share, wherever they are made.
+    """The data that all runs of one system share, wherever they are made.
 
     fmus: file name -> content, where the system's components are such file names
     base: an experiment like those of the runs, which are sent as their differences from it

@@ -180,7 +180,7 @@ _RATIOS = (
 
 
 def runs_needed(over: Mapping[str, Sequence[float]]) -> int:
-    """How many runs the figures take, about."""
+    """Returns about how many runs the figures take."""
     return 2 * 36 + 2 * 30 + 2 * 15 * (sum(map(len, over.values())) or len(ADAPTATION_GAINS))
 
 

@@ -1,4 +1,4 @@
-"""What is tuned for one controller, what its cost depends on, and the file of the gains that are found."""
+"""The tuning of one controller: its free gains, what their cost depends on, and the file of those found."""
 
 import hashlib
 from collections.abc import Iterable, Mapping
@@ -112,7 +112,7 @@ def write(tuning: Tuning, fixed: Mapping[str, Any], provenance: Mapping[str, Any
 
 
 def document(tuning: Tuning, fixed: Mapping[str, Any], provenance: Mapping[str, Any]) -> dict[str, Any]:
-    """What the file contains."""
+    """Returns the content of the file."""
     best = tuning.best
     unchanged = {
         f"controller.{name}": {"value": value, "source": "fixed: what the law is, not tuned"}

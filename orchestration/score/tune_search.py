@@ -47,7 +47,7 @@ class FreeGain:
         return min(max(float(f"{value:.{_DIGITS}g}"), self.low), self.high)
 
     def position(self, value: float) -> float:
-        """Where a gain stands in its range, 0..1."""
+        """Returns where a gain stands in its range, 0..1."""
         if self.low > 0.0:
             return math.log(value / self.low) / math.log(self.high / self.low)
         return (value - self.low) / (self.high - self.low)
