@@ -15,9 +15,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import cloudpickle
-from fmus.user_cache import record_build
 
 from fmus.extras import imports_of
+from fmus.store import record_build
 from orchestration.errors import SweepError
 from orchestration.many.batches import Batches
 from orchestration.many.isolated import Isolated

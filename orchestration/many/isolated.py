@@ -7,11 +7,11 @@ from pathlib import Path
 from time import perf_counter
 
 import cloudpickle
-from fmus.native.lanes import LANES
 
 from fmus.fmi.process import Parent, ProcessEndedError, WorkerProcess
 from orchestration.errors import EnsembleError, OrchestrationError, SweepError
 from orchestration.many.job import ENDED, TOO_LONG, Done, Failure, Job, Run
+from orchestration.many.lane_library import LANES
 from orchestration.many.runners import BATCH_S, ClosedError, Simulated, Vectorised
 
 _ATTEMPTS = 2  # a process that ends once may have been killed by somebody, one that ends again by its run

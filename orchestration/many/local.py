@@ -9,11 +9,9 @@ from pathlib import Path
 from queue import SimpleQueue
 from tempfile import TemporaryDirectory
 
-from fmus.native.lanes import LANES
-
 from fmus.fmi.description import describe, is_independent
 from orchestration.errors import FmuWarning
-from orchestration.many.batches import Batches, Finished, Run
+from orchestration.many.batches import Batches
 from orchestration.many.isolated import Isolated
 from orchestration.many.job import Finished, Job, Run
 from orchestration.many.lane_library import LANES

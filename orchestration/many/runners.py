@@ -7,12 +7,11 @@ from itertools import groupby
 from time import perf_counter, thread_time
 from typing import Any, Protocol
 
-from fmus.native.lanes import LANES
-
 from orchestration.errors import EnsembleError, OrchestrationError
 from orchestration.many.ensemble import Ensemble
-from orchestration.many.ensemble_choice import check_ensemble
+from orchestration.many.ensemble_checks import check_ensemble
 from orchestration.many.job import ENTRIES, Done, Failure, Job, Run
+from orchestration.many.lane_library import LANES
 from orchestration.results.recording import Recording
 from orchestration.run.simulator import Simulator
 from orchestration.system.experiment import Experiment

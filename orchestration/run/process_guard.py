@@ -2,9 +2,9 @@
 
 After each call of an FMU the floating-point mode (rounding, denormals) is that of before. An FMU that calls
 `exit` is named, and the status is 70; for `_exit` and crashes see `fmus/fmi/parent_process.py`. A child that
-an FMU forks ends where it returns from a call, and the run ends with an error. Whatever else FMUs change in this
-process stays: locale, environment, handlers of signals, open files. With a `timeout` they have a process of
-their own.
+an FMU forks ends where it returns from a call, and the run ends with an error.
+Whatever else FMUs change in this process stays: locale, environment, handlers of signals, open files. With a
+`timeout` they have a process of their own.
 
 Of a system of native FMUs that this user built, which are known to change nothing, the mode is looked at
 after calls outside the communication loop alone.

@@ -16,9 +16,7 @@ from typing import Any
 from fmus.extras import imports_of
 from orchestration.errors import OrchestrationError
 from orchestration.many.journal import Journal
-from orchestration.score.tune_journal import Journal
 from orchestration.score.tune_search import FreeGain, Search
-from orchestration.score.tune_space import FreeGain
 
 REFINEMENT = 0  # the seed of the last search
 LAST_PART = 0.5  # of the evaluations of the last search: what they still gain shows whether the cost is flat

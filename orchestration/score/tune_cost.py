@@ -14,9 +14,9 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
-from fmus.native.lanes import LANES
 
 from orchestration.many.job import Failure
+from orchestration.many.lane_library import LANES
 from orchestration.many.local import LocalRuns
 from orchestration.many.run_many import in_order
 from orchestration.margins.hold import QUIET, last_part

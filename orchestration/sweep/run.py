@@ -13,9 +13,9 @@ import numpy as np
 from fmus.fmi.variable_types import FmiValue
 from fmus.platforms import usable_processors
 from orchestration.errors import SweepError
-from orchestration.many.batches import Batches, Finished, Place, Run
+from orchestration.many.batches import Batches, Place
 from orchestration.many.job import Failure, Finished, Job, Run
-from orchestration.many.local import local
+from orchestration.many.local import LocalRuns
 from orchestration.results import metrics
 from orchestration.results.recording import Recording
 from orchestration.scenarios.scenario import Scenario
@@ -78,7 +78,11 @@ def run_sweep(
     Returns the path of the table. Raises SweepError.
     """
     return sweep(
-        plan_of(scenario), folder, local(workers or usable_processors()), restart=restart, progress=progress
+        plan_of(scenario),
+        folder,
+        LocalRuns(workers or usable_processors()),
+        restart=restart,
+        progress=progress,
     )
 
 

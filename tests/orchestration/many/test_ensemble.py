@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from orchestration.many.ensemble_choice import check_ensemble
 
 from fmus.block import Block, variable
 from fmus.build import native
@@ -26,6 +25,7 @@ from fmus.store import record_build
 from orchestration import Ensemble, Event, Experiment, Fault, Offset, Ramps, Simulator, System
 from orchestration.errors import EnsembleError, OrchestrationError, SimulationError, SystemDefinitionError
 from orchestration.many import ensemble_loop
+from orchestration.many.ensemble_checks import check_ensemble
 from orchestration.many.lane_library import LANES, lane_library
 from orchestration.many.run_many import run_many
 from orchestration.many.stepped_ensemble import EnsembleRecording

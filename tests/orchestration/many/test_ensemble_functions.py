@@ -229,7 +229,7 @@ def test_every_shipped_block_has_the_bits_of_single_runs(name: str, built: Mappi
             except SimulationError as error:
                 one = error.recording
             assert (len(one.time) < 51) == (instance in recorded.failures)
-            assert recorded.recording(instance).values.tobytes() == one.values.tobytes()
+            assert recorded.run(instance).values.tobytes() == one.values.tobytes()
 
 
 @pytest.mark.parametrize("instructions", instruction_sets())

@@ -12,7 +12,7 @@ import pytest
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import EnsembleError, OrchestrationError
 from orchestration.many import ensemble_checks
-from orchestration.many.batches import Batches, Finished, Run
+from orchestration.many.batches import Batches
 from orchestration.many.job import Failure, Finished, Run
 from orchestration.many.local import LocalRuns
 from orchestration.results import metrics
