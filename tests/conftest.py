@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import fmpy
 import pytest
 from hypothesis import settings
 
@@ -18,9 +17,9 @@ from fmus.block.instance import Instance
 from fmus.build import builder
 from fmus.build.stamp import Order
 from fmus.errors import ExportError
-from fmus.native import toolchain
 from fmus.registry import FOLDER_VARIABLE, Flavour, block_names, fmu_folder
 from tests import foreign_fmus, foreign_pythonfmu
+from tests.c_programs import compile_c
 from tests.shared_builds import (
     LIKE_ANOTHER,
     Build,
@@ -157,33 +156,10 @@ def tool() -> Callable[[str], str]:
     return find
 
 
-_C_TARGETS = {
-    "linux64": ("x86_64-linux-gnu.2.17", ("-ldl", "-lm", "-lpthread")),
-    "aarch64-linux": ("aarch64-linux-gnu.2.17", ("-ldl", "-lm", "-lpthread")),
-    "win64": ("x86_64-windows-gnu", ()),
-}
-
-
 @pytest.fixture(scope="session")
 def c_program(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path, str], Path]:
-    """Compiles a C program for a platform, without a warning, with the flags of the FMUs.
-
-    zig then takes from its cache what it has built for them already: on Windows that is most of a minute.
-    """
-    root = Path(__file__).parent.parent
-    headers = (root / "orchestration" / "exchange", Path(fmpy.__file__).parent / "c-code")
-
-    def compiled(source: Path, platform: str) -> Path:
-        target, libraries = _C_TARGETS[platform]
-        folder = tmp_path_factory.mktemp("c program")
-        includes = [f"-I{folder}" for folder in headers]
-        warnings = ["-Wall", "-Wextra", "-Wpedantic", "-Werror"]
-        options = ["-target", target, *toolchain.FLAGS, *warnings, *includes]
-        name = source.with_suffix(".exe").name  # a name that Windows runs, and the others do not mind
-        toolchain.zig(["cc", *options, "-o", name, str(root / source), *libraries], folder)
-        return folder / name
-
-    return compiled
+    """Compiles a C program for a platform."""
+    return lambda source, platform: compile_c(source, platform, tmp_path_factory.mktemp("c program"))
 
 
 class Driver:

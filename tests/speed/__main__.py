@@ -7,37 +7,25 @@ Run it in a clone of the repository, with the extra `test` installed, on a machi
 
 import os
 import platform
+import re
 import tempfile
 import traceback
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from datetime import date
 from importlib.metadata import version
 from pathlib import Path
+from statistics import median
 from typing import Annotated
 
 import typer
 
-from orchestration.errors import OrchestrationError
-from tests.speed import commands, ensemble, importers, memory, runs, samples, scale, stepping, steps, sweeps
-from tests.speed.loops import LOOPS
-from tests.speed.page import check_places, replace_tables
-from tests.speed.part import Goal, Options, Part, Table
-from tests.speed.states import ROOT, state
+from orchestration import OrchestrationError
+from tests.speed.parts import PARTS, Measure, Rows
+from tests.speed.states import ROOT, State, state
 
-# part -> what measures it, and the names of its tables
-PARTS: dict[str, tuple[Callable[[Options], Part], tuple[str, ...]]] = {
-    "commands": (commands.measure, ("commands",)),
-    "steps": (steps.measure, ("fmi", "steps")),
-    "runs": (runs.measure, ("runs", "ways")),
-    "sweeps": (sweeps.measure, ("sweeps", "million")),
-    "ensemble": (ensemble.measure, ("ensemble",)),
-    "scale": (scale.measure, ("chains", "slopes", "thousand", "threads")),
-    "memory": (memory.measure, ("memory",)),
-    "samples": (samples.measure, ("samples",)),
-    "stepping": (stepping.measure, ("calls", "environments")),
-    "importers": (importers.measure, ("importers",)),
-}
-_SUMMARY = ("machine", "goals")
+MACHINE = "machine"
+_MANY = 10  # values, of which the half in the middle tells more than the extremes
 
 
 def main(
@@ -73,68 +61,136 @@ def main(
         folder = Path(name)
         try:
             if pages:
-                check_places(pages, [*_SUMMARY, *(table for _, tables in PARTS.values() for table in tables)])
-            now = state(str(ROOT), folder / "now")
-            options = Options(folder, now, state(before, folder / "before") if before else None, quick)
+                check_places(pages, [MACHINE, *(table for tables, _ in PARTS.values() for table in tables)])
+            states = [state(before, folder / "before")] if before else []
+            states.append(state(str(ROOT), folder / "now"))
         except OrchestrationError as error:
             raise typer.BadParameter(str(error)) from error
-        tables, failed = measure(parts or [*PARTS], options)
+        tables, failed = measure(parts or [*PARTS], states, quick)
     replace_tables(pages, tables)
     if failed:
         raise SystemExit(f"failed: {', '.join(failed)}")
 
 
-def measure(parts: list[str], options: Options) -> tuple[list[Table], list[str]]:
-    """The tables of parts and a summary, which are printed as well, and the names of parts that failed."""
-    tables, goals, failed = list[Table](), list[Goal](), list[str]()
+def measure(parts: Sequence[str], states: Sequence[State], quick: bool) -> tuple[dict[str, str], list[str]]:
+    """Returns the tables of parts, which are printed as well, and the names of parts that failed."""
+    tables, failed = {MACHINE: machine(states)}, list[str]()
     for part in parts:
+        names, measures = PARTS[part]
+        rows: dict[str, list[tuple[str, ...]]] = {name: [] for name in names}
         try:
-            measured = PARTS[part][0](options)
+            for chosen in measures:
+                if chosen.quick or not quick:
+                    for table, own in measured(chosen, states, quick).items():
+                        rows[table] += own
         except Exception:  # whatever it is, the other parts are measured
             traceback.print_exc()
             failed.append(part)
-            goals.append(Goal(f"`{part}`", "", "failed"))
             continue
-        print(*map(_text, measured.tables), sep="\n", flush=True)
-        tables += measured.tables
-        goals += measured.goals
-    summary = [machine(options), of_goals(goals, bool(options.before))]
-    print(*map(_text, summary), sep="\n", flush=True)
-    return [*summary, *tables], failed
+        for name in names:
+            tables[name] = markdown(("", "goal", "before", "now", "now / before"), rows[name])
+            print(f"{name}:\n\n{tables[name]}", flush=True)
+    return tables, failed
 
 
-def _text(table: Table) -> str:
-    return f"{table.name}:\n\n{table.markdown}"
+def measured(chosen: Measure, states: Sequence[State], quick: bool) -> dict[str, list[tuple[str, ...]]]:
+    """Returns the rows of tables of a measure, from rounds in which the states take turns.
+
+    What an earlier state cannot do is not measured there.
+    """
+    *earlier, now = states if chosen.compared else states[-1:]
+    turns: list[list[Rows]] = []
+    for _ in range(1 if quick else chosen.rounds + 1):
+        new = chosen.read(now, quick)
+        try:
+            turns.append([new, *(chosen.read(before, quick) for before in earlier)])
+        except OrchestrationError as error:
+            print(f"not measured before: {error}")
+            earlier, turns = [], [[new]]
+    if not quick:
+        del turns[0]  # what is built and compiled once was in it
+    shared = bool(earlier) and earlier[0].sources.samefile(now.sources)
+    return {
+        table: [
+            row_of(row, *([x[table][row] for x in own] for own in zip(*turns, strict=True)), shared=shared)
+            for row in rows
+        ]
+        for table, rows in turns[0][0].items()
+    }
 
 
-def of_goals(goals: list[Goal], compared: bool) -> Table:
-    missing = "not measured" if compared else ""
-    rows = [(goal.what, goal.target, goal.before or missing, goal.now, goal.others) for goal in goals]
-    return Table("goals", ("what", "target", "before", "now", "others"), rows)
+def row_of(
+    row: str, new: Sequence[float | str], old: Sequence[float | str] = (), shared: bool = False
+) -> tuple[str, ...]:
+    """Returns the cells of a row: of numbers, or of text that is the same or not.
+
+    Raises OrchestrationError if the text of one state, which is before and now, is not the same.
+    """
+    what, _, goal = row.partition(" -> ")
+    if all(isinstance(x, str) for x in new):
+        is_equal = len({*new, *old}) == 1
+        if shared and not is_equal:
+            raise OrchestrationError(f"{row}: results of one state differ: expected equal bit for bit")
+        return what, goal, "", "", ("equal bit for bit" if is_equal else "different") if old else ""
+    before, now = ([float(x) for x in values] for values in (old, new))
+    ratios = [a / b for a, b in zip(now, before, strict=True)] if before and all(before) else []
+    return what, goal, *(spread(values) if values else "" for values in (before, now, ratios))
 
 
-def machine(options: Options) -> Table:
-    """What the figures depend on."""
-    peers = sorted({loop.distribution for loop in LOOPS.values()} - {"l1-depth"})
-    used = ("numpy", "matplotlib", "ziglang", "dask", *peers)
-    rows = [
-        ("date", date.today().isoformat()),
-        ("processor", f"{processor()}, {os.cpu_count()} cores"),
-        ("system", f"{platform.system()} {platform.release()}, {platform.machine()}"),
-        ("Python", platform.python_version()),
-        ("packages", ", ".join(f"{name} {version(name)}" for name in used)),
-        ("now", options.now.revision),
-    ]
-    before = [("before", options.before.revision)] if options.before else []
-    return Table("machine", ("", ""), [*rows, *before])
+def spread(values: Sequence[float]) -> str:
+    """Returns the median, and in brackets the least and the largest, or of many the half in the middle."""
+    ordered = sorted(values)
+    cut = len(ordered) // 4 if len(ordered) > _MANY else 0
+    least, middle, most = (
+        f"{x:.0f}" if abs(x) >= 100.0 else f"{x:.3g}"
+        for x in (ordered[cut], median(ordered), ordered[-1 - cut])
+    )
+    return middle if len(values) == 1 else f"{middle} ({least} to {most})"
 
 
-def processor() -> str:
-    """Its name, where the system tells it."""
+def machine(states: Sequence[State]) -> str:
+    """Returns the table of what the figures depend on."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor()
+    used = ("numpy", "matplotlib", "ziglang", "dask")
+    rows = [
+        ("date", date.today().isoformat()),
+        ("processor", f"{(names or [platform.processor()])[0]}, {os.cpu_count()} cores"),
+        ("system", f"{platform.system()} {platform.release()}, {platform.machine()}"),
+        ("Python", platform.python_version()),
+        ("packages", ", ".join(f"{name} {version(name)}" for name in used)),
+        ("now", states[-1].revision),
+        *(("before", before.revision) for before in states[:-1]),
+    ]
+    return markdown(("", ""), rows)
+
+
+def markdown(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    rule = ["---", *["---:"] * (len(headings) - 1)]
+    return "".join(f"| {' | '.join(row)} |\n" for row in (headings, rule, *rows))
+
+
+def check_places(pages: Sequence[Path], names: Iterable[str]) -> None:
+    """Raises OrchestrationError unless the pages have one place for each name of a table, and no other."""
+    texts = [page.read_text(encoding="utf-8") for page in pages]
+    places = Counter(re.findall(r"^<!-- table: (.*) -->$", "\n".join(texts), re.M))
+    if wrong := (places - Counter(names)) + (Counter(names) - places):
+        raise OrchestrationError(
+            f"{', '.join(sorted(wrong))}: expected one place in the pages for each table"
+        )
+
+
+def replace_tables(pages: Sequence[Path], tables: dict[str, str]) -> None:
+    """Writes tables to their places in pages; places of other tables stay as they are."""
+    for page in pages:
+        text = re.sub(
+            r"^(<!-- table: (.*) -->\n)\n*(?:\|.*\n)*\n*",
+            lambda match: f"{match[1]}\n{tables[match[2]]}\n" if match[2] in tables else match[0],
+            page.read_text(encoding="utf-8"),
+            flags=re.M,
+        )
+        page.write_text(f"{text.rstrip()}\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,23 +1,28 @@
-"""A checked system and its experiment as a plan for programs that are not Python: c/host.c and c/monolith.c.
+"""A checked system and its experiment as a plan for a program that is not Python: c/host.c.
 
 The host only passes numbers on: every number that it gives to an FMU stands in the plan or its table,
 written so that it is read back exactly.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import fmpy
 import numpy as np
 
+from fmus.fmi.description import describe
 from fmus.fmi.variable_types import TRANSFER_TYPE
+from fmus.platforms import library_name
 from orchestration.exchange.limits import check_plain_exchange
 from orchestration.system.prepared_run import PreparedRun
 from orchestration.system.system import Port
-from tests.speed.programs import extracted
+
+HOST = Path("tests/importers/c/host.c")
 
 
 def write_plan(prepared: PreparedRun, folder: Path, platform: str) -> Path:
-    """Extract the FMUs to a folder, and write there the plan, its table, and plan.h for c/monolith.c.
+    """Extracts the FMUs to a folder, and writes there the plan and its table.
 
     Returns the plan. All is of type Real, but what is set. Raises ScenarioError for more than
     `check_plain_exchange` allows.
@@ -30,9 +35,6 @@ def write_plan(prepared: PreparedRun, folder: Path, platform: str) -> Path:
     rows.tofile(table)
     lines = [*_statements(prepared, folder, platform), f"table {len(rows)} {table}"]
     plan.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8", newline="\n")
-    macros = _macros([line.split(maxsplit=4) for line in lines], len(prepared.system.components), len(rows))
-    header = "".join(f"#define {name} {value}\n" for name, value in macros.items())
-    (folder / "plan.h").write_text(header, encoding="utf-8")
     return plan
 
 
@@ -43,8 +45,10 @@ def _statements(prepared: PreparedRun, folder: Path, platform: str) -> Iterator[
         return f"{components.index(port.component)} {port.variable.valueReference}"
 
     for name, path in prepared.system.components.items():
-        guid, library = extracted(path, folder / name, platform)
-        yield f"component {name} {guid} {library}"
+        description: Any = describe(path)
+        fmpy.extract(str(path), str(folder / name))
+        library = folder / name / library_name(description.coSimulation.modelIdentifier, platform)
+        yield f"component {name} {description.guid} {library}"
     for port, value in prepared.settings:
         kind = TRANSFER_TYPE[port.variable.type].lower()
         number = repr(float(value)) if kind == "real" else int(value)  # the shortest that is read back
@@ -53,28 +57,6 @@ def _statements(prepared: PreparedRun, folder: Path, platform: str) -> Iterator[
     yield from (f"connect {address(a)} {address(b)}" for a, b in prepared.system.connections)
     yield from (f"signal {address(ports[name])}" for name in prepared.experiment.signals)
     yield from (f"record {address(ports[name])}" for name in prepared.recorded)
-
-
-def _macros(statements: list[list[str]], count: int, rows: int) -> dict[str, object]:
-    """What c/monolith.c takes from a plan."""
-
-    def numbered(verb: str) -> Iterable[tuple[int, list[str]]]:
-        return enumerate(words for first, *words in statements if first == verb)
-
-    components = range(count)
-    return {
-        "COMPONENTS(X)": " ".join(f"X({i})" for i in components),
-        "N_COMPONENTS": count,
-        "ROWS": rows,
-        "COLUMNS": len(list(numbered("signal"))) + 1,
-        "RECORDS": len(list(numbered("record"))),
-        "POINTERS": ", ".join(f"double *v{i}" for i in components),
-        "ARGUMENTS": ", ".join(f"v{i}" for i in components),
-        "SETTINGS": " ".join(f"v{a}[{r}] = {value};" for _, (a, _, r, value) in numbered("set")),
-        "SIGNALS": " ".join(f"v{a}[{r}] = row[{i + 1}];" for i, (a, r) in numbered("signal")),
-        "RECORDINGS": " ".join(f"result[i][{i}] = v{a}[{r}];" for i, (a, r) in numbered("record")),
-        "LINKS": " ".join(f"v{b}[{s}] = v{a}[{r}];" for _, (a, r, b, s) in numbered("connect")),
-    }
 
 
 def read_result(result: Path, plan: Path) -> np.ndarray:

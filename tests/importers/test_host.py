@@ -16,12 +16,11 @@ from orchestration.scenarios import scenario
 from orchestration.system.experiment import Algorithm, Event, Experiment
 from orchestration.system.prepared_run import prepare
 from orchestration.system.system import System
-from tests.speed.plan import read_result, write_plan
+from tests.importers.plan import HOST, read_result, write_plan
 
 pytestmark = pytest.mark.slow
 
 
-HOST = Path("tests/speed/c/host.c")
 QEMU_LIBRARIES = "/usr/aarch64-linux-gnu"
 
 
