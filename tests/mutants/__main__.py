@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 
 from tests.mutants.mutant import unexpected
-from tests.mutants.table import MUTANTS
+from tests.mutants.slaves import MUTANTS
 
 
 def main(words: list[str]) -> int:

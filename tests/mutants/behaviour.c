@@ -2,7 +2,7 @@
  *
  *   x' = rate (gain u - x),  y = x + u,  twice = 2 gain,  z = x / 2,  count: steps + n,  not_b = !b,  text = label
  *
- * `IS("...")` is where a mutant differs from the legal slave; the list of all stands in behaviour.py.
+ * `IS("...")` is where a mutant differs from the legal slave; the list of all stands in slaves.toml.
  */
 
 #define _GNU_SOURCE

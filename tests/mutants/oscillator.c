@@ -3,7 +3,7 @@
  *   pos' = vel,  m vel' = f + f2 ref - k pos,  power = vel f,  held = ref,  n_out = n_in n_tun, and texts
  *
  * It refuses what 4.2.4 does not allow, has derivatives of both orders and a variable of every kind;
- * the list of mutants stands in oscillator.py.
+ * the list of mutants stands in slaves.toml.
  */
 
 #define _GNU_SOURCE

@@ -12,9 +12,8 @@ from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.registry import registered
 from fmus.compliance.rule import Level, Rule, Stage
 from fmus.platforms import host_platform, library_name
-from tests.mutants.behaviour import LEGAL, ONLY_ONCE, write_slave
 from tests.mutants.mutant import Mutant, broken_rules, unexpected
-from tests.mutants.table import RUN_MUTANTS
+from tests.mutants.slaves import CHANGES, LEGAL, RUN_MUTANTS, write_slave
 
 from .archives import members, write
 
@@ -100,7 +99,7 @@ def test_an_fmu_that_gives_one_instance_in_each_process_is_judged(
     names = {*FUNDAMENTAL, "process-settings-are-restored", "floating-point-control-is-restored"}
     rules = tuple(rule for rule in registered(Stage.BEHAVIOUR) if rule.name in names)
     monkeypatch.setattr("fmus.compliance.behaviour.registered", lambda _: rules)
-    path = write_slave(tmp_path, "rounds in a step", "refuses others", ONLY_ONCE)
+    path = write_slave(tmp_path, "rounds in a step", "refuses others", CHANGES["once"])
     results = list(behaviour(FmuFile(path), 30.0))
     assert {r.rule.name for r in results if r.messages} == {"floating-point-control-is-restored"}
     assert {r.outcome for r in results} == {"passed", "error"}

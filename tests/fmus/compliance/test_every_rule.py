@@ -2,7 +2,7 @@
 
 from fmus.compliance.behaviour import FUNDAMENTAL
 from fmus.compliance.registry import MODULES, all_rules
-from tests.mutants.table import MUTANTS
+from tests.mutants.slaves import MUTANTS
 
 from .mutants import ARCHIVE_MUTANTS, C_MUTANTS, FALSE_CLAIMS, XML_MUTANTS
 

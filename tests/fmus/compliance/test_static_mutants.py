@@ -9,7 +9,7 @@ import pytest
 from tests.mutants.base import BASE, CO_SIMULATION_ONLY, changed, written
 from tests.mutants.listed import LEGAL_FMUS
 from tests.mutants.mutant import Mutant, broken_rules, unexpected
-from tests.mutants.table import STATIC_MUTANTS
+from tests.mutants.slaves import STATIC_MUTANTS
 
 
 @pytest.mark.parametrize(
