@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from fmus.build import builder
-from fmus.compliance.examine import examine
 from orchestration.results.recording import Recording
 from orchestration.run import simulate
 from orchestration.scenarios import scenario
@@ -95,9 +94,3 @@ def test_fmus_of_the_python_flavour_run_in_importers_that_python_calls(
     assert isinstance(answer, Trajectory), answer
     assert np.ptp(answer.values) > 0.0
     assert least_difference(answer, simulate(chosen.system, chosen.experiment), job)[1] < ROUNDING
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_native_fmu_breaks_no_rule(built: Mapping[str, Path], name: str) -> None:
-    """No error, no warning: of what is built by default, for this platform."""
-    assert not {result.rule.name: result.messages for result in examine(built[name]) if result.messages}

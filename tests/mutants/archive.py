@@ -97,29 +97,12 @@ def _mutant(name: str, rules: str, write: Callable[[Path], Path], clause: str = 
 
 
 _PLAIN = zipfile.ZipInfo("resources/x")
-_FUNCTIONS = b'#include "fmi2Functions.h"\n'
 ARCHIVE_MUTANTS = (
     *(
         _mutant(name, rules, partial(_changed_bytes, changes, method))
         for name, rules, method, changes in _BYTES
     ),
     _mutant("a file that is no zip", "archive-is-zip", _not_a_zip),
-    _mutant("another function prefix in the sources", "source-prefix",
-            partial(written, BASE | {"sources/base.c": b"#define FMI2_FUNCTION_PREFIX Other_\n"}), "2.1.1"),
-    _mutant("another function prefix before a carriage return", "source-prefix",
-            partial(written, BASE | {"sources/base.c": b"#define FMI2_FUNCTION_PREFIX Other_\r\n"}), "2.1.1"),
-    _mutant("a function prefix without its underscore", "source-prefix",
-            partial(written, BASE | {"sources/base.c": b"#define FMI2_FUNCTION_PREFIX Base\n"}), "2.1.1"),
-    _mutant("a function prefix too late", "source-prefix",
-            partial(written, BASE | {"sources/base.c": _FUNCTIONS + b"#define FMI2_FUNCTION_PREFIX Base_\n"}),
-            "2.1.1"),
-    _mutant("a function prefix not directly before the functions", "source-prefix-is-defined",
-            partial(written, BASE | {"sources/base.c":
-                    b"#define FMI2_FUNCTION_PREFIX Base_\n#include <math.h>\n" + _FUNCTIONS}), "2.1.1"),
-    _mutant("no function prefix in the sources", "source-prefix-is-defined",
-            partial(written, BASE | {"sources/base.c": _FUNCTIONS, "sources/exchange.c": b""}), "2.1.1"),
-    _mutant("a header that is not there", "included-files-exist",
-            partial(written, BASE | {"sources/base.c": b'#include "tables.h"\n#include "math.h"\n'})),
     _mutant("a damaged member", "archive-is-zip", _damaged),
     _mutant("another extension", "archive-extension", partial(written, BASE, name="Base.zip")),
     _mutant("a member packed by bzip2", "archive-compression archive-version",

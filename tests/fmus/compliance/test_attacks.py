@@ -21,8 +21,7 @@ from fmus.compliance.examine import examine
 from fmus.compliance.fmu_file import FmuFile
 from fmus.errors import HostError
 
-from .archives import broken_rules, members, patched, write
-from .mutants import GLOBALS, STEP, XML
+from .archives import GLOBALS, STEP, XML, broken_rules, members, patched, write
 
 NAME = "DepthReference"
 HEADERS = "#include <fcntl.h>\n#include <stdio.h>\n#include <stdlib.h>\n#include <unistd.h>\n"

@@ -15,8 +15,7 @@ from fmus.compliance.rule import Result
 from fmus.errors import MissingExtraError
 from fmus.platforms import host_platform, library_name
 
-from .archives import members, write
-from .mutants import XML
+from .archives import XML, members, write
 
 NAME = "DepthReference"
 HERE, ELSEWHERE = library_name(NAME, host_platform()), f"binaries/elsewhere/{NAME}.so"
