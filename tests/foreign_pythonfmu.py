@@ -19,6 +19,20 @@ _HEAD = """
     INPUT, OUTPUT = Fmi2Causality.input, Fmi2Causality.output
 """
 
+# steps until 0.45 s
+_ENDING = """
+        class {name}(Fmi2Slave):
+            def __init__(self, **kwargs):
+                super().__init__(**kwargs)
+                self.y = 0.0
+                self.register_variable(Real("y", causality=OUTPUT))
+
+            def do_step(self, t, h):
+                self.y = t + h
+                if t > 0.45:
+                    {after}
+                return True
+"""
 _SOURCES = {
     # x' = -x + u, exact for held u; y = x
     "Lag": """
@@ -71,47 +85,11 @@ _SOURCES = {
                 self.length = self.gain * len(self.page)
                 return True
     """,
-    "Discards": """
-        class Discards(Fmi2Slave):
-            def __init__(self, **kwargs):
-                super().__init__(**kwargs)
-                self.y = 0.0
-                self.register_variable(Real("y", causality=OUTPUT))
-
-            def do_step(self, t, h):
-                self.y = t + h
-                if t > 0.45:
-                    self.log("the battery is empty", Fmi2Status.discard)
-                    return False
-                return True
-    """,
-    "Fails": """
-        class Fails(Fmi2Slave):
-            def __init__(self, **kwargs):
-                super().__init__(**kwargs)
-                self.y = 0.0
-                self.register_variable(Real("y", causality=OUTPUT))
-
-            def do_step(self, t, h):
-                self.y = t + h
-                if t > 0.45:
-                    self.log("the rudder is stuck", Fmi2Status.error)
-                    return False
-                return True
-    """,
-    "Raises": """
-        class Raises(Fmi2Slave):
-            def __init__(self, **kwargs):
-                super().__init__(**kwargs)
-                self.y = 0.0
-                self.register_variable(Real("y", causality=OUTPUT))
-
-            def do_step(self, t, h):
-                if t > 0.45:
-                    raise RuntimeError("the hull is breached")
-                self.y = t + h
-                return True
-    """,
+    **{name: _ENDING.format(name=name, after=after) for name, after in {
+        "Discards": 'self.log("the battery is empty", Fmi2Status.discard); return False',
+        "Fails": 'self.log("the rudder is stuck", Fmi2Status.error); return False',
+        "Raises": 'raise RuntimeError("the hull is breached")',
+    }.items()},
 }  # fmt: skip
 
 NAMES = tuple(_SOURCES)

@@ -11,6 +11,7 @@ import pytest
 
 from fmus.native import toolchain
 
+from .native_block import EVERYTHING
 from .native_model import OK, Null
 
 _PROGRAM = Path(__file__).parents[2] / "c" / "session.c"
@@ -24,6 +25,7 @@ _FLAGS = (
     "-ffp-contract=off",
 )
 GUID = "{a-guid-%n-of-#tests#}"
+REFERENCES = {v.name: v.value_reference for v in EVERYTHING.variables}
 _COUNTED = """#include <stdlib.h>
 void *counted_calloc(size_t, size_t);
 void counted_free(void *);
@@ -175,3 +177,23 @@ def with_checksum(content: bytes) -> bytes:
     for byte in content:
         digest = (digest ^ byte) * 1099511628211 % 2**64
     return content + struct.pack("<Q", digest)
+
+
+def write(session: Session, **values: float) -> int:
+    """Set Reals of `native_block.EVERYTHING`; the status."""
+    references = [REFERENCES[name] for name in values]
+    return session("set", 0, "R", references, [float(value) for value in values.values()]).status
+
+
+def read(session: Session, *names: str) -> list[float]:
+    answer = session("get", 0, "R", [REFERENCES[name] for name in names], "+")
+    assert answer.status == OK
+    return [float.fromhex(value) for value in answer.values]
+
+
+def step(session: Session, t: float, h: float) -> int:
+    return session("step", 0, t, h).status
+
+
+def internal_steps(session: Session) -> int:
+    return int(float.fromhex(session("get", 0, "I", [REFERENCES["steps"]], "+").values[0]))

@@ -3,6 +3,7 @@
 Under sanitizers its memory is watched too: what it writes beyond its blocks, and what it never frees.
 """
 
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -50,40 +51,7 @@ def test_any_sequence_of_calls_is_answered_as_fmi_wants_it(tmp_path: Path, name:
     run(block, compiled(c_sources(block, GUID), tmp_path), 120)
 
 
-MUTANTS = {
-    "values are set before all of them are checked": (
-        "if (!can_be_set(&instance->data,",
-        "if ((i ? data_set(&instance->data, &instance->step_cache, (int)vr[i - 1], value[i - 1]) "
-        ": (void)0), "
-        "!can_be_set(&instance->data,",
-    ),
-    "a step is taken in every state": (
-        'if (!is_allowed(instance, STEPPING, "fmi2DoStep")) return fmi2Error;',
-        "",
-    ),
-    "an error does not end what may be done": (
-        "if (status == fmi2Error) instance->data.mode = IN_ERROR;",
-        "",
-    ),
-    "one value reference too many": (
-        "return reference < N_VARIABLES &&",
-        "return reference <= N_VARIABLES &&",
-    ),
-    "the time is not checked for infinity": ("!isfinite(t) ||", ""),
-    "what has diverged is kept": ("return !(bad >> 63);", "return 1;"),
-    "rates outlive their step": (
-        "    if (d->inputs_have_rates) memset(d->input_rate, 0, sizeof d->input_rate);\n"
-        "    d->inputs_have_rates = 0;\n",
-        "",
-    ),
-    "damaged bytes are accepted": ('return "the state is damaged";', ";"),
-    "a message is a format": ("if (*text == '%' || *text == '#') escaped", "if (0) escaped"),
-    "a saved state takes the stop time away": (
-        "((Instance *)c)->data = snapshot->data;",
-        "((Instance *)c)->data = snapshot->data, ((Instance *)c)->stop_time = DBL_MAX;",
-    ),
-    "a saved state is never freed": ("free(*FMUstate);", ""),
-}
+MUTANTS = tomllib.loads(Path(__file__).with_name("native_mutants.toml").read_text(encoding="utf-8"))
 
 
 @pytest.mark.cross

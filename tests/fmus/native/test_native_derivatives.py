@@ -5,9 +5,8 @@ from collections.abc import Callable
 import pytest
 
 from .native_block import EVERYTHING
-from .native_everything import REFERENCES, read, step, write
 from .native_model import DISCARD, ERROR, LAST_TIME, OK, WARNING
-from .native_session import Session, begin, saved, stepping, told
+from .native_session import REFERENCES, Session, begin, read, saved, step, stepping, told, write
 
 
 @pytest.fixture

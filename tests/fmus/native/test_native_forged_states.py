@@ -7,9 +7,20 @@ from collections.abc import Callable
 import pytest
 
 from .native_block import EVERYTHING
-from .native_everything import REFERENCES, read, step, write
 from .native_model import ERROR, OK
-from .native_session import GUID, Session, begin, saved, stepping, told, with_checksum
+from .native_session import (
+    GUID,
+    REFERENCES,
+    Session,
+    begin,
+    read,
+    saved,
+    step,
+    stepping,
+    told,
+    with_checksum,
+    write,
+)
 
 FIRST_WORD = 16 + len(GUID)  # of a serialised state: magic, format and GUID come before
 MARK = 1.2345678901234567e77

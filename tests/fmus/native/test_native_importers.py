@@ -50,15 +50,6 @@ def test_every_form_of_resource_location_is_as_good(
     slave.dll.fmi2FreeInstance(ctypes.c_void_p(component))
 
 
-@pytest.mark.parametrize("changes", [{"guid": "{another}"}, {"guid": ""}, {"instanceName": ""}])
-def test_a_wrong_guid_or_name_instantiates_nothing(
-    built: Mapping[str, Path], tmp_path: Path, changes: dict[str, str]
-) -> None:
-    slave = slave_of(built["ExamplePlant"], tmp_path, **changes)
-    with pytest.raises(Exception, match="Failed to instantiate"):
-        slave.instantiate()
-
-
 def test_errors_are_always_logged_and_discards_in_debug_mode(built: Mapping[str, Path], load: Any) -> None:
     quiet = load(built["ExamplePlant"], logging=False).begin()
     assert quiet.status("setReal", [0, 9], [0.1, math.inf]) == "error"
@@ -77,13 +68,6 @@ def test_only_enabled_categories_are_logged(built: Mapping[str, Path], load: Any
     assert fmu.status("setReal", [9], [math.inf]) == "discard"
     assert fmu.status("setReal", [16], [0.0]) == "error"
     assert len(fmu.log) == 1
-
-
-def test_percent_and_number_signs_are_escaped(built: Mapping[str, Path], load: Any) -> None:
-    """FMI's logger takes a printf format in which #r1# stands for a variable."""
-    fmu = load(built["ExamplePlant"]).begin()
-    fmu.slave.setDebugLogging(True, ["%n#r1#"])
-    assert "'%%n##r1##'" in fmu.log[-1]
 
 
 def test_two_versions_in_one_process_do_not_see_each_other(

@@ -29,18 +29,6 @@ def test_an_enumeration_takes_its_items_only(built: Mapping[str, Path], load: An
     assert controller.status("setInteger", [order], [3]) == "ok"
 
 
-def test_parameters_that_contradict_each_other_are_an_error(built: Mapping[str, Path], load: Any) -> None:
-    plant = load(built["RovDepthPlant"])
-    plant["sensor_delay"] = 1.0
-    plant.slave.setupExperiment(startTime=0.0)
-    plant.slave.enterInitializationMode()
-    assert plant.status("exitInitializationMode") == "error"
-    assert plant.log[-1].endswith("expected sensor_delay at most 7 times sensor_period")
-    plant.slave.reset()
-    plant["sensor_delay"], plant["sensor_period"] = 1.0, 0.2
-    plant.begin().slave.doStep(0.0, 0.02)
-
-
 def test_a_diverging_step_is_discarded_and_leaves_the_state(built: Mapping[str, Path], load: Any) -> None:
     plant = load(built["ExamplePlant"]).begin()
     plant["control"] = 1.0

@@ -6,9 +6,19 @@ from collections.abc import Callable
 import pytest
 
 from .native_block import EVERYTHING
-from .native_everything import REFERENCES, internal_steps, read, step, write
 from .native_model import ERROR, LAST_TIME, OK
-from .native_session import GUID, Session, begin, stepping, told
+from .native_session import (
+    GUID,
+    REFERENCES,
+    Session,
+    begin,
+    internal_steps,
+    read,
+    step,
+    stepping,
+    told,
+    write,
+)
 
 
 @pytest.fixture
