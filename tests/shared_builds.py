@@ -9,6 +9,7 @@ import pytest
 from filelock import FileLock
 
 Build = Callable[..., Path]
+Fmus = Mapping[str, Path]  # by name of block or component
 
 LIKE_ANOTHER = (
     "AdrcDepthController", "PidDepthController", "SlidingModeDepthController", "SuperTwistingDepthController",

@@ -20,6 +20,7 @@ from orchestration.scenarios.scenario import Scenario
 from tests.closed_loop.same_experiment import SMOOTH, component_values, slope
 from tests.closed_loop.second_laws import Adrc, HeldLaw, Mrac, Pid, SlidingMode, SuperTwisting
 from tests.closed_loop.second_loop import Case, run
+from tests.shared_builds import Fmus
 
 STEP = 0.02  # s
 GAINS: Mapping[str, tuple[type[HeldLaw], Mapping[str, float]]] = {
@@ -92,7 +93,7 @@ def check(ours: Figures, theirs: Figures, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", GAINS)
-def test_a_second_program_descends_and_settles_alike(built: Mapping[str, Path], name: str) -> None:
+def test_a_second_program_descends_and_settles_alike(built: Fmus, name: str) -> None:
     """With sensor and observer."""
     assert built["RovDepthPlant"].is_file()
     check(*both_figures(built[name], SMOOTH, stop=60.0), name)
@@ -100,9 +101,7 @@ def test_a_second_program_descends_and_settles_alike(built: Mapping[str, Path], 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", GAINS)
-def test_a_second_program_gives_the_figures_of_the_paper_trajectory(
-    built: Mapping[str, Path], name: str
-) -> None:
+def test_a_second_program_gives_the_figures_of_the_paper_trajectory(built: Fmus, name: str) -> None:
     """By the readings of the sensor, by true depth and rate, and by the reference without its rate."""
     is_adrc = name == "AdrcDepthController"
     ideal = IDEAL if is_adrc else {**IDEAL, "controller.velocity_source": "measured"}

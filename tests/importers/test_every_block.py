@@ -1,7 +1,6 @@
 """A package with a component of every block, in every importer: no error, no warning, the same values."""
 
 import re
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from tests.importers.comparison import least_difference, packaged, run_isolated
 from tests.importers.importers import IMPORTERS, ImporterJob, Trajectory
+from tests.shared_builds import Fmus
 
 pytestmark = pytest.mark.importers
 
@@ -36,9 +36,7 @@ CONNECTIONS = [
 
 
 @pytest.fixture(scope="module")
-def job_and_ours(
-    built: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory
-) -> tuple[ImporterJob, Recording]:
+def job_and_ours(built: Fmus, tmp_path_factory: pytest.TempPathFactory) -> tuple[ImporterJob, Recording]:
     folder = tmp_path_factory.mktemp("every block")
     components = "".join(f'{name} = "{built[name]}"\n' for name in NAMES)
     pairs = ", ".join(f'["{source}", "{target}"]' for source, target in CONNECTIONS)
@@ -78,7 +76,7 @@ def test_every_block_runs_without_an_error_or_a_warning(
 
 @pytest.mark.parametrize("importer", IMPORTERS)
 def test_fmus_of_the_python_flavour_run_in_importers_that_python_calls(
-    importer: str, python_built: Mapping[str, Path], tmp_path: Path
+    importer: str, python_built: Fmus, tmp_path: Path
 ) -> None:
     """PythonFMU's library takes the interpreter of the process, which an importer without Python lacks."""
     plant, controller = (python_built[name] for name in ("RovDepthPlant", "PidDepthController"))

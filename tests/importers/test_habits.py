@@ -1,6 +1,5 @@
 """Habits that importers have and the standard allows, or almost, on every native FMU."""
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +8,7 @@ from fmpy.fmi2 import FMU2Slave
 
 from fmus.build import builder
 from tests.importers.importers import loaded_by_fmpy
+from tests.shared_builds import Fmus
 
 pytestmark = pytest.mark.importers
 
@@ -40,27 +40,21 @@ def outputs_after(slave: FMU2Slave, name: str, inputs_before_setup: bool) -> lis
 @pytest.mark.parametrize(
     "folder", ["a space", "a#b", "a+b", "a%20b", "[a](b){c}", "Tiefe-äøß", "水深", "a'b&c;d", "."]
 )
-def test_it_runs_from_a_folder_of_any_name(
-    built: Mapping[str, Path], tmp_path: Path, name: str, folder: str
-) -> None:
+def test_it_runs_from_a_folder_of_any_name(built: Fmus, tmp_path: Path, name: str, folder: str) -> None:
     plain = outputs_after(loaded_by_fmpy(built[name], tmp_path / "plain"), name, False)
     odd = outputs_after(loaded_by_fmpy(built[name], tmp_path / "odd" / folder), name, False)
     assert odd == plain
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_inputs_set_before_the_experiment_is_set_up_count(
-    built: Mapping[str, Path], tmp_path: Path, name: str
-) -> None:
+def test_inputs_set_before_the_experiment_is_set_up_count(built: Fmus, tmp_path: Path, name: str) -> None:
     before = outputs_after(loaded_by_fmpy(built[name], tmp_path / "one"), name, True)
     after = outputs_after(loaded_by_fmpy(built[name], tmp_path / "two"), name, False)
     np.testing.assert_array_equal(before, after)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_two_copies_of_one_library_in_one_process_keep_apart(
-    built: Mapping[str, Path], tmp_path: Path, name: str
-) -> None:
+def test_two_copies_of_one_library_in_one_process_keep_apart(built: Fmus, tmp_path: Path, name: str) -> None:
     """As an importer has them that extracts an FMU once for each instance."""
     block = builder.load_block(name)
     one, other = (

@@ -17,6 +17,7 @@ from orchestration.system.experiment import Algorithm, Event, Experiment
 from orchestration.system.prepared_run import prepare
 from orchestration.system.system import System
 from tests.importers.plan import HOST, read_result, write_plan
+from tests.shared_builds import Fmus
 
 pytestmark = pytest.mark.slow
 
@@ -79,7 +80,7 @@ def windows(
     subprocess.run([tool("wineserver"), "-w"], env=os.environ | environment, check=True, timeout=60)
 
 
-def _shipped(name: str, fmus: Mapping[str, Path], **changes: Any) -> tuple[System, Experiment]:
+def _shipped(name: str, fmus: Fmus, **changes: Any) -> tuple[System, Experiment]:
     """A shipped scenario with the FMUs of these files, its experiment changed."""
     loaded = scenario.load(scenario.find(name))
     components = {component: fmus[path.stem] for component, path in loaded.system.components.items()}
@@ -100,7 +101,7 @@ def _plan(system: System, experiment: Experiment, folder: Path, platform: str = 
     ],
 )
 def test_the_host_gives_what_the_master_gives(
-    linux: Host, built: Mapping[str, Path], tmp_path: Path, name: str, changes: dict[str, Any]
+    linux: Host, built: Fmus, tmp_path: Path, name: str, changes: dict[str, Any]
 ) -> None:
     """Bit for bit: the same library gets the same numbers in the same calls; no host computes any."""
     system, experiment = _shipped(name, built, **changes)
@@ -108,7 +109,7 @@ def test_the_host_gives_what_the_master_gives(
     assert np.array_equal(result, simulate(system, experiment).values)
 
 
-def test_no_python_is_loaded(linux: Host, built: Mapping[str, Path], tmp_path: Path) -> None:
+def test_no_python_is_loaded(linux: Host, built: Fmus, tmp_path: Path) -> None:
     """What the dynamic linker opens, as it tells itself."""
     plan = _plan(*_shipped("nominal-extended", built), tmp_path)
     log = dataclasses.replace(linux, environment={"LD_DEBUG": "files"}).start(plan).stderr
@@ -119,7 +120,7 @@ def test_no_python_is_loaded(linux: Host, built: Mapping[str, Path], tmp_path: P
 
 
 def test_a_run_is_clean_under_valgrind(
-    linux: Host, built: Mapping[str, Path], tmp_path: Path, tool: Callable[[str], str]
+    linux: Host, built: Fmus, tmp_path: Path, tool: Callable[[str], str]
 ) -> None:
     plan = _plan(*_shipped("nominal-extended", built, stop_time=5.0), tmp_path)
     options = ("--error-exitcode=99", "--leak-check=full", "--errors-for-leak-kinds=all")
@@ -135,7 +136,7 @@ ANOTHER_C_LIBRARY = 1e-12
 @pytest.mark.parametrize(("platform", "host"), [("aarch64-linux", "arm"), ("win64", "windows")])
 def test_another_platform_gives_the_same(
     linux: Host,
-    built_everywhere: Mapping[str, Path],
+    built_everywhere: Fmus,
     tmp_path: Path,
     request: pytest.FixtureRequest,
     platform: str,
@@ -149,7 +150,7 @@ def test_another_platform_gives_the_same(
     assert np.all(np.abs(values - expected) <= ANOTHER_C_LIBRARY * np.abs(expected).max(axis=0))
 
 
-def test_what_the_host_cannot_do_is_refused(built: Mapping[str, Path], tmp_path: Path) -> None:
+def test_what_the_host_cannot_do_is_refused(built: Fmus, tmp_path: Path) -> None:
     for changes, words in (
         ({"algorithm": Algorithm.GAUSS_SEIDEL}, "a plan with algorithm gauss-seidel: expected none"),
         ({"events": (Event(1.0, {"plant.inertia": 7.0}),)}, "a plan with events: expected none"),

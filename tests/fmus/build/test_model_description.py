@@ -2,7 +2,6 @@
 
 import math
 import zipfile
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from fmus.build.model_description import model_description
 from fmus.errors import ExportError
 from fmus.platforms import host_platform, library_name
 from fmus.registry import Flavour
+from tests.shared_builds import Fmus
 
 NAMES = builder.block_names()
 
@@ -31,13 +31,13 @@ def fmu(request: pytest.FixtureRequest, either: dict[str, Path]) -> Path:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_fmpy_finds_no_problem(built: Mapping[str, Path], name: str) -> None:
+def test_fmpy_finds_no_problem(built: Fmus, name: str) -> None:
     assert validate_fmu(str(built[name])) == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
-def test_fmpy_finds_no_problem_in_the_python_flavour(python_built: Mapping[str, Path], name: str) -> None:
+def test_fmpy_finds_no_problem_in_the_python_flavour(python_built: Fmus, name: str) -> None:
     """Its model description is written by the same function."""
     assert validate_fmu(str(python_built[name])) == []
 
@@ -74,9 +74,7 @@ def test_capabilities_and_enumerations(fmu: Path) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_both_flavours_have_the_same_variables(
-    built: Mapping[str, Path], python_built: Mapping[str, Path], name: str
-) -> None:
+def test_both_flavours_have_the_same_variables(built: Fmus, python_built: Fmus, name: str) -> None:
     native, python = (fmpy.read_model_description(str(fmus[name])) for fmus in (built, python_built))
     for one, other in zip(native.modelVariables, python.modelVariables, strict=True):
         assert (one.name, one.valueReference, one.start) == (other.name, other.valueReference, other.start)
@@ -96,7 +94,7 @@ def test_the_guid_follows_the_content(content: Any, monkeypatch: pytest.MonkeyPa
 @pytest.mark.slow
 @pytest.mark.parametrize("flavour", list(Flavour))
 def test_builds_are_reproducible_byte_for_byte(
-    built: Mapping[str, Path], python_built: Mapping[str, Path], tmp_path: Path, flavour: Flavour
+    built: Fmus, python_built: Fmus, tmp_path: Path, flavour: Flavour
 ) -> None:
     for name, path in (built if flavour is Flavour.NATIVE else python_built).items():
         assert builder.build(name, tmp_path, flavour).read_bytes() == path.read_bytes()

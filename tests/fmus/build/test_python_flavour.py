@@ -4,7 +4,6 @@ import math
 import subprocess
 import sys
 import zipfile
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +11,12 @@ import pytest
 from fmpy.fmi1 import FMICallException
 
 from fmus.build import builder
+from tests.shared_builds import Fmus
 
 
 @pytest.mark.parametrize("name", builder.block_names())
 def test_the_trace_equals_the_block_stepped_directly(
-    python_built: Mapping[str, Path], load: Any, driver: Any, name: str
+    python_built: Fmus, load: Any, driver: Any, name: str
 ) -> None:
     """Bit for bit: the FMU runs the same functions on the same numbers."""
     fmu = load(python_built[name]).begin()
@@ -31,7 +31,7 @@ def test_the_trace_equals_the_block_stepped_directly(
         assert [fmu[variable] for variable in outputs] == [block[variable] for variable in outputs]
 
 
-def test_the_bytes_of_another_fmu_are_refused(python_built: Mapping[str, Path], load: Any) -> None:
+def test_the_bytes_of_another_fmu_are_refused(python_built: Fmus, load: Any) -> None:
     plant, other = load(python_built["RovDepthPlant"]).begin(), load(python_built["ExamplePlant"]).begin()
     data = other.slave.serializeFMUstate(other.slave.getFMUstate())
     plant.slave.setFMUstate(plant.slave.deSerializeFMUstate(data))
@@ -40,9 +40,7 @@ def test_the_bytes_of_another_fmu_are_refused(python_built: Mapping[str, Path], 
         plant.slave.doStep(0.0, 0.02)
 
 
-def test_a_failing_step_is_logged_and_discarded_and_the_instance_lives(
-    python_built: Mapping[str, Path], load: Any
-) -> None:
+def test_a_failing_step_is_logged_and_discarded_and_the_instance_lives(python_built: Fmus, load: Any) -> None:
     plant = load(python_built["ExamplePlant"]).begin()
     plant["omega"] = 1e300
     plant["control"] = 1e300
@@ -55,7 +53,7 @@ def test_a_failing_step_is_logged_and_discarded_and_the_instance_lives(
 
 
 def test_a_refused_value_is_logged_and_steps_are_discarded_until_it_is_right(
-    python_built: Mapping[str, Path], load: Any
+    python_built: Fmus, load: Any
 ) -> None:
     plant = load(python_built["RovDepthPlant"]).begin()
     plant["inertia"] = -1.0
@@ -67,9 +65,7 @@ def test_a_refused_value_is_logged_and_steps_are_discarded_until_it_is_right(
     plant.slave.doStep(0.0, 0.02)
 
 
-def test_a_call_that_nothing_can_put_right_costs_one_step(
-    python_built: Mapping[str, Path], load: Any
-) -> None:
+def test_a_call_that_nothing_can_put_right_costs_one_step(python_built: Fmus, load: Any) -> None:
     plant = load(python_built["ExamplePlant"]).begin()
     for refused, words in (
         (lambda: plant.__setitem__("output", 1.0), "output: cannot be set, its causality is output"),
@@ -83,9 +79,7 @@ def test_a_call_that_nothing_can_put_right_costs_one_step(
     plant.slave.doStep(0.0, 0.01)
 
 
-def test_a_getter_of_the_wrong_type_is_an_error_in_the_log(
-    python_built: Mapping[str, Path], load: Any
-) -> None:
+def test_a_getter_of_the_wrong_type_is_an_error_in_the_log(python_built: Fmus, load: Any) -> None:
     plant = load(python_built["ExamplePlant"]).begin()
     assert plant.slave.getInteger([plant.references["output"]]) == [0]
     assert plant.log[-1] == "output is Real: expected Integer or Enumeration"
@@ -93,16 +87,14 @@ def test_a_getter_of_the_wrong_type_is_an_error_in_the_log(
     assert plant.log[-1] == "control is Real: expected Boolean"
 
 
-def test_a_value_reference_that_is_none_reads_as_no_number(
-    python_built: Mapping[str, Path], load: Any
-) -> None:
+def test_a_value_reference_that_is_none_reads_as_no_number(python_built: Fmus, load: Any) -> None:
     """The binary has no way to return the error that FMI wants here."""
     plant = load(python_built["ExamplePlant"]).begin()
     assert math.isnan(plant.slave.getReal([99])[0])
     assert plant.log[-1] == "value reference 99: expected 0..18 of ExamplePlant"
 
 
-def test_no_step_goes_beyond_the_stop_time_of_the_setup(python_built: Mapping[str, Path], load: Any) -> None:
+def test_no_step_goes_beyond_the_stop_time_of_the_setup(python_built: Fmus, load: Any) -> None:
     """Discarded: an error is what FMI wants, which the binary cannot return."""
     plant = load(python_built["ExamplePlant"])
     plant.slave.setupExperiment(startTime=0.0, stopTime=0.3)
@@ -119,16 +111,14 @@ def test_no_step_goes_beyond_the_stop_time_of_the_setup(python_built: Mapping[st
         plant.slave.doStep(0.3, 0.1)
 
 
-def test_a_percent_sign_in_a_message_is_escaped(python_built: Mapping[str, Path], load: Any) -> None:
+def test_a_percent_sign_in_a_message_is_escaped(python_built: Fmus, load: Any) -> None:
     """FMI's logger takes a printf format: an unescaped %n would write to memory."""
     plant = load(python_built["ExamplePlant"]).begin()
     plant.slave.setFMUstate(plant.slave.deSerializeFMUstate(b'{"format": "%s%n", "fmu": "%s"}'))
     assert "%%s%%n" in plant.log[-1]
 
 
-def test_two_versions_of_an_fmu_do_not_see_each_other(
-    python_built: Mapping[str, Path], load: Any, tmp_path: Path
-) -> None:
+def test_two_versions_of_an_fmu_do_not_see_each_other(python_built: Fmus, load: Any, tmp_path: Path) -> None:
     """A plant built from changed sources beside the original: each runs its own."""
     changed = _with_another_source(python_built["ExamplePlant"], tmp_path)
     original, other = load(python_built["ExamplePlant"]).begin(), load(changed).begin()
@@ -153,13 +143,13 @@ def _with_another_source(path: Path, folder: Path) -> Path:
     return folder / path.name
 
 
-def test_loading_leaves_the_import_path_as_it_was(python_built: Mapping[str, Path], load: Any) -> None:
+def test_loading_leaves_the_import_path_as_it_was(python_built: Fmus, load: Any) -> None:
     before = list(sys.path)
     load(python_built["RovDepthPlant"])
     assert sys.path == before
 
 
-def test_many_instances_one_after_another(python_built: Mapping[str, Path], load: Any) -> None:
+def test_many_instances_one_after_another(python_built: Fmus, load: Any) -> None:
     """PythonFMU alone crashes at the second: it drops a reference that it does not own."""
     for _ in range(20):
         fmu = load(python_built["ExamplePlant"]).begin()

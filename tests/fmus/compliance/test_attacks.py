@@ -9,7 +9,6 @@ import subprocess
 import sys
 import time
 import zipfile
-from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from fmus.compliance.check import main
 from fmus.compliance.examine import examine
 from fmus.compliance.fmu_file import FmuFile
 from fmus.errors import HostError
+from tests.shared_builds import Fmus
 
 from .archives import GLOBALS, STEP, XML, broken_rules, members, patched, write
 
@@ -33,7 +33,7 @@ def attacker(code: str, folder: Path) -> Path:
     return patched({GLOBALS: HEADERS + GLOBALS, STEP: f"{STEP}\n    {code}"}, folder)
 
 
-def test_python_modules_inside_an_fmu_are_not_imported(built: Mapping[str, Path], tmp_path: Path) -> None:
+def test_python_modules_inside_an_fmu_are_not_imported(built: Fmus, tmp_path: Path) -> None:
     """Whatever the check, or what it uses, imports while it runs: also where the search path is relative."""
     marker = tmp_path / "imported"
     code = f"open({str(marker)!r}, 'a').write(__file__)\n".encode()
@@ -126,7 +126,7 @@ def test_memory_and_the_size_of_files_are_limited(tmp_path: Path) -> None:
     assert (tmp_path / "big").stat().st_size == 0
 
 
-def test_a_message_moves_no_cursor_and_is_one_line(built: Mapping[str, Path], tmp_path: Path) -> None:
+def test_a_message_moves_no_cursor_and_is_one_line(built: Fmus, tmp_path: Path) -> None:
     content = members(built[NAME])
     xml = content[XML].decode()
     forged = xml.replace('name="internal_step"', 'name="&#155;2K&#10;out.fmu: 72 passed"', 1)
@@ -137,14 +137,14 @@ def test_a_message_moves_no_cursor_and_is_one_line(built: Mapping[str, Path], tm
     assert text.isprintable()
 
 
-def test_findings_are_as_many_as_somebody_may_read(built: Mapping[str, Path], tmp_path: Path) -> None:
+def test_findings_are_as_many_as_somebody_may_read(built: Fmus, tmp_path: Path) -> None:
     stray = {f"stray{i}": b"" for i in range(300)}
     broken = broken_rules(write(members(built[NAME]) | stray, tmp_path / "stray.fmu"))
     assert len(broken["archive-layout"]) == 101
     assert broken["archive-layout"][-1] == "200 more of this kind"
 
 
-def test_a_library_outside_the_archive_is_not_loaded(built: Mapping[str, Path], tmp_path: Path) -> None:
+def test_a_library_outside_the_archive_is_not_loaded(built: Fmus, tmp_path: Path) -> None:
     content = members(built[NAME])
     library = next(path for path in content if path.endswith((".so", ".dll", ".dylib")))
     outside = f"../../{tmp_path.name}/outside"
@@ -164,9 +164,7 @@ def test_a_library_outside_the_archive_is_not_loaded(built: Mapping[str, Path], 
         ),
     ],
 )
-def test_an_enormous_description_is_a_finding(
-    built: Mapping[str, Path], tmp_path: Path, xml: bytes, words: str
-) -> None:
+def test_an_enormous_description_is_a_finding(built: Fmus, tmp_path: Path, xml: bytes, words: str) -> None:
     path = write(members(built[NAME]) | {XML: xml}, tmp_path / "enormous.fmu")
     (message,) = broken_rules(path)["description-is-readable"]
     assert words in message
@@ -184,7 +182,7 @@ def test_more_members_than_any_tool_writes_are_not_unpacked(tmp_path: Path) -> N
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no limits of this kind")
 @pytest.mark.parametrize("command", ["l1-depth check", "python -m fmus.compliance"])
 def test_a_full_disk_is_an_error_of_the_host_with_its_own_status_and_no_finding(
-    built: Mapping[str, Path], tmp_path: Path, command: str
+    built: Fmus, tmp_path: Path, command: str
 ) -> None:
     """A limit on the size of files stands for the disk."""
     module, function, arguments = {
@@ -207,7 +205,7 @@ def test_a_full_disk_is_an_error_of_the_host_with_its_own_status_and_no_finding(
 
 
 def test_no_folder_for_temporary_files_is_an_error_of_the_host(
-    built: Mapping[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    built: Fmus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "nowhere"))
     with pytest.raises(HostError, match="expected a folder for temporary files"):

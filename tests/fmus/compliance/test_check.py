@@ -1,6 +1,5 @@
 """The check finds nothing in our FMUs, and ends with findings whatever a file holds."""
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -8,12 +7,13 @@ import pytest
 from fmus.build import builder
 from fmus.compliance.examine import examine
 from fmus.compliance.registry import all_rules
+from tests.shared_builds import Fmus
 
 from .archives import PYTHONFMU_ERRORS, broken_rules, errors
 
 
 @pytest.mark.parametrize("name", builder.block_names())
-def test_our_native_fmus_break_no_rule(built: Mapping[str, Path], name: str) -> None:
+def test_our_native_fmus_break_no_rule(built: Fmus, name: str) -> None:
     assert broken_rules(built[name]) == {}
 
 
@@ -24,9 +24,7 @@ def test_our_native_fmus_break_no_rule(built: Mapping[str, Path], name: str) -> 
         for name in builder.block_names()
     ],
 )
-def test_our_python_fmus_break_what_the_binary_of_pythonfmu_breaks(
-    python_built: Mapping[str, Path], name: str
-) -> None:
+def test_our_python_fmus_break_what_the_binary_of_pythonfmu_breaks(python_built: Fmus, name: str) -> None:
     assert errors(python_built[name]) == PYTHONFMU_ERRORS
 
 
@@ -37,5 +35,5 @@ def test_garbage_is_a_finding_and_never_a_crash(tmp_path: Path, content: bytes) 
     assert {r.rule.name for r in examine(path) if r.messages} & {"archive-is-zip", "archive-has-description"}
 
 
-def test_a_foreign_fmu_is_judged_to_the_end(foreign: Mapping[str, Path]) -> None:
+def test_a_foreign_fmu_is_judged_to_the_end(foreign: Fmus) -> None:
     assert [r.rule for r in examine(foreign["Lag"], timeout=10)] == list(all_rules())

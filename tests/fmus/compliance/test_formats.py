@@ -1,7 +1,7 @@
 """What the check writes for programs: SARIF, JUnit, annotations of GitHub; and what it explains."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -13,6 +13,7 @@ from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.registry import all_rules
 from fmus.compliance.report import FORMATS, Findings
 from fmus.compliance.rule import OUTCOMES
+from tests.shared_builds import Fmus
 
 from .archives import members, write
 
@@ -20,7 +21,7 @@ NAME = "DepthReference"
 
 
 @pytest.fixture(scope="module")
-def findings(built: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Findings:
+def findings(built: Fmus, tmp_path_factory: pytest.TempPathFactory) -> Findings:
     """Of an FMU with an error and a warning, judged without being run."""
     content = members(built[NAME]) | {"../escape": b"", "readme.txt": b""}
     path = write(content, tmp_path_factory.mktemp("wrong") / "a, b.fmu")
@@ -73,7 +74,7 @@ def test_every_outcome_has_its_place_in_the_summary(document: Callable[[str], st
 
 
 def test_a_format_goes_to_a_file_and_text_is_printed(
-    built: Mapping[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    built: Fmus, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "found.xml"
     path = str(built[NAME])

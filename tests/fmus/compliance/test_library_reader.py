@@ -3,7 +3,7 @@
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import psutil
@@ -14,6 +14,7 @@ from fmus.compliance.library_reader import Reading, close_reader
 from fmus.compliance.rule import Result
 from fmus.errors import MissingExtraError
 from fmus.platforms import host_platform, library_name
+from tests.shared_builds import Fmus
 
 from .archives import XML, members, write
 
@@ -55,7 +56,7 @@ def lief_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
 
 
 @pytest.fixture
-def elsewhere(built: Mapping[str, Path], tmp_path: Path) -> Path:
+def elsewhere(built: Fmus, tmp_path: Path) -> Path:
     """An FMU that has no library for this platform: none of its code runs."""
     content = members(built[NAME])
     content[ELSEWHERE] = content.pop(HERE)
@@ -143,7 +144,7 @@ def test_of_several_libraries_the_one_that_lief_fails_on_is_named(
 
 
 def test_the_behaviour_is_judged_although_lief_cannot_read_the_library(
-    lief_is: Callable[[str], Path], built: Mapping[str, Path]
+    lief_is: Callable[[str], Path], built: Fmus
 ) -> None:
     lief_is(CRASHES)
     results = {result.rule.name: result for result in examine(built[NAME])}

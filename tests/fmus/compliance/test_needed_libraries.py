@@ -1,6 +1,5 @@
 """Libraries that a library for Linux needs are in the FMU and sought there, or the documentation tells."""
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import lief
@@ -8,6 +7,7 @@ import pytest
 
 from fmus.platforms import host_platform, library_name
 from tests.mutants.mutant import broken_rules
+from tests.shared_builds import Fmus
 
 from .archives import Members, members, write
 
@@ -18,7 +18,7 @@ BESIDE = f"{LIBRARY.rpartition('/')[0]}/{NEEDED}"
 pytestmark = pytest.mark.skipif(host_platform() != "linux64", reason="only ELF libraries are read")
 
 
-def fmu(built: Mapping[str, Path], folder: Path, added: Members, search_path: str = "") -> Path:
+def fmu(built: Fmus, folder: Path, added: Members, search_path: str = "") -> Path:
     """Our FMU, whose library needs another one."""
     content = members(built[NAME])
     library = lief.ELF.parse(list(content[LIBRARY]))
@@ -30,7 +30,7 @@ def fmu(built: Mapping[str, Path], folder: Path, added: Members, search_path: st
     return write(content | {LIBRARY: (folder / "library.so").read_bytes()} | added, folder / "mutant.fmu")
 
 
-def test_a_library_that_is_needed_and_not_there_is_caught(built: Mapping[str, Path], tmp_path: Path) -> None:
+def test_a_library_that_is_needed_and_not_there_is_caught(built: Fmus, tmp_path: Path) -> None:
     broken = broken_rules(fmu(built, tmp_path, {}))
     expected = "expected it in the FMU, or documentation/externalDependencies.txt"
     assert broken == {"libraries-are-complete": (f"{LIBRARY} needs {NEEDED}: {expected}",)}
@@ -38,9 +38,7 @@ def test_a_library_that_is_needed_and_not_there_is_caught(built: Mapping[str, Pa
     assert broken_rules(documented) == {}
 
 
-def test_a_library_that_is_there_and_not_sought_there_is_caught(
-    built: Mapping[str, Path], tmp_path: Path
-) -> None:
+def test_a_library_that_is_there_and_not_sought_there_is_caught(built: Fmus, tmp_path: Path) -> None:
     broken = broken_rules(fmu(built, tmp_path, {BESIDE: b""}))
     expected = f"{LIBRARY} needs {NEEDED}, without RPATH: expected $ORIGIN"
     assert broken == {"libraries-have-an-rpath": (expected,)}

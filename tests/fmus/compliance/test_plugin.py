@@ -4,12 +4,12 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
 
 from fmus.compliance.registry import all_rules
+from tests.shared_builds import Fmus
 
 from .archives import members, write
 
@@ -29,9 +29,7 @@ def run_pytest(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str
 
 
 @pytest.fixture(scope="module")
-def judged(
-    built: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory
-) -> subprocess.CompletedProcess[str]:
+def judged(built: Fmus, tmp_path_factory: pytest.TempPathFactory) -> subprocess.CompletedProcess[str]:
     """pytest with a test of the project's own, and a good, a broken, a warned and a missing FMU."""
     folder = tmp_path_factory.mktemp("judged")
     (folder / "test_own.py").write_text("def test_own():\n    assert True\n")
@@ -56,7 +54,7 @@ def test_each_rule_is_a_test_and_a_good_fmu_fails_none(judged: subprocess.Comple
 
 
 @pytest.mark.slow
-def test_a_good_fmu_is_exit_status_0(built: Mapping[str, Path], tmp_path: Path) -> None:
+def test_a_good_fmu_is_exit_status_0(built: Fmus, tmp_path: Path) -> None:
     done = run_pytest(tmp_path, "-q", "-k", "archive", "--fmu", str(built[NAME]))
     assert " passed" in done.stdout
     assert done.returncode == 0

@@ -1,11 +1,12 @@
 """The check replays the reference results that an FMU carries."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from fmus.build.documentation.reference_files import LS_REF
+from tests.shared_builds import Fmus
 
 from .archives import Members, broken_rules, members, write
 
@@ -16,7 +17,7 @@ EXPERIMENT = f"{FOLDER}{NAME}.exp"
 
 
 @pytest.fixture
-def messages(built: Mapping[str, Path], tmp_path: Path) -> Callable[[Members], tuple[str, ...]]:
+def messages(built: Fmus, tmp_path: Path) -> Callable[[Members], tuple[str, ...]]:
     """What the rule says of the FMU with other members; no other rule is broken."""
 
     def judged(changes: Members) -> tuple[str, ...]:
@@ -28,7 +29,7 @@ def messages(built: Mapping[str, Path], tmp_path: Path) -> Callable[[Members], t
 
 
 @pytest.fixture
-def results(built: Mapping[str, Path]) -> Callable[[float], Members]:
+def results(built: Fmus) -> Callable[[float], Members]:
     """The table of results, its second output at the largest value changed by a part of that."""
     path = f"{FOLDER}{NAME}_ref.csv"
     header, *lines = members(built[NAME])[path].decode().splitlines()
@@ -42,7 +43,7 @@ def results(built: Mapping[str, Path]) -> Callable[[float], Members]:
     return changed
 
 
-def experiment(built: Mapping[str, Path], old: str, new: str) -> Members:
+def experiment(built: Fmus, old: str, new: str) -> Members:
     text = members(built[NAME])[EXPERIMENT].decode()
     assert old in text
     return {EXPERIMENT: text.replace(old, new).encode()}
@@ -58,7 +59,7 @@ def test_a_result_within_the_stated_tolerance_passes_and_one_beyond_it_is_named(
 
 
 def test_a_tolerance_that_hides_everything_is_not_believed(
-    built: Mapping[str, Path],
+    built: Fmus,
     messages: Callable[[Members], tuple[str, ...]],
     results: Callable[[float], Members],
 ) -> None:
@@ -80,7 +81,7 @@ def test_a_tolerance_that_hides_everything_is_not_believed(
     ],
 )
 def test_an_experiment_that_cannot_be_run_is_a_finding(
-    built: Mapping[str, Path],
+    built: Fmus,
     messages: Callable[[Members], tuple[str, ...]],
     old: str,
     new: str,
@@ -91,7 +92,7 @@ def test_an_experiment_that_cannot_be_run_is_a_finding(
 
 
 def test_an_experiment_with_parameters_is_left_to_others(
-    built: Mapping[str, Path],
+    built: Fmus,
     messages: Callable[[Members], tuple[str, ...]],
     results: Callable[[float], Members],
 ) -> None:

@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import pytest
 from fmus.compliance.check import main
 from fmus.compliance.registry import all_rules
 from fmus.compliance.rule import OUTCOMES
+from tests.shared_builds import Fmus
 
 from .archives import members, write
 
@@ -19,13 +19,13 @@ NAME = "DepthReference"
 
 
 @pytest.fixture
-def warned(built: Mapping[str, Path], tmp_path: Path) -> Path:
+def warned(built: Fmus, tmp_path: Path) -> Path:
     """An FMU with a warning and no error."""
     return write(members(built[NAME]) | {"readme.txt": b""}, tmp_path / "warned.fmu")
 
 
 @pytest.fixture
-def wrong(built: Mapping[str, Path], tmp_path: Path) -> Path:
+def wrong(built: Fmus, tmp_path: Path) -> Path:
     """An FMU with an error."""
     return write(members(built[NAME]) | {"../escape": b""}, tmp_path / "wrong.fmu")
 
@@ -80,7 +80,7 @@ def test_no_fmu_is_bad_usage() -> None:
 
 
 def test_all_shows_the_rules_that_hold_and_those_that_do_not_apply(
-    built: Mapping[str, Path], capsys: pytest.CaptureFixture[str]
+    built: Fmus, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main([str(built[NAME]), "--all"]) == 0
     shown = capsys.readouterr().out
@@ -89,7 +89,7 @@ def test_all_shows_the_rules_that_hold_and_those_that_do_not_apply(
 
 @pytest.mark.parametrize("name", ["a b#c+d%20e", '[a](b){c} it\'s "quoted"', "-größe_深さ %s %d"])
 def test_an_fmu_in_a_folder_of_any_name_breaks_no_rule(
-    built: Mapping[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+    built: Fmus, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
     folder = tmp_path / name
     folder.mkdir()

@@ -1,8 +1,6 @@
 """The native FMU, through FMPy: the numbers of the block, and their derivatives."""
 
 import math
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,14 +8,13 @@ import pytest
 from fmpy.fmi2 import fmi2LastSuccessfulTime, fmi2Terminated
 
 from fmus.build import builder
+from tests.shared_builds import Fmus
 
 NAMES = builder.block_names()
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_trace_equals_the_block_stepped_in_python(
-    built: Mapping[str, Path], load: Any, driver: Any, name: str
-) -> None:
+def test_the_trace_equals_the_block_stepped_in_python(built: Fmus, load: Any, driver: Any, name: str) -> None:
     """Operations are the same and none is contracted. What may differ is the last bit of a constant that
     CasADi inverted (x / 6 as x * (1 / 6)), or of an elementary function; 1e-12 is thousands of these, of
     the largest value: what comes near zero is a difference of such values."""
@@ -37,9 +34,7 @@ def test_the_trace_equals_the_block_stepped_in_python(
     assert np.all(error <= 1e-12 * largest + 1e-15), dict(zip(outputs, error / largest, strict=True))
 
 
-def test_any_communication_step_size_lands_on_its_point(
-    built: Mapping[str, Path], load: Any, driver: Any
-) -> None:
+def test_any_communication_step_size_lands_on_its_point(built: Fmus, load: Any, driver: Any) -> None:
     """As the block does: internal steps of equal length, and the last one ends there."""
     fmu = load(built["ExamplePlant"]).begin()
     block = driver(builder.load_block("ExamplePlant")).begin()
@@ -56,7 +51,7 @@ def test_any_communication_step_size_lands_on_its_point(
 
 @pytest.mark.parametrize("name", NAMES)
 def test_directional_derivatives_of_the_initialisation_are_its_slopes(
-    built: Mapping[str, Path], load: Any, name: str
+    built: Fmus, load: Any, name: str
 ) -> None:
     """Against central differences, whose error is some 1e-6 of the slope at a relative step of 1e-5."""
     block, fmu = builder.load_block(name), load(built[name])
@@ -87,9 +82,7 @@ def test_directional_derivatives_of_the_initialisation_are_its_slopes(
         assert along == pytest.approx(difference, rel=1e-5, abs=1e-5), known.name
 
 
-def test_in_step_mode_outputs_depend_on_parameters_but_not_on_inputs(
-    built: Mapping[str, Path], load: Any
-) -> None:
+def test_in_step_mode_outputs_depend_on_parameters_but_not_on_inputs(built: Fmus, load: Any) -> None:
     fmu = load(built["ExamplePlant"]).begin()
     fmu["control"] = 1.0
     fmu.slave.doStep(0.0, 0.5)
@@ -98,7 +91,7 @@ def test_in_step_mode_outputs_depend_on_parameters_but_not_on_inputs(
     assert derivative == [2.0 * fmu["state[1]"]]  # y = C x
 
 
-def test_output_derivatives_are_those_of_the_equations(built: Mapping[str, Path], load: Any) -> None:
+def test_output_derivatives_are_those_of_the_equations(built: Fmus, load: Any) -> None:
     """x' = A x + B (omega u + theta' x + sigma), evaluated where the FMU stands."""
     fmu = load(built["ExamplePlant"]).begin()
     fmu["control"] = 1.0
@@ -114,7 +107,7 @@ def test_output_derivatives_are_those_of_the_equations(built: Mapping[str, Path]
 
 @pytest.mark.parametrize("name", NAMES)
 def test_output_derivatives_are_the_slopes_by_the_length_of_short_steps(
-    built: Mapping[str, Path], load: Any, name: str
+    built: Fmus, load: Any, name: str
 ) -> None:
     """The derivative of a step by its length; a quotient over 1e-6 s errs by 1e-6 times the curvature."""
     fmu, h = load(built[name]).begin(), 1e-6
@@ -138,7 +131,7 @@ def test_output_derivatives_are_the_slopes_by_the_length_of_short_steps(
     assert np.any(np.abs(rates) > 1e-3) != is_held
 
 
-def test_inputs_with_a_derivative_are_followed_within_the_step(built: Mapping[str, Path], load: Any) -> None:
+def test_inputs_with_a_derivative_are_followed_within_the_step(built: Fmus, load: Any) -> None:
     """x'' = u with u = t from rest: x'(1) = 1/2, by the middles of internal steps."""
     fmu = load(built["ExamplePlant"])
     for name in ("state_matrix[2,1]", "state_matrix[2,2]", "theta[1]", "theta[2]"):
@@ -154,7 +147,7 @@ def test_inputs_with_a_derivative_are_followed_within_the_step(built: Mapping[st
     assert fmu.log[-1].endswith("control: order 2 is left out: expected 1")
 
 
-def test_an_extrapolated_input_stays_within_its_range(built: Mapping[str, Path], load: Any) -> None:
+def test_an_extrapolated_input_stays_within_its_range(built: Fmus, load: Any) -> None:
     """An efficiency that falls by 10 per second is 0 from 0.1 s on, never negative."""
     falling, dead = load(built["RovDepthPlant"]), load(built["RovDepthPlant"])
     forces = []

@@ -2,7 +2,6 @@
 
 import ctypes
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from fmus.build import builder
 from fmus.build import native as native_flavour
 from fmus.errors import ExportError
 from fmus.files import write_archive
+from tests.shared_builds import Fmus
 
 
 def slave_of(path: Path, folder: Path, **changes: str) -> FMU2Slave:
@@ -38,9 +38,7 @@ def slave_of(path: Path, folder: Path, **changes: str) -> FMU2Slave:
         b"",
     ],
 )
-def test_every_form_of_resource_location_is_as_good(
-    built: Mapping[str, Path], tmp_path: Path, uri: bytes | None
-) -> None:
+def test_every_form_of_resource_location_is_as_good(built: Fmus, tmp_path: Path, uri: bytes | None) -> None:
     """The model needs no file, so that it can not fail for the importer's way of writing a URI."""
     slave = slave_of(built["ExamplePlant"], tmp_path)
     make = slave.dll.fmi2Instantiate
@@ -50,7 +48,7 @@ def test_every_form_of_resource_location_is_as_good(
     slave.dll.fmi2FreeInstance(ctypes.c_void_p(component))
 
 
-def test_errors_are_always_logged_and_discards_in_debug_mode(built: Mapping[str, Path], load: Any) -> None:
+def test_errors_are_always_logged_and_discards_in_debug_mode(built: Fmus, load: Any) -> None:
     quiet = load(built["ExamplePlant"], logging=False).begin()
     assert quiet.status("setReal", [0, 9], [0.1, math.inf]) == "error"
     assert len(quiet.log) == 1
@@ -59,7 +57,7 @@ def test_errors_are_always_logged_and_discards_in_debug_mode(built: Mapping[str,
     assert len(quiet.log) == 1
 
 
-def test_only_enabled_categories_are_logged(built: Mapping[str, Path], load: Any) -> None:
+def test_only_enabled_categories_are_logged(built: Fmus, load: Any) -> None:
     fmu = load(built["ExamplePlant"]).begin()
     fmu.slave.setDebugLogging(True, ["logStatusError"])
     assert fmu.status("setReal", [9], [math.inf]) == "discard"
@@ -70,9 +68,7 @@ def test_only_enabled_categories_are_logged(built: Mapping[str, Path], load: Any
     assert len(fmu.log) == 1
 
 
-def test_two_versions_in_one_process_do_not_see_each_other(
-    built: Mapping[str, Path], load: Any, tmp_path: Path
-) -> None:
+def test_two_versions_in_one_process_do_not_see_each_other(built: Fmus, load: Any, tmp_path: Path) -> None:
     """A plant that feels twice the control, beside the original."""
     block = builder.load_block("ExamplePlant")
 

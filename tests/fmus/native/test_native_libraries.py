@@ -7,7 +7,6 @@ import struct
 import subprocess
 import sys
 import zipfile
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import pytest
 
 from fmus.build import builder
 from fmus.platforms import PLATFORMS, library_name
+from tests.shared_builds import Fmus
 
 pytestmark = pytest.mark.cross
 
@@ -100,8 +100,11 @@ class Library:
         )
 
 
+Libraries = dict[tuple[str, str], Library]  # by block and platform
+
+
 @pytest.fixture(scope="session")
-def libraries(built_everywhere: Mapping[str, Path]) -> dict[tuple[str, str], Library]:
+def libraries(built_everywhere: Fmus) -> Libraries:
     return {(n, p): Library(fmu, p) for n, fmu in built_everywhere.items() for p in PLATFORMS}
 
 
@@ -112,7 +115,7 @@ def block(request: pytest.FixtureRequest) -> str:
 
 @pytest.mark.parametrize("platform", PLATFORMS)
 def test_it_is_the_platforms_and_has_the_functions_of_fmi_and_nothing_else(
-    libraries: dict[tuple[str, str], Library], block: str, platform: str
+    libraries: Libraries, block: str, platform: str
 ) -> None:
     library = libraries[block, platform]
     assert [library.machine(binary) for binary in library.slices] == MACHINES[platform]
@@ -121,9 +124,7 @@ def test_it_is_the_platforms_and_has_the_functions_of_fmi_and_nothing_else(
 
 
 @pytest.mark.parametrize("platform", PLATFORMS)
-def test_it_needs_nothing_but_the_systems_c_library(
-    libraries: dict[tuple[str, str], Library], block: str, platform: str
-) -> None:
+def test_it_needs_nothing_but_the_systems_c_library(libraries: Libraries, block: str, platform: str) -> None:
     library = libraries[block, platform]
     for binary in library.slices:
         assert library.imports(binary)
@@ -133,9 +134,7 @@ def test_it_needs_nothing_but_the_systems_c_library(
 
 
 @pytest.mark.parametrize("platform", LINUX)
-def test_it_runs_with_an_old_glibc(
-    libraries: dict[tuple[str, str], Library], block: str, platform: str
-) -> None:
+def test_it_runs_with_an_old_glibc(libraries: Libraries, block: str, platform: str) -> None:
     (binary,) = libraries[block, platform].slices
     versions = {a.name for need in binary.symbols_version_requirement for a in need.get_auxiliary_symbols()}
     assert versions
@@ -145,9 +144,7 @@ def test_it_runs_with_an_old_glibc(
 
 
 @pytest.mark.parametrize("platform", LINUX)
-def test_its_stack_and_its_tables_are_protected(
-    libraries: dict[tuple[str, str], Library], block: str, platform: str
-) -> None:
+def test_its_stack_and_its_tables_are_protected(libraries: Libraries, block: str, platform: str) -> None:
     """A library that wants an executable stack is refused by glibc 2.41 and later."""
     (binary,) = libraries[block, platform].slices
     (stack,) = [segment for segment in binary.segments if str(segment.type) == "TYPE.GNU_STACK"]
@@ -155,7 +152,7 @@ def test_its_stack_and_its_tables_are_protected(
     assert any(str(segment.type) == "TYPE.GNU_RELRO" for segment in binary.segments)
 
 
-def test_on_windows_it_can_be_placed_anywhere(libraries: dict[tuple[str, str], Library], block: str) -> None:
+def test_on_windows_it_can_be_placed_anywhere(libraries: Libraries, block: str) -> None:
     (binary,) = libraries[block, "win64"].slices
     characteristics = int(binary.optional_header.dll_characteristics)
     for flag in ("HIGH_ENTROPY_VA", "DYNAMIC_BASE", "NX_COMPAT"):
@@ -165,7 +162,7 @@ def test_on_windows_it_can_be_placed_anywhere(libraries: dict[tuple[str, str], L
 
 @pytest.mark.parametrize("platform", APPLE)
 def test_on_macos_it_is_a_library_found_beside_its_importer(
-    libraries: dict[tuple[str, str], Library], block: str, platform: str
+    libraries: Libraries, block: str, platform: str
 ) -> None:
     library = libraries[block, platform]
     for binary in library.slices:
@@ -178,7 +175,7 @@ def test_on_macos_it_is_a_library_found_beside_its_importer(
 
 @pytest.mark.parametrize("platform", APPLE)
 def test_on_apple_silicon_every_page_has_the_signed_hash(
-    libraries: dict[tuple[str, str], Library], block: str, platform: str
+    libraries: Libraries, block: str, platform: str
 ) -> None:
     """The kernel kills a process when a page of its library has another one."""
     library = libraries[block, platform]
@@ -214,7 +211,7 @@ def _check_signature(thin: bytes, offset: int, size: int) -> None:
 
 @pytest.mark.parametrize("platform", ["aarch64-linux", *APPLE])
 def test_on_arm_no_product_and_sum_are_fused_into_one_rounding(
-    libraries: dict[tuple[str, str], Library], block: str, platform: str
+    libraries: Libraries, block: str, platform: str
 ) -> None:
     """Compilers for ARM do so unless told not to, and the trajectory would be another than on x86-64."""
     library = libraries[block, platform]
@@ -227,9 +224,7 @@ def test_on_arm_no_product_and_sum_are_fused_into_one_rounding(
     assert not fused
 
 
-def test_the_universal_library_holds_both_slices_where_it_says(
-    libraries: dict[tuple[str, str], Library], block: str
-) -> None:
+def test_the_universal_library_holds_both_slices_where_it_says(libraries: Libraries, block: str) -> None:
     data = libraries[block, "darwin64"].data
     magic, count = struct.unpack_from(">II", data)
     assert (magic, count) == (0xCAFEBABE, 2)
@@ -244,18 +239,14 @@ def test_the_universal_library_holds_both_slices_where_it_says(
     assert end <= len(data)
 
 
-def test_the_arm_slice_is_the_library_for_apple_silicon(
-    libraries: dict[tuple[str, str], Library], block: str
-) -> None:
+def test_the_arm_slice_is_the_library_for_apple_silicon(libraries: Libraries, block: str) -> None:
     data = libraries[block, "darwin64"].data
     _, _, offset, size, _ = struct.unpack_from(">5I", data, 8 + 20)
     assert data[offset : offset + size] == libraries[block, "aarch64-darwin"].data
 
 
 @pytest.mark.parametrize("platform", PLATFORMS)
-def test_it_tells_no_place_nor_time_of_its_making(
-    libraries: dict[tuple[str, str], Library], block: str, platform: str
-) -> None:
+def test_it_tells_no_place_nor_time_of_its_making(libraries: Libraries, block: str, platform: str) -> None:
     library = libraries[block, platform]
     places = [str(Path.home()), str(Path.cwd()), sys.prefix, "/tmp", "l1-depth-build", ".pdb"]
     for path in places:
@@ -300,7 +291,7 @@ def _made(folder: Path) -> Path:
     [*(("all", platform) for platform in PLATFORMS), ("cold", "linux64"), ("cold", "aarch64-darwin")],
 )
 def test_it_is_the_same_byte_for_byte_wherever_it_is_built(
-    built_everywhere: Mapping[str, Path], built_elsewhere: Path, subfolder: str, platform: str
+    built_everywhere: Fmus, built_elsewhere: Path, subfolder: str, platform: str
 ) -> None:
     name = "RovDepthPlant"
     assert _read(built_elsewhere / subfolder / f"{name}.fmu", platform) == _read(

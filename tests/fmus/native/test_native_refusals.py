@@ -1,17 +1,15 @@
 """What the native FMU refuses, with which status, and what it says of it."""
 
 import math
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import pytest
 from fmpy.fmi2 import fmi2LastSuccessfulTime
 
+from tests.shared_builds import Fmus
 
-def test_a_value_out_of_range_is_discarded_and_the_old_one_stays(
-    built: Mapping[str, Path], load: Any
-) -> None:
+
+def test_a_value_out_of_range_is_discarded_and_the_old_one_stays(built: Fmus, load: Any) -> None:
     plant = load(built["RovDepthPlant"]).begin()
     inertia, damping = plant.references["inertia"], plant.references["linear_damping"]
     assert plant.status("setReal", [damping, inertia], [9.0, -1.0]) == "discard"
@@ -21,7 +19,7 @@ def test_a_value_out_of_range_is_discarded_and_the_old_one_stays(
     plant.slave.doStep(0.0, 0.02)
 
 
-def test_an_enumeration_takes_its_items_only(built: Mapping[str, Path], load: Any) -> None:
+def test_an_enumeration_takes_its_items_only(built: Fmus, load: Any) -> None:
     controller = load(built["L1Controller"])
     order = controller.references["filter_order"]
     assert controller.status("setInteger", [order], [2]) == "discard"
@@ -29,7 +27,7 @@ def test_an_enumeration_takes_its_items_only(built: Mapping[str, Path], load: An
     assert controller.status("setInteger", [order], [3]) == "ok"
 
 
-def test_a_diverging_step_is_discarded_and_leaves_the_state(built: Mapping[str, Path], load: Any) -> None:
+def test_a_diverging_step_is_discarded_and_leaves_the_state(built: Fmus, load: Any) -> None:
     plant = load(built["ExamplePlant"]).begin()
     plant["control"] = 1.0
     plant.slave.doStep(0.0, 0.5)
@@ -66,7 +64,7 @@ def test_a_diverging_step_is_discarded_and_leaves_the_state(built: Mapping[str, 
     ],
 )
 def test_an_illegal_call_is_an_error_that_changes_nothing(
-    built: Mapping[str, Path], load: Any, call: str, arguments: tuple, message: str
+    built: Fmus, load: Any, call: str, arguments: tuple, message: str
 ) -> None:
     """Afterwards FMI allows reading, restoring, resetting and freeing only."""
     plant = load(built["ExamplePlant"])
@@ -83,9 +81,7 @@ def test_an_illegal_call_is_an_error_that_changes_nothing(
     plant.slave.doStep(0.0, 1.0)
 
 
-def test_a_communication_point_is_told_from_the_next_also_far_from_zero(
-    built: Mapping[str, Path], load: Any
-) -> None:
+def test_a_communication_point_is_told_from_the_next_also_far_from_zero(built: Fmus, load: Any) -> None:
     """At 1.7e9 s, the time since 1970, where 1e-9 of the time would be hundreds of steps."""
     plant, start = load(built["ExamplePlant"]), 1.7e9
     plant.slave.setupExperiment(startTime=start, stopTime=start + 1.0)

@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 from fmus import platforms
 from fmus.build import builder
 from fmus.native import toolchain
+from tests.shared_builds import Fmus
 
 BLOCKS = builder.block_names()
 REBUILT = ("L1DepthController", "RovDepthPlant")
@@ -49,7 +50,7 @@ def test_every_function_of_fmi_names_its_clause_of_the_standard() -> None:
 
 
 @pytest.fixture(scope="session")
-def rebuilt(built: Mapping[str, Path], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def rebuilt(built: Fmus, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """FMUs without libraries, to which `fmpy compile` added this platform's."""
     folder = tmp_path_factory.mktemp("rebuilt")
     compiler = folder / "cc"
@@ -94,7 +95,7 @@ def _program(package: str) -> Path:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", REBUILT)
 def test_what_fmpy_compiles_from_the_sources_does_the_same(
-    built: Mapping[str, Path], rebuilt: dict[str, Path], tmp_path: Path, name: str
+    built: Fmus, rebuilt: dict[str, Path], tmp_path: Path, name: str
 ) -> None:
     """To rounding only: another importer's compiler may fuse a product and a sum."""
     with zipfile.ZipFile(rebuilt[name]) as archive:
@@ -125,7 +126,7 @@ def _trace(fmu: Path) -> np.ndarray:
 
 
 @pytest.fixture(params=BLOCKS)
-def extracted(request: pytest.FixtureRequest, built: Mapping[str, Path], tmp_path: Path) -> Iterator[Path]:
+def extracted(request: pytest.FixtureRequest, built: Fmus, tmp_path: Path) -> Iterator[Path]:
     fmpy.extract(str(built[request.param]), tmp_path / "fmu")
     yield tmp_path / "fmu"
     shutil.rmtree(tmp_path / "fmu")

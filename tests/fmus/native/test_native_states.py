@@ -3,16 +3,16 @@
 import json
 import subprocess
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from fmus.build import builder
+from tests.shared_builds import Fmus
 
 
-def test_another_process_goes_on_from_the_bytes(built: Mapping[str, Path], load: Any, tmp_path: Path) -> None:
+def test_another_process_goes_on_from_the_bytes(built: Fmus, load: Any, tmp_path: Path) -> None:
     fmu = load(built["RovDepthPlant"]).begin()
     fmu["voltage[1]"] = 2.0
     fmu.slave.doStep(0.0, 0.02)
@@ -49,9 +49,7 @@ print(json.dumps(slave.getReal([v.valueReference for v in description.modelVaria
         (None, "another FMU's"),
     ],
 )
-def test_bytes_that_are_not_this_fmus_are_refused(
-    built: Mapping[str, Path], load: Any, damage: Any, message: str
-) -> None:
+def test_bytes_that_are_not_this_fmus_are_refused(built: Fmus, load: Any, damage: Any, message: str) -> None:
     plant, other = load(built["RovDepthPlant"]).begin(), load(built["ExamplePlant"]).begin()
     plant.slave.doStep(0.0, 0.02)
     saved = plant.slave.getFMUstate()
@@ -66,7 +64,7 @@ def test_bytes_that_are_not_this_fmus_are_refused(
     plant.slave.doStep(0.02, 0.02)
 
 
-def test_a_restored_state_leaves_the_stop_time_of_the_setup(built: Mapping[str, Path], load: Any) -> None:
+def test_a_restored_state_leaves_the_stop_time_of_the_setup(built: Fmus, load: Any) -> None:
     """Wherever the state is from: the end is what the importer said to this instance."""
     plant = load(built["ExamplePlant"])
     before_setup = plant.slave.getFMUstate()

@@ -5,7 +5,7 @@ import re
 import subprocess
 import sys
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ import typer
 from orchestration.cli.app import app
 from orchestration.scenarios import identify as identification
 from orchestration.scenarios import scenario
+from tests.shared_builds import Fmus
 
 Command = Callable[..., Any]
 
@@ -134,7 +135,7 @@ def test_help_is_whole_sentences_and_loses_no_word_to_markup(
         assert text.endswith(".")
 
 
-def test_inspect_prints_json_for_programs(command: Command, built: Mapping[str, Path]) -> None:
+def test_inspect_prints_json_for_programs(command: Command, built: Fmus) -> None:
     document = json.loads(command("inspect", built["L1Controller"], "--json").stdout)
     assert (document["name"], document["fmi_version"]) == ("L1Controller", "2.0")
     variables = {variable["name"]: variable for variable in document["variables"]}
@@ -146,7 +147,7 @@ def test_inspect_prints_json_for_programs(command: Command, built: Mapping[str, 
 
 
 def test_inspect_shows_an_fmu_for_model_exchange_alone_which_no_run_takes(
-    command: Command, refused: Command, built: Mapping[str, Path], tmp_path: Path
+    command: Command, refused: Command, built: Fmus, tmp_path: Path
 ) -> None:
     path = tmp_path / "exchange.fmu"
     with zipfile.ZipFile(built["ExamplePlant"]) as source, zipfile.ZipFile(path, "w") as target:

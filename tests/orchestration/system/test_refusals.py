@@ -2,7 +2,7 @@
 
 import math
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +12,12 @@ from orchestration.errors import SystemDefinitionError
 from orchestration.run import Simulator, simulate
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
+from tests.shared_builds import Fmus
 
 Build = Callable[..., Path]
 
 
-def test_a_signal_that_raises_is_named_before_the_run(foreign: Mapping[str, Path]) -> None:
+def test_a_signal_that_raises_is_named_before_the_run(foreign: Fmus) -> None:
     def broken(t: float) -> float:
         if t > 0.25:
             raise RuntimeError("no more data")
@@ -42,9 +43,7 @@ def _edited(path: Path, folder: Path, *changes: tuple[str, str]) -> Path:
     return copy
 
 
-def test_what_an_fmu_cannot_do_is_said_before_it_is_loaded(
-    foreign: Mapping[str, Path], tmp_path: Path
-) -> None:
+def test_what_an_fmu_cannot_do_is_said_before_it_is_loaded(foreign: Fmus, tmp_path: Path) -> None:
     fixed = _edited(
         foreign["Lag"], tmp_path,
         ('canHandleVariableCommunicationStepSize="true"', 'canHandleVariableCommunicationStepSize="false"'),
@@ -58,7 +57,7 @@ def test_what_an_fmu_cannot_do_is_said_before_it_is_loaded(
 
 
 def test_an_estimate_beside_a_stepped_run_needs_an_fmu_that_can_be_loaded_twice(
-    foreign: Mapping[str, Path], tmp_path: Path
+    foreign: Fmus, tmp_path: Path
 ) -> None:
     only_once = 'canBeInstantiatedOnlyOncePerProcess="{}"'
     once = _edited(foreign["Lag"], tmp_path, (only_once.format("false"), only_once.format("true")))
@@ -69,9 +68,7 @@ def test_an_estimate_beside_a_stepped_run_needs_an_fmu_that_can_be_loaded_twice(
         assert "error_estimate" in simulator.run(experiment).provenance
 
 
-def test_a_range_and_unit_that_only_the_declared_type_states_count(
-    foreign: Mapping[str, Path], tmp_path: Path
-) -> None:
+def test_a_range_and_unit_that_only_the_declared_type_states_count(foreign: Fmus, tmp_path: Path) -> None:
     types = (
         '<UnitDefinitions><Unit name="K"><BaseUnit K="1"/></Unit></UnitDefinitions><TypeDefinitions>'
         '<SimpleType name="T"><Real unit="K" max="5.0"/></SimpleType></TypeDefinitions>'
@@ -85,9 +82,7 @@ def test_a_range_and_unit_that_only_the_declared_type_states_count(
         simulate(System({"lag": typed}), Experiment(1.0, 0.1, inputs={"lag.u": 7.0}))
 
 
-def test_an_fmu_without_units_connects_to_one_with(
-    foreign: Mapping[str, Path], built: Mapping[str, Path]
-) -> None:
+def test_an_fmu_without_units_connects_to_one_with(foreign: Fmus, built: Fmus) -> None:
     system = System(
         {"lag": foreign["Lag"], "p": built["ExamplePlant"]}, (("lag.y", "p.control"), ("p.output", "lag.u"))
     )
@@ -106,7 +101,7 @@ def test_an_fmu_without_units_connects_to_one_with(
     ],
 )
 def test_what_no_fmu_can_take_is_refused_before_the_run(
-    foreign: Mapping[str, Path], settings: dict[str, Any], message: str
+    foreign: Fmus, settings: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(SystemDefinitionError, match=message):
         simulate(

@@ -1,7 +1,6 @@
 """What does not fit is found before anything is loaded, with the nearest name."""
 
 import zipfile
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +10,10 @@ from fmus.fmi.description import describe
 from orchestration.errors import FmuLoadError, SystemDefinitionError
 from orchestration.system.system import System, check
 from tests.described_fmus import described
+from tests.shared_builds import Fmus
 
 
-def lags(foreign: Mapping[str, Path], *connections: tuple[str, str]) -> System:
+def lags(foreign: Fmus, *connections: tuple[str, str]) -> System:
     return System({"one": foreign["Lag"], "two": foreign["Lag"]}, connections)
 
 
@@ -30,7 +30,7 @@ def lags(foreign: Mapping[str, Path], *connections: tuple[str, str]) -> System:
         ([("one.y", "two.u")], ["one.y"], "one.y is driven: expected an input, got output"),
     ],
 )
-def test_wiring_mistakes(foreign: Mapping[str, Path], connections: list, driven: list, message: str) -> None:
+def test_wiring_mistakes(foreign: Fmus, connections: list, driven: list, message: str) -> None:
     with pytest.raises(SystemDefinitionError, match=message):
         check(lags(foreign, *connections), driven)
 
@@ -54,7 +54,7 @@ def test_a_system_of_another_form_is_refused(components: Any, connections: Any, 
         System(components, connections)
 
 
-def test_types_must_be_equal(foreign: Mapping[str, Path]) -> None:
+def test_types_must_be_equal(foreign: Fmus) -> None:
     system = System({"lag": foreign["Lag"], "types": foreign["Types"]}, (("lag.y", "types.a"),))
     with pytest.raises(
         SystemDefinitionError,
@@ -63,14 +63,14 @@ def test_types_must_be_equal(foreign: Mapping[str, Path]) -> None:
         check(system, ["lag.u", "types.b"])
 
 
-def test_units_must_be_equal(built: Mapping[str, Path]) -> None:
+def test_units_must_be_equal(built: Fmus) -> None:
     system = System({"plant": built["RovDepthPlant"]}, (("plant.depth", "plant.voltage[1]"),))
     with pytest.raises(SystemDefinitionError, match=r"expected equal units, got m and V"):
         check(system)
 
 
 def test_a_unit_that_an_fmu_names_but_does_not_define_is_compared_by_its_name(
-    built: Mapping[str, Path], tmp_path: Path
+    built: Fmus, tmp_path: Path
 ) -> None:
     units = {"y": "V", "z": "mV"}
     named = described(tmp_path / "named.fmu", outputs=["y", "z"], units=units)
@@ -83,7 +83,7 @@ def test_a_unit_that_an_fmu_names_but_does_not_define_is_compared_by_its_name(
         check(System(components, [("named.z", "plant.voltage[1]")]), driven)
 
 
-def test_a_missing_file_offers_the_nearest(built: Mapping[str, Path]) -> None:
+def test_a_missing_file_offers_the_nearest(built: Fmus) -> None:
     path = built["RovDepthPlant"].with_name("RovDepthPlan.fmu")
     with pytest.raises(FmuLoadError, match=r"no FMU at .*nearest is 'RovDepthPlant.fmu'"):
         describe(path)
@@ -97,7 +97,7 @@ def test_a_corrupt_fmu_is_named(tmp_path: Path, content: bytes) -> None:
         describe(path)
 
 
-def test_a_truncated_fmu_is_named(built: Mapping[str, Path], tmp_path: Path) -> None:
+def test_a_truncated_fmu_is_named(built: Fmus, tmp_path: Path) -> None:
     path = tmp_path / "half.fmu"
     data = built["RovDepthPlant"].read_bytes()
     path.write_bytes(data[: len(data) // 2])

@@ -2,7 +2,6 @@
 
 import re
 import zipfile
-from collections.abc import Mapping
 from dataclasses import replace
 from html.parser import HTMLParser
 from importlib.metadata import distribution
@@ -14,6 +13,7 @@ from fmus.block import Block
 from fmus.block.guide import NO_GUIDE, Guide, Source
 from fmus.build import builder
 from fmus.build.documentation.page import documentation
+from tests.shared_builds import Fmus
 
 NAMES = builder.block_names()
 VOID = {"meta", "img"}  # the elements of the page that HTML never closes
@@ -159,9 +159,7 @@ def test_a_block_without_a_guide_is_documented_by_its_variables() -> None:
     assert len([row for row in page.rows if len(row) == 7]) == len(block.variables)
 
 
-def test_the_licence_of_everything_inside_is_inside(
-    built: Mapping[str, Path], python_built: Mapping[str, Path]
-) -> None:
+def test_the_licence_of_everything_inside_is_inside(built: Fmus, python_built: Fmus) -> None:
     def licences(path: Path) -> dict[str, str]:
         folder = "documentation/licenses/"
         with zipfile.ZipFile(path) as archive:
