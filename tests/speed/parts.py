@@ -316,8 +316,7 @@ def importer(name: str, distribution: str, records: str) -> Measure:
 
 def check_level(name: str, level: float, steps: int) -> None:
     """Raises OrchestrationError unless the level is that of two lags after so many steps."""
-    rounding = steps * sys.float_info.epsilon
-    if not math.isclose(level, steps * STEP_SIZE * 0.1, rel_tol=rounding):
+    if not math.isclose(level, steps * STEP_SIZE * 0.1, rel_tol=steps * sys.float_info.epsilon):
         raise OrchestrationError(f"{name}: a level of {level!r} after {steps} steps: expected other numbers")
 
 

@@ -42,6 +42,7 @@ class State:
 
     def answer(self, function: str, *arguments: object) -> Any:
         """Returns what a function of inside.py measures. Raises OrchestrationError if it fails."""
+        assert self.fmus
         return json.loads(self._printed(HERE / "inside.py", function, *arguments))
 
     def _printed(self, program: Path, *arguments: object, **environment: str) -> str:
@@ -68,7 +69,8 @@ class State:
 
     @cached_property
     def fmus(self) -> Path:
-        """A folder with the FMUs of `FIVE`."""
+        """A folder with the FMUs of `FIVE`, which scenarios find as well."""
+        self.cost(*COMMAND, "build", *FIVE, "--cache")
         self.cost(*COMMAND, "build", *FIVE, "--out", "fmus")
         return self.folder / "fmus"
 
