@@ -13,6 +13,16 @@ XML = "modelDescription.xml"
 # places in the sources of a native FMU
 STEP = 'if (!is_allowed(instance, STEPPING, "fmi2DoStep")) return fmi2Error;'
 GLOBALS = "static const char *const TYPE_NAMES[]"
+# rule, what our python FMUs declare, and what they might claim
+FALSE_CLAIMS = [
+    ("input-derivatives", 'canInterpolateInputs="false"', 'canInterpolateInputs="true"'),
+    ("output-derivatives", 'maxOutputDerivativeOrder="0"', 'maxOutputDerivativeOrder="1"'),
+    (
+        "directional-derivatives",
+        'providesDirectionalDerivative="false"',
+        'providesDirectionalDerivative="true"',
+    ),
+]
 PATCHED = "RovDepthPlant"  # its outputs move at the start values
 PYTHONFMU_ERRORS = {  # of its binary
     "resource-locations-of-both-forms", "freed-state-is-null", "step-beyond-the-stop-time-is-an-error",

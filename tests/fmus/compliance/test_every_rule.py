@@ -4,7 +4,7 @@ from fmus.compliance.behaviour import FUNDAMENTAL
 from fmus.compliance.registry import MODULES, all_rules
 from tests.mutants.slaves import MUTANTS
 
-from .test_behaviour import FALSE_CLAIMS
+from .archives import FALSE_CLAIMS
 
 BY_A_TEST_OF_ITS_OWN = {
     "library-exports", "libraries-are-complete", "libraries-have-an-rpath", "library-loads",
