@@ -104,10 +104,10 @@ def build_anew(row: str, *options: str) -> Callable[[State, bool], Rows]:
     """A build that finds nothing of its FMUs, but the compiler's own libraries, which another build left."""
 
     def read(state: State, quick: bool) -> Rows:
-        folder = state.folder / "anew"
+        folder = state.folder.parent / "anew"
         caches = {"XDG_CACHE_HOME": str(folder), "ZIG_GLOBAL_CACHE_DIR": str(folder / "zig")}
-        kept = state.folder / f"kept{len(options)}"
-        build = (*COMMAND, "build", *options, "--out", "anew/fmus")
+        kept = state.folder.parent / f"kept{len(options)}"
+        build = (*COMMAND, "build", *options, "--out", "../anew/fmus")
         shutil.rmtree(folder, ignore_errors=True)
         if not kept.exists():
             state.cost(*build, "ThrustAllocation", **caches)
