@@ -46,10 +46,9 @@ def source_closure(module: str) -> dict[str, str]:
         name = waiting.pop()
         if name in sources:
             continue
-        sources[name] = _read(name)
+        sources[name] = "" if name == "pythonfmu" else _read(name)
         parts = name.split(".")
-        for parent in (".".join(parts[:i]) for i in range(1, len(parts))):
-            sources.setdefault(parent, "" if parent == "pythonfmu" else _read(parent))
+        waiting.extend(".".join(parts[:i]) for i in range(1, len(parts)))
         waiting.extend(_imported(name, sources[name], folder))
     return dict(sorted(sources.items()))
 
