@@ -18,10 +18,9 @@ from fmus.build import native as native_flavour
 from fmus.build import python as python_flavour
 from fmus.build.check_sampling import check_samples
 from fmus.build.check_trace import check_faithful, check_shipped
-from fmus.build.documentation import reference_files
-from fmus.build.documentation.icon import icon
+from fmus.build.documentation import reference_results
 from fmus.build.documentation.reference_results import ReferenceRun, reference_run
-from fmus.build.documentation.terminals import terminals
+from fmus.build.documentation.terminals_and_icon import icon, terminals
 from fmus.build.guard import location, own_line
 from fmus.build.shipped import ShippedLibrary
 from fmus.build.stamp import Order, Stamps, order_of_file
@@ -146,7 +145,7 @@ def _building(block: Block, order: Order) -> Iterator[Callable[[], dict[Path, by
         compared = check_faithful(block)
         check_samples(block)
         reference = _reference_run(block)
-        shown = {"model.png": icon(block)} | reference_files.members(reference, block.name)
+        shown = {"model.png": icon(block)} | reference_results.members(reference, block.name)
         shown |= terminals(block) if order.with_terminals else {}
 
         def write() -> dict[Path, bytes]:
@@ -157,7 +156,7 @@ def _building(block: Block, order: Order) -> Iterator[Callable[[], dict[Path, by
                     check_shipped(compared, library)
             files = {order.folder / f"{block.name}.fmu": packed(members | built | shown)}
             if order.with_cross_check:
-                beside = reference_files.cross_check_files(reference, block.name)
+                beside = reference_results.cross_check_files(reference, block.name)
                 files |= {order.folder / name: beside[name] for name in sorted(beside)}
             is_cached = order.folder.is_relative_to(fmu_folder(order.flavour))
             write_file = write_cached if is_cached else write_bytes_atomically

@@ -4,7 +4,9 @@ Everything explicit: causality, variability, initial, units, ranges, enumeration
 step mode no output depends directly on an input; in initialisation mode outputs follow the inputs.
 """
 
+import hashlib
 import os
+import uuid
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -17,6 +19,8 @@ from fmus.build.symbolic import initial_dependencies
 from fmus.errors import ExportError
 from fmus.files import xml_document
 
+# They stand for the GUID, and for a part of it in Python names, until it is known.
+GUID, GUID_IN_NAMES = "GUID-of-this-FMU", "GUID_of_this_FMU"
 LOG_CATEGORIES = {
     "logStatusWarning": "Something that the user should know.",
     "logStatusDiscard": "A step that was refused; the state is what it was before.",
@@ -159,3 +163,17 @@ def _structure(root: Any, block: Block) -> None:
     for unknown, known in sorted(initial_dependencies(block).items()):
         dependencies = " ".join(str(reference + 1) for reference in known)
         _add(initial, "Unknown", index=str(unknown + 1), dependencies=dependencies)
+
+
+def with_guid(members: dict[str, bytes], recipe: str = "") -> tuple[str, dict[str, bytes]]:
+    """A GUID that follows from members and recipe, and the members with it in names and contents."""
+    digest = hashlib.sha256(recipe.encode())
+    for name, data in sorted(members.items()):
+        digest.update(hashlib.sha256(name.encode()).digest() + hashlib.sha256(data).digest())
+    guid = str(uuid.uuid5(uuid.NAMESPACE_OID, digest.hexdigest()))
+    for placeholder, text in ((GUID, guid), (GUID_IN_NAMES, guid.replace("-", "")[:16])):
+        members = {
+            name.replace(placeholder, text): data.replace(placeholder.encode(), text.encode())
+            for name, data in members.items()
+        }
+    return guid, members

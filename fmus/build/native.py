@@ -10,10 +10,9 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from fmus.block import Block
-from fmus.build.archive import GUID, licenses, with_guid
 from fmus.build.c_source import COMPILED, c_sources
-from fmus.build.documentation.page import documentation
-from fmus.build.model_description import model_description
+from fmus.build.documentation.page import documentation, licenses
+from fmus.build.model_description import GUID, model_description, with_guid
 from fmus.files import xml_document
 from fmus.fmi.integer_enumerations import REALS_ONLY, with_plain_types
 from fmus.native.toolchain import COMPILER, FLAGS, compiling

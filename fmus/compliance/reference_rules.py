@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fmus.build.documentation.reference_files import LS_REF
+from fmus.build.documentation.reference_results import LS_REF
 from fmus.compliance.fmu_file import BrokenMemberError, FmuFile, parsed_xml
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import behaviour_rule

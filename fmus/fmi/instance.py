@@ -5,27 +5,23 @@ Every call that an FMU refuses becomes an FmuError with the messages that the FM
 
 import contextlib
 import ctypes
+import threading
 import warnings
-from collections.abc import Callable, Iterable
+import zipfile
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from fmus.errors import FmuError, FmuLoadError, FmuWarning
-from fmus.fmi.binding import (
-    ERROR,
-    FATAL,
-    LAST_SUCCESSFUL_TIME,
-    OK,
-    TERMINATED,
-    WARNING,
-    BoundInstance,
-    Callbacks,
-    status_name,
-)
+from fmus.files import extract_archive
+from fmus.fmi import binding
+from fmus.fmi.binding import BoundInstance, Callbacks, Library, library_member, platform_name, status_name
+from fmus.fmi.description import FileVersion, is_independent
 from fmus.fmi.model_description import ModelDescription, ScalarVariable
-from fmus.fmi.unpacked import unpacked
 from fmus.fmi.variable_types import TRANSFER_TYPE, FmiValue
 
 _MOST_MESSAGES = 10  # in an error or a warning
@@ -81,7 +77,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         """Reset to the state after instantiation; False if the FMU refuses, and must be loaded anew."""
         status = self.status("fmi2Reset")
         self.log.clear()
-        self._dead = self._dead or status == FATAL
+        self._dead = self._dead or status == binding.FATAL
         if status == 0:
             self.is_fresh, self._stepping, self._failed, self.termination_log = True, False, False, []
             self.has_warned = False
@@ -139,7 +135,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
     def last_successful_time(self) -> float | None:
         """The time up to which a discarded step was computed [s]; None if the FMU does not provide it."""
         time = ctypes.c_double()
-        status = self.status("fmi2GetRealStatus", LAST_SUCCESSFUL_TIME, ctypes.byref(time))
+        status = self.status("fmi2GetRealStatus", binding.LAST_SUCCESSFUL_TIME, ctypes.byref(time))
         self._remember(status)
         return time.value if status == 0 else None
 
@@ -152,7 +148,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
             return False
         self.termination_log = [message for _, message in self.log]
         answer = ctypes.c_int()
-        status = self.status("fmi2GetBooleanStatus", TERMINATED, ctypes.byref(answer))
+        status = self.status("fmi2GetBooleanStatus", binding.TERMINATED, ctypes.byref(answer))
         self._remember(status)
         return status == 0 and bool(answer.value)
 
@@ -174,11 +170,11 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
             return
         log = list(self.log)
         self.log.clear()
-        logged = [s for s, _ in log if s in (ERROR, FATAL)]
-        worst = max([status, *logged]) if status >= OK else status
+        logged = [s for s, _ in log if s in (binding.ERROR, binding.FATAL)]
+        worst = max([status, *logged]) if status >= binding.OK else status
         self._remember(status)
         messages = _shortened([message for _, message in log])
-        if worst not in (OK, WARNING):
+        if worst not in (binding.OK, binding.WARNING):
             raise FmuError(self.name, self.time, function, status_name(worst), messages)
         if worst:
             self.has_warned = True
@@ -188,8 +184,8 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
             )
 
     def _remember(self, status: int) -> None:
-        self._failed = self._failed or not OK <= status < ERROR
-        self._dead = self._dead or status == FATAL
+        self._failed = self._failed or not binding.OK <= status < binding.ERROR
+        self._dead = self._dead or status == binding.FATAL
 
     def close(self) -> None:
         """Terminate and free the instance, unload its library, remove its folder.
@@ -198,7 +194,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         """
         try:
             if self.handle and self._stepping and not (self._failed or self._dead):
-                self._dead = self.status("fmi2Terminate") == FATAL
+                self._dead = self.status("fmi2Terminate") == binding.FATAL
             if self.handle and not self._dead:
                 self.status("fmi2FreeInstance")
         finally:
@@ -214,3 +210,74 @@ def _shortened(messages: list[str]) -> list[str]:
     different = list(dict.fromkeys(messages))
     left = len(different) - _MOST_MESSAGES
     return [*different[:_MOST_MESSAGES], *([f"and {left} more"] if left > 0 else [])]
+
+
+class UnpackedFmu:
+    """The folder of an FMU and its library; users: how many instances share them."""
+
+    def __init__(self, path: Path, description: ModelDescription) -> None:
+        self._temporary = TemporaryDirectory(prefix="l1-depth-", ignore_cleanup_errors=True)
+        self.folder, self.users = Path(self._temporary.name), 0
+        try:
+            self.library = _library(path, description, self.folder)
+        except BaseException:
+            self._temporary.cleanup()
+            raise
+
+    def close(self) -> None:
+        self.library.unload()
+        self._temporary.cleanup()
+
+
+_shared: dict[FileVersion, UnpackedFmu] = {}
+_lock = threading.Lock()
+
+
+@contextmanager
+def unpacked(path: Path, description: ModelDescription) -> Iterator[UnpackedFmu]:
+    """An FMU for one instance: that of the others of its file if it is independent, else one of its own."""
+    fmu, version = _entered(path, description)
+    try:
+        yield fmu
+    finally:
+        with _lock:
+            fmu.users -= 1
+            is_last = not fmu.users
+            if is_last and version:
+                del _shared[version]
+        if is_last:
+            fmu.close()
+
+
+def _entered(path: Path, description: ModelDescription) -> tuple[UnpackedFmu, FileVersion | None]:
+    """The FMU with one more user, and what it is shared by, if it is."""
+    if not is_independent(description):
+        fmu, version = UnpackedFmu(path, description), None
+        fmu.users = 1
+        return fmu, version
+    with _lock:
+        version = FileVersion.of(path)
+        if version not in _shared:
+            _shared[version] = UnpackedFmu(path, description)
+        _shared[version].users += 1
+        return _shared[version], version
+
+
+def _library(path: Path, description: ModelDescription, folder: Path) -> Library:
+    """Unpack an FMU, of an independent one its library and resources, and load it for this platform."""
+    interface = description.coSimulation
+    with zipfile.ZipFile(path) as archive:
+        names = archive.namelist()
+    identifier = interface.modelIdentifier if interface else ""
+    member = library_member(names, identifier)
+    if member is None:
+        prefix = f"binaries/{platform_name()}/"
+        here = [name for name in names if name.startswith(prefix) and name != prefix]
+        others = {name.split("/")[1] for name in names if name.startswith("binaries/") and name[-1] != "/"}
+        sources = ["C sources"] if any(name.startswith("sources/") for name in names) else []
+        available = ", ".join(here or [*sources, *sorted(others)]) or "none"
+        named = f" called {identifier}, its modelIdentifier" if here else ""
+        raise FmuLoadError(f"{path} has no binary for {platform_name()}{named}: it has {available}")
+    needed = [name for name in names if name == member or name.startswith("resources/")]
+    extract_archive(path, folder, needed if is_independent(description) else None)
+    return Library(folder / member)

@@ -6,7 +6,7 @@ from pathlib import Path
 from fmus import files
 from fmus.build import builder
 from fmus.build import native as native_flavour
-from fmus.build.documentation import reference_files
+from fmus.build.documentation import reference_results
 from fmus.build.documentation.reference_results import reference_run
 from fmus.compliance.examine import examine
 from fmus.compliance.fmu_file import FmuFile
@@ -69,5 +69,5 @@ def patched(patch: dict[str, str], folder: Path, with_references: bool = False) 
         assert content[path].count(old.encode()) == 1
         content[path] = content[path].replace(old.encode(), new.encode())
     libraries = native_flavour.libraries(PATCHED, content, ())
-    references = reference_files.members(reference_run(block), PATCHED) if with_references else {}
+    references = reference_results.members(reference_run(block), PATCHED) if with_references else {}
     return files.write_archive(folder / "mutant.fmu", content | libraries | references)

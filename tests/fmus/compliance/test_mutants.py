@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from fmus.build.documentation.reference_files import LS_REF
+from fmus.build.documentation.reference_results import LS_REF
 
 from .archives import Members, breaks, broken_rules, members, write
 from .mutants import ARCHIVE_MUTANTS, XML, XML_MUTANTS

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from fmus.build.documentation.reference_files import LS_REF
+from fmus.build.documentation.reference_results import LS_REF
 
 from .archives import Members, broken_rules, members, write
 

@@ -3,8 +3,8 @@
 import pytest
 
 from fmus.block.instance import Instance
-from fmus.block.start_values import with_start_values
 from fmus.build import builder
+from fmus.build.package_blocks import with_start_values
 from fmus.errors import ExportError
 
 STARTS = {"augmentation": 2, "proportional_gain": 5.5, "measured_depth": 0.25}
