@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from fmus.build import builder
+from fmus.build.documentation import page
 from fmus.build.sources import defined_as, in_package, source_closure
 from fmus.errors import ExportError
 
