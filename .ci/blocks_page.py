@@ -116,8 +116,8 @@ def _functions() -> str:
     rows = []
     for name in numerics.__all__:
         function = getattr(numerics, name)
-        rows.append((f"`{name}{_signature(function)}`", _summary(function)))
-    return _table(("Function", "What it returns"), rows)
+        rows.append((f"`{name}{_signature(function)}`", _summary(function).removeprefix("Returns ")))
+    return _table(("Function", "Returns"), rows)
 
 
 def _units() -> str:

@@ -28,7 +28,7 @@ from fmus.block.guide import Guide, Source
 
 @dataclass(frozen=True)
 class Parameters(ModelParameters, DampingParameter, InertiaParameter, ObservedParameters, LawParameters):
-    """Gains are tunable at communication points, structural choices fixed."""
+    """Parameters: gains are tunable at communication points, structural choices fixed."""
 
     depth_feedback_gain: float = variable(
         1.895, "k_m of the depth", unit="N/m", min=1e-6, max=1e6, source="identified, docs/fidelity.md"
@@ -136,7 +136,7 @@ def requirements(p: Parameters, matrices: Matrices) -> tuple:
 
 
 def initial_state(t: float, inputs: DepthInputs, p: Parameters, matrices: Matrices) -> State:
-    """At rest on the first measurement: no estimate, no adaptive control, prediction = state."""
+    """Returns the state at rest on the first measurement: no estimate, no adaptive control."""
     interface = depth_interface.first_state(t, inputs, p)
     return State(l1.initial_law(_measurement(interface.measured, matrices), p.input_gain), interface)
 

@@ -29,7 +29,7 @@ _BOOK = "Hovakimyan and Cao (2010), page 29, and public MATLAB programs; not pri
 
 @dataclass(frozen=True)
 class Parameters(LawParameters):
-    """Gains are tunable at communication points, structural choices fixed."""
+    """Parameters: gains are tunable at communication points, structural choices fixed."""
 
     regressor: Regressor = variable(
         Regressor.STATE, "Regressor that theta_hat multiplies", variability="fixed"

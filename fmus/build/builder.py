@@ -37,7 +37,7 @@ _EXPORTS = {Flavour.NATIVE: native_flavour, Flavour.PYTHON: python_flavour}
 
 
 def load_block(name: str) -> Block:
-    """The block of that name; ExportError offers the nearest one."""
+    """Returns the block of that name; ExportError offers the nearest one."""
     point = block_entry_points().get(name)
     if point is None:
         file = f"; the file is {name}.py" if Path(f"{name}.py").is_file() else ""
@@ -59,7 +59,7 @@ def load_block(name: str) -> Block:
 
 @contextmanager
 def loaded(name_or_path: str) -> Iterator[tuple[Block, ...]]:
-    """The installed block of a name, or the blocks of a Python file, until the context ends.
+    """Yields the installed block of a name, or the blocks of a Python file, until the context ends.
 
     Raises ExportError for a block that cannot become an FMU.
     """
@@ -75,7 +75,7 @@ def loaded(name_or_path: str) -> Iterator[tuple[Block, ...]]:
 
 
 def verified(block: Block) -> Block:
-    """The block, if it takes a step at its start values."""
+    """Returns the block, if it takes a step at its start values."""
     name = block.name
     is_word = re.fullmatch(r"[A-Za-z](_?[A-Za-z0-9])*", name)
     if not is_word or keyword.iskeyword(name) or name.lower() in DEVICES:
@@ -106,7 +106,7 @@ def build(
     with_terminals: bool = False,
     reals_only: bool = False,
 ) -> Path:
-    """Write `folder/NAME.fmu`, whatever stands there; by default where scenarios find it.
+    """Writes `folder/NAME.fmu`, whatever stands there; by default where scenarios find it.
 
     platforms: of the libraries in a native FMU, by default this one; those in a python one are PythonFMU's.
     with_terminals: with terminalsAndIcons.xml, which some importers of FMI 2.0 cannot read
@@ -125,7 +125,7 @@ def build_block(
     with_terminals: bool = False,
     reals_only: bool = False,
 ) -> Path:
-    """As `build`, of a block that no entry point names."""
+    """Builds as `build` does, but a block that no entry point names."""
     order = Order(block.name, folder, flavour, tuple(platforms), with_terminals, reals_only)
     with _building(block, order) as write:
         return next(iter(write()))
@@ -133,9 +133,9 @@ def build_block(
 
 @contextmanager
 def _building(block: Block, order: Order) -> Iterator[Callable[[], dict[Path, bytes]]]:
-    """The FMU of a block: its libraries are compiled until the function that this gives writes it.
+    """Yields a function that writes the FMU of a block, whose libraries are compiled meanwhile.
 
-    The function gives what it wrote: the FMU, then what belongs to it.
+    The function returns the files that it wrote: the FMU, then what belongs to it.
     """
     if order.reals_only and order.flavour is not Flavour.NATIVE:
         raise ExportError("an FMU of Reals only: expected the native flavour")
@@ -169,7 +169,7 @@ def _building(block: Block, order: Order) -> Iterator[Callable[[], dict[Path, by
 
 
 def _reference_run(block: Block) -> ReferenceRun:
-    """As `reference_run`; ExportError names the line of the block that cannot go on."""
+    """Returns the reference run; ExportError names the line of the block that cannot go on."""
     try:
         return reference_run(block)
     except BlockError as error:
@@ -179,9 +179,9 @@ def _reference_run(block: Block) -> ReferenceRun:
 
 
 def build_orders(orders: Iterable[Order]) -> Iterator[list[Path] | ExportError]:
-    """Write the FMUs of each order, whatever stands there, and stamp them.
+    """Writes the FMUs of each order, whatever stands there, and stamps them.
 
-    Gives the files of each, or why it cannot be built. Some are compiled while the next are traced.
+    Yields the files of each, or the error that prevents it. Some are compiled while the next are traced.
     """
     compiling: deque[_CompilingOrder | ExportError] = deque()
     with ExitStack() as stack:
@@ -220,7 +220,7 @@ class _CompilingOrder:
 
 
 def build_if_stale(name: str, folder: Path | None = None, flavour: Flavour = Flavour.NATIVE) -> Path:
-    """`folder/NAME.fmu`, built if it is missing, not of the present sources, or of another platform.
+    """Returns `folder/NAME.fmu`, built if missing, not of the present sources, or of another platform.
 
     folder: by default the one where scenarios find it
     """
@@ -228,12 +228,12 @@ def build_if_stale(name: str, folder: Path | None = None, flavour: Flavour = Fla
 
 
 def fmu_of_file(path: Path, flavour: Flavour = Flavour.NATIVE) -> Path:
-    """The FMU of the only block that a Python file defines, in the user's cache, built if it is stale."""
+    """Returns the FMU of the only block of a Python file, in the user's cache, built if it is stale."""
     return _built_if_stale(order_of_file(path, flavour))
 
 
 def _built_if_stale(order: Order) -> Path:
-    """The FMU of the only block of an order."""
+    """Returns the FMU of the only block of an order."""
     stamps = Stamps()
     if current := stamps.current(order, to_run=True):
         return current[0]
@@ -259,7 +259,7 @@ def _built_if_stale(order: Order) -> Path:
 
 
 def build_missing(paths: Iterable[Path]) -> None:
-    """Build those of the paths that scenarios find the FMUs of blocks at, where missing or stale."""
+    """Builds those of the paths that scenarios find the FMUs of blocks at, where missing or stale."""
     for name, flavour in block_fmus(paths):
         try:
             build_if_stale(name, flavour=flavour)

@@ -42,7 +42,7 @@ _CAPABILITIES = {
 def model_description(
     block: Block, guid: str, capabilities: dict[str, str], source_files: Sequence[str] = ()
 ) -> bytes:
-    """The XML of a block; `capabilities` are the attributes of `CoSimulation` that the flavour decides.
+    """Returns the XML of a block; capabilities: the attributes of `CoSimulation` that the flavour decides.
 
     source_files: what an importer must compile to rebuild the FMU, inside the folder `sources`.
 
@@ -94,7 +94,7 @@ def _without_none(attributes: dict[str, str | None]) -> dict[str, str]:
 
 
 def _generation_date() -> str | None:
-    """Only if SOURCE_DATE_EPOCH gives one: two builds of one source are the same file."""
+    """Returns the date of SOURCE_DATE_EPOCH, None without it: two builds of one source are the same file."""
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
     return datetime.fromtimestamp(int(epoch), UTC).strftime("%Y-%m-%dT%H:%M:%SZ") if epoch else None
 
@@ -111,7 +111,7 @@ def _units(root: Any, block: Block) -> None:
 
 
 def _linear(factor: float, offset: float) -> dict[str, str]:
-    """The attributes of a conversion, where they are not the defaults of FMI."""
+    """Returns the attributes of a conversion, where they are not the defaults of FMI."""
     values = {"factor": (factor, 1.0), "offset": (offset, 0.0)}
     return {name: repr(value) for name, (value, default) in values.items() if value != default}
 
@@ -166,7 +166,7 @@ def _structure(root: Any, block: Block) -> None:
 
 
 def with_guid(members: dict[str, bytes], recipe: str = "") -> tuple[str, dict[str, bytes]]:
-    """A GUID that follows from members and recipe, and the members with it in names and contents."""
+    """Returns a GUID that follows from members and recipe, and the members with it in names and contents."""
     digest = hashlib.sha256(recipe.encode())
     for name, data in sorted(members.items()):
         digest.update(hashlib.sha256(name.encode()).digest() + hashlib.sha256(data).digest())

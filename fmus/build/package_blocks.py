@@ -10,7 +10,9 @@ from fmus.numerics import ramps
 
 
 def ramp_source(name: str, output: str, unit: str | None, points: int) -> Block:
-    """A block `name` with the output `output` and the parameters smooth, point_time[i] and point_value[i].
+    """Returns a block without inputs whose output follows ramps through given points, in any unit.
+
+    It takes the place of a signal. Its parameters are smooth, point_time[i] and point_value[i].
 
     output: an identifier
     unit: of the output and of point_value, one that `fmus.block.units` knows; None for no unit
@@ -71,7 +73,7 @@ f(s) = s                            smooth false
 
 
 def with_start_values(block: Block, values: Mapping[str, Value]) -> Block:
-    """The block, its parameters and inputs starting at these values; the others as they are declared.
+    """Returns the block, its parameters and inputs starting at these values; the others as they are declared.
 
     values: name of a scalar, such as "gain" or "A[1,2]" -> value in the unit of the variable
     Raises ExportError for a name that is no parameter or input, and for a value that it does not accept.
@@ -94,7 +96,7 @@ def with_start_values(block: Block, values: Mapping[str, Value]) -> Block:
 
 
 def _with_defaults(cls: type, starts: list[Value]) -> type:
-    """A class of the same fields with these scalars as defaults, row by row."""
+    """Returns a class of the same fields with these scalars as defaults, row by row."""
     declared, defaults = fields(cls), []
     for member in declared:
         size = len(flatten(member.default))

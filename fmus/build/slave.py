@@ -1,4 +1,4 @@
-"""What PythonFMU's binary calls in an FMU of the python flavour.
+"""Slave that PythonFMU's binary calls in an FMU of the python flavour.
 
 The binary turns any exception into fmi2Fatal and drops the instance, so none leaves this class.
 A call that is refused is logged as an error and leaves the state as it was; as the binary has no

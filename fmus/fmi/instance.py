@@ -66,7 +66,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
 
     @property
     def address(self) -> int:
-        """Of the instance in memory."""
+        """Address of the instance in memory."""
         return (self.handle and self.handle.value) or 0
 
     def function(self, name: str) -> int:
@@ -74,7 +74,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         return ctypes.cast(getattr(self.library, name), ctypes.c_void_p).value or 0
 
     def reset(self) -> bool:
-        """Reset to the state after instantiation; False if the FMU refuses, and must be loaded anew."""
+        """Resets to the state after instantiation; False if the FMU refuses, and must be loaded anew."""
         status = self.status("fmi2Reset")
         self.log.clear()
         self._dead = self._dead or status == binding.FATAL
@@ -85,11 +85,11 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         return status == 0
 
     def set(self, variable: ScalarVariable, value: FmiValue) -> None:
-        """Set one variable, outside the loop."""
+        """Sets one variable, outside the loop."""
         self.set_all([(variable, value)])
 
     def set_all(self, settings: Iterable[tuple[ScalarVariable, FmiValue]]) -> None:
-        """Set variables, those of one type in one call, outside the loop."""
+        """Sets variables, those of one type in one call, outside the loop."""
         self.is_fresh = False  # also where a call is refused: others may have set values before
         groups: dict[str, list[tuple[int, FmiValue | bytes]]] = {}
         for variable, value in settings:
@@ -99,12 +99,12 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
             self.set_values(transfer_type, *zip(*members, strict=True))
 
     def get(self, variable: ScalarVariable) -> Any:
-        """Read one variable, outside the loop."""
+        """Reads one variable, outside the loop."""
         (value,) = self.get_values(TRANSFER_TYPE[variable.type], [variable.valueReference])
         return (value or b"").decode("utf-8", "replace") if variable.type == "String" else value
 
     def initialise(self, start_time: float, stop_time: float | None, tolerance: float | None = None) -> None:
-        """Set the experiment up and enter initialization mode; tolerance: relative, of its solver."""
+        """Sets the experiment up and enters initialization mode; tolerance: relative, of its solver."""
         self.time = start_time
         self.is_fresh = False
         self.set_up_experiment(start_time, stop_time, tolerance)
@@ -119,7 +119,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         self.forget_failure()
 
     def forget_failure(self) -> None:
-        """What a state from before an error was set for."""
+        """Forgets a failure, as the state from before it was set."""
         self._failed = False
 
     @property
@@ -128,12 +128,12 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         return self._dead
 
     def free_fmu_state(self, state: int) -> None:
-        """Free a saved state; after a fatal error nothing is called, the state goes with the library."""
+        """Frees a saved state; after a fatal error nothing is called, the state goes with the library."""
         if not self._dead:
             super().free_fmu_state(state)
 
     def last_successful_time(self) -> float | None:
-        """The time up to which a discarded step was computed [s]; None if the FMU does not provide it."""
+        """Returns the time [s] up to which a discarded step was computed; None if the FMU gives none."""
         time = ctypes.c_double()
         status = self.status("fmi2GetRealStatus", binding.LAST_SUCCESSFUL_TIME, ctypes.byref(time))
         self._remember(status)
@@ -162,7 +162,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
             self.calls[0] += 1
 
     def check_status(self, function: str, status: int) -> None:
-        """Raise FmuError for a refused call, warn for a warning, and clear the log.
+        """Raises FmuError for a refused call, warns for a warning, and clears the log.
 
         A call that returned ok but logged an error is refused too: some FMUs report an error only there.
         """
@@ -188,7 +188,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         self._dead = self._dead or status == binding.FATAL
 
     def close(self) -> None:
-        """Terminate and free the instance, unload its library, remove its folder.
+        """Terminates and frees the instance, unloads its library, removes its folder.
 
         FMI forbids fmi2Terminate after an error, and any call after a fatal error.
         """
@@ -206,7 +206,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
 
 
 def _shortened(messages: list[str]) -> list[str]:
-    """The different messages, at most as many as can be read."""
+    """Returns the different messages, at most as many as can be read."""
     different = list(dict.fromkeys(messages))
     left = len(different) - _MOST_MESSAGES
     return [*different[:_MOST_MESSAGES], *([f"and {left} more"] if left > 0 else [])]
@@ -235,7 +235,7 @@ _lock = threading.Lock()
 
 @contextmanager
 def unpacked(path: Path, description: ModelDescription) -> Iterator[UnpackedFmu]:
-    """An FMU for one instance: that of the others of its file if it is independent, else one of its own."""
+    """Yields the unpacked FMU of an instance: shared by those of its file if independent, else its own."""
     fmu, version = _entered(path, description)
     try:
         yield fmu
@@ -250,7 +250,7 @@ def unpacked(path: Path, description: ModelDescription) -> Iterator[UnpackedFmu]
 
 
 def _entered(path: Path, description: ModelDescription) -> tuple[UnpackedFmu, FileVersion | None]:
-    """The FMU with one more user, and what it is shared by, if it is."""
+    """Acquires the unpacked FMU for one more user; returns it and the key by which it is shared, or None."""
     if not is_independent(description):
         fmu, version = UnpackedFmu(path, description), None
         fmu.users = 1
@@ -264,7 +264,7 @@ def _entered(path: Path, description: ModelDescription) -> tuple[UnpackedFmu, Fi
 
 
 def _library(path: Path, description: ModelDescription, folder: Path) -> Library:
-    """Unpack an FMU, of an independent one its library and resources, and load it for this platform."""
+    """Unpacks an FMU, of an independent one its library and resources alone, and loads its library."""
     interface = description.coSimulation
     with zipfile.ZipFile(path) as archive:
         names = archive.namelist()

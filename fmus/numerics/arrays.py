@@ -13,7 +13,7 @@ Matrix = tuple[Vector, ...]
 
 
 def matmul(a: Any, b: Any) -> Any:
-    """The product of two matrices, of a matrix and a vector, or of two vectors (a number), as NumPy's `@`."""
+    """Returns the product of two matrices, a matrix and a vector, or two vectors (a number): NumPy's `@`."""
     a, b = _tuples(a), _tuples(b)
     if len(a[0] if isinstance(a[0], tuple) else a) != len(b):
         raise ValueError(f"matmul of {_size(a)} and {_size(b)}: expected as many columns as rows")
@@ -25,7 +25,7 @@ def matmul(a: Any, b: Any) -> Any:
 
 
 def _tuples(value: Any) -> Any:
-    """A vector or matrix as tuples, also one that is given as lists, or as an array of constants."""
+    """Returns a vector or matrix as tuples, also one that is given as lists, or as an array of constants."""
     value = value.tolist() if hasattr(value, "tolist") else value
     return tuple(map(_tuples, value)) if isinstance(value, tuple | list) else value
 
@@ -41,12 +41,12 @@ def _dot(a: Vector, b: Vector) -> Any:
 
 
 def transpose(a: Matrix) -> Matrix:
-    """Rows as columns."""
+    """Returns the rows as columns."""
     return tuple(zip(*_tuples(a), strict=True))
 
 
 def solve(a: Matrix, b: Any) -> Any:
-    """The x of a x = b, for a square matrix and a vector or matrix b, as `np.linalg.solve`.
+    """Returns the x of a x = b, for a square matrix and a vector or matrix b, as `np.linalg.solve`.
 
     Gaussian elimination with partial pivoting: for matrices of up to about ten rows, as the compiled code
     grows with their cube. A singular matrix is a division by zero.
@@ -72,7 +72,7 @@ def solve(a: Matrix, b: Any) -> Any:
 
 
 def interp(x: float, xp: Sequence[float], fp: Sequence[float]) -> float:
-    """The line through the points (xp, fp) at x, held before the first and after the last, as `np.interp`.
+    """Returns the line through the points (xp, fp) at x, held before the first and after the last one.
 
     xp: ascending, each number larger than the one before; fp: as many. Both may be numbers or symbols.
     Raises ValueError for other points, as far as they are numbers: say of parameters what is expected in the
@@ -99,7 +99,7 @@ def interp(x: float, xp: Sequence[float], fp: Sequence[float]) -> float:
 def interp2d(
     x: float, y: float, xp: Sequence[float], yp: Sequence[float], fp: Sequence[Sequence[float]]
 ) -> float:
-    """Bilinear interpolation of a table at (x, y), held outside.
+    """Returns the bilinear interpolation of a table at (x, y), held outside.
 
     xp, yp: ascending, each number larger than the one before
     fp: `fp[i][j]` is the value at (xp[i], yp[j])
@@ -113,7 +113,7 @@ def interp2d(
 
 
 def _check_points(points: Sequence[float], values: int) -> None:
-    """ValueError for points that do not ascend, or are not as many as the values."""
+    """Raises ValueError for points that do not ascend, or are not as many as the values."""
     if len(points) != values:
         raise ValueError(f"{len(points)} points and {values} values: expected as many")
     if are_numbers(*points) and not all(a < b for a, b in pairwise(points)):
@@ -121,13 +121,13 @@ def _check_points(points: Sequence[float], values: int) -> None:
 
 
 def _weights(x: float, points: Sequence[float]) -> list[float]:
-    """Of each point in the interpolation at x: between two points, theirs are positive and add up to 1."""
+    """Returns the weights of the points at x: positive for its neighbours, with a sum of 1."""
     rises = [clip((x - a) / (b - a), 0.0, 1.0) for a, b in pairwise(points)]
     return [1.0 * (before - after) for before, after in zip([1.0, *rises], [*rises, 0.0], strict=True)]
 
 
 def ramps(t: float, times: Sequence[float], values: Sequence[float], smooth: bool | float) -> float:
-    """Lines through (time, value) at time t, held before the first and after the last point.
+    """Returns the lines through (time, value) at time t, held before the first and after the last point.
 
     times: ascending, each later than the one before
     smooth: quintic ramps instead, 10 s^3 - 15 s^4 + 6 s^5: no first or second derivative at the points
@@ -144,7 +144,7 @@ def ramps(t: float, times: Sequence[float], values: Sequence[float], smooth: boo
 def ramp_rates(
     t: float, times: Sequence[float], values: Sequence[float], smooth: bool | float
 ) -> tuple[float, float]:
-    """First and second derivative of `ramps` at time t; at a point, those of the time after it.
+    """Returns the first and second derivative of `ramps` at time t; at a point, those of the time after it.
 
     The second derivative of straight ramps is 0 everywhere, also where the first one jumps.
     """

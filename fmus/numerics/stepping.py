@@ -12,7 +12,7 @@ _LATE = 0.5  # of a period
 
 @dataclass(frozen=True)
 class Clock:
-    """When a sample is due: at start + count * period, without accumulated rounding.
+    """Clock of samples, due at start + count * period, without accumulated rounding.
 
     start: time of the first sample [s]; `Clock(t)` in `initial_state` for one in the first step
     count: samples taken since
@@ -22,11 +22,11 @@ class Clock:
     count: int = 0
 
     def next_sample(self, period: float) -> float:
-        """When the next sample is due [s]."""
+        """Returns the time at which the next sample is due [s]."""
         return self.start + self.count * period
 
     def last_sample(self, period: float) -> float:
-        """When the last sample was due [s]."""
+        """Returns the time at which the last sample was due [s]."""
         return self.start + (self.count - 1) * period
 
 
@@ -34,7 +34,7 @@ Part = TypeVar("Part")
 
 
 def sampled(t: float, period: float, state: Part, new: Part) -> Part:
-    """`new` if a sample is due at time t, else `state` as it was.
+    """Returns `new` if a sample is due at time t, else `state` as it was.
 
     t: of the sample [s]: where `step` begins, or `t + h` where it ends
     period: sampling period [s]; it must not change during a run
@@ -53,7 +53,7 @@ def sampled(t: float, period: float, state: Part, new: Part) -> Part:
 
 
 def rk4_step(derivative: Callable[[Any, tuple], tuple], t: float, x: tuple, h: float) -> tuple:
-    """One step of the classical fourth-order Runge-Kutta method.
+    """Returns x after one step of the classical fourth-order Runge-Kutta method.
 
     `derivative(t, x)` returns dx/dt in the order of `x`; global error O(h^4).
     """

@@ -38,7 +38,7 @@ _HEADINGS = ("Name", "Unit or type", "Start", "Permitted", "Variability", "Meani
 
 
 def documentation(block: Block, compiled: str = "", reals_only: bool = False) -> dict[str, bytes]:
-    """Path inside the FMU -> content of the page and of the note on the reference results.
+    """Returns path inside the FMU -> content of the page and of the note on the reference results.
 
     compiled: the file of the folder sources that an importer compiles, if there is one
     reals_only: whether every variable is a Real
@@ -68,7 +68,7 @@ def documentation(block: Block, compiled: str = "", reals_only: bool = False) ->
 
 
 def _guide(block: Block) -> str:
-    """The sections that the guide fills."""
+    """Returns the sections that the guide fills."""
     guide = block.guide
     sections = {
         "Equations": f"<pre>{escape(guide.equations.strip())}</pre>" if guide.equations else "",
@@ -80,7 +80,7 @@ def _guide(block: Block) -> str:
 
 
 def _list(items: Iterable[str]) -> str:
-    """An HTML list of items that are HTML already; nothing for none."""
+    """Returns an HTML list of items that are HTML already; nothing for none."""
     entries = "\n".join(f"<li>{item}</li>" for item in items)
     return f"<ul>\n{entries}\n</ul>" if entries else ""
 
@@ -97,7 +97,7 @@ def _tables(block: Block, reals_only: bool) -> Iterable[str]:
 
 
 def _cells(v: ScalarVariable, reals_only: bool) -> tuple[str, ...]:
-    """One row: what `_HEADINGS` says, as text."""
+    """Returns one row: what `_HEADINGS` says, as text."""
     kind = "whole number" if reals_only else v.type.lower()
     unit = kind if v.unit is None else v.unit
     number = str(v.start).lower() if isinstance(v.start, bool) else repr(v.cast(v.start).real)
@@ -106,7 +106,7 @@ def _cells(v: ScalarVariable, reals_only: bool) -> tuple[str, ...]:
 
 
 def _stimuli(block: Block) -> str:
-    """What moves during the reference experiment."""
+    """Returns the table of the inputs that move during the reference experiment."""
     rows = [
         (name, ", ".join(f"{value} at {time} s" for time, value in points))
         for name, points in block.guide.experiment.stimuli
@@ -125,7 +125,7 @@ def _table(caption: str, headings: tuple[str, ...], rows: Iterable[tuple[str, ..
 
 
 def licenses(*names: str) -> dict[str, bytes]:
-    """Path inside the FMU -> licence, and the file that FMI 2.0 wants before them: what each is for."""
+    """Returns path inside the FMU -> licence, and the file of FMI 2.0 that says what each is for."""
     entry_point = "".join(f"{name}.txt: {_LICENSES[name][2]}\n" for name in names)
     texts = {"license": entry_point} | {name: _license(*_LICENSES[name][:2]) for name in names}
     return {f"documentation/licenses/{name}.txt": text.encode() for name, text in texts.items()}

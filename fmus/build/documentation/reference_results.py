@@ -41,7 +41,7 @@ class ReferenceRun:
 
 
 def reference_run(block: Block) -> ReferenceRun:
-    """Inputs and outputs of the experiment of a block's guide.
+    """Returns the inputs and outputs of the experiment of a block's guide.
 
     Outputs are those before the inputs of the same time are set, as every master records them; a start
     value or stimulus outside its range raises BlockError, a stimulus that fits no Real input or an experiment
@@ -84,7 +84,7 @@ def _stimuli(block: Block) -> dict[str, tuple[Point, ...]]:
 
 
 def _value_at(v: ScalarVariable, stimuli: dict[str, tuple[Point, ...]], t: float) -> Value:
-    """Value of an input at time t [s]."""
+    """Returns the value of an input at time t [s]."""
     points = stimuli.get(v.name)
     return ramps(t, *zip(*points, strict=True), smooth=False) if points else v.start
 
@@ -119,7 +119,7 @@ def _trajectory(
 def _input_rows(
     block: Block, stimuli: dict[str, tuple[Point, ...]], stop_time: float
 ) -> Iterator[tuple[Value, ...]]:
-    """A row wherever an input bends: between rows, straight lines."""
+    """Yields a row wherever an input bends: between rows, straight lines."""
     inputs = block.of_causality("input")
     bends = {t for points in stimuli.values() for t, _ in points if 0.0 < t < stop_time}
     for t in sorted({0.0, stop_time} | bends) if inputs else ():
@@ -134,7 +134,7 @@ _MANIFEST_NAMESPACE = "http://fmi-standard.org/fmi-ls-manifest"
 
 
 def cross_check_files(run: ReferenceRun, name: str) -> dict[str, bytes]:
-    """File name -> content of what stands beside NAME.fmu for the FMI cross-check."""
+    """Returns file name -> content of the files beside NAME.fmu for the FMI cross-check."""
     options = {
         "StartTime": 0.0,
         "StopTime": run.stop_time,
@@ -148,7 +148,7 @@ def cross_check_files(run: ReferenceRun, name: str) -> dict[str, bytes]:
 
 
 def members(run: ReferenceRun, name: str) -> dict[str, bytes]:
-    """Path inside the FMU -> content of what FMI-LS-REF describes."""
+    """Returns path inside the FMU -> content of the files of FMI-LS-REF."""
     tables = _tables(run, name)
     files = tables | {f"{name}.exp": _experiments(run, name, tables)}
     return {f"{_FOLDER}/{file}": data for file, data in files.items()} | {
@@ -162,7 +162,7 @@ def _tables(run: ReferenceRun, name: str) -> dict[str, bytes]:
 
 
 def _csv(names: tuple[str, ...], rows: tuple[tuple[Value, ...], ...]) -> bytes:
-    """Names in quotes, numbers as C writes them, booleans and enumerations as integers."""
+    """Returns a table: names in quotes, numbers as C writes them, booleans and enumerations as integers."""
     stream = io.StringIO()
     csv.writer(stream, quoting=csv.QUOTE_ALL, lineterminator="\n").writerow(("time", *names))
     for row in rows:

@@ -26,7 +26,7 @@ _LARGEST_TEXT, _LARGEST_NAME = 21.0, 46.0
 
 
 def icon(block: Block) -> bytes:
-    """The picture as PNG: the same bytes for the same block and libraries, without a date."""
+    """Returns the picture as PNG: the same bytes for the same block and libraries, without a date."""
     side = SIZE * _SCALE
     image = Image.new("RGBA", (side, side), (0, 0, 0, 0))
     draw = ImageDraw.Draw(image)
@@ -47,7 +47,7 @@ def _px(length: float) -> int:
 
 
 def _ports(draw: ImageDraw.ImageDraw, block: Block) -> None:
-    """A triangle on the edge and a label beside it for each declared input and output."""
+    """Draws a triangle on the edge and a label beside it for each declared input and output."""
     inputs = [variable.name for variable in fields(block.inputs)]
     outputs = [variable.name for variable in fields(block.outputs)]
     top, bottom = _EDGE + _HEADER + 6, SIZE - _EDGE - 6
@@ -73,7 +73,7 @@ def _ports(draw: ImageDraw.ImageDraw, block: Block) -> None:
 def _font(
     draw: ImageDraw.ImageDraw, line: str, width: float, largest: float
 ) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """Pillow's own font, so large that the line is no wider than `width`."""
+    """Returns Pillow's own font, so large that the line is no wider than `width`."""
     length = draw.textlength(line, ImageFont.load_default(_px(largest))) / _SCALE
     return ImageFont.load_default(_px(largest * min(1.0, width / max(length, 1.0))))
 
@@ -83,7 +83,7 @@ _TERMINALS = (("inputs", "input", "Every input"), ("outputs", "output", "Every o
 
 
 def terminals(block: Block) -> dict[str, bytes]:
-    """Path inside the FMU -> content; nothing for a block without ports."""
+    """Returns path inside the FMU -> content; nothing for a block without ports."""
     root = ElementTree.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
     listed = ElementTree.SubElement(root, "Terminals")
     for name, causality, description in _TERMINALS:
