@@ -30,7 +30,7 @@ Columns = dict[str, list[float]]
 
 @dataclass(frozen=True)
 class _Experiment:
-    """What one experiment says: times in s, inputs and outputs by name, each with a column "time"."""
+    """Experiment: times in s, inputs and outputs by name, each with a column "time"."""
 
     start: float
     stop: float
