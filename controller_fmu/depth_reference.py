@@ -53,16 +53,6 @@ def requirements(p: Parameters, calculated: NoValues) -> tuple:
     )
 
 
-def initial_state(t: float, inputs: NoValues, p: Parameters, calculated: NoValues) -> NoValues:
-    return NoValues()
-
-
-def step(
-    t: float, h: float, state: NoValues, inputs: NoValues, p: Parameters, calculated: NoValues
-) -> NoValues:
-    return state
-
-
 def output(t: float, state: NoValues, p: Parameters, calculated: NoValues) -> Outputs:
     rate, acceleration = ramp_rates(t, p.point_time, p.point_depth, p.smooth)
     return Outputs(ramps(t, p.point_time, p.point_depth, p.smooth), rate, acceleration)
@@ -102,12 +92,8 @@ BLOCK = Block(
     name="DepthReference",
     description="Depth reference as ramps through given points, with its derivatives",
     parameters=Parameters,
-    inputs=NoValues,
-    state=NoValues,
     outputs=Outputs,
     requirements=requirements,
-    initial_state=initial_state,
-    step=step,
     output=output,
     stop_time=310.0,
     step_size=0.02,

@@ -7,25 +7,16 @@ those of the inputs of the last step, a communication step later than those of a
 from dataclasses import dataclass
 
 from controller_fmu import allocation, shared_guide
+from controller_fmu.depth_interface import ActuatorParameters, Vector
 from fmus.block import Block, NoValues, variable
 from fmus.block.guide import Experiment, Guide
 
-Vector = tuple[float, float]
-
 
 @dataclass(frozen=True)
-class Parameters:
+class Parameters(ActuatorParameters):
     internal_step: float = variable(
         10.0, "Longest internal step; without effect, the voltages follow the inputs at once",
         unit="s", min=1e-7, max=1e6, variability="fixed",
-    )  # fmt: skip
-    thruster_gain: Vector = variable(
-        (0.25, 0.25), "Force coefficient K of each thruster", unit="N/V", min=1e-6, max=1e6,
-        source="guess: the paper gives none",
-    )  # fmt: skip
-    voltage_limit: float = variable(
-        12.0, "Largest voltage of a thruster", unit="V", min=1e-6, max=1e6,
-        source="guess: the paper gives none",
     )  # fmt: skip
 
 

@@ -63,7 +63,7 @@ def _plain(value: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class ScalarVariable:
+class BlockVariable:
     """One scalar of a block's interface, in the terms of FMI 2.0 (2.2.7)."""
 
     name: str
@@ -205,15 +205,15 @@ class Block:
                 yield f"{name} {number!r}: expected a finite number of seconds above 0"
 
     @cached_property
-    def variables(self) -> tuple[ScalarVariable, ...]:
+    def variables(self) -> tuple[BlockVariable, ...]:
         """Scalar variables of the interface; the place of each is its value reference."""
-        scalars: list[ScalarVariable] = []
+        scalars: list[BlockVariable] = []
         for role in _ROLES:
             for declared in fields(getattr(self, role)):
                 scalars.extend(_scalars(declared, role, len(scalars)))
         return tuple(scalars)
 
-    def of_causality(self, causality: str) -> tuple[ScalarVariable, ...]:
+    def of_causality(self, causality: str) -> tuple[BlockVariable, ...]:
         return tuple(v for v in self.variables if v.causality == causality)
 
 
@@ -233,13 +233,13 @@ def _with_internal_step(parameters: type, start: float) -> type:
     )
 
 
-def _scalars(declared: Field, role: str, first_reference: int) -> Iterator[ScalarVariable]:
+def _scalars(declared: Field, role: str, first_reference: int) -> Iterator[BlockVariable]:
     said = declared.metadata
     causality, variability, initial = _ROLES[role]
     for offset, (index, start) in enumerate(_elements(declared.default)):
         is_real = isinstance(start, float)
         discrete = "discrete" if variability == "continuous" and not is_real else variability
-        yield ScalarVariable(
+        yield BlockVariable(
             name=declared.name + (f"[{','.join(str(i + 1) for i in index)}]" if index else ""),
             value_reference=first_reference + offset,
             causality=causality,

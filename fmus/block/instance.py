@@ -10,7 +10,7 @@ import sys
 from itertools import accumulate
 from typing import Any
 
-from fmus.block import Block, ScalarVariable, Value, flatten, unflatten
+from fmus.block import Block, BlockVariable, Value, flatten, unflatten
 
 _FORMAT = 1  # of the serialised snapshot
 _MOST_INTERNAL_STEPS = 1e9
@@ -32,7 +32,7 @@ class BlockError(ValueError):
     """A call that this instance refuses; the message says what was wrong and what was expected."""
 
 
-class Instance:
+class BlockInstance:
     """One instance of a block between instantiation and termination."""
 
     def __init__(self, block: Block, fingerprint: str = "") -> None:
@@ -58,7 +58,7 @@ class Instance:
             self._refresh()
         return self._values[reference]
 
-    def variable(self, reference: int) -> ScalarVariable:
+    def variable(self, reference: int) -> BlockVariable:
         """Returns the variable with this value reference."""
         if not 0 <= reference < len(self.block.variables):
             last = len(self.block.variables) - 1
@@ -86,7 +86,7 @@ class Instance:
         variable = self.block.variables[reference]
         return self._refusal(variable, variable.start) is None
 
-    def _refusal(self, variable: ScalarVariable, value: Value) -> str | None:
+    def _refusal(self, variable: BlockVariable, value: Value) -> str | None:
         if not variable.settable:
             return f"{variable.name}: cannot be set, its causality is {variable.causality}"
         if self._stepping and variable.variability == "fixed":
@@ -198,7 +198,7 @@ class Instance:
             reason = v.refuse(value) if v.settable else None
             if reason:
                 raise BlockError(f"state of {self.block.name}: {reason}")
-        restored = Instance(self.block, self.fingerprint)
+        restored = BlockInstance(self.block, self.fingerprint)
         restored._values = [v.cast(value) for v, value in zip(self.block.variables, values, strict=True)]
         restored.time, restored._stop_time = time, self._stop_time
         saved_values = list(restored._values)

@@ -65,7 +65,7 @@ _EXPONENT = re.compile(r"(?<=[^\W\d_])(-?\d+)")
 
 
 @dataclass(frozen=True)
-class Unit:
+class UnitDefinition:
     """Unit: value in base units = factor * value in this unit + offset; exponents: of the base units."""
 
     exponents: dict[str, int] = field(default_factory=dict)
@@ -74,10 +74,10 @@ class Unit:
 
 
 @cache
-def unit(name: str) -> Unit:
+def unit(name: str) -> UnitDefinition:
     """Returns the unit of a name; ExportError, with the nearest name, for one that FMI cannot express."""
     exponents, factor, offset = _converted(name)
-    return Unit(exponents, float(factor), float(offset))
+    return UnitDefinition(exponents, float(factor), float(offset))
 
 
 def display(unit_name: str, display_name: str) -> tuple[float, float]:

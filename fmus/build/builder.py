@@ -13,11 +13,11 @@ from xml.etree import ElementTree
 
 from fmus.block import Block
 from fmus.block.block_file import DEVICES, blocks_in, from_sources
-from fmus.block.instance import BlockError, Instance
+from fmus.block.instance import BlockError, BlockInstance
 from fmus.build import native as native_flavour
 from fmus.build import python as python_flavour
-from fmus.build.check_sampling import check_samples
-from fmus.build.check_trace import check_faithful, check_shipped
+from fmus.build.check_sampling import check_sampling
+from fmus.build.check_trace import check_shipped, check_trace
 from fmus.build.documentation import reference_results
 from fmus.build.documentation.reference_results import ReferenceRun, reference_run
 from fmus.build.documentation.terminals_and_icon import icon, terminals
@@ -84,7 +84,7 @@ def verified(block: Block) -> Block:
             "or device of Windows"
         )
     traced(block)  # before a call with numbers, which a function could remember
-    trial = Instance(block)
+    trial = BlockInstance(block)
     try:
         trial.exit_initialization_mode()
         trial.do_step(0.0, block.step_size)
@@ -142,8 +142,8 @@ def _building(block: Block, order: Order) -> Iterator[Callable[[], dict[Path, by
     export = _EXPORTS[order.flavour]
     guid, members = native_flavour.content(block, True) if order.reals_only else export.content(block)
     with export.compiled_libraries(block.name, members, order.platforms) as libraries:
-        compared = check_faithful(block)
-        check_samples(block)
+        compared = check_trace(block)
+        check_sampling(block)
         reference = _reference_run(block)
         shown = {"model.png": icon(block)} | reference_results.members(reference, block.name)
         shown |= terminals(block) if order.with_terminals else {}

@@ -12,7 +12,7 @@ from fmus.numerics import Clock
 _STEPS = 200  # internal steps, until one that is half a per cent longer than the period is late
 
 
-def check_samples(block: Block) -> None:
+def check_sampling(block: Block) -> None:
     """Raises ExportError for a block that misses samples with all variables at their start values."""
     p, u, t = block.parameters(), block.inputs(), 0.0
     try:

@@ -33,7 +33,7 @@ _COMPILED = "when it is compiled; set ZIG_GLOBAL_CACHE_DIR to an empty folder, a
 _FUNCTIONS = ("calculate", "requirements", "initial_state", "output", "step")
 
 
-def check_faithful(block: Block) -> dict[str, "_Comparison"]:
+def check_trace(block: Block) -> dict[str, "_Comparison"]:
     """Checks that the traced functions of a block give the values of its Python functions.
 
     Returns the calls of each function, for `check_shipped`. Raises ExportError for a difference.

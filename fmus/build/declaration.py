@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import MISSING, Field, fields, is_dataclass
 from typing import Any, get_args, get_origin
 
-from fmus.block import Block, NoValues, ScalarVariable, flatten
+from fmus.block import Block, BlockVariable, NoValues, flatten
 from fmus.block.units import display, unit
 from fmus.build.guard import location
 from fmus.errors import ExportError
@@ -79,7 +79,7 @@ def check_requirements(block: Block, requirements: Any) -> None:
             )
 
 
-def _of_role(block: Block, role: str) -> Iterator[ScalarVariable]:
+def _of_role(block: Block, role: str) -> Iterator[BlockVariable]:
     names = {declared.name for declared in fields(getattr(block, role))}
     return (v for v in block.variables if v.name.partition("[")[0] in names)
 
@@ -187,7 +187,7 @@ def _fits(value: Any, start: Any) -> bool:
     return is_long_enough and all(map(_fits, value, start))
 
 
-def _value_mistakes(v: ScalarVariable) -> Iterator[str]:
+def _value_mistakes(v: BlockVariable) -> Iterator[str]:
     numbers = {"min": v.minimum, "max": v.maximum, "nominal": v.nominal, "start": v.start}
     low, high = INTEGER_RANGE
     for name, number in numbers.items():

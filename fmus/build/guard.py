@@ -22,7 +22,7 @@ import casadi
 import numpy as np
 
 from fmus import numerics
-from fmus.build.hints import advice
+from fmus.build.hints import hint
 from fmus.errors import ExportError
 
 _LIBRARIES = {*sys.stdlib_module_names, "casadi", "numpy"} - {"__main__"}
@@ -190,9 +190,9 @@ def _reason(error: Exception) -> str:
         return f"{cause}"
     file, line, expression = own
     if not isinstance(cause, _RefusedError):
-        use = advice(expression, "", "") if type(cause) is TypeError else ""
+        use = hint(expression, "", "") if type(cause) is TypeError else ""
         return f"{file}:{line}: {expression}: {type(cause).__name__}: {cause}" + (f"; {use}" if use else "")
-    use = advice(expression, linecache.getline(file, line).strip(), cause.function)
+    use = hint(expression, linecache.getline(file, line).strip(), cause.function)
     use = use or ("use tuples and fmus.numerics" if "NumPy" in str(cause) else "")
     where = f"{file}:{line}: {expression}" if expression else f"{file}:{line}"
     return f"{where}: {cause}" + (f"; {use}" if use else "")

@@ -82,7 +82,7 @@ _OPERATORS = {
 _INDICES = {r"\brange\([^()]*": INSTEAD["range"], r"[\w)\]]\[[^\[\]]*": "use fmus.numerics.choose"}
 
 
-def advice(expression: str, statement: str, default: str) -> str:
+def hint(expression: str, statement: str, default: str) -> str:
     """Returns the hint for an expression in a line of code; "" if none is known.
 
     default: the function of fmus.numerics if the expression does not show it

@@ -13,7 +13,7 @@ from importlib.metadata import version
 from typing import Any
 from xml.etree import ElementTree
 
-from fmus.block import Block, ScalarVariable
+from fmus.block import Block, BlockVariable
 from fmus.block.units import display, unit
 from fmus.build.symbolic import initial_dependencies
 from fmus.errors import ExportError
@@ -127,7 +127,7 @@ def _enumerations(root: Any, block: Block) -> None:
             _add(items, "Item", name=member.name.lower(), value=str(member.value))
 
 
-def _variable(parent: Any, v: ScalarVariable) -> None:
+def _variable(parent: Any, v: BlockVariable) -> None:
     source = f" ({v.source})" if v.source else ""
     scalar = _add(
         parent,

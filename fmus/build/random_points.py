@@ -5,7 +5,7 @@ import random
 from enum import IntEnum
 from typing import Any
 
-from fmus.block import Block, ScalarVariable, flatten, unflatten
+from fmus.block import Block, BlockVariable, flatten, unflatten
 
 _SPECIAL = (0.0, 0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, 2.5, -2.5)  # signs, and halves, which are rounded
 _ULP = 2.0**-52
@@ -17,14 +17,14 @@ def drawn(block: Block, causality: str, template: type, changed: float, rng: ran
     Requirements refuse most draws that change many numbers, but few that change choices.
     """
 
-    def value(v: ScalarVariable) -> Any:
+    def value(v: BlockVariable) -> Any:
         is_choice = changed > 0.0 and v.type in ("Boolean", "Enumeration")
         return _draw(v, rng) if is_choice or rng.random() < changed else v.start
 
     return unflatten(template, list(map(value, block.of_causality(causality))))
 
 
-def _draw(v: ScalarVariable, rng: random.Random) -> Any:
+def _draw(v: BlockVariable, rng: random.Random) -> Any:
     """Returns a permitted value: near the start value, anywhere in the range, at its ends, or special."""
     if v.enumeration:
         return rng.choice(list(v.enumeration))

@@ -36,6 +36,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
 
     is_fresh: whether it was instantiated or reset, and neither set nor initialised since
     has_warned: whether a call returned a warning since it was instantiated or reset
+    returned_fatal: whether a call returned fatal, after which FMI forbids any
     time [s]: of the present call
     busy: shape (1,), `number` while a call is in progress, else 0; calls: shape (1,), how many have returned.
     Another process can watch them.
@@ -43,7 +44,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
 
     def __init__(self, name: str, path: Path, description: ModelDescription) -> None:
         self.name, self.description, self.time = name, description, 0.0
-        self.is_fresh, self._stepping, self._failed, self._dead = True, False, False, False
+        self.is_fresh, self._stepping, self._failed, self.returned_fatal = True, False, False, False
         self.has_warned = False
         self.number, self.busy, self.calls = 1, np.zeros(1, np.int64), np.zeros(1, np.int64)
         self.after_call: Callable[[], object] = lambda: None
@@ -77,7 +78,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         """Resets to the state after instantiation; False if the FMU refuses, and must be loaded anew."""
         status = self.status("fmi2Reset")
         self.log.clear()
-        self._dead = self._dead or status == binding.FATAL
+        self.returned_fatal = self.returned_fatal or status == binding.FATAL
         if status == 0:
             self.is_fresh, self._stepping, self._failed, self.termination_log = True, False, False, []
             self.has_warned = False
@@ -122,14 +123,9 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         """Forgets a failure, as the state from before it was set."""
         self._failed = False
 
-    @property
-    def is_dead(self) -> bool:
-        """Whether a call returned fatal, after which FMI forbids any."""
-        return self._dead
-
     def free_fmu_state(self, state: int) -> None:
         """Frees a saved state; after a fatal error nothing is called, the state goes with the library."""
-        if not self._dead:
+        if not self.returned_fatal:
             super().free_fmu_state(state)
 
     def last_successful_time(self) -> float | None:
@@ -185,7 +181,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
 
     def _remember(self, status: int) -> None:
         self._failed = self._failed or not binding.OK <= status < binding.ERROR
-        self._dead = self._dead or status == binding.FATAL
+        self.returned_fatal = self.returned_fatal or status == binding.FATAL
 
     def close(self) -> None:
         """Terminates and frees the instance, unloads its library, removes its folder.
@@ -193,9 +189,9 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         FMI forbids fmi2Terminate after an error, and any call after a fatal error.
         """
         try:
-            if self.handle and self._stepping and not (self._failed or self._dead):
-                self._dead = self.status("fmi2Terminate") == binding.FATAL
-            if self.handle and not self._dead:
+            if self.handle and self._stepping and not (self._failed or self.returned_fatal):
+                self.returned_fatal = self.status("fmi2Terminate") == binding.FATAL
+            if self.handle and not self.returned_fatal:
                 self.status("fmi2FreeInstance")
         finally:
             self.handle = None

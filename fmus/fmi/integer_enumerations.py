@@ -24,12 +24,12 @@ def without_enumerations(fmu: bytes) -> bytes:
         for info in source.infolist():
             content = source.read(info)
             if info.filename == _DESCRIPTION:
-                content = with_plain_types(content, INTEGER_ENUMERATIONS)
+                content = with_other_types(content, INTEGER_ENUMERATIONS)
             target.writestr(info, content)
     return written.getvalue()
 
 
-def with_plain_types(description: bytes, types: Mapping[str, str]) -> bytes:
+def with_other_types(description: bytes, types: Mapping[str, str]) -> bytes:
     """Returns a model description in which variables of some types have others.
 
     types: type -> the one in its place; what its numbers mean is added to the description of the variable

@@ -7,7 +7,7 @@ from importlib import resources
 from importlib.metadata import distributions, version
 from string import Template
 
-from fmus.block import Block, ScalarVariable
+from fmus.block import Block, BlockVariable
 from fmus.block.guide import Source
 from fmus.errors import ExportError
 from fmus.native.toolchain import COMPILER, FMI_HEADERS
@@ -96,7 +96,7 @@ def _tables(block: Block, reals_only: bool) -> Iterable[str]:
             yield _table(caption, _HEADINGS, (_cells(v, reals_only) for v in variables))
 
 
-def _cells(v: ScalarVariable, reals_only: bool) -> tuple[str, ...]:
+def _cells(v: BlockVariable, reals_only: bool) -> tuple[str, ...]:
     """Returns one row: what `_HEADINGS` says, as text."""
     kind = "whole number" if reals_only else v.type.lower()
     unit = kind if v.unit is None else v.unit

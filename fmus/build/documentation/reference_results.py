@@ -1,6 +1,6 @@
 """Reference results: the outputs of a block in the experiment of its guide, and the files that hold them.
 
-`Instance` computes them, so that an FMU of either flavour is checked against the block itself.
+`BlockInstance` computes them, so that an FMU of either flavour is checked against the block itself.
 
 FMI cross-check   NAME_in.csv, NAME_ref.csv, NAME_ref.opt beside the FMU (rules 4.1, 9.1.4 and appendix B)
 FMI-LS-REF        the same tables inside, with a manifest (1.0.0-alpha.1) and an experiments file in the
@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 from xml.etree import ElementTree
 
-from fmus.block import Block, ScalarVariable, Value
+from fmus.block import Block, BlockVariable, Value
 from fmus.block.guide import Point
-from fmus.block.instance import Instance
+from fmus.block.instance import BlockInstance
 from fmus.errors import ExportError, nearest
 from fmus.files import xml_document
 from fmus.numerics import ramps
@@ -83,7 +83,7 @@ def _stimuli(block: Block) -> dict[str, tuple[Point, ...]]:
     return stimuli
 
 
-def _value_at(v: ScalarVariable, stimuli: dict[str, tuple[Point, ...]], t: float) -> Value:
+def _value_at(v: BlockVariable, stimuli: dict[str, tuple[Point, ...]], t: float) -> Value:
     """Returns the value of an input at time t [s]."""
     points = stimuli.get(v.name)
     return ramps(t, *zip(*points, strict=True), smooth=False) if points else v.start
@@ -92,7 +92,7 @@ def _value_at(v: ScalarVariable, stimuli: dict[str, tuple[Point, ...]], t: float
 def _trajectory(
     block: Block, stimuli: dict[str, tuple[Point, ...]], step_size: float, count: int, every: int
 ) -> Iterator[tuple[Value, ...]]:
-    instance = Instance(block)
+    instance = BlockInstance(block)
     inputs = block.of_causality("input")
     references = [v.value_reference for v in block.of_causality("output")]
 
