@@ -46,9 +46,12 @@ def source_closure(module: str) -> dict[str, str]:
         name = waiting.pop()
         if name in sources:
             continue
-        sources[name] = "" if name == "pythonfmu" else _read(name)
+        sources[name] = _read(name)
         parts = name.split(".")
-        waiting.extend(".".join(parts[:i]) for i in range(1, len(parts)))
+        if parts[0] == "pythonfmu":
+            sources["pythonfmu"] = ""
+        else:
+            waiting.extend(".".join(parts[:i]) for i in range(1, len(parts)))
         waiting.extend(_imported(name, sources[name], folder))
     return dict(sorted(sources.items()))
 
