@@ -8,7 +8,7 @@ from typing import Any
 
 from fmus import numerics
 from fmus.block import Block, NoValues, variable
-from fmus.block.units import BASE_UNITS, Unit, unit
+from fmus.block.units import BASE_UNITS, UnitDefinition, unit
 
 _HEAD = """\
 # Blocks
@@ -116,8 +116,8 @@ def _functions() -> str:
     rows = []
     for name in numerics.__all__:
         function = getattr(numerics, name)
-        rows.append((f"`{name}{_signature(function)}`", _summary(function)))
-    return _table(("Function", "What it returns"), rows)
+        rows.append((f"`{name}{_signature(function)}`", _summary(function).removeprefix("Returns ")))
+    return _table(("Function", "Returns"), rows)
 
 
 def _units() -> str:
@@ -135,7 +135,7 @@ def _units() -> str:
     )
 
 
-def _powers(meaning: Unit) -> str:
+def _powers(meaning: UnitDefinition) -> str:
     return " ".join(f"{base}^{power}" for base, power in meaning.exponents.items()) or "1"
 
 

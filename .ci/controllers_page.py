@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Iterable
 
 from controller_fmu import adrc, mrac, pid, sliding_mode, super_twisting
-from fmus.block import Block, ScalarVariable
+from fmus.block import Block, BlockVariable
 
 _HEAD = """\
 # Depth controllers
@@ -89,7 +89,7 @@ def _code(lines: Iterable[str]) -> str:
     return "\n".join(["```text", *lines, "```"])
 
 
-def _parameters(variables: Iterable[ScalarVariable]) -> str:
+def _parameters(variables: Iterable[BlockVariable]) -> str:
     rows = [("parameter", "start", "unit", "meaning", "source"), ("---",) * 5]
     for v in variables:
         unit = "" if v.unit in (None, "1") else v.unit

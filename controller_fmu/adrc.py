@@ -1,9 +1,4 @@
-"""Block AdrcDepthController: active disturbance rejection control of the depth, linear, after Gao.
-
-    z_1' = z_2 + 3 w_o (z - z_1)
-    z_2' = z_3 + u_d / M + 3 w_o^2 (z - z_1)
-    z_3' = w_o^3 (z - z_1)
-    u    = M (w_c^2 (r - z_1) + 2 w_c (r' - z_2) + r'' - z_3)
+"""Block AdrcDepthController: linear active disturbance rejection control of the depth, after Gao: EQUATIONS.
 
 z is the measured depth, u_d the force that the thrusters deliver, z_3 the estimate of everything else that
 accelerates the vehicle: damping, buoyancy, disturbances. The observer's three poles are at -w_o, those of the
@@ -16,8 +11,7 @@ Source: J. Han, From PID to active disturbance rejection control, IEEE Trans. In
 
 from dataclasses import dataclass
 
-from controller_fmu import depth_interface
-from controller_fmu.adrc_guide import GUIDE
+from controller_fmu import depth_interface, shared_guide
 from controller_fmu.depth_interface import (
     ActuatorParameters,
     DepthInputs,
@@ -26,7 +20,15 @@ from controller_fmu.depth_interface import (
     InertiaParameter,
 )
 from fmus.block import Block, NoValues, variable
+from fmus.block.guide import Guide, Source
 from fmus.numerics import exp
+
+EQUATIONS = """\
+z_1' = z_2 + 3 w_o (z - z_1)
+z_2' = z_3 + u_d / M + 3 w_o^2 (z - z_1)
+z_3' = w_o^3 (z - z_1)
+u    = M (w_c^2 (r - z_1) + 2 w_c (r' - z_2) + r'' - z_3)
+"""
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class Parameters(InertiaParameter, ActuatorParameters):
 
 @dataclass(frozen=True)
 class Estimate:
-    """z_1 [m], z_2 [m/s] and z_3 [m/s2] of the extended state observer."""
+    """Estimate of the extended state observer: z_1 [m], z_2 [m/s] and z_3 [m/s2]."""
 
     depth: float = 0.0
     rate: float = 0.0
@@ -52,7 +54,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class State:
-    """`measured`: with the rate of the extended state observer; `j`: J."""
+    """State of the controller; `measured`: with the rate of the extended state observer; `j`: J."""
 
     measured: DepthMeasurement = DepthMeasurement()
     estimate: Estimate = Estimate()
@@ -66,10 +68,10 @@ class Outputs(DepthOutputs):
 
 
 def observe(h: float, estimate: Estimate, depth: float, acceleration: float, bandwidth: float) -> Estimate:
-    """The observer h s later, the measured depth [m] and u_d / M [m/s2] held; bandwidth: w_o [rad/s]."""
+    """Returns the estimate h s later, measured depth [m] and u_d / M [m/s2] held; bandwidth: w_o [rad/s]."""
 
     def turned(x: tuple[float, float, float]) -> tuple[float, float, float]:
-        """h N x."""
+        """Returns h N x."""
         return (
             h * (x[1] - 2.0 * bandwidth * x[0]),
             h * (x[2] + bandwidth * x[1] - 3.0 * bandwidth**2 * x[0]),
@@ -85,7 +87,7 @@ def observe(h: float, estimate: Estimate, depth: float, acceleration: float, ban
 
 
 def control(now: DepthMeasurement, estimate: Estimate, p: Parameters) -> float:
-    """u [N]."""
+    """Returns u [N]."""
     bandwidth = p.control_bandwidth
     return p.model_inertia * (
         bandwidth**2 * (now.reference - estimate.depth)
@@ -96,7 +98,7 @@ def control(now: DepthMeasurement, estimate: Estimate, p: Parameters) -> float:
 
 
 def initial_state(t: float, inputs: DepthInputs, p: Parameters, calculated: NoValues) -> State:
-    """The observer at rest on the first measurement, without a disturbance."""
+    """Returns the observer at rest on the first measurement, without a disturbance."""
     estimate = Estimate(inputs.measured_depth)
     measured = depth_interface.measurement(inputs, estimate.rate)
     return State(measured, estimate, depth_interface.body_to_earth(inputs))
@@ -118,6 +120,36 @@ def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outpu
         estimated_depth=state.estimate.depth,
         estimated_disturbance=p.model_inertia * state.estimate.disturbance,
     )
+
+
+GUIDE = Guide(
+    equations=EQUATIONS + shared_guide.ALLOCATION,
+    conventions=shared_guide.CONVENTIONS,
+    tuning=(
+        "control_bandwidth first, from the wanted speed of the loop; observer_bandwidth 3 to 5 times that,"
+        " as far as noise and lags of the loop allow.",
+        "model_inertia is the b_0 = 1 / M of the literature, the only number of the vehicle's dynamics.",
+    ),
+    limits=(
+        "The extended state observer takes the place of the alpha-beta observer: the law uses the measured"
+        " depth alone, not measured_depth_rate. estimated_depth_rate is its z_2.",
+        "A step is exact for a measurement that is held, so it is stable for any step and any w_o.",
+        "The observer is driven by the force that the thrusters deliver: while they saturate, z_3 is still"
+        " the disturbance, and the estimate does not wind up.",
+        shared_guide.HELD_CONTROL,
+        shared_guide.REFERENCE_RATES,
+        shared_guide.LAGS,
+        shared_guide.TRIED_ON,
+        shared_guide.VEHICLE_LIMIT,
+    ),
+    sources=(
+        Source("J. Han: From PID to active disturbance rejection control, IEEE Transactions on Industrial"
+               " Electronics 56, 2009."),
+        Source("Z. Gao: Scaling and bandwidth-parameterization based controller tuning, American Control"
+               " Conference, 2003."),
+    ),
+    experiment=shared_guide.EXPERIMENT,
+)  # fmt: skip
 
 
 BLOCK = Block(

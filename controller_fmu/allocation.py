@@ -1,4 +1,4 @@
-"""From the demanded vertical force to two thruster voltages and back.
+"""Allocation of a demanded vertical force to two thruster voltages, and its inverse.
 
     u = K^-1 T^+ J' tau    with K = diag(k_1, k_2) [N/V], T = [1, 1], T^+ = [1/2, 1/2]
 
@@ -12,23 +12,23 @@ _SMALLEST_J = 0.1  # a vehicle on its side cannot push vertically; keeps the inv
 
 
 def body_to_earth(roll: float, pitch: float) -> float:
-    """J(roll, pitch) = cos(roll) cos(pitch), for angles in rad."""
+    """Returns J(roll, pitch) = cos(roll) cos(pitch), for angles in rad."""
     return cos(roll) * cos(pitch)
 
 
 def allocate(force: float, j: float, gains: tuple[float, float]) -> tuple[float, float]:
-    """Voltages [V] that give the force [N]; each thruster takes half."""
+    """Returns the voltages [V] that give the force [N]; each thruster takes half."""
     share = 0.5 * j * force
     return share / gains[0], share / gains[1]
 
 
 def saturate(voltages: tuple[float, float], limit: float) -> tuple[float, float]:
-    """Voltages within -limit..limit."""
+    """Returns the voltages limited to -limit..limit."""
     return clip(voltages[0], -limit, limit), clip(voltages[1], -limit, limit)
 
 
 def force(voltages: tuple[float, float], j: float, gains: tuple[float, float]) -> float:
-    """Force [N] in the earth frame that voltages give: tau = T K u / J, with |J| kept from 0."""
+    """Returns the force [N] in the earth frame that voltages give: tau = T K u / J, with |J| kept from 0."""
     thrust = gains[0] * voltages[0] + gains[1] * voltages[1]
     return thrust / where(j < 0.0, minimum(j, -_SMALLEST_J), maximum(j, _SMALLEST_J))
 
@@ -39,5 +39,5 @@ def saturation_error(
     j: float,
     gains: tuple[float, float],
 ) -> float:
-    """Force delivered minus force demanded [N], earth frame; exactly 0 without saturation."""
+    """Returns force delivered minus force demanded [N], earth frame; exactly 0 without saturation."""
     return force((saturated[0] - demanded[0], saturated[1] - demanded[1]), j, gains)

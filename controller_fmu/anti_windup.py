@@ -14,5 +14,5 @@ def widens(saturation_error: float, change: float) -> bool:
 
 
 def integrate_error(h: float, integral: float, error: float, saturation_error: float) -> float:
-    """int e dt after h s with the error held, of a demand that falls as it grows."""
+    """Returns int e dt after h s with the error held, of a demand that falls as it grows."""
     return integral + where(widens(saturation_error, -error), 0.0, h * error)

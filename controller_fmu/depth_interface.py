@@ -1,4 +1,4 @@
-"""What every controller of the depth control interface shares: its inputs, observer, allocation and outputs.
+"""The depth control interface: inputs, observer, allocation and outputs that every depth controller shares.
 
 A block declares its parameters by inheritance from the classes that it uses, so that one variable has one
 name, unit and start value in all of them. The order of a step is that of L1DepthController: the measurement
@@ -18,7 +18,7 @@ Vector = tuple[float, float]
 
 @dataclass(frozen=True)
 class ActuatorParameters:
-    """Of every depth controller."""
+    """Parameters of the thrusters, which every depth controller has."""
 
     internal_step: float = variable(
         0.02, "Longest internal step; one for each communication step is best", unit="s", min=1e-6, max=10.0,
@@ -36,7 +36,7 @@ class ActuatorParameters:
 
 @dataclass(frozen=True)
 class ObserverParameters:
-    """Of a controller that uses the depth rate."""
+    """Parameters of the observer, for a controller that uses the depth rate."""
 
     velocity_source: VelocitySource = variable(
         VelocitySource.ALPHA_BETA_OBSERVER, "Where the depth rate comes from", variability="fixed"
@@ -56,12 +56,12 @@ class ObserverParameters:
 
 @dataclass(frozen=True)
 class ObservedParameters(ObserverParameters, ActuatorParameters):
-    """Of a controller that uses the depth rate, and of its thrusters."""
+    """Parameters of the observer and of the thrusters."""
 
 
 @dataclass(frozen=True)
 class InertiaParameter:
-    """Of a design that assumes the inertia of the vehicle."""
+    """Parameter of a design that assumes the inertia of the vehicle."""
 
     model_inertia: float = variable(
         5.5, "Inertia with added mass M_z that the design assumes", unit="kg", min=0.1, max=1e6,
@@ -71,7 +71,7 @@ class InertiaParameter:
 
 @dataclass(frozen=True)
 class DampingParameter:
-    """Of a design that assumes the linear damping of the vehicle."""
+    """Parameter of a design that assumes the linear damping of the vehicle."""
 
     model_damping: float = variable(
         2.5, "Linear damping D_z that the design assumes", unit="N.s/m", min=0.0, max=1e6,
@@ -102,7 +102,7 @@ class DepthOutputs:
 
 @dataclass(frozen=True)
 class DepthMeasurement:
-    """Depth z [m] and its rate v [m/s] as the law uses them, reference r [m], r' [m/s] and r'' [m/s2]."""
+    """Measurement as the law uses it: depth z [m], rate v [m/s]; reference r [m], r' [m/s] and r'' [m/s2]."""
 
     depth: float = 0.0
     rate: float = 0.0
@@ -117,13 +117,13 @@ class DepthMeasurement:
 
     @property
     def error_rate(self) -> float:
-        """e' = v - r'."""
+        """Error rate e' = v - r'."""
         return self.rate - self.reference_rate
 
 
 @dataclass(frozen=True)
 class DepthState:
-    """What a controller knows besides the state of its law: last measurement, observer and J."""
+    """State of the interface, beside that of the law: last measurement, observer and J."""
 
     measured: DepthMeasurement = DepthMeasurement()
     observer: ObserverState = ObserverState()
@@ -132,7 +132,7 @@ class DepthState:
 
 @dataclass(frozen=True)
 class Delivery:
-    """What the thrusters make of a demand: voltages [V], force [N], force delivered minus demanded [N]."""
+    """Delivery of the thrusters for a demand: voltages [V], force [N], force delivered minus demanded [N]."""
 
     voltage: Vector
     force: float
@@ -140,18 +140,18 @@ class Delivery:
 
 
 def requirements(p: ObservedParameters, calculated: object) -> tuple[tuple[bool, str], ...]:
-    """Of a controller with an observer, which takes one sample a step."""
+    """Returns the requirement of the observer, which takes one sample a step."""
     is_short = p.internal_step <= p.observer_period * (1.0 + 1e-9)
     return ((is_short, "internal_step at most observer_period"),)
 
 
 def first_state(t: float, inputs: DepthInputs, p: ObserverParameters) -> DepthState:
-    """The observer at rest on the first measurement."""
+    """Returns the state with the observer at rest on the first measurement."""
     return _after(ObserverState(inputs.measured_depth, 0.0, Clock(t + p.observer_period)), inputs, p)
 
 
 def next_state(t: float, state: DepthState, inputs: DepthInputs, p: ObserverParameters) -> DepthState:
-    """With the measurement of time t, and the observer after a sample of it if one is due."""
+    """Returns the state with the measurement of time t, and with the observer after it if a sample is due."""
     observer = sample_when_due(
         t, state.observer, inputs.measured_depth, p.observer_alpha, p.observer_beta, p.observer_period
     )
@@ -165,7 +165,7 @@ def _after(observer: ObserverState, inputs: DepthInputs, p: ObserverParameters) 
 
 
 def measurement(inputs: DepthInputs, rate: float) -> DepthMeasurement:
-    """The inputs of one time, with the depth rate [m/s] that the law uses."""
+    """Returns the inputs of one time, with the depth rate [m/s] that the law uses."""
     return DepthMeasurement(
         inputs.measured_depth, rate,
         inputs.depth_reference, inputs.depth_reference_rate, inputs.depth_reference_acceleration,
@@ -173,12 +173,12 @@ def measurement(inputs: DepthInputs, rate: float) -> DepthMeasurement:
 
 
 def body_to_earth(inputs: DepthInputs) -> float:
-    """J = cos(roll) cos(pitch)."""
+    """Returns J = cos(roll) cos(pitch)."""
     return allocation.body_to_earth(inputs.roll, inputs.pitch)
 
 
 def deliver(force: float, j: float, p: ActuatorParameters) -> Delivery:
-    """Allocation, saturation, and the force that is left of the demand [N]."""
+    """Allocates a demand [N] to the thrusters, and returns what they deliver of it."""
     demanded = allocation.allocate(force, j, p.thruster_gain)
     saturated = allocation.saturate(demanded, p.voltage_limit)
     return Delivery(
@@ -189,7 +189,7 @@ def deliver(force: float, j: float, p: ActuatorParameters) -> Delivery:
 
 
 def outputs(force: float, measured: DepthMeasurement, j: float, p: ActuatorParameters) -> dict[str, Any]:
-    """The variables of `DepthOutputs`, for a demand [N]."""
+    """Returns the variables of `DepthOutputs` by name, for a demand [N]."""
     return {
         "voltage": deliver(force, j, p).voltage,
         "demanded_force": force,

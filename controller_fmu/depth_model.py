@@ -1,4 +1,4 @@
-"""The vehicle as a design knows it, under the state feedback u_m = -k_m x, with the state x = (z, z').
+"""The model of the vehicle that a design assumes, under the state feedback u_m = -k_m x, with x = (z, z').
 
     A = [[0, 1], [0, -D / M]],   B_m = [0, 1 / M],   A_m = A - B_m k_m,   C = [1, 0]                    (13)
 
@@ -35,7 +35,7 @@ class DepthMatrices(LawMatrices):
 
 
 def depth_matrices(k_m: Vector, p: ModelParameters) -> DepthMatrices:
-    """A_m, B_m, P, k_g and the gains of f of the assumed vehicle under k_m [N/m, N.s/m]."""
+    """Returns A_m, B_m, P, k_g and the gains of f of the assumed vehicle under k_m [N/m, N.s/m]."""
     inverse_inertia = 1.0 / p.model_inertia
     a_m = (
         (0.0, 1.0),

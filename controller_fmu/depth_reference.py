@@ -6,8 +6,9 @@ point. For an importer that has no other means to give the controller its refere
 
 from dataclasses import dataclass
 
-from controller_fmu.depth_reference_guide import GUIDE
+from controller_fmu import shared_guide
 from fmus.block import Block, NoValues, variable
+from fmus.block.guide import Experiment, Guide
 from fmus.numerics import ramp_rates, ramps
 
 POINTS = 12  # spare ones come later than the last wanted one, at the same depth
@@ -52,31 +53,47 @@ def requirements(p: Parameters, calculated: NoValues) -> tuple:
     )
 
 
-def initial_state(t: float, inputs: NoValues, p: Parameters, calculated: NoValues) -> NoValues:
-    return NoValues()
-
-
-def step(
-    t: float, h: float, state: NoValues, inputs: NoValues, p: Parameters, calculated: NoValues
-) -> NoValues:
-    return state
-
-
 def output(t: float, state: NoValues, p: Parameters, calculated: NoValues) -> Outputs:
     rate, acceleration = ramp_rates(t, p.point_time, p.point_depth, p.smooth)
     return Outputs(ramps(t, p.point_time, p.point_depth, p.smooth), rate, acceleration)
+
+
+GUIDE = Guide(
+    equations="""\
+z(t) = z_i + (z_i+1 - z_i) f(s),   s = (t - t_i) / (t_i+1 - t_i)   between two points
+f(s) = s                            smooth false
+       10 s^3 - 15 s^4 + 6 s^5      smooth true: no speed and no acceleration at the points
+z'(t)  = (z_i+1 - z_i) f'(s) / (t_i+1 - t_i),   z''(t) = (z_i+1 - z_i) f''(s) / (t_i+1 - t_i)^2
+""",
+    conventions=(
+        "Depth is positive down and 0 at the surface.",
+        "The first depth holds before the first point, the last one after the last.",
+        "At a point the derivatives are those of the time after it. Straight ramps have an acceleration of 0"
+        " everywhere: the impulse by which the speed jumps at a point is left out.",
+    ),
+    tuning=(
+        "Set point_time[i] and point_depth[i]; all twelve times must increase. Points that are not needed"
+        " come after the last wanted one, at its depth.",
+        "Connect depth_reference_rate and depth_reference_acceleration to a controller that has a reference"
+        " feedforward; others need neither.",
+        "smooth removes the kinks, which a controller answers with a jump in its demand; the greatest"
+        " speed of a ramp then is 1.875 times that of the straight one.",
+    ),
+    limits=(
+        "Twelve points, one trajectory; nothing is repeated.",
+        "Times and levels of the start values are published, straight ramps between them are assumed.",
+    ),
+    sources=(shared_guide.PAPER,),
+    experiment=Experiment(stop_time=320.0, step_size=0.8),
+)
 
 
 BLOCK = Block(
     name="DepthReference",
     description="Depth reference as ramps through given points, with its derivatives",
     parameters=Parameters,
-    inputs=NoValues,
-    state=NoValues,
     outputs=Outputs,
     requirements=requirements,
-    initial_state=initial_state,
-    step=step,
     output=output,
     stop_time=310.0,
     step_size=0.02,

@@ -34,7 +34,7 @@ _UNSTABLE = 1e3  # in place of the norm of a system that is not stable, which is
 
 @dataclass(frozen=True)
 class StateSpace:
-    """x' = A x + B u, y = C x: shapes (n, n), (n, inputs), (outputs, n)."""
+    """State space system x' = A x + B u, y = C x: shapes (n, n), (n, inputs), (outputs, n)."""
 
     a: np.ndarray
     b: np.ndarray
@@ -43,7 +43,7 @@ class StateSpace:
 
 @dataclass(frozen=True)
 class Extension:
-    """u_p = -K_P e - K_I int e dt, with e = C x - r; output: C."""
+    """Extension u_p = -K_P e - K_I int e dt, with e = C x - r; output: C."""
 
     output: tuple[float, ...] = ()
     proportional_gain: float = 0.0
@@ -54,7 +54,7 @@ NO_EXTENSION = Extension()
 
 
 def lyapunov_matrix(a_m: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """P of A_m' P + P A_m = -Q, shapes (n, n); ValueError if A_m is not Hurwitz."""
+    """Returns P of A_m' P + P A_m = -Q, shapes (n, n). Raises ValueError if A_m is not Hurwitz."""
     a_m = np.asarray(a_m, float)
     if np.linalg.eigvals(a_m).real.max() >= 0.0:
         raise ValueError(f"A_m must be Hurwitz, got eigenvalues {np.linalg.eigvals(a_m)}")
@@ -62,12 +62,12 @@ def lyapunov_matrix(a_m: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 
 def feedforward_gain(a_m: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
-    """k_g = -1 / (C A_m^-1 B_m): unit gain from reference to output in steady state."""
+    """Returns k_g = -1 / (C A_m^-1 B_m): unit gain from reference to output in steady state."""
     return float(-1.0 / (np.asarray(c) @ np.linalg.solve(np.asarray(a_m, float), np.asarray(b))))
 
 
 def filter_realisation(order: FilterOrder, w: float, omega: float = 1.0) -> StateSpace:
-    """C_omega(s) with one input and one output, in controllable form; C(s) with omega = 1."""
+    """Returns C_omega(s) with one input and one output, in controllable form; C(s) with omega = 1."""
     if order == FilterOrder.FIRST:
         return StateSpace(np.array([[-omega * w]]), np.array([[1.0]]), np.array([[omega * w]]))
     square, cube = omega * 3.0 * w**2, omega * w**3
@@ -83,7 +83,7 @@ def uncompensated(
     extension: Extension = NO_EXTENSION,
     omega: float = 1.0,
 ) -> StateSpace:
-    """G(s) from the uncertainty to the state x, also with the extension, whose integral is a state more."""
+    """Returns G(s) from the uncertainty to the state x; the integral of an extension is one more state."""
     low_pass = filter_realisation(order, w, omega)
     a_x, column = np.asarray(a_m, float), np.asarray(b, float).reshape(-1, 1)
     n = len(a_x)
@@ -99,10 +99,11 @@ def uncompensated(
 
 
 def l1_norm(system: StateSpace) -> float:
-    """|G|_L1 = max over rows of sum over columns of the integral of |C e^(A t) B| dt.
+    """Returns |G|_L1 = max over rows of sum over columns of the integral of |C e^(A t) B| dt.
 
-    Exact over a step without a change of sign, C A^-1 (e^(A t_2) - e^(A t_1)) B; with one, that of a straight
-    line. Steps as short as the fastest mode that is left asks, until the slowest has died out.
+    The integral over a step without a change of sign is exact, C A^-1 (e^(A t_2) - e^(A t_1)) B; with one, it
+    is that of a straight line. Steps suit the fastest mode that is left, until the slowest has died out.
+    Raises ValueError if the system is not stable.
     """
     eigenvalues = np.linalg.eigvals(system.a)
     if eigenvalues.real.max() >= 0.0:
@@ -126,7 +127,7 @@ def l1_norm(system: StateSpace) -> float:
 
 
 def _propagated(a: np.ndarray, state: np.ndarray, step: float, count: int) -> np.ndarray:
-    """e^(A t) times the state at t = 0, step, ... count step: shape (count + 1, n, inputs)."""
+    """Returns e^(A t) times the state at t = 0, step, ... count step: shape (count + 1, n, inputs)."""
     states = np.empty((count + 1, *state.shape))
     states[0] = state
     done, over = 1, expm(a * step)
@@ -139,7 +140,7 @@ def _propagated(a: np.ndarray, state: np.ndarray, step: float, count: int) -> np
 
 
 def lipschitz_constant(kind: Regressor, theta_bound: tuple[float, float]) -> float:
-    """L such that |theta' phi(x)| <= L |x|_inf for every theta within its bounds."""
+    """Returns L such that |theta' phi(x)| <= L |x|_inf for every theta within its bounds."""
     return theta_bound[0] if kind == Regressor.INFINITY_NORM else sum(theta_bound)
 
 
@@ -152,7 +153,7 @@ def l1_condition(
     extension: Extension = NO_EXTENSION,
     omegas: Sequence[float] = (1.0,),
 ) -> float:
-    """|G|_L1 L, which must stay below 1: the largest over these input gains."""
+    """Returns |G|_L1 L, which must stay below 1: the largest over these input gains."""
     systems = (uncompensated(a_m, b, order, w, extension, omega) for omega in omegas)
     return max(map(l1_norm, systems)) * lipschitz
 
@@ -166,10 +167,10 @@ def proportional_gain_range(
     extension: Extension,
     omegas: Sequence[float] = (1.0,),
 ) -> tuple[float, float]:
-    """The K_P from which and up to which the L1-norm condition holds, with K_I as in the extension.
+    """Returns the lowest and the highest K_P of the L1-norm condition, with K_I as in the extension.
 
-    The lowest such range, searched at 0 and on 5 gains a decade, its ends to 0.01 %.
-    Not numbers if it holds nowhere; the upper one is infinite if it holds up to 1e4 k_g.
+    It is the lowest such range, searched at 0 and on 5 gains a decade, its ends to 0.01 %. Both are NaN if
+    the condition holds nowhere; the upper one is infinite if it holds up to 1e4 k_g.
     """
 
     def excess(gain: float) -> float:
@@ -204,9 +205,9 @@ def smallest_bandwidth(
     extension: Extension = NO_EXTENSION,
     omegas: Sequence[float] = (1.0,),
 ) -> float:
-    """The filter bandwidth [rad/s] above which the L1-norm condition holds, to 0.1 %.
+    """Returns the filter bandwidth [rad/s] above which the L1-norm condition holds, to 0.1 %.
 
-    Searched from a hundredth of the slowest mode of A_m, which is the answer if it does already.
+    The search begins at a hundredth of the slowest mode of A_m, the result if the condition holds there.
     Raises ValueError if even `largest` does not satisfy the condition.
     """
 
@@ -219,7 +220,8 @@ def smallest_bandwidth(
     if excess(low) < 0.0:
         return float(np.exp(low))
     decade = np.log(10.0)
-    while excess(min(low + decade, high)) > 0.0:  # climb: a wide range of bandwidths is dear to evaluate
+    # climb: a wide range of bandwidths is dear to evaluate
+    while excess(min(low + decade, high)) > 0.0:
         low += decade
         if low >= high:
             raise ValueError(f"no bandwidth up to {largest} rad/s satisfies the L1-norm condition")

@@ -1,10 +1,4 @@
-"""Block MracDepthController: direct model reference adaptive control of the depth.
-
-    u          = -k_m x + f - theta_hat |x|_inf - sigma_hat,   x = (z, v)
-    f          = M r'' + (D + k_m2) r' + k_m1 r                which is k_g r where r' and r'' are 0
-    x_m'       = A_m x_m + B_m (f + u_d - u)                   u_d - u: what saturation withholds
-    theta_hat' = Gamma Proj(theta_hat, (x - x_m)^T P B_m |x|_inf)
-    sigma_hat' = Gamma Proj(sigma_hat, (x - x_m)^T P B_m),     A_m^T P + P A_m = -Q
+"""Block MracDepthController: direct model reference adaptive control of the depth: EQUATIONS.
 
 On x' = A x + B_m (u_d + theta |x|_inf + sigma), with ideal measurements, the error x - x_m and the errors of
 the estimates make V = (x - x_m)^T P (x - x_m) + (theta_err^2 + sigma_err^2) / Gamma fall at the rate
@@ -17,7 +11,7 @@ Control (2013), chapter 9 to 11 (projection, saturation in the reference model).
 
 from dataclasses import dataclass, replace
 
-from controller_fmu import depth_interface
+from controller_fmu import depth_interface, shared_guide
 from controller_fmu.depth_interface import (
     DampingParameter,
     DepthInputs,
@@ -31,9 +25,17 @@ from controller_fmu.depth_model import DepthMatrices, ModelParameters, depth_mat
 from controller_fmu.l1.feedforward import reference_feedforward
 from controller_fmu.l1.projection import keep_within, project
 from controller_fmu.l1.second_order import Vector, dot, is_hurwitz, relaxed
-from controller_fmu.mrac_guide import GUIDE
 from fmus.block import Block, variable
+from fmus.block.guide import Guide, Source
 from fmus.numerics import absolute, maximum
+
+EQUATIONS = """\
+u          = -k_m x + f - theta_hat |x|_inf - sigma_hat,   x = (z, v)
+f          = M r'' + (D + k_m2) r' + k_m1 r                which is k_g r where r' and r'' are 0
+x_m'       = A_m x_m + B_m (f + u_d - u)                   u_d - u: what saturation withholds
+theta_hat' = Gamma Proj(theta_hat, (x - x_m)^T P B_m |x|_inf)
+sigma_hat' = Gamma Proj(sigma_hat, (x - x_m)^T P B_m),     A_m^T P + P A_m = -Q
+"""
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,7 @@ class Parameters(ModelParameters, DampingParameter, InertiaParameter, ObservedPa
 
 @dataclass(frozen=True)
 class Adaptive:
-    """x_m [m, m/s], theta_hat [N per SI unit of x] and sigma_hat [N]."""
+    """Adaptive part of the state: x_m [m, m/s], theta_hat [N per SI unit of x] and sigma_hat [N]."""
 
     model: Vector = (0.0, 0.0)
     theta_hat: float = 0.0
@@ -89,24 +91,24 @@ class Outputs(DepthOutputs):
 
 
 def regressor(x: Vector) -> float:
-    """|x|_inf of the numbers in SI units."""
+    """Returns |x|_inf of the numbers in SI units."""
     return maximum(absolute(x[0]), absolute(x[1]))
 
 
 def feedforward(now: DepthMeasurement, matrices: DepthMatrices) -> float:
-    """f [N]: the control with which the assumed vehicle under -k_m x follows the reference."""
+    """Returns f [N], the control with which the assumed vehicle under -k_m x follows the reference."""
     return reference_feedforward(now.reference, now.reference_rate, now.reference_acceleration, matrices)
 
 
 def control(now: DepthMeasurement, adaptive: Adaptive, p: Parameters, matrices: DepthMatrices) -> float:
-    """u [N]."""
+    """Returns u [N]."""
     feedback = p.depth_gain * now.depth + p.rate_gain * now.rate
     known = adaptive.theta_hat * regressor((now.depth, now.rate)) + adaptive.sigma_hat
     return -feedback + feedforward(now, matrices) - known
 
 
 def adapt(h: float, before: Adaptive, x: Vector, p: Parameters, matrices: DepthMatrices) -> Adaptive:
-    """The estimates h s later, x being that of the beginning, as is `before.model`."""
+    """Returns the estimates h s later; x and `before.model` are of the beginning of the step."""
     error, phi, eps = (x[0] - before.model[0], x[1] - before.model[1]), regressor(x), p.projection_tolerance
     slope = dot(error, matrices.adaptation_vector)
     change = h * p.estimate_gain
@@ -118,7 +120,7 @@ def adapt(h: float, before: Adaptive, x: Vector, p: Parameters, matrices: DepthM
 
 
 def next_model(h: float, model: Vector, drive: float, matrices: DepthMatrices) -> Vector:
-    """x_m h s later under a held drive [N], by the implicit midpoint rule."""
+    """Returns x_m h s later under a held drive [N], by the implicit midpoint rule."""
     half = 0.5 * h * matrices.predictor_input[0] * drive, 0.5 * h * matrices.predictor_input[1] * drive
     after = relaxed(matrices.predictor_matrix, h, (model[0] + half[0], model[1] + half[1]))
     return after[0] + half[0], after[1] + half[1]
@@ -136,7 +138,7 @@ def requirements(p: Parameters, matrices: DepthMatrices) -> tuple:
 
 
 def initial_state(t: float, inputs: DepthInputs, p: Parameters, matrices: DepthMatrices) -> State:
-    """The reference model at the measured state, no estimate."""
+    """Returns the reference model at the measured state, and estimates of 0."""
     interface = depth_interface.first_state(t, inputs, p)
     return State(interface, Adaptive(model=(interface.measured.depth, interface.measured.rate)))
 
@@ -144,7 +146,7 @@ def initial_state(t: float, inputs: DepthInputs, p: Parameters, matrices: DepthM
 def step(
     t: float, h: float, state: State, inputs: DepthInputs, p: Parameters, matrices: DepthMatrices
 ) -> State:
-    """The drive of x_m is the part f of the control that the vehicle receives during the step."""
+    """Steps the controller; x_m is driven by the part f of the control that the vehicle receives."""
     before, adaptive = state.interface.measured, state.adaptive
     given = depth_interface.deliver(control(before, adaptive, p, matrices), state.interface.j, p)
     interface = depth_interface.next_state(t, state.interface, inputs, p)
@@ -164,6 +166,38 @@ def output(t: float, state: State, p: Parameters, matrices: DepthMatrices) -> Ou
         model_depth=adaptive.model[0],
         model_depth_rate=adaptive.model[1],
     )
+
+
+GUIDE = Guide(
+    equations=EQUATIONS + shared_guide.OBSERVER_AND_ALLOCATION,
+    conventions=shared_guide.CONVENTIONS,
+    tuning=(
+        "depth_gain and rate_gain make A_m, the dynamics that the loop is given: M w^2 and 2 M w - D for two"
+        " poles at w.",
+        "estimate_gain: with Q = I and both poles of A_m at 1 rad/s, Gamma = M^2 puts the poles of the loop"
+        " of sigma_hat at -1 and -0.5 +- 0.5j rad/s. More is faster and less damped: the vehicle itself, with"
+        " all its lags, closes that loop, so the very high Gamma of the L1 law is out of reach here.",
+        "theta_bound and sigma_bound enclose what must be compensated, in N; sigma_hat has to reach the net"
+        " buoyancy.",
+        shared_guide.OBSERVER_TUNING,
+    ),
+    limits=(
+        "There is no low-pass filter between estimates and control: Gamma trades robustness for speed.",
+        "While the thrusters saturate, the reference model is driven by what they deliver, so the estimates"
+        " do not learn it.",
+        shared_guide.HELD_CONTROL,
+        shared_guide.REFERENCE_RATES,
+        shared_guide.LAGS,
+        shared_guide.TRIED_ON,
+        shared_guide.VEHICLE_LIMIT,
+    ),
+    sources=(
+        Source("P. Ioannou and J. Sun: Robust Adaptive Control, Prentice Hall, 1996, chapter 6."),
+        Source("E. Lavretsky and K. Wise: Robust and Adaptive Control, Springer, 2013."),
+        shared_guide.OBSERVER_SOURCE,
+    ),
+    experiment=shared_guide.EXPERIMENT,
+)
 
 
 BLOCK = Block(

@@ -14,7 +14,7 @@ from fmus.numerics import Clock, sampled
 
 
 class VelocitySource(IntEnum):
-    """Where the controller takes the depth rate from."""
+    """Source of the depth rate that the controller uses."""
 
     ALPHA_BETA_OBSERVER = 1
     MEASURED = 2
@@ -22,7 +22,7 @@ class VelocitySource(IntEnum):
 
 @dataclass(frozen=True)
 class ObserverState:
-    """Estimated depth [m], estimated depth rate [m/s] and when the next sample is due."""
+    """State of the observer: estimated depth [m], estimated depth rate [m/s] and the clock of its samples."""
 
     depth: float = 0.0
     rate: float = 0.0
@@ -32,7 +32,7 @@ class ObserverState:
 def correct(
     observer: ObserverState, measured: float, alpha: float, beta: float, period: float
 ) -> ObserverState:
-    """The estimates after one sample taken `period` s after the last."""
+    """Returns the estimates after one sample taken `period` s after the last."""
     predicted = observer.depth + period * observer.rate
     innovation = measured - predicted
     return replace(
@@ -45,5 +45,5 @@ def correct(
 def sample_when_due(
     t: float, observer: ObserverState, measured: float, alpha: float, beta: float, period: float
 ) -> ObserverState:
-    """`correct` if a sample is due at time t, else the observer as it was."""
+    """Returns the observer corrected if a sample is due at time t, else as it was."""
     return sampled(t, period, observer, correct(observer, measured, alpha, beta, period))

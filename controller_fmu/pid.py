@@ -1,20 +1,15 @@
-"""Block PidDepthController: PID control of the depth with two degrees of freedom.
+"""Block PidDepthController: PID control of the depth with two degrees of freedom: EQUATIONS.
 
-    u = -k_p e - k_i int e dt - k_d (v - beta r') + beta D r',   e = z - r
-
-beta weighs the reference in the derivative, 0 to 1; its weight in the proportional part is 1. On the assumed
-vehicle, M z'' + D z' = u + d, with ideal measurements and thrusters,
-
-    z / r = (beta (k_d + D) s^2 + k_p s + k_i) / (M s^3 + (D + k_d) s^2 + k_p s + k_i)
-
-so beta moves zeros and no pole; with 1, e / r is -M s^3 over the same denominator.
+beta weighs the reference in the derivative, 0 to 1; its weight in the proportional part is 1. z / r is that
+of the assumed vehicle, M z'' + D z' = u + d, with ideal measurements and thrusters: beta moves zeros and no
+pole, and with 1, e / r is -M s^3 over the same denominator.
 Source: Astrom and Hagglund, Advanced PID Control (2006), chapter 3 (set-point weighting) and 5 (two degrees
 of freedom, feedforward).
 """
 
 from dataclasses import dataclass
 
-from controller_fmu import depth_interface
+from controller_fmu import depth_interface, shared_guide
 from controller_fmu.anti_windup import integrate_error
 from controller_fmu.depth_interface import (
     DampingParameter,
@@ -24,8 +19,13 @@ from controller_fmu.depth_interface import (
     DepthState,
     ObservedParameters,
 )
-from controller_fmu.pid_guide import GUIDE
 from fmus.block import Block, NoValues, variable
+from fmus.block.guide import Guide, Source
+
+EQUATIONS = """\
+u     = -k_p e - k_i int e dt - k_d (v - beta r') + beta D r',   e = z - r
+z / r = (beta (k_d + D) s^2 + k_p s + k_i) / (M s^3 + (D + k_d) s^2 + k_p s + k_i)
+"""
 
 _POLES = "three poles at w = 1 rad/s for M = 5.5 kg and D = 2.5 N.s/m: "
 
@@ -43,7 +43,7 @@ class Parameters(DampingParameter, ObservedParameters):
 
 @dataclass(frozen=True)
 class State:
-    """`error_integral`: int e dt [m.s]."""
+    """State of the controller; `error_integral`: int e dt [m.s]."""
 
     interface: DepthState = DepthState()
     error_integral: float = 0.0
@@ -55,7 +55,7 @@ class Outputs(DepthOutputs):
 
 
 def control(now: DepthMeasurement, error_integral: float, p: Parameters) -> float:
-    """u [N]."""
+    """Returns u [N]."""
     return (
         -p.kp * now.error
         - p.ki * error_integral
@@ -83,6 +83,31 @@ def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outpu
         **depth_interface.outputs(u, measured, j, p),
         integral_force=-p.ki * state.error_integral,
     )
+
+
+GUIDE = Guide(
+    equations=EQUATIONS + shared_guide.OBSERVER_AND_ALLOCATION,
+    conventions=shared_guide.CONVENTIONS,
+    tuning=(
+        "Poles of M s^3 + (D + k_d) s^2 + k_p s + k_i: three at w for k_p = 3 M w^2, k_i = M w^3 and"
+        " k_d = 3 M w - D.",
+        "beta = 1 follows a ramp of known rate without error; beta = 0 takes the rate of the reference out of"
+        " the law. It moves zeros, no pole.",
+        shared_guide.OBSERVER_TUNING,
+    ),
+    limits=(
+        shared_guide.REFERENCE_RATES,
+        "The integral holds while the thrusters saturate and it would demand still more.",
+        shared_guide.LAGS,
+        shared_guide.TRIED_ON,
+        shared_guide.VEHICLE_LIMIT,
+    ),
+    sources=(
+        Source("K. J. Astrom and T. Hagglund: Advanced PID Control, ISA, 2006."),
+        shared_guide.OBSERVER_SOURCE,
+    ),
+    experiment=shared_guide.EXPERIMENT,
+)
 
 
 BLOCK = Block(

@@ -1,7 +1,4 @@
-"""Block SlidingModeDepthController: integral sliding mode control of the depth, with a boundary layer.
-
-    s = e' + 2 lambda e + lambda^2 int e dt,   e = z - r,   e' = v - r'
-    u = M (r'' - 2 lambda e' - lambda^2 e) + D v - K sat(s / phi)
+"""Block SlidingModeDepthController: integral sliding mode control of depth with a boundary layer: EQUATIONS.
 
 On M z'' + D z' = u + d, with ideal measurements and thrusters, M s' = d - K sat(s / phi). With |d| <= d_max
 below K, the boundary layer |s| <= phi is reached after M (|s(0)| - phi) / (K - d_max) s at the latest, and
@@ -12,7 +9,7 @@ layer); Utkin, Guldner and Shi, Sliding Mode Control in Electro-Mechanical Syste
 
 from dataclasses import dataclass
 
-from controller_fmu import depth_interface
+from controller_fmu import depth_interface, shared_guide
 from controller_fmu.anti_windup import integrate_error
 from controller_fmu.depth_interface import (
     DampingParameter,
@@ -23,9 +20,14 @@ from controller_fmu.depth_interface import (
     InertiaParameter,
     ObservedParameters,
 )
-from controller_fmu.sliding_mode_guide import GUIDE
 from fmus.block import Block, NoValues, variable
+from fmus.block.guide import Guide, Source
 from fmus.numerics import clip
+
+EQUATIONS = """\
+s = e' + 2 lambda e + lambda^2 int e dt,   e = z - r,   e' = v - r'
+u = M (r'' - 2 lambda e' - lambda^2 e) + D v - K sat(s / phi)
+"""
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,7 @@ class Parameters(DampingParameter, InertiaParameter, ObservedParameters):
 
 @dataclass(frozen=True)
 class State:
-    """`error_integral`: int e dt [m.s]."""
+    """State of the controller; `error_integral`: int e dt [m.s]."""
 
     interface: DepthState = DepthState()
     error_integral: float = 0.0
@@ -58,13 +60,13 @@ class Outputs(DepthOutputs):
 
 
 def sliding_variable(now: DepthMeasurement, error_integral: float, p: Parameters) -> float:
-    """s [m/s]."""
+    """Returns s [m/s]."""
     bandwidth = p.error_bandwidth
     return now.error_rate + 2.0 * bandwidth * now.error + bandwidth**2 * error_integral
 
 
 def control(now: DepthMeasurement, error_integral: float, p: Parameters) -> float:
-    """u [N]."""
+    """Returns u [N]."""
     bandwidth = p.error_bandwidth
     acceleration = now.reference_acceleration - 2.0 * bandwidth * now.error_rate - bandwidth**2 * now.error
     s = sliding_variable(now, error_integral, p)
@@ -94,6 +96,36 @@ def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outpu
         **depth_interface.outputs(u, measured, j, p),
         sliding_variable=sliding_variable(measured, state.error_integral, p),
     )
+
+
+GUIDE = Guide(
+    equations=EQUATIONS + shared_guide.OBSERVER_AND_ALLOCATION,
+    conventions=shared_guide.CONVENTIONS,
+    tuning=(
+        "switching_gain: above the largest disturbance, buoyancy included, and below what both thrusters"
+        " give.",
+        "boundary_layer: K / (M phi) is the third pole inside the layer; a thinner layer makes it as fast as"
+        " the lags of the loop, and the voltages chatter.",
+        "error_bandwidth is both other poles.",
+        shared_guide.OBSERVER_TUNING,
+    ),
+    limits=(
+        "Inside the boundary layer the law is a PID with k_p = M lambda^2 + 2 lambda K / phi,"
+        " k_i = lambda^2 K / phi and k_d = 2 lambda M + K / phi - D; it differs from one only where the error"
+        " leaves the layer.",
+        shared_guide.REFERENCE_RATES,
+        "The integral holds while the thrusters saturate and it would demand still more.",
+        shared_guide.LAGS,
+        shared_guide.TRIED_ON,
+        shared_guide.VEHICLE_LIMIT,
+    ),
+    sources=(
+        Source("J.-J. Slotine and W. Li: Applied Nonlinear Control, Prentice Hall, 1991, chapter 7."),
+        Source("V. Utkin, J. Guldner and J. Shi: Sliding Mode Control in Electro-Mechanical Systems, 2009."),
+        shared_guide.OBSERVER_SOURCE,
+    ),
+    experiment=shared_guide.EXPERIMENT,
+)
 
 
 BLOCK = Block(

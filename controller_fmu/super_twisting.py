@@ -1,19 +1,12 @@
-"""Block SuperTwistingDepthController: second-order sliding mode control of the depth by super-twisting.
-
-    s = e' + lambda e,   e = z - r,   e' = v - r',   g = s / (|s| + eps)
-    u = M (r'' - lambda e') + D v - k_1 sqrt(|s|) g + nu,   nu' = -k_2 g
+"""Block SuperTwistingDepthController: second-order sliding mode control by super-twisting: EQUATIONS.
 
 On M z'' + D z' = u + d, with ideal measurements and thrusters, M s' = -k_1 sqrt(|s|) g + nu + d. With eps = 0
 (g is the sign of s) and |d'| <= L below k_2, s and s' reach 0 in finite time for a k_1 that is large enough,
 whatever d is; with eps > 0 they reach a neighbourhood of 0.
 
-A step of h s takes
-
-    g = s / max(|s| + eps, (h / M) (k_1 sqrt(|s|) + h k_2))
-
-which is the law, explicit, unless it would lead the s of the assumed vehicle beyond 0: then to 0. So the
-control does not switch for ever at eps = 0, as it does with the explicit step alone, and is the law for every
-eps that is large beside h^2 k_1^2 / M^2.
+The g of a step is the law, explicit, unless it would lead the s of the assumed vehicle beyond 0: then to 0.
+So the control does not switch for ever at eps = 0, as it does with the explicit step alone, and is the law
+for every eps that is large beside h^2 k_1^2 / M^2.
 Source: A. Levant, Sliding order and sliding accuracy in sliding mode control, Int. J. Control 58 (1993);
 J. Moreno and M. Osorio, Strict Lyapunov functions for the super-twisting algorithm, IEEE TAC 57 (2012); after
 B. Brogliato, A. Polyakov and D. Efimov, The implicit discretization of the supertwisting sliding-mode control
@@ -22,7 +15,7 @@ algorithm, IEEE TAC 65 (2020), whose step leads to 0 where it can.
 
 from dataclasses import dataclass
 
-from controller_fmu import depth_interface
+from controller_fmu import depth_interface, shared_guide
 from controller_fmu.anti_windup import widens
 from controller_fmu.depth_interface import (
     DampingParameter,
@@ -33,11 +26,18 @@ from controller_fmu.depth_interface import (
     InertiaParameter,
     ObservedParameters,
 )
-from controller_fmu.super_twisting_guide import GUIDE
 from fmus.block import Block, NoValues, variable
+from fmus.block.guide import Guide, Source
 from fmus.numerics import absolute, maximum, sqrt, where
 
-_LEAST_ROOT = 1e-3  # of eps: the root is held below, where g is smaller, so that it has a derivative at 0
+EQUATIONS = """\
+s = e' + lambda e,   e = z - r,   e' = v - r',   g = s / (|s| + eps)
+u = M (r'' - lambda e') + D v - k_1 sqrt(|s|) g + nu,   nu' = -k_2 g
+g = s / max(|s| + eps, (h / M) (k_1 sqrt(|s|) + h k_2))   in a step of h s
+"""
+
+# of eps: the root is held below, where g is smaller, so that it has a derivative at 0
+_LEAST_ROOT = 1e-3
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Parameters(DampingParameter, InertiaParameter, ObservedParameters):
 
 @dataclass(frozen=True)
 class State:
-    """`direction`: g of the last step; `integral_force`: nu [N]."""
+    """State of the controller; `direction`: g of the last step; `integral_force`: nu [N]."""
 
     interface: DepthState = DepthState()
     direction: float = 0.0
@@ -75,26 +75,26 @@ class Outputs(DepthOutputs):
 
 
 def sliding_variable(now: DepthMeasurement, p: Parameters) -> float:
-    """s [m/s]."""
+    """Returns s [m/s]."""
     return now.error_rate + p.error_bandwidth * now.error
 
 
 def direction(h: float, s: float, p: Parameters) -> float:
-    """g of a step of h s."""
+    """Returns g of a step of h s."""
     root = _root(s, p)
     change = h / p.model_inertia * (p.root_gain * root + h * p.twisting_gain)
     return s / maximum(absolute(s) + p.smoothing, change)
 
 
 def control(now: DepthMeasurement, g: float, integral_force: float, p: Parameters) -> float:
-    """u [N]."""
+    """Returns u [N]."""
     acceleration = now.reference_acceleration - p.error_bandwidth * now.error_rate
     equivalent = p.model_inertia * acceleration + p.model_damping * now.rate
     return equivalent - p.root_gain * _root(sliding_variable(now, p), p) * g + integral_force
 
 
 def _root(s: float, p: Parameters) -> float:
-    """sqrt(|s|)."""
+    """Returns sqrt(|s|)."""
     return sqrt(maximum(absolute(s), _LEAST_ROOT * p.smoothing))
 
 
@@ -122,6 +122,39 @@ def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outpu
         sliding_variable=sliding_variable(measured, p),
         integral_force=state.integral_force,
     )
+
+
+GUIDE = Guide(
+    equations=EQUATIONS + shared_guide.OBSERVER_AND_ALLOCATION,
+    conventions=shared_guide.CONVENTIONS,
+    tuning=(
+        "For disturbances that change by L at most, in N/s: root_gain 1.5 sqrt(L M), twisting_gain 1.1 L.",
+        "Estimate: a loop that is late by T s oscillates where |s| is below about (k_2 T / k_1)^2, as there"
+        " the damping by k_1 is less than the delay takes. Smaller gains make it quieter, and slower against"
+        " disturbances.",
+        "smoothing: of the order of the noise of the depth rate.",
+        shared_guide.OBSERVER_TUNING,
+    ),
+    limits=(
+        "Finite time is that of eps = 0 and an ideal loop; with eps, noise and lags the error stays in a"
+        " neighbourhood of 0.",
+        shared_guide.REFERENCE_RATES,
+        "nu holds while the thrusters saturate and it would demand still more.",
+        shared_guide.LAGS,
+        shared_guide.TRIED_ON,
+        shared_guide.VEHICLE_LIMIT,
+    ),
+    sources=(
+        Source("A. Levant: Sliding order and sliding accuracy in sliding mode control, Int. J. Control 58,"
+               " 1993; Robust exact differentiation via sliding mode technique, Automatica 34, 1998."),
+        Source("J. Moreno and M. Osorio: Strict Lyapunov functions for the super-twisting algorithm, IEEE"
+               " Transactions on Automatic Control 57, 2012."),
+        Source("B. Brogliato, A. Polyakov and D. Efimov: The implicit discretization of the supertwisting"
+               " sliding-mode control algorithm, IEEE Transactions on Automatic Control 65, 2020."),
+        shared_guide.OBSERVER_SOURCE,
+    ),
+    experiment=shared_guide.EXPERIMENT,
+)  # fmt: skip
 
 
 BLOCK = Block(

@@ -6,26 +6,17 @@ those of the inputs of the last step, a communication step later than those of a
 
 from dataclasses import dataclass
 
-from controller_fmu import allocation
-from controller_fmu.thrust_allocation_guide import GUIDE
+from controller_fmu import allocation, shared_guide
+from controller_fmu.depth_interface import ActuatorParameters, Vector
 from fmus.block import Block, NoValues, variable
-
-Vector = tuple[float, float]
+from fmus.block.guide import Experiment, Guide
 
 
 @dataclass(frozen=True)
-class Parameters:
+class Parameters(ActuatorParameters):
     internal_step: float = variable(
         10.0, "Longest internal step; without effect, the voltages follow the inputs at once",
         unit="s", min=1e-7, max=1e6, variability="fixed",
-    )  # fmt: skip
-    thruster_gain: Vector = variable(
-        (0.25, 0.25), "Force coefficient K of each thruster", unit="N/V", min=1e-6, max=1e6,
-        source="guess: the paper gives none",
-    )  # fmt: skip
-    voltage_limit: float = variable(
-        12.0, "Largest voltage of a thruster", unit="V", min=1e-6, max=1e6,
-        source="guess: the paper gives none",
     )  # fmt: skip
 
 
@@ -38,7 +29,7 @@ class Inputs:
 
 @dataclass(frozen=True)
 class State:
-    """The demanded force [N] and J = cos(roll) cos(pitch)."""
+    """State: the demanded force [N] and J = cos(roll) cos(pitch)."""
 
     force: float = 0.0
     j: float = 1.0
@@ -60,6 +51,35 @@ def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calcul
 def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outputs:
     voltages = allocation.allocate(state.force, state.j, p.thruster_gain)
     return Outputs(voltage=allocation.saturate(voltages, p.voltage_limit))
+
+
+GUIDE = Guide(
+    equations="""\
+voltage_i = J u / (2 K_i), limited to -voltage_limit .. voltage_limit,   J = cos(roll) cos(pitch)   (11)
+""",
+    conventions=(
+        "The force u is that of the earth frame, positive down; a positive voltage pushes the upright vehicle"
+        " down. Each thruster takes half of the demand.",
+        "Angles are in rad; roll and pitch may stay at 0 where they are not measured.",
+    ),
+    tuning=("thruster_gain (N/V, measured) and voltage_limit are those of the thrusters.",),
+    limits=(
+        "The voltages of a communication point are those of the inputs of the step before it: in a Jacobi"
+        " exchange this block delays the force by one communication step. In a Gauss-Seidel exchange that"
+        " steps it after the controller and before the vehicle it does not.",
+        "The controller does not learn of the limit of the voltages: its own limit of the force should be"
+        " voltage_limit (K_1 + K_2) at most, so that its anti-windup acts.",
+    ),
+    sources=(shared_guide.PAPER,),
+    experiment=Experiment(
+        stop_time=10.0,
+        step_size=0.1,
+        stimuli=(
+            ("control_force", ((1.0, 0.0), (5.0, 8.0), (9.0, -2.0))),
+            ("roll", ((6.0, 0.0), (8.0, 0.4))),
+        ),
+    ),
+)
 
 
 BLOCK = Block(

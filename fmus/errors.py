@@ -19,7 +19,7 @@ class MissingExtraError(ImportError):
 
 
 class HostError(Exception):
-    """What this machine refuses, such as a full disk, so that nothing can be said of an FMU."""
+    """Error of this machine, such as a full disk, which says nothing of an FMU."""
 
 
 class OrchestrationError(Exception):
@@ -31,7 +31,7 @@ class FmuLoadError(OrchestrationError):
 
 
 class FmuError(OrchestrationError):
-    """An FMU refused a call. Names the instance, the time and the FMU's own log line."""
+    """Error of a call that an FMU refused; names the instance, the time and the FMU's own log line."""
 
     def __init__(self, instance: str, time: float, call: str, status: str, log: list[str]) -> None:
         super().__init__(instance, time, call, status, log)
@@ -43,11 +43,11 @@ class FmuError(OrchestrationError):
 
 
 class FmuWarning(UserWarning):
-    """An FMU returned fmi2Warning: the simulation goes on."""
+    """Warning of an FMU that returned fmi2Warning: the simulation goes on."""
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """The end of an error message about an unknown name: the known name much like it, or what there is."""
+    """Returns the end of a message about an unknown name: the known name much like it, or those known."""
     choices = list(known)
     if not choices:
         return "there are none"

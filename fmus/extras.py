@@ -10,7 +10,7 @@ from fmus.errors import MissingExtraError
 
 @contextmanager
 def imports_of(extra: str, purpose: str) -> Iterator[None]:
-    """A context for imports: MissingExtraError names the command that installs a missing library.
+    """Guards imports: MissingExtraError names the command that installs a missing library.
 
     purpose: subject of the message, such as "a sweep"
     """
@@ -22,6 +22,6 @@ def imports_of(extra: str, purpose: str) -> Iterator[None]:
 
 
 def require(module: str, extra: str, purpose: str) -> ModuleType:
-    """The imported module; MissingExtraError as of `imports_of`."""
+    """Returns the imported module; raises MissingExtraError as `imports_of` does."""
     with imports_of(extra, purpose):
         return import_module(module)

@@ -41,12 +41,12 @@ INSTRUCTION_SETS = {
 
 
 def usable_processors() -> int:
-    """How many processors this process may use: in a container they may be fewer than the machine has."""
+    """Returns the number of processors that this process may use: in a container perhaps not all."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def host_platform() -> str:
-    """The FMI name of the platform that this runs on."""
+    """Returns the FMI name of the platform that this runs on."""
     machine = platform.machine().lower()
     architecture = {"amd64": "x86_64", "arm64": "aarch64"}.get(machine, machine)
     known = {
@@ -66,7 +66,7 @@ def host_platform() -> str:
 
 @cache
 def instruction_sets() -> tuple[str, ...]:
-    """The instruction sets that this processor has, the best first; on Linux alone more than "portable"."""
+    """Returns the instruction sets of this processor, the best first; on Linux alone more than "portable"."""
     features: set[str] = set()
     with suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
@@ -75,7 +75,7 @@ def instruction_sets() -> tuple[str, ...]:
 
 
 def check_platforms(names: Sequence[str]) -> tuple[str, ...]:
-    """The names, each once; ExportError offers the nearest for an unknown one."""
+    """Returns the names, each once; ExportError offers the nearest for an unknown one."""
     for name in names:
         if name not in TARGETS:
             raise ExportError(f"no platform {name!r}; {nearest(name, PLATFORMS)}")
@@ -83,5 +83,5 @@ def check_platforms(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def library_name(model: str, fmi_platform: str) -> str:
-    """Path of a library inside the FMU."""
+    """Returns the path of a library inside the FMU."""
     return f"binaries/{fmi_platform}/{model}.{TARGETS[fmi_platform][1]}"

@@ -18,7 +18,7 @@ Pair = tuple[float, float]
 
 @dataclass(frozen=True)
 class Parameters:
-    """Of the vehicle, the thrusters and the sensor."""
+    """Parameters of the vehicle, the thrusters and the sensor."""
 
     internal_step: float = variable(
         0.02, "Longest internal step", unit="s", min=1e-6, max=10.0, variability="fixed"
@@ -172,7 +172,7 @@ def requirements(p: Parameters, calculated: NoValues) -> tuple:
 
 
 def initial_state(t: float, inputs: Inputs, p: Parameters, calculated: NoValues) -> State:
-    """Thrusters at rest."""
+    """Returns the state at the start, the thrusters at rest."""
     first = depth_sensor.first_sample(_sensor(p), t, p.initial_depth, p.sensor_seed)
     j = heave.body_to_earth(inputs.roll, inputs.pitch)
     return State(p.initial_depth, p.initial_heave_velocity, (0.0, 0.0), j, first)

@@ -1,4 +1,4 @@
-"""What the documentation of RovDepthPlant says besides its variables."""
+"""Guide to RovDepthPlant."""
 
 from fmus.block.guide import Experiment, Guide, Source
 

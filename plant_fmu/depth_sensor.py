@@ -26,7 +26,7 @@ LARGEST_NOISE = math.sqrt(2.0 * math.log(_M_1))
 
 @dataclass(frozen=True)
 class Sensor:
-    """What characterises a depth sensor, in m and s."""
+    """Depth sensor, in m and s."""
 
     period: float
     noise: float
@@ -39,7 +39,7 @@ class Sensor:
 
 @dataclass(frozen=True)
 class SensorState:
-    """The last samples, newest first; the start of the run [s]; the clock; the two seeds of the generator."""
+    """State: the last samples, newest first; start of the run [s]; clock; the two seeds of the generator."""
 
     samples: tuple[float, ...] = (0.0,) * HISTORY
     start: float = 0.0
@@ -49,13 +49,13 @@ class SensorState:
 
 
 def quantise(value: float, resolution: float) -> float:
-    """The multiple of `resolution` nearest to `value`; `value` itself for a resolution of 0."""
+    """Returns the multiple of `resolution` nearest to `value`; `value` itself for a resolution of 0."""
     step = where(resolution > _FINEST, resolution, 1.0)
     return where(resolution > _FINEST, step * floor(value / step + 0.5), value)
 
 
 def uniform(seed_1: float, seed_2: float) -> tuple[float, float, float]:
-    """(u, seed_1, seed_2): a number in (0, 1) and the generator's next state."""
+    """Returns (u, seed_1, seed_2): a number in (0, 1) and the generator's next state."""
     seed_1 = fmod(_A_1 * seed_1, _M_1)
     seed_2 = fmod(_A_2 * seed_2, _M_2)
     difference = seed_1 - seed_2
@@ -64,14 +64,14 @@ def uniform(seed_1: float, seed_2: float) -> tuple[float, float, float]:
 
 
 def normal(seed_1: float, seed_2: float) -> tuple[float, float, float]:
-    """(n, seed_1, seed_2): a standard normal number and the generator's next state."""
+    """Returns (n, seed_1, seed_2): a standard normal number and the generator's next state."""
     u, seed_1, seed_2 = uniform(seed_1, seed_2)
     v, seed_1, seed_2 = uniform(seed_1, seed_2)
     return sqrt(-2.0 * log(u)) * cos(2.0 * math.pi * v), seed_1, seed_2
 
 
 def sample(sensor: Sensor, state: SensorState, t: float, depth: float) -> SensorState:
-    """The state after one more sample, taken at time t."""
+    """Returns the state after one more sample, taken at time t."""
     n, seed_1, seed_2 = normal(state.seed_1, state.seed_2)
     true = depth + sensor.bias + sensor.drift * (t - state.start)
     newest = quantise(true + sensor.noise * n, sensor.resolution)
@@ -79,7 +79,7 @@ def sample(sensor: Sensor, state: SensorState, t: float, depth: float) -> Sensor
 
 
 def scrambled(seed: int) -> tuple[float, float]:
-    """The generator's first state, from a seed of at least 1 and below 2^32.
+    """Returns the generator's first state, from a seed of at least 1 and below 2^32.
 
     Both components of the generator are linear: without scrambling, consecutive seeds would give
     sequences at a constant distance. A Feistel network over the two halves of the seed, its round
@@ -101,23 +101,23 @@ def _mixed(high: float, low: float) -> tuple[float, float]:
 
 
 def _low_half(value: float) -> float:
-    """Exact; compilers would make a fused product and sum of a remainder by a power of two."""
+    # exact; compilers would make a fused product and sum of a remainder by a power of two
     return value - _HALF * floor(value / _HALF)
 
 
 def first_sample(sensor: Sensor, t: float, depth: float, seed: int) -> SensorState:
-    """At the start the sensor has been reading this depth for ever; `seed` is 1 or more."""
+    """Returns the state of a sensor that has been reading this depth for ever; `seed` is 1 or more."""
     state = sample(sensor, SensorState((), t, Clock(t, 1), *scrambled(seed)), t, depth)
     return replace(state, samples=(state.samples[0],) * HISTORY)
 
 
 def sample_when_due(sensor: Sensor, state: SensorState, t: float, depth: float) -> SensorState:
-    """`sample` if a sampling period has passed, else the state as it was."""
+    """Returns the state with one more sample if a sampling period has passed, else as it was."""
     return sampled(t, sensor.period, state, sample(sensor, state, t, depth))
 
 
 def reading(sensor: Sensor, state: SensorState, t: float, depth: float) -> float:
-    """What the sensor reports at time t: the newest sample that has had time to arrive."""
+    """Returns the depth that the sensor reports at time t: the newest sample that has had time to arrive."""
     arrived, last_sample = state.samples[-1], state.clock.last_sample(sensor.period)
     for age, value in reversed(list(enumerate(state.samples))):
         waited = t - last_sample + age * sensor.period
@@ -126,6 +126,6 @@ def reading(sensor: Sensor, state: SensorState, t: float, depth: float) -> float
 
 
 def delay_fits(sensor: Sensor) -> tuple:
-    """The requirement that the samples kept reach back as far as the delay."""
+    """Returns the requirement that the samples kept reach back as far as the delay."""
     fits = logical_and(sensor.delay >= 0.0, sensor.delay <= (HISTORY - 1) * sensor.period)
     return fits, f"sensor_delay at most {HISTORY - 1} times sensor_period"

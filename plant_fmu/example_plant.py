@@ -1,14 +1,15 @@
-"""Block ExamplePlant: x' = A_m x + B_m (omega u + theta' x + sigma), y = C x.
+"""Block ExamplePlant: the paper's illustrative example, whose theta the controller does not know.
 
-The paper's illustrative example (Maalouf et al. (2013), section 3.3; Hovakimyan and Cao (2010),
-page 29): theta is unknown to the controller. Dimensionless but for time.
+    x' = A_m x + B_m (omega u + theta' x + sigma),   y = C x
+
+Source: Maalouf et al. (2013), section 3.3; Hovakimyan and Cao (2010), page 29. Dimensionless but for time.
 """
 
 from dataclasses import dataclass
 
 from fmus.block import Block, NoValues, variable
+from fmus.block.guide import Experiment, Guide, Source
 from fmus.numerics import rk4_step
-from plant_fmu.example_plant_guide import GUIDE
 
 Vector = tuple[float, float]
 _BOOK = "Hovakimyan and Cao (2010), page 29, and public MATLAB programs; not printed in the paper"
@@ -47,7 +48,7 @@ class Outputs:
 
 
 def derivative(x: Vector, inputs: Inputs, p: Parameters) -> Vector:
-    """x' of the equation above."""
+    """Returns x'."""
     (a_11, a_12), (a_21, a_22) = p.state_matrix
     uncertainty = p.theta[0] * x[0] + p.theta[1] * x[1] + inputs.disturbance
     forcing = p.omega * inputs.control + uncertainty
@@ -68,6 +69,44 @@ def step(t: float, h: float, state: State, inputs: Inputs, p: Parameters, calcul
 def output(t: float, state: State, p: Parameters, calculated: NoValues) -> Outputs:
     x, c = state.x, p.output_vector
     return Outputs(state=x, output=c[0] * x[0] + c[1] * x[1])
+
+
+GUIDE = Guide(
+    equations="""\
+x' = A_m x + B_m (omega u + theta^T x + sigma)
+y  = C x
+""",
+    conventions=(
+        "Dimensionless but for time; control is u, disturbance is sigma, which enters where the control"
+        " does.",
+    ),
+    tuning=(
+        "theta and omega are what a controller does not know; change them to see how much it bears.",
+        "internal_step is the step of a classical Runge-Kutta method of fourth order; it should be short"
+        " against the fastest eigenvalue of A_m + B_m theta^T.",
+    ),
+    limits=(
+        "Without control the start values are unstable: A_m + B_m theta^T has an eigenvalue of +0.47, so"
+        " an open loop grows without bound.",
+        "The control is held over a communication step; a fast controller needs a short one.",
+        "x(0) = 0 is assumed, the paper does not say.",
+    ),
+    sources=(
+        Source(
+            "Maalouf, Chemori and Creuze: A new extension of the L1 adaptive controller to drastically"
+            " reduce the tracking time lags, NOLCOS 2013, section 3.3.",
+            "https://hal-lirmm.ccsd.cnrs.fr/lirmm-00841558",
+        ),
+        Source("N. Hovakimyan and C. Cao: L1 Adaptive Control Theory, SIAM, 2010, page 29."),
+    ),
+    experiment=Experiment(
+        stop_time=2.0,
+        stimuli=(
+            ("control", ((0.2, 0.0), (0.4, 1.0), (1.0, 1.0), (1.5, -2.0))),
+            ("disturbance", ((1.2, 0.0), (1.4, 0.5))),
+        ),
+    ),
+)
 
 
 BLOCK = Block(

@@ -14,12 +14,12 @@ GRAVITY = 9.81  # m/s2
 
 
 def body_to_earth(roll: float, pitch: float) -> float:
-    """J(roll, pitch) = cos(roll) cos(pitch), for angles in rad."""
+    """Returns J(roll, pitch) = cos(roll) cos(pitch), for angles in rad."""
     return cos(roll) * cos(pitch)
 
 
 def buoyancy(z: float, submerged: float, density: float, waterplane_area: float) -> float:
-    """B(z) [N]: `submerged` under water, less rho g A per metre that has emerged, never negative.
+    """Returns B(z) [N]: `submerged` under water, less rho g A per metre that has emerged, never negative.
 
     Vertical-sided approximation: the vehicle emerges by -z when its top is above the surface.
     """
@@ -28,10 +28,10 @@ def buoyancy(z: float, submerged: float, density: float, waterplane_area: float)
 
 
 def damping(relative_velocity: float, linear: float, quadratic: float) -> float:
-    """D_z w_r + D_q |w_r| w_r [N], opposing the motion through the water."""
+    """Returns D_z w_r + D_q |w_r| w_r [N], opposing the motion through the water."""
     return (linear + quadratic * absolute(relative_velocity)) * relative_velocity
 
 
 def acceleration(thrust: float, external: float, restoring: float, drag: float, inertia: float) -> float:
-    """w' [m/s2] of (10), restoring = J (W - B)."""
+    """Returns w' [m/s2] of (10), restoring = J (W - B)."""
     return (thrust + external + restoring - drag) / inertia

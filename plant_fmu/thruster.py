@@ -26,7 +26,7 @@ _LEAST_DEPTH = 1e-9  # m; what is less counts as no ventilation
 
 @dataclass(frozen=True)
 class Thruster:
-    """What characterises a thruster; `ideal` switches all but the gain off.
+    """Thruster; `ideal` switches all but the gain off.
 
     reverse_ratio: gain of negative voltages over that of positive ones
     curvature, curve_voltage: c and v_c [V]
@@ -45,7 +45,7 @@ class Thruster:
 
 
 def steady_force(thruster: Thruster, voltage: float, efficiency: float) -> float:
-    """Force [N] that the submerged thruster settles at under a constant voltage."""
+    """Returns the force [N] at which the submerged thruster settles under a constant voltage."""
     saturated = clip(voltage, -thruster.limit, thruster.limit)
     size = maximum(absolute(saturated) - thruster.dead_zone, 0.0)
     curve = (1.0 - thruster.curvature) + thruster.curvature * size / thruster.curve_voltage
@@ -55,7 +55,7 @@ def steady_force(thruster: Thruster, voltage: float, efficiency: float) -> float
 
 
 def force_after(thruster: Thruster, force: float, steady: float, elapsed: float) -> float:
-    """Force [N] `elapsed` s after it was `force`: the exact answer of limit and lag to a held voltage.
+    """Returns the force [N] `elapsed` s after it was `force`: the exact answer of limit and lag to a voltage.
 
     Where the lag alone would change the force faster than R, it changes by R a second until it would not.
     """
@@ -65,17 +65,18 @@ def force_after(thruster: Thruster, force: float, steady: float, elapsed: float)
     away = force - steady
     limited = where(is_limited, maximum(absolute(away) / rate - lag, 0.0), 0.0)  # s
     begins = where(is_limited, clip(away, -rate * lag, rate * lag), away)
-    lagging = where(elapsed < limited, 0.0, elapsed - limited)  # s; of slope 1 at 0, which a maximum has not
+    # s; of slope 1 at 0, which a maximum has not
+    lagging = where(elapsed < limited, 0.0, elapsed - limited)
     left = where(is_limited, _left(lag, lagging), _left(lag, elapsed))
     return where(elapsed < limited, force - sign(away) * rate * elapsed, steady + begins * left)
 
 
 def _left(lag: float, elapsed: float) -> float:
-    """What is left of a difference after some time [s], 1 at its start."""
+    """Returns the share that is left of a difference after some time [s], 1 at its start."""
     return where(lag > _SHORTEST_LAG, exp(-elapsed / maximum(lag, _SHORTEST_LAG)), 0.0)
 
 
 def submerged_share(depth: float, full_depth: float, ideal: bool) -> float:
-    """Share of its thrust that a propeller gives at a depth [m]; 1 from `full_depth` on, or if that is 0."""
+    """Returns the share of thrust that a propeller gives at a depth [m]; 1 from `full_depth` on or if 0."""
     share = clip(depth / maximum(full_depth, _LEAST_DEPTH), 0.0, 1.0)
     return where(logical_and(logical_not(ideal), full_depth > _LEAST_DEPTH), share, 1.0)

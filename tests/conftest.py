@@ -13,7 +13,7 @@ from hypothesis import settings
 
 from fmus import platforms
 from fmus.block import Block
-from fmus.block.instance import Instance
+from fmus.block.instance import BlockInstance
 from fmus.build import builder
 from fmus.build.stamp import Order
 from fmus.errors import ExportError
@@ -166,7 +166,7 @@ class Driver:
     """An instance whose variables go by name."""
 
     def __init__(self, block: Block, **values: float) -> None:
-        self.instance = Instance(block, "test")
+        self.instance = BlockInstance(block, "test")
         self.references = {v.name: v.value_reference for v in block.variables}
         for name, value in values.items():
             self[name] = value

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from fmus.build import archive
+from fmus.build import model_description
 from fmus.files import write_archive
 from fmus.native.toolchain import compile_library
 from fmus.platforms import host_platform, library_name
@@ -233,9 +233,9 @@ def _write(
     library = _compiled(path.parent, model, "".join(f"#define {name} {macros[name]}\n" for name in macros))
     content = [*capabilities.numbers(), *(v.start for v in variables), *numbers]
     config = struct.pack(f"{len(content)}d", *content)
-    xml = _description(model, archive.GUID, variables, capabilities, declares_dependencies)
+    xml = _description(model, model_description.GUID, variables, capabilities, declares_dependencies)
     recipe = hashlib.sha256(library + config).hexdigest()
-    guid, members = archive.with_guid({"modelDescription.xml": xml}, recipe)
+    guid, members = model_description.with_guid({"modelDescription.xml": xml}, recipe)
     reserved = _CONFIG_MARK.ljust(_GUID_SIZE + len(config), b"\0")
     assert library.count(reserved) == 1
     configured = library.replace(reserved, guid.encode().ljust(_GUID_SIZE, b"\0") + config)

@@ -342,7 +342,7 @@ def test_what_is_declared_is_imported() -> None:
         ),
         ("matplotlib", {"orchestration.results.figures"}),
         ("plotly", {"orchestration.report.render"}),
-        ("PIL", {"fmus.build.documentation.icon"}),
+        ("PIL", {"fmus.build.documentation.terminals_and_icon"}),
         ("pint", {"fmus.block.units"}),
     ],
 )

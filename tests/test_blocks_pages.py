@@ -2,11 +2,7 @@
 
 import runpy
 from pathlib import Path
-from types import ModuleType
 
-import pytest
-
-from controller_fmu import adrc, mrac, pid, sliding_mode, super_twisting
 from fmus.build.new_block import write_new_block
 
 from .page_examples import examples
@@ -24,20 +20,6 @@ def test_the_reference_of_controllers_is_what_the_code_gives() -> None:
     """Printed by `python .ci/controllers_page.py`."""
     page = runpy.run_path(str(ROOT / ".ci" / "controllers_page.py"))["page"]()
     assert (ROOT / "docs" / "reference" / "controllers.md").read_text(encoding="utf-8") == page
-
-
-@pytest.mark.parametrize("module", [adrc, mrac, pid, sliding_mode, super_twisting])
-def test_the_docstring_of_a_law_has_the_equations_of_its_guide(module: ModuleType) -> None:
-    """A line of the guide that is of the law alone stands in the docstring, but for blanks."""
-    docstring = " ".join((module.__doc__ or "").split())
-    own = [
-        line for line in module.GUIDE.equations.splitlines() if not line.startswith(("voltage_i", "observer"))
-    ]
-    missing = [
-        line for line in own if " ".join(line.removesuffix("   in a step of h s").split()) not in docstring
-    ]
-    assert own
-    assert not missing
 
 
 def test_the_tutorial_shows_the_block_that_new_writes(tmp_path: Path) -> None:

@@ -24,21 +24,21 @@ _SMALLEST = 1e-300  # keeps a share of no gain finite
 
 
 class AdaptationLaw(IntEnum):
-    """How the estimates follow from the prediction error: here, or in `piecewise.py`."""
+    """Law by which the estimates follow from the prediction error."""
 
     PROJECTION = 1
     PIECEWISE_CONSTANT = 2
 
 
 class Regressor(IntEnum):
-    """What theta_hat multiplies."""
+    """Regressor that theta_hat multiplies."""
 
     INFINITY_NORM = 1
     STATE = 2
 
 
 class InputGainRegressor(IntEnum):
-    """The control that omega_hat learns from."""
+    """Regressor of the input gain: the control that omega_hat learns from."""
 
     ADAPTIVE_CONTROL = 1
     ADAPTIVE_CONTROL_AND_EXTENSION = 2
@@ -73,7 +73,7 @@ class Estimates:
 
 @dataclass(frozen=True)
 class Interval:
-    """What is known of the time between two measurements.
+    """Interval between two measurements.
 
     duration [s]; x at both ends; u_ap: the control that the plant received less u_m, that is u_a + u_p + u_f
     and what saturation took away; u_a: its part that precedes the extension
@@ -87,7 +87,7 @@ class Interval:
 
 
 def regressor(kind: Regressor, x: Vector) -> Vector:
-    """phi, the vector that theta_hat multiplies: (|x|_inf, 0) over numbers in SI units, or x."""
+    """Returns phi, the vector that theta_hat multiplies: (|x|_inf, 0) over numbers in SI units, or x."""
     by_norm = kind == Regressor.INFINITY_NORM
     norm = maximum(absolute(x[0]), absolute(x[1]))
     return where(by_norm, norm, x[0]), where(by_norm, 0.0, x[1])
@@ -96,7 +96,7 @@ def regressor(kind: Regressor, x: Vector) -> Vector:
 def adapt(
     before: Estimates, over: Interval, parameters: AdaptationParameters, matrices: LawMatrices
 ) -> tuple[Estimates, float]:
-    """The estimates at the end of the interval, and the mean of theta_hat' phi + sigma_hat over it.
+    """Returns the estimates at the end of the interval, and the mean of theta_hat' phi + sigma_hat over it.
 
     The mean takes phi from the end of the interval, the newest that is known.
     """
@@ -153,7 +153,7 @@ def _with_newest(
     newest: Vector,
     parameters: AdaptationParameters,
 ) -> float:
-    """theta_hat' phi + sigma_hat with the newest phi, within what the bounds of the estimates allow."""
+    """Returns theta_hat' phi + sigma_hat with the newest phi, limited to what the estimates' bounds allow."""
     p, change = parameters, (newest[0] - phi[0], newest[1] - phi[1])
     known = known + 0.5 * (dot(before.theta_hat, change) + dot(after.theta_hat, change))
     largest = p.theta_bound[0] * absolute(newest[0]) + p.theta_bound[1] * absolute(newest[1]) + p.sigma_bound
@@ -170,7 +170,7 @@ class _Factors:
 def _projection_factors(
     estimates: Estimates, phi: Vector, s: float, u_omega: float, parameters: AdaptationParameters
 ) -> _Factors:
-    """Proj(th, y) / y of each estimate, for rates -s phi, -s and -s u_omega: only their signs matter."""
+    """Returns Proj(th, y) / y of each estimate, for rates -s phi, -s and -s u_omega: their signs matter."""
     p, eps = parameters, parameters.projection_tolerance
     away = estimates.omega_hat - p.input_gain
     return _Factors(
@@ -184,6 +184,6 @@ def _projection_factors(
 
 
 def _sinc(square: float) -> float:
-    """sin(a) / a for the square of a."""
+    """Returns sin(a) / a for the square of a."""
     angle = sqrt(maximum(square, _SMALL_SQUARE))
     return sin(angle) / angle

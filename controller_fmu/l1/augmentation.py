@@ -22,24 +22,24 @@ class Augmentation(IntEnum):
 
 
 class Threshold(IntEnum):
-    """What the threshold delta of the nonlinear P is."""
+    """Kind of the threshold delta of the nonlinear P."""
 
     FIXED = 1
     PROPORTIONAL_TO_REFERENCE = 2
 
 
 def proportional_integral(e: float, integral: float, k_p: float, k_i: float) -> float:
-    """(7): u_p from the tracking error and its integral."""
+    """Returns u_p from the tracking error and its integral, (7)."""
     return -k_p * e - k_i * integral
 
 
 def threshold(kind: Threshold, delta: float, floor: float, r: float) -> float:
-    """delta, or delta |r|, but at least `floor`, which must be positive: (8) divides by it."""
+    """Returns delta, or delta |r|, but at least `floor`, which must be positive: (8) divides by it."""
     return maximum(where(kind == Threshold.FIXED, delta, delta * absolute(r)), floor)
 
 
 def nonlinear_proportional(e: float, delta: float, alpha: float, a_1: float, a_2: float) -> float:
-    """(8): low gain on large errors, high gain on small ones; continuous where a_1 = a_2."""
+    """Returns u_p of (8): low gain on large errors, high gain on small ones; continuous where a_1 = a_2."""
     large = a_1 * power(absolute(e), alpha) * sign(e)
     small = a_2 * e / power(delta, 1.0 - alpha)
     return -where(absolute(e) > delta, large, small)

@@ -5,7 +5,7 @@ z points down. Source: Maalouf et al. (2013), section 4.
 
 from dataclasses import asdict, dataclass
 
-from controller_fmu import depth_interface
+from controller_fmu import depth_interface, shared_guide
 from controller_fmu.depth_interface import (
     DampingParameter,
     DepthInputs,
@@ -17,18 +17,18 @@ from controller_fmu.depth_interface import (
 )
 from controller_fmu.depth_model import DepthMatrices, ModelParameters, depth_matrices
 from controller_fmu.l1 import law as l1
-from controller_fmu.l1.depth_controller_guide import GUIDE
 from controller_fmu.l1.feedforward import reference_feedforward
 from controller_fmu.l1.law import Control, LawState, Measurement
 from controller_fmu.l1.matrices import SampledLawMatrices, law_requirements, sampled_prediction
-from controller_fmu.l1.parameters import LawParameters
+from controller_fmu.l1.parameters import EQUATIONS, LAW_LIMITS, LawParameters
 from controller_fmu.l1.second_order import Matrix, Vector
 from fmus.block import Block, variable
+from fmus.block.guide import Guide, Source
 
 
 @dataclass(frozen=True)
 class Parameters(ModelParameters, DampingParameter, InertiaParameter, ObservedParameters, LawParameters):
-    """Gains are tunable at communication points, structural choices fixed."""
+    """Parameters: gains are tunable at communication points, structural choices fixed."""
 
     depth_feedback_gain: float = variable(
         1.895, "k_m of the depth", unit="N/m", min=1e-6, max=1e6, source="identified, docs/fidelity.md"
@@ -136,7 +136,7 @@ def requirements(p: Parameters, matrices: Matrices) -> tuple:
 
 
 def initial_state(t: float, inputs: DepthInputs, p: Parameters, matrices: Matrices) -> State:
-    """At rest on the first measurement: no estimate, no adaptive control, prediction = state."""
+    """Returns the state at rest on the first measurement: no estimate, no adaptive control."""
     interface = depth_interface.first_state(t, inputs, p)
     return State(l1.initial_law(_measurement(interface.measured, matrices), p.input_gain), interface)
 
@@ -183,6 +183,57 @@ def _state_feedback(p: Parameters) -> Vector:
 
 def _control(law: LawState, p: Parameters) -> Control:
     return l1.control(law, _state_feedback(p), p)
+
+
+GUIDE = Guide(
+    equations=EQUATIONS
+    + """
+x            = (z, z'),   A_m = [[0, 1], [-k_m1 / M_z, -(D_z + k_m2) / M_z]],   B_m = [0, 1 / M_z]   (13)
+"""
+    + shared_guide.OBSERVER_AND_ALLOCATION,
+    conventions=shared_guide.CONVENTIONS,
+    tuning=(
+        "Begin with the vehicle: model_inertia with added mass, model_damping, thruster_gain (N/V,"
+        " measured) and voltage_limit. What is wrong here, the adaptation has to make up for.",
+        "depth_feedback_gain and rate_feedback_gain make A_m, the dynamics that the loop is given. On a"
+        " ramp the plain law lags by about (model_damping + rate_feedback_gain) / depth_feedback_gain"
+        " seconds, and the filter adds about 1 / filter_bandwidth.",
+        "filter_bandwidth: more lets the adaptive control act faster, and lets more noise and less margin"
+        " to delays into the loop.",
+        "adaptation_gain: more makes the estimates faster and noisier. It needs no shorter step, but the"
+        " margin to sensor delay is smaller at 1000 than at 100, and a little larger again at 1e4: watch"
+        " sigma_hat and the voltages, not the depth alone.",
+        "theta_bound and sigma_bound enclose what must be compensated, in N; sigma_hat has to reach the"
+        " net buoyancy. An estimate that stays on its bound says that the bound is too small or the loop"
+        " too fast.",
+        "Against the lag, set augmentation to pi: proportional_gain first, then little integral_gain; or"
+        " to nonlinear_p, with a_1 = a_2 where the control should not jump at |e| = delta.",
+        "If the derivatives of the reference are known, drive depth_reference_rate and"
+        " depth_reference_acceleration and set reference_feedforward: inside leaves the lag of the filter,"
+        " outside none. It combines with augmentation, which then acts on what error is left.",
+        "adaptation_law piecewise_constant needs no adaptation_gain and no bounds, and has no fast loop, but"
+        " differentiates the depth rate over adaptation_period: its estimates are noisier. A slow"
+        " prediction_error_matrix A_s leaves the smallest offset; a Ts below the period of the depth sensor"
+        " adds noise alone.",
+        shared_guide.OBSERVER_TUNING,
+    ),
+    limits=(
+        *LAW_LIMITS,
+        "The paper publishes no gain of its vehicle: those here were fitted to the nominal row of its"
+        " Table 1, or are guesses, as the column Source says, and were tried on the vehicle of"
+        " RovDepthPlant alone.",
+        "Tried on that plant, holding 0.8 m: with adaptation_gain 100 a sensor delay of 200 ms is harmless;"
+        " with 1000, 60 ms make the depth oscillate.",
+        shared_guide.VEHICLE_LIMIT,
+    ),
+    sources=(
+        shared_guide.PAPER,
+        shared_guide.OBSERVER_SOURCE,
+        Source("T. Benedict and G. Bordner: Synthesis of an optimal set of radar track-while-scan smoothing"
+               " equations, IRE Transactions on Automatic Control, 1962 (beta of an alpha)."),
+    ),
+    experiment=shared_guide.EXPERIMENT,
+)  # fmt: skip
 
 
 BLOCK = Block(

@@ -17,7 +17,7 @@ _ROUNDING = 1e-12  # of |C| |B_m|
 
 
 class ReferenceFeedforward(IntEnum):
-    """Where f acts: nowhere, in the low-pass filter in place of k_g r, or added behind it."""
+    """Place where the reference feedforward f acts: none, inside the filter for k_g r, or added behind it."""
 
     NONE = 1
     INSIDE = 2
@@ -25,14 +25,14 @@ class ReferenceFeedforward(IntEnum):
 
 
 def reference_feedforward(r: float, rate: float, acceleration: float, matrices: LawMatrices) -> float:
-    """f for the reference r, its rate and its acceleration."""
+    """Returns f for the reference r, its rate and its acceleration."""
     m = matrices
     of_rates = m.feedforward_rate_gain * rate + m.feedforward_acceleration_gain * acceleration
     return m.feedforward_gain * r + of_rates
 
 
 def feedforward_requirement(kind: ReferenceFeedforward, b: Vector, c: Vector) -> tuple[bool, str]:
-    """C B_m = 0, or no feedforward: else f would depend on the past of r as well."""
+    """Returns the requirement C B_m = 0 of a feedforward: else f would depend on the past of r as well."""
     is_relative_degree_two = absolute(dot(c, b)) <= _ROUNDING * sqrt(dot(c, c) * dot(b, b))
     return (
         logical_or(kind == ReferenceFeedforward.NONE, is_relative_degree_two),

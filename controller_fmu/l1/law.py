@@ -52,7 +52,7 @@ class StepParameters(ControlParameters, AdaptationParameters, SampledParameters)
 
 @dataclass(frozen=True)
 class Measurement:
-    """What the law is given at one time: state x, output y, reference r and its feedforward f."""
+    """Measurement at one time: state x, output y, reference r and its feedforward f."""
 
     x: Vector = (0.0, 0.0)
     y: float = 0.0
@@ -67,7 +67,7 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Held:
-    """The control u that the plant received, its part u_a that precedes the extension, and for how long [s].
+    """Held control: u that the plant received, its part u_a that precedes the extension, its duration [s].
 
     A feedforward outside the filter is part of u_a here, as it is where it acts inside.
     """
@@ -79,7 +79,7 @@ class Held:
 
 @dataclass(frozen=True)
 class LawState:
-    """What evolves.
+    """State of the law.
 
     `estimates` are those of the time of `measured`, the last measurement, or of the last sample of the
     piecewise-constant law; `sample.x` is the state at that time. `held` is the control that the plant
@@ -109,12 +109,12 @@ class Control:
 
 
 def initial_law(measured: Measurement, omega: float) -> LawState:
-    """The prediction begins at the measured state, theta_hat and sigma_hat at zero."""
+    """Returns the state with the prediction at the measured state, theta_hat and sigma_hat at zero."""
     return LawState(measured, Estimates(omega_hat=omega), sample=Sample(measured.x))
 
 
 def extension(parameters: ExtensionParameters, e: float, integral: float, r: float) -> float:
-    """u_p of the chosen augmentation."""
+    """Returns u_p of the chosen augmentation."""
     p = parameters
     pi = augmentation.proportional_integral(e, integral, p.proportional_gain, p.integral_gain)
     delta = augmentation.threshold(p.threshold, p.nonlinear_threshold, p.threshold_floor, r)
@@ -126,7 +126,7 @@ def extension(parameters: ExtensionParameters, e: float, integral: float, r: flo
 
 
 def control(law: LawState, k_m: Vector, parameters: ControlParameters) -> Control:
-    """u = u_m + u_a + u_p + u_f, until the next step."""
+    """Returns u = u_m + u_a + u_p + u_f, until the next step."""
     last, is_outside = law.measured, parameters.reference_feedforward == ReferenceFeedforward.OUTSIDE
     return Control(
         u_m=-dot(k_m, last.x),
@@ -137,7 +137,7 @@ def control(law: LawState, k_m: Vector, parameters: ControlParameters) -> Contro
 
 
 def predicted_state(law: LawState) -> Vector:
-    """x_hat at the time of the prediction error."""
+    """Returns x_hat at the time of the prediction error."""
     x, x_tilde = law.sample.x, law.estimates.x_tilde
     return x[0] + x_tilde[0], x[1] + x_tilde[1]
 
@@ -153,7 +153,7 @@ def law_step(
     parameters: StepParameters,
     matrices: SampledLawMatrices,
 ) -> LawState:
-    """The law h seconds later: estimates of the time of `now`, filter and integral of the step's end.
+    """Returns the law h seconds later: estimates of the time of `now`, filter and integral of the step's end.
 
     u: the control of `law`, demanded during this step
     delivered: what the actuator makes of it, by which the prediction is driven
@@ -196,7 +196,10 @@ def law_step(
 def _filter_reference(
     now: Measurement, omega: float, parameters: ControlParameters, matrices: LawMatrices
 ) -> float:
-    """v, which the filter drives eta_hat to; with f outside, the part of f that the input gain takes away."""
+    """Returns v, to which the filter drives eta_hat.
+
+    With f outside, it is the part of f that the input gain takes away.
+    """
     kind = parameters.reference_feedforward
     without = where(
         kind == ReferenceFeedforward.OUTSIDE, (1.0 - omega) * now.f, matrices.feedforward_gain * now.r

@@ -19,7 +19,7 @@ from fmus.numerics import where
 
 
 class FilterOrder(IntEnum):
-    """C(s) of the control law."""
+    """Order of C(s) in the control law."""
 
     FIRST = 1
     THIRD = 3
@@ -27,7 +27,7 @@ class FilterOrder(IntEnum):
 
 @dataclass(frozen=True)
 class FilterState:
-    """u_a in the unit of the control, p_1 and p_2 used by the third order alone."""
+    """State of the filter: u_a in the unit of the control; p_1 and p_2, used by the third order alone."""
 
     u_a: float = 0.0
     p_1: float = 0.0
@@ -35,7 +35,7 @@ class FilterState:
 
 
 def midpoint_response(order: FilterOrder, w: float, filter: FilterState, half: float) -> tuple[float, float]:
-    """(free, gain) of u_a = free - gain v at the middle of a step of 2 `half` s, v the mean input."""
+    """Returns (free, gain) of u_a = free - gain v at the middle of a step of 2 `half` s, v the mean input."""
     slope = half * (3.0 * w**2 + half * w**3) / (1.0 + 3.0 * w * half)
     third = order == FilterOrder.THIRD
     free = filter.u_a + where(third, half * w**3 * filter.p_2 + slope * filter.p_1, 0.0)
@@ -46,10 +46,10 @@ def midpoint_response(order: FilterOrder, w: float, filter: FilterState, half: f
 def advance(
     order: FilterOrder, w: float, filter: FilterState, half: float, v: float, saturation_error: float = 0.0
 ) -> FilterState:
-    """The filter 2 `half` s later by the implicit midpoint rule, its input being `v` midway.
+    """Returns the filter 2 `half` s later by the implicit midpoint rule, its input being `v` midway.
 
-    saturation_error: what the actuator delivers minus what is demanded. While it is not 0, a state whose
-    change would widen it is held: u_a grows with every state, so each tells by its own sign.
+    saturation_error: delivered minus demanded control. While it is not 0, a state whose change would widen it
+    is held: u_a grows with every state, so the sign of each change decides.
     """
     free, gain = midpoint_response(order, w, filter, half)
     u_a = free - gain * v
@@ -64,5 +64,5 @@ def advance(
 
 
 def _held(before: float, midway: float, saturation_error: float) -> float:
-    """The value after the step, or before it where the change would widen the saturation error."""
+    """Returns the value after the step, or before it where the change would widen the saturation error."""
     return where(widens(saturation_error, midway - before), before, 2.0 * midway - before)

@@ -1,4 +1,4 @@
-"""What follows from a design alone: P, P B_m and k_g of A_m, B_m, C and Q, and the gains of two additions.
+"""Matrices and gains of a design: P, P B_m and k_g of A_m, B_m, C and Q, and the gains of two additions.
 
     A_m' P + P A_m = -Q,    k_g = -1 / (C A_m^-1 B_m)
 
@@ -24,7 +24,7 @@ _FASTEST = 20.0  # of -tr(A_s) Ts: beyond it nothing of a disturbance would be e
 
 @dataclass(frozen=True)
 class LawMatrices:
-    """What follows from the parameters alone."""
+    """Matrices and gains of the law, calculated from the parameters alone."""
 
     predictor_matrix: Matrix = variable(((0.0, 1.0), (-1.0, -1.4)), "A_m, desired dynamics")
     predictor_input: Vector = variable((0.0, 1.0), "B_m, input column")
@@ -37,7 +37,7 @@ class LawMatrices:
 
 @dataclass(frozen=True)
 class SampledPrediction:
-    """What the piecewise-constant law needs besides."""
+    """Matrices of the sampled prediction, which the piecewise-constant law needs besides."""
 
     unmatched_input: Vector = variable((1.0, 0.0), "B_u, unit vector at right angles to B_m")
     error_transition: Matrix = variable(((1.0, 0.0), (0.0, 1.0)), "e^(A_s Ts)")
@@ -49,7 +49,7 @@ class SampledPrediction:
 
 @dataclass(frozen=True)
 class SampledLawMatrices(LawMatrices, SampledPrediction):
-    """For both laws."""
+    """Matrices of both laws."""
 
 
 class RequiredParameters:
@@ -62,7 +62,7 @@ class RequiredParameters:
 
 
 def law_matrices(a_m: Matrix, b: Vector, c: Vector, q: Vector) -> LawMatrices:
-    """P, P B_m, k_g and the gains of f; A_m must be Hurwitz and C A_m^-1 B_m not zero."""
+    """Returns P, P B_m, k_g and the gains of f; A_m must be Hurwitz and C A_m^-1 B_m not zero."""
     (a_11, a_12), (a_21, a_22) = a_m
     determinant = a_11 * a_22 - a_12 * a_21
     p = lyapunov_solution(a_m, q)
@@ -83,7 +83,7 @@ def law_matrices(a_m: Matrix, b: Vector, c: Vector, q: Vector) -> LawMatrices:
 
 
 def sampled_prediction(b: Vector, a_s: Matrix, period: float) -> SampledPrediction:
-    """Of the prediction error x_tilde' = A_s x_tilde + ..., sampled every `period` [s].
+    """Returns the matrices of the prediction error x_tilde' = A_s x_tilde + ..., sampled every `period` [s].
 
     An A_s that `law_requirements` refuses is replaced by one that can be computed.
     """
@@ -102,7 +102,7 @@ def sampled_prediction(b: Vector, a_s: Matrix, period: float) -> SampledPredicti
 
 
 def law_requirements(parameters: RequiredParameters, a_m: Matrix) -> tuple[tuple[bool, str], ...]:
-    """A_m and A_s are Hurwitz, A_s is not too fast for its period, and omega_hat cannot reach zero."""
+    """Returns the requirements: A_m and A_s Hurwitz, A_s not too fast for its period, omega_hat above 0."""
     p = parameters
     return (
         (is_hurwitz(a_m), "a Hurwitz A_m (trace < 0 and determinant > 0)"),

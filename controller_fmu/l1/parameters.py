@@ -43,9 +43,29 @@ x_hat'       = A_m x + A_s x_tilde + B_m (omega_hat (u_a + u_p + u_f) + sigma_ha
 """
 
 
+LAW_LIMITS = (
+    "The L1-norm condition covers the law without the extension u_p and with perfect measurements; delays"
+    " and the lag of an actuator are outside it. The paper proves nothing about the loop with the"
+    " extension. This FMU checks neither.",
+    "Where input_gain_uncertainty is not 0, omega_hat multiplies u_a + u_p but learns from u_a alone:"
+    " another reason why the proof does not cover the extension. input_gain_regressor lets it learn from"
+    " both, which restores the Lyapunov argument and not the accuracy.",
+    "While the actuator saturates, the prediction is driven by what it delivers, and the states of the"
+    " filter and the integral of the PI are held where their change would demand still more. Noise that"
+    " touches the limit all the time therefore slows them: keep the limit some noise above the demand.",
+    "The reference feedforward and the piecewise-constant law are not from the paper. The feedforward is"
+    " exact for the assumed A_m and a reference whose derivatives are given; at a corner of the reference"
+    " its acceleration is an impulse, which is left out. The piecewise-constant law estimates e^(A_s Ts)"
+    " times the disturbance, and has no bounds.",
+    "The prediction is driven by the control that this FMU put out, held from one communication point to"
+    " the next: internal_step should not be shorter than a communication step. Where the inputs of a step"
+    " are those of its end (Gauss-Seidel), set inputs_at_step_end.",
+)
+
+
 @dataclass(frozen=True)
 class LawParameters(StepParameters, RequiredParameters):
-    """What every block with this law has in common; units that depend on the plant are added there."""
+    """Parameters of every block with this law; units that depend on the plant are added there."""
 
     internal_step: float = variable(
         10.0, "Longest internal step; one for each communication step is best", unit="s", min=1e-7, max=10.0,

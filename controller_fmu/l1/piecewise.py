@@ -34,7 +34,7 @@ class SampledParameters:
 
 @dataclass(frozen=True)
 class Sample:
-    """The state x at the last sample and what came since: duration [s], integrals of x and of u."""
+    """Sample: the state x there and, since then, the duration [s] and the integrals of x and of u."""
 
     x: Vector = (0.0, 0.0)
     duration: float = 0.0
@@ -49,10 +49,10 @@ def adapt_at_samples(
     parameters: SampledParameters,
     matrices: SampledLawMatrices,
 ) -> tuple[Estimates, float, Sample]:
-    """Estimates, the matched one of them, and the sample to go on from, at the end of the interval.
+    """Returns the estimates, the matched one of them, and the sample to go on from, at the interval's end.
 
-    A sample is due at the first measurement Ts or more after the last. What the disturbance was since then
-    is its mean, so a longer interval than Ts gives the estimates of that mean.
+    A sample is due at the first measurement Ts or more after the last. The estimates are those of the mean
+    disturbance since the last sample, also where that is longer than Ts.
     """
     h, x_0, x_1 = over.duration, over.x_0, over.x_1
     since = Sample(
@@ -73,12 +73,12 @@ def adapt_at_samples(
 def _estimates(
     before: Estimates, since: Sample, x: Vector, omega: float, matrices: SampledLawMatrices
 ) -> Estimates:
-    """The estimates at a sample at which the state is x."""
+    """Returns the estimates at a sample at which the state is x."""
     m, duration = matrices, maximum(since.duration, _SHORTEST)
     b, b_u = m.predictor_input, m.unmatched_input
 
     def excess(i: int) -> float:
-        """Of the estimates over the mean disturbance, component i."""
+        """Returns the excess of the estimates over the mean disturbance, component i."""
         explained = dot(m.predictor_matrix[i], since.x_integral) + b[i] * omega * since.u_integral
         disturbance = (x[i] - since.x[i] - explained) / duration
         return b[i] * before.sigma_hat + b_u[i] * before.sigma_u - disturbance

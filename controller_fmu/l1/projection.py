@@ -14,15 +14,15 @@ _SMALLEST_BOUND = 1e-12  # keeps f finite for a parameter that may not move at a
 
 
 def boundary_function(estimate: float, bound: float, tolerance: float) -> float:
-    """f(th): at most 0 inside the boundary layer, 1 on the hard bound."""
+    """Returns f(th): at most 0 inside the boundary layer, 1 on the hard bound."""
     square = maximum(bound, _SMALLEST_BOUND) ** 2
     return ((1.0 + tolerance) * estimate * estimate - square) / (tolerance * square)
 
 
 def projection_factor(estimate: float, rate: float, bound: float, tolerance: float) -> float:
-    """Proj(th, y) / y: 1 inside or when moving inwards, falling to 0 on the bound.
+    """Returns Proj(th, y) / y: 1 inside or when moving inwards, falling to 0 on the bound.
 
-    0 for a bound of zero: such a parameter is held.
+    It is 0 for a bound of zero: such a parameter is held.
     """
     f = boundary_function(estimate, bound, tolerance)
     outwards = logical_and(f > 0.0, estimate * rate > 0.0)
@@ -31,10 +31,10 @@ def projection_factor(estimate: float, rate: float, bound: float, tolerance: flo
 
 
 def project(estimate: float, rate: float, bound: float, tolerance: float) -> float:
-    """Proj(th, y), the rate of an estimate that never leaves -th_max..th_max."""
+    """Returns Proj(th, y), the rate of an estimate that never leaves -th_max..th_max."""
     return rate * projection_factor(estimate, rate, bound, tolerance)
 
 
 def keep_within(estimate: float, bound: float) -> float:
-    """The estimate after a finite step, which may end beyond a bound that the flow only touches."""
+    """Returns the estimate after a finite step, limited to a bound that the flow only touches."""
     return clip(estimate, -bound, bound)

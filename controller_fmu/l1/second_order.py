@@ -9,7 +9,7 @@ _SMALL_SQUARE = 1e-16  # rad2; of an angle a for which sin(a) / a is 1 to the la
 
 
 def dot(first: Vector, second: Vector) -> float:
-    """Scalar product."""
+    """Returns the scalar product."""
     return first[0] * second[0] + first[1] * second[1]
 
 
@@ -20,7 +20,7 @@ def is_hurwitz(a: Matrix) -> bool:
 
 
 def lyapunov_solution(a_m: Matrix, q: Vector) -> Matrix:
-    """P of A_m' P + P A_m = -diag(q), by Cramer's rule on (p_11, p_12, p_22)."""
+    """Returns P of A_m' P + P A_m = -diag(q), by Cramer's rule on (p_11, p_12, p_22)."""
     (a, b), (c, d) = a_m
     trace, determinant = a + d, a * d - b * c
     scale = -0.5 / (trace * determinant)
@@ -31,7 +31,7 @@ def lyapunov_solution(a_m: Matrix, q: Vector) -> Matrix:
 
 
 def sampled_system(a: Matrix, period: float) -> tuple[Matrix, Matrix, Matrix]:
-    """E = e^(A T), Phi = A^-1 (E - I) and Phi^-1 E of a Hurwitz matrix, whatever its eigenvalues.
+    """Returns E = e^(A T), Phi = A^-1 (E - I) and Phi^-1 E of a Hurwitz matrix, whatever its eigenvalues.
 
     With D = A - m I, m half the trace, D^2 is d I, and with c = cosh(sqrt(d) T / 2) and
     s = sinh(sqrt(d) T / 2) / sqrt(d), or cos and sin where d < 0,
@@ -68,7 +68,7 @@ def _scaled(factor: float, a: Matrix) -> Matrix:
 
 
 def relaxed(a_m: Matrix, h: float, vector: Vector) -> Vector:
-    """The vector h seconds later under x' = A_m x, by the implicit midpoint rule."""
+    """Returns the vector h seconds later under x' = A_m x, by the implicit midpoint rule."""
     half = 0.5 * h
     (a_11, a_12), (a_21, a_22) = a_m
     m_11, m_12, m_21, m_22 = 1 - half * a_11, -half * a_12, -half * a_21, 1 - half * a_22

@@ -6,6 +6,7 @@ Hovakimyan and Cao (2010), page 29. Units are those of the plant at hand.
 
 from dataclasses import asdict, dataclass
 
+from controller_fmu import shared_guide
 from controller_fmu.l1 import law as l1
 from controller_fmu.l1.adaptation import Regressor
 from controller_fmu.l1.augmentation import Threshold
@@ -17,10 +18,10 @@ from controller_fmu.l1.matrices import (
     law_requirements,
     sampled_prediction,
 )  # fmt: skip
-from controller_fmu.l1.parameters import LawParameters
+from controller_fmu.l1.parameters import EQUATIONS, LAW_LIMITS, LawParameters
 from controller_fmu.l1.second_order import Matrix, Vector, dot
-from controller_fmu.l1.siso_controller_guide import GUIDE
 from fmus.block import Block, variable
+from fmus.block.guide import Experiment, Guide, Source
 from fmus.numerics import clip
 
 _BOOK = "Hovakimyan and Cao (2010), page 29, and public MATLAB programs; not printed in the paper"
@@ -28,7 +29,7 @@ _BOOK = "Hovakimyan and Cao (2010), page 29, and public MATLAB programs; not pri
 
 @dataclass(frozen=True)
 class Parameters(LawParameters):
-    """Gains are tunable at communication points, structural choices fixed."""
+    """Parameters: gains are tunable at communication points, structural choices fixed."""
 
     regressor: Regressor = variable(
         Regressor.STATE, "Regressor that theta_hat multiplies", variability="fixed"
@@ -155,6 +156,56 @@ def _measurement(inputs: Inputs, p: Parameters, matrices: SampledLawMatrices) ->
     r, x = inputs.reference, inputs.measured_state
     f = reference_feedforward(r, inputs.reference_rate, inputs.reference_acceleration, matrices)
     return Measurement(x=x, y=dot(p.output_vector, x), r=r, f=f)
+
+
+GUIDE = Guide(
+    equations=EQUATIONS
+    + """
+y            = C x,   u saturated at +-control_limit
+""",
+    conventions=(
+        "All quantities are in the units of the plant at hand, time in s; the description calls them"
+        " dimensionless.",
+        "tracking_error is e = y - r: positive when the output is above the reference.",
+        "prediction_error is x_hat - x, both of the time of the last measurement.",
+    ),
+    tuning=(
+        "state_matrix (A_m, Hurwitz), input_vector (B_m) and output_vector (C) are the dynamics wanted,"
+        " with feedback_gain k_m already in A_m: A_m = A - B_m k_m.",
+        "theta_bound, sigma_bound and input_gain_uncertainty enclose what is unknown; a bound of 0 holds"
+        " the estimate where it is.",
+        "filter_bandwidth: the L1-norm condition asks for a least one, 44.5 rad/s for the start values"
+        " with the first-order filter and 36.4 rad/s with the third-order one.",
+        "adaptation_gain may be large: a step turns prediction error and estimates by the angle of their"
+        " oscillation, exactly and however large.",
+        "The lag of the plain law is that of A_m, not of the filter; augmentation takes it away. With"
+        " nonlinear_p, a_1 = a_2 avoids a jump at |e| = delta; threshold_floor keeps delta from vanishing"
+        " where the reference crosses zero.",
+        "If the derivatives of the reference are known, drive reference_rate and reference_acceleration and"
+        " set reference_feedforward: inside leaves the lag of the filter, outside none. It needs C B_m = 0.",
+        "adaptation_law piecewise_constant has no fast loop and needs no gain or bounds; set"
+        " adaptation_period to the communication step, and prediction_error_matrix A_s so slow that"
+        " e^(A_s Ts) is near I.",
+    ),
+    limits=(
+        *LAW_LIMITS,
+        "Second order, one input, one output, the whole state measured.",
+        "Start values are the paper's illustrative example, a_1 and a_2 as printed: u_p then jumps by a"
+        " factor of 4 at |e| = delta.",
+    ),
+    sources=(
+        shared_guide.PAPER,
+        Source("N. Hovakimyan and C. Cao: L1 Adaptive Control Theory, SIAM, 2010 (the example, page 29)."),
+    ),
+    experiment=Experiment(
+        stop_time=4.0,
+        stimuli=(
+            ("reference", ((0.0, 1.175), (2.0, 1.425), (2.1, 1.5), (2.4, 1.5), (4.0, 1.675))),
+            ("measured_state[1]", ((0.0, 1.0), (4.0, 1.5))),
+            ("measured_state[2]", ((0.0, 0.125), (3.0, 0.125), (3.2, 0.13))),
+        ),
+    ),
+)
 
 
 BLOCK = Block(

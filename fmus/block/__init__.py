@@ -1,4 +1,4 @@
-"""One declaration per variable, from which everything else is derived.
+"""Blocks: one declaration of each variable, from which everything else is derived.
 
 A block is a set of dataclasses (parameters, calculated parameters, inputs, state, outputs) and
 pure functions between them. Nothing here knows FMI's XML or C: the model description, the
@@ -33,7 +33,7 @@ def variable(
     variability: Literal["fixed", "tunable"] | None = None,
     source: str = "",
 ) -> Start:
-    """Declare one variable of a block.
+    """Declares one variable of a block.
 
     start: float, int, bool or IntEnum member; a tuple declares a vector `name[1], name[2]`, a
         tuple of tuples a matrix `name[1,1]`, row by row.
@@ -45,7 +45,8 @@ def variable(
     source: where a number comes from: published, estimate or guess.
     """
     start = _plain(start)
-    if isinstance(start, list):  # which a dataclass refuses with a message about its own
+    # a dataclass refuses a list with a message about its own functions
+    if isinstance(start, list):
         raise TypeError(f"start {start!r}: expected a tuple")
     ranges = {"minimum": _plain(min), "maximum": _plain(max), "nominal": _plain(nominal)}
     texts = {"description": description, "source": source}
@@ -62,7 +63,7 @@ def _plain(value: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class ScalarVariable:
+class BlockVariable:
     """One scalar of a block's interface, in the terms of FMI 2.0 (2.2.7)."""
 
     name: str
@@ -92,11 +93,11 @@ class ScalarVariable:
         return self.causality in ("parameter", "input")
 
     def cast(self, value: Value) -> Value:
-        """The value in the Python type of the start value, or as enumeration member."""
+        """Returns the value in the Python type of the start value, or as enumeration member."""
         return (self.enumeration or type(self.start))(value)
 
     def refuse(self, value: Value) -> str | None:
-        """Why this value is not acceptable, or None if it is."""
+        """Returns the reason why a value is not acceptable, or None if it is."""
         low, high = self.minimum, self.maximum
         if not math.isfinite(value):
             return f"{self.name} = {value!r}: expected a finite number"
@@ -106,7 +107,7 @@ class ScalarVariable:
 
     @property
     def expected(self) -> str:
-        """Which values are acceptable, in words."""
+        """Values that are acceptable, in words."""
         if self.enumeration:
             return "one of " + ", ".join(f"{m.value} ({m.name.lower()})" for m in self.enumeration)
         unit = f" {self.unit}" if self.unit not in (None, "1") else ""
@@ -130,7 +131,7 @@ _ROLES = {
 
 @dataclass(frozen=True)
 class NoValues:
-    """Stands for a class of variables that a block does not have."""
+    """Class that stands for variables that a block does not have."""
 
 
 _STATE_AS_DECLARED: Any = None
@@ -191,7 +192,7 @@ class Block:
             object.__setattr__(self, "initial_state", lambda *_: self.state())
 
     def _mistakes(self) -> Iterator[str]:
-        """In the fields that are no classes and functions."""
+        """Yields the mistakes in the fields that are no classes and functions."""
         for name in ("name", "description", "version", "author", "license"):
             text = getattr(self, name)
             if not isinstance(text, str) and (text is not None or name in ("name", "description")):
@@ -204,15 +205,15 @@ class Block:
                 yield f"{name} {number!r}: expected a finite number of seconds above 0"
 
     @cached_property
-    def variables(self) -> tuple[ScalarVariable, ...]:
-        """Every interface scalar; its place is its value reference."""
-        scalars: list[ScalarVariable] = []
+    def variables(self) -> tuple[BlockVariable, ...]:
+        """Scalar variables of the interface; the place of each is its value reference."""
+        scalars: list[BlockVariable] = []
         for role in _ROLES:
             for declared in fields(getattr(self, role)):
                 scalars.extend(_scalars(declared, role, len(scalars)))
         return tuple(scalars)
 
-    def of_causality(self, causality: str) -> tuple[ScalarVariable, ...]:
+    def of_causality(self, causality: str) -> tuple[BlockVariable, ...]:
         return tuple(v for v in self.variables if v.causality == causality)
 
 
@@ -223,7 +224,7 @@ def is_frozen(cls: Any) -> bool:
 
 
 def _with_internal_step(parameters: type, start: float) -> type:
-    """The class with one more parameter, which its functions need not know."""
+    """Returns the class with one more parameter, which its functions need not know."""
     internal_step = variable(
         start, "Longest internal step", unit="s", min=_SHORTEST, max=_LONGEST, variability="fixed"
     )
@@ -232,13 +233,13 @@ def _with_internal_step(parameters: type, start: float) -> type:
     )
 
 
-def _scalars(declared: Field, role: str, first_reference: int) -> Iterator[ScalarVariable]:
+def _scalars(declared: Field, role: str, first_reference: int) -> Iterator[BlockVariable]:
     said = declared.metadata
     causality, variability, initial = _ROLES[role]
     for offset, (index, start) in enumerate(_elements(declared.default)):
         is_real = isinstance(start, float)
         discrete = "discrete" if variability == "continuous" and not is_real else variability
-        yield ScalarVariable(
+        yield BlockVariable(
             name=declared.name + (f"[{','.join(str(i + 1) for i in index)}]" if index else ""),
             value_reference=first_reference + offset,
             causality=causality,
@@ -268,7 +269,7 @@ def _at(value: Any, index: tuple[int, ...]) -> Any:
 
 
 def flatten(value: Any) -> list[Any]:
-    """The scalars of a dataclass instance or nested tuple, in the order of declaration."""
+    """Returns the scalars of a dataclass instance or nested tuple, in the order of declaration."""
     scalars: list[Any] = []
     _collect(value, scalars)
     return scalars
@@ -291,12 +292,12 @@ def _collect(value: Any, scalars: list[Any]) -> None:
 
 @cache
 def _member_names(cls: type) -> tuple[str, ...] | None:
-    """Of a dataclass; of any other class None."""
+    """Returns the names of a dataclass' members; None for any other class."""
     return tuple(member.name for member in fields(cls)) if is_dataclass(cls) else None
 
 
 def unflatten(template: Any, scalars: list[Any]) -> Any:
-    """The inverse of `flatten`: `scalars` in the shape of `template`, a class or an instance.
+    """Returns scalars in the shape of `template`, a class or an instance: the inverse of `flatten`.
 
     Raises ValueError when the number of scalars does not fit.
     """
@@ -325,5 +326,5 @@ def _fill(template: Any, scalars: Iterator[Any]) -> Any:
 
 @cache
 def _defaults(cls: type) -> tuple[Any, ...]:
-    """Of the members of a dataclass."""
+    """Returns the defaults of a dataclass' members."""
     return tuple(member.default for member in fields(cls))

@@ -1,4 +1,4 @@
-"""What a reader of a block's documentation should know, and the experiment that shows what it does.
+"""Guide to a block: what its documentation says besides the variables, and an experiment that shows it.
 
 Standard library only: a block's guide is a module beside the block, and an FMU of the python flavour
 carries both. Text is plain; whoever shows it escapes it.
@@ -11,7 +11,7 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True)
 class Source:
-    """Where something comes from; `url` may be empty."""
+    """Source of a statement or a number; `url` may be empty."""
 
     text: str
     url: str = ""
@@ -19,7 +19,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Experiment:
-    """A run from 0 s with all parameters at their start values.
+    """Experiment from 0 s with all parameters at their start values.
 
     stop_time, step_size: in s; None stands for what the block says.
     stimuli: (input, ((time [s], value), ...)) of inputs that move: straight lines between the points,
@@ -34,7 +34,7 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Guide:
-    """What is particular to a block.
+    """Guide: what is particular to a block.
 
     equations: lines as they should be read, in ASCII.
     conventions, tuning, limits: one sentence or a few for each item.

@@ -10,19 +10,19 @@ import sys
 from itertools import accumulate
 from typing import Any
 
-from fmus.block import Block, ScalarVariable, Value, flatten, unflatten
+from fmus.block import Block, BlockVariable, Value, flatten, unflatten
 
 _FORMAT = 1  # of the serialised snapshot
 _MOST_INTERNAL_STEPS = 1e9
 
 
 def _tolerance(t: float, h: float) -> float:
-    """Of a communication point [s], computed in floating point: far less than a step, more than rounding."""
+    """Returns the tolerance of a communication point [s]: far less than a step, more than rounding."""
     return min(1e-9 * max(1.0, abs(t)), 1e-3 * h) + 8.0 * sys.float_info.epsilon * abs(t)
 
 
 def _typed_as(state: Any, scalars: list[float]) -> Any:
-    """The scalars in the shape of a state, as whole numbers, Booleans and items where it has these."""
+    """Returns the scalars in the shape of a state; whole numbers, Booleans and items where it has these."""
     unflatten(state, scalars)  # ValueError for another number of them
     pairs = zip(flatten(state), scalars, strict=True)
     return unflatten(state, [type(x)(y) if isinstance(x, int) and y == int(y) else y for x, y in pairs])
@@ -32,7 +32,7 @@ class BlockError(ValueError):
     """A call that this instance refuses; the message says what was wrong and what was expected."""
 
 
-class Instance:
+class BlockInstance:
     """One instance of a block between instantiation and termination."""
 
     def __init__(self, block: Block, fingerprint: str = "") -> None:
@@ -53,20 +53,20 @@ class Instance:
     # values
 
     def get(self, reference: int) -> Any:
-        """Value of a variable; an output follows the inputs until stepping begins."""
+        """Returns the value of a variable; an output follows the inputs until stepping begins."""
         if not self.variable(reference).settable:
             self._refresh()
         return self._values[reference]
 
-    def variable(self, reference: int) -> ScalarVariable:
-        """The variable with this value reference."""
+    def variable(self, reference: int) -> BlockVariable:
+        """Returns the variable with this value reference."""
         if not 0 <= reference < len(self.block.variables):
             last = len(self.block.variables) - 1
             raise BlockError(f"value reference {reference}: expected 0..{last} of {self.block.name}")
         return self.block.variables[reference]
 
     def set(self, reference: int, value: Value) -> None:
-        """Set a parameter or an input; refuses what is out of range, not finite or fixed by now."""
+        """Sets a parameter or an input; refuses what is out of range, not finite or fixed by now."""
         variable = self.variable(reference)
         reason = self._refusal(variable, value)
         if reason:
@@ -86,7 +86,7 @@ class Instance:
         variable = self.block.variables[reference]
         return self._refusal(variable, variable.start) is None
 
-    def _refusal(self, variable: ScalarVariable, value: Value) -> str | None:
+    def _refusal(self, variable: BlockVariable, value: Value) -> str | None:
         if not variable.settable:
             return f"{variable.name}: cannot be set, its causality is {variable.causality}"
         if self._stepping and variable.variability == "fixed":
@@ -96,7 +96,7 @@ class Instance:
     # modes
 
     def start(self, time: float, stop_time: float | None = None) -> None:
-        """Begin the initialisation at this time [s]; no step goes beyond the stop time, if there is one."""
+        """Begins the initialisation at this time [s]; no step goes beyond the stop time, if there is one."""
         if not math.isfinite(time):
             raise BlockError(f"start time {time!r}: expected a finite number of seconds")
         if stop_time is not None and not stop_time > time:
@@ -105,12 +105,12 @@ class Instance:
         self._outputs_are_stale = True
 
     def exit_initialization_mode(self) -> None:
-        """End the initialisation: the state follows from the parameters and inputs set."""
+        """Ends the initialisation: the state follows from the parameters and inputs set."""
         self._refresh()
         self._stepping = True
 
     def do_step(self, t: float, h: float) -> None:
-        """Advance from t to t + h [s] in equal internal steps, the inputs held."""
+        """Advances from t to t + h [s] in equal internal steps, the inputs held."""
         self._check_step(t, h)
         before = {**self.__dict__, "_values": list(self._values)}
         try:
@@ -133,7 +133,7 @@ class Instance:
             raise BlockError(f"step to {t + h!r} s: expected at most the stop time {self._stop_time!r} s")
 
     def _advance(self, t: float, h: float) -> Any:
-        """The state after h seconds."""
+        """Returns the state after h seconds."""
         quotient = h / self._parameters.internal_step * (1.0 - 1e-9)
         if quotient > _MOST_INTERNAL_STEPS:
             raise BlockError(
@@ -150,7 +150,7 @@ class Instance:
         return state
 
     def _become(self, t: float, state: Any) -> None:
-        """The state at time t, if it is one, with its outputs."""
+        """Takes over the state at time t with its outputs; BlockError if they are not finite."""
         try:
             outputs = flatten(self.block.output(t, state, self._parameters, self._calculated))
             is_number = all(map(math.isfinite, [*flatten(state), *outputs]))
@@ -170,7 +170,7 @@ class Instance:
     # snapshots
 
     def snapshot(self) -> str:
-        """Everything that the instance is, as text; floats survive exactly."""
+        """Returns the whole instance as text; floats survive exactly."""
         if not self._stepping:
             self._refresh()
         origin = {"format": _FORMAT, "fmu": self.fingerprint}
@@ -178,7 +178,7 @@ class Instance:
         return json.dumps(origin | content | {"state": flatten(self._state)})
 
     def restore(self, snapshot: str) -> None:
-        """Become what `snapshot` says; refuses another FMU's, or a damaged one."""
+        """Restores a snapshot; refuses that of another FMU, or a damaged one."""
         try:
             saved = json.loads(snapshot)
             format_and_origin = saved["format"], saved["fmu"]
@@ -198,7 +198,7 @@ class Instance:
             reason = v.refuse(value) if v.settable else None
             if reason:
                 raise BlockError(f"state of {self.block.name}: {reason}")
-        restored = Instance(self.block, self.fingerprint)
+        restored = BlockInstance(self.block, self.fingerprint)
         restored._values = [v.cast(value) for v, value in zip(self.block.variables, values, strict=True)]
         restored.time, restored._stop_time = time, self._stop_time
         saved_values = list(restored._values)
@@ -256,7 +256,7 @@ class Instance:
             raise BlockError(f"parameters and inputs of {self.block.name}: {error}") from error
 
     def _refresh(self) -> None:
-        """Outputs before stepping begins; then they are those of the last step."""
+        """Calculates the outputs before stepping begins; later they are those of the last step."""
         if self._outputs_are_stale:
             self._prepare()
             self._become(self.time, self._initial_state())

@@ -65,8 +65,8 @@ _EXPONENT = re.compile(r"(?<=[^\W\d_])(-?\d+)")
 
 
 @dataclass(frozen=True)
-class Unit:
-    """value in base units = factor * value in this unit + offset; the base unit has these exponents."""
+class UnitDefinition:
+    """Unit: value in base units = factor * value in this unit + offset; exponents: of the base units."""
 
     exponents: dict[str, int] = field(default_factory=dict)
     factor: float = 1.0
@@ -74,14 +74,14 @@ class Unit:
 
 
 @cache
-def unit(name: str) -> Unit:
-    """What a name means; ExportError for one that FMI cannot express, with the nearest one that it can."""
+def unit(name: str) -> UnitDefinition:
+    """Returns the unit of a name; ExportError, with the nearest name, for one that FMI cannot express."""
     exponents, factor, offset = _converted(name)
-    return Unit(exponents, float(factor), float(offset))
+    return UnitDefinition(exponents, float(factor), float(offset))
 
 
 def display(unit_name: str, display_name: str) -> tuple[float, float]:
-    """(factor, offset): value in the display unit = factor * value in the unit + offset.
+    """Returns (factor, offset): value in the display unit = factor * value in the unit + offset.
 
     Raises ExportError for units of different dimensions.
     """
@@ -122,7 +122,7 @@ def _converted(name: str) -> tuple[dict[str, int], Decimal, Decimal]:
 
 
 def _check_plurals(name: str) -> None:
-    """Refuse the plural of a symbol, of at most four letters: Nms and Pas can be meant as products with s.
+    """Refuses the plural of a symbol, of at most four letters: Nms and Pas can be meant as products with s.
 
     Pint's rads is a dose of radiation.
     """

@@ -15,15 +15,14 @@ from xml.etree import ElementTree
 from fmus import store
 from fmus.block import Block
 from fmus.block.block_file import DEVICES, blocks_in, from_sources
-from fmus.block.instance import BlockError, Instance
+from fmus.block.instance import BlockError, BlockInstance
 from fmus.build import native as native_flavour
 from fmus.build import python as python_flavour
-from fmus.build.check_sampling import check_samples
-from fmus.build.check_trace import check_faithful, check_shipped
-from fmus.build.documentation import reference_files
-from fmus.build.documentation.icon import icon
+from fmus.build.check_sampling import check_sampling
+from fmus.build.check_trace import check_shipped, check_trace
+from fmus.build.documentation import reference_results
 from fmus.build.documentation.reference_results import ReferenceRun, reference_run
-from fmus.build.documentation.terminals import terminals
+from fmus.build.documentation.terminals_and_icon import icon, terminals
 from fmus.build.guard import location, own_line
 from fmus.build.shipped import ShippedLibrary
 from fmus.build.stamp import Order, Stamps, order_of_file
@@ -39,7 +38,7 @@ _EXPORTS = {Flavour.NATIVE: native_flavour, Flavour.PYTHON: python_flavour}
 
 
 def load_block(name: str) -> Block:
-    """The block of that name; ExportError offers the nearest one."""
+    """Returns the block of that name; ExportError offers the nearest one."""
     point = block_entry_points().get(name)
     if point is None:
         file = f"; the file is {name}.py" if Path(f"{name}.py").is_file() else ""
@@ -61,7 +60,7 @@ def load_block(name: str) -> Block:
 
 @contextmanager
 def loaded(name_or_path: str) -> Iterator[tuple[Block, ...]]:
-    """The installed block of a name, or the blocks of a Python file, until the context ends.
+    """Yields the installed block of a name, or the blocks of a Python file, until the context ends.
 
     Raises ExportError for a block that cannot become an FMU.
     """
@@ -77,7 +76,7 @@ def loaded(name_or_path: str) -> Iterator[tuple[Block, ...]]:
 
 
 def verified(block: Block) -> Block:
-    """The block, if it takes a step at its start values."""
+    """Returns the block, if it takes a step at its start values."""
     name = block.name
     is_word = re.fullmatch(r"[A-Za-z](_?[A-Za-z0-9])*", name)
     if not is_word or keyword.iskeyword(name) or name.lower() in DEVICES:
@@ -86,7 +85,7 @@ def verified(block: Block) -> Block:
             "or device of Windows"
         )
     traced(block)  # before a call with numbers, which a function could remember
-    trial = Instance(block)
+    trial = BlockInstance(block)
     try:
         trial.exit_initialization_mode()
         trial.do_step(0.0, block.step_size)
@@ -108,7 +107,7 @@ def build(
     with_terminals: bool = False,
     reals_only: bool = False,
 ) -> Path:
-    """Write `folder/NAME.fmu`, whatever stands there; by default where scenarios find it.
+    """Writes `folder/NAME.fmu`, whatever stands there; by default where scenarios find it.
 
     platforms: of the libraries in a native FMU, by default this one; those in a python one are PythonFMU's.
     with_terminals: with terminalsAndIcons.xml, which some importers of FMI 2.0 cannot read
@@ -127,7 +126,7 @@ def build_block(
     with_terminals: bool = False,
     reals_only: bool = False,
 ) -> Path:
-    """As `build`, of a block that no entry point names."""
+    """Builds as `build` does, but a block that no entry point names."""
     order = Order(block.name, folder, flavour, tuple(platforms), with_terminals, reals_only)
     with _building(block, order) as write:
         return next(iter(write()))
@@ -135,19 +134,19 @@ def build_block(
 
 @contextmanager
 def _building(block: Block, order: Order) -> Iterator[Callable[[], dict[Path, bytes]]]:
-    """The FMU of a block: its libraries are compiled until the function that this gives writes it.
+    """Yields a function that writes the FMU of a block, whose libraries are compiled meanwhile.
 
-    The function gives what it wrote: the FMU, then what belongs to it.
+    The function returns the files that it wrote: the FMU, then what belongs to it.
     """
     if order.reals_only and order.flavour is not Flavour.NATIVE:
         raise ExportError("an FMU of Reals only: expected the native flavour")
     export = _EXPORTS[order.flavour]
     guid, members = native_flavour.content(block, True) if order.reals_only else export.content(block)
     with export.compiled_libraries(block.name, members, order.platforms) as libraries:
-        compared = check_faithful(block)
-        check_samples(block)
+        compared = check_trace(block)
+        check_sampling(block)
         reference = _reference_run(block)
-        shown = {"model.png": icon(block)} | reference_files.members(reference, block.name)
+        shown = {"model.png": icon(block)} | reference_results.members(reference, block.name)
         shown |= terminals(block) if order.with_terminals else {}
 
         def write() -> dict[Path, bytes]:
@@ -158,7 +157,7 @@ def _building(block: Block, order: Order) -> Iterator[Callable[[], dict[Path, by
                     check_shipped(compared, library)
             files = {order.folder / f"{block.name}.fmu": packed(members | built | shown)}
             if order.with_cross_check:
-                beside = reference_files.cross_check_files(reference, block.name)
+                beside = reference_results.cross_check_files(reference, block.name)
                 files |= {order.folder / name: beside[name] for name in sorted(beside)}
             is_cached = order.folder.is_relative_to(fmu_folder(order.flavour))
             write_file = store.write if is_cached else write_bytes_atomically
@@ -171,7 +170,7 @@ def _building(block: Block, order: Order) -> Iterator[Callable[[], dict[Path, by
 
 
 def _reference_run(block: Block) -> ReferenceRun:
-    """As `reference_run`; ExportError names the line of the block that cannot go on."""
+    """Returns the reference run; ExportError names the line of the block that cannot go on."""
     try:
         return reference_run(block)
     except BlockError as error:
@@ -181,9 +180,9 @@ def _reference_run(block: Block) -> ReferenceRun:
 
 
 def build_orders(orders: Iterable[Order]) -> Iterator[list[Path] | ExportError]:
-    """Write the FMUs of each order, whatever stands there, and stamp them.
+    """Writes the FMUs of each order, whatever stands there, and stamps them.
 
-    Gives the files of each, or why it cannot be built. Some are compiled while the next are traced.
+    Yields the files of each, or the error that prevents it. Some are compiled while the next are traced.
     """
     compiling: deque[_CompilingOrder | ExportError] = deque()
     with ExitStack() as stack:
@@ -222,7 +221,7 @@ class _CompilingOrder:
 
 
 def build_if_stale(name: str, folder: Path | None = None, flavour: Flavour = Flavour.NATIVE) -> Path:
-    """`folder/NAME.fmu`, built if it is missing, not of the present sources, or of another platform.
+    """Returns `folder/NAME.fmu`, built if missing, not of the present sources, or of another platform.
 
     folder: by default the one where scenarios find it
     """
@@ -230,12 +229,12 @@ def build_if_stale(name: str, folder: Path | None = None, flavour: Flavour = Fla
 
 
 def fmu_of_file(path: Path, flavour: Flavour = Flavour.NATIVE) -> Path:
-    """The FMU of the only block that a Python file defines, in the user's cache, built if it is stale."""
+    """Returns the FMU of the only block of a Python file, in the user's cache, built if it is stale."""
     return _built_if_stale(order_of_file(path, flavour))
 
 
 def _built_if_stale(order: Order) -> Path:
-    """The FMU of the only block of an order."""
+    """Returns the FMU of the only block of an order."""
     stamps = Stamps()
     if current := stamps.current(order, to_run=True):
         return current[0]
@@ -263,7 +262,7 @@ def _built_if_stale(order: Order) -> Path:
 
 
 def build_missing(paths: Iterable[Path]) -> None:
-    """Build those of the paths that scenarios find the FMUs of blocks at, where missing or stale."""
+    """Builds those of the paths that scenarios find the FMUs of blocks at, where missing or stale."""
     for name, flavour in block_fmus(paths):
         try:
             build_if_stale(name, flavour=flavour)

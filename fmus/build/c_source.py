@@ -8,7 +8,7 @@ import sys
 from importlib import resources
 from string import Template
 
-from fmus.block import Block, ScalarVariable
+from fmus.block import Block, BlockVariable
 from fmus.build.symbolic import Traced, traced
 from fmus.errors import ExportError
 from fmus.fmi.variable_types import INTEGER_RANGE, TRANSFER_TYPE
@@ -54,7 +54,7 @@ def _tables(functions: Traced, reals_only: bool) -> dict[str, object]:
     }
 
 
-def _row(v: ScalarVariable, reals_only: bool) -> str:
+def _row(v: BlockVariable, reals_only: bool) -> str:
     is_converted = reals_only and v.type != "Real"
     items = [0, 1] if is_converted and v.type == "Boolean" else _items(v)
     values = (float(v.start), *_range(v), hex(sum(1 << item for item in items)), int(is_converted))
@@ -62,12 +62,12 @@ def _row(v: ScalarVariable, reals_only: bool) -> str:
     return f"    {{{', '.join(map(str, cells))}}}"
 
 
-def _access(v: ScalarVariable, reals_only: bool) -> str:
+def _access(v: BlockVariable, reals_only: bool) -> str:
     settable = "NEVER" if not v.settable else "BEFORE_STEPPING" if v.variability == "fixed" else "ALWAYS"
     return f"{{{'REAL' if reals_only else TRANSFER_TYPE[v.type].upper()}, {settable}}}"
 
 
-def _range(v: ScalarVariable) -> tuple[float, float]:
+def _range(v: BlockVariable) -> tuple[float, float]:
     """What the C layer lets pass: without declared limits, what the type can hold."""
     if items := [0, 1] if v.type == "Boolean" else _items(v):
         return float(min(items)), float(max(items))
@@ -77,7 +77,7 @@ def _range(v: ScalarVariable) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _items(v: ScalarVariable) -> list[int]:
+def _items(v: BlockVariable) -> list[int]:
     """Numbers of an enumeration's items, none of another type."""
     numbers = [int(item) for item in v.enumeration or ()]
     if not all(0 <= number < _WORD for number in numbers):

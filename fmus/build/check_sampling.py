@@ -1,4 +1,4 @@
-"""Whether a block takes all of its samples: `sampled` takes one in a step at most."""
+"""Check that a block takes all of its samples: `sampled` takes one in a step at most."""
 
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
@@ -12,8 +12,8 @@ from fmus.numerics import Clock
 _STEPS = 200  # internal steps, until one that is half a per cent longer than the period is late
 
 
-def check_samples(block: Block) -> None:
-    """ExportError for a block that misses samples with all variables at their start values."""
+def check_sampling(block: Block) -> None:
+    """Raises ExportError for a block that misses samples with all variables at their start values."""
     p, u, t = block.parameters(), block.inputs(), 0.0
     try:
         c = block.calculate(p)
@@ -29,7 +29,7 @@ def check_samples(block: Block) -> None:
 
 
 def _check_step(block: Block, t: float, h: float, before: Any, after: Any) -> None:
-    """A clock that is late starts again between t and t + h, where a block's own Clock(t) does not."""
+    """Raises ExportError for a late clock: it starts again between t and t + h, unlike a block's Clock(t)."""
     for old, new in zip(_clocks(before), _clocks(after), strict=True):
         if new.start != old.start and new.count == 0 and new.start > t and new.start != t + h:
             raise ExportError(
@@ -39,7 +39,7 @@ def _check_step(block: Block, t: float, h: float, before: Any, after: Any) -> No
 
 
 def _clocks(value: Any) -> Iterator[Clock]:
-    """The clocks in a state, at any depth."""
+    """Yields the clocks in a state, at any depth."""
     if isinstance(value, Clock):
         yield value
     elif isinstance(value, tuple):

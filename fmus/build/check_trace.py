@@ -1,4 +1,4 @@
-"""Whether a traced block computes what its Python functions do: both are called at random points.
+"""Check that a traced block computes what its Python functions do: both are called at random points.
 
 A difference is rounding if the Python function itself changes as much when its arguments change by a few
 units in the last place. Any other difference refuses the block.
@@ -25,16 +25,15 @@ _POINTS, _STEPS = 60, 3  # draws of parameters; steps from each, with inputs dra
 _DRAWS = 20  # of parameters for a point, until they meet the requirements
 _EQUAL = 1e-12  # relative: a few roundings of elementary functions, which differ between C libraries
 _PERTURBATIONS, _AMPLIFIED = 8, 32.0
-_MOST_AMPLIFIED = (
-    0.2  # of the points; a function that amplifies rounding at more of them is not compared at all
-)
+# of the points; a function that amplifies rounding at more of them is not compared at all
+_MOST_AMPLIFIED = 0.2
 _AT_TWO_CALLS = f"at one call and {{}} at another, same arguments; {NO_MEMORY}"
 _TRACED = "when it is traced"
 _COMPILED = "when it is compiled; set ZIG_GLOBAL_CACHE_DIR to an empty folder, and build again"
 _FUNCTIONS = ("calculate", "requirements", "initial_state", "output", "step")
 
 
-def check_faithful(block: Block) -> dict[str, "_Comparison"]:
+def check_trace(block: Block) -> dict[str, "_Comparison"]:
     """Checks that the traced functions of a block give the values of its Python functions.
 
     Returns the calls of each function, for `check_shipped`. Raises ExportError for a difference.
@@ -71,7 +70,7 @@ def check_shipped(compare: dict[str, "_Comparison"], library: ShippedLibrary) ->
 def _compare_at_a_point(
     block: Block, compare: dict[str, "_Comparison"], rng: random.Random, at_start: bool
 ) -> None:
-    """Draw parameters, inputs and a time; follow the state over a few steps, and disturb it in between."""
+    """Draws parameters, inputs and a time; follows the state over a few steps, and disturbs it in between."""
     for _ in range(_DRAWS):
         changed = 0.0 if at_start else rng.choice((0.1, 0.5, 1.0))
         p = drawn(block, "parameter", block.parameters, changed, rng)
@@ -101,7 +100,7 @@ def _compare_at_a_point(
 
 
 def _compare_at_zeros(block: Block, compare: dict[str, "_Comparison"]) -> None:
-    """The first step from the start values, with one input after the other at zero: where divisions end."""
+    """Steps once from the start values, with one input after the other at zero, where divisions end."""
     inputs = block.of_causality("input")
     p = unflatten(block.parameters, [v.start for v in block.of_causality("parameter")])
     c = compare["calculate"](p)
@@ -113,7 +112,7 @@ def _compare_at_zeros(block: Block, compare: dict[str, "_Comparison"]) -> None:
 
 
 def _check_whole(block: Block, name: str, declared: type, result: Any) -> None:
-    """ExportError if a function gives a number that its Integer, Boolean or Enumeration cannot be."""
+    """Raises ExportError if a function gives a number that its Integer, Boolean or Enumeration cannot be."""
     for path, start, x in zip(_names(result), flatten(declared), flatten(result), strict=False):
         if isinstance(start, int) and x not in _items(start, x):
             raise ExportError(
@@ -124,7 +123,7 @@ def _check_whole(block: Block, name: str, declared: type, result: Any) -> None:
 
 
 def _items(start: int, x: float) -> tuple[float, ...]:
-    """What a variable with this start value can be, as far as x could be among it."""
+    """Returns the values that a variable with this start value can have, as far as x could be among them."""
     if isinstance(start, bool):
         return 0, 1
     return tuple(type(start)) if isinstance(start, IntEnum) else (round(x),)
@@ -148,7 +147,7 @@ class _Comparison:
         self._attempts = 0
 
     def __call__(self, *arguments: Any, is_reached: bool = True) -> Any:
-        """What the Python function returns; None where that is no finite number.
+        """Returns the result of the Python function; None where that is no finite number.
 
         is_reached: whether the block can have these arguments; an error at others is none of the block
         """
@@ -179,7 +178,7 @@ class _Comparison:
         return result, list(map(float, values))
 
     def check(self, rng: random.Random) -> None:
-        """ExportError for the first point where the function differs, or if too few can be compared."""
+        """Raises ExportError for the first point where the function differs, or for too few to compare."""
         if self._attempts and not self.calls:
             last = f": {_described(self._errors[-1][1])}" if self._errors else ""
             raise ExportError(
@@ -206,9 +205,9 @@ class _Comparison:
             raise ExportError(f"{self._where} differs {how} at {amplified} of {len(self.calls)} points")
 
     def _check_errors(self) -> None:
-        """ExportError where Python divides by zero or leaves a domain, and compiled code gives numbers.
+        """Raises ExportError where Python divides by zero or leaves a domain, and compiled code does not.
 
-        Not where a number is too large for Python, which compiled code takes for infinite.
+        A number that is too large for Python is no such error: compiled code takes it for infinite.
         """
         errors = [(a, error) for a, error in self._errors if not isinstance(error, OverflowError)]
         results = self._traced_numbers([arguments for arguments, _ in errors])
@@ -221,7 +220,7 @@ class _Comparison:
                 )
 
     def _traced_numbers(self, calls: list[Sequence[Any]]) -> list[list[float]]:
-        """What the traced function gives for all arguments, in one call."""
+        """Returns the results of the traced function for all arguments, in one call."""
         if not calls:
             return []
         columns = zip(*(map(flatten, arguments) for arguments in calls), strict=True)
@@ -229,7 +228,7 @@ class _Comparison:
         return self._traced.map(len(calls))(*matrices).full().T.tolist()
 
     def _moved(self, arguments: Sequence[Any], numbers: Sequence[float], rng: random.Random) -> list[float]:
-        """How far the numbers move when the arguments change by roundings."""
+        """Returns the distances that the numbers move when the arguments change by roundings."""
         moved = [0.0] * len(numbers)
         for _ in range(_PERTURBATIONS):
             other = self._evaluate([rounded(argument, rng) for argument in arguments])[1] or numbers
@@ -239,7 +238,7 @@ class _Comparison:
     def _compare(
         self, result: Any, numbers: list[float], others: list[float], allowed: list[float], how: str
     ) -> None:
-        """ExportError for the first number that is not near the other; `how` says where that is from."""
+        """Raises ExportError for the first number that is not near the other, whose origin `how` states."""
         if all(map(_are_near, numbers, others, allowed)):
             return
         names = _names(result) if is_dataclass(result) else (f"({text})" for _, text in result)
@@ -249,7 +248,7 @@ class _Comparison:
 
 
 def _described(error: Exception) -> str:
-    """What is raised, and in which line of the user's."""
+    """Returns the error as text, with the line of the user's that raised it."""
     own = own_line(error)
     return f"{error!r} at {own[0]}:{own[1]}: {own[2]}" if own else repr(error)
 
@@ -259,7 +258,7 @@ def _are_near(x: float, y: float, allowed: float) -> bool:
 
 
 def _names(value: Any, name: str = "") -> Iterator[str]:
-    """Names of the scalars of a dataclass, in the order of `flatten`."""
+    """Yields the names of the scalars of a dataclass, in the order of `flatten`."""
     if isinstance(value, tuple):
         for i, element in enumerate(value):
             yield from _names(element, f"{name}[{i + 1}]")

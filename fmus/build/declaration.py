@@ -1,4 +1,4 @@
-"""Whether a block is declared as `fmus.block` asks: a mistake is a sentence with file, line and name."""
+"""Check that a block is declared as `fmus.block` asks: a mistake is a sentence with file, line and name."""
 
 import ast
 import inspect
@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import MISSING, Field, fields, is_dataclass
 from typing import Any, get_args, get_origin
 
-from fmus.block import Block, NoValues, ScalarVariable, flatten
+from fmus.block import Block, BlockVariable, NoValues, flatten
 from fmus.block.units import display, unit
 from fmus.build.guard import location
 from fmus.errors import ExportError
@@ -34,7 +34,7 @@ _SUCH_AS = {"float": "a number such as 1.0", "int": "a whole number such as 1", 
 
 
 def check_declaration(block: Block) -> None:
-    """ExportError for the first mistake in the classes of a block, or in the arguments of its functions."""
+    """Raises ExportError for the first mistake in a block's classes, or in the arguments of its functions."""
     owners: dict[str, str] = {}
     for role in _INTERFACE:
         cls = getattr(block, role)
@@ -58,7 +58,7 @@ def check_declaration(block: Block) -> None:
 
 
 def check_result(block: Block, name: str, result: Any) -> None:
-    """ExportError if a function of a block returns something else than what is declared."""
+    """Raises ExportError if a function of a block returns something else than what is declared."""
     cls = getattr(block, _RESULTS[name])
     where = f"block {block.name!r}: {location(getattr(block, name))}{name} returns "
     if not isinstance(result, cls) and not (cls is NoValues and result is None):
@@ -69,7 +69,7 @@ def check_result(block: Block, name: str, result: Any) -> None:
 
 
 def check_requirements(block: Block, requirements: Any) -> None:
-    """ExportError if the requirements are no tuple of pairs."""
+    """Raises ExportError if the requirements are no tuple of pairs."""
     for pair in requirements if isinstance(requirements, tuple | list) else (None,):
         if not (isinstance(pair, tuple | list) and len(pair) == 2 and isinstance(pair[1], str)):
             where = f"block {block.name!r}: {location(block.requirements)}requirements"
@@ -79,7 +79,7 @@ def check_requirements(block: Block, requirements: Any) -> None:
             )
 
 
-def _of_role(block: Block, role: str) -> Iterator[ScalarVariable]:
+def _of_role(block: Block, role: str) -> Iterator[BlockVariable]:
     names = {declared.name for declared in fields(getattr(block, role))}
     return (v for v in block.variables if v.name.partition("[")[0] in names)
 
@@ -89,7 +89,7 @@ def _refusal(block: Block, cls: type, name: str, reason: str) -> ExportError:
 
 
 def _line(cls: type, name: str) -> str:
-    """FILE:LINE of a declaration, as the beginning of a message; nothing where the source is not at hand."""
+    """Returns FILE:LINE of a declaration, which begins a message; "" where the source is not at hand."""
     for base in cls.__mro__:
         try:
             lines, first = inspect.getsourcelines(base)
@@ -104,7 +104,7 @@ def _line(cls: type, name: str) -> str:
 
 
 def _mistakes(declared: Field, role: str) -> Iterator[str]:
-    """Of a variable of the interface."""
+    """Yields the mistakes in a variable of the interface."""
     if "units" not in declared.metadata or declared.default is MISSING:
         yield f'expected a declaration, {declared.name}: float = variable(0.0, "What it is", unit="m")'
         return
@@ -135,7 +135,7 @@ def _state_mistakes(declared: Field) -> Iterator[str]:
 
 
 def _shape_mistakes(classes: list[type]) -> Iterator[tuple[type, str, str]]:
-    """(class, field, reason) for what cannot be made of its values by their places, at any depth."""
+    """Yields (class, field, reason) for what cannot be made of its values by their places, at any depth."""
     for cls in classes:
         for declared in fields(cls):
             if declared.kw_only or not declared.init:
@@ -148,7 +148,7 @@ def _shape_mistakes(classes: list[type]) -> Iterator[tuple[type, str, str]]:
 
 
 def _parts(value: Any) -> Iterator[Any]:
-    """A value and, of a tuple, everything in it."""
+    """Yields a value and, of a tuple, everything in it."""
     yield value
     for element in value if isinstance(value, tuple) else ():
         yield from _parts(element)
@@ -173,7 +173,7 @@ def _type_mistakes(declared: Field) -> Iterator[str]:
 
 
 def _element_type(annotation: Any) -> Any:
-    """X of tuple[X, ...]; of any other annotation, itself."""
+    """Returns X of tuple[X, ...]; of any other annotation, itself."""
     while get_origin(annotation) is tuple and get_args(annotation)[1:] == (...,):
         annotation = get_args(annotation)[0]
     return annotation
@@ -187,7 +187,7 @@ def _fits(value: Any, start: Any) -> bool:
     return is_long_enough and all(map(_fits, value, start))
 
 
-def _value_mistakes(v: ScalarVariable) -> Iterator[str]:
+def _value_mistakes(v: BlockVariable) -> Iterator[str]:
     numbers = {"min": v.minimum, "max": v.maximum, "nominal": v.nominal, "start": v.start}
     low, high = INTEGER_RANGE
     for name, number in numbers.items():
@@ -224,7 +224,7 @@ def _check_arguments(block: Block, name: str) -> None:
 
 
 def _differences(result: Any, template: Any, path: str) -> Iterator[tuple[str, str, str]]:
-    """(path, what is there, what is expected) where the shape of a result is not that of its declaration."""
+    """Yields (path, got, expected) where the shape of a result is not that of its declaration."""
     if isinstance(template, tuple):
         if not isinstance(result, tuple):
             yield path, f"a {type(result).__name__}", f"a tuple of {len(template)}"

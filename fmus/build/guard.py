@@ -1,4 +1,4 @@
-"""What stops a function of a block while it is traced: what would turn a symbol, or a draw, into a constant.
+"""Guard of a tracing: refuses what would turn a symbol, or a draw, into a constant.
 
 Python asks a symbol for a number (`math.tanh(x)`), a truth value (`if x > 0`) or a key (`table[x]`); CasADi
 gives NaN or an identity for some of these without an error, and computes `%`, `//` and `round` otherwise than
@@ -22,7 +22,7 @@ import casadi
 import numpy as np
 
 from fmus import numerics
-from fmus.build.hints import advice
+from fmus.build.hints import hint
 from fmus.errors import ExportError
 
 _LIBRARIES = {*sys.stdlib_module_names, "casadi", "numpy"} - {"__main__"}
@@ -73,7 +73,7 @@ class _RefusedError(TypeError):
 
 
 def call(block: str, function: Callable[..., Any], *arguments: Any) -> Any:
-    """What a function of a block returns for symbols; ExportError names the line that cannot be traced."""
+    """Returns the result of a block's function for symbols; ExportError names the line that prevents it."""
     try:
         with _guarded(_package(getattr(function, "__module__", ""))):
             return function(*arguments)
@@ -82,7 +82,7 @@ def call(block: str, function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def location(function: Callable[..., Any]) -> str:
-    """File and line of a function, as the beginning of a message."""
+    """Returns the file and line of a function, as the beginning of a message."""
     code = getattr(function, "__code__", None)
     return f"{code.co_filename}:{code.co_firstlineno}: " if code else ""
 
@@ -104,7 +104,7 @@ def _guarded(package: str) -> Iterator[None]:
 
 @cache
 def _methods() -> dict[str, Callable[..., Any]]:
-    """What takes the place of a symbol's methods while a block is traced."""
+    """Returns the methods that a symbol has while a block is traced, by name."""
     methods = {name: _refusal(getattr(casadi.SX, name, None), *_REFUSED[name]) for name in _REFUSED}
     return methods | {"__array_ufunc__": _array_ufunc, "__array_function__": _array_function}
 
@@ -130,9 +130,9 @@ def _refusal(original: Callable[..., Any] | None, reason: str, function: str) ->
 
 
 def _refuse_impure(package: str, frame: FrameType, event: str, called: Any) -> None:
-    """The profile function of a tracing: refuses what the block's own code calls, and modules beside it.
+    """Refuses impure calls of the block's code and of modules beside it: the profile function of a tracing.
 
-    Python may call others in between: handlers of signals, and of the garbage collector, of libraries.
+    Calls of other code pass: Python runs handlers of signals and of the garbage collector in between.
     """
     if event == "call" and (name := _assigned_global(frame.f_code)) and _is_of_block(frame, package):
         raise _RefusedError(f"the global {name} is assigned, but {NO_MEMORY}")
@@ -183,23 +183,23 @@ def _package(module: str) -> str:
 
 
 def _reason(error: Exception) -> str:
-    """File, line and expression of the user's that led to an error, and what to write instead."""
+    """Returns the file, line and expression of the user's that led to an error, and what to write instead."""
     cause = error.__cause__ if isinstance(error.__cause__, _RefusedError) else error  # NumPy raises its own
     own = own_line(error)
     if not own:
         return f"{cause}"
     file, line, expression = own
     if not isinstance(cause, _RefusedError):
-        use = advice(expression, "", "") if type(cause) is TypeError else ""
+        use = hint(expression, "", "") if type(cause) is TypeError else ""
         return f"{file}:{line}: {expression}: {type(cause).__name__}: {cause}" + (f"; {use}" if use else "")
-    use = advice(expression, linecache.getline(file, line).strip(), cause.function)
+    use = hint(expression, linecache.getline(file, line).strip(), cause.function)
     use = use or ("use tuples and fmus.numerics" if "NumPy" in str(cause) else "")
     where = f"{file}:{line}: {expression}" if expression else f"{file}:{line}"
     return f"{where}: {cause}" + (f"; {use}" if use else "")
 
 
 def own_line(error: BaseException) -> tuple[str, int, str] | None:
-    """File, line and expression of the user's that led to an error, where there is one."""
+    """Returns the file, line and expression of the user's that led to an error, where there is one."""
     frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
     summaries = traceback.extract_tb(error.__traceback__)
     users = [(frame, s) for frame, s in zip(frames, summaries, strict=True) if _is_users(frame)]

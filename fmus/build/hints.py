@@ -1,4 +1,4 @@
-"""What to write in a block in place of an expression that has no meaning on a symbol."""
+"""Hints: the code to write in a block in place of an expression that has no meaning on a symbol."""
 
 import ast
 import re
@@ -82,8 +82,8 @@ _OPERATORS = {
 _INDICES = {r"\brange\([^()]*": INSTEAD["range"], r"[\w)\]]\[[^\[\]]*": "use fmus.numerics.choose"}
 
 
-def advice(expression: str, statement: str, default: str) -> str:
-    """What to do in place of an expression in a line of code; empty if nothing is known.
+def hint(expression: str, statement: str, default: str) -> str:
+    """Returns the hint for an expression in a line of code; "" if none is known.
 
     default: the function of fmus.numerics if the expression does not show it
     """
@@ -106,7 +106,7 @@ def advice(expression: str, statement: str, default: str) -> str:
 
 
 def _name(expression: ast.expr) -> str:
-    """The function that an expression calls, or the one that stands for an operator."""
+    """Returns the function that an expression calls, or the one that stands for an operator."""
     match expression:
         case ast.JoinedStr():
             return "str"

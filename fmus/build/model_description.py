@@ -4,19 +4,23 @@ Everything explicit: causality, variability, initial, units, ranges, enumeration
 step mode no output depends directly on an input; in initialisation mode outputs follow the inputs.
 """
 
+import hashlib
 import os
+import uuid
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any
 from xml.etree import ElementTree
 
-from fmus.block import Block, ScalarVariable
+from fmus.block import Block, BlockVariable
 from fmus.block.units import display, unit
 from fmus.build.symbolic import initial_dependencies
 from fmus.errors import ExportError
 from fmus.files import xml_document
 
+# They stand for the GUID, and for a part of it in Python names, until it is known.
+GUID, GUID_IN_NAMES = "GUID-of-this-FMU", "GUID_of_this_FMU"
 LOG_CATEGORIES = {
     "logStatusWarning": "Something that the user should know.",
     "logStatusDiscard": "A step that was refused; the state is what it was before.",
@@ -38,7 +42,7 @@ _CAPABILITIES = {
 def model_description(
     block: Block, guid: str, capabilities: dict[str, str], source_files: Sequence[str] = ()
 ) -> bytes:
-    """The XML of a block; `capabilities` are the attributes of `CoSimulation` that the flavour decides.
+    """Returns the XML of a block; capabilities: the attributes of `CoSimulation` that the flavour decides.
 
     source_files: what an importer must compile to rebuild the FMU, inside the folder `sources`.
 
@@ -90,7 +94,7 @@ def _without_none(attributes: dict[str, str | None]) -> dict[str, str]:
 
 
 def _generation_date() -> str | None:
-    """Only if SOURCE_DATE_EPOCH gives one: two builds of one source are the same file."""
+    """Returns the date of SOURCE_DATE_EPOCH, None without it: two builds of one source are the same file."""
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
     return datetime.fromtimestamp(int(epoch), UTC).strftime("%Y-%m-%dT%H:%M:%SZ") if epoch else None
 
@@ -107,7 +111,7 @@ def _units(root: Any, block: Block) -> None:
 
 
 def _linear(factor: float, offset: float) -> dict[str, str]:
-    """The attributes of a conversion, where they are not the defaults of FMI."""
+    """Returns the attributes of a conversion, where they are not the defaults of FMI."""
     values = {"factor": (factor, 1.0), "offset": (offset, 0.0)}
     return {name: repr(value) for name, (value, default) in values.items() if value != default}
 
@@ -123,7 +127,7 @@ def _enumerations(root: Any, block: Block) -> None:
             _add(items, "Item", name=member.name.lower(), value=str(member.value))
 
 
-def _variable(parent: Any, v: ScalarVariable) -> None:
+def _variable(parent: Any, v: BlockVariable) -> None:
     source = f" ({v.source})" if v.source else ""
     scalar = _add(
         parent,
@@ -159,3 +163,17 @@ def _structure(root: Any, block: Block) -> None:
     for unknown, known in sorted(initial_dependencies(block).items()):
         dependencies = " ".join(str(reference + 1) for reference in known)
         _add(initial, "Unknown", index=str(unknown + 1), dependencies=dependencies)
+
+
+def with_guid(members: dict[str, bytes], recipe: str = "") -> tuple[str, dict[str, bytes]]:
+    """Returns a GUID that follows from members and recipe, and the members with it in names and contents."""
+    digest = hashlib.sha256(recipe.encode())
+    for name, data in sorted(members.items()):
+        digest.update(hashlib.sha256(name.encode()).digest() + hashlib.sha256(data).digest())
+    guid = str(uuid.uuid5(uuid.NAMESPACE_OID, digest.hexdigest()))
+    for placeholder, text in ((GUID, guid), (GUID_IN_NAMES, guid.replace("-", "")[:16])):
+        members = {
+            name.replace(placeholder, text): data.replace(placeholder.encode(), text.encode())
+            for name, data in members.items()
+        }
+    return guid, members

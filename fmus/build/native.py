@@ -10,12 +10,11 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from fmus.block import Block
-from fmus.build.archive import GUID, licenses, with_guid
 from fmus.build.c_source import COMPILED, c_sources
-from fmus.build.documentation.page import documentation
-from fmus.build.model_description import model_description
+from fmus.build.documentation.page import documentation, licenses
+from fmus.build.model_description import GUID, model_description, with_guid
 from fmus.files import xml_document
-from fmus.fmi.integer_enumerations import REALS_ONLY, with_plain_types
+from fmus.fmi.integer_enumerations import REALS_ONLY, with_other_types
 from fmus.native.toolchain import COMPILER, FLAGS, compiling
 from fmus.platforms import check_platforms, host_platform, library_name
 
@@ -38,7 +37,7 @@ def content(block: Block, reals_only: bool = False) -> tuple[str, dict[str, byte
         **documentation(block, *COMPILED, reals_only=reals_only),
         **licenses("l1-depth", "fmi-headers", "zig", "mingw-w64"),
         "sources/buildDescription.xml": _build_description(block.name),
-        "modelDescription.xml": with_plain_types(description, REALS_ONLY) if reals_only else description,
+        "modelDescription.xml": with_other_types(description, REALS_ONLY) if reals_only else description,
     }
     return with_guid(members, recipe=" ".join((*COMPILER, *FLAGS)))
 

@@ -14,7 +14,7 @@ _TEMPLATES = {"{}.py": "block.py.in", "test_{}.py": "test.py.in"}
 
 
 def write_new_block(name: str, folder: Path) -> list[Path]:
-    """Write `folder/NAME.py` and `folder/test_NAME.py`; ExportError if one of them is there already.
+    """Writes `folder/NAME.py` and `folder/test_NAME.py`; raises ExportError if one of them is there already.
 
     name: of the module, such as depth_pid; its block is called DepthPid
     """

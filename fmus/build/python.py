@@ -13,9 +13,8 @@ from importlib import resources
 from pathlib import Path
 
 from fmus.block import Block
-from fmus.build.archive import GUID, GUID_IN_NAMES, licenses, with_guid
-from fmus.build.documentation.page import documentation
-from fmus.build.model_description import model_description
+from fmus.build.documentation.page import documentation, licenses
+from fmus.build.model_description import GUID, GUID_IN_NAMES, model_description, with_guid
 from fmus.build.sources import defined_as, in_package, source_closure
 from fmus.errors import ExportError
 
@@ -47,7 +46,7 @@ class {name}(BlockSlave):
 
 
 def content(block: Block) -> tuple[str, dict[str, bytes]]:
-    """(GUID, path -> content) of the FMU; the GUID is derived from everything inside."""
+    """Returns (GUID, path -> content) of the FMU; the GUID is derived from everything inside."""
     dependencies = resources.files("fmus.build.documentation") / "externalDependencies.txt"
     module, attribute = defined_as(block)
     entry = f"{block.name.lower()}_{GUID_IN_NAMES}"
@@ -72,7 +71,7 @@ def content(block: Block) -> tuple[str, dict[str, bytes]]:
 
 
 def _check_import(block: Block, text: dict[str, str], entry: str) -> None:
-    """ExportError for sources that need what the FMU does not carry, such as a file with a table.
+    """Raises ExportError for sources that need what the FMU does not carry, such as a file with a table.
 
     The packages that are installed here can be imported: a block that needs one passes.
     """
@@ -103,7 +102,10 @@ def _check_import(block: Block, text: dict[str, str], entry: str) -> None:
 def compiled_libraries(
     name: str, members: dict[str, bytes], platforms: Sequence[str]
 ) -> Iterator[Callable[[], dict[str, bytes]]]:
-    """Nothing to compile: PythonFMU's binaries are among the members. Raises ExportError for any platform."""
+    """Yields a function that returns no libraries: PythonFMU's are among the members.
+
+    Raises ExportError for any platform.
+    """
     if platforms:
         raise ExportError("platforms of the python flavour: expected none, its libraries are PythonFMU's")
     yield dict

@@ -5,27 +5,27 @@ import random
 from enum import IntEnum
 from typing import Any
 
-from fmus.block import Block, ScalarVariable, flatten, unflatten
+from fmus.block import Block, BlockVariable, flatten, unflatten
 
 _SPECIAL = (0.0, 0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, 2.5, -2.5)  # signs, and halves, which are rounded
 _ULP = 2.0**-52
 
 
 def drawn(block: Block, causality: str, template: type, changed: float, rng: random.Random) -> Any:
-    """Parameters or inputs, of which a part is not at the start value; of choices, all are drawn.
+    """Returns the parameters or inputs, of which a part is not at the start value; of choices, all are drawn.
 
     Requirements refuse most draws that change many numbers, but few that change choices.
     """
 
-    def value(v: ScalarVariable) -> Any:
+    def value(v: BlockVariable) -> Any:
         is_choice = changed > 0.0 and v.type in ("Boolean", "Enumeration")
         return _draw(v, rng) if is_choice or rng.random() < changed else v.start
 
     return unflatten(template, list(map(value, block.of_causality(causality))))
 
 
-def _draw(v: ScalarVariable, rng: random.Random) -> Any:
-    """A permitted value: near the start value, anywhere in the range, at its ends, or a special one."""
+def _draw(v: BlockVariable, rng: random.Random) -> Any:
+    """Returns a permitted value: near the start value, anywhere in the range, at its ends, or special."""
     if v.enumeration:
         return rng.choice(list(v.enumeration))
     if v.type == "Boolean":
@@ -43,7 +43,7 @@ def _draw(v: ScalarVariable, rng: random.Random) -> Any:
 
 
 def disturbed(state: Any, rng: random.Random) -> Any:
-    """A state near another one, which the block need not be able to reach."""
+    """Returns a state near another one, which the block need not be able to reach."""
 
     def change(x: Any) -> Any:
         if isinstance(x, IntEnum | bool):
@@ -56,7 +56,7 @@ def disturbed(state: Any, rng: random.Random) -> Any:
 
 
 def rounded(argument: Any, rng: random.Random) -> Any:
-    """An argument whose floats are changed by a few units in the last place."""
+    """Returns an argument whose floats are changed by a few units in the last place."""
 
     def change(x: Any) -> Any:
         return x * (1.0 + rng.choice((-2, -1, 0, 1, 2)) * _ULP) if isinstance(x, float) else x

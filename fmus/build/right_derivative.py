@@ -48,7 +48,7 @@ _LOGIC = (casadi.OP_NOT, casadi.OP_AND, casadi.OP_OR)
 
 
 def right_derivative(expression: casadi.SX, h: casadi.SX) -> casadi.SX:
-    """The derivative of each element by h, at h = 0, from the right."""
+    """Returns the derivative of each element by h, at h = 0, from the right."""
     known = casadi.vertcat(*(s for s in casadi.symvar(expression) if not casadi.is_equal(s, h)))
     function = casadi.Function("reached", [h, known], [expression])
     held: dict[int, _Pair] = {}  # by number of a cell in CasADi's memory
@@ -110,14 +110,14 @@ def _plain(code: int, *values: casadi.SX) -> casadi.SX:
 
 @cache
 def _partial(code: int, count: int, index: int) -> casadi.Function:
-    """The partial derivative of an operation without corners."""
+    """Returns the partial derivative of an operation without corners."""
     symbols = [casadi.SX.sym("a") for _ in range(count)]
     derivative = casadi.jacobian(_plain(code, *symbols), symbols[index])
     return casadi.Function("partial", symbols, [casadi.densify(derivative)])
 
 
 def _chained(code: int, arguments: tuple[_Pair, ...]) -> casadi.SX:
-    """The derivative of an operation without corners; what rests adds 0, also where the slope is infinite."""
+    """Returns the derivative of an operation without corners; 0 of what rests, even at an infinite slope."""
     slope = _ZERO
     for index, argument in enumerate(arguments):
         if argument.moves:
@@ -152,7 +152,7 @@ def _one_of(condition: casadi.SX, a: _Pair, b: _Pair) -> ValueAndSlope:
 
 
 def _or_unknown(a: _Pair, jumps: casadi.SX, value: casadi.SX) -> casadi.SX:
-    """The value of what may jump at h = 0: NaN if it does where a has the slope 0 and does not rest."""
+    """Returns the value of what may jump at h = 0: NaN if it jumps where a has slope 0 and does not rest."""
     is_unknown = casadi.logic_and(jumps, casadi.logic_and(a.slope == 0.0, casadi.logic_not(a.rests)))
     return casadi.if_else(is_unknown, math.nan, value)
 
@@ -178,7 +178,7 @@ def _copysign(a: _Pair, b: _Pair) -> ValueAndSlope:
 
 
 def _stepped(code: int, towards: float) -> Rule:
-    """floor and ceil: a whole number that moves on has the value beyond the jump."""
+    """Returns the rule of floor or ceil: a whole number that moves on has the value beyond the jump."""
 
     def rule(a: _Pair) -> ValueAndSlope:
         value = _plain(code, a.value)
@@ -190,7 +190,7 @@ def _stepped(code: int, towards: float) -> Rule:
 
 
 def _fmod(a: _Pair, b: _Pair) -> ValueAndSlope:
-    """r = a - n b with a whole number n, between 0 and b; at 0 it jumps to |b| if a falls towards 0."""
+    """Returns r = a - n b with a whole number n, between 0 and b; at 0 it jumps to |b| if a falls."""
     value = _plain(casadi.OP_FMOD, a.value, b.value)
     slope = a.slope - (a.value - value) / b.value * b.slope
     is_at_end = casadi.logic_and(value == 0.0, a.value != 0.0)
@@ -201,7 +201,7 @@ def _fmod(a: _Pair, b: _Pair) -> ValueAndSlope:
 
 
 def _remainder(a: _Pair, b: _Pair) -> ValueAndSlope:
-    """r = a - n b with a whole number n, between -b/2 and b/2, where it jumps to the other end."""
+    """Returns r = a - n b with a whole number n, between -b/2 and b/2, where it jumps to the other end."""
     value = _plain(casadi.OP_REMAINDER, a.value, b.value)
     slope = a.slope - (a.value - value) / b.value * b.slope
     outwards = slope * casadi.sign(value) - casadi.sign(b.value) * b.slope / 2.0
@@ -230,7 +230,7 @@ def _is_choice(first: _Pair, second: _Pair) -> bool:
 
 
 def _choice(first: _Pair, second: _Pair) -> ValueAndSlope:
-    """The alternative after h = 0, or that of h = 0 itself where the one after is no number."""
+    """Returns the alternative after h = 0, or that of h = 0 itself where the one after is no number."""
     (condition, a), (_, b) = first.arguments, second.arguments
     value, slope = _one_of(condition.value, a, b)
     is_number = casadi.logic_and(casadi.fabs(value) < math.inf, casadi.fabs(slope) < math.inf)

@@ -1,4 +1,4 @@
-"""What PythonFMU's binary calls in an FMU of the python flavour.
+"""Slave that PythonFMU's binary calls in an FMU of the python flavour.
 
 The binary turns any exception into fmi2Fatal and drops the instance, so none leaves this class.
 A call that is refused is logged as an error and leaves the state as it was; as the binary has no
@@ -17,7 +17,7 @@ from pythonfmu.enums import Fmi2Status
 from pythonfmu.fmi2slave import Fmi2Slave
 
 from fmus.block import Block
-from fmus.block.instance import BlockError, Instance
+from fmus.block.instance import BlockError, BlockInstance
 from fmus.fmi.variable_types import types_of_transfer
 
 
@@ -32,7 +32,7 @@ class BlockSlave(Fmi2Slave):
         # the binary put the resources first on the path to find this module; nobody else needs them
         with suppress(ValueError):
             sys.path.remove(str(self.resources))
-        self._instance = Instance(self.block, self.fingerprint)
+        self._instance = BlockInstance(self.block, self.fingerprint)
         self._refused: dict[object, str] = {}
 
     def setup_experiment(

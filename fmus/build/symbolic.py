@@ -78,7 +78,7 @@ class Traced:
         self.initial_sparsity = casadi.jacobian_sparsity(unknowns, casadi.vertcat(ps, us))
 
     def _check_constants(self, name: str) -> None:
-        """ExportError for a function with a constant that is NaN."""
+        """Raises ExportError for a function with a constant that is NaN."""
         function: casadi.Function = getattr(self, name)
         for i in range(function.n_instructions()):
             is_constant = function.instruction_id(i) == casadi.OP_CONST
@@ -127,7 +127,7 @@ class Traced:
 
 @cache
 def traced(block: Block) -> Traced:
-    """The functions of a block, traced once in a process. ExportError for a block that cannot be traced."""
+    """Returns the functions of a block, traced once in a process; ExportError if it cannot be traced."""
     try:
         return Traced(block)
     except ExportError:
@@ -142,7 +142,7 @@ def traced(block: Block) -> Traced:
 
 
 def _symbols(block: Block, template: Any) -> tuple[casadi.SX, Any]:
-    """A column of symbols, and the same in the shape of the template, a class of the block or a value."""
+    """Returns a column of symbols, also in the shape of the template, a class of the block or a value."""
     count = len(flatten(template() if isinstance(template, type) else template))
     column = casadi.SX.sym("x", count)
     return column, guard.call(block.name, unflatten, template, [column[i] for i in range(count)])
@@ -154,7 +154,7 @@ def _column(value: Any) -> casadi.SX:
 
 
 def initial_dependencies(block: Block) -> dict[int, tuple[int, ...]]:
-    """Value reference of each initial unknown -> those of the parameters and inputs it follows from."""
+    """Returns value reference of each initial unknown -> those of the parameters and inputs behind it."""
     unknowns = (*block.of_causality("calculatedParameter"), *block.of_causality("output"))
     knowns = (*block.of_causality("parameter"), *block.of_causality("input"))
     dependencies: dict[int, list[int]] = {v.value_reference: [] for v in unknowns}

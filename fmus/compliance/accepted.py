@@ -1,4 +1,4 @@
-"""Which values an FMU accepts."""
+"""Values that an FMU accepts."""
 
 from collections.abc import Callable, Sequence
 from typing import Any

@@ -21,7 +21,7 @@ _END, _END_SIZE, _LONGEST_COMMENT = b"PK\x05\x06", 22, 65535
 
 @dataclass(frozen=True)
 class _Header:
-    """What the central directory, or the header before the data, states of a member."""
+    """Header of a member, in the central directory or before its data."""
 
     name: str
     version: int
@@ -30,7 +30,7 @@ class _Header:
 
 
 def unreadable(fmu: FmuFile) -> str:
-    """Why rules of the archive's members do not apply."""
+    """Returns the reason why rules of the archive's members do not apply."""
     return "the archive cannot be read" if fmu.archive_problem else ""
 
 

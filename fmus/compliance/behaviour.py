@@ -80,7 +80,7 @@ def obstacle(fmu: FmuFile) -> str:
 
 
 def _unreadable_variable(fmu: FmuFile) -> str:
-    """Which variable no function can read: rules of the description tell what is wrong with it."""
+    """Returns the variable that no function can read: rules of the description tell what is wrong with it."""
     broken = (v for v in fmu.variables if v.reference is None or v.base_kind not in KINDS)
     return next((f"{v.name or 'a variable'} has no legal value reference or type" for v in broken), "")
 
@@ -161,7 +161,7 @@ def _crash_of_a_format(rule: Rule, probe: Probe, formats: Rule, timeout: float) 
 
 
 def _lack_of_time(results: Mapping[str, Result], timeout: float) -> str:
-    """Why the rest is not judged, as it would take too long."""
+    """Returns the reason why the rest is not judged: it would take too long."""
     slow = {name: r.not_judged for name, r in results.items() if r.not_judged.startswith(SLOW)}
     if sum(m.startswith(HUNG) for r in results.values() for m in r.messages) >= _MOST_HANGS:
         return f"{_MOST_HANGS} rules before took more than {timeout:g} s in one call"

@@ -91,9 +91,7 @@ def memory_functions_may_be_null(probe: Probe) -> Iterator[str]:
 
 @behaviour_rule("advice: 2.1.5, allocateMemory returns NULL if memory is used up", Level.WARNING)
 def failed_allocation_is_handled(probe: Probe) -> Iterator[str]:
-    """Where allocateMemory returns NULL, fmi2Instantiate returns NULL, or an instance that needs no
-    such memory.
-    """
+    """fmi2Instantiate returns NULL where allocateMemory does, or an instance that needs no such memory."""
     script = probe.script(callbacks="refused memory").begin().step()
     try:
         script.play(keep_going=True)

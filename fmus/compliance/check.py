@@ -51,7 +51,7 @@ def check(
 
 
 def explain(name: str) -> str:
-    """What a rule claims and checks. Raises ValueError for a name that no rule has."""
+    """Returns what a rule claims and checks. Raises ValueError for a name that no rule has."""
     return report.explain(name, all_rules())
 
 

@@ -1,4 +1,4 @@
-"""What changes only when it may: constant, fixed and tunable values, and inputs."""
+"""Rules of values that change only when they may: constant, fixed and tunable ones, and inputs."""
 
 import struct
 from collections.abc import Iterator, Sequence
@@ -58,7 +58,7 @@ def constants_have_double_precision(probe: Probe) -> Iterator[str]:
 
 @behaviour_rule(_VARIABLES, needs="communication-points-may-be-rounded")
 def fixed_values_stay(probe: Probe) -> Iterator[str]:
-    """What is fixed or tunable, and inputs, change by steps only if the importer sets them."""
+    """Fixed and tunable variables, and inputs, change by steps only if the importer sets them."""
     chosen = [
         v for v in probe.fmu.variables if v.variability in ("fixed", "tunable") or v.causality == "input"
     ]

@@ -15,7 +15,7 @@ _LARGEST = 100_000_000  # bytes
 
 
 def unless_there(path: str) -> Condition:
-    """Why rules of an optional file do not apply to an FMU."""
+    """Returns the reason why rules of an optional file do not apply to an FMU."""
     return lambda fmu: "" if path in fmu.paths else f"there is no {path}"
 
 

@@ -101,8 +101,8 @@ def _noise(probe: Probe, known: Variable, names: set[str]) -> set[str]:
 
 @behaviour_rule(_STRUCTURE, Level.WARNING, needs="variables-can-be-read")
 def dependencies_on_time_are_declared(probe: Probe) -> Iterator[str]:
-    """Where the independent variable is defined, an initial unknown changes with the start time only if it
-    lists it.
+    """An initial unknown changes with the start time only if it lists the independent variable, where that is
+    defined.
     """
     independent = {v.index for v in probe.fmu.variables if v.causality == "independent"}
     if not independent:
@@ -158,7 +158,7 @@ def _finite(probe: Probe) -> set[str]:
 def _unmoved(
     listed: dict[str, set[int | None]], changes: list[tuple[Variable, set[str]]]
 ) -> dict[str, set[int | None]]:
-    """Those unknowns that no known changes which they list."""
+    """Returns the unknowns that no known changes which they list."""
     moved = {(name, known.index) for known, names in changes for name in names}
     return {name: knowns for name, knowns in listed.items() if not any((name, i) in moved for i in knowns)}
 

@@ -45,7 +45,7 @@ def _first_discarded(probe: Probe) -> _DiscardedStep | None:
 
 @behaviour_rule("4.2.2 Computation (fmi2DoStep)")
 def discarded_steps_have_a_last_time(probe: Probe) -> Iterator[str]:
-    """Where a step is discarded, fmi2LastSuccessfulTime, if given, lies in that step, before its end, and
+    """After a discarded step, fmi2LastSuccessfulTime, if given, lies in that step, before its end, and
     fmi2Terminated is a Boolean.
     """
     discarded = _discarded(probe)

@@ -50,7 +50,7 @@ def static_results(fmu: FmuFile, stages: Sequence[Stage] = _STATIC) -> Iterator[
 
 
 def _unread(fmu: FmuFile) -> str:
-    """Why no more than the file is judged, if so."""
+    """Returns the reason why no more than the file is judged, if so."""
     unread = fmu.description_problem and "the model description cannot be read"
     return unread or (fmu.other_version and "it is no FMU of FMI 2.0")
 

@@ -111,12 +111,12 @@ class FmuFile:
 
     @property
     def too_large(self) -> str:
-        """Why the archive is not unpacked, if so."""
+        """Reason why the archive is not unpacked, if it is too large."""
         return too_large(self.members, self.path.stat().st_size)
 
     @property
     def other_version(self) -> str:
-        """Why it is no FMU of FMI 2.0, if so."""
+        """Other version of FMI than 2.0, as a reason, if so."""
         version = self.root.get("fmiVersion")
         return "" if version == "2.0" else f"fmiVersion {version!r}: expected '2.0'"
 

@@ -24,7 +24,7 @@ SOURCES = "sources/"
 
 
 def _extension(folder: str) -> str:
-    """Of shared libraries of a platform; empty for one that FMI does not name."""
+    """Returns the extension of shared libraries of a platform; "" for one that FMI does not name."""
     match = _PLATFORM.fullmatch(folder)
     system = next((name for name in match.groups() if name), "") if match else ""
     return _EXTENSIONS.get(system, "")

@@ -1,4 +1,4 @@
-"""How an FMU is set up and initialised."""
+"""Rules of setting up and initialising an FMU."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""How far the derivative of an input moves what follows it: as far as the input itself would on that line."""
+"""Rules of the derivative of an input: it moves what follows as far as the input itself on that line."""
 
 import math
 from collections.abc import Callable, Iterator

@@ -50,7 +50,7 @@ class LoadedFmu:
         """Nothing: the library is loaded by now."""
 
     def text(self, function: str) -> str:
-        """What a function without arguments returns."""
+        """Returns the text of a function without arguments."""
         return getattr(self._library, function)().decode("utf-8", "replace")
 
     def is_static(self, function: str) -> bool:
@@ -59,11 +59,11 @@ class LoadedFmu:
         return address() == address()
 
     def held_blocks(self) -> int:
-        """How many blocks of memory of `allocateMemory` are in use."""
+        """Returns the number of blocks of memory of `allocateMemory` that are in use."""
         return len(self._memory.held)
 
     def foreign_frees(self) -> int:
-        """How often an address was freed that is not in use."""
+        """Returns how often an address was freed that is not in use."""
         return self._memory.foreign_frees
 
     def resources_in_use(self) -> dict[str, int]:
@@ -137,7 +137,7 @@ class LoadedFmu:
         return [instance.last_status, *observed]
 
     def _observed(self, instance: CalledInstance, action: Callable[[], Any]) -> list[Any]:
-        """What an action returns, the messages meanwhile, changed settings and bytes printed, if watched."""
+        """Returns the result of an action, the messages meanwhile, changed settings and printed bytes."""
         changed, printed = [], 0
         if instance.watched:
             self._settings.flush()
@@ -153,11 +153,11 @@ class LoadedFmu:
         return [value, instance.new_messages(), changed, printed]
 
     def traps(self, number: int) -> list[str]:
-        """What the FMU used that was valid during fmi2Instantiate only."""
+        """Returns what the FMU used that was valid during fmi2Instantiate only."""
         return self._instances[number].traps
 
     def finished_steps(self, number: int) -> list[Any]:
-        """How many steps were pending, and [status, right environment] of each call of `stepFinished`."""
+        """Returns the number of pending steps, and [status, right environment] of each `stepFinished`."""
         instance = self._instances[number]
         return [instance.pending_steps, instance.finished_steps]
 

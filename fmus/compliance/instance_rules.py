@@ -93,7 +93,7 @@ def unknown_reference(probe: Probe) -> int:
 
 @behaviour_rule(_CREATION, condition=if_not_claimed(ONLY_ONCE), needs="several-instances")
 def freed_instance_changes_no_other(probe: Probe) -> Iterator[str]:
-    """Where one instance is freed, others go on as before."""
+    """Others go on as before where one instance is freed."""
     alone, freed, other = probe.script().begin(), probe.script().begin(), probe.script(name="other").begin()
     expected = alone.run(3)
     alone.play()

@@ -55,7 +55,7 @@ def judged_by_one_process(
 
 
 def _breach(result: Result) -> str:
-    """Why what needs a rule is not judged: it has an error, or is not judged because another one has."""
+    """Returns the reason why what needs a rule is not judged: it has an error, or is not judged itself."""
     if result.outcome == "error":
         return f"{result.rule.name}{IS_BROKEN}"
     return result.not_judged if result.not_judged.endswith((IS_BROKEN, RANDOM)) else ""

@@ -1,4 +1,4 @@
-"""What LIEF reads of shared libraries, without loading them, in a process of its own.
+"""Reader of shared libraries: LIEF reads them, without loading them, in a process of its own.
 
 LIEF takes longer to import than all rules take, and may crash or hang on a library: it reads there, beside
 the behaviour of an FMU.
@@ -23,7 +23,7 @@ Member = tuple[str, str, bytes]
 
 @dataclass(frozen=True)
 class Library:
-    """What LIEF reads of one library, or of one architecture's slice of a macOS one.
+    """Library as LIEF reads it, or one architecture's slice of a macOS one.
 
     needed: libraries that it needs but the system's. search_paths: RPATH and RUNPATH of a library for Linux.
     """
@@ -57,7 +57,7 @@ def check_lief() -> None:
 
 
 class Reading:
-    """What LIEF reads of some libraries, from now on, beside whatever else is done.
+    """Reading of some libraries by LIEF, from now on, beside whatever else is done.
 
     timeout: seconds for each library
     """
@@ -77,7 +77,7 @@ class Reading:
 
     @property
     def failure(self) -> str:
-        """Which library LIEF crashes or hangs on, and how; the ones after it are not read."""
+        """Failure of LIEF: the library on which it crashes or hangs, and how; those after it are not read."""
         return self._answer[1]
 
     @cached_property

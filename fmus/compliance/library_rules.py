@@ -51,7 +51,7 @@ def no_library(fmu: FmuFile) -> str:
 
 
 def start_reading(fmu: FmuFile, timeout: float = LIMIT_S) -> Reading:
-    """What LIEF reads of the FMU's libraries, from the first call on.
+    """Starts LIEF's reading of the FMU's libraries at the first call, and returns it.
 
     timeout: seconds for each library. Raises what `FmuFile.read` does, OSError without a process.
     """
@@ -95,7 +95,7 @@ def library_exports(fmu: FmuFile) -> Iterator[str]:
 
 
 def _functions(fmu: FmuFile, path: str) -> set[str]:
-    """Of the interfaces whose modelIdentifier the library has as its name."""
+    """Returns the functions of the interfaces whose modelIdentifier the library has as its name."""
     identifier = path.rpartition("/")[2].rpartition(".")[0]
     kinds = [kind for kind, stated in fmu.interfaces.items() if stated.get("modelIdentifier") == identifier]
     names = " ".join([_OF_EVERY_INTERFACE, *(_FUNCTIONS[kind] for kind in kinds)])

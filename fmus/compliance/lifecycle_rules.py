@@ -78,7 +78,7 @@ def frees_in_every_state(probe: Probe) -> Iterator[str]:
 
 @behaviour_rule("4.1.2 Mathematical Model")
 def runs_are_repeatable(probe: Probe) -> Iterator[str]:
-    """The same calls give the same outputs in every instance, if they do so in every process."""
+    """Instances give the same outputs for the same calls, if processes do so."""
     different, is_random = _compared(probe)
     if is_random:
         raise NotJudgedError(RANDOM)
@@ -87,14 +87,14 @@ def runs_are_repeatable(probe: Probe) -> Iterator[str]:
 
 @behaviour_rule("advice: 4.1.2 knows no random numbers", Level.WARNING)
 def runs_are_not_random(probe: Probe) -> Iterator[str]:
-    """The same calls give the same outputs in every process; otherwise nothing else is judged."""
+    """Processes give the same outputs for the same calls; otherwise nothing else is judged."""
     different, is_random = _compared(probe)
     if is_random:
         yield from different
 
 
 def _compared(probe: Probe) -> tuple[list[str], bool]:
-    """How the outputs of a second instance differ, and whether they do so too in a process of its own."""
+    """Returns how the outputs of a second instance differ, and whether they do so in an own process too."""
 
     def compare() -> tuple[list[str], bool]:
         different = list(_differences(probe))

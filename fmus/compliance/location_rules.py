@@ -1,4 +1,4 @@
-"""Where an FMU finds its resources and other programs."""
+"""Rules of the locations where an FMU finds its resources and other programs."""
 
 from collections.abc import Iterator
 

@@ -20,7 +20,7 @@ _KINDS = {"r": "Real", "i": "Integer", "b": "Boolean", "s": "String"}
 
 
 def messages_of_a_session(probe: Probe) -> list[Message]:
-    """Of the session, up to its reset, and of a call that fails."""
+    """Returns the messages of the session, up to its reset, and of a call that fails."""
 
     def collected() -> list[Message]:
         script = probe.script(name=NAME, logging=True).begin().step()

@@ -27,7 +27,7 @@ def is_structured(fmu: FmuFile) -> bool:
 
 
 def not_structured(fmu: FmuFile) -> str:
-    """Why rules of structured names do not apply."""
+    """Returns the reason why rules of structured names do not apply."""
     return "" if is_structured(fmu) else "variableNamingConvention is not structured"
 
 

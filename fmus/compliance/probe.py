@@ -224,7 +224,7 @@ class Probe:
         return created, [Message(*message) for message in messages]
 
     def once(self, name: str, make: Callable[[], T], *of: object) -> T:
-        """What `make` returns, made once for all rules; NotJudgedError for the second rule if that failed.
+        """Returns the result of `make`, made once for all rules; NotJudgedError for the next if it failed.
 
         What cannot be judged, or is not there, is so for every rule. of: what tells it from others of its
         name.
@@ -260,7 +260,7 @@ def _refused(messages: Sequence[Message]) -> Exception:
 
 
 def refusal(messages: Sequence[Message]) -> str:
-    """Why fmi2Instantiate returned NULL, in the FMU's own words."""
+    """Returns the reason why fmi2Instantiate returned NULL, in the FMU's own words."""
     text = "; ".join(message.text for message in messages)
     cause = "the GUID of the library is another one" if "guid" in text.lower() else ""
     logged = f"the FMU logged: {text}" if text else "it logged nothing"

@@ -1,4 +1,4 @@
-"""What an FMU leaves as it is: settings of its process."""
+"""Rules of the settings of its process, which an FMU leaves as they are."""
 
 from collections.abc import Iterator
 

@@ -33,7 +33,7 @@ _processors = getattr(os, "sched_getaffinity", lambda _: ())  # those that a pro
 
 
 def _stream(number: int) -> str:
-    """What a file descriptor leads to."""
+    """Returns the stream to which a file descriptor leads."""
     try:
         status = os.fstat(number)
     except OSError:
@@ -69,7 +69,7 @@ def _function(library: Any, name: str, result: Any = ctypes.c_int, *arguments: A
 
 
 class ProcessSettings:
-    """What the C library and the operating system say of this process, against what they said at first."""
+    """Settings of this process in the C library and the operating system, against what they were at first."""
 
     def __init__(self) -> None:
         linux = _SELF.is_dir()

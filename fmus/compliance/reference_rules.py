@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fmus.build.documentation.reference_files import LS_REF
+from fmus.build.documentation.reference_results import LS_REF
 from fmus.compliance.fmu_file import BrokenMemberError, FmuFile, parsed_xml
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import behaviour_rule
@@ -30,7 +30,7 @@ Columns = dict[str, list[float]]
 
 @dataclass(frozen=True)
 class _Experiment:
-    """What one experiment says: times in s, inputs and outputs by name, each with a column "time"."""
+    """Experiment: times in s, inputs and outputs by name, each with a column "time"."""
 
     start: float
     stop: float

@@ -1,4 +1,4 @@
-"""What the check found: lines for people, and documents for programs."""
+"""Report of the check: lines for people, and documents for programs."""
 
 import difflib
 import json
@@ -17,7 +17,7 @@ _SARIF_SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 
 
 def count(findings: Findings, outcome: str) -> int:
-    """How many messages of an outcome ("error", "warning") there are in all."""
+    """Returns the number of messages of an outcome ("error", "warning") in all."""
     return sum(len(r.messages) for results in findings.values() for r in results if r.outcome == outcome)
 
 
@@ -48,7 +48,7 @@ def _reason(result: Result) -> str:
 
 
 def text(findings: Findings, every: bool = False) -> str:
-    """What is printed for people."""
+    """Returns the text that is printed for people."""
     parts = []
     for path, results in findings.items():
         parts += [f"{path}: {summary(results)}", *(f"  {line}" for line in lines(results, every))]
@@ -157,7 +157,7 @@ FORMATS: Mapping[str, Callable[[Findings], str]] = {
 
 
 def explain(name: str, rules: Sequence[Rule]) -> str:
-    """What a rule claims, how severe it is, and the sentences of the standard that it checks.
+    """Returns what a rule claims, how severe it is, and the sentences of the standard that it checks.
 
     Raises ValueError for a name that no rule has.
     """

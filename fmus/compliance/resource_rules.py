@@ -18,7 +18,7 @@ _CYCLES, _LEAST_LEAK = 8, 1024  # instances; bytes that each of them leaves
 
 @behaviour_rule(f"{_FLAGS}: {_OWN_MEMORY}", condition=if_not_claimed(_OWN_MEMORY))
 def memory_is_freed(probe: Probe) -> Iterator[str]:
-    """What an instance takes by allocateMemory it gives back by freeMemory, and nothing else, also if it is
+    """An instance gives back by freeMemory what it took by allocateMemory, and nothing else, also if it is
     initialised again after fmi2Reset.
     """
     held_before, frees_before = probe.ask("held_blocks"), probe.ask("foreign_frees")

@@ -1,4 +1,4 @@
-"""What a rule is: one decorated function."""
+"""Rules: each is one decorated function."""
 
 import inspect
 from collections import Counter
@@ -12,14 +12,14 @@ Condition = Callable[[Any], str]  # why the rule does not apply to an FMU; nothi
 
 
 class Level(StrEnum):
-    """What breaking a rule means: an error fails the check, a warning is only told."""
+    """Level of a rule: breaking an error fails the check, breaking a warning is only told."""
 
     ERROR = "error"
     WARNING = "warning"
 
 
 class Stage(StrEnum):
-    """What a rule looks at; a stage is judged only if that can be had."""
+    """Stage at which a rule is judged, if what it looks at can be had."""
 
     FILE = "file"
     DESCRIPTION = "description"
@@ -56,7 +56,7 @@ class NotApplicableError(Exception):
 
 @dataclass(frozen=True)
 class Result:
-    """What one rule said of one FMU: nothing, messages, or why it does not apply or could not be judged."""
+    """Result of one rule on one FMU: messages, or the reason why it does not apply or could not be judged."""
 
     rule: Rule
     messages: tuple[str, ...] = ()
@@ -74,7 +74,8 @@ class Result:
 
 
 def defect(error: Exception) -> str:
-    """Why a rule that raises an error of its own is not judged: the FMU has no part in it."""
+    """Returns the reason why a rule with an error of its own is not judged: the FMU has no part in it."""
+
     return f"{DEFECT} ({type(error).__name__}: {error}), which tells nothing of the FMU: please report it"
 
 
@@ -142,5 +143,5 @@ def _plain(text: str) -> str:
 
 
 def repeated(names: Iterable[Any]) -> dict[Any, int]:
-    """How often each name occurs, of those that occur more than once."""
+    """Returns the number of times that each name occurs, of those that occur more than once."""
     return {name: count for name, count in Counter(names).items() if count > 1}

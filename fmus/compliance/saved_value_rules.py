@@ -1,4 +1,4 @@
-"""Which values a saved state holds, and what asking an FMU for values may not change."""
+"""Rules of the values that a saved state holds, and of what asking an FMU for values may not change."""
 
 from collections.abc import Iterator
 from typing import Any

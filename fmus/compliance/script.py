@@ -53,7 +53,7 @@ class Message:
 
 @dataclass
 class Reply:
-    """What came of a call; `status` is None until it was made."""
+    """Reply to a call; `status` is None until it was made."""
 
     function: str
     state: str
@@ -79,7 +79,7 @@ class Reply:
 
     @property
     def problem(self) -> str:
-        """What went wrong, in words."""
+        """Problem of the call, in words."""
         return f"{self.function} {self.status_name}: expected ok; {self.logged}"
 
 
@@ -105,7 +105,7 @@ class Reading:
 
 
 class Examined(Protocol):
-    """What a script knows of the FMU. start_time, step_size: of the default experiment [s]."""
+    """Examined FMU, as a script knows it. start_time, step_size: of the default experiment [s]."""
 
     fmu: FmuFile
     start_time: float
@@ -257,7 +257,7 @@ class Script:
         return self
 
     def fill_ends(self, creation: Sequence[Any], end: Sequence[Any]) -> None:
-        """What was observed while the instance was created and freed."""
+        """Fills in what was observed while the instance was created and freed."""
         for reply, (_, messages, changed, printed) in ((self.creation, creation), (self.end, end)):
             reply.changed, reply.printed = changed, printed
             reply.messages = [Message(*message) for message in messages]

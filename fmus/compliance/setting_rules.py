@@ -1,4 +1,4 @@
-"""What can be set, when, and what is read then."""
+"""Rules of setting variables: which, when, and what is read then."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -33,7 +33,7 @@ _Setting = tuple[Variable, Any, Script, Reading]  # a variable, its value, the s
 
 @behaviour_rule(_INITIALIZATION, needs="start-values-are-as-declared strings-are-copied")
 def values_that_are_set_are_read(probe: Probe) -> Iterator[str]:
-    """What is set when instantiated or in initialization mode is read afterwards."""
+    """Values that are set when instantiated or in initialization mode are read afterwards."""
     before = [v for v in settable_before(probe.fmu) if v.initial == "exact"]
     yield from _not_as_set(probe, before, "when instantiated")
     yield from _not_as_set(probe, settable_in_initialization(probe.fmu), "in initialization mode")

@@ -17,7 +17,7 @@ _ROUGH = 0.1  # relative: of slopes over a step, which is no limit
 
 
 def with_short_steps(probe: Probe, name: str, run: Callable[[Probe, float], T]) -> T | None:
-    """What a run gives with steps of the part `SHORT` of the step size; None where the FMU refuses them.
+    """Returns the run with steps of the part `SHORT` of the step size; None where the FMU refuses them.
 
     name: of that run, which is made once for all rules
     """

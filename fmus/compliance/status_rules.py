@@ -1,4 +1,4 @@
-"""What fmi2GetXXXStatus gives, and which statuses functions return."""
+"""Rules of the statuses that functions return, and of what fmi2GetXXXStatus gives."""
 
 from collections.abc import Iterable, Iterator
 

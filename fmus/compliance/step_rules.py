@@ -177,7 +177,7 @@ def variable_step_size(probe: Probe) -> Iterator[str]:
 def _discarded(
     probe: Probe, script: Script, failure: Reply, ends: list[tuple[float, float]]
 ) -> Iterator[str]:
-    """What is wrong with a step that was discarded: the master cannot know where it ended."""
+    """Returns what is wrong with a discarded step: the master cannot know where it ended."""
     steps = [reply for reply in script.replies if reply.function == "fmi2DoStep"]
     number = steps.index(failure)
     again = probe.script(logging=True).begin()

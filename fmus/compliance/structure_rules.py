@@ -57,7 +57,7 @@ def _difference(
 
 @rule(_CLAUSE, Stage.DESCRIPTION)
 def derivatives_are_marked(fmu: FmuFile) -> Iterator[str]:
-    """What Derivatives lists has the attribute derivative, each of a state of its own."""
+    """Variables that Derivatives lists have the attribute derivative, each of a state of its own."""
     for index in _indices(fmu, "Derivatives"):
         v = fmu.variables[index - 1]
         if "derivative" not in v.typed:

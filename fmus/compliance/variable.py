@@ -57,7 +57,8 @@ class Variable:
 
     @property
     def initial(self) -> str:
-        """As stated, if that is legal here, else the default; empty where there is none."""
+        """Attribute initial as stated, if that is legal here, else the default; "" where there is none."""
+
         stated, pair = self.attributes.get("initial", ""), (self.causality, self.variability)
         allowed = INITIAL.get(pair, (stated,))
         return stated if stated in allowed else next(iter(allowed), "")

@@ -27,12 +27,12 @@ def element_type(transfer_type: str) -> Any:
 
 
 def status_name(status: int) -> str:
-    """The name of an fmi2Status; a number that is none is named as it is."""
+    """Returns the name of an fmi2Status; a number that is none is named as it is."""
     return _STATUS_NAMES[status] if 0 <= status < len(_STATUS_NAMES) else f"status {status}"
 
 
 def platform_name() -> str:
-    """The FMI name of this machine's platform, or else the name of its system and address size."""
+    """Returns the FMI name of this machine's platform, or else the name of its system and address size."""
     try:
         return host_platform()
     except ExportError:
@@ -40,7 +40,7 @@ def platform_name() -> str:
 
 
 def library_member(members: Collection[str], model_identifier: str) -> str | None:
-    """The path inside an FMU of the library that this machine loads; None if there is none.
+    """Returns the path inside an FMU of the library that this machine loads; None if there is none.
 
     members: the paths in the FMU. The folder of the FMI platform comes first, then the folder that FMPy uses,
     which tells no processor.
@@ -52,7 +52,7 @@ def library_member(members: Collection[str], model_identifier: str) -> str | Non
 
 
 def reference_array(references: Sequence[int]) -> Any:
-    """Value references as the functions of FMI take them."""
+    """Returns the value references as the functions of FMI take them."""
     return (ctypes.c_uint * len(references))(*references)
 
 
@@ -130,10 +130,10 @@ class BoundInstance(ABC):
 
     @abstractmethod
     def check_status(self, function: str, status: int) -> None:
-        """Raise an error for a status that is a failure of the function."""
+        """Raises an error for a status that is a failure of the function."""
 
     def instantiate(self, name: str, guid: str, resources: Path, logging_on: bool) -> bool:
-        """Create the instance; False if the FMU returns NULL."""
+        """Creates the instance; False if the FMU returns NULL."""
         address = self.library.fmi2Instantiate(
             name.encode(),
             CO_SIMULATION,
@@ -147,21 +147,21 @@ class BoundInstance(ABC):
         return self.handle is not None
 
     def status(self, function: str, *arguments: Any) -> int:
-        """The status that a function of the library returns for the instance."""
+        """Returns the status that a function of the library returns for the instance."""
         return getattr(self.library, function)(self.handle, *arguments)
 
     def call(self, function: str, *arguments: Any) -> None:
-        """Call a function and check its status."""
+        """Calls a function and checks its status."""
         self.check_status(function, self.status(function, *arguments))
 
     def get_values(self, transfer_type: str, references: Sequence[int]) -> list[Any]:
-        """The values of variables of one type, in one call; Strings as bytes."""
+        """Returns the values of variables of one type, in one call; Strings as bytes."""
         buffer = (element_type(transfer_type) * len(references))()
         self.call(f"fmi2Get{transfer_type}", reference_array(references), len(references), buffer)
         return list(buffer)
 
     def set_values(self, transfer_type: str, references: Sequence[int], values: Sequence[Any]) -> None:
-        """Set variables of one type in one call; Strings are given as bytes."""
+        """Sets variables of one type in one call; Strings are given as bytes."""
         buffer = (element_type(transfer_type) * len(references))(*values)
         self.call(f"fmi2Set{transfer_type}", reference_array(references), len(references), buffer)
 
@@ -178,7 +178,7 @@ class BoundInstance(ABC):
         self.call("fmi2ExitInitializationMode")
 
     def get_fmu_state(self, state: int | None = None) -> int:
-        """The FMU's state as it is now; the saved state that is given, if any, is overwritten."""
+        """Returns the FMU's state as it is now; the saved state that is given, if any, is overwritten."""
         pointer = ctypes.c_void_p(state)
         self.call("fmi2GetFMUstate", ctypes.byref(pointer))
         return pointer.value or 0
@@ -190,7 +190,7 @@ class BoundInstance(ABC):
         self.call("fmi2FreeFMUstate", ctypes.byref(ctypes.c_void_p(state)))
 
     def serialize_fmu_state(self, state: int) -> bytes:
-        """A saved state as bytes, from which another instance of this FMU can restore it."""
+        """Returns a saved state as bytes, from which another instance of this FMU can restore it."""
         size, saved = ctypes.c_size_t(), ctypes.c_void_p(state)
         self.call("fmi2SerializedFMUstateSize", saved, ctypes.byref(size))
         content = ctypes.create_string_buffer(max(size.value, 1))
@@ -198,7 +198,7 @@ class BoundInstance(ABC):
         return content.raw[: size.value]
 
     def deserialize_fmu_state(self, content: bytes) -> int:
-        """A saved state from the bytes of `serialize_fmu_state`."""
+        """Returns a saved state from the bytes of `serialize_fmu_state`."""
         pointer = ctypes.c_void_p()
         buffer = ctypes.create_string_buffer(content, len(content))
         self.call("fmi2DeSerializeFMUstate", buffer, len(content), ctypes.byref(pointer))

@@ -1,4 +1,4 @@
-"""What an importer gives to an instance of an FMI 2.0 FMU: the logger, memory, and the log that is filled."""
+"""Callbacks that an importer gives to an instance of an FMI 2.0 FMU: logger and memory; and the log."""
 
 import contextlib
 import ctypes
@@ -23,7 +23,7 @@ _C_LIBRARY = ctypes.cdll.msvcrt if sys.platform == "win32" else ctypes.CDLL(None
 
 
 class CallbackFunctions(ctypes.Structure):
-    """fmi2CallbackFunctions of fmi2FunctionTypes.h."""
+    """Structure fmi2CallbackFunctions of fmi2FunctionTypes.h."""
 
     _fields_ = (
         ("logger", Logger),
@@ -47,7 +47,7 @@ class Log(list[tuple[int, str]]):
     def add(
         self, status: int, message: str, instance: str | None = None, category: str | None = None
     ) -> None:
-        """Add a message. instance, category: as the FMU gave them, for a log that keeps these too."""
+        """Adds a message. instance, category: as the FMU gave them, for a log that keeps these too."""
         entry = status, " ".join(message.split())
         if not self or self[-1] != entry:
             self.append(entry)
@@ -60,7 +60,7 @@ class Log(list[tuple[int, str]]):
 
 
 class CountingAllocator:
-    """Memory for FMUs that is counted.
+    """Allocator of memory for FMUs that counts it.
 
     held: address -> block, of those in use; foreign_frees: how often another address was freed
     """
@@ -109,7 +109,7 @@ _python_logger = Logger(_log_message)
 
 @functools.cache
 def _logger() -> Any:
-    """A logger that formats messages (their arguments do not reach Python) and passes them to `_log_message`.
+    """Returns a logger that formats messages, whose arguments do not reach Python, for `_log_message`.
 
     It is FMPy's, in a library copied and loaded for this module alone: FMPy's own copy serves the logger that
     was registered last in the process. Where the copy cannot be loaded, messages arrive without arguments.
@@ -154,5 +154,5 @@ class Callbacks:
             self.structure.stepFinished = StepFinished(lambda *_: None)
 
     def close(self) -> None:
-        """Messages that come later are dropped."""
+        """Closes the log: messages that come later are dropped."""
         _logs.pop(self._environment, None)

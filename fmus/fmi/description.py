@@ -103,12 +103,12 @@ def is_independent(description: ModelDescription) -> bool:
 
 
 def of_causality(description: ModelDescription, causality: str) -> list[ScalarVariable]:
-    """The variables of a causality, in the order of the model description."""
+    """Returns the variables of a causality, in the order of the model description."""
     return [variable for variable in description.modelVariables if variable.causality == causality]
 
 
 def start_value(variable: ScalarVariable) -> FmiValue:
-    """The start value in the Python type of the variable; 0, False or "" where none is given."""
+    """Returns the start value in the Python type of the variable; 0, False or "" where none is given."""
     text = str(variable.start or "")
     if variable.type == "String":
         return text
@@ -118,7 +118,7 @@ def start_value(variable: ScalarVariable) -> FmiValue:
 
 
 def _take_over_declared_types(description: ModelDescription) -> None:
-    """Give each variable what only its SimpleType states: unit, range, nominal (FMI 2.0.5, 2.2.3)."""
+    """Gives each variable what only its SimpleType states: unit, range, nominal (FMI 2.0.5, 2.2.3)."""
     for variable, attribute in product(description.modelVariables, ("unit", "min", "max", "nominal")):
         if getattr(variable, attribute) is None:
             setattr(variable, attribute, getattr(variable.declaredType, attribute, None))

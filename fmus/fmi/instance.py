@@ -5,27 +5,23 @@ Every call that an FMU refuses becomes an FmuError with the messages that the FM
 
 import contextlib
 import ctypes
+import threading
 import warnings
-from collections.abc import Callable, Iterable
+import zipfile
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from fmus.errors import FmuError, FmuLoadError, FmuWarning
-from fmus.fmi.binding import (
-    ERROR,
-    FATAL,
-    LAST_SUCCESSFUL_TIME,
-    OK,
-    TERMINATED,
-    WARNING,
-    BoundInstance,
-    Callbacks,
-    status_name,
-)
+from fmus.files import extract_archive
+from fmus.fmi import binding
+from fmus.fmi.binding import BoundInstance, Callbacks, Library, library_member, platform_name, status_name
+from fmus.fmi.description import FileVersion, is_independent
 from fmus.fmi.model_description import ModelDescription, ScalarVariable
-from fmus.fmi.unpacked import unpacked
 from fmus.fmi.variable_types import TRANSFER_TYPE, FmiValue
 
 _MOST_MESSAGES = 10  # in an error or a warning
@@ -40,6 +36,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
 
     is_fresh: whether it was instantiated or reset, and neither set nor initialised since
     has_warned: whether a call returned a warning since it was instantiated or reset
+    returned_fatal: whether a call returned fatal, after which FMI forbids any
     time [s]: of the present call
     busy: shape (1,), `number` while a call is in progress, else 0; calls: shape (1,), how many have returned.
     Another process can watch them.
@@ -47,7 +44,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
 
     def __init__(self, name: str, path: Path, description: ModelDescription) -> None:
         self.name, self.description, self.time = name, description, 0.0
-        self.is_fresh, self._stepping, self._failed, self._dead = True, False, False, False
+        self.is_fresh, self._stepping, self._failed, self.returned_fatal = True, False, False, False
         self.has_warned = False
         self.number, self.busy, self.calls = 1, np.zeros(1, np.int64), np.zeros(1, np.int64)
         self.after_call: Callable[[], object] = lambda: None
@@ -70,7 +67,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
 
     @property
     def address(self) -> int:
-        """Of the instance in memory."""
+        """Address of the instance in memory."""
         return (self.handle and self.handle.value) or 0
 
     def function(self, name: str) -> int:
@@ -78,10 +75,10 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         return ctypes.cast(getattr(self.library, name), ctypes.c_void_p).value or 0
 
     def reset(self) -> bool:
-        """Reset to the state after instantiation; False if the FMU refuses, and must be loaded anew."""
+        """Resets to the state after instantiation; False if the FMU refuses, and must be loaded anew."""
         status = self.status("fmi2Reset")
         self.log.clear()
-        self._dead = self._dead or status == FATAL
+        self.returned_fatal = self.returned_fatal or status == binding.FATAL
         if status == 0:
             self.is_fresh, self._stepping, self._failed, self.termination_log = True, False, False, []
             self.has_warned = False
@@ -89,11 +86,11 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         return status == 0
 
     def set(self, variable: ScalarVariable, value: FmiValue) -> None:
-        """Set one variable, outside the loop."""
+        """Sets one variable, outside the loop."""
         self.set_all([(variable, value)])
 
     def set_all(self, settings: Iterable[tuple[ScalarVariable, FmiValue]]) -> None:
-        """Set variables, those of one type in one call, outside the loop."""
+        """Sets variables, those of one type in one call, outside the loop."""
         self.is_fresh = False  # also where a call is refused: others may have set values before
         groups: dict[str, list[tuple[int, FmiValue | bytes]]] = {}
         for variable, value in settings:
@@ -103,12 +100,12 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
             self.set_values(transfer_type, *zip(*members, strict=True))
 
     def get(self, variable: ScalarVariable) -> Any:
-        """Read one variable, outside the loop."""
+        """Reads one variable, outside the loop."""
         (value,) = self.get_values(TRANSFER_TYPE[variable.type], [variable.valueReference])
         return (value or b"").decode("utf-8", "replace") if variable.type == "String" else value
 
     def initialise(self, start_time: float, stop_time: float | None, tolerance: float | None = None) -> None:
-        """Set the experiment up and enter initialization mode; tolerance: relative, of its solver."""
+        """Sets the experiment up and enters initialization mode; tolerance: relative, of its solver."""
         self.time = start_time
         self.is_fresh = False
         self.set_up_experiment(start_time, stop_time, tolerance)
@@ -123,23 +120,18 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
         self.forget_failure()
 
     def forget_failure(self) -> None:
-        """What a state from before an error was set for."""
+        """Forgets a failure, as the state from before it was set."""
         self._failed = False
 
-    @property
-    def is_dead(self) -> bool:
-        """Whether a call returned fatal, after which FMI forbids any."""
-        return self._dead
-
     def free_fmu_state(self, state: int) -> None:
-        """Free a saved state; after a fatal error nothing is called, the state goes with the library."""
-        if not self._dead:
+        """Frees a saved state; after a fatal error nothing is called, the state goes with the library."""
+        if not self.returned_fatal:
             super().free_fmu_state(state)
 
     def last_successful_time(self) -> float | None:
-        """The time up to which a discarded step was computed [s]; None if the FMU does not provide it."""
+        """Returns the time [s] up to which a discarded step was computed; None if the FMU gives none."""
         time = ctypes.c_double()
-        status = self.status("fmi2GetRealStatus", LAST_SUCCESSFUL_TIME, ctypes.byref(time))
+        status = self.status("fmi2GetRealStatus", binding.LAST_SUCCESSFUL_TIME, ctypes.byref(time))
         self._remember(status)
         return time.value if status == 0 else None
 
@@ -152,7 +144,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
             return False
         self.termination_log = [message for _, message in self.log]
         answer = ctypes.c_int()
-        status = self.status("fmi2GetBooleanStatus", TERMINATED, ctypes.byref(answer))
+        status = self.status("fmi2GetBooleanStatus", binding.TERMINATED, ctypes.byref(answer))
         self._remember(status)
         return status == 0 and bool(answer.value)
 
@@ -166,7 +158,7 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
             self.calls[0] += 1
 
     def check_status(self, function: str, status: int) -> None:
-        """Raise FmuError for a refused call, warn for a warning, and clear the log.
+        """Raises FmuError for a refused call, warns for a warning, and clears the log.
 
         A call that returned ok but logged an error is refused too: some FMUs report an error only there.
         """
@@ -174,11 +166,11 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
             return
         log = list(self.log)
         self.log.clear()
-        logged = [s for s, _ in log if s in (ERROR, FATAL)]
-        worst = max([status, *logged]) if status >= OK else status
+        logged = [s for s, _ in log if s in (binding.ERROR, binding.FATAL)]
+        worst = max([status, *logged]) if status >= binding.OK else status
         self._remember(status)
         messages = _shortened([message for _, message in log])
-        if worst not in (OK, WARNING):
+        if worst not in (binding.OK, binding.WARNING):
             raise FmuError(self.name, self.time, function, status_name(worst), messages)
         if worst:
             self.has_warned = True
@@ -188,18 +180,18 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
             )
 
     def _remember(self, status: int) -> None:
-        self._failed = self._failed or not OK <= status < ERROR
-        self._dead = self._dead or status == FATAL
+        self._failed = self._failed or not binding.OK <= status < binding.ERROR
+        self.returned_fatal = self.returned_fatal or status == binding.FATAL
 
     def close(self) -> None:
-        """Terminate and free the instance, unload its library, remove its folder.
+        """Terminates and frees the instance, unloads its library, removes its folder.
 
         FMI forbids fmi2Terminate after an error, and any call after a fatal error.
         """
         try:
-            if self.handle and self._stepping and not (self._failed or self._dead):
-                self._dead = self.status("fmi2Terminate") == FATAL
-            if self.handle and not self._dead:
+            if self.handle and self._stepping and not (self._failed or self.returned_fatal):
+                self.returned_fatal = self.status("fmi2Terminate") == binding.FATAL
+            if self.handle and not self.returned_fatal:
                 self.status("fmi2FreeInstance")
         finally:
             self.handle = None
@@ -210,7 +202,78 @@ class FmuInstance(BoundInstance, contextlib.AbstractContextManager["FmuInstance"
 
 
 def _shortened(messages: list[str]) -> list[str]:
-    """The different messages, at most as many as can be read."""
+    """Returns the different messages, at most as many as can be read."""
     different = list(dict.fromkeys(messages))
     left = len(different) - _MOST_MESSAGES
     return [*different[:_MOST_MESSAGES], *([f"and {left} more"] if left > 0 else [])]
+
+
+class UnpackedFmu:
+    """The folder of an FMU and its library; users: how many instances share them."""
+
+    def __init__(self, path: Path, description: ModelDescription) -> None:
+        self._temporary = TemporaryDirectory(prefix="l1-depth-", ignore_cleanup_errors=True)
+        self.folder, self.users = Path(self._temporary.name), 0
+        try:
+            self.library = _library(path, description, self.folder)
+        except BaseException:
+            self._temporary.cleanup()
+            raise
+
+    def close(self) -> None:
+        self.library.unload()
+        self._temporary.cleanup()
+
+
+_shared: dict[FileVersion, UnpackedFmu] = {}
+_lock = threading.Lock()
+
+
+@contextmanager
+def unpacked(path: Path, description: ModelDescription) -> Iterator[UnpackedFmu]:
+    """Yields the unpacked FMU of an instance: shared by those of its file if independent, else its own."""
+    fmu, version = _entered(path, description)
+    try:
+        yield fmu
+    finally:
+        with _lock:
+            fmu.users -= 1
+            is_last = not fmu.users
+            if is_last and version:
+                del _shared[version]
+        if is_last:
+            fmu.close()
+
+
+def _entered(path: Path, description: ModelDescription) -> tuple[UnpackedFmu, FileVersion | None]:
+    """Acquires the unpacked FMU for one more user; returns it and the key by which it is shared, or None."""
+    if not is_independent(description):
+        fmu, version = UnpackedFmu(path, description), None
+        fmu.users = 1
+        return fmu, version
+    with _lock:
+        version = FileVersion.of(path)
+        if version not in _shared:
+            _shared[version] = UnpackedFmu(path, description)
+        _shared[version].users += 1
+        return _shared[version], version
+
+
+def _library(path: Path, description: ModelDescription, folder: Path) -> Library:
+    """Unpacks an FMU, of an independent one its library and resources alone, and loads its library."""
+    interface = description.coSimulation
+    with zipfile.ZipFile(path) as archive:
+        names = archive.namelist()
+    identifier = interface.modelIdentifier if interface else ""
+    member = library_member(names, identifier)
+    if member is None:
+        prefix = f"binaries/{platform_name()}/"
+        here = [name for name in names if name.startswith(prefix) and name != prefix]
+        others = {name.split("/")[1] for name in names if name.startswith("binaries/") and name[-1] != "/"}
+        sources = ["C sources"] if any(name.startswith("sources/") for name in names) else []
+        available = ", ".join(here or [*sources, *sorted(others)]) or "none"
+        named = f" called {identifier}, its modelIdentifier" if here else ""
+        raise FmuLoadError(f"{path} has no binary for {platform_name()}{named}: it has {available}")
+    needed = [name for name in names if name == member or name.startswith("resources/")]
+    extract_archive(path, folder, needed if is_independent(description) else None)
+    return Library(folder / member)

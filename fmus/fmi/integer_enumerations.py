@@ -18,19 +18,19 @@ _DESCRIPTION = "modelDescription.xml"
 
 
 def without_enumerations(fmu: bytes) -> bytes:
-    """The FMU with each Enumeration described as Integer; nothing else of it changes."""
+    """Returns the FMU with each Enumeration described as Integer; nothing else of it changes."""
     written = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(fmu)) as source, zipfile.ZipFile(written, "w") as target:
         for info in source.infolist():
             content = source.read(info)
             if info.filename == _DESCRIPTION:
-                content = with_plain_types(content, INTEGER_ENUMERATIONS)
+                content = with_other_types(content, INTEGER_ENUMERATIONS)
             target.writestr(info, content)
     return written.getvalue()
 
 
-def with_plain_types(description: bytes, types: Mapping[str, str]) -> bytes:
-    """A model description in which variables of some types have others.
+def with_other_types(description: bytes, types: Mapping[str, str]) -> bytes:
+    """Returns a model description in which variables of some types have others.
 
     types: type -> the one in its place; what its numbers mean is added to the description of the variable
     """
@@ -56,7 +56,7 @@ def with_plain_types(description: bytes, types: Mapping[str, str]) -> bytes:
 
 
 def _change(variable: Element, kind: Element, new: str, items: Mapping[int, str | None]) -> None:
-    """Give a variable another type; a number for each item and truth value."""
+    """Gives a variable another type; a number for each item and truth value."""
     start = kind.get("start")
     limits = {name: kind.attrib[name] for name in ("min", "max") if name in kind.attrib}
     if kind.tag == "Boolean":

@@ -64,7 +64,7 @@ class ScalarVariable:
 
 @dataclass(eq=False)
 class Unknown:
-    """What depends on other variables; dependencies: None where they are not stated, and may be all."""
+    """Unknown of the model structure; dependencies: None where they are not stated, and may be all."""
 
     variable: ScalarVariable
     dependencies: list[ScalarVariable] | None
@@ -72,7 +72,7 @@ class Unknown:
 
 @dataclass(eq=False)
 class BaseUnit:
-    """value in base units = factor * value + offset; the exponents of these."""
+    """Base unit: value in base units = factor * value + offset; the exponents of these."""
 
     kg: int
     m: int
@@ -138,7 +138,7 @@ class ModelDescription:
 
 
 def model_description(root: Element) -> ModelDescription:
-    """What a modelDescription.xml holds; ValueError says what of it cannot be read."""
+    """Returns the content of a modelDescription.xml; ValueError says what of it cannot be read."""
     types = {
         definition.name: definition for definition in map(_simple_type, root.findall("TypeDefinitions/*"))
     }
@@ -228,7 +228,7 @@ def _variable(element: Element, types: Mapping[str, SimpleType]) -> ScalarVariab
 
 
 def _unknowns(root: Element, name: str, variables: Sequence[ScalarVariable]) -> list[Unknown]:
-    """The unknowns of a part of the model structure, which names variables by their numbers, from 1."""
+    """Returns the unknowns of a part of the model structure, which numbers variables from 1."""
 
     def variable(number: str) -> ScalarVariable:
         if not 1 <= int(number) <= len(variables):

@@ -16,5 +16,5 @@ NUMBERS = tuple(name for name in TYPES if name != "String")
 
 
 def types_of_transfer(transfer_type: str) -> tuple[str, ...]:
-    """The types of the variables that the functions of this type get and set."""
+    """Returns the types of the variables that the functions of this type get and set."""
     return tuple(name for name, transferred in TRANSFER_TYPE.items() if transferred == transfer_type)

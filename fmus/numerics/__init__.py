@@ -5,6 +5,7 @@ traced to C. Names are those of `math` and NumPy. On floats nothing but the stan
 imported; CasADi is loaded when the first symbol arrives. Annotations say `float` and `bool` for both.
 """
 
+from fmus.numerics.arrays import interp, interp2d, matmul, ramp_rates, ramps, solve, transpose
 from fmus.numerics.choice import (
     all,
     any,
@@ -58,69 +59,13 @@ from fmus.numerics.elementary import (
     tanh,
     trunc,
 )
-from fmus.numerics.integration import rk4_step
-from fmus.numerics.matrices import matmul, solve, transpose
-from fmus.numerics.sampling import Clock, sampled
-from fmus.numerics.tables import interp, interp2d, ramp_rates, ramps
+from fmus.numerics.stepping import Clock, rk4_step, sampled
 
 __all__ = [
-    "Clock",
-    "absolute",
-    "acos",
-    "acosh",
-    "all",
-    "any",
-    "asin",
-    "asinh",
-    "atan",
-    "atan2",
-    "atanh",
-    "cbrt",
-    "ceil",
-    "choose",
-    "clip",
-    "copysign",
-    "cos",
-    "cosh",
-    "degrees",
-    "dist",
-    "erf",
-    "exp",
-    "exp2",
-    "expm1",
-    "floor",
-    "fmod",
-    "hypot",
-    "interp",
-    "interp2d",
-    "log",
-    "log1p",
-    "log2",
-    "log10",
-    "logical_and",
-    "logical_not",
-    "logical_or",
-    "logical_xor",
-    "matmul",
-    "maximum",
-    "minimum",
-    "power",
-    "radians",
-    "ramp_rates",
-    "ramps",
-    "remainder",
-    "rk4_step",
-    "round",
-    "sampled",
-    "select",
-    "sign",
-    "sin",
-    "sinh",
-    "solve",
-    "sqrt",
-    "tan",
-    "tanh",
-    "transpose",
-    "trunc",
-    "where",
-]
+    "Clock", "absolute", "acos", "acosh", "all", "any", "asin", "asinh", "atan", "atan2", "atanh", "cbrt",
+    "ceil", "choose", "clip", "copysign", "cos", "cosh", "degrees", "dist", "erf", "exp", "exp2", "expm1",
+    "floor", "fmod", "hypot", "interp", "interp2d", "log", "log1p", "log2", "log10", "logical_and",
+    "logical_not", "logical_or", "logical_xor", "matmul", "maximum", "minimum", "power", "radians",
+    "ramp_rates", "ramps", "remainder", "rk4_step", "round", "sampled", "select", "sign", "sin", "sinh",
+    "solve", "sqrt", "tan", "tanh", "transpose", "trunc", "where",
+]  # fmt: skip

@@ -36,7 +36,7 @@ def where(condition: bool | float, if_true: T | Callable[[], T], if_false: T | C
 
 
 def _check_shapes(if_true: Any, if_false: Any, path: str = "") -> None:
-    """TypeError for a number beside a tuple or dataclass, or for another number of elements, at any level."""
+    """Raises TypeError for alternatives of different shapes, at any level."""
     shapes = [
         type(value).__name__ if hasattr(value, "__dataclass_fields__")
         else f"a tuple of {len(value)}" if isinstance(value, tuple)
@@ -51,7 +51,7 @@ def _check_shapes(if_true: Any, if_false: Any, path: str = "") -> None:
 
 
 def _elements(value: Any) -> list[tuple[str, Any]]:
-    """Path and value of what a tuple or dataclass consists of."""
+    """Returns path and value of the elements of a tuple or dataclass."""
     if isinstance(value, tuple):
         return [(f"[{i}]", element) for i, element in enumerate(value)]
     return [(f".{name}", getattr(value, name)) for name in getattr(value, "__dataclass_fields__", ())]
@@ -113,7 +113,7 @@ def any(conditions: Iterable[bool | float]) -> bool:
 
 
 def select(conditions: Sequence[bool | float], choices: Sequence[Any], default: Any = 0.0) -> Any:
-    """The choice of the first condition that holds, else the default.
+    """Returns the choice of the first condition that holds, else the default.
 
     choices: as many as conditions; each as an alternative of `where`, as the default
     """
@@ -124,7 +124,7 @@ def select(conditions: Sequence[bool | float], choices: Sequence[Any], default: 
 
 
 def choose(index: float, choices: Sequence[Any]) -> Any:
-    """choices[index]: the first for 0 and for what is below, the last for what is beyond."""
+    """Returns choices[index]: the first for 0 and for what is below, the last for what is beyond."""
     return select([index < i + 1 for i in range(len(choices) - 1)], choices[:-1], choices[-1])
 
 
@@ -143,5 +143,5 @@ def maximum(first: float, second: float) -> float:
 
 
 def clip(value: float, low: float, high: float) -> float:
-    """`value` limited to low..high."""
+    """Returns `value` limited to low..high."""
     return minimum(maximum(value, low), high)

@@ -17,7 +17,7 @@ def _of_one(name: str, meaning: str) -> Callable[[float], float]:
         return getattr(casadi(), name)(value)
 
     function.__name__ = function.__qualname__ = name
-    function.__doc__ = meaning
+    function.__doc__ = f"Returns {meaning}"
     return function
 
 
@@ -30,55 +30,55 @@ def _of_two(name: str, meaning: str) -> Callable[[float, float], float]:
         return getattr(casadi(), name)(first, second)
 
     function.__name__ = function.__qualname__ = name
-    function.__doc__ = meaning
+    function.__doc__ = f"Returns {meaning}"
     return function
 
 
-sqrt = _of_one("sqrt", "Square root of a value of at least 0.")
+sqrt = _of_one("sqrt", "the square root of a value of at least 0.")
 exp = _of_one("exp", "e to the power of the value.")
 expm1 = _of_one("expm1", "exp(value) - 1, accurate near 0.")
-log = _of_one("log", "Natural logarithm of a value above 0.")
+log = _of_one("log", "the natural logarithm of a value above 0.")
 log1p = _of_one("log1p", "log(1 + value), accurate near 0, of a value above -1.")
-sin = _of_one("sin", "Sine of an angle in rad.")
-cos = _of_one("cos", "Cosine of an angle in rad.")
-tan = _of_one("tan", "Tangent of an angle in rad.")
-asin = _of_one("asin", "Angle in rad, -pi/2..pi/2, whose sine is the value, -1..1.")
-acos = _of_one("acos", "Angle in rad, 0..pi, whose cosine is the value, -1..1.")
-atan = _of_one("atan", "Angle in rad, -pi/2..pi/2, whose tangent is the value.")
-atan2 = _of_two("atan2", "Angle in rad, -pi..pi, of the point (second, first): atan2(y, x).")
-sinh = _of_one("sinh", "Hyperbolic sine.")
-cosh = _of_one("cosh", "Hyperbolic cosine.")
-tanh = _of_one("tanh", "Hyperbolic tangent.")
-asinh = _of_one("asinh", "Inverse hyperbolic sine.")
-acosh = _of_one("acosh", "Inverse hyperbolic cosine of a value of at least 1.")
-atanh = _of_one("atanh", "Inverse hyperbolic tangent of a value between -1 and 1.")
-erf = _of_one("erf", "Error function.")
+sin = _of_one("sin", "the sine of an angle in rad.")
+cos = _of_one("cos", "the cosine of an angle in rad.")
+tan = _of_one("tan", "the tangent of an angle in rad.")
+asin = _of_one("asin", "the angle in rad, -pi/2..pi/2, whose sine is the value, -1..1.")
+acos = _of_one("acos", "the angle in rad, 0..pi, whose cosine is the value, -1..1.")
+atan = _of_one("atan", "the angle in rad, -pi/2..pi/2, whose tangent is the value.")
+atan2 = _of_two("atan2", "the angle in rad, -pi..pi, of the point (second, first): atan2(y, x).")
+sinh = _of_one("sinh", "the hyperbolic sine.")
+cosh = _of_one("cosh", "the hyperbolic cosine.")
+tanh = _of_one("tanh", "the hyperbolic tangent.")
+asinh = _of_one("asinh", "the inverse hyperbolic sine.")
+acosh = _of_one("acosh", "the inverse hyperbolic cosine of a value of at least 1.")
+atanh = _of_one("atanh", "the inverse hyperbolic tangent of a value between -1 and 1.")
+erf = _of_one("erf", "the error function.")
 # whole numbers as floats with the sign of the value, which are declared as int in a block
 floor: Callable[[float], Any] = _of_one(
-    "floor", "Largest whole number that is not above the value, as a float."
+    "floor", "the largest whole number that is not above the value, as a float."
 )
 ceil: Callable[[float], Any] = _of_one(
-    "ceil", "Smallest whole number that is not below the value, as a float."
+    "ceil", "the smallest whole number that is not below the value, as a float."
 )
-fmod = _of_two("fmod", "Remainder of first / second with the sign of the first, exact (C's fmod).")
+fmod = _of_two("fmod", "the remainder of first / second with the sign of the first, exact (C's fmod).")
 remainder = _of_two(
     "remainder", "first - n * second, exact, for the whole number n nearest to first / second (IEEE 754)."
 )
-copysign = _of_two("copysign", "The absolute value of the first with the sign of the second.")
+copysign = _of_two("copysign", "the absolute value of the first with the sign of the second.")
 
 
 def trunc(value: float) -> Any:
-    """The value without its fraction, as a float: towards 0."""
+    """Returns the value without its fraction, as a float: towards 0."""
     return value - fmod(value, 1.0)
 
 
 def round(value: float) -> Any:
-    """The whole number nearest to the value, as a float; of two, the even one, as Python's `round`."""
+    """Returns the whole number nearest to the value, as a float; of two, the even one, like Python's."""
     return value - remainder(value, 1.0)
 
 
 def absolute(value: float) -> float:
-    """|value|; Python's `abs` does the same."""
+    """Returns |value|; Python's `abs` does the same."""
     return abs(value)
 
 
@@ -90,47 +90,47 @@ def sign(value: float) -> float:
 
 
 def power(base: float, exponent: float) -> float:
-    """`base ** exponent` for a base of zero or more."""
+    """Returns `base ** exponent` for a base of zero or more."""
     if are_numbers(base, exponent):
         return math.sqrt(base) if exponent == 0.5 else math.pow(base, exponent)
     return casadi().constpow(base, exponent)
 
 
 def exp2(value: float) -> float:
-    """2 to the power of the value."""
+    """Returns 2 to the power of the value."""
     return power(2.0, value)
 
 
 def log2(value: float) -> float:
-    """Logarithm to base 2, within 2 units in the last place: log2(8.0) need not be 3.0 exactly."""
+    """Returns the logarithm to base 2, within 2 units in the last place: log2(8.0) may not be 3.0 exactly."""
     return log(value) * (1.0 / math.log(2.0))
 
 
 def log10(value: float) -> float:
-    """Logarithm to base 10, within 2 units in the last place: log10(1000.0) need not be 3.0 exactly."""
+    """Returns the logarithm to base 10, within 2 units in the last place: log10(1e3) may not be 3 exactly."""
     return log(value) * (1.0 / math.log(10.0))
 
 
 def cbrt(value: float) -> float:
-    """Cube root of any value, within 2 units in the last place."""
+    """Returns the cube root of any value, within 2 units in the last place."""
     return copysign(power(abs(value), 1.0 / 3.0), value)
 
 
 def radians(degrees: float) -> float:
-    """An angle in degrees, in rad."""
+    """Returns an angle in degrees, in rad."""
     return degrees * (math.pi / 180.0)
 
 
 def degrees(radians: float) -> float:
-    """An angle in rad, in degrees."""
+    """Returns an angle in rad, in degrees."""
     return radians * (180.0 / math.pi)
 
 
 def hypot(*coordinates: float) -> float:
-    """Length of a vector: the square root of the sum of the squares, which may overflow above 1e154."""
+    """Returns the length of a vector, the root of the sum of squares, which may overflow above 1e154."""
     return sqrt(sum(x * x for x in coordinates))
 
 
 def dist(first: Sequence[float], second: Sequence[float]) -> float:
-    """Distance between two points with as many coordinates."""
+    """Returns the distance between two points with as many coordinates."""
     return hypot(*(a - b for a, b in zip(first, second, strict=True)))

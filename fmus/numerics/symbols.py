@@ -1,4 +1,4 @@
-"""What the functions of this room have in common: is an argument a number, and CasADi once one is none."""
+"""Symbols among the arguments of a function: told from numbers here, and CasADi, loaded once one is there."""
 
 from collections.abc import Callable
 from functools import cache
@@ -9,7 +9,7 @@ _NUMBERS = (float, int)
 
 @cache
 def casadi() -> Any:
-    """The library of symbols, loaded when the first symbol arrives."""
+    """Returns the library of symbols, loaded when the first symbol arrives."""
     import casadi
 
     return casadi

@@ -4,10 +4,9 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from fmus.block.start_values import with_start_values
 from fmus.block.units import BASE_UNITS
 from fmus.build import builder
-from fmus.build.ramp_source import ramp_source
+from fmus.build.package_blocks import ramp_source, with_start_values
 from fmus.fmi.variable_types import FmiValue
 from fmus.platforms import PLATFORMS
 from fmus.registry import Flavour, block_fmus

@@ -164,7 +164,7 @@ class SteppedRun(RunInProgress):
 
     def _recover(self, state: SavedState) -> None:
         """Set the system back after a failure; no call of an FMU is allowed after a fatal one."""
-        if any(instance.is_dead for instance in self.instances.values()):
+        if any(instance.returned_fatal for instance in self.instances.values()):
             raise OrchestrationError(self.failure)
         restore_after_failure(self.wired, self._loop, state.memory)
         index, before = self._moved_point

@@ -1,1 +1,1 @@
-"""What goes inside an FMU: page, icon, terminals, reference results."""
+"""Documentation inside an FMU: page, licences, icon, terminals, reference results."""

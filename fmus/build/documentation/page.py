@@ -1,14 +1,29 @@
 """Block -> the folder `documentation` of its FMU: a page that works offline, derived from the declaration."""
 
+import re
 from collections.abc import Iterable
 from html import escape
 from importlib import resources
-from importlib.metadata import version
+from importlib.metadata import distributions, version
 from string import Template
 
-from fmus.block import Block, ScalarVariable
+from fmus.block import Block, BlockVariable
 from fmus.block.guide import Source
+from fmus.errors import ExportError
+from fmus.native.toolchain import COMPILER, FMI_HEADERS
 
+# name -> (installed project, file of its metadata, what the licence is for)
+_LICENSES = {
+    "l1-depth": (
+        "l1-depth",
+        "LICENSE",
+        "what makes an FMU of the model and its documentation, and models that come with l1-depth",
+    ),
+    "fmi-headers": ("fmpy", "", "headers that the libraries are compiled with, of the Modelica Association"),
+    "zig": (COMPILER[0], "ziglang/LICENSE", "what its compiler adds to the libraries"),
+    "mingw-w64": (COMPILER[0], "ziglang/lib/libc/mingw/COPYING", "what it adds to the library for Windows"),
+    "pythonfmu": ("pythonfmu", "LICENSE", "the libraries, and the package of that name in resources"),
+}
 _TABLES = (
     ("input", "Inputs"),
     ("output", "Outputs"),
@@ -23,7 +38,7 @@ _HEADINGS = ("Name", "Unit or type", "Start", "Permitted", "Variability", "Meani
 
 
 def documentation(block: Block, compiled: str = "", reals_only: bool = False) -> dict[str, bytes]:
-    """Path inside the FMU -> content of the page and of the note on the reference results.
+    """Returns path inside the FMU -> content of the page and of the note on the reference results.
 
     compiled: the file of the folder sources that an importer compiles, if there is one
     reals_only: whether every variable is a Real
@@ -53,7 +68,7 @@ def documentation(block: Block, compiled: str = "", reals_only: bool = False) ->
 
 
 def _guide(block: Block) -> str:
-    """The sections that the guide fills."""
+    """Returns the sections that the guide fills."""
     guide = block.guide
     sections = {
         "Equations": f"<pre>{escape(guide.equations.strip())}</pre>" if guide.equations else "",
@@ -65,7 +80,7 @@ def _guide(block: Block) -> str:
 
 
 def _list(items: Iterable[str]) -> str:
-    """An HTML list of items that are HTML already; nothing for none."""
+    """Returns an HTML list of items that are HTML already; nothing for none."""
     entries = "\n".join(f"<li>{item}</li>" for item in items)
     return f"<ul>\n{entries}\n</ul>" if entries else ""
 
@@ -81,8 +96,8 @@ def _tables(block: Block, reals_only: bool) -> Iterable[str]:
             yield _table(caption, _HEADINGS, (_cells(v, reals_only) for v in variables))
 
 
-def _cells(v: ScalarVariable, reals_only: bool) -> tuple[str, ...]:
-    """One row: what `_HEADINGS` says, as text."""
+def _cells(v: BlockVariable, reals_only: bool) -> tuple[str, ...]:
+    """Returns one row: what `_HEADINGS` says, as text."""
     kind = "whole number" if reals_only else v.type.lower()
     unit = kind if v.unit is None else v.unit
     number = str(v.start).lower() if isinstance(v.start, bool) else repr(v.cast(v.start).real)
@@ -91,7 +106,7 @@ def _cells(v: ScalarVariable, reals_only: bool) -> tuple[str, ...]:
 
 
 def _stimuli(block: Block) -> str:
-    """What moves during the reference experiment."""
+    """Returns the table of the inputs that move during the reference experiment."""
     rows = [
         (name, ", ".join(f"{value} at {time} s" for time, value in points))
         for name, points in block.guide.experiment.stimuli
@@ -107,3 +122,24 @@ def _table(caption: str, headings: tuple[str, ...], rows: Iterable[tuple[str, ..
         f'<div class="scroll"><table>\n<caption>{escape(caption)}</caption>\n'
         f"<thead><tr>{head}</tr></thead>\n<tbody>\n{body}\n</tbody>\n</table></div>"
     )
+
+
+def licenses(*names: str) -> dict[str, bytes]:
+    """Returns path inside the FMU -> licence, and the file of FMI 2.0 that says what each is for."""
+    entry_point = "".join(f"{name}.txt: {_LICENSES[name][2]}\n" for name in names)
+    texts = {"license": entry_point} | {name: _license(*_LICENSES[name][:2]) for name in names}
+    return {f"documentation/licenses/{name}.txt": text.encode() for name, text in texts.items()}
+
+
+def _license(project: str, file: str) -> str:
+    if file:  # a clone's own .egg-info, found first where it is the working directory, has no licence
+        texts = (distribution.read_text(f"licenses/{file}") for distribution in distributions(name=project))
+        text = next(filter(None, texts), "")
+        if not text:
+            raise ExportError(
+                f"the installed {project} has no {file} among its licences, which an FMU must carry: "
+                f"expected it as pip installs it (pip install --force-reinstall {project})"
+            )
+        return text
+    header = (FMI_HEADERS / "fmi2Functions.h").read_text("utf-8")
+    return "".join(re.findall(r"Copyright.*?(?=\*/)", header, re.DOTALL)[:1])

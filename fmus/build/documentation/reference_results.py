@@ -1,17 +1,25 @@
-"""What a block answers to the experiment of its guide.
+"""Reference results: the outputs of a block in the experiment of its guide, and the files that hold them.
 
-Computed by `Instance`, so that an FMU of either flavour is checked against the block itself.
+`BlockInstance` computes them, so that an FMU of either flavour is checked against the block itself.
+
+FMI cross-check   NAME_in.csv, NAME_ref.csv, NAME_ref.opt beside the FMU (rules 4.1, 9.1.4 and appendix B)
+FMI-LS-REF        the same tables inside, with a manifest (1.0.0-alpha.1) and an experiments file in the
+                  format of MA-HS-Experiments; both are drafts of the Modelica Association
 """
 
+import csv
+import io
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from xml.etree import ElementTree
 
-from fmus.block import Block, ScalarVariable, Value
+from fmus.block import Block, BlockVariable, Value
 from fmus.block.guide import Point
-from fmus.block.instance import Instance
+from fmus.block.instance import BlockInstance
 from fmus.errors import ExportError, nearest
+from fmus.files import xml_document
 from fmus.numerics import ramps
 
 _MOST_INTERVALS = 400
@@ -33,7 +41,7 @@ class ReferenceRun:
 
 
 def reference_run(block: Block) -> ReferenceRun:
-    """Inputs and outputs of the experiment of a block's guide.
+    """Returns the inputs and outputs of the experiment of a block's guide.
 
     Outputs are those before the inputs of the same time are set, as every master records them; a start
     value or stimulus outside its range raises BlockError, a stimulus that fits no Real input or an experiment
@@ -75,8 +83,8 @@ def _stimuli(block: Block) -> dict[str, tuple[Point, ...]]:
     return stimuli
 
 
-def _value_at(v: ScalarVariable, stimuli: dict[str, tuple[Point, ...]], t: float) -> Value:
-    """Value of an input at time t [s]."""
+def _value_at(v: BlockVariable, stimuli: dict[str, tuple[Point, ...]], t: float) -> Value:
+    """Returns the value of an input at time t [s]."""
     points = stimuli.get(v.name)
     return ramps(t, *zip(*points, strict=True), smooth=False) if points else v.start
 
@@ -84,7 +92,7 @@ def _value_at(v: ScalarVariable, stimuli: dict[str, tuple[Point, ...]], t: float
 def _trajectory(
     block: Block, stimuli: dict[str, tuple[Point, ...]], step_size: float, count: int, every: int
 ) -> Iterator[tuple[Value, ...]]:
-    instance = Instance(block)
+    instance = BlockInstance(block)
     inputs = block.of_causality("input")
     references = [v.value_reference for v in block.of_causality("output")]
 
@@ -111,8 +119,85 @@ def _trajectory(
 def _input_rows(
     block: Block, stimuli: dict[str, tuple[Point, ...]], stop_time: float
 ) -> Iterator[tuple[Value, ...]]:
-    """A row wherever an input bends: between rows, straight lines."""
+    """Yields a row wherever an input bends: between rows, straight lines."""
     inputs = block.of_causality("input")
     bends = {t for points in stimuli.values() for t, _ in points if 0.0 < t < stop_time}
     for t in sorted({0.0, stop_time} | bends) if inputs else ():
         yield (t, *(_value_at(v, stimuli, t) for v in inputs))
+
+
+LS_REF = "org.fmi-standard.fmi-ls-ref"
+# elementary functions differ between C libraries by some 1e-16 a call; loops amplify
+RELATIVE_TOLERANCE = 1e-6
+_FOLDER = f"extra/{LS_REF}"
+_MANIFEST_NAMESPACE = "http://fmi-standard.org/fmi-ls-manifest"
+
+
+def cross_check_files(run: ReferenceRun, name: str) -> dict[str, bytes]:
+    """Returns file name -> content of the files beside NAME.fmu for the FMI cross-check."""
+    options = {
+        "StartTime": 0.0,
+        "StopTime": run.stop_time,
+        "StepSize": run.step_size,
+        "RelTol": RELATIVE_TOLERANCE,
+        "SolverType": "FixedStep",
+        "OutputIntervalLength": run.output_interval,
+    }
+    lines = "".join(f"{option}, {value}\n" for option, value in options.items())
+    return _tables(run, name) | {f"{name}_ref.opt": lines.encode()}
+
+
+def members(run: ReferenceRun, name: str) -> dict[str, bytes]:
+    """Returns path inside the FMU -> content of the files of FMI-LS-REF."""
+    tables = _tables(run, name)
+    files = tables | {f"{name}.exp": _experiments(run, name, tables)}
+    return {f"{_FOLDER}/{file}": data for file, data in files.items()} | {
+        f"{_FOLDER}/fmi-ls-manifest.xml": _manifest(name, files)
+    }
+
+
+def _tables(run: ReferenceRun, name: str) -> dict[str, bytes]:
+    tables = {f"{name}_ref.csv": _csv(run.outputs, run.output_rows)}
+    return tables | ({f"{name}_in.csv": _csv(run.inputs, run.input_rows)} if run.inputs else {})
+
+
+def _csv(names: tuple[str, ...], rows: tuple[tuple[Value, ...], ...]) -> bytes:
+    """Returns a table: names in quotes, numbers as C writes them, booleans and enumerations as integers."""
+    stream = io.StringIO()
+    csv.writer(stream, quoting=csv.QUOTE_ALL, lineterminator="\n").writerow(("time", *names))
+    for row in rows:
+        stream.write(",".join(repr(x) if isinstance(x, float) else str(int(x)) for x in row) + "\n")
+    return stream.getvalue().encode()
+
+
+def _experiments(run: ReferenceRun, name: str, tables: dict[str, bytes]) -> bytes:
+    root = ElementTree.Element("Experiments", name=f"Reference experiment of {name}")
+    description = "Parameters at their start values; inputs in straight lines between the rows"
+    attributes = {"name": "reference", "description": description, "tolerance": repr(RELATIVE_TOLERANCE)}
+    experiment = ElementTree.SubElement(root, "Experiment", attributes)
+    times = {"startTime": "0.0", "stopTime": repr(run.stop_time), "stepSize": repr(run.step_size)}
+    ElementTree.SubElement(experiment, "TransientSimulation", times)
+    for tag, file in (("Stimuli", f"{name}_in.csv"), ("References", f"{name}_ref.csv")):
+        if file in tables:
+            ElementTree.SubElement(experiment, tag, source=file)
+    return xml_document(root)
+
+
+def _manifest(name: str, files: dict[str, bytes]) -> bytes:
+    ElementTree.register_namespace("fmi-ls", _MANIFEST_NAMESPACE)
+    attributes = {
+        "name": LS_REF,
+        "version": "1.0.0-alpha.1",
+        "description": "Layered Standard providing information on related files included in an FMU.",
+    }
+    qualified = {f"{{{_MANIFEST_NAMESPACE}}}fmi-ls-{key}": value for key, value in attributes.items()}
+    root = ElementTree.Element("fmiReferences", qualified)
+    for file, kind, role, description in (
+        (f"{name}.exp", "application/x-ma-hs-experiments", "experiment", "Experiment to try the FMU with"),
+        (f"{name}_ref.csv", "text/csv", "result", "Outputs in that experiment"),
+        (f"{name}_in.csv", "text/csv", "other", "Inputs in that experiment"),
+    ):
+        if file in files:
+            related = {"type": kind, "source": file, "role": role, "description": description}
+            ElementTree.SubElement(root, "Related", related)
+    return xml_document(root)

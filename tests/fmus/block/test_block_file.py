@@ -14,7 +14,7 @@ import pytest
 
 from fmus.block.block_file import blocks_in
 from fmus.build import builder
-from fmus.build.check_trace import check_faithful
+from fmus.build.check_trace import check_trace
 from fmus.build.new_block import write_new_block
 from fmus.build.sources import source_closure
 from fmus.build.stamp import Order
@@ -142,14 +142,14 @@ def test_a_module_beside_the_block_may_change_no_more_than_the_block(
     (tmp_path / "helper.py").write_text(helper)
     path = write(tmp_path, "from helper import gain", "(1.0 + gain()) * u.u")
     with blocks_in(path) as (block,), pytest.raises(ExportError, match=rf"helper\.py:\d+: .*{message}"):
-        check_faithful(block)
+        check_trace(block)
 
 
 def test_a_clock_that_is_read_once_at_an_import_is_a_constant(tmp_path: Path) -> None:
     (tmp_path / "helper.py").write_text("import random\nimport time\nGAIN = time.time() + random.random()\n")
     path = write(tmp_path, expression="__import__('helper').GAIN * u.u")
     with blocks_in(path) as (block,):
-        check_faithful(block)
+        check_trace(block)
 
 
 def test_what_an_installed_library_remembers_and_times_is_not_the_blocks(
@@ -168,7 +168,7 @@ def test_what_an_installed_library_remembers_and_times_is_not_the_blocks(
     gc.callbacks.append(a_library.watch)
     try:
         with blocks_in(write(tmp_path, "from a_library import twice", "twice(u.u)")) as (block,):
-            check_faithful(block)
+            check_trace(block)
     finally:
         gc.callbacks.remove(a_library.watch)
         del sys.modules["a_library"]

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fmus.block.instance import BlockError, Instance
+from fmus.block.instance import BlockError, BlockInstance
 from fmus.build import builder
 
 NAMES = builder.block_names()
 
 
-def outputs(instance: Instance) -> list[float]:
+def outputs(instance: BlockInstance) -> list[float]:
     return [instance.get(v.value_reference) for v in instance.block.of_causality("output")]
 
 
@@ -22,7 +22,7 @@ def outputs(instance: Instance) -> list[float]:
 @given(data=st.data())
 def test_save_step_restore_step_gives_identical_results(name: str, data: st.DataObject) -> None:
     block = builder.load_block(name)
-    instance = Instance(block, "x")
+    instance = BlockInstance(block, "x")
     values = st.floats(-1.0, 1.0)
     inputs = [v for v in block.of_causality("input") if v.minimum is None and v.type == "Real"]
     instance.start(0.0)
@@ -38,7 +38,7 @@ def test_save_step_restore_step_gives_identical_results(name: str, data: st.Data
     for _ in range(3):
         instance.do_step(instance.time, h)
     instance.restore(saved)
-    other = Instance(block, "x")
+    other = BlockInstance(block, "x")
     other.restore(saved)
     for _ in range(3):
         instance.do_step(instance.time, h)
@@ -81,14 +81,14 @@ def test_a_refused_call_leaves_everything_as_it_was(driver: Any, action: Any, me
 
 
 def test_another_blocks_state_is_refused() -> None:
-    plant = Instance(builder.load_block("RovDepthPlant"), "one")
-    other = Instance(builder.load_block("RovDepthPlant"), "two")
+    plant = BlockInstance(builder.load_block("RovDepthPlant"), "one")
+    other = BlockInstance(builder.load_block("RovDepthPlant"), "two")
     with pytest.raises(BlockError, match="expected"):
         other.restore(plant.snapshot())
 
 
 def test_a_state_of_another_length_is_refused() -> None:
-    plant = Instance(builder.load_block("RovDepthPlant"), "one")
+    plant = BlockInstance(builder.load_block("RovDepthPlant"), "one")
     saved = json.loads(plant.snapshot())
     saved["state"].append(0.0)
     with pytest.raises(BlockError, match="too many"):

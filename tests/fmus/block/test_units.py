@@ -5,39 +5,40 @@ import sys
 
 import pytest
 
-from fmus.block.units import BASE_UNITS, Unit, display, unit
+from fmus.block.units import BASE_UNITS, UnitDefinition, display, unit
 from fmus.errors import ExportError, MissingExtraError
 
 
 @pytest.mark.parametrize("name", BASE_UNITS)
 def test_the_table_says_what_pint_says(name: str) -> None:
     """By way of a unit that is not in the table."""
-    inverse = Unit({base: -exponent for base, exponent in BASE_UNITS[name].items()})
+    inverse = UnitDefinition({base: -exponent for base, exponent in BASE_UNITS[name].items()})
     assert unit(f"1/({name})" if name != "1" else "m/m") == inverse
 
 
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        ("deg", Unit({"rad": 1}, 0.017453292519943295)),
-        ("rev/min", Unit({"rad": 1, "s": -1}, 0.10471975511965977)),
-        ("degC", Unit({"K": 1}, 1.0, 273.15)),
-        ("degF", Unit({"K": 1}, 5.0 / 9.0, 459.67 * 5.0 / 9.0)),
-        ("degC/min", Unit({"K": 1, "s": -1}, 1.0 / 60.0)),  # a difference of temperatures has no offset
-        ("Nm", Unit({"kg": 1, "m": 2, "s": -2})),
-        ("m.s-2", Unit({"m": 1, "s": -2})),
-        ("W/(m2.K)", Unit({"kg": 1, "s": -3, "K": -1})),
-        ("l/min", Unit({"m": 3, "s": -1}, 1e-3 / 60.0)),
-        ("kWh", Unit({"kg": 1, "m": 2, "s": -2}, 3.6e6)),
-        ("mol/l", Unit({"mol": 1, "m": -3}, 1e3)),
-        ("lm", Unit({"cd": 1, "rad": 2})),
-        ("%", Unit({}, 0.01)),
-        ("metres", Unit({"m": 1})),  # the plural of a name, not of a symbol
-        ("days", Unit({"s": 1}, 86400.0)),
-        ("ms", Unit({"s": 1}, 1e-3)),
+        ("deg", UnitDefinition({"rad": 1}, 0.017453292519943295)),
+        ("rev/min", UnitDefinition({"rad": 1, "s": -1}, 0.10471975511965977)),
+        ("degC", UnitDefinition({"K": 1}, 1.0, 273.15)),
+        ("degF", UnitDefinition({"K": 1}, 5.0 / 9.0, 459.67 * 5.0 / 9.0)),
+        # a difference of temperatures has no offset
+        ("degC/min", UnitDefinition({"K": 1, "s": -1}, 1.0 / 60.0)),
+        ("Nm", UnitDefinition({"kg": 1, "m": 2, "s": -2})),
+        ("m.s-2", UnitDefinition({"m": 1, "s": -2})),
+        ("W/(m2.K)", UnitDefinition({"kg": 1, "s": -3, "K": -1})),
+        ("l/min", UnitDefinition({"m": 3, "s": -1}, 1e-3 / 60.0)),
+        ("kWh", UnitDefinition({"kg": 1, "m": 2, "s": -2}, 3.6e6)),
+        ("mol/l", UnitDefinition({"mol": 1, "m": -3}, 1e3)),
+        ("lm", UnitDefinition({"cd": 1, "rad": 2})),
+        ("%", UnitDefinition({}, 0.01)),
+        ("metres", UnitDefinition({"m": 1})),  # the plural of a name, not of a symbol
+        ("days", UnitDefinition({"s": 1}, 86400.0)),
+        ("ms", UnitDefinition({"s": 1}, 1e-3)),
     ],
 )
-def test_a_value_in_base_units_is_factor_times_value_plus_offset(name: str, expected: Unit) -> None:
+def test_a_value_in_base_units_is_factor_times_value_plus_offset(name: str, expected: UnitDefinition) -> None:
     assert unit(name).exponents == expected.exponents
     assert unit(name).factor == pytest.approx(expected.factor, rel=1e-15)  # the rounding of the expectation
     assert unit(name).offset == pytest.approx(expected.offset, rel=1e-15)

@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from fmus import numerics as n
-from fmus.block.instance import Instance
+from fmus.block.instance import BlockInstance
 from fmus.build import builder
-from fmus.build.check_sampling import check_samples
-from fmus.build.check_trace import check_faithful
+from fmus.build.check_sampling import check_sampling
+from fmus.build.check_trace import check_trace
 from fmus.build.symbolic import traced
 from fmus.errors import ExportError
 from fmus.numerics import sampled
@@ -27,7 +27,7 @@ NAMED_BY_THE_FUNCTION = ("a list", "a state", "an argument", "an array", "an exc
 
 @pytest.mark.parametrize("name", WORKING)
 def test_it_works(name: str) -> None:
-    check_faithful(WORKING[name])
+    check_trace(WORKING[name])
     builder.verified(WORKING[name])
 
 
@@ -48,7 +48,7 @@ def test_its_outputs_have_derivatives(name: str, zero: float) -> None:
 def test_it_is_refused_with_its_line_and_what_to_write(name: str) -> None:
     rule, message = REFUSED[name]
     with pytest.raises(ExportError, match=re.escape(message) + "( -?[0-9]|$)") as refusal:
-        check_faithful(block_of(rule, Number))
+        check_trace(block_of(rule, Number))
     if not name.startswith(NAMED_BY_THE_FUNCTION):
         assert line_of(str(refusal.value), rule) in lines(rule)
 
@@ -57,7 +57,7 @@ def test_it_is_refused_with_its_line_and_what_to_write(name: str) -> None:
 def test_a_state_of_another_type_is_refused(name: str) -> None:
     rule, state, message = REFUSED_STATES[name]
     with pytest.raises(ExportError, match=re.escape(message)):
-        check_faithful(block_of(rule, state))
+        check_trace(block_of(rule, state))
 
 
 def test_a_block_whose_steps_are_longer_than_its_period_is_refused() -> None:
@@ -66,14 +66,14 @@ def test_a_block_whose_steps_are_longer_than_its_period_is_refused() -> None:
     with pytest.raises(
         ExportError, match=r"step misses samples in internal steps of 0\.1 s: expected a step_size"
     ):
-        check_samples(steps[0.0995])
-    check_samples(steps[0.1])
+        check_sampling(steps[0.0995])
+    check_sampling(steps[0.1])
 
 
 def test_a_block_that_leaves_a_domain_on_its_way_is_judged_by_the_comparison() -> None:
     """From 1 s on its step has the root of a negative number: no error of this check."""
     block = block_of(lambda s, u, p, t, h: sampled(t, 0.1, s, SampledMean(n.sqrt(1.0 - t))), SampledMean)
-    check_samples(block)
+    check_sampling(block)
 
 
 def measures_every(period: float, s: SampledMean, u: Any, p: Any, t: float, h: float) -> SampledMean:
@@ -82,7 +82,7 @@ def measures_every(period: float, s: SampledMean, u: Any, p: Any, t: float, h: f
 
 @pytest.mark.parametrize("name", ["an Integer state", "a Boolean state", "an Enumeration state"])
 def test_a_saved_state_is_restored_in_its_types(name: str) -> None:
-    instance, other = Instance(WORKING[name]), Instance(WORKING[name])
+    instance, other = BlockInstance(WORKING[name]), BlockInstance(WORKING[name])
     instance.exit_initialization_mode()
     instance.do_step(0.0, 0.3)
     other.restore(instance.snapshot())
@@ -103,7 +103,7 @@ def lines(rule: Rule) -> range:
 def test_all_that_work_are_one_native_fmu_with_the_results_of_python(tmp_path: Path, load: Any) -> None:
     block = one_block_of_all()
     fmu = load(builder.build_block(block, tmp_path)).begin()
-    python, rng = Instance(block), random.Random(1)
+    python, rng = BlockInstance(block), random.Random(1)
     python.exit_initialization_mode()
     for i in range(300):
         u, is_on, count = rng.choice((0.0, rng.uniform(-3.0, 3.0))), rng.random() < 0.3, rng.randint(-3, 3)

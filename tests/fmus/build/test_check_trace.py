@@ -21,7 +21,7 @@ import pytest
 from fmus import numerics
 from fmus.block import Block, variable
 from fmus.build import builder
-from fmus.build.check_trace import check_faithful
+from fmus.build.check_trace import check_trace
 from fmus.errors import ExportError
 
 
@@ -197,7 +197,7 @@ REFUSED: list[tuple[Rule, str]] = [
     (lambda u, x, p: (u + 2.0**52) - 2.0**52, r"step gives x = .* in Python and .* when it is traced"),
     (
         lambda u, x, p: [x, u][5 if type(u) is float else 0],
-        r"step raises IndexError\('list index out of range'\) at .*test_faithful.py:\d+: \[x, u\]\[5",
+        r"step raises IndexError\('list index out of range'\) at .*test_check_trace.py:\d+: \[x, u\]\[5",
     ),
     (lambda u, x, p: np.array([u, x]) if type(u) is float else u, r"step raises TypeError\(.*only"),
     (catches, r"step gives x = .* in Python and .* when it is traced"),
@@ -214,15 +214,15 @@ REFUSED: list[tuple[Rule, str]] = [
     ),
     (
         lambda u, x, p: numerics.where(u > 0.0, x, (1.0, 2.0)),
-        r"test_faithful.py:\d+: .*TypeError: alternatives a number and a tuple of 2: expected two of",
+        r"test_check_trace.py:\d+: .*TypeError: alternatives a number and a tuple of 2: expected two of",
     ),
     (
         lambda u, x, p: numerics.where(u > 0.0, (x, u), (1.0, 2.0, 3.0)),
-        r"test_faithful.py:\d+: .*TypeError: alternatives a tuple of 2 and a tuple of 3: expected two of one",
+        r"test_check_trace.py:\d+: .*TypeError: alternatives a tuple of 2 and a tuple of 3: expected two of",
     ),
     (
         lambda u, x, p: numerics.where(u > 0.0, (x, (u, x)), (x, u)),
-        r"test_faithful.py:\d+: .*TypeError: alternatives a tuple of 2 and a number at \[1\]: expected two",
+        r"test_check_trace.py:\d+: .*TypeError: alternatives a tuple of 2 and a number at \[1\]: expected",
     ),
     (
         lambda u, x, p: numerics.where(u > 0.0, (x, (u, (x, x))), (x, (u, (x,)))),
@@ -235,20 +235,20 @@ REFUSED: list[tuple[Rule, str]] = [
 @pytest.mark.parametrize(("rule", "message"), REFUSED, ids=range(len(REFUSED)))
 def test_a_block_that_cannot_be_traced_faithfully_is_refused(rule: Rule, message: str) -> None:
     with pytest.raises(ExportError, match=f"^block 'Trial'.*{message}"):
-        check_faithful(block_of(rule))
+        check_trace(block_of(rule))
 
 
 def test_a_refusal_names_file_and_line_of_the_users_code() -> None:
     line = inspect.getsourcelines(branch)[1] + 1
     with pytest.raises(ExportError) as refusal:
-        check_faithful(block_of(branch))
+        check_trace(block_of(branch))
     assert f"cannot be traced: {__file__}:{line}: u > 0.0: a truth value" in str(refusal.value)
 
 
 def test_a_difference_names_file_and_line_of_the_function_and_both_values() -> None:
     block = block_of(lambda u, x, p: 1.0 if isinstance(u, float) else 2.0)
     with pytest.raises(ExportError) as refusal:
-        check_faithful(block)
+        check_trace(block)
     position = f"{__file__}:{inspect.getsourcelines(block.step)[1]}"
     assert f"{position}: step gives x = 1.0 in Python and 2.0 when it is traced" in str(refusal.value)
 
@@ -267,7 +267,7 @@ def test_what_the_garbage_collector_calls_meanwhile_is_not_the_blocks() -> None:
 
     gc.callbacks.append(collector_starts)
     try:
-        check_faithful(block_of(collects))
+        check_trace(block_of(collects))
     finally:
         gc.callbacks.remove(collector_starts)
 
@@ -296,7 +296,7 @@ ACCEPTED: list[Rule] = [
 
 @pytest.mark.parametrize("rule", ACCEPTED, ids=range(len(ACCEPTED)))
 def test_a_faithful_block_is_accepted(rule: Rule) -> None:
-    check_faithful(block_of(rule))
+    check_trace(block_of(rule))
 
 
 @dataclass(frozen=True)
@@ -317,7 +317,7 @@ def test_a_division_by_zero_where_one_input_is_0_at_the_start_is_refused(name: s
 
     block = replace(block_of(branch), inputs=ThreeInputs, step=step)
     with pytest.raises(ExportError, match=r"ZeroDivisionError.*state\.x / square, where compiled code gives"):
-        check_faithful(block)
+        check_trace(block)
 
 
 def test_a_block_is_compared_at_the_same_points_whatever_its_name() -> None:
@@ -332,7 +332,7 @@ def test_a_block_is_compared_at_the_same_points_whatever_its_name() -> None:
         return rule
 
     for name in points:
-        check_faithful(replace(block_of(recording(name)), name=name))
+        check_trace(replace(block_of(recording(name)), name=name))
     assert points["Trial"]
     assert points["Trial"] == points["Other"]
 
@@ -350,7 +350,7 @@ def test_every_block_is_faithful_and_takes_its_branches_both_ways(name: str) -> 
 
     sys.setprofile(observe)
     try:
-        check_faithful(block)
+        check_trace(block)
     finally:
         sys.setprofile(None)
     assert {position for position, both in outcomes.items() if both != {True, False}} == set()

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from fmus.build import archive, builder
+from fmus.build import builder
+from fmus.build.documentation import page
 from fmus.build.sources import defined_as, in_package, source_closure
 from fmus.errors import ExportError
 
@@ -49,6 +50,6 @@ def test_a_block_that_no_module_holds_is_refused_by_the_python_flavour() -> None
 
 
 def test_a_licence_that_the_installed_project_lacks_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(archive, "distributions", lambda name: [])
+    monkeypatch.setattr(page, "distributions", lambda name: [])
     with pytest.raises(ExportError, match="the installed pythonfmu has no LICENSE among its licences"):
-        archive.licenses("pythonfmu")
+        page.licenses("pythonfmu")

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from fmus.block import Block, variable
-from fmus.block.instance import BlockError, Instance
-from fmus.build.check_trace import check_faithful
+from fmus.block.instance import BlockError, BlockInstance
+from fmus.build.check_trace import check_trace
 from fmus.errors import ExportError
 from fmus.numerics import floor, where
 
@@ -70,8 +70,8 @@ def block_of(outputs: Callable[[Any], Outputs] = outputs_of, number: Callable[[A
 
 def test_floats_that_are_whole_numbers_are_given_in_the_declared_types() -> None:
     block = block_of()
-    check_faithful(block)
-    instance = Instance(block)
+    check_trace(block)
+    instance = BlockInstance(block)
     instance.exit_initialization_mode()
     instance.do_step(0.0, block.step_size)
     instance.do_step(block.step_size, block.step_size)
@@ -107,7 +107,7 @@ REFUSED = [
 @pytest.mark.parametrize(("block", "got", "expected"), REFUSED)
 def test_another_number_is_refused_with_function_and_name(block: Block, got: str, expected: str) -> None:
     with pytest.raises(ExportError, match=f"py:[0-9]+: {re.escape(got)}.*expected {re.escape(expected)}"):
-        check_faithful(block)
+        check_trace(block)
 
 
 def test_a_state_that_is_no_item_of_its_enumeration_is_refused() -> None:
@@ -120,11 +120,11 @@ def test_a_state_that_is_no_item_of_its_enumeration_is_refused() -> None:
         output=lambda t, s, p, c: Outputs(),
     )
     with pytest.raises(ExportError, match=r"step gives gear = 2: expected one of 1 \(low\), 3 \(high\)"):
-        check_faithful(block)
+        check_trace(block)
 
 
 def test_a_number_reached_later_that_is_no_item_refuses_the_step_and_keeps_the_state() -> None:
-    instance = Instance(block_of(lambda x: Outputs(gear=where(x > 1.0, 2, 1))))  # type: ignore[arg-type]
+    instance = BlockInstance(block_of(lambda x: Outputs(gear=where(x > 1.0, 2, 1))))  # type: ignore[arg-type]
     instance.exit_initialization_mode()
     instance.do_step(0.0, 0.01)
     before = instance.snapshot()

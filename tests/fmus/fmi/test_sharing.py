@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from fmus.fmi import description, unpacked
+from fmus.fmi import description, instance
 from fmus.fmi.description import describe, is_independent
 from fmus.fmi.instance import FmuInstance
 from fmus.store import is_own_build, record_build
@@ -21,7 +21,7 @@ from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 
 COUNT = 40
-WORK = ((unpacked, "extract_archive"), (unpacked, "Library"), (description, "model_description"))
+WORK = ((instance, "extract_archive"), (instance, "Library"), (description, "model_description"))
 
 
 @pytest.fixture
@@ -71,7 +71,7 @@ def test_a_chain_of_one_file_is_unpacked_loaded_and_parsed_once(
 def test_of_an_fmu_of_ours_what_a_run_needs_is_unpacked(built: Mapping[str, Path]) -> None:
     """Its library and its resources, not its documentation and sources."""
     fmu = built["ExamplePlant"]
-    with unpacked.unpacked(fmu, describe(fmu)) as opened, zipfile.ZipFile(fmu) as archive:
+    with instance.unpacked(fmu, describe(fmu)) as opened, zipfile.ZipFile(fmu) as archive:
         files = {path.relative_to(opened.folder) for path in opened.folder.rglob("*") if path.is_file()}
         resources = {Path(name) for name in archive.namelist() if name.startswith("resources/")}
         (library,) = files - resources

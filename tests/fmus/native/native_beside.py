@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize
 
-from fmus.block import Block, ScalarVariable
+from fmus.block import Block, BlockVariable
 
 from .native_model import (
     DISCARD,
@@ -172,11 +172,11 @@ class Beside(RuleBasedStateMachine):
 
     # arguments
 
-    def some(self, data: Any, slot: int, variables: list[ScalarVariable]) -> list[int]:
+    def some(self, data: Any, slot: int, variables: list[BlockVariable]) -> list[int]:
         chosen = data.draw(st.lists(st.sampled_from(variables), max_size=4)) if variables else []
         return [v.value_reference for v in chosen]
 
-    def settable(self, kind: str) -> list[ScalarVariable]:
+    def settable(self, kind: str) -> list[BlockVariable]:
         return [v for v in self.by_kind[kind] if v.settable]
 
     def one_wrong(self, data: Any, references: list[int]) -> list[int]:

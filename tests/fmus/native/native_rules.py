@@ -6,7 +6,7 @@ from typing import Any
 from hypothesis import strategies as st
 from hypothesis.stateful import rule
 
-from fmus.block import ScalarVariable
+from fmus.block import BlockVariable
 
 from .native_beside import NAMES, SELDOM, TINY, Beside
 from .native_model import ALL, ERROR, INITIALIZATION, INSTANTIATED, OK, STEPPING, TERMINATED, WRITABLE
@@ -248,7 +248,7 @@ class Calls(Beside):
             self.states[saved_slot] = saved
 
 
-def _acceptable(v: ScalarVariable) -> list:
+def _acceptable(v: BlockVariable) -> list:
     if v.type == "Boolean":
         return [0, 1]
     if v.enumeration:
@@ -261,7 +261,7 @@ def _acceptable(v: ScalarVariable) -> list:
     return [type(v.start)(x) for x in numbers if x is not None and not v.refuse(type(v.start)(x))]
 
 
-def _refused(v: ScalarVariable) -> list:
+def _refused(v: BlockVariable) -> list:
     if v.type == "Boolean":
         return [2, -1]
     if v.type != "Real":

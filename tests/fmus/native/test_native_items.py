@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import pytest
 
-from fmus.block.instance import BlockError, Instance
+from fmus.block.instance import BlockError, BlockInstance
 
 from .native_block import ITEMS
 from .native_model import DISCARD, ERROR, OK
@@ -23,8 +23,8 @@ def session(open_session: Callable[[str], Session]) -> Session:
 
 
 @pytest.fixture
-def instance() -> Instance:
-    return Instance(ITEMS)
+def instance() -> BlockInstance:
+    return BlockInstance(ITEMS)
 
 
 def outputs(session: Session) -> list[int]:
@@ -37,7 +37,9 @@ def outputs(session: Session) -> list[int]:
 @pytest.mark.parametrize(
     ("choice", "expected"), [(1003.0, [3, 0]), (1000.0, [0, 0]), (-1001.0, [0, 1]), (-1000.0, [0, 0])]
 )
-def test_items_are_given(session: Session, instance: Instance, choice: float, expected: list[int]) -> None:
+def test_items_are_given(
+    session: Session, instance: BlockInstance, choice: float, expected: list[int]
+) -> None:
     session("leave", 0)
     instance.exit_initialization_mode()
     assert session("set", 0, "R", [INPUT], [choice]).status == OK
@@ -58,7 +60,7 @@ def test_items_are_given(session: Session, instance: Instance, choice: float, ex
     ],
 )
 def test_a_step_to_another_number_is_discarded_and_the_state_stays(
-    session: Session, instance: Instance, choice: float, message: str
+    session: Session, instance: BlockInstance, choice: float, message: str
 ) -> None:
     session("leave", 0)
     instance.exit_initialization_mode()
@@ -74,7 +76,7 @@ def test_a_step_to_another_number_is_discarded_and_the_state_stays(
 
 
 def test_a_calculated_parameter_that_is_no_item_ends_the_initialisation(
-    session: Session, instance: Instance
+    session: Session, instance: BlockInstance
 ) -> None:
     assert session("set", 0, "R", [PARAMETER], [1001.0]).status == OK
     instance.set(PARAMETER, 1001.0)

@@ -8,7 +8,7 @@ import pytest
 
 from fmus.block import Block
 from fmus.build import builder, native
-from fmus.build.check_trace import _Comparison, check_faithful, check_shipped
+from fmus.build.check_trace import _Comparison, check_shipped, check_trace
 from fmus.build.shipped import ShippedLibrary
 from fmus.errors import ExportError
 
@@ -52,7 +52,7 @@ def test_a_library_that_differs_in_one_function_is_refused(
         rf"{function} gives .* in Python and .* when it is compiled; set ZIG_GLOBAL_CACHE_DIR to an empty"
     )
     with pytest.raises(ExportError, match=message):
-        check_shipped(check_faithful(EVERYTHING), library)
+        check_shipped(check_trace(EVERYTHING), library)
 
 
 @pytest.mark.parametrize("name", ["Everything", *builder.block_names()])
@@ -68,7 +68,7 @@ def test_a_library_is_compared_at_most_points_of_each_function(
         shares[name] = sum(numbers is not None for numbers in given) / len(given)
         check_numbers(comparison, given, *others)  # type: ignore[arg-type]
 
-    compared = check_faithful(block)
+    compared = check_trace(block)
     monkeypatch.setattr(_Comparison, "check_numbers", counting)
     check_shipped(compared, library_of(block, *native.content(block)))
     # but where a result is no value of its type; half of the outputs belong to states that no step reached

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fmus import numerics as n
-from fmus.build.hints import COUNTERPARTS, INSTEAD, advice
+from fmus.build.hints import COUNTERPARTS, INSTEAD, hint
 
 FINITE = st.floats(-1e3, 1e3)
 POSITIVE = st.floats(1e-3, 1e3)
@@ -104,7 +104,7 @@ def test_every_function_of_math_is_offered_or_its_refusal_says_what_to_do() -> N
 
 
 def test_the_norm_of_a_vector_is_answered_with_a_call_that_takes_its_coordinates() -> None:
-    assert advice("norm(x)", "y = norm(x)", "") == "use fmus.numerics.hypot(*x)"
+    assert hint("norm(x)", "y = norm(x)", "") == "use fmus.numerics.hypot(*x)"
 
 
 def test_counterparts_exist() -> None:

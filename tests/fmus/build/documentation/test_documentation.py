@@ -175,7 +175,7 @@ def test_the_licence_of_everything_inside_is_inside(built: Fmus, python_built: F
         assert sorted(listed) == sorted(licences_inside)
     assert set(native) == {"l1-depth", "fmi-headers", "zig", "mingw-w64"}
     assert set(python) == {"l1-depth", "pythonfmu"}
-    assert native["l1-depth"] == (Path(__file__).parents[3] / "LICENSE").read_text("utf-8")
+    assert native["l1-depth"] == (Path(__file__).parents[4] / "LICENSE").read_text("utf-8")
     assert "2-Clause BSD License" in native["fmi-headers"]
     assert "AS IS" in native["fmi-headers"]
     assert native["zig"] == distribution("ziglang").read_text("licenses/ziglang/LICENSE")

@@ -13,7 +13,7 @@ from PIL import Image
 
 from fmus.block import NoValues, variable
 from fmus.build import builder
-from fmus.build.documentation.icon import SIZE, icon
+from fmus.build.documentation.terminals_and_icon import SIZE, icon
 
 
 @cache

@@ -19,8 +19,12 @@ from fmpy.util import read_csv
 from fmus.block import Block, variable
 from fmus.block.guide import Experiment, Guide
 from fmus.build import builder
-from fmus.build.documentation.reference_files import LS_REF, RELATIVE_TOLERANCE, cross_check_files
-from fmus.build.documentation.reference_results import reference_run
+from fmus.build.documentation.reference_results import (
+    LS_REF,
+    RELATIVE_TOLERANCE,
+    cross_check_files,
+    reference_run,
+)
 from fmus.compliance.check import check
 from fmus.errors import ExportError
 

@@ -12,7 +12,7 @@ from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 from typer.testing import CliRunner
 
 from fmus.build import builder
-from fmus.build.documentation.terminals import PATH, terminals
+from fmus.build.documentation.terminals_and_icon import PATH, terminals
 from orchestration.cli.app import app
 
 SCHEMA = Path(fmpy.__file__).parent / "schema" / "fmi3" / "fmi3TerminalsAndIcons.xsd"

@@ -1,7 +1,8 @@
-"""Parts of a block that change only at sampling instants: `sampled` in place of a clock by hand."""
+"""Parts of a step: integration, and states that change only at sampling instants."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from fmus.numerics.choice import where
 
@@ -11,7 +12,7 @@ _LATE = 0.5  # of a period
 
 @dataclass(frozen=True)
 class Clock:
-    """When a sample is due: at start + count * period, without accumulated rounding.
+    """Clock of samples, due at start + count * period, without accumulated rounding.
 
     start: time of the first sample [s]; `Clock(t)` in `initial_state` for one in the first step
     count: samples taken since
@@ -21,11 +22,11 @@ class Clock:
     count: int = 0
 
     def next_sample(self, period: float) -> float:
-        """When the next sample is due [s]."""
+        """Returns the time at which the next sample is due [s]."""
         return self.start + self.count * period
 
     def last_sample(self, period: float) -> float:
-        """When the last sample was due [s]."""
+        """Returns the time at which the last sample was due [s]."""
         return self.start + (self.count - 1) * period
 
 
@@ -33,7 +34,7 @@ Part = TypeVar("Part")
 
 
 def sampled(t: float, period: float, state: Part, new: Part) -> Part:
-    """`new` if a sample is due at time t, else `state` as it was.
+    """Returns `new` if a sample is due at time t, else `state` as it was.
 
     t: of the sample [s]: where `step` begins, or `t + h` where it ends
     period: sampling period [s]; it must not change during a run
@@ -49,3 +50,18 @@ def sampled(t: float, period: float, state: Part, new: Part) -> Part:
     is_late = t > due + _LATE * period
     ticked = where(is_late, Clock(t + _LATE * period, 0), Clock(clock.start, clock.count + 1))
     return where(t >= due - _EARLY * period, replace(new, clock=ticked), state)  # type: ignore[type-var]
+
+
+def rk4_step(derivative: Callable[[Any, tuple], tuple], t: float, x: tuple, h: float) -> tuple:
+    """Returns x after one step of the classical fourth-order Runge-Kutta method.
+
+    `derivative(t, x)` returns dx/dt in the order of `x`; global error O(h^4).
+    """
+    half = 0.5 * h
+    k1 = derivative(t, x)
+    k2 = derivative(t + half, tuple(xi + half * ki for xi, ki in zip(x, k1, strict=True)))
+    k3 = derivative(t + half, tuple(xi + half * ki for xi, ki in zip(x, k2, strict=True)))
+    k4 = derivative(t + h, tuple(xi + h * ki for xi, ki in zip(x, k3, strict=True)))
+    return tuple(
+        xi + h / 6.0 * (a + 2.0 * b + 2.0 * c + d) for xi, a, b, c, d in zip(x, k1, k2, k3, k4, strict=True)
+    )

@@ -1,17 +1,18 @@
-"""A block without inputs whose output follows ramps through given points, in any unit.
+"""Blocks of a package that is handed on without its scenario: sources of signals, and other start values."""
 
-It takes the place of a signal in a system that is handed on without its scenario, such as an SSP package.
-"""
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, make_dataclass, replace
 
-from dataclasses import dataclass, make_dataclass
-
-from fmus.block import Block, NoValues, variable
+from fmus.block import Block, NoValues, Value, flatten, unflatten, variable
 from fmus.block.guide import Experiment, Guide
+from fmus.errors import ExportError, nearest
 from fmus.numerics import ramps
 
 
 def ramp_source(name: str, output: str, unit: str | None, points: int) -> Block:
-    """A block `name` with the output `output` and the parameters smooth, point_time[i] and point_value[i].
+    """Returns a block without inputs whose output follows ramps through given points, in any unit.
+
+    It takes the place of a signal. Its parameters are smooth, point_time[i] and point_value[i].
 
     output: an identifier
     unit: of the output and of point_value, one that `fmus.block.units` knows; None for no unit
@@ -46,12 +47,8 @@ def ramp_source(name: str, output: str, unit: str | None, points: int) -> Block:
         name=name,
         description=f"Ramps through {points} points",
         parameters=Parameters,
-        inputs=NoValues,
-        state=NoValues,
         outputs=outputs,
         requirements=requirements,
-        initial_state=lambda t, inputs, p, calculated: NoValues(),
-        step=lambda t, h, state, inputs, p, calculated: state,
         output=lambda t, state, p, calculated: outputs(ramps(t, p.point_time, p.point_value, p.smooth)),
         stop_time=float(points - 1),
         step_size=0.1,
@@ -69,3 +66,40 @@ f(s) = s                            smooth false
     tuning=("Points that are not needed come after the last one that is, with its value.",),
     experiment=Experiment(step_size=0.1),
 )
+
+
+def with_start_values(block: Block, values: Mapping[str, Value]) -> Block:
+    """Returns the block, its parameters and inputs starting at these values; the others as they are declared.
+
+    values: name of a scalar, such as "gain" or "A[1,2]" -> value in the unit of the variable
+    Raises ExportError for a name that is no parameter or input, and for a value that it does not accept.
+    """
+    settable = {v.name: v for v in block.variables if v.settable}
+    for name, value in values.items():
+        if name not in settable:
+            raise ExportError(
+                f"block {block.name!r}: no parameter or input {name!r}; {nearest(name, settable)}"
+            )
+        if reason := settable[name].refuse(value):
+            raise ExportError(f"block {block.name!r}: start value {reason}")
+    starts = [v.cast(values.get(name, v.start)) for name, v in settable.items()]
+    count = len(block.of_causality("parameter"))
+    return replace(
+        block,
+        parameters=_with_defaults(block.parameters, starts[:count]),
+        inputs=_with_defaults(block.inputs, starts[count:]),
+    )
+
+
+def _with_defaults(cls: type, starts: list[Value]) -> type:
+    """Returns a class of the same fields with these scalars as defaults, row by row."""
+    declared, defaults = fields(cls), []
+    for member in declared:
+        size = len(flatten(member.default))
+        defaults.append(unflatten(member.default, starts[:size]))
+        starts = starts[size:]
+    members = [
+        (member.name, member.type, field(default=default, metadata=member.metadata))
+        for member, default in zip(declared, defaults, strict=True)
+    ]
+    return make_dataclass(cls.__name__, members, bases=(cls,), frozen=True) if members else cls

@@ -1,15 +1,78 @@
-"""Tables in one and two dimensions, and ramps in time."""
+"""Matrices and vectors as tuples, row by row; tables in one and two dimensions, and ramps in time."""
 
 from collections.abc import Sequence
+from functools import reduce
 from itertools import pairwise
+from typing import Any
 
 from fmus.numerics.choice import clip, where
-from fmus.numerics.matrices import matmul
 from fmus.numerics.symbols import are_numbers
+
+Vector = tuple[Any, ...]
+Matrix = tuple[Vector, ...]
+
+
+def matmul(a: Any, b: Any) -> Any:
+    """Returns the product of two matrices, a matrix and a vector, or two vectors (a number): NumPy's `@`."""
+    a, b = _tuples(a), _tuples(b)
+    if len(a[0] if isinstance(a[0], tuple) else a) != len(b):
+        raise ValueError(f"matmul of {_size(a)} and {_size(b)}: expected as many columns as rows")
+    if not isinstance(a[0], tuple):
+        return matmul((a,), b)[0] if isinstance(b[0], tuple) else _dot(a, b)
+    if not isinstance(b[0], tuple):
+        return tuple(_dot(row, b) for row in a)
+    return tuple(tuple(_dot(row, column) for column in zip(*b, strict=True)) for row in a)
+
+
+def _tuples(value: Any) -> Any:
+    """Returns a vector or matrix as tuples, also one that is given as lists, or as an array of constants."""
+    value = value.tolist() if hasattr(value, "tolist") else value
+    return tuple(map(_tuples, value)) if isinstance(value, tuple | list) else value
+
+
+def _size(value: Any) -> str:
+    rows = f"{len(value)}"
+    return f"{rows} x {len(value[0])}" if isinstance(value[0], tuple) else f"a vector of {rows}"
+
+
+def _dot(a: Vector, b: Vector) -> Any:
+    # Python's sum begins with 0, which makes 0 of -0, and rounds otherwise since Python 3.12
+    return reduce(lambda one, other: one + other, (x * y for x, y in zip(a, b, strict=True)))
+
+
+def transpose(a: Matrix) -> Matrix:
+    """Returns the rows as columns."""
+    return tuple(zip(*_tuples(a), strict=True))
+
+
+def solve(a: Matrix, b: Any) -> Any:
+    """Returns the x of a x = b, for a square matrix and a vector or matrix b, as `np.linalg.solve`.
+
+    Gaussian elimination with partial pivoting: for matrices of up to about ten rows, as the compiled code
+    grows with their cube. A singular matrix is a division by zero.
+    """
+    a, b = _tuples(a), _tuples(b)
+    if any(len(row) != len(a) for row in a) or len(b) != len(a):
+        raise ValueError(f"solve of {_size(a)} and {_size(b)}: expected a square matrix with as many rows")
+    if not isinstance(b[0], tuple):
+        return tuple(row[0] for row in solve(a, tuple((x,) for x in b)))
+    n, rows = len(a), [(*row, *right) for row, right in zip(a, b, strict=True)]
+    for k in range(n):
+        for i in range(k + 1, n):
+            is_larger = abs(rows[i][k]) > abs(rows[k][k])
+            rows[k], rows[i] = where(is_larger, (rows[i], rows[k]), (rows[k], rows[i]))
+        for i in range(k + 1, n):
+            factor = rows[i][k] / rows[k][k]
+            rows[i] = tuple(x - factor * p for x, p in zip(rows[i], rows[k], strict=True))
+    solution: list[Vector] = []
+    for k in reversed(range(n)):
+        known = matmul(rows[k][k + 1 : n], tuple(solution)) if solution else (0.0,) * (len(rows[k]) - n)
+        solution.insert(0, tuple((x - s) / rows[k][k] for x, s in zip(rows[k][n:], known, strict=True)))
+    return tuple(solution)
 
 
 def interp(x: float, xp: Sequence[float], fp: Sequence[float]) -> float:
-    """The line through the points (xp, fp) at x, held before the first and after the last, as `np.interp`.
+    """Returns the line through the points (xp, fp) at x, held before the first and after the last one.
 
     xp: ascending, each number larger than the one before; fp: as many. Both may be numbers or symbols.
     Raises ValueError for other points, as far as they are numbers: say of parameters what is expected in the
@@ -36,7 +99,7 @@ def interp(x: float, xp: Sequence[float], fp: Sequence[float]) -> float:
 def interp2d(
     x: float, y: float, xp: Sequence[float], yp: Sequence[float], fp: Sequence[Sequence[float]]
 ) -> float:
-    """Bilinear interpolation of a table at (x, y), held outside.
+    """Returns the bilinear interpolation of a table at (x, y), held outside.
 
     xp, yp: ascending, each number larger than the one before
     fp: `fp[i][j]` is the value at (xp[i], yp[j])
@@ -50,7 +113,7 @@ def interp2d(
 
 
 def _check_points(points: Sequence[float], values: int) -> None:
-    """ValueError for points that do not ascend, or are not as many as the values."""
+    """Raises ValueError for points that do not ascend, or are not as many as the values."""
     if len(points) != values:
         raise ValueError(f"{len(points)} points and {values} values: expected as many")
     if are_numbers(*points) and not all(a < b for a, b in pairwise(points)):
@@ -58,13 +121,13 @@ def _check_points(points: Sequence[float], values: int) -> None:
 
 
 def _weights(x: float, points: Sequence[float]) -> list[float]:
-    """Of each point in the interpolation at x: between two points, theirs are positive and add up to 1."""
+    """Returns the weights of the points at x: positive for its neighbours, with a sum of 1."""
     rises = [clip((x - a) / (b - a), 0.0, 1.0) for a, b in pairwise(points)]
     return [1.0 * (before - after) for before, after in zip([1.0, *rises], [*rises, 0.0], strict=True)]
 
 
 def ramps(t: float, times: Sequence[float], values: Sequence[float], smooth: bool | float) -> float:
-    """Lines through (time, value) at time t, held before the first and after the last point.
+    """Returns the lines through (time, value) at time t, held before the first and after the last point.
 
     times: ascending, each later than the one before
     smooth: quintic ramps instead, 10 s^3 - 15 s^4 + 6 s^5: no first or second derivative at the points
@@ -81,7 +144,7 @@ def ramps(t: float, times: Sequence[float], values: Sequence[float], smooth: boo
 def ramp_rates(
     t: float, times: Sequence[float], values: Sequence[float], smooth: bool | float
 ) -> tuple[float, float]:
-    """First and second derivative of `ramps` at time t; at a point, those of the time after it.
+    """Returns the first and second derivative of `ramps` at time t; at a point, those of the time after it.
 
     The second derivative of straight ramps is 0 everywhere, also where the first one jumps.
     """

@@ -1,7 +1,12 @@
-"""What the documentation of every depth controller says besides its variables."""
+"""Sentences and sources that the guides of several blocks share."""
 
 from fmus.block.guide import Experiment, Source
 
+PAPER = Source(
+    "Maalouf, Chemori and Creuze: A new extension of the L1 adaptive controller to drastically reduce the"
+    " tracking time lags, NOLCOS 2013. Numbers in brackets are its equations.",
+    "https://hal-lirmm.ccsd.cnrs.fr/lirmm-00841558",
+)
 CONVENTIONS = (
     "Depth is positive down, and so is every force; a positive demand pushes the vehicle down.",
     "A positive voltage gives a force along the body's z axis, downwards when the vehicle is upright;"

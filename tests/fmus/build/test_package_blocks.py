@@ -2,9 +2,9 @@
 
 import pytest
 
-from fmus.block.instance import Instance
-from fmus.block.start_values import with_start_values
+from fmus.block.instance import BlockInstance
 from fmus.build import builder
+from fmus.build.package_blocks import with_start_values
 from fmus.errors import ExportError
 
 STARTS = {"augmentation": 2, "proportional_gain": 5.5, "measured_depth": 0.25}
@@ -31,7 +31,7 @@ def test_it_steps_as_the_block_does_with_these_values_set() -> None:
         builder.load_block("ExamplePlant"),
         {"omega": 2.0, "control": 1.5, "initial_state[1]": 0.5},
     )
-    started, plain = Instance(with_start_values(block, values)), Instance(block)
+    started, plain = BlockInstance(with_start_values(block, values)), BlockInstance(block)
     references = {v.name: v.value_reference for v in block.variables}
     for name, value in values.items():
         plain.set(references[name], value)

@@ -1,11 +1,21 @@
-"""model.png: the block as a box with its name, its inputs on the left and its outputs on the right."""
+"""Terminals and icon of an FMU (FMI 2.0.5, 2.3): terminalsAndIcons.xml and model.png.
+
+Terminals say which ports belong together, in the file format of FMI 3.0 (2.4.9), which FMI 2.0.4 took over as
+it is, at the same place. The file is written on request alone: FMI Library 3.0.4 reads it as a file of
+FMI 3.0 and prints FATAL lines. Two terminals are enough: inputs and outputs. Both match as a bus: members of
+equal name are connected, so the outputs of a block plug into those inputs of the next that bear their names.
+`GraphicalRepresentation` is left out: the icon is model.png, and some readers take the first child of the
+root for the terminals.
+"""
 
 import io
 from dataclasses import fields
+from xml.etree import ElementTree
 
 from PIL import Image, ImageDraw, ImageFont
 
 from fmus.block import Block
+from fmus.files import xml_document
 
 SIZE = 512  # pixels, both ways
 _SCALE = 4  # drawn larger and scaled down, as shapes are drawn without smooth edges
@@ -16,7 +26,7 @@ _LARGEST_TEXT, _LARGEST_NAME = 21.0, 46.0
 
 
 def icon(block: Block) -> bytes:
-    """The picture as PNG: the same bytes for the same block and libraries, without a date."""
+    """Returns the picture as PNG: the same bytes for the same block and libraries, without a date."""
     side = SIZE * _SCALE
     image = Image.new("RGBA", (side, side), (0, 0, 0, 0))
     draw = ImageDraw.Draw(image)
@@ -37,7 +47,7 @@ def _px(length: float) -> int:
 
 
 def _ports(draw: ImageDraw.ImageDraw, block: Block) -> None:
-    """A triangle on the edge and a label beside it for each declared input and output."""
+    """Draws a triangle on the edge and a label beside it for each declared input and output."""
     inputs = [variable.name for variable in fields(block.inputs)]
     outputs = [variable.name for variable in fields(block.outputs)]
     top, bottom = _EDGE + _HEADER + 6, SIZE - _EDGE - 6
@@ -63,6 +73,24 @@ def _ports(draw: ImageDraw.ImageDraw, block: Block) -> None:
 def _font(
     draw: ImageDraw.ImageDraw, line: str, width: float, largest: float
 ) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """Pillow's own font, so large that the line is no wider than `width`."""
+    """Returns Pillow's own font, so large that the line is no wider than `width`."""
     length = draw.textlength(line, ImageFont.load_default(_px(largest))) / _SCALE
     return ImageFont.load_default(_px(largest * min(1.0, width / max(length, 1.0))))
+
+
+PATH = "terminalsAndIcons/terminalsAndIcons.xml"
+_TERMINALS = (("inputs", "input", "Every input"), ("outputs", "output", "Every output"))
+
+
+def terminals(block: Block) -> dict[str, bytes]:
+    """Returns path inside the FMU -> content; nothing for a block without ports."""
+    root = ElementTree.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
+    listed = ElementTree.SubElement(root, "Terminals")
+    for name, causality, description in _TERMINALS:
+        if variables := block.of_causality(causality):
+            attributes = {"name": name, "matchingRule": "bus", "description": description}
+            terminal = ElementTree.SubElement(listed, "Terminal", attributes)
+            for v in variables:
+                member = {"variableName": v.name, "memberName": v.name, "variableKind": "signal"}
+                ElementTree.SubElement(terminal, "TerminalMemberVariable", member)
+    return {PATH: xml_document(root)} if len(listed) else {}
