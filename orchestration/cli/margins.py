@@ -56,9 +56,9 @@ def margins(
     """Give the delay and gain margins of a scenario, by runs and, for our L1 controllers, in theory."""
     from fmus.files import write_json_atomically
     from orchestration.cli import chosen_scenario
+    from orchestration.margins.fmu_margins import runs_needed
     from orchestration.margins.hold import Hold
     from orchestration.margins.margins import judge
-    from orchestration.margins.run_figures import runs_needed
 
     changes = Changes.of_options(controller, settings, mapped, open_inputs)
     if bool(signal) != bool(window):

@@ -75,7 +75,7 @@ def run(
 ) -> None:
     """Run one scenario, and write its recording (CSV or Parquet), its metrics (JSON) and a figure."""
     from orchestration.cli import chosen_scenario
-    from orchestration.results.tables import metrics_table
+    from orchestration.results.metric_units import metrics_table
     from orchestration.run.checkpoint import Checkpoints, read_checkpoint
     from orchestration.scenarios import run_files
 
@@ -125,7 +125,7 @@ def _with_error_estimate(chosen: "Scenario") -> "Scenario":
 
 def _print_error_estimate(recording: "Recording") -> None:
     """The estimated errors of exchanging at communication points, if they were asked for."""
-    from orchestration.results.tables import error_table
+    from orchestration.results.metric_units import error_table
 
     estimate = recording.provenance.get("error_estimate")
     if estimate:

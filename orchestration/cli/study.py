@@ -11,7 +11,7 @@ from fmus.errors import nearest
 from fmus.platforms import usable_processors
 from orchestration.cli.changes import ControllerMapOption, ControllerSetOption, OpenInputsOption
 from orchestration.cli.interrupts import INTERRUPTED
-from orchestration.cli.score import ProtocolOption, print_tables, write_page
+from orchestration.cli.score import ProtocolOption, print_tables, scored_controllers, write_page
 from orchestration.cli.shared import (
     OutFolder,
     ProgressBar,
@@ -127,7 +127,6 @@ def _controller(
 ) -> "Controller":
     """The controller of the protocol, or of an FMU, with what the options change."""
     from fmus.registry import block_names
-    from orchestration.cli.scored_controllers import scored_controllers
     from orchestration.score.loop import built_in
 
     known = [*protocol.controllers, *block_names()]

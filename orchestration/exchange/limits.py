@@ -6,13 +6,14 @@ Modelica model have in common.
 """
 
 from collections.abc import Iterable
+from importlib import resources
+from string import Template
 
 import numpy as np
 
 from orchestration.errors import ScenarioError
 from orchestration.system.experiment import Algorithm, Experiment
-from orchestration.system.signal_sines import Sines
-from orchestration.system.signals import Constant, Cosine, Ramps, Signal, Table
+from orchestration.system.signals import Constant, Cosine, Ramps, Signal, Sines, Table
 from orchestration.system.system import CheckedSystem, Port
 from orchestration.system.time_grid import GRID_TOLERANCE
 
@@ -92,3 +93,11 @@ def straight_points(input_name: str, signal: Signal, experiment: Experiment) -> 
 def _kind(signal: Signal) -> str:
     kinds = {Ramps: "smooth ramps", Cosine: "a cosine", Sines: "sines"}
     return kinds.get(type(signal), "another function of time")
+
+
+_FOLDER = resources.files("orchestration.exchange") / "files"
+
+
+def filled(file: str, /, **values: object) -> str:
+    """The text of a file with its placeholders replaced."""
+    return Template((_FOLDER / file).read_text(encoding="utf-8")).substitute(values)

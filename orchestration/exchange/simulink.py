@@ -15,9 +15,9 @@ from orchestration.exchange.limits import (
     check_plain_connections,
     check_plain_exchange,
     check_types,
+    filled,
     straight_points,
 )
-from orchestration.exchange.template_files import filled
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.prepared_run import Setting, prepare
 from orchestration.system.system import CheckedSystem, Port

@@ -26,8 +26,7 @@ from fmus.fmi.variable_types import FmiValue
 from orchestration.exchange import ssp_xml
 from orchestration.exchange.limits import check_plain_exchange
 from orchestration.exchange.signal_sources import BuildSource, RampSource, ramp_sources, with_sources
-from orchestration.exchange.ssp_version import SspVersion
-from orchestration.exchange.ssp_xml import STRUCTURE, add, add_value
+from orchestration.exchange.ssp_xml import STRUCTURE, SspVersion, add, add_value
 from orchestration.scenarios.scenario import Scenario, load, shipped
 from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_run import PreparedRun, prepare

@@ -1,10 +1,19 @@
 """The XML of SSP: its namespaces, and elements with values of the types that FMI 2.0 has."""
 
 from contextlib import suppress
+from enum import StrEnum
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from fmus.fmi.variable_types import FmiValue
+
+
+class SspVersion(StrEnum):
+    """Of the standard that a package follows."""
+
+    V1 = "1.0"
+    V2 = "2.0"
+
 
 _STANDARD = "http://ssp-standard.org/SSP1/SystemStructure"
 NAMESPACES = {

@@ -28,8 +28,7 @@ from orchestration.many.stepped_ensemble import SteppedEnsemble
 from orchestration.run.checked_systems import CheckedSystems
 from orchestration.run.initialisation import ConnectionGroup, initialise
 from orchestration.system.experiment import Experiment
-from orchestration.system.prepared_again import PreparedRuns
-from orchestration.system.prepared_run import PreparedRun
+from orchestration.system.prepared_run import PreparedRun, PreparedRuns
 from orchestration.system.system import System
 
 Values = dict[str, list[FmiValue]]

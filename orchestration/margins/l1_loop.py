@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from controller_fmu.design import FilterOrder, lyapunov_matrix
-from orchestration.margins.equations import Equation, LinearLoop
+from orchestration.margins.linear_margins import Equation, LinearLoop
 
 Pair = tuple[float, float]
 CONTROL, PLANT_INPUT = "u", "plant input"

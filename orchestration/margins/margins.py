@@ -9,12 +9,17 @@ from typing import Any
 import numpy as np
 
 from orchestration.errors import ScenarioError
+from orchestration.margins.fmu_margins import ADAPTATION_GAINS, parameter_figures, run_figures
 from orchestration.margins.hold import QUIET, Hold, HoldRuns, hold_of
 from orchestration.margins.l1_design import Design, design_of
 from orchestration.margins.margin_figure import Figure
-from orchestration.margins.run_figures import ADAPTATION_GAINS, parameter_figures, run_figures
-from orchestration.margins.theory_figures import gamma_figures, linear_figures, norm_figures
-from orchestration.margins.transient import bound_figure, step_figures
+from orchestration.margins.theory_figures import (
+    bound_figure,
+    gamma_figures,
+    linear_figures,
+    norm_figures,
+    step_figures,
+)
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.prepared_run import prepare
 from orchestration.system.signals import values_at

@@ -14,8 +14,7 @@ from pydantic import TypeAdapter
 from fmus.errors import nearest
 from orchestration.errors import OrchestrationError
 from orchestration.report import sweeps
-from orchestration.report.result import RunResult, SweepResult
-from orchestration.report.toml import toml
+from orchestration.report.result import RunResult, SweepResult, toml
 from orchestration.results.files import is_recording
 from orchestration.results.formats import RecordingFormat
 from orchestration.results.recording import Recording

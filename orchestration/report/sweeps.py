@@ -21,7 +21,7 @@ with imports_of("report", "a report"):
     import pyarrow  # noqa: F401  (of the table, which would name its own extra)
 
     from orchestration.sweep import table  # which needs no more of the extra sweep
-    from orchestration.sweep.summary import categorical, groups, statistics
+    from orchestration.sweep.table import categorical, groups, statistics
 
 _SHOWN_ELSEWHERE = {"name", "title", "scenario", "varied", "arguments"}
 

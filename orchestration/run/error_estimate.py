@@ -28,8 +28,7 @@ import numpy as np
 
 from orchestration.errors import FmuWarning, OrchestrationError, SimulationError
 from orchestration.results.recording import ERROR_ESTIMATE, Recording
-from orchestration.system.coarser import coarser
-from orchestration.system.experiment import Experiment
+from orchestration.system.experiment import Experiment, coarser
 from orchestration.system.prepared_run import PreparedRun, values_of
 from orchestration.system.time_grid import GRID_TOLERANCE
 

@@ -17,9 +17,8 @@ from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.file_tables import Table
 from orchestration.scenarios.scenario import Scenario
-from orchestration.sweep.file_format import SweepTable, sweep_table
 from orchestration.sweep.target import Settings, target, with_settings
-from orchestration.sweep.varied import MOST_VALUES, Varied, varied
+from orchestration.sweep.varied import MOST_VALUES, SweepTable, Varied, sweep_table, varied
 from orchestration.system.prepared_run import prepare
 from orchestration.system.system import CheckedSystem
 

@@ -11,22 +11,26 @@ table metadata: `l1_depth.kind` is sweep; `l1_depth.provenance` is JSON with the
 
 import hashlib
 import json
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fmus.extras import imports_of
 from fmus.files import open_atomically
 from orchestration.errors import SweepError
-from orchestration.results.metric_units import metric_units
+from orchestration.results.metric_units import metric_units, shown
 from orchestration.sweep.plan import Plan
 
 with imports_of("sweep", "a sweep"):
     import pyarrow as pa
     import pyarrow.parquet as pq
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 SAMPLE, WARNED, ERROR = "sample", "warned", "error"
 ROWS_OF_A_GROUP = 10_000
@@ -152,3 +156,71 @@ def names(columns: pa.Schema, role: str) -> list[str]:
 def unit(columns: pa.Schema, name: str) -> str:
     """Of a column, "" where there is none."""
     return columns.field(name).metadata[b"unit"].decode()
+
+
+_PERCENT = {"least": 0, "5 %": 5, "50 %": 50, "95 %": 95, "largest": 100}
+HEADINGS = ("samples", "mean", "std", *_PERCENT)
+_PRINTED = ("samples", "mean", "std", "5 %", "50 %", "95 %")
+
+
+def statistics(values: np.ndarray) -> dict[str, float]:
+    """HEADINGS -> of the values that are numbers: how many, mean, std (n - 1), percentiles; {} of none."""
+    numbers = values[np.isfinite(values)]
+    if not len(numbers):
+        return {}
+    spread = numbers.std(ddof=1) if len(numbers) > 1 else 0.0
+    percentiles = np.percentile(numbers, list(_PERCENT.values()))
+    return dict(zip(HEADINGS, (len(numbers), numbers.mean(), spread, *percentiles), strict=True))
+
+
+def groups(varied: Mapping[str, Sequence[Any]], samples: Iterable[int]) -> dict[tuple[str, ...], np.ndarray]:
+    """The values of what is varied and no number -> those of the samples that have them.
+
+    varied: name -> a value a sample. All samples are under () if only numbers are varied.
+    """
+    categories = categorical(varied)
+    members: dict[tuple[str, ...], list[int]] = {}
+    for i in samples:
+        members.setdefault(tuple(str(varied[name][i]) for name in categories), []).append(i)
+    return {values: np.array(indices) for values, indices in members.items()}
+
+
+def categorical(varied: Mapping[str, Sequence[Any]]) -> list[str]:
+    """The names of what is varied and no number."""
+    return [
+        name for name, values in varied.items() if any(isinstance(v, (str, bool, np.bool_)) for v in values)
+    ]
+
+
+def failed(results: pa.Table) -> int:
+    """How many samples have an error."""
+    return len(results) - results[ERROR].null_count
+
+
+def summary_table(results: pa.Table, provenance: dict[str, Any]) -> "Table":
+    """The summary as a table for a terminal."""
+    from rich.markup import escape
+    from rich.table import Table  # of the command alone: a worker does without it
+
+    printed = Table(title=escape(f"{provenance['title']}: {len(results)} samples, {failed(results)} failed"))
+    varied_names = names(results.schema, "varied")
+    is_text = {name: not pa.types.is_floating(results[name].type) for name in varied_names}
+    varied = {name: results[name].to_pylist() for name in varied_names if is_text[name]}
+    for heading in (*categorical(varied), "Metric", "Unit"):
+        printed.add_column(escape(heading), no_wrap=heading == "Metric")
+    for heading in _PRINTED:
+        printed.add_column(heading.capitalize(), justify="right")
+    good = np.flatnonzero(results[ERROR].is_null().to_pylist())
+    metrics = {  # `to_numpy` imports pandas
+        name: np.array(results[name].to_pylist(), float) for name in provenance["scenario"]["metrics"]
+    }
+    for values, indices in groups(varied, good).items():
+        printed.add_section()
+        for name, call in provenance["scenario"]["metrics"].items():
+            numbers = statistics(metrics[name][indices])
+            cells = [f"{numbers[heading]:.4g}" for heading in _PRINTED if numbers] or [
+                "0",
+                shown(math.nan, call),
+            ]
+            printed.add_row(*map(escape, (*values, name, unit(results.schema, name))), *cells)
+    return printed

@@ -13,8 +13,7 @@ from fmus.fmi.description import start_value
 from fmus.fmi.model_description import ScalarVariable
 from fmus.fmi.variable_types import NUMBERS, FmiValue
 from orchestration.errors import SystemDefinitionError
-from orchestration.system.coarser import coarser
-from orchestration.system.experiment import Experiment
+from orchestration.system.experiment import Experiment, coarser
 from orchestration.system.experiment_checks import (
     check_capabilities,
     check_events,
@@ -24,7 +23,7 @@ from orchestration.system.experiment_checks import (
 )
 from orchestration.system.faults import Fault, Pattern, compose
 from orchestration.system.open_inputs import OpenInputs
-from orchestration.system.signals import Signal, values_at
+from orchestration.system.signals import Constant, Cosine, Ramps, Signal, values_at
 from orchestration.system.system import CheckedSystem, Port, System, check
 from orchestration.system.values import fmi_value, possible_values, value_range
 
@@ -263,3 +262,52 @@ def values_of(prepared: PreparedRun, component: str) -> dict[str, Any]:
             }
             values[variable.name] = items.get(value, value) if variable.type == "Enumeration" else value
     return values
+
+
+_MOST_STEPS = 100_000  # whose times and signals stay in memory
+_IMMUTABLE = (Constant, Cosine, Ramps)  # signals that cannot have changed if they are equal
+_VALUES = ("parameters", "inputs")
+
+
+class PreparedRuns:
+    """Prepares run after run, as `prepare_checked`.
+
+    only_values_differ: whether the last one is as the one before but for values of parameters and constant
+    inputs
+    """
+
+    only_values_differ = False
+
+    def __init__(self) -> None:
+        self._first: PreparedRun | None = None
+        self._key: str | None = None
+
+    def prepare(
+        self, system: CheckedSystem, experiment: Experiment, external: tuple[str, ...] = ()
+    ) -> PreparedRun:
+        """The prepared run; arrays of its own, which a run may change."""
+        key = _key(system, experiment) if not external else None
+        self.only_values_differ = key is not None and key == self._key
+        if not (self.only_values_differ and self._first):
+            self._key, self._first = None, None  # should anything be refused
+            first = prepare_checked(system, experiment, external)
+            if key is None:
+                return first
+            self._key, self._first = key, first
+        return self._first.with_values(experiment)
+
+
+def _key(system: CheckedSystem, experiment: Experiment) -> str | None:
+    """What two runs have in common that differ in values alone; None where equal things may have changed.
+
+    As text, in which 0 and -0 differ.
+
+    A system is checked with the inputs that an experiment drives: the same one has the same inputs.
+    """
+    signals = experiment.signals.values()
+    can_change = experiment.events or experiment.faults or any(type(s) not in _IMMUTABLE for s in signals)
+    if can_change or experiment.step_count > _MOST_STEPS:
+        return None
+    rest = (value for name, value in vars(experiment).items() if name not in _VALUES)
+    copies = (tuple(value.items()) if isinstance(value, Mapping) else value for value in rest)
+    return repr((id(system), *copies))

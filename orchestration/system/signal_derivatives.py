@@ -8,8 +8,18 @@ from typing import Any
 import numpy as np
 
 from orchestration.errors import ScenarioError
-from orchestration.system.signal_sines import Sines, sine, spectrum, sum_of_sines
-from orchestration.system.signals import Constant, Cosine, Curve, Ramps, Signal, Table
+from orchestration.system.signals import (
+    Constant,
+    Cosine,
+    Curve,
+    Ramps,
+    Signal,
+    Sines,
+    Table,
+    sine,
+    spectrum,
+    sum_of_sines,
+)
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,9 @@
 """Components and connections, checked against the model descriptions before anything is loaded."""
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,34 @@ from fmus.fmi.description import describe, of_causality
 from fmus.fmi.model_description import ModelDescription, ScalarVariable
 from orchestration.errors import SystemDefinitionError
 from orchestration.system.open_inputs import OpenInputs
-from orchestration.system.transformation import LinearTransformation
+
+
+@dataclass(frozen=True)
+class LinearTransformation:
+    """The input is factor * output + offset."""
+
+    factor: float = 1.0
+    offset: float = 0.0
+
+    def __call__(self, value: float) -> float:
+        return self.factor * value + self.offset
+
+    @classmethod
+    def of(cls, given: Any, connection: str) -> "LinearTransformation":
+        """Of a table with `factor` and `offset`; SystemDefinitionError names the connection."""
+        known = [field.name for field in fields(cls)]
+        if isinstance(given, cls):
+            given = {name: getattr(given, name) for name in known}
+        if not isinstance(given, dict):
+            raise SystemDefinitionError(f"{connection}: expected {{factor, offset}} third, got {given!r}")
+        for name, value in given.items():
+            if name not in known:
+                raise SystemDefinitionError(f"{connection}: unknown key {name!r}; {nearest(name, known)}")
+            is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+            if not (is_number and math.isfinite(value)):
+                raise SystemDefinitionError(f"{connection}: {name} = {value!r}: expected a finite number")
+        return cls(**{name: float(value) for name, value in given.items()})
+
 
 # type of an input -> types of the outputs that it accepts: those of which every value is one of its own
 _ACCEPTED = {

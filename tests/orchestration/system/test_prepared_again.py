@@ -12,7 +12,7 @@ from orchestration.errors import SystemDefinitionError
 from orchestration.run import Simulator, simulate
 from orchestration.system.experiment import Event, Experiment
 from orchestration.system.faults import Fault, Offset
-from orchestration.system.prepared_again import PreparedRuns
+from orchestration.system.prepared_run import PreparedRuns
 from orchestration.system.signals import Constant, Cosine, Ramps, Signal
 from orchestration.system.system import System, check
 

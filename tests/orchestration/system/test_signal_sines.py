@@ -12,7 +12,7 @@ from scipy.integrate import quad
 from scipy.signal import welch
 
 from orchestration.errors import ScenarioError
-from orchestration.system.signal_sines import jonswap, sine, spectrum, sum_of_sines
+from orchestration.system.signals import jonswap, sine, spectrum, sum_of_sines
 
 TIMES = np.linspace(0.0, 12.0, 97)
 
