@@ -17,7 +17,7 @@ from orchestration.scenarios.scenario import Scenario
 
 
 def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHANGES) -> Scenario:
-    """The shipped scenario of that name, or the one in that .toml file, checked against its FMUs.
+    """Loads the shipped scenario of that name, or the one in that .toml file, and checks it against its FMUs.
 
     Its name and title tell which components are replaced by the changes.
     """
@@ -52,7 +52,7 @@ def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHA
 
 
 def _with_built_files(changes: Changes, flavour: Flavour) -> Changes:
-    """The changes with the FMU of each block that is a Python file."""
+    """Returns the changes with the FMU of each block that is a Python file."""
     fmus = {
         component: str(_fmu_of_file(Path(fmu), flavour)) if fmu.endswith(".py") else fmu
         for component, fmu in changes.components.items()
@@ -61,7 +61,7 @@ def _with_built_files(changes: Changes, flavour: Flavour) -> Changes:
 
 
 def build_missing_fmus(scenarios: Iterable[Scenario]) -> None:
-    """Build the FMUs of our blocks that these scenarios run and that are missing or stale."""
+    """Builds the FMUs of our blocks that these scenarios run and that are missing or stale."""
     _build_missing({fmu for chosen in scenarios for fmu in chosen.system.components.values()})
 
 
@@ -84,7 +84,7 @@ def _fmu_of_file(path: Path, flavour: Flavour) -> Path:
 def opened(
     name: str, parameter_set: str, flavour: Flavour, changes: Changes = NO_CHANGES
 ) -> Iterator[Scenario]:
-    """As `load`, also of an SSP package, whose FMUs exist only inside the context.
+    """Loads a scenario as `load`, or that of an SSP package, whose FMUs exist only inside the context.
 
     parameter_set: of the package, "" for its own.
     """

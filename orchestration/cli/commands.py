@@ -33,7 +33,7 @@ COMMANDS = {
 
 
 def application(names: Iterable[str] = COMMANDS) -> typer.Typer:
-    """The command line with these commands; only their modules are imported."""
+    """Returns the command line with these commands; only their modules are imported."""
     app = typer.Typer(
         callback=_l1_depth,
         pretty_exceptions_enable=False,
@@ -63,7 +63,7 @@ def _l1_depth(
 
 
 def run_command(arguments: Sequence[str]) -> int:
-    """Run a command; the exit status, unless it fails: SystemExit, after one line on standard error."""
+    """Runs a command and returns its exit status; a failure is a line on standard error and SystemExit."""
     app = application(arguments[:1] if arguments[:1] and arguments[0] in COMMANDS else COMMANDS)
     try:
         status = app(list(arguments) or ["--help"], prog_name="l1-depth", standalone_mode=False)

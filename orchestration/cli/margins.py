@@ -80,7 +80,7 @@ def margins(
 
 
 def _values(over: str) -> dict[str, list[float]]:
-    """Parameter -> values."""
+    """Returns parameter -> values."""
     if not over:
         return {}
     name, _, texts = over.partition("=")
@@ -91,7 +91,7 @@ def _values(over: str) -> dict[str, list[float]]:
 
 
 def _print(title: str, judged: "Margins") -> None:
-    """The figures, and below them what each assumes, once."""
+    """Prints the metrics, and below them what each assumes, once."""
     notes = list(dict.fromkeys((figure.assumption, figure.source) for figure in judged.figures))
     print_table(_table(title, judged, notes))
     for number, (assumption, source) in enumerate(notes, 1):

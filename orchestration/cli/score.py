@@ -71,7 +71,7 @@ def score(
 
 
 def write_score(result: "ScoreResult", out: Path) -> None:
-    """Write score.json and the page, which needs the extra `report`; print their paths."""
+    """Writes score.json and the page, which needs the extra `report`; prints their paths."""
     from fmus.files import write_text_atomically
 
     file = out / "score.json"
@@ -82,7 +82,7 @@ def write_score(result: "ScoreResult", out: Path) -> None:
 
 
 def write_page(result: "ScoreResult", page: Path, title: str) -> None:
-    """Write the page, or print which extra it needs."""
+    """Writes the page, or prints which extra it needs."""
     from fmus.errors import MissingExtraError
     from fmus.files import write_text_atomically
 
@@ -107,7 +107,7 @@ def print_tables(tables: "Sequence[ScoreTable]", document: "Score") -> None:
 
 
 def print_score(document: "Score") -> None:
-    """The tables of a score, what it tells about, and why runs failed."""
+    """Prints the tables of a score, which controllers use the true depth rate, and why runs failed."""
     from orchestration.cli.score_tables import score_tables
 
     print_tables(score_tables(document), document)
@@ -127,7 +127,7 @@ def scored_controllers(
     mapped: Sequence[str],
     open_inputs: OpenInputs | None,
 ) -> list["Controller"]:
-    """The FMUs, blocks and Python files of blocks; settings and mapping are of the only one."""
+    """Returns the FMUs, blocks and Python files of blocks; settings and mapping are those of the only one."""
     from fmus.build import builder
     from orchestration.score.loop import Controller
 

@@ -98,7 +98,7 @@ def _search(
     evaluate: "Evaluate",
     bar: ProgressBar,
 ) -> "Tuning":
-    """The tuning; an interruption ends the command with a message that says what is done."""
+    """Returns the tuning; an interruption ends the command with a message that says what is done."""
     from orchestration.score.tune import tune as search
 
     total, done = evaluations * len(problem.gains) * (len(seeds) + 1), 0
@@ -125,7 +125,7 @@ def _controller(
     open_inputs: OpenInputs | None,
     protocol: "Protocol",
 ) -> "Controller":
-    """The controller of the protocol, or of an FMU, with what the options change."""
+    """Returns the controller of the protocol, or of an FMU, with what the options change."""
     from fmus.registry import block_names
     from orchestration.score.loop import built_in
 

@@ -36,7 +36,7 @@ _CLASSES = ("FMU", "startFMU", "stepFMU")  # the same in every package
 
 
 def texts(scenario: Scenario) -> dict[str, str]:
-    """Path inside the package's folder -> Modelica text, of a scenario.
+    """Returns the Modelica text of a scenario for each path inside the package's folder.
 
     Raises ScenarioError for what the package cannot express: more than `check_plain_exchange` allows, inputs
     and outputs that are not Real, parameters of text, signals that are no straight ramps, a loop of initial
@@ -61,7 +61,7 @@ def texts(scenario: Scenario) -> dict[str, str]:
 
 
 def write(scenario: Scenario, folder: Path) -> Path:
-    """Write the package with its C headers and FMUs to `folder/L1Depth`; returns its package.mo."""
+    """Writes the package with its C headers and FMUs to `folder/L1Depth`; returns its package.mo."""
     root, files = folder / PACKAGE, texts(scenario)
     include = root / "Resources" / "Include"
     include.mkdir(parents=True, exist_ok=True)
@@ -77,7 +77,7 @@ def write(scenario: Scenario, folder: Path) -> Path:
 
 
 def _system(title: str, prepared: PreparedRun) -> str:
-    """The model of the components, their connections and the signals."""
+    """Returns the model of the components, their connections and the signals."""
     checked, experiment = prepared.system, prepared.experiment
     following = _components_that_follow(checked)
     components = []
@@ -100,7 +100,7 @@ def _system(title: str, prepared: PreparedRun) -> str:
 
 
 def _settings(component: str, description: ModelDescription, settings: tuple[Setting, ...]) -> list[str]:
-    """Modifiers of a component's parameters and inputs; an element without value keeps its start."""
+    """Returns modifiers of parameters and inputs of a component; an element without value keeps its start."""
     own = [(port.variable, setting) for port, setting in settings if port.component == component]
     given = {variable.name: number(variable, setting) for variable, setting in own}
     declared = vectors(description.modelVariables)
@@ -116,7 +116,7 @@ def _table(name: str, points: list[tuple[float, float]]) -> str:
 
 
 def _components_that_follow(checked: CheckedSystem) -> set[str]:
-    """Components with a connected output whose initial value follows a connected input.
+    """Returns the components with a connected output whose initial value follows a connected input.
 
     Raises ScenarioError if they form a loop.
     """
@@ -136,7 +136,7 @@ def _components_that_follow(checked: CheckedSystem) -> set[str]:
 
 
 def block(name: str, description: ModelDescription, step_size: float) -> str:
-    """The text of the block of an FMU, whose inputs and outputs are Real and whose parameters are numbers."""
+    """Returns the text of the block of an FMU, whose inputs and outputs are Real, its parameters numbers."""
     parameters, inputs, outputs = (of_causality(description, c) for c in ("parameter", "input", "output"))
     arguments = {}
     for kind in ("Real", "Integer", "Boolean"):
@@ -164,7 +164,7 @@ def block(name: str, description: ModelDescription, step_size: float) -> str:
 
 
 def vectors(variables: Iterable[ScalarVariable]) -> dict[str, list[ScalarVariable]]:
-    """Name without subscript -> its scalars, row by row.
+    """Returns name without subscript -> its scalars, row by row.
 
     Modelica has `voltage[2]` where FMI has `voltage[1]` and [2], `a[2, 2]` where FMI has `a[1,1]` to [2,2].
     """
@@ -175,30 +175,30 @@ def vectors(variables: Iterable[ScalarVariable]) -> dict[str, list[ScalarVariabl
 
 
 def vector_name(name: str) -> str:
-    """The name without its subscript."""
+    """Returns the name without its subscript."""
     return name.partition("[")[0]
 
 
 def quoted(text: str) -> str:
-    """A Modelica string."""
+    """Returns a Modelica string."""
     return json.dumps(text, ensure_ascii=False)
 
 
 def number(variable: ScalarVariable, value: FmiValue) -> str:
-    """A value as Modelica writes one of the variable's type."""
+    """Returns a value as Modelica writes one of the variable's type."""
     if variable.type == "Boolean":
         return "true" if str(value).lower() in ("true", "1") else "false"
     return repr(float(value)) if variable.type == "Real" else str(int(value))
 
 
 def value(scalars: list[ScalarVariable], given: Mapping[str, str] = {}) -> str:
-    """The value of a scalar, or of every element of an array; what is not given is the start value."""
+    """Returns the value of a scalar, or of every element of an array; the start value where none is given."""
     elements = [given.get(variable.name) or number(variable, start_value(variable)) for variable in scalars]
     return _rows(scalars, elements) if _is_array(scalars) else elements[0]
 
 
 def _array(elements: list[str], kind: str = "Real") -> str:
-    """{a, b}, or an array of the type without elements."""
+    """Returns {a, b}, or an array of the type without elements."""
     return f"{{{', '.join(elements)}}}" if elements else f"fill({'0.0' if kind == 'Real' else '0'}, 0)"
 
 
@@ -215,12 +215,12 @@ def _is_array(scalars: list[ScalarVariable]) -> bool:
 
 
 def _columns(scalars: list[ScalarVariable]) -> int:
-    """How many columns a matrix has; 0 for a vector."""
+    """Returns the number of columns of a matrix; 0 for a vector."""
     return sum("[1," in variable.name for variable in scalars)
 
 
 def _rows(scalars: list[ScalarVariable], elements: list[str]) -> str:
-    """{a, b} of a vector, {{a, b}, {c, d}} of a matrix."""
+    """Returns {a, b} for a vector, {{a, b}, {c, d}} for a matrix."""
     columns = _columns(scalars)
     rows = (
         [_array(elements[i : i + columns]) for i in range(0, len(elements), columns)] if columns else elements
@@ -249,7 +249,7 @@ def _connector(kind: str, name: str, scalars: list[ScalarVariable]) -> str:
 
 
 def _declared(name: str, scalars: list[ScalarVariable], modifiers: list[str]) -> str:
-    """The name with its size and its modifiers, the unit first."""
+    """Returns the name with its size and its modifiers, the unit first."""
     columns = _columns(scalars)
     shape = f"{len(scalars) // columns}, {columns}" if columns else str(len(scalars))
     size = f"[{shape}]" if _is_array(scalars) else ""

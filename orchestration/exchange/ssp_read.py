@@ -39,7 +39,7 @@ class OpenedPackage:
         return ScenarioError(f"{self.path}: {message}")
 
     def file(self, source: str, purpose: str) -> Path:
-        """A file of the package; ScenarioError for one outside it."""
+        """Returns a file of the package; ScenarioError for one outside it."""
         path = PurePosixPath(source)
         is_relative = not path.is_absolute() and ".." not in path.parts and not {"\\", ":"} & set(source)
         if not (is_relative and (self.folder / path).is_file()):
@@ -47,7 +47,7 @@ class OpenedPackage:
         return self.folder / path
 
     def root(self, file: Path) -> Element:
-        """The root element of an XML file of the package."""
+        """Returns the root element of an XML file of the package."""
         try:
             if b"<!DOCTYPE" in file.read_bytes():
                 raise self.error(f"{file.name}: expected XML without a document type")
@@ -59,7 +59,7 @@ class OpenedPackage:
             raise self.error(f"{file.name}: expected XML: {error}") from error
 
     def check_attribute(self, element: Element, attribute: str, expected: str, purpose: str) -> None:
-        """Raise ScenarioError if an attribute is given and is not the expected one."""
+        """Raises ScenarioError if an attribute is given and is not the expected one."""
         value = element.get(attribute, expected)
         if value != expected:
             raise self.error(f"{purpose}: {attribute} {value!r}: expected {expected!r}")
@@ -69,7 +69,10 @@ Values = dict[str, FmiValue]
 
 
 def bound_values(root: Element, package: OpenedPackage) -> Values:
-    """ "component.variable" -> value; the system's bindings go over the components' (SSP 1.0, 5.3.2)."""
+    """Returns "component.variable" -> value; the system's bindings go over the components'.
+
+    Source: SSP 1.0, 5.3.2.
+    """
     values: Values = {}
     for component in root.iter(tag("ssd:Component")):
         own = _bindings(component, package)
@@ -80,7 +83,7 @@ def bound_values(root: Element, package: OpenedPackage) -> Values:
 
 
 def chosen_values(name: str, package: OpenedPackage) -> Values:
-    """The values of the .ssv file whose parameter set has that name."""
+    """Returns the values of the .ssv file whose parameter set has that name."""
     roots = {}
     for file in sorted(package.folder.rglob("*.ssv")):
         root = package.root(file)
@@ -128,7 +131,7 @@ _REFUSED = (
 
 @contextmanager
 def opened(path: Path, parameter_set: str = "") -> Iterator[Scenario]:
-    """The scenario in a package, its FMUs extracted until the context ends.
+    """Reads the scenario in a package; its FMUs are extracted until the context ends.
 
     parameter_set: name of an .ssv in the package, whose values replace those bound in it.
     Raises ScenarioError for a package that cannot be read.
@@ -182,7 +185,7 @@ def _scenario(package: OpenedPackage, parameter_set: str) -> Scenario:
 
 
 def _checked_root(package: OpenedPackage) -> Element:
-    """The root of the structure, if it holds nothing that is refused."""
+    """Returns the root of the structure; raises ScenarioError for an element that is not supported."""
     root = package.root(package.folder / STRUCTURE)
     if root.tag != tag("ssd:SystemStructureDescription"):
         raise package.error(f"{STRUCTURE}: expected a SystemStructureDescription of SSP")
@@ -222,7 +225,7 @@ def _connection(element: Element, package: OpenedPackage) -> tuple[Any, ...]:
 
 
 def _check_conversions(root: Element, package: OpenedPackage) -> None:
-    """Refuse a transformation that SSP makes in addition to a conversion of units, which we do not make."""
+    """Refuses a transformation beside a conversion of units, both of which SSP makes: we make none."""
     units = {
         (component.get("name"), connector.get("name")): real.get("unit")
         for component in root.iter(tag("ssd:Component"))
@@ -246,7 +249,7 @@ def _check_conversions(root: Element, package: OpenedPackage) -> None:
 def _by_causality(
     values: Values, descriptions: Mapping[str, ModelDescription], connected: set[str]
 ) -> tuple[Values, Values]:
-    """(parameters, inputs): an input that nothing drives keeps the start value of its FMU."""
+    """Returns (parameters, inputs): an input that nothing drives keeps the start value of its FMU."""
     inputs = {
         f"{component}.{variable.name}": start_value(variable)
         for component, description in descriptions.items()
@@ -261,7 +264,7 @@ def _by_causality(
 def _times(
     root: Element, descriptions: Mapping[str, ModelDescription], package: OpenedPackage
 ) -> tuple[float, ...]:
-    """Start, stop and step [s]; a step size that is not given is the smallest that an FMU suggests."""
+    """Returns start, stop and step [s]; without a step size, the smallest that an FMU suggests."""
     default = root.find(tag("ssd:DefaultExperiment"))
     stop = None if default is None else default.get("stopTime")
     if default is None or stop is None:

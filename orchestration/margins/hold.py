@@ -1,4 +1,4 @@
-"""Where a scenario holds a value, and runs of it with faults on the loop that are judged there."""
+"""The hold of a scenario, and runs of it with faults on the loop that are judged in the hold."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -24,7 +24,7 @@ _JUDGED_S = 40.0  # the same of the nominal case, whose vehicle is on its way to
 
 
 class LoopSignal(StrEnum):
-    """Where the loop is changed: on what enters the plant, or on what leaves it."""
+    """The signal at which the loop is changed: what enters the plant, or what leaves it."""
 
     CONTROL = "control"
     MEASUREMENT = "measurement"
@@ -41,12 +41,12 @@ class Hold:
 
 
 def last_part(signal: str, end: float) -> Hold:
-    """The 40 s before a target is left at `end` [s], in which a vehicle that came to it is quiet."""
+    """Returns the 40 s before a target is left at `end` [s], in which a vehicle that came to it is quiet."""
     return Hold(signal, end - _JUDGED_S, end)
 
 
 def hold_of(chosen: Scenario, quiet: float = QUIET) -> Hold:
-    """The last part of the longest time for which the reference of a metric is constant, and its signal.
+    """Returns the last part of the longest time for which the reference of a metric is constant.
 
     Raises ScenarioError for a scenario without such a metric, or whose reference is never constant.
     """
@@ -62,7 +62,7 @@ def hold_of(chosen: Scenario, quiet: float = QUIET) -> Hold:
 
 
 def _constant(chosen: Scenario, reference: str) -> tuple[float, float]:
-    """Beginning and end [s] of the longest time for which the reference is constant."""
+    """Returns beginning and end [s] of the longest time for which the reference is constant."""
     experiment = chosen.experiment
     if reference in experiment.inputs:
         return experiment.start_time, experiment.stop_time
@@ -82,7 +82,7 @@ def _constant(chosen: Scenario, reference: str) -> tuple[float, float]:
 
 
 def loop_inputs(prepared: PreparedRun, signal: str, loop_signal: LoopSignal) -> tuple[str, ...]:
-    """The inputs of type Real on the loops through the component of the signal, of that signal.
+    """Returns the inputs of type Real on the loops through the component of the signal, of that signal.
 
     Raises ScenarioError if there is none.
     """
@@ -103,7 +103,7 @@ def loop_inputs(prepared: PreparedRun, signal: str, loop_signal: LoopSignal) -> 
 
 
 def _reachable(start: str, arrows: Iterable[tuple[str, str]]) -> set[str]:
-    """The components that arrows lead to from `start`."""
+    """Returns the components that arrows lead to from `start`."""
     arrows, reached, new = [*arrows], set[str](), {start}
     while new:
         reached |= new
@@ -151,7 +151,7 @@ class HoldRuns(AbstractContextManager["HoldRuns"]):
         return bool(samples.std() < self.hold.quiet and abs(samples.mean() - self.mean) < MOVED)
 
     def _samples(self, faults: Sequence[Fault], parameters: Mapping[str, FmiValue]) -> np.ndarray:
-        """The signal in the hold, shape (n,)."""
+        """Returns the signal in the hold, shape (n,)."""
         self.count += 1
         experiment = replace(
             self._experiment,
@@ -166,7 +166,7 @@ class HoldRuns(AbstractContextManager["HoldRuns"]):
         return samples
 
     def close(self) -> None:
-        """Free the FMUs."""
+        """Frees the FMUs."""
         self._simulator.close()
 
     def __exit__(self, *error: object) -> None:

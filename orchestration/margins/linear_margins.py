@@ -28,7 +28,7 @@ class Equation:
 
 @dataclass(frozen=True)
 class LinearLoop:
-    """As many equations as signals, without `source`, which drives them; `target` closes the loop.
+    """A linear loop: as many equations as signals, without `source`, which drives them.
 
     The loop is closed where source = target.
     """
@@ -58,14 +58,14 @@ class LinearLoop:
         return e[:, :-1], a[:, :-1], a[:, -1]
 
     def response(self, frequencies: np.ndarray) -> Any:
-        """target / source at these frequencies [rad/s], a complex array of the same shape."""
+        """Returns target / source at these frequencies [rad/s], a complex array of the same shape."""
         e, a, b = self.matrices
         s = 1j * np.asarray(frequencies, float)[..., np.newaxis, np.newaxis]
         states = np.linalg.solve(s * e - a, b[:, np.newaxis])
         return states[..., self.signals.index(self.target), 0]
 
     def poles(self, closed: bool = True) -> Any:
-        """Of the closed loop, or of the loop that is cut [1/s], a complex array."""
+        """Returns the poles of the closed loop, or of the loop that is cut [1/s], a complex array."""
         e, a, b = self.matrices
         a = a.copy()
         a[:, self.signals.index(self.target)] += b if closed else 0.0
@@ -95,7 +95,7 @@ _UNSTABLE = LinearMargins(math.nan, math.nan, math.nan, math.nan)
 
 
 def margins(loop: LinearLoop) -> LinearMargins:
-    """The margins of a loop."""
+    """Returns the margins of a loop."""
     if loop.poles().real.max() >= 0.0:
         return _UNSTABLE
     grid = _frequencies(loop)
@@ -112,7 +112,7 @@ def margins(loop: LinearLoop) -> LinearMargins:
 
 
 def _frequencies(loop: LinearLoop) -> np.ndarray:
-    """A grid [rad/s] that is fine where poles, of the open or the closed loop, make the response change."""
+    """Returns a grid [rad/s] that is fine where poles of the open or the closed loop change the response."""
     count = round(math.log10(_HIGHEST / _LOWEST) * _PER_DECADE) + 1
     grid = [np.geomspace(_LOWEST, _HIGHEST, count)]
     for pole in (*loop.poles(), *loop.poles(closed=False)):
@@ -137,5 +137,5 @@ def _roots(loop: LinearLoop, grid: np.ndarray, values: np.ndarray, function: Any
 
 
 def _delay_at(loop: LinearLoop, w: float) -> float:
-    """The smallest delay [s] with L(j w) e^(-j w delay) = 1, where |L| = 1."""
+    """Returns the smallest delay [s] with L(j w) e^(-j w delay) = 1, where |L| = 1."""
     return float(np.angle(loop.response(np.array(w))) % (2.0 * math.pi) / w)

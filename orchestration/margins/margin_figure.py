@@ -28,7 +28,7 @@ class Figure:
         return "not lost" if math.isinf(self.value) else f"{self.value:.4g}"
 
     def document(self) -> dict[str, Any]:
-        """As JSON has it, where neither infinity nor what is not a number exists: both are null."""
+        """Returns the metric for JSON, which has neither infinity nor what is not a number: both are null."""
         return {
             **asdict(self),
             "value": self.value if math.isfinite(self.value) else None,

@@ -33,14 +33,14 @@ FOREIGN = (
 
 @dataclass(frozen=True)
 class Margins:
-    """Of one scenario; not_judged: sentences that say what is missing, and why."""
+    """The margins of one scenario; not_judged: sentences that say what is missing, and why."""
 
     scenario: str
     figures: tuple[Figure, ...]
     not_judged: tuple[str, ...]
 
     def document(self) -> dict[str, Any]:
-        """As JSON has it."""
+        """Returns the margins for JSON."""
         figures = [figure.document() for figure in self.figures]
         return {"scenario": self.scenario, "figures": figures, "not_judged": list(self.not_judged)}
 
@@ -54,7 +54,7 @@ def judge(
     measured: bool = True,
     progress: Callable[[], object] = lambda: None,
 ) -> Margins:
-    """All margins of a scenario.
+    """Judges all margins of a scenario.
 
     hold: where it is judged through the FMUs; by default `hold_of`, with this largest deviation `quiet`
     over: parameter -> values, at each of which the delay margins are measured; by default the adaptation gain

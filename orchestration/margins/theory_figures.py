@@ -31,7 +31,7 @@ _OMEGAS = 9  # input gains tried over their box: the norm need not be monotonic 
 
 
 def norm_figures(design: Design) -> Iterator[Figure]:
-    """|G|_L1 L with and without the extension, and where the condition is lost."""
+    """Yields |G|_L1 L with and without the extension, and where the condition is lost."""
     law = design.law
     omegas = np.unique(np.linspace(*design.omegas, _OMEGAS)).tolist()
     box = f"omega in {omegas[0]:g}..{omegas[-1]:g}, " + (f"{len(omegas)} values; " if omegas[1:] else "")
@@ -69,7 +69,7 @@ def norm_figures(design: Design) -> Iterator[Figure]:
 
 
 def _or_none(function: Callable[..., float], *arguments: Any, **options: Any) -> float:
-    """The value; not a number for an unstable G, or where no bandwidth satisfies the condition."""
+    """Returns the value; not a number for an unstable G, or where no bandwidth satisfies the condition."""
     try:
         return function(*arguments, **options)
     except ValueError:
@@ -77,7 +77,7 @@ def _or_none(function: Callable[..., float], *arguments: Any, **options: Any) ->
 
 
 def linear_figures(design: Design) -> Iterator[Figure]:
-    """Delay and gain margins of the loop in the limit of fast adaptation, and at the adaptation gain."""
+    """Yields the margins of the loop in the limit of fast adaptation, and at the adaptation gain."""
     law, true_state = replace(design.law, kappa=math.inf), replace(design.law, kappa=math.inf, observer=None)
     lagging, prompt = design.plant, design.plant.without_lag()
     limit = "limit of fast adaptation"
@@ -101,7 +101,7 @@ def linear_figures(design: Design) -> Iterator[Figure]:
 
 
 def gamma_figures(design: Design, gains: Sequence[float]) -> Iterator[Figure]:
-    """The delay margin of the linear loop against the adaptation gain."""
+    """Yields the delay margin of the linear loop against the adaptation gain."""
     for gain in gains:
         law = replace(design.law, kappa=design.law.kappa * gain / design.adaptation_gain)
         at_rest = f"adaptation_gain = {gain:g}"
@@ -110,7 +110,7 @@ def gamma_figures(design: Design, gains: Sequence[float]) -> Iterator[Figure]:
 
 
 def _margins(label: str, law: Law, plant: Plant, limit: str, frozen: bool) -> Iterator[Figure]:
-    """Of one loop; a delay of the control and one of every measurement give the same poles."""
+    """Yields the margins of one loop; delays of the control and of every measurement give the same poles."""
     known = "true state"
     if law.observer:
         known = f"{'bilinear' if law.observer.sampled else 'continuous'} equivalent of the observer"
@@ -133,7 +133,7 @@ _ERRORS = ("prediction_error[1]", "prediction_error[2]")
 
 
 def bound_figure(design: Design) -> Iterator[Figure]:
-    """What |x_tilde| never exceeds, whatever the reference: the gains of the law are constant in it."""
+    """Yields the bound of |x_tilde|, for any reference: the gains of the law are constant in it."""
     law = design.law
     smallest = float(np.linalg.eigvalsh(lyapunov_matrix(np.array(law.a_m), np.diag(law.q))).min())
     value = math.sqrt(4.0 * design.largest_parameters / (smallest * design.adaptation_gain))
@@ -142,7 +142,7 @@ def bound_figure(design: Design) -> Iterator[Figure]:
 
 
 def step_figures(chosen: Scenario, progress: Callable[[], object]) -> Iterator[Figure]:
-    """max |x_tilde| after steps of the reference, for three step sizes; nothing where it is not an output."""
+    """Yields max |x_tilde| after steps of the reference, for three step sizes, if it is an output."""
     (metric,) = [m for m in chosen.metrics.values() if m.get("reference")][:1] or [{}]
     reference = str(metric.get("reference", ""))
     if not reference.endswith(".reference"):  # that of L1Controller

@@ -35,7 +35,7 @@ _SCRIPTS = ("common.js", "tables.js", "signals.js", "sweeps.js")
 
 
 def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
-    """A self-contained HTML page of these results; by default titled after them."""
+    """Returns a self-contained HTML page of these results; by default titled after them."""
     runs = [result for result in results if isinstance(result, RunResult)]
     swept = [result for result in results if isinstance(result, SweepResult)]
     return page(
@@ -56,7 +56,7 @@ def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
 
 
 def page(template: str, script_files: Sequence[str], **content: Any) -> str:
-    """A self-contained HTML page of a template of `files/`, which extends `base.html`.
+    """Returns a self-contained HTML page of a template of `files/`, which extends `base.html`.
 
     content: what the template shows, with `title`, and `data` for its scripts
     """
@@ -88,7 +88,7 @@ def _title(runs: Sequence[RunResult], swept: Sequence[SweepResult]) -> str:
 
 
 def _metric_groups(runs: Sequence[RunResult]) -> dict[tuple[tuple[str, str], ...], list[RunResult]]:
-    """Metrics with their units -> the runs that have them."""
+    """Returns metrics with their units -> the runs that have them."""
     groups: dict[tuple[tuple[str, str], ...], list[RunResult]] = {}
     for run in runs:
         groups.setdefault(tuple(run.metric_units.items()), []).append(run)
@@ -97,18 +97,18 @@ def _metric_groups(runs: Sequence[RunResult]) -> dict[tuple[tuple[str, str], ...
 
 
 def _facts(provenance: Mapping[str, Any]) -> dict[str, str]:
-    """The provenance of a result without the FMUs; "step_size_s" is a step size [s]."""
+    """Returns the provenance of a result without the FMUs; "step_size_s" is a step size [s]."""
     facts = {key: value for key, value in provenance.items() if key != "fmus" and value is not None}
     return {re.sub(r"_s$", " [s]", key).replace("_", " "): value for key, value in flat(facts).items()}
 
 
 def _number(value: Any) -> str:
-    """Five digits of a number; whole numbers and texts as they are."""
+    """Returns five digits of a number; whole numbers and texts as they are."""
     return f"{value:.5g}" if isinstance(value, (float, np.floating)) else str(value)
 
 
 def _breakable(name: str) -> Markup:
-    """A name that may be broken after a dot, an underscore or a comma, if three letters follow."""
+    """Returns a name that breaks after a dot, an underscore or a comma, if three letters follow."""
     return Markup("<wbr>").join(re.split(r"(?<=[._,])(?=\w{3})", name))
 
 
@@ -118,7 +118,7 @@ _NEVER_TELLING = ("title",)  # it always differs, and is shown
 
 
 def differences(runs: list[RunResult]) -> dict[str, dict[str, str]]:
-    """Setting -> value as text -> names of the runs with it, where these differ; rare values first."""
+    """Returns setting -> value as text -> names of its runs, where values differ; rare values first."""
     settings = {run.name: flat({**run.scenario, "run": run.provenance}) for run in runs if run.scenario}
     values_by_setting: dict[str, dict[str, str]] = {}
     for key in sorted({key for values in settings.values() for key in values} - set(_NEVER_TELLING)):
@@ -135,7 +135,7 @@ def differences(runs: list[RunResult]) -> dict[str, dict[str, str]]:
 
 
 def flat(content: Mapping[str, Any], before: str = "") -> dict[str, str]:
-    """Nested tables as one: "experiment: step_size" -> its value as text."""
+    """Returns nested tables as one: "experiment: step_size" -> its value as text."""
     texts: dict[str, str] = {}
     for key, value in content.items():
         if isinstance(value, Mapping):
@@ -157,7 +157,7 @@ def packed(values: np.ndarray) -> str:
 
 
 def run_data(run: RunResult) -> dict[str, Any]:
-    """The data that the page's script draws of a run."""
+    """Returns the data that the page's script draws of a run."""
     recording = run.recording
     columns = ((name, recording.unit(name), recording[name]) for name in recording.numbers)
     return {
@@ -179,7 +179,7 @@ def run_data(run: RunResult) -> dict[str, Any]:
 
 
 def sweep_data(sweep: SweepResult) -> dict[str, Any]:
-    """The data that the page's script draws of a sweep."""
+    """Returns the data that the page's script draws of a sweep."""
     categories = categorical(sweep.varied)
     return {
         "name": sweep.name,

@@ -1,4 +1,4 @@
-"""What a page shows: runs and sweeps, as they are read from their files."""
+"""Results on a page: runs and sweeps, as they are read from their files."""
 
 import re
 from collections.abc import Mapping
@@ -61,7 +61,7 @@ _SHORT_LIST = re.compile(rf"\[\n((?: +{_ITEM},\n){{1,4}}) *\]")
 
 
 def toml(content: Mapping[str, Any]) -> str:
-    """What tomli_w writes, with lists of up to four items on one line."""
+    """Returns TOML with lists of up to four items on one line."""
     return _SHORT_LIST.sub(_on_one_line, tomli_w.dumps(content))
 
 

@@ -49,13 +49,13 @@ class Plan:
         return math.prod(self._shape)
 
     def values(self, sample: int) -> dict[str, FmiValue]:
-        """Name -> value of what is varied, in one sample."""
+        """Returns name -> value of what is varied, in one sample."""
         if not 0 <= sample < self.count:
             raise ScenarioError(f"sample {sample}: expected 0..{self.count - 1}")
         return self.block([sample])[0]
 
     def block(self, samples: Sequence[int]) -> list[dict[str, FmiValue]]:
-        """`values` of several samples at once."""
+        """Returns the `values` of several samples at once."""
         grid_indices = iter(np.unravel_index(samples, self._shape))
         uniforms = iter(zip(*map(self._uniforms, samples), strict=True))
         columns = [
@@ -69,13 +69,13 @@ class Plan:
         ]
 
     def _uniforms(self, sample: int) -> list[float]:
-        """A number in [0, 1) for each variable that is drawn."""
+        """Returns a number in [0, 1) for each variable that is drawn."""
         count = sum(entry.draw is not None for entry in self.varied)
         sequence = np.random.SeedSequence(self.seed, spawn_key=(sample,))
         return np.random.default_rng(sequence).random(count).tolist()
 
     def settings(self, values: Mapping[str, FmiValue]) -> Settings:
-        """The values as a scenario file would give them."""
+        """Returns the values as a scenario file would give them."""
         tables: dict[str, dict[str, Any]] = {}
         for entry in self.varied:
             tables.setdefault(entry.target.table, {})[entry.target.key] = entry.target.entry(
@@ -84,7 +84,7 @@ class Plan:
         return tables
 
     def of_sample(self, sample: int) -> Scenario:
-        """One sample as a scenario of its own, with nothing left to draw."""
+        """Returns one sample as a scenario of its own, with nothing left to draw."""
         settings = self.settings(self.values(sample))
         resolved = {key: value for key, value in self.scenario.resolved.items() if key != "sweep"}
         for table, values in settings.items():
@@ -100,7 +100,7 @@ class Plan:
 
 
 def plan(scenario: Scenario) -> Plan:
-    """The sweep that a scenario declares; a ScenarioError or SystemDefinitionError says what is wrong."""
+    """Returns the sweep that a scenario declares; ScenarioError or SystemDefinitionError for a wrong one."""
     where = f"{scenario.name}: sweep"
     table = sweep_table(scenario.sweep, where)
     for name in _COLUMNS:

@@ -27,7 +27,7 @@ _DRAWN_AT_ONCE = 100  # samples whose values are drawn at once, before they run
 
 
 class Sample(NamedTuple):
-    """What a run of a sweep is known by: its number, and name -> value of what is varied."""
+    """A sample: the number of a run of a sweep, and name -> value of what is varied in it."""
 
     number: int
     values: Mapping[str, FmiValue]
@@ -68,7 +68,7 @@ def sweep(
     restart: bool = False,
     progress: Callable[[int], object] = lambda done: None,
 ) -> Path:
-    """Run the samples that are missing in a folder, and write the table; returns its path.
+    """Runs the samples that are missing in a folder, and writes the table; returns its path.
 
     place_of: where the runs of a job are made, entered if a sample is missing
     recorded: signals to record of each sample; empty for all, None for no recordings
@@ -135,7 +135,7 @@ def recorded_signals(text: str, plan: Plan) -> tuple[str, ...] | None:
 
 
 def _needed(plan: Plan) -> tuple[str, ...]:
-    """The recorded signals that metrics use; all if they use none, since no names mean all."""
+    """Returns the recorded signals that metrics use; all if they use none, since no names mean all."""
     experiment = plan.scenario.experiment
     used = {call.get(key) for call in plan.scenario.metrics.values() for key in metrics.SIGNALS}
     recorded = experiment.record or prepare_checked(plan.checked, experiment).recorded

@@ -45,7 +45,7 @@ _VALUES = {
 
 
 def schema(plan: Plan, recorded: tuple[str, ...] | None) -> pa.Schema:
-    """The columns, each with its role and unit, and what is run: sweeps with the same have the same rows.
+    """Returns the columns with role and unit, and what is run: sweeps with the same have the same rows.
 
     recorded: names of the signals of each sample; empty for all, None for no recordings
     """
@@ -93,12 +93,12 @@ def _provenance(plan: Plan, recorded: tuple[str, ...] | None) -> dict[str, Any]:
 
 
 def provenance_of(columns: pa.Schema) -> dict[str, Any]:
-    """What is run, as plain data."""
+    """Returns what is run, as plain data."""
     return json.loads(columns.metadata[_PROVENANCE])
 
 
 def write(rows: Iterable[Mapping[str, Any]], columns: pa.Schema, path: Path) -> None:
-    """Rows in the order of their samples, some in memory at a time; equal rows give equal bytes."""
+    """Writes rows in the order of their samples, some in memory at a time; equal rows give equal bytes."""
     remaining = iter(rows)
     with open_atomically(path) as stream, pq.ParquetWriter(stream, columns) as writer:
         while group := list(islice(remaining, ROWS_OF_A_GROUP)):
@@ -107,7 +107,7 @@ def write(rows: Iterable[Mapping[str, Any]], columns: pa.Schema, path: Path) -> 
 
 
 def _array(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
-    """`pa.array` imports pandas if it is installed, which takes as long as hundreds of samples.
+    """Returns an array without `pa.array`, which imports pandas: that takes as long as hundreds of samples.
 
     values: of one of the `_VALUES` of their type, or None; TypeError for another
     """
@@ -140,7 +140,7 @@ def is_sweep(path: Path) -> bool:
 
 
 def read(path: Path) -> tuple[pa.Table, dict[str, Any]]:
-    """(the table, its provenance); SweepError for a file that is no table of a sweep."""
+    """Returns (the table, its provenance); SweepError for a file that is no table of a sweep."""
     if not is_sweep(path):
         raise SweepError(f"{path}: expected the table of a sweep, as l1-depth sweep writes it")
     with pq.ParquetFile(path) as file:  # `pq.read_table` imports pandas
@@ -149,12 +149,12 @@ def read(path: Path) -> tuple[pa.Table, dict[str, Any]]:
 
 
 def names(columns: pa.Schema, role: str) -> list[str]:
-    """Of the columns with that role."""
+    """Returns the names of the columns with that role."""
     return [field.name for field in columns if (field.metadata or {}).get(b"role") == role.encode()]
 
 
 def unit(columns: pa.Schema, name: str) -> str:
-    """Of a column, "" where there is none."""
+    """Returns the unit of a column, "" where there is none."""
     return columns.field(name).metadata[b"unit"].decode()
 
 
@@ -164,7 +164,7 @@ _PRINTED = ("samples", "mean", "std", "5 %", "50 %", "95 %")
 
 
 def statistics(values: np.ndarray) -> dict[str, float]:
-    """HEADINGS -> of the values that are numbers: how many, mean, std (n - 1), percentiles; {} of none."""
+    """Returns the number of numbers, their mean, std (n - 1) and percentiles, by HEADINGS; {} of none."""
     numbers = values[np.isfinite(values)]
     if not len(numbers):
         return {}
@@ -174,7 +174,7 @@ def statistics(values: np.ndarray) -> dict[str, float]:
 
 
 def groups(varied: Mapping[str, Sequence[Any]], samples: Iterable[int]) -> dict[tuple[str, ...], np.ndarray]:
-    """The values of what is varied and no number -> those of the samples that have them.
+    """Returns the values of what is varied and no number -> those of the samples that have them.
 
     varied: name -> a value a sample. All samples are under () if only numbers are varied.
     """
@@ -186,19 +186,19 @@ def groups(varied: Mapping[str, Sequence[Any]], samples: Iterable[int]) -> dict[
 
 
 def categorical(varied: Mapping[str, Sequence[Any]]) -> list[str]:
-    """The names of what is varied and no number."""
+    """Returns the names of what is varied and no number."""
     return [
         name for name, values in varied.items() if any(isinstance(v, (str, bool, np.bool_)) for v in values)
     ]
 
 
 def failed(results: pa.Table) -> int:
-    """How many samples have an error."""
+    """Returns the number of samples with an error."""
     return len(results) - results[ERROR].null_count
 
 
 def summary_table(results: pa.Table, provenance: dict[str, Any]) -> "Table":
-    """The summary as a table for a terminal."""
+    """Returns the summary as a table for a terminal."""
     from rich.markup import escape
     from rich.table import Table  # of the command alone: a worker does without it
 

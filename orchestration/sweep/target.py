@@ -1,4 +1,4 @@
-"""What a sweep may vary: a parameter, a constant input or signal, or a setting of the experiment."""
+"""Targets of a sweep: a parameter, a constant input or signal, or a setting of the experiment."""
 
 import math
 from collections.abc import Mapping
@@ -39,7 +39,7 @@ class Target:
     port: Port | None
 
     def checked(self, value: FmiValue) -> FmiValue:
-        """The value as the table of results holds it; SystemDefinitionError if it cannot be set."""
+        """Returns the value as the table of results holds it; SystemDefinitionError if it cannot be set."""
         if self.port is None:
             return self._setting(value)
         number = fmi_value(self.port, value)
@@ -50,11 +50,11 @@ class Target:
         return number
 
     def entry(self, value: FmiValue) -> Any:
-        """What a scenario file gives for the value."""
+        """Returns what a scenario file gives for the value."""
         return {"kind": "constant", "value": value} if self.table == "signals" else value
 
     def within(self, value: float) -> float:
-        """The value, moved into the range if rounding has carried it out."""
+        """Returns the value, moved into the range if rounding has carried it out."""
         return min(max(value, self.permitted[0]), self.permitted[1])
 
     def _setting(self, value: FmiValue) -> FmiValue:
@@ -70,7 +70,7 @@ class Target:
 
 
 def target(name: str, checked: CheckedSystem, experiment: Experiment) -> Target:
-    """The target of that name; an unknown one offers the nearest, a wrong one says what was expected."""
+    """Returns the target of that name; an unknown one offers the nearest."""
     if name in _EXPERIMENT_UNITS:
         key = name.partition(".")[2]
         kind = "Real" if _EXPERIMENT_UNITS[name] else "String"
@@ -110,7 +110,7 @@ def target(name: str, checked: CheckedSystem, experiment: Experiment) -> Target:
 
 
 def with_settings(experiment: Experiment, settings: Settings) -> Experiment:
-    """The experiment with other values; what has none stays the same object."""
+    """Returns the experiment with other values; what has none stays the same object."""
     changes: dict[str, Any] = dict(settings.get("experiment", {}))
     if "algorithm" in changes:
         changes["algorithm"] = Algorithm(changes["algorithm"])

@@ -69,7 +69,7 @@ _SWEEP = TypeAdapter(SweepTable)
 
 
 def sweep_table(declared: object, where: str) -> SweepTable:
-    """The table `[sweep]` as its type; ScenarioError says what is wrong with it."""
+    """Returns the table `[sweep]` as its type; ScenarioError says what is wrong with it."""
     if not declared:
         raise ScenarioError(f'{where}: expected a table [sweep.vary."component.variable"], got none')
     return checked(_SWEEP, declared, where)
@@ -80,7 +80,7 @@ MOST_VALUES = 10_000_000  # of a sweep: more would neither fit into memory nor e
 
 @dataclass(frozen=True)
 class Varied:
-    """What differs from sample to sample: `draw` maps numbers in [0, 1) to values, `grid` lists values."""
+    """A varied name: `draw` maps numbers in [0, 1) to values, one a sample; `grid` lists values."""
 
     target: Target
     grid: tuple[FmiValue, ...] = ()
@@ -88,7 +88,7 @@ class Varied:
 
 
 def varied(target: Target, declared: Table, where: str) -> Varied:
-    """What an entry declares, checked against the range and type of its target.
+    """Checks an entry against the range and type of its target and returns what it declares.
 
     Raises ScenarioError, which begins with `where`.
     """
@@ -106,7 +106,7 @@ def varied(target: Target, declared: Table, where: str) -> Varied:
 
 
 def _base_value(target: Target) -> float:
-    """The target's value without a sweep, which relative values are multiplied with."""
+    """Returns the target's value without a sweep, which relative values are multiplied with."""
     if target.type != "Real" or target.base_value == 0.0:
         raise ScenarioError(
             f"relative: expected a Real that is not 0, got {target.type} {target.base_value!r}"

@@ -1,4 +1,4 @@
-"""What to do with a system: an experiment, with the checks that need no FMU.
+"""Experiments with a system, with the checks that need no FMU.
 
 Communication points are t_i = start + i h, never accumulated; a last shorter step lands on the stop
 time. Times in s.
@@ -35,7 +35,7 @@ class Algorithm(StrEnum):
 
 
 class Initialisation(StrEnum):
-    """How algebraic loops of initial values are solved.
+    """The method of initialisation for algebraic loops of initial values.
 
     automatic: by fixed-point iteration and, where that fails, by Newton's method; or by one of them alone
     """
@@ -60,7 +60,7 @@ class Event:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What to do with a system.
+    """An experiment with a system.
 
     parameters, inputs: "component.variable" -> value, set before the initialisation
     signals: "component.variable" -> function of time, set at every communication point
@@ -101,7 +101,7 @@ class Experiment:
         _check_options(self)
 
     def _convert_types(self) -> None:
-        """Names to members of their enumerations, lists to tuples."""
+        """Converts names to members of their enumerations, and lists to tuples."""
         kinds = {"algorithm": Algorithm, "initialisation": Initialisation, "open_inputs": OpenInputs}
         for name, kind in kinds.items():
             object.__setattr__(self, name, _member(kind, getattr(self, name), name))
@@ -114,11 +114,11 @@ class Experiment:
         return (*self.inputs, *self.signals)
 
     def period(self, component: str) -> int:
-        """Communication steps in one step of a component."""
+        """Returns the number of communication steps in one step of a component."""
         return round(self.step_sizes.get(component, self.step_size) / self.step_size)
 
     def time_resolution(self) -> float:
-        """Times [s] closer than this are the same: a small part of a step, and more than rounding."""
+        """Returns the largest difference [s] of equal times: a small part of a step, above rounding."""
         rounding = 4.0 * np.finfo(float).eps * max(abs(self.start_time), abs(self.stop_time))
         return max(GRID_TOLERANCE * self.step_size, float(rounding))
 
@@ -128,7 +128,7 @@ class Experiment:
         return step_count(self.start_time, self.stop_time, self.step_size)
 
     def time_grid(self) -> np.ndarray:
-        """Start time, stop time and the multiples of the step size between them [s], shape (n,)."""
+        """Returns start time, stop time and the multiples of the step size between them [s], shape (n,)."""
         return time_grid(self.start_time, self.stop_time, self.step_size)
 
 
@@ -187,7 +187,7 @@ def suggested_times(
     step_size: float | None = None,
     start_time: float | None = None,
 ) -> tuple[float, float, float]:
-    """(stop time, step size, start time) [s]; each that is None is taken from the FMUs' default experiments.
+    """Returns (stop time, step size, start time) [s]; None is replaced by the FMUs' default experiments.
 
     The suggested start time belongs to the suggested stop time; with a given stop time it is 0.
     Raises SystemDefinitionError for a time that is not given and for which the FMUs suggest none, or several.
@@ -218,7 +218,7 @@ _LARGEST_TOLERANCE = 0.99  # an experiment takes less than 1
 
 
 def coarser(experiment: Experiment) -> Experiment:
-    """The experiment with twice the step, to the last communication point that every component has in both.
+    """Returns the experiment with twice the step, to the last communication point of every component in both.
 
     A tolerance becomes as many times larger as the error: 2 to the power of the order of the exchange.
     Raises SystemDefinitionError for a run of less than two steps.

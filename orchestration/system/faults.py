@@ -21,7 +21,7 @@ from orchestration.system.time_grid import within
 
 
 class Pattern(NamedTuple):
-    """What arrives in place of n samples: `source` and `weight`, shapes (n, terms), and `addition`, (n,)."""
+    """A pattern of arrival for n samples: `source` and `weight`, shapes (n, terms), and `addition`, (n,)."""
 
     source: np.ndarray
     weight: np.ndarray
@@ -29,7 +29,7 @@ class Pattern(NamedTuple):
 
     @classmethod
     def of_one(cls, source: np.ndarray, addition: np.ndarray) -> "Pattern":
-        """One sample, or none, and an addition in place of each: shapes (n,)."""
+        """Returns the pattern of one sample, or none, and an addition in place of each: shapes (n,)."""
         return cls(source[:, np.newaxis], np.ones((len(source), 1)), addition)
 
     def after(self, earlier: "Pattern") -> "Pattern":
@@ -43,12 +43,12 @@ class Pattern(NamedTuple):
 
 
 class Effect:
-    """What a fault does to samples while it lasts; `for_every_type`: not only to Real ones."""
+    """The effect of a fault on samples while it lasts; `for_every_type`: not only on Real ones."""
 
     for_every_type: ClassVar[bool] = True
 
     def on(self, inside: np.ndarray, times: np.ndarray, stream: "np.random.Generator") -> Pattern:
-        """The pattern of the samples `inside`, consecutive ones and at least one."""
+        """Returns the pattern of the samples `inside`, consecutive ones and at least one."""
         raise NotImplementedError
 
 
@@ -141,7 +141,7 @@ class DropOut(Effect):
 
 @dataclass(frozen=True)
 class Delay(Effect):
-    """What was sent `delay` seconds ago arrives, of the nearest communication point; at first the first."""
+    """A delay: the sample of the communication point nearest to `delay` seconds ago; at first the first."""
 
     delay: float
 
@@ -156,7 +156,10 @@ class Delay(Effect):
 
 @dataclass(frozen=True)
 class InterpolatedDelay(Effect):
-    """What was sent `delay` seconds ago arrives, on a line between two samples; at first the first."""
+    """A delay with interpolation: the value of `delay` seconds ago, on a line between two samples, arrives.
+
+    Before there is one, the first sample arrives.
+    """
 
     for_every_type = False
     delay: float
@@ -219,7 +222,7 @@ class Fault:
             )
 
     def pattern(self, times: np.ndarray) -> Pattern:
-        """Of every sample, at these times [s]."""
+        """Returns the pattern of every sample, at these times [s]."""
         everywhere = Pattern.of_one(np.arange(len(times)), np.zeros(len(times)))
         inside = within(times, self.start, self.end)
         if not len(inside):
@@ -232,14 +235,14 @@ class Fault:
         return Pattern(source, weight, everywhere.addition)
 
     def stream(self) -> "np.random.Generator":
-        """Random numbers that follow from seed, input and kind alone."""
+        """Returns random numbers that follow from seed, input and kind alone."""
         key = f"{type(self.effect).__name__} {self.input}".encode()
         seed = getattr(self.effect, "seed", 0)
         return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(key)))
 
 
 def compose(faults: Sequence[Fault], times: np.ndarray) -> Pattern:
-    """The pattern of the faults on one connection, in the order in which they act.
+    """Returns the pattern of the faults on one connection, in the order in which they act.
 
     times: of the samples, ascending [s].
     """

@@ -1,4 +1,4 @@
-"""What becomes of inputs that nothing drives."""
+"""The treatment of inputs that nothing drives. Apart from `System`: options name it, which load no FMU."""
 
 from enum import StrEnum
 

@@ -72,7 +72,7 @@ class PreparedRun:
         return table
 
     def values_of_signal(self, name: str, signal: Signal) -> np.ndarray:
-        """A signal of an input at every communication point, shape (n,).
+        """Returns a signal of an input at every communication point, shape (n,).
 
         Raises SystemDefinitionError for one that fails, or whose input cannot have its value.
         """
@@ -95,11 +95,11 @@ class PreparedRun:
         return (*self.settings, *first)
 
     def typed(self, name: str, values: np.ndarray) -> list[FmiValue]:
-        """Values of a signal as its input takes them."""
+        """Returns values of a signal as its input takes them."""
         return values.astype(float if self.system.ports[name].variable.type == "Real" else int).tolist()
 
     def with_values(self, experiment: Experiment) -> "PreparedRun":
-        """The same with the parameters and constant inputs of an experiment that is equal otherwise.
+        """Returns this run with the parameters and constant inputs of an experiment that is equal otherwise.
 
         Times and signals are copies.
         """
@@ -118,7 +118,7 @@ class PreparedRun:
 
 
 def prepare(system: System, experiment: Experiment) -> PreparedRun:
-    """Read the model descriptions and check the system and the experiment.
+    """Reads the model descriptions and checks the system and the experiment.
 
     Raises FmuLoadError for a file that is no FMU, SystemDefinitionError for what does not fit.
     """
@@ -126,14 +126,14 @@ def prepare(system: System, experiment: Experiment) -> PreparedRun:
 
 
 def check_for(system: System, experiment: Experiment) -> CheckedSystem:
-    """Read the model descriptions and check the system, with the inputs that the experiment drives."""
+    """Returns the checked system, with the inputs that the experiment drives."""
     return check(system, experiment.driven_inputs, open_inputs=OpenInputs(experiment.open_inputs))
 
 
 def prepare_checked(
     system: CheckedSystem, experiment: Experiment, external: Sequence[str] = ()
 ) -> PreparedRun:
-    """Check an experiment against a system that was checked with the inputs that it drives.
+    """Checks an experiment against a system that was checked with the inputs that it drives.
 
     external: inputs that the caller sets between the steps
     """
@@ -163,7 +163,7 @@ def prepare_checked(
 
 
 def _external(system: CheckedSystem, experiment: Experiment, names: Sequence[str]) -> dict[str, float]:
-    """External inputs and their first values: those of `experiment.inputs`, else the FMU's start values."""
+    """Returns external inputs and their first values: of `experiment.inputs`, else the FMU's start values."""
     values = {}
     for name in names:
         port = system.port(name, "external input")
@@ -175,7 +175,7 @@ def _external(system: CheckedSystem, experiment: Experiment, names: Sequence[str
 
 
 def _recorded(system: CheckedSystem, experiment: Experiment, external: Iterable[str]) -> tuple[str, ...]:
-    """The names asked for, of variables of any kind; or signals, external inputs, and outputs but Strings."""
+    """Returns the names asked for, of any kind; or signals, external inputs, and outputs but Strings."""
     outputs = [
         name
         for name, port in system.ports.items()
@@ -187,7 +187,7 @@ def _recorded(system: CheckedSystem, experiment: Experiment, external: Iterable[
 
 
 def _communication_points(system: CheckedSystem, experiment: Experiment) -> np.ndarray:
-    """The time grid, and the times of the events if every component can step to them."""
+    """Returns the time grid, and the times of the events if every component can step to them."""
     grid = experiment.time_grid()
     if experiment.step_sizes or system.components_without("canHandleVariableCommunicationStepSize"):
         return grid
@@ -224,7 +224,7 @@ def has_start_value(variable: ScalarVariable) -> bool:
 
 
 def _changes(system: CheckedSystem, experiment: Experiment, points: np.ndarray) -> dict[int, list[Setting]]:
-    """A component takes the change at its first own communication point at or after the event."""
+    """Returns the changes; a component takes one at its first communication point at or after the event."""
     changes: dict[int, list[Setting]] = {}
     for event in sorted(experiment.events, key=lambda event: event.time):
         first = int(np.searchsorted(points, event.time - experiment.time_resolution()))
@@ -250,7 +250,7 @@ def _retry_obstacle(system: CheckedSystem, experiment: Experiment) -> str:
 
 
 def values_of(prepared: PreparedRun, component: str) -> dict[str, Any]:
-    """Variable -> value of the parameters and constant inputs of a component; of an Enumeration, its item."""
+    """Returns the values of a component's parameters and constant inputs; of an Enumeration, the item."""
     given = {port.name: value for port, value in prepared.settings}
     values = {}
     for variable in prepared.system.descriptions[component].modelVariables:
@@ -285,7 +285,7 @@ class PreparedRuns:
     def prepare(
         self, system: CheckedSystem, experiment: Experiment, external: tuple[str, ...] = ()
     ) -> PreparedRun:
-        """The prepared run; arrays of its own, which a run may change."""
+        """Returns the prepared run; its arrays are its own, and a run may change them."""
         key = _key(system, experiment) if not external else None
         self.only_values_differ = key is not None and key == self._key
         if not (self.only_values_differ and self._first):
@@ -298,7 +298,7 @@ class PreparedRuns:
 
 
 def _key(system: CheckedSystem, experiment: Experiment) -> str | None:
-    """What two runs have in common that differ in values alone; None where equal things may have changed.
+    """Returns what runs that differ in values alone have in common; None where equal things may have changed.
 
     As text, in which 0 and -0 differ.
 

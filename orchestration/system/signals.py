@@ -30,7 +30,7 @@ class Curve:
 
 
 def values_at(signal: Signal, times: np.ndarray) -> np.ndarray:
-    """The signal at each time, shape (n,)."""
+    """Returns the signal at each time, shape (n,)."""
     if isinstance(signal, Curve):
         return signal.at(times)
     return np.array([signal(t) for t in times.tolist()], float)
@@ -84,7 +84,7 @@ class Cosine(Curve):
 
 @dataclass(frozen=True)
 class Constant(Curve):
-    """The same value at every time."""
+    """A constant value at every time."""
 
     value: float
 
@@ -127,13 +127,13 @@ class Table(Curve):
 
 
 def _convert_to_floats(signal: Constant | Cosine) -> None:
-    """Of all members: NumPy's numbers in an array can change, and their text has 8 digits."""
+    """Converts all members to floats: NumPy's numbers in an array can change, and their text has 8 digits."""
     for name, value in vars(signal).items():
         object.__setattr__(signal, name, _number(f"{type(signal).__name__.lower()}: {name}", value))
 
 
 def _number(name: str, value: Any) -> float:
-    """The value; ScenarioError for what is no number."""
+    """Returns the value; ScenarioError for what is no number."""
     with suppress(TypeError, ValueError, OverflowError):
         if not isinstance(value, str) and np.ndim(value) == 0:
             return float(value)
@@ -146,7 +146,7 @@ def _is_pair(point: Any) -> bool:
 
 
 def _quintic(s: np.ndarray) -> np.ndarray:
-    """10 s^3 - 15 s^4 + 6 s^5: 0 to 1 with zero first and second derivatives at both ends."""
+    """Returns 10 s^3 - 15 s^4 + 6 s^5: 0 to 1 with zero first and second derivatives at both ends."""
     return s * s * s * (10.0 + s * (6.0 * s - 15.0))
 
 
@@ -179,7 +179,7 @@ class Sines(Curve):
             object.__setattr__(self, name, array)
 
     def at(self, times: np.ndarray) -> np.ndarray:
-        """Summed in the order of the components: the value at a time does not depend on the other times."""
+        """Sums in the order of the components: the value at a time does not depend on the other times."""
         values = np.full(times.shape, float(self.offset))
         arrays = (self.amplitudes, self.angular_frequencies, self.phases)
         for amplitude, omega, phase in zip(*map(np.asarray, arrays), strict=True):
@@ -188,14 +188,14 @@ class Sines(Curve):
 
 
 def sine(amplitude: float, frequency: float, phase: float = 0.0, offset: float = 0.0) -> Sines:
-    """offset + amplitude sin(2 pi frequency t + phase), Hz and rad."""
+    """Returns offset + amplitude sin(2 pi frequency t + phase), Hz and rad."""
     return Sines([amplitude], [2.0 * np.pi * frequency], [phase], offset)
 
 
 def sum_of_sines(
     amplitudes: npt.ArrayLike, frequencies: npt.ArrayLike, phases: npt.ArrayLike = (), offset: float = 0.0
 ) -> Sines:
-    """offset + sum of amplitudes_i sin(2 pi frequencies_i t + phases_i), Hz and rad; phases: 0 if empty."""
+    """Returns offset + sum of amplitudes_i sin(2 pi frequencies_i t + phases_i), Hz and rad; no phases: 0."""
     given = np.array(phases, float)
     chosen = given if given.size else np.zeros(np.shape(amplitudes))
     return Sines(amplitudes, 2.0 * np.pi * np.array(frequencies, float), chosen, offset)
@@ -209,7 +209,7 @@ def spectrum(
     seed: int = 1,
     offset: float = 0.0,
 ) -> Sines:
-    """A sum of sines with the JONSWAP spectrum and random phases, about `offset`.
+    """Returns a sum of sines with the JONSWAP spectrum and random phases, about `offset`.
 
     standard_deviation: of the signal over a long time, in the unit of the input; a quarter of its
         significant height
@@ -231,7 +231,7 @@ def spectrum(
 
 
 def jonswap(ratio: np.ndarray, gamma: float) -> np.ndarray:
-    """The JONSWAP spectrum, without its scale, at frequencies relative to that of its peak.
+    """Returns the JONSWAP spectrum, without its scale, at frequencies relative to that of its peak.
 
         S ~ x^-5 exp(-5/4 x^-4) gamma^exp(-(x - 1)^2 / (2 s^2)),   s = 0.07 for x <= 1, 0.09 above
 

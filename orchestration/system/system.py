@@ -27,7 +27,7 @@ class LinearTransformation:
 
     @classmethod
     def of(cls, given: Any, connection: str) -> "LinearTransformation":
-        """Of a table with `factor` and `offset`; SystemDefinitionError names the connection."""
+        """Returns the transformation of a table with `factor` and `offset`; an error names the connection."""
         known = [field.name for field in fields(cls)]
         if isinstance(given, cls):
             given = {name: getattr(given, name) for name in known}
@@ -116,7 +116,7 @@ class CheckedSystem:
     transformations: Mapping[str, LinearTransformation] = field(default_factory=dict)
 
     def port(self, name: str, purpose: str) -> Port:
-        """The variable called "component.variable"; an unknown one offers the nearest."""
+        """Returns the variable called "component.variable"; an unknown one offers the nearest."""
         component = name.partition(".")[0]
         if component not in self.components:
             raise SystemDefinitionError(
@@ -128,7 +128,7 @@ class CheckedSystem:
         return self.ports[name]
 
     def components_without(self, capability: str) -> list[str]:
-        """Components whose FMU does not declare a capability of FMI 2.0 co-simulation."""
+        """Returns the components whose FMU does not declare a capability of FMI 2.0 co-simulation."""
         return [
             name
             for name, description in self.descriptions.items()
@@ -156,7 +156,7 @@ class CheckedSystem:
         }
 
     def initial_dependencies(self, output: Port) -> list[str]:
-        """Names of the inputs that an output depends on in initialisation mode; all if not declared."""
+        """Returns the inputs that an output depends on in initialisation mode; all if not declared."""
         return self.declared_dependencies.get(output.name, self.inputs[output.component])
 
 
@@ -166,7 +166,7 @@ def check(
     descriptions: Mapping[str, ModelDescription] | None = None,
     open_inputs: OpenInputs = OpenInputs.ERROR,
 ) -> CheckedSystem:
-    """Read every model description and check every name, type and unit of the system.
+    """Reads every model description and checks every name, type and unit of the system.
 
     driven: inputs that a signal or a constant drives; every other input needs a connection
     descriptions: those of the components, if they have been read already
@@ -230,7 +230,7 @@ def _units_agree(checked: CheckedSystem, start: Port, end: Port) -> bool:
 
 
 def _base_unit(checked: CheckedSystem, port: Port) -> tuple[object, ...] | None:
-    """Exponents of the base units, factor and offset, if the FMU declares them."""
+    """Returns the exponents of the base units, factor and offset, if the FMU declares them."""
     name = port.variable.unit
     for unit in checked.descriptions[port.component].unitDefinitions:
         base: Any = unit.baseUnit  # FMPy's declarations disagree from version to version
