@@ -23,7 +23,7 @@ _FEWEST_POINTS = 2
 
 @dataclass(frozen=True)
 class RampSource:
-    """The FMU that takes the place of a signal.
+    """The source of ramps: the FMU that takes the place of a signal.
 
     name: of the component, and of its only output
     unit: of the output as FMI names it, "" if the driven input has none
@@ -40,7 +40,7 @@ class RampSource:
 
     @property
     def output(self) -> str:
-        """Its output, as "component.variable": the signal is recorded there."""
+        """The output, as "component.variable": the signal is recorded there."""
         return f"{self.name}.{self.name}"
 
 

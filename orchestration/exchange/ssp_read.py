@@ -1,6 +1,6 @@
-"""An SSP package, 1.0 or 2.0 -> a scenario that our master runs.
+"""Reader of an SSP package, 1.0 or 2.0, as a scenario that our master runs.
 
-Read are the components and connections of one system, parameter values inline or in .ssv files at components
+It reads the components and connections of one system, parameter values inline or in .ssv files at components
 or at the system, and the default experiment. Values are taken in the units of the FMUs. Elements that are not
 understood are refused rather than ignored; so is a name that fits no variable, which SSP permits.
 """

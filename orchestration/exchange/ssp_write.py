@@ -1,4 +1,4 @@
-"""A scenario -> an SSP package: FMUs, connections, units, default experiment, parameter sets.
+"""Writer of a scenario as an SSP package: FMUs, connections, units, default experiment, parameter sets.
 
     SystemStructure.ssd     the scenario that was packaged
     NAME.ssd                the same system as each other scenario of its family has it
@@ -35,7 +35,7 @@ from orchestration.system.system import CheckedSystem, Port
 
 @dataclass(frozen=True)
 class _Variant:
-    """One scenario of the package, its signals replaced by components."""
+    """A variant in the package: one scenario, its signals replaced by components."""
 
     name: str
     title: str

@@ -15,7 +15,7 @@ import numpy as np
 
 from fmus.fmi.variable_types import FmiValue
 from orchestration.margins.hold import MOVED, Hold, HoldRuns, LoopSignal, loop_inputs
-from orchestration.margins.margin_figure import Figure
+from orchestration.margins.margin_metric import Metric
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.faults import Effect, InterpolatedDelay, Scale
 
@@ -184,21 +184,21 @@ def runs_needed(over: Mapping[str, Sequence[float]]) -> int:
     return 2 * 36 + 2 * 30 + 2 * 15 * (sum(map(len, over.values())) or len(ADAPTATION_GAINS))
 
 
-def run_figures(runs: HoldRuns, progress: Callable[[], object]) -> Iterator[Figure]:
+def run_metrics(runs: HoldRuns, progress: Callable[[], object]) -> Iterator[Metric]:
     """Measures the delay margins on control and measurement, and the gain margins."""
     for loop_signal in LoopSignal:
         scan = delay_margin(runs, loop_signal, progress=progress)
-        yield _figure(
+        yield _metric(
             f"delay margin, {loop_signal}", scan, "s", f"{_GRADUAL}, up to {LARGEST_DELAY:g} s", runs
         )
     for name, largest in (("largest", LARGEST_GAIN), ("smallest", 1.0 / LARGEST_GAIN)):
         scan = gain_margin(runs, largest=largest, progress=progress)
-        yield _figure(f"{name} gain, control", scan, "1", f"{_RATIOS}, up to {largest:g}", runs)
+        yield _metric(f"{name} gain, control", scan, "1", f"{_RATIOS}, up to {largest:g}", runs)
 
 
-def parameter_figures(
+def parameter_metrics(
     runs: HoldRuns, parameter: str, values: Sequence[float], progress: Callable[[], object]
-) -> Iterator[Figure]:
+) -> Iterator[Metric]:
     """Measures the delay margins on control and measurement at several values of a parameter."""
     for value in values:
         changed: Mapping[str, FmiValue] = {parameter: value}
@@ -207,10 +207,10 @@ def parameter_figures(
                 runs, loop_signal, parameters=changed, only_first_loss=True, progress=progress
             )
             name = f"delay margin, {loop_signal}, {parameter} = {value:g}"
-            yield _figure(name, scan, "s", f"{_GRADUAL}; the first loss alone", runs)
+            yield _metric(name, scan, "s", f"{_GRADUAL}; the first loss alone", runs)
 
 
-def _figure(name: str, scan: Scan, unit: str, how: str, runs: HoldRuns) -> Figure:
+def _metric(name: str, scan: Scan, unit: str, how: str, runs: HoldRuns) -> Metric:
     hold, signal_unit = runs.hold, runs.prepared.system.ports[runs.hold.signal].variable.unit or ""
     again = ", ".join(f"quiet again at {low:.4g}..{high:.4g} {unit}" for low, high in scan.quiet_again)
     assumption = (
@@ -218,4 +218,4 @@ def _figure(name: str, scan: Scan, unit: str, how: str, runs: HoldRuns) -> Figur
         f"{hold.start:g} s to {hold.end:g} s, mean within {MOVED:g} {signal_unit} of that without a change; "
         f"{how}"
     )
-    return Figure(THROUGH_FMUS, name, scan.margin, unit, assumption, "measured", again)
+    return Metric(THROUGH_FMUS, name, scan.margin, unit, assumption, "measured", again)

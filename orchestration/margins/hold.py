@@ -32,7 +32,7 @@ class LoopSignal(StrEnum):
 
 @dataclass(frozen=True)
 class Hold:
-    """signal: "component.variable" that is held; start, end [s]; quiet: its largest standard deviation."""
+    """A hold of `signal`, "component.variable", from `start` to `end` [s]; quiet: its largest deviation."""
 
     signal: str
     start: float

@@ -18,7 +18,7 @@ Values = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Design:
-    """A loop of an L1 controller.
+    """The design of a loop of an L1 controller.
 
     law: with its adaptation at rest, at the depth of the hold
     lipschitz: L of the uncertainty; omegas: lowest and highest input gain of the box

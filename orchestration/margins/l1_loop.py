@@ -24,7 +24,7 @@ CONTROL, PLANT_INPUT = "u", "plant input"
 
 @dataclass(frozen=True)
 class Observer:
-    """alpha, beta and the sampling period [s] of the observer of the depth rate.
+    """The observer of the depth rate, by alpha, beta and its sampling period [s].
 
     sampled: by the bilinear equivalent of its difference equations, which has their frequency response but
     for (frequency x period)^2 / 12; else by the differential equations that they approximate
@@ -78,7 +78,7 @@ class Law:
 
 @dataclass(frozen=True)
 class Plant:
-    """x' = A x + b times the sum of f_i,   lag_i f_i' = gain_i u - f_i."""
+    """The plant x' = A x + b times the sum of f_i,   lag_i f_i' = gain_i u - f_i."""
 
     a: tuple[Pair, Pair]
     b: Pair

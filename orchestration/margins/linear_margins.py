@@ -1,4 +1,4 @@
-"""Delay and gain margins of a linear loop, from its frequency response (Nyquist).
+"""Linear loops of named signals: frequency response, poles, delay and gain margins (Nyquist).
 
 With L(s) from the cut to the cut, so that the loop is closed where L = 1, a delay d gives 1 = L e^(-s d), a
 factor g gives 1 = g L. A loop that is stable as it is loses its stability at the smallest d, and at the g
@@ -20,7 +20,13 @@ _SHIFT = 0.7320508  # 1/s; any number that is no pole
 
 @dataclass(frozen=True)
 class Equation:
-    """Coefficients of the derivatives on the left and of the values on the right, by signal."""
+    """An equation: coefficients of the derivatives on the left and of the values on the right, by signal.
+
+        sum of derivatives[name] name' = sum of values[name] name,   algebraic without derivatives
+
+    Written so, a loop reads like the laws it is made of, and a limit, such as a time constant of 0 or an
+    adaptation gain without bound, is a coefficient of 0 and no other model.
+    """
 
     derivatives: Mapping[str, float]
     values: Mapping[str, float]

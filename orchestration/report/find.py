@@ -1,4 +1,4 @@
-"""From the paths that a user names to results with names that tell them apart."""
+"""Results at the paths that a user names, with names that tell them apart."""
 
 import json
 import math
@@ -30,7 +30,7 @@ class _Metric(Table):
 
 
 class _Document(Table, extra="allow"):
-    """The .json of a run."""
+    """The document of a run, its .json."""
 
     recording: str
     scenario: dict[str, Any]

@@ -13,7 +13,7 @@ from orchestration.results.recording import Recording
 
 @dataclass(frozen=True)
 class RunResult:
-    """A run. Of a recording that stands alone, scenario, provenance and metrics are empty.
+    """The result of a run. Scenario, provenance and metrics of a recording that stands alone are empty.
 
     name: unique on a page; scenario: resolved, as TOML has it; provenance: FMUs, algorithm, step size
     metric_units: by the names of the metrics, "" where a unit is not known
@@ -33,7 +33,7 @@ class RunResult:
 
 @dataclass(frozen=True)
 class SweepResult:
-    """Samples of a scenario; arrays have an entry a sample.
+    """The result of a sweep; arrays have an entry a sample.
 
     samples: their numbers; varied: "component.variable" -> values; metrics: name -> values, NaN where a
     sample failed or it did not happen; errors: "" where none; units: of varied ones and metrics, where known;

@@ -45,7 +45,7 @@ def figure_style() -> AbstractContextManager[None]:
 
 
 class StackedLayout(LayoutEngine):
-    """Places panels one below the other; each text that needs room outside of them is measured once.
+    """A layout of panels one below the other; each text that needs room outside of them is measured once.
 
     Matplotlib's own layouts measure all texts several times, which takes longer than to draw them.
     """

@@ -36,7 +36,7 @@ _BYTES = {RecordingFormat.CSV: 20, RecordingFormat.PARQUET: 8}  # about, of a nu
 
 
 class Content(NamedTuple):
-    """Everything in a file: the fields of a `Recording`, in their order."""
+    """The content of a file: the fields of a `Recording`, in their order."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]

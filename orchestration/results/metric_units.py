@@ -1,4 +1,4 @@
-"""Units of metrics: as a scenario gives them, or derived from the function and the units of its signals."""
+"""Units of metrics, as a scenario gives them or derived from functions and signals, and tables of results."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -123,6 +123,7 @@ def error_table(errors: Mapping[str, Mapping[str, float | None]], units: Mapping
 
 def _table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Returns lines of columns; those of numbers, all but the first and the last, end at one place."""
+    # Rich, which draws the other tables, takes longer to import than a run takes
     widths = [max(map(len, column)) for column in zip(headings, *rows, strict=True)]
     lines = []
     for name, *numbers, unit in (headings, *rows):

@@ -1,4 +1,4 @@
-"""Recording: signals of one run or of many at the communication points, with units and provenance."""
+"""Recordings: signals of one run or of many at the communication points, with units and provenance."""
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -31,7 +31,7 @@ def points_down(name: str, unit: str) -> bool:
 
 @dataclass(frozen=True)
 class Recording:
-    """Signals over time, of one run or of many runs with the same communication points.
+    """A recording: signals over time, of one run or of many runs with the same communication points.
 
     names: "component.variable"; units: same order, "" where the FMU gives none
     time: shape (n,) [s]; values: shape (n, len(names)), of many runs (runs, n, len(names))

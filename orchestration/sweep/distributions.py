@@ -19,8 +19,9 @@ from orchestration.errors import ScenarioError
 
 @dataclass(frozen=True)
 class Distribution:
-    """quantile: uniform numbers in [0, 1) -> as many values
+    """A distribution of values.
 
+    quantile: uniform numbers in [0, 1) -> as many values
     reach: least and largest value that it can give; nan where that says nothing
     probes: numbers whose values stand for all that it can give, to check before anything is drawn
     """

@@ -27,7 +27,7 @@ _COLUMNS = ("sample", "warned", "error")  # of the table, besides those of metri
 
 @dataclass(frozen=True)
 class Plan:
-    """A scenario, its checked system and what is varied.
+    """A plan of a sweep: a scenario, its checked system and what is varied.
 
     draws: samples at each grid point; timeout: s that a sample may take, None for ever
     """
@@ -45,7 +45,7 @@ class Plan:
 
     @property
     def count(self) -> int:
-        """Samples in all."""
+        """Count of all samples."""
         return math.prod(self._shape)
 
     def values(self, sample: int) -> dict[str, FmiValue]:

@@ -1,4 +1,4 @@
-"""Running a sweep: its samples are runs of `orchestration.many`, whose results are rows of the store."""
+"""Runs of a sweep: its samples are runs of `orchestration.many`, whose results are rows of the store."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, closing
@@ -34,7 +34,7 @@ class Sample(NamedTuple):
 
 
 class Row(NamedTuple):
-    """The result of a sample: its metrics, and its recording as a Parquet file."""
+    """The row of a sample: its metrics, and its recording as a Parquet file."""
 
     metrics: Mapping[str, float]
     recording: bytes | None = None
@@ -42,7 +42,7 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True)
 class Rows:
-    """The reduction of recordings to rows.
+    """The rows of recordings: the reduction of each run to its row.
 
     recorded: signals of each sample to keep; empty for all, None for no recordings
     """

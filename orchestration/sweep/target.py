@@ -23,7 +23,7 @@ Settings = Mapping[str, Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Target:
-    """A name that a sweep may vary.
+    """A target of a sweep: a name that it may vary.
 
     table, key: where a scenario file gives it; type: that of FMI 2.0, an enumeration's items are texts
     permitted: its range; base_value: without a sweep; port: None for a setting of the experiment

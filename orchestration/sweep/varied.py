@@ -1,4 +1,4 @@
-"""One entry of `[sweep.vary]`: a distribution to draw from, or a grid of values."""
+"""The table `[sweep]` of a scenario file, and its entries: distributions to draw from, grids of values."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ _TRUNCATE: dict[str, Any] = {"truncate": (bool, False)}
 
 
 class ValuesTable(Table):
-    """A grid: every one of these values."""
+    """A table of the values of a grid."""
 
     values: Annotated[list[Value], Field(min_length=1)]
     relative: bool = False
@@ -27,7 +27,7 @@ class ValuesTable(Table):
 
 
 class LinspaceTable(Table):
-    """A grid: equally spaced values."""
+    """A table of the equally spaced values of a grid."""
 
     linspace: Annotated[list[float], Field(min_length=3, max_length=3)]
     """[first, last, how many]"""
@@ -54,7 +54,7 @@ VARIED = OneOf(
 
 
 class SweepTable(Table):
-    """Many runs of the scenario, with other values in each."""
+    """A table of a sweep: many runs of the scenario, with other values in each."""
 
     samples: Annotated[int, Field(ge=1)] = 1
     """Draws, at each point of the grids if there are any."""

@@ -28,7 +28,7 @@ _ELEMENTS = {"events": "Event", "faults": "Fault", "record": "names"}
 
 
 class Algorithm(StrEnum):
-    """Order in which components step and exchange."""
+    """The master algorithm: the order in which components step and exchange."""
 
     JACOBI = "jacobi"
     GAUSS_SEIDEL = "gauss-seidel"
@@ -52,7 +52,7 @@ InitialisationName = Initialisation | Literal["automatic", "fixed-point", "newto
 
 @dataclass(frozen=True)
 class Event:
-    """Variables to set at `time` [s]; where an FMU cannot step to it, at its next communication point."""
+    """An event: variables to set at `time` [s]; if an FMU cannot step to it, at its next point."""
 
     time: float
     values: Mapping[str, Value]
@@ -124,7 +124,7 @@ class Experiment:
 
     @property
     def step_count(self) -> int:
-        """Communication steps, the length of the time grid less one."""
+        """Count of communication steps, the length of the time grid less one."""
         return step_count(self.start_time, self.stop_time, self.step_size)
 
     def time_grid(self) -> np.ndarray:
@@ -217,7 +217,7 @@ def _suggested(system: System, name: str, default: float | None = None) -> float
 _LARGEST_TOLERANCE = 0.99  # an experiment takes less than 1
 
 
-def coarser(experiment: Experiment) -> Experiment:
+def double_step(experiment: Experiment) -> Experiment:
     """Returns the experiment with twice the step, to the last communication point of every component in both.
 
     A tolerance becomes as many times larger as the error: 2 to the power of the order of the exchange.

@@ -1,4 +1,4 @@
-"""Whether an experiment fits a system: its signals, events and faults, and what FMUs and machine can do."""
+"""Checks that an experiment fits a system: signals, events and faults, and what FMUs and machine can do."""
 
 import math
 import os

@@ -54,7 +54,7 @@ class Effect:
 
 @dataclass(frozen=True)
 class Freeze(Effect):
-    """The value at the first communication point of the window holds."""
+    """A freeze: the value at the first communication point of the window holds."""
 
     def on(self, inside: np.ndarray, times: np.ndarray, stream: "np.random.Generator") -> Pattern:
         return Pattern.of_one(np.full(inside.shape, inside[0]), np.zeros(inside.shape))
@@ -62,7 +62,7 @@ class Freeze(Effect):
 
 @dataclass(frozen=True)
 class Stuck(Effect):
-    """`value` arrives, whatever is sent."""
+    """A stuck signal: `value` arrives, whatever is sent."""
 
     value: float | bool
 
@@ -76,7 +76,7 @@ class Stuck(Effect):
 
 @dataclass(frozen=True)
 class Offset(Effect):
-    """`value` is added."""
+    """An offset: `value` is added."""
 
     for_every_type = False
     value: float
@@ -90,7 +90,7 @@ class Offset(Effect):
 
 @dataclass(frozen=True)
 class Drift(Effect):
-    """`rate` times the time since the first communication point of the window is added."""
+    """A drift: `rate` times the time since the first communication point of the window is added."""
 
     for_every_type = False
     rate: float
@@ -104,7 +104,7 @@ class Drift(Effect):
 
 @dataclass(frozen=True)
 class Noise(Effect):
-    """Independent Gaussian numbers of this standard deviation are added."""
+    """Noise: independent Gaussian numbers of this standard deviation are added."""
 
     for_every_type = False
     standard_deviation: float
@@ -120,7 +120,7 @@ class Noise(Effect):
 
 @dataclass(frozen=True)
 class DropOut(Effect):
-    """Each sample is lost with this probability, independently; the last that arrived holds.
+    """Drop-outs: each sample is lost with this probability, independently; the last that arrived holds.
 
     The first sample of a run always arrives: before it there is nothing to hold.
     """
@@ -177,7 +177,7 @@ class InterpolatedDelay(Effect):
 
 @dataclass(frozen=True)
 class Scale(Effect):
-    """`factor` times the value arrives: a wrong gain of an actuator or a sensor."""
+    """A scale: `factor` times the value arrives, by a wrong gain of an actuator or a sensor."""
 
     for_every_type = False
     factor: float
@@ -205,7 +205,7 @@ KINDS: Mapping[str, type[Effect]] = {
 
 @dataclass(frozen=True)
 class Fault:
-    """An effect on what arrives at an input, "component.variable", from `start` on and before `end` [s].
+    """A fault: an effect on what arrives at an input, "component.variable", from `start` until `end` [s].
 
     A connection is named by its input, so that one of several that an output feeds can fail alone.
     """

@@ -4,7 +4,7 @@ from enum import StrEnum
 
 
 class OpenInputs(StrEnum):
-    """error: they are refused; start: they keep the start values of their FMUs."""
+    """A treatment of open inputs. error: refuse them; start: keep the start values of their FMUs."""
 
     ERROR = "error"
     START = "start"

@@ -13,7 +13,7 @@ from fmus.fmi.description import start_value
 from fmus.fmi.model_description import ScalarVariable
 from fmus.fmi.variable_types import NUMBERS, FmiValue
 from orchestration.errors import SystemDefinitionError
-from orchestration.system.experiment import Experiment, coarser
+from orchestration.system.experiment import Experiment, double_step
 from orchestration.system.experiment_checks import (
     check_capabilities,
     check_events,
@@ -32,7 +32,7 @@ Setting = tuple[Port, FmiValue]
 
 @dataclass(frozen=True, eq=False)
 class PreparedRun:
-    """A system and an experiment that fit each other.
+    """A prepared run: a system and an experiment that fit each other.
 
     points: communication points [s], shape (n,); with the times of events if every FMU can step to them
     recorded: names of the recorded variables
@@ -146,7 +146,7 @@ def prepare_checked(
     check_capabilities(system, experiment)
     check_signals(system, experiment)
     if experiment.error_estimate:
-        coarser(experiment)
+        double_step(experiment)
     points = _communication_points(system, experiment)
     return PreparedRun(
         system=system,
@@ -270,7 +270,9 @@ _VALUES = ("parameters", "inputs")
 
 
 class PreparedRuns:
-    """Prepares run after run, as `prepare_checked`.
+    """Prepared runs, one after another, each as `prepare_checked` makes it.
+
+    Runs that differ in parameters and constant inputs alone, as samples of a sweep, are prepared once.
 
     only_values_differ: whether the last one is as the one before but for values of parameters and constant
     inputs

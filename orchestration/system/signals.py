@@ -14,7 +14,7 @@ from orchestration.system.time_grid import GRID_TOLERANCE
 
 
 class Signal(Protocol):
-    """A function of time [s]: the value of an input."""
+    """A signal: a function of time [s] that gives the value of an input."""
 
     def __call__(self, t: float, /) -> float: ...
 
@@ -38,7 +38,7 @@ def values_at(signal: Signal, times: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Ramps(Curve):
-    """Lines through (time, value), held before the first and after the last point.
+    """Ramps: lines through (time, value), held before the first and after the last point.
 
     smooth: quintic ramps instead, with zero speed and acceleration at both ends of each.
     """
@@ -68,7 +68,7 @@ class Ramps(Curve):
 
 @dataclass(frozen=True)
 class Cosine(Curve):
-    """offset + amplitude cos(angular_frequency t + phase), rad/s and rad."""
+    """A cosine: offset + amplitude cos(angular_frequency t + phase), rad/s and rad."""
 
     amplitude: float
     angular_frequency: float
@@ -84,7 +84,7 @@ class Cosine(Curve):
 
 @dataclass(frozen=True)
 class Constant(Curve):
-    """A constant value at every time."""
+    """A constant: one value at every time."""
 
     value: float
 
@@ -97,7 +97,7 @@ class Constant(Curve):
 
 @dataclass(frozen=True, eq=False)
 class Table(Curve):
-    """`values` at `times` [s], shapes (n,), held before the first and after the last.
+    """A table: `values` at `times` [s], shapes (n,), held before the first and after the last.
 
     Between two times a straight line, or with hold = True the earlier value.
     """
@@ -156,7 +156,7 @@ _MOST_COMPONENTS = 10_000
 
 @dataclass(frozen=True, eq=False)
 class Sines(Curve):
-    """offset + sum of amplitudes_i sin(angular_frequencies_i t + phases_i).
+    """Sines: offset + sum of amplitudes_i sin(angular_frequencies_i t + phases_i).
 
     amplitudes, offset: in the unit of the input; angular_frequencies [rad/s]; phases [rad]; shapes (n,)
     """

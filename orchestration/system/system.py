@@ -17,7 +17,7 @@ from orchestration.system.open_inputs import OpenInputs
 
 @dataclass(frozen=True)
 class LinearTransformation:
-    """The input is factor * output + offset."""
+    """A linear transformation of a connection: the input is factor * output + offset."""
 
     factor: float = 1.0
     offset: float = 0.0
@@ -54,7 +54,7 @@ _ACCEPTED = {
 
 @dataclass(frozen=True)
 class Port:
-    """A variable of a component."""
+    """A port: a variable of a component."""
 
     component: str
     variable: ScalarVariable
@@ -66,7 +66,7 @@ class Port:
 
 @dataclass(frozen=True, init=False)
 class System:
-    """Named FMUs and the connections between them, (source, target) as "component.variable".
+    """A system: named FMUs and their connections, (source, target) as "component.variable".
 
     A third item, {"factor": 0.001, "offset": 0.0}, transforms what the connection carries.
 

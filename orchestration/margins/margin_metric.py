@@ -1,4 +1,4 @@
-"""One figure of a study, with what it assumes and where it is from."""
+"""Metrics of margins, with what they assume and where they are from."""
 
 import math
 from dataclasses import asdict, dataclass
@@ -6,10 +6,11 @@ from typing import Any
 
 
 @dataclass(frozen=True)
-class Figure:
-    """value: not a number if it does not exist, infinite if nothing is lost; unit: "" where it has none.
+class Metric:
+    """A metric of a margin.
 
-    assumption: what it holds under; remark: what belongs to this figure alone
+    value: not a number if it does not exist, infinite if nothing is lost; unit: "" where it has none
+    assumption: what it holds under; remark: what belongs to this metric alone
     """
 
     group: str
