@@ -34,7 +34,7 @@ _ENTRY = '''"""Entry point of the FMU {name}: the class that PythonFMU's binary 
 import ctypes
 
 from {package}.{module} import {attribute}
-from {package}.fmus.export.slave import BlockSlave
+from {package}.fmus.build.slave import BlockSlave
 
 # PythonFMU 0.7 drops one reference to this dictionary too many whenever it has run this file
 ctypes.pythonapi.Py_IncRef(ctypes.py_object(globals()))

@@ -48,8 +48,10 @@ def source_closure(module: str) -> dict[str, str]:
             continue
         sources[name] = _read(name)
         parts = name.split(".")
-        for parent in (".".join(parts[:i]) for i in range(1, len(parts))):
-            sources.setdefault(parent, "" if parent == "pythonfmu" else _read(parent))
+        if parts[0] == "pythonfmu":
+            sources["pythonfmu"] = ""
+        else:
+            waiting.extend(".".join(parts[:i]) for i in range(1, len(parts)))
         waiting.extend(_imported(name, sources[name], folder))
     return dict(sorted(sources.items()))
 

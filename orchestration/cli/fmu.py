@@ -90,11 +90,9 @@ def build(
 ) -> None:
     """Build the FMU of each block, NAME.fmu."""
     if cache:
-        refuse_without_effect("--cache", {"--reals-only": reals_only})
+        refuse_without_effect("--cache", {"--reals-only": reals_only, "--out": out})
     if all_platforms:
         refuse_without_effect("--all-platforms", {"--platform": platform})
-    if cache:
-        refuse_without_effect("--cache", {"--out": out})
     folder = fmu_folder(flavour) if cache else out or _FOLDERS[flavour]
     named = check_platforms([name.strip() for name in platform.split(",")]) if platform else ()
     platforms = PLATFORMS if all_platforms else named

@@ -62,9 +62,7 @@ def rmse(
     scale: float = 1.0,
 ) -> Any:
     """Returns scale * sqrt(mean((signal - reference)^2)) over the communication points of the window."""
-    inside = _window(recording, window)
-    error = (recording[signal] - recording[reference])[..., inside]
-    return scale * np.sqrt(np.mean(error**2, axis=-1))
+    return scale * np.sqrt(np.mean(_error(recording, signal, reference, window)[1] ** 2, axis=-1))
 
 
 @along_time

@@ -17,8 +17,16 @@ from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.file_tables import Table
 from orchestration.scenarios.scenario import Scenario
-from orchestration.sweep.target import Settings, target, with_settings
-from orchestration.sweep.varied import MOST_VALUES, SweepTable, Varied, sweep_table, varied
+from orchestration.sweep.varied import (
+    MOST_VALUES,
+    Settings,
+    SweepTable,
+    Varied,
+    sweep_table,
+    target,
+    varied,
+    with_settings,
+)
 from orchestration.system.prepared_run import prepare
 from orchestration.system.system import CheckedSystem
 

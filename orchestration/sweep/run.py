@@ -19,7 +19,7 @@ from orchestration.results.recording import Recording
 from orchestration.sweep.plan import Plan
 from orchestration.sweep.store import Store
 from orchestration.sweep.table import ERROR, SAMPLE, WARNED, schema
-from orchestration.sweep.target import with_settings
+from orchestration.sweep.varied import with_settings
 from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_run import prepare_checked
 

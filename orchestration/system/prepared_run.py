@@ -25,7 +25,7 @@ from orchestration.system.faults import Fault, Pattern, compose
 from orchestration.system.open_inputs import OpenInputs
 from orchestration.system.signals import Constant, Cosine, Ramps, Signal, values_at
 from orchestration.system.system import CheckedSystem, Port, System, check
-from orchestration.system.values import fmi_value, possible_values, value_range
+from orchestration.system.values import fmi_value, items, possible_values, value_range
 
 Setting = tuple[Port, FmiValue]
 
@@ -253,14 +253,12 @@ def values_of(prepared: PreparedRun, component: str) -> dict[str, Any]:
     """Returns the values of a component's parameters and constant inputs; of an Enumeration, the item."""
     given = {port.name: value for port, value in prepared.settings}
     values = {}
-    for variable in prepared.system.descriptions[component].modelVariables:
-        if variable.causality in ("parameter", "input"):
-            value = given.get(f"{component}.{variable.name}", start_value(variable))
-            declared: Any = variable.declaredType
-            items: dict[Any, str] = {
-                int(i.value): str(i.name) for i in getattr(declared, "items", None) or ()
-            }
-            values[variable.name] = items.get(value, value) if variable.type == "Enumeration" else value
+    for name, port in prepared.system.ports.items():
+        variable = port.variable
+        if port.component == component and variable.causality in ("parameter", "input"):
+            value = given.get(name, start_value(variable))
+            names: dict[Any, str] = {number: item for item, number in items(port).items()}
+            values[variable.name] = names.get(value, value)
     return values
 
 

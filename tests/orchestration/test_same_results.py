@@ -1,4 +1,4 @@
-"""Shipped results keep their numbers: a digest of the bytes of each, and numbers where bytes may differ.
+"""Shipped results keep their numbers: digests of recordings, and metrics to what the processor leaves open.
 
 `SAME_RESULTS=write pytest -n 0 tests/orchestration/test_same_results.py` writes `same_results.json` anew; a
 change that needs this is listed in the changelog with its reason.
@@ -27,6 +27,10 @@ C_LIBRARY = " ".join(platform.libc_ver())
 # Sines and logarithms of another C library differ in the last bit, which rounding in the sensor may enlarge
 # to a step of its resolution: of the numbers of a whole run, 1e-3 is left by that.
 OTHER_LIBRARY = 1e-3
+# NumPy adds with the vectors that the processor has, in another order on another processor: the lags of the
+# paper's example differ by 3e-16 of their value. Recordings come from compiled loops, which add in one order.
+OTHER_PROCESSOR = 1e-12
+METRICS = ("monte-carlo", "reproduce", "score", "tune")
 TIMED = "microseconds"
 
 Values = Mapping[str, np.ndarray]
@@ -68,10 +72,12 @@ def is_same() -> Callable[[str, Values], None]:
             FILE.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
             return
         expected = document["results"][name]
-        if document["c_library"] == C_LIBRARY:
-            assert now == expected
-        else:
+        if document["c_library"] != C_LIBRARY:
             assert now["rms"] == pytest.approx(expected["rms"], rel=OTHER_LIBRARY, nan_ok=True)
+        elif name in METRICS:
+            assert now["rms"] == pytest.approx(expected["rms"], rel=OTHER_PROCESSOR, abs=0.0, nan_ok=True)
+        else:
+            assert now == expected
 
     return check
 

@@ -13,7 +13,7 @@ from fmus.errors import ExportError
 
 @pytest.fixture
 def offer(monkeypatch: pytest.MonkeyPatch) -> object:
-    """Make the catalogue find one block only, under the name given."""
+    """Make the builder find one block only, under the name given."""
 
     def one(name: str, block: Block) -> None:
         point = EntryPoint(name, "somewhere:BLOCK", registry.GROUP)

@@ -145,8 +145,8 @@ def _with_another_source(path: Path, folder: Path) -> Path:
         "from fmus.build import python\n"
         "closure, old, new = python.source_closure, 'p.omega * inputs.control', '2.0 * inputs.control'\n"
         "python.source_closure = lambda m: {n: s.replace(old, new) for n, s in closure(m).items()}\n"
-        "from fmus import catalogue\n"
-        "catalogue.build('ExamplePlant', pathlib.Path(sys.argv[1]), catalogue.Flavour.PYTHON)\n"
+        "from fmus.build import builder\n"
+        "builder.build('ExamplePlant', pathlib.Path(sys.argv[1]), builder.Flavour.PYTHON)\n"
     )
     subprocess.run([sys.executable, "-c", script, str(folder)], check=True)
     assert (folder / path.name).read_bytes() != path.read_bytes()

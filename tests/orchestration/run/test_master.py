@@ -25,7 +25,7 @@ def two_lags(foreign: Mapping[str, Path]) -> System:
 
 @pytest.mark.parametrize("algorithm", list(Algorithm))
 def test_the_error_falls_with_first_order(built: Mapping[str, Path], algorithm: Algorithm) -> None:
-    """docs/architecture.md: held inputs make both algorithms first order in the step."""
+    """docs/reference/master.md: held inputs make both algorithms first order in the step."""
     system = System(
         {"a": built["ExamplePlant"], "b": built["ExamplePlant"]},
         (("a.output", "b.control"), ("b.output", "a.control")),

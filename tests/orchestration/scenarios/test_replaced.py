@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from orchestration.errors import ScenarioError, ScenarioWarning
+from orchestration.errors import OrchestrationError, ScenarioError, ScenarioWarning
 from orchestration.results.metric_units import metric_units
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
@@ -113,7 +113,7 @@ def test_settings_name_components_parameters_and_inputs(tmp_path: Path) -> None:
 def test_a_misspelt_setting_offers_the_nearest(name: str, message: str) -> None:
     with pytest.raises(Exception, match=message) as caught:
         scenario.load(scenario.find("nominal-l1"), settings={name: "x.fmu"})
-    assert type(caught.value).__module__ == "orchestration.errors"
+    assert isinstance(caught.value, OrchestrationError)
 
 
 def test_events_faults_and_a_sweep_of_a_replaced_component_are_dropped_too(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from orchestration.errors import ScenarioError, ScenarioWarning
+from orchestration.errors import OrchestrationError, ScenarioError, ScenarioWarning
 from orchestration.scenarios import scenario
 from orchestration.system import prepared_run
 from orchestration.system.experiment import Algorithm, Initialisation
@@ -223,7 +223,7 @@ def test_scenarios_are_found_by_name_or_path_and_misspelt_ones_offer_the_nearest
 def test_a_mistake_is_told_with_what_was_expected(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(Exception, match=message) as caught:
         scenario.load(write(tmp_path, text))
-    assert type(caught.value).__module__ == "orchestration.errors"
+    assert isinstance(caught.value, OrchestrationError)
     assert "\n" not in str(caught.value)
 
 
