@@ -71,7 +71,7 @@ class Changes:
         mapped: Sequence[str] = (),
         open_inputs: OpenInputs | None = None,
     ) -> "Changes":
-        """Returns the changes of these options; ScenarioError says what is wrong with one."""
+        """Returns the changes that these options make; ScenarioError for an option that is wrong."""
         components, settings = ({CONTROLLER: controller} if controller else {}), {}
         for assignment in assignments:
             name, value = _parts("--set", assignment, "component.variable=value or component=FMU")

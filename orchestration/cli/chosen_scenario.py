@@ -19,7 +19,7 @@ from orchestration.scenarios.scenario import Scenario
 def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHANGES) -> Scenario:
     """Loads the shipped scenario of that name, or the one in that .toml file, and checks it against its FMUs.
 
-    Its name and title tell which components are replaced by the changes.
+    Its name and title contain the components that the changes replace.
     """
     arguments = (name, *changes.options(), *(() if flavour is Flavour.NATIVE else ("--flavour", flavour)))
     changes = _with_built_files(changes, flavour)
@@ -34,7 +34,7 @@ def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHA
                 settings={**changes.components, **changes.settings},
                 build=lambda fmu: _build_missing([fmu]),
             )
-        finally:  # an error may follow from what a warning tells
+        finally:  # an error may follow from the cause of a warning
             for warning in (w for w in caught if issubclass(w.category, ScenarioWarning)):
                 print(f"l1-depth: warning: {warning.message}", file=sys.stderr)
     for warning in (w for w in caught if not issubclass(w.category, ScenarioWarning)):

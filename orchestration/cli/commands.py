@@ -1,4 +1,4 @@
-"""The commands by name, of which one module each is imported, and what a failure is told as.
+"""Commands by name, each in a module that is imported when it is needed, and the message of a failure.
 
 The modules import at their top what declares a command, and in the body of the command what runs it, so that
 help, completion and the message about a mistyped command do not wait for NumPy or an FMU.

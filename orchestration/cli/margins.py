@@ -1,4 +1,4 @@
-"""Command margins: how much delay and gain a scenario bears, and what theory says of its controller."""
+"""Command margins: the delay and the gain that a scenario tolerates, measured and in theory."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated

@@ -98,7 +98,7 @@ def _search(
     evaluate: "Evaluate",
     bar: ProgressBar,
 ) -> "Tuning":
-    """Returns the tuning; an interruption ends the command with a message that says what is done."""
+    """Returns the tuning; an interruption ends the command with a message about what is done."""
     from orchestration.score.tune import tune as search
 
     total, done = evaluations * len(problem.gains) * (len(seeds) + 1), 0

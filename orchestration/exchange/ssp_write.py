@@ -7,7 +7,7 @@
 
 Only what OMSimulator, libcosim, Ecos, fmucontainer and FMPy all understand: no connector of the system
 itself, no two structures of one name, values inline at each component, enumeration items as integers. Ecos
-and FMPy apply no values unless they are told a set, fmucontainer none at all: therefore FMUs start with them.
+and FMPy apply no values without the name of a set, fmucontainer none at all: therefore FMUs start with them.
 What SSP 1.0 has for FMI 2.0 is in 2.0 as well, with the same namespaces: the versions differ in their number.
 """
 

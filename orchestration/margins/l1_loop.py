@@ -106,7 +106,7 @@ def _plant(plant: Plant) -> list[Equation]:
 
 
 def _measurement(law: Law) -> list[Equation]:
-    """Returns the equations of m1 and m2, the state as the law knows it."""
+    """Returns the equations of m1 and m2, the state as the law measures it."""
     rows = [Equation({}, {"m1": -1.0, "x1": 1.0})]
     if law.observer is None:
         return [*rows, Equation({}, {"m2": -1.0, "x2": 1.0})]

@@ -33,7 +33,7 @@ FOREIGN = (
 
 @dataclass(frozen=True)
 class Margins:
-    """The margins of one scenario; not_judged: sentences that say what is missing, and why."""
+    """The margins of one scenario; not_judged: sentences on what is missing, and why."""
 
     scenario: str
     metrics: tuple[Metric, ...]

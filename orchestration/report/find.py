@@ -1,4 +1,4 @@
-"""Results at the paths that a user names, with names that tell them apart."""
+"""Results at the paths that a user names, under names that differ."""
 
 import json
 import math
@@ -160,7 +160,7 @@ def _same_recording(one: RunResult | SweepResult, other: RunResult | SweepResult
 
 
 def _names(files: list[Path]) -> dict[Path, str]:
-    """Returns the stem of each file, with the ending or as many folders as tell it from the others."""
+    """Returns the stem of each file, with the ending or as many folders as make it unique."""
     count_of_stem = Counter(file.with_suffix("") for file in files)
     own = {file: file.stem if count_of_stem[file.with_suffix("")] == 1 else file.name for file in files}
     names = dict(own)

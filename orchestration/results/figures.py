@@ -155,7 +155,8 @@ def write_figure(
 
 
 def _write_png(figure: Figure, stream: BinaryIO, dots_per_inch: int) -> None:
-    """Writes a figure as `savefig`, which goes through all of it once more before it draws it."""
+    """Writes a figure as PNG."""
+    # not by `savefig`, which goes through everything in a figure once more before it draws it
     figure.set_dpi(dots_per_inch)
     options = {"compress_type": _RUN_LENGTHS}
     FigureCanvasAgg(figure).print_png(stream, metadata=_METADATA[FigureFormat.PNG], pil_kwargs=options)

@@ -136,12 +136,11 @@ def _write_csv(path: Path, content: Content) -> None:
 
 
 def _lines(rows: np.ndarray) -> bytes:
-    """Returns rows of numbers as lines; `repr` writes a number in the fewest digits that read back exactly.
+    """Returns rows of numbers as lines, each number in the fewest digits that read back exactly."""
+    # here, as a run that writes no CSV does without it
+    from pydantic_core import to_json
 
-    `to_json` writes numbers that need no exponent as `repr` does, in a fifth of its time.
-    """
-    from pydantic_core import to_json  # a run that writes no CSV does without it
-
+    # `to_json` writes numbers that need no exponent as `repr` does, in a fifth of its time
     numbers, sizes = rows.tolist(), np.abs(rows)
     lines = to_json(numbers)[2:-2].split(b"],[")
     is_plain = (sizes >= _LEAST_PLAIN) & (sizes < _FIRST_LARGE) | (sizes == 0.0)

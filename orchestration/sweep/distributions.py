@@ -22,7 +22,7 @@ class Distribution:
     """A distribution of values.
 
     quantile: uniform numbers in [0, 1) -> as many values
-    reach: least and largest value that it can give; nan where that says nothing
+    reach: least and largest value that it can give; nan where it has none, as for texts
     probes: numbers whose values stand for all that it can give, to check before anything is drawn
     """
 
@@ -148,7 +148,7 @@ def distribution(
     """Returns the distribution of that name with the arguments that a file gives.
 
     permitted: the range of the variable; truncate: whether to draw within it
-    Raises ScenarioError without saying where: the caller knows.
+    Raises ScenarioError without the place in the file, which the caller adds.
     """
     given = dict(arguments)
     if name == FROM_THE_FMU:

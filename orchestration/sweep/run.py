@@ -135,10 +135,11 @@ def recorded_signals(text: str, plan: Plan) -> tuple[str, ...] | None:
 
 
 def _needed(plan: Plan) -> tuple[str, ...]:
-    """Returns the recorded signals that metrics use; all if they use none, since no names mean all."""
+    """Returns the recorded signals that metrics use; all if they use none."""
     experiment = plan.scenario.experiment
     used = {call.get(key) for call in plan.scenario.metrics.values() for key in metrics.SIGNALS}
     recorded = experiment.record or prepare_checked(plan.checked, experiment).recorded
+    # an experiment takes no names for all
     return tuple(name for name in recorded if name in used) or tuple(experiment.record)
 
 

@@ -107,10 +107,11 @@ def write(rows: Iterable[Mapping[str, Any]], columns: pa.Schema, path: Path) -> 
 
 
 def _array(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
-    """Returns an array without `pa.array`, which imports pandas: that takes as long as hundreds of samples.
+    """Returns an array of Arrow.
 
     values: of one of the `_VALUES` of their type, or None; TypeError for another
     """
+    # not by `pa.array`: it imports pandas if it is installed, which takes as long as hundreds of samples
     for given in {type(value) for value in values if value is not None}:
         if not issubclass(given, _VALUES[kind]) or (given is bool and kind != pa.bool_()):
             raise TypeError(f"a column of type {kind}: got a value of type {given.__name__}")
@@ -143,7 +144,8 @@ def read(path: Path) -> tuple[pa.Table, dict[str, Any]]:
     """Returns (the table, its provenance); SweepError for a file that is no table of a sweep."""
     if not is_sweep(path):
         raise SweepError(f"{path}: expected the table of a sweep, as l1-depth sweep writes it")
-    with pq.ParquetFile(path) as file:  # `pq.read_table` imports pandas
+    # `pq.read_table` imports pandas
+    with pq.ParquetFile(path) as file:
         table = file.read()
     return table, provenance_of(table.schema)
 

@@ -184,7 +184,7 @@ _SWEEP = TypeAdapter(SweepTable)
 
 
 def sweep_table(declared: object, where: str) -> SweepTable:
-    """Returns the table `[sweep]` as its type; ScenarioError says what is wrong with it."""
+    """Returns the table `[sweep]` as its type; ScenarioError if it is wrong."""
     if not declared:
         raise ScenarioError(f'{where}: expected a table [sweep.vary."component.variable"], got none')
     return checked(_SWEEP, declared, where)

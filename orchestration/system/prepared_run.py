@@ -298,16 +298,13 @@ class PreparedRuns:
 
 
 def _key(system: CheckedSystem, experiment: Experiment) -> str | None:
-    """Returns what runs that differ in values alone have in common; None where equal things may have changed.
-
-    As text, in which 0 and -0 differ.
-
-    A system is checked with the inputs that an experiment drives: the same one has the same inputs.
-    """
+    """Returns what runs that differ in values alone share; None where equal things may have changed."""
     signals = experiment.signals.values()
     can_change = experiment.events or experiment.faults or any(type(s) not in _IMMUTABLE for s in signals)
     if can_change or experiment.step_count > _MOST_STEPS:
         return None
     rest = (value for name, value in vars(experiment).items() if name not in _VALUES)
     copies = (tuple(value.items()) if isinstance(value, Mapping) else value for value in rest)
+    # a system was checked with the inputs that an experiment drives: the same one has the same inputs;
+    # as text, 0 and -0 differ
     return repr((id(system), *copies))

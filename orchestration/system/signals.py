@@ -127,7 +127,8 @@ class Table(Curve):
 
 
 def _convert_to_floats(signal: Constant | Cosine) -> None:
-    """Converts all members to floats: NumPy's numbers in an array can change, and their text has 8 digits."""
+    """Converts all members to floats."""
+    # NumPy's numbers in an array can change, and the text of some has 8 digits
     for name, value in vars(signal).items():
         object.__setattr__(signal, name, _number(f"{type(signal).__name__.lower()}: {name}", value))
 

@@ -90,8 +90,9 @@ def value_range(port: Port) -> tuple[float, float]:
     return _range(variable.type, variable.min, variable.max)
 
 
+# thousands of values of one variable are checked
 @lru_cache
 def _range(kind: str, least: str | None, largest: str | None) -> tuple[float, float]:
-    """Returns the range of a type; remembered, as thousands of values of a variable are checked."""
+    """Returns the range of a type, cut to the limits that a model description states."""
     low, high = (-math.inf, math.inf) if kind == "Real" else INTEGER_RANGE
     return low if least is None else float(least), high if largest is None else float(largest)
