@@ -22,7 +22,7 @@ class Distribution:
     """A distribution of values.
 
     quantile: uniform numbers in [0, 1) -> as many values
-    reach: least and largest value that it can give; nan where it has none, as for texts
+    reach: least and largest value that it can give; nan where `probes` stand for all values
     probes: numbers whose values stand for all that it can give, to check before anything is drawn
     """
 
