@@ -24,11 +24,11 @@ from orchestration.system.faults import Freeze as Freeze
 from orchestration.system.faults import Noise as Noise
 from orchestration.system.faults import Offset as Offset
 from orchestration.system.faults import Stuck as Stuck
-from orchestration.system.signal_sines import sine as sine
-from orchestration.system.signal_sines import spectrum as spectrum
-from orchestration.system.signal_sines import sum_of_sines as sum_of_sines
 from orchestration.system.signals import Constant as Constant
 from orchestration.system.signals import Cosine as Cosine
 from orchestration.system.signals import Ramps as Ramps
 from orchestration.system.signals import Table as Table
+from orchestration.system.signals import sine as sine
+from orchestration.system.signals import spectrum as spectrum
+from orchestration.system.signals import sum_of_sines as sum_of_sines
 from orchestration.system.system import System as System

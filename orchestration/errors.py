@@ -1,4 +1,4 @@
-"""What can go wrong around FMUs, in words that say what to do next."""
+"""Errors and warnings around FMUs, in words that say what to do next."""
 
 from typing import Any
 
@@ -19,11 +19,11 @@ class SystemDefinitionError(OrchestrationError):
 
 
 class EnsembleError(SystemDefinitionError):
-    """What an `Ensemble` cannot run, and a `Simulator` can."""
+    """An error: an `Ensemble` cannot run this, but a `Simulator` can."""
 
 
 class ScenarioWarning(UserWarning):
-    """What a scenario inherits and cannot use is dropped, or cut to what it can use."""
+    """A warning: a scenario inherits what it cannot use, and drops it or cuts it to what it can use."""
 
 
 class SimulationError(OrchestrationError):

@@ -8,7 +8,7 @@ _ALLOCATIONS = 200_000  # between collections of garbage: an import makes many o
 
 
 def main() -> None:
-    """Entry point: a failure is one line on standard error.
+    """Runs the command line; a failure is one line on standard error.
 
     Exit status: 0, 1 for a failure, 2 for bad usage, 70 if an FMU ended the process, 130 for an interrupt.
     With L1_DEPTH_DEBUG set, an error that is not foreseen comes with its traceback.
@@ -24,7 +24,7 @@ def main() -> None:
 
 
 def run_interruptible() -> int:
-    """The exit status of a command that runs in this process."""
+    """Runs a command in this process and returns its exit status."""
     from orchestration.cli.interrupts import interruptible
 
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads wait for each other where matrices are small

@@ -52,7 +52,7 @@ OpenInputsOption = Annotated[
 
 @dataclass(frozen=True)
 class Changes:
-    """What the options of a command change.
+    """The changes that the options of a command make.
 
     components: component -> FMU, Python file or block in its place; settings: "component.variable" -> value
     mapping: component -> name in the scenario -> variable; open_inputs: of the experiment, None as it is
@@ -71,7 +71,7 @@ class Changes:
         mapped: Sequence[str] = (),
         open_inputs: OpenInputs | None = None,
     ) -> "Changes":
-        """From the values of the options; ScenarioError says what is wrong with one."""
+        """Returns the changes that these options make; ScenarioError for an option that is wrong."""
         components, settings = ({CONTROLLER: controller} if controller else {}), {}
         for assignment in assignments:
             name, value = _parts("--set", assignment, "component.variable=value or component=FMU")
@@ -84,7 +84,7 @@ class Changes:
         return cls(components, settings, _mapping(mapped), open_inputs)
 
     def overrides(self, scenario: str) -> dict[str, Any]:
-        """What is laid over the scenario of that name, besides components and settings."""
+        """Returns what is laid over the scenario of that name, besides components and settings."""
         overrides: dict[str, Any] = {}
         if self.components:
             overrides["title"] = self.title(scenario)
@@ -95,7 +95,7 @@ class Changes:
         return overrides
 
     def options(self) -> tuple[str, ...]:
-        """The options that make these changes."""
+        """Returns the options that make these changes."""
         assignments = [
             f"{name}={value}" for name, value in (*self.components.items(), *self.settings.items())
         ]
@@ -106,11 +106,11 @@ class Changes:
         return tuple(part for option in options for part in option)
 
     def title(self, scenario: str) -> str:
-        """The title of the results of the scenario of that name."""
+        """Returns the title of the results of the scenario of that name."""
         return ", ".join([scenario, *(f"{name} {Path(fmu).stem}" for name, fmu in self.components.items())])
 
     def name(self, scenario: str) -> str:
-        """The name of the results: that of the scenario, and of each FMU that replaces one of it."""
+        """Returns the name of the results: the scenario's, and that of each FMU that replaces one of it."""
         return "-".join([scenario, *(Path(fmu).stem for fmu in self.components.values())])
 
 
@@ -125,7 +125,7 @@ def _parts(option: str, assignment: str, expected: str) -> tuple[str, str]:
 
 
 def _mapping(mapped: Sequence[str]) -> dict[str, dict[str, str]]:
-    """Component -> name -> variable; a name without a component is of the controller."""
+    """Returns component -> name -> variable; a name without a component is the controller's."""
     mapping: dict[str, dict[str, str]] = {}
     for assignment in mapped:
         name, variable = _parts("--map", assignment, "NAME=VARIABLE or component.NAME=VARIABLE")

@@ -17,9 +17,9 @@ from orchestration.scenarios.scenario import Scenario
 
 
 def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHANGES) -> Scenario:
-    """The shipped scenario of that name, or the one in that .toml file, checked against its FMUs.
+    """Loads the shipped scenario of that name, or the one in that .toml file, and checks it against its FMUs.
 
-    Its name and title tell which components are replaced by the changes.
+    Its name and title contain the components that the changes replace.
     """
     arguments = (name, *changes.options(), *(() if flavour is Flavour.NATIVE else ("--flavour", flavour)))
     changes = _with_built_files(changes, flavour)
@@ -34,7 +34,7 @@ def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHA
                 settings={**changes.components, **changes.settings},
                 build=lambda fmu: _build_missing([fmu]),
             )
-        finally:  # an error may follow from what a warning tells
+        finally:  # an error may follow from the cause of a warning
             for warning in (w for w in caught if issubclass(w.category, ScenarioWarning)):
                 print(f"l1-depth: warning: {warning.message}", file=sys.stderr)
     for warning in (w for w in caught if not issubclass(w.category, ScenarioWarning)):
@@ -52,7 +52,7 @@ def load(name: str, flavour: Flavour = Flavour.NATIVE, changes: Changes = NO_CHA
 
 
 def _with_built_files(changes: Changes, flavour: Flavour) -> Changes:
-    """The changes with the FMU of each block that is a Python file."""
+    """Returns the changes with the FMU of each block that is a Python file."""
     fmus = {
         component: str(_fmu_of_file(Path(fmu), flavour)) if fmu.endswith(".py") else fmu
         for component, fmu in changes.components.items()
@@ -61,7 +61,7 @@ def _with_built_files(changes: Changes, flavour: Flavour) -> Changes:
 
 
 def build_missing_fmus(scenarios: Iterable[Scenario]) -> None:
-    """Build the FMUs of our blocks that these scenarios run and that are missing or stale."""
+    """Builds the FMUs of our blocks that these scenarios run and that are missing or stale."""
     _build_missing({fmu for chosen in scenarios for fmu in chosen.system.components.values()})
 
 
@@ -84,7 +84,7 @@ def _fmu_of_file(path: Path, flavour: Flavour) -> Path:
 def opened(
     name: str, parameter_set: str, flavour: Flavour, changes: Changes = NO_CHANGES
 ) -> Iterator[Scenario]:
-    """As `load`, also of an SSP package, whose FMUs exist only inside the context.
+    """Loads a scenario as `load`, or that of an SSP package, whose FMUs exist only inside the context.
 
     parameter_set: of the package, "" for its own.
     """

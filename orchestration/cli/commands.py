@@ -1,4 +1,4 @@
-"""The commands by name, of which one module each is imported, and what a failure is told as.
+"""Commands by name, each in a module that is imported when it is needed, and the message of a failure.
 
 The modules import at their top what declares a command, and in the body of the command what runs it, so that
 help, completion and the message about a mistyped command do not wait for NumPy or an FMU.
@@ -33,7 +33,7 @@ COMMANDS = {
 
 
 def application(names: Iterable[str] = COMMANDS) -> typer.Typer:
-    """The command line with these commands; only their modules are imported."""
+    """Returns the command line with these commands; only their modules are imported."""
     app = typer.Typer(
         callback=_l1_depth,
         pretty_exceptions_enable=False,
@@ -63,7 +63,7 @@ def _l1_depth(
 
 
 def run_command(arguments: Sequence[str]) -> int:
-    """Run a command; the exit status, unless it fails: SystemExit, after one line on standard error."""
+    """Runs a command and returns its exit status; a failure is a line on standard error and SystemExit."""
     app = application(arguments[:1] if arguments[:1] and arguments[0] in COMMANDS else COMMANDS)
     try:
         status = app(list(arguments) or ["--help"], prog_name="l1-depth", standalone_mode=False)

@@ -8,7 +8,7 @@ import typer
 
 from orchestration.cli.changes import Changes, ControllerOption, MapOption, OpenInputsOption, SetOption
 from orchestration.cli.shared import OutFolder, ScenarioArgument
-from orchestration.exchange.ssp_version import SspVersion
+from orchestration.exchange.ssp_xml import SspVersion
 
 
 class Tool(StrEnum):

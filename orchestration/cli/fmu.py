@@ -90,11 +90,9 @@ def build(
 ) -> None:
     """Build the FMU of each block, NAME.fmu."""
     if cache:
-        refuse_without_effect("--cache", {"--reals-only": reals_only})
+        refuse_without_effect("--cache", {"--reals-only": reals_only, "--out": out})
     if all_platforms:
         refuse_without_effect("--all-platforms", {"--platform": platform})
-    if cache:
-        refuse_without_effect("--cache", {"--out": out})
     folder = fmu_folder(flavour) if cache else out or _FOLDERS[flavour]
     named = check_platforms([name.strip() for name in platform.split(",")]) if platform else ()
     platforms = PLATFORMS if all_platforms else named
@@ -121,7 +119,7 @@ def build(
 
 
 def _check_names(orders: Sequence[Order], current: Current) -> None:
-    """ExportError for two blocks whose FMUs would have one name, before anything is built."""
+    """Raises ExportError for two blocks whose FMUs would have one name, before anything is built."""
     sources: dict[str, str] = {}  # name of an FMU in lower case, as some file systems know no other -> block
     for order in orders:
         for name in [fmu.stem for fmu in current.get(order) or ()] or _names(order):
@@ -134,7 +132,7 @@ def _check_names(orders: Sequence[Order], current: Current) -> None:
 
 
 def _names(order: Order) -> list[str]:
-    """The names of the blocks of an order: an installed one has that of its entry point."""
+    """Returns the names of the blocks of an order: an installed one has that of its entry point."""
     if order.source in block_names():
         return [order.source]
     from fmus.block.block_file import blocks_in
@@ -147,7 +145,7 @@ def _names(order: Order) -> list[str]:
 
 
 def _built(orders: Sequence[Order], current: Current) -> Generator[Sequence[Path] | ExportError, None, None]:
-    """What each order makes, or why it cannot; only those that are not as they would be built are built."""
+    """Yields the FMUs of each order, or why it cannot be built; builds only what is out of date."""
     stale = [order for order in orders if not current.get(order)]
     if stale:
         from fmus.build import builder  # which loads what builds FMUs
@@ -230,7 +228,7 @@ def inspect(
 
 
 def _described(variable: "ScalarVariable") -> dict[str, Any]:
-    """What `inspect` tells of a variable; permitted: its range, or number and name of enumeration items."""
+    """Returns what `inspect` shows of a variable; permitted: its range, or number and name of items."""
     declared = variable.declaredType
     items = {item.value: item.name for item in declared.items or ()} if declared is not None else {}
     limits = {"min": variable.min, "max": variable.max}
@@ -263,7 +261,7 @@ def _print_description(document: dict[str, Any]) -> None:
 
 
 def _permitted(values: dict[str, str]) -> str:
-    """Enumeration items, or the range."""
+    """Returns the items of an enumeration, or the range."""
     if values.keys() <= {"min", "max"}:
         return f"{values.get('min', '')}..{values.get('max', '')}" if values else ""
     return ", ".join(f"{number} ({name})" for number, name in values.items())

@@ -26,7 +26,7 @@ GRACE_S = 3.0  # for what the second signal interrupts to end by itself
 
 @contextlib.contextmanager
 def interruptible() -> Iterator[None]:
-    """SIGINT, SIGTERM and SIGHUP end what is inside with status 130.
+    """Ends what is inside with status 130 at a SIGINT, SIGTERM or SIGHUP.
 
     Temporary files of this process and of those that it starts are in one folder, which is removed at the
     end. Worker processes end with this one, see `fmus.fmi.process`.
@@ -117,7 +117,7 @@ def is_interrupted() -> bool:
 
 
 def _watch(signals: socket.socket, folder: str) -> None:
-    """End the process if a second signal comes, and the command does not end soon after it."""
+    """Ends the process if a second signal comes and the command does not end soon after it."""
     first = None
     for _ in iter(lambda: signals.recv(1), b""):
         first = first or time.monotonic()

@@ -1,4 +1,4 @@
-"""Command margins: how much delay and gain a scenario bears, and what theory says of its controller."""
+"""Command margins: the delay and the gain that a scenario tolerates, measured and in theory."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -80,7 +80,7 @@ def margins(
 
 
 def _values(over: str) -> dict[str, list[float]]:
-    """Parameter -> values."""
+    """Returns parameter -> values."""
     if not over:
         return {}
     name, _, texts = over.partition("=")
@@ -91,8 +91,8 @@ def _values(over: str) -> dict[str, list[float]]:
 
 
 def _print(title: str, judged: "Margins") -> None:
-    """The figures, and below them what each assumes, once."""
-    notes = list(dict.fromkeys((figure.assumption, figure.source) for figure in judged.figures))
+    """Prints the metrics, and below them what each assumes, once."""
+    notes = list(dict.fromkeys((metric.assumption, metric.source) for metric in judged.metrics))
     print_table(_table(title, judged, notes))
     for number, (assumption, source) in enumerate(notes, 1):
         print(f"[{number}] {assumption} ({source})")
@@ -108,11 +108,11 @@ def _table(title: str, judged: "Margins", notes: list[tuple[str, str]]) -> "Tabl
     for heading in ("", "Margin", "Value", "Unit", "Remark", "Note"):
         table.add_column(heading, justify="right" if heading in ("Value", "Note") else "left")
     group = ""
-    for figure in judged.figures:
-        if figure.group != group:
+    for metric in judged.metrics:
+        if metric.group != group:
             table.add_section()
-        shown_group, group = "" if figure.group == group else figure.group, figure.group
-        note = str(notes.index((figure.assumption, figure.source)) + 1)
-        cells = shown_group, figure.name, figure.shown, figure.unit, figure.remark, note
+        shown_group, group = "" if metric.group == group else metric.group, metric.group
+        note = str(notes.index((metric.assumption, metric.source)) + 1)
+        cells = shown_group, metric.name, metric.shown, metric.unit, metric.remark, note
         table.add_row(*map(escape, cells))
     return table

@@ -14,7 +14,7 @@ from orchestration.exchange.signal_sources import RampSource
 
 
 def build_ramp_source(source: RampSource, folder: Path) -> Path:
-    """Write the FMU of a source to a folder, for the platforms of the FMU that it drives.
+    """Writes the FMU of a source to a folder, for the platforms of the FMU that it drives.
 
     Its output has no unit where `fmus.block.units` does not know the input's: its values are then in that
     unit too.
@@ -26,8 +26,10 @@ def build_ramp_source(source: RampSource, folder: Path) -> Path:
 
 
 def build_started(fmu: Path, starts: Mapping[str, FmiValue], folder: Path) -> Path:
-    """The FMU with other start values, written to a folder; as it is if it is no native one of an installed
-    block: the python flavour carries the modules of its block, which state the start values.
+    """Writes the FMU with other start values to a folder and returns it.
+
+    Returns the FMU itself if it is no native one of an installed block: the python flavour carries the
+    modules of its block, which state the start values.
     """
     known = block_fmus([fmu])
     numbers = {name: value for name, value in starts.items() if not isinstance(value, str)}

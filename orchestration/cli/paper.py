@@ -50,7 +50,7 @@ def identify(
 ) -> None:
     """Fit the gains that the paper does not publish to the nominal row of its Table 1."""
     from orchestration.cli import chosen_scenario
-    from orchestration.results.tables import metrics_table, values_table
+    from orchestration.results.metric_units import metrics_table, values_table
     from orchestration.scenarios import identify as identification
 
     check_writable(out.parent)

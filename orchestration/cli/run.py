@@ -75,7 +75,7 @@ def run(
 ) -> None:
     """Run one scenario, and write its recording (CSV or Parquet), its metrics (JSON) and a figure."""
     from orchestration.cli import chosen_scenario
-    from orchestration.results.tables import metrics_table
+    from orchestration.results.metric_units import metrics_table
     from orchestration.run.checkpoint import Checkpoints, read_checkpoint
     from orchestration.scenarios import run_files
 
@@ -124,8 +124,8 @@ def _with_error_estimate(chosen: "Scenario") -> "Scenario":
 
 
 def _print_error_estimate(recording: "Recording") -> None:
-    """The estimated errors of exchanging at communication points, if they were asked for."""
-    from orchestration.results.tables import error_table
+    """Prints the estimated errors of exchanging at communication points, if they were asked for."""
+    from orchestration.results.metric_units import error_table
 
     estimate = recording.provenance.get("error_estimate")
     if estimate:
@@ -134,7 +134,7 @@ def _print_error_estimate(recording: "Recording") -> None:
 
 
 def _print_end(recording: "Recording") -> None:
-    """Which FMU terminated the run before its stop time, if one did."""
+    """Prints which FMU terminated the run before its stop time, if one did."""
     terminated = recording.provenance.get("terminated")
     if terminated:
         where = f"{terminated['component']} terminated the simulation at t = {terminated['time_s']:.9g} s"
@@ -142,7 +142,7 @@ def _print_end(recording: "Recording") -> None:
 
 
 def _print_pace(recording: "Recording") -> None:
-    """How well a run in real time kept pace."""
+    """Prints how well a run in real time kept pace."""
     pace = recording.provenance.get("real_time")
     if pace:
         missed, worst, where = pace["missed_deadlines"], pace["worst_lateness_s"], pace["worst_at_s"]

@@ -1,17 +1,26 @@
 """Command score: a controller in every case of the protocol, beside the built-in ones."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from fmus.platforms import usable_processors
-from orchestration.cli.changes import ControllerMapOption, ControllerSetOption, OpenInputsOption
+from orchestration.cli.changes import (
+    CONTROLLER,
+    Changes,
+    ControllerMapOption,
+    ControllerSetOption,
+    OpenInputsOption,
+)
 from orchestration.cli.shared import OutFolder, check_writable, console, print_table, progress
+from orchestration.errors import ScenarioError
+from orchestration.system.open_inputs import OpenInputs
 
 if TYPE_CHECKING:
+    from orchestration.score.loop import Controller
     from orchestration.score.score import ScoreResult
     from orchestration.score.score_document import Score
     from orchestration.score.score_view import ScoreTable
@@ -46,7 +55,6 @@ def score(
     workers: Annotated[int, typer.Option(help="Run so many processes.", min=1)] = usable_processors(),
 ) -> None:
     """Score a controller on the simulated vehicle: terminal tables, score.json and an interactive page."""
-    from orchestration.cli.scored_controllers import scored_controllers
     from orchestration.score import score as scoring
     from orchestration.score.protocol import read_protocol
 
@@ -63,7 +71,7 @@ def score(
 
 
 def write_score(result: "ScoreResult", out: Path) -> None:
-    """Write score.json and the page, which needs the extra `report`; print their paths."""
+    """Writes score.json and the page, which needs the extra `report`; prints their paths."""
     from fmus.files import write_text_atomically
 
     file = out / "score.json"
@@ -74,7 +82,7 @@ def write_score(result: "ScoreResult", out: Path) -> None:
 
 
 def write_page(result: "ScoreResult", page: Path, title: str) -> None:
-    """Write the page, or print which extra it needs."""
+    """Writes the page, or prints which extra it needs."""
     from fmus.errors import MissingExtraError
     from fmus.files import write_text_atomically
 
@@ -99,7 +107,7 @@ def print_tables(tables: "Sequence[ScoreTable]", document: "Score") -> None:
 
 
 def print_score(document: "Score") -> None:
-    """The tables of a score, what it tells about, and why runs failed."""
+    """Prints the tables of a score, which controllers use the true depth rate, and why runs failed."""
     from orchestration.cli.score_tables import score_tables
 
     print_tables(score_tables(document), document)
@@ -110,3 +118,39 @@ def print_score(document: "Score") -> None:
             if case.failed:
                 print(f"{row.title}, {document.protocol.cases[name].title}: {', '.join(case.failed)}")
     sys.stdout.flush()
+
+
+def scored_controllers(
+    names: Sequence[str],
+    league: str,
+    settings: Sequence[str],
+    mapped: Sequence[str],
+    open_inputs: OpenInputs | None,
+) -> list["Controller"]:
+    """Returns the FMUs, blocks and Python files of blocks; settings and mapping are those of the only one."""
+    from fmus.build import builder
+    from orchestration.score.loop import Controller
+
+    changes = Changes.of_options("", settings, mapped, open_inputs)
+    if len(names) > 1 and (settings or mapped):
+        raise ScenarioError(f"--set and --map with {len(names)} controllers: expected one")
+    if changes.components:
+        raise ScenarioError(f"--set {next(iter(changes.components))}: expected controller.variable=value")
+    named = [f"--set {name}" for name in changes.settings]
+    named += [f"--map {component}.{name}" for component, names in changes.mapping.items() for name in names]
+    for option in named:
+        if not option.partition(" ")[2].startswith(f"{CONTROLLER}."):
+            raise ScenarioError(f"{option}: expected controller.NAME, the vehicle is the protocol's")
+    own = {name.partition(".")[2]: value for name, value in changes.settings.items()}
+    mapping: Mapping[str, str] = changes.mapping.get(CONTROLLER, {})
+    return [
+        Controller(
+            name=Path(name).stem,
+            fmu=str(builder.fmu_of_file(Path(name)) if name.endswith(".py") else name),
+            league=league,
+            parameters=own,
+            mapping=mapping,
+            open_inputs=str(open_inputs or OpenInputs.ERROR),
+        )
+        for name in names
+    ]

@@ -33,7 +33,7 @@ def in_parts(tables: Iterable[ScoreTable], width: int) -> list[Table]:
 
 
 def differences_table(score: Score) -> Table | None:
-    """The scored controllers against the others, plant by plant; None without plants."""
+    """Returns the scored controllers against the others, plant by plant; None without plants."""
     if not score.differences:
         return None
     table = Table(title="Plant by plant: the scored controller minus another one")
@@ -58,7 +58,7 @@ def differences_table(score: Score) -> Table | None:
 
 
 def _parts(shown: ScoreTable, width: int) -> list[Table]:
-    """The table, in as many parts as its columns need."""
+    """Returns the table in as many parts as its columns need."""
     first = 1 + _PADDING + max(len(row.title) for row in shown.rows)
     count = max(1, (width - first) // _COLUMN_WIDTH)
     return [

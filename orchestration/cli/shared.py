@@ -1,4 +1,4 @@
-"""What the commands share: options, completion, tables, progress, failure."""
+"""Options, completion, tables, progress and failure, for all commands."""
 
 import sys
 import tempfile
@@ -25,7 +25,7 @@ NO_FIGURES = "none"
 
 
 def shipped_scenarios() -> list[str]:
-    """Names of the scenarios that ship with the package."""
+    """Returns the names of the scenarios that ship with the package."""
     from orchestration import scenarios
 
     return sorted(path.stem for folder in scenarios.__path__ for path in Path(folder).glob("*.toml"))
@@ -54,7 +54,7 @@ FigureFormatsOption = Annotated[
 
 
 def figure_formats(names: str) -> list[FigureFormat]:
-    """Formats of figures, from their names separated by commas; "none" is no figure."""
+    """Returns the formats of figures, from their names separated by commas; "none" is no figure."""
     if names.strip() == NO_FIGURES:
         return []
     known = [str(ending) for ending in FigureFormat]
@@ -66,7 +66,7 @@ def figure_formats(names: str) -> list[FigureFormat]:
 
 
 def check_writable(folder: Path) -> None:
-    """Refuse a folder in which nothing can be written, before long runs begin; nothing is left behind."""
+    """Refuses a folder in which nothing can be written, before long runs begin; leaves nothing behind."""
     try:
         existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
         tempfile.TemporaryFile(dir=existing).close()
@@ -77,32 +77,32 @@ def check_writable(folder: Path) -> None:
 
 
 def refuse_without_effect(option: str, others: Mapping[str, object]) -> None:
-    """Raise OrchestrationError if one of the other options is given: it has no effect beside this one."""
+    """Raises OrchestrationError if one of the other options is given: it has no effect beside this one."""
     for name, value in others.items():
         if value:
             raise OrchestrationError(f"{name}: no effect with {option}: expected one of them")
 
 
 def fail(message: str, status: int = 1) -> NoReturn:
-    """End the command with one line on standard error."""
+    """Ends the command with one line on standard error."""
     print(f"l1-depth: {' '.join(message.split())}", file=sys.stderr)
     sys.exit(status)
 
 
 def print_table(table: "Table", piped_width: int = PIPED_WIDTH) -> None:
-    """Print a table as wide as the terminal, or as `piped_width` where there is none."""
+    """Prints a table as wide as the terminal, or as `piped_width` where there is none."""
     console(piped_width).print(table)
 
 
 def console(piped_width: int = PIPED_WIDTH) -> "Console":
-    """The terminal, or as wide a page where there is none."""
+    """Returns the terminal, or as wide a page where there is none."""
     from rich.console import Console
 
     return Console(width=None if sys.stdout.isatty() else piped_width)
 
 
 class ProgressBar:
-    """How much of a command is done, shown on a terminal after `delay` seconds."""
+    """A bar of how much of a command is done, shown on a terminal after `delay` seconds."""
 
     def __init__(self, description: str, total: int, delay: float, stack: ExitStack) -> None:
         self._description, self._total, self._stack = description, total, stack
@@ -112,11 +112,11 @@ class ProgressBar:
         self._show(0, total)
 
     def advance(self, count: int = 1, note: str = "") -> None:
-        """`count` more parts are done; `note` is shown beside the description."""
+        """Counts `count` more parts as done; shows `note` beside the description."""
         self._show(self.done + count, self._total, note)
 
     def update(self, done: int, total: int) -> None:
-        """So many parts of `total` are done."""
+        """Sets how many parts of `total` are done."""
         self._show(done, total)
 
     def _show(self, done: int, total: int, note: str = "") -> None:
@@ -146,7 +146,7 @@ class ProgressBar:
 
 @contextmanager
 def progress(description: str, total: int, delay: float = 0.0) -> Iterator[ProgressBar]:
-    """A progress bar on standard error, if that is a terminal, until the context ends.
+    """Shows a progress bar on standard error, if that is a terminal, until the context ends.
 
     delay: seconds after which it is shown; what draws it takes as long to import as a short run takes
     """

@@ -11,7 +11,7 @@ from fmus.errors import nearest
 from fmus.platforms import usable_processors
 from orchestration.cli.changes import ControllerMapOption, ControllerSetOption, OpenInputsOption
 from orchestration.cli.interrupts import INTERRUPTED
-from orchestration.cli.score import ProtocolOption, print_tables, write_page
+from orchestration.cli.score import ProtocolOption, print_tables, scored_controllers, write_page
 from orchestration.cli.shared import (
     OutFolder,
     ProgressBar,
@@ -98,7 +98,7 @@ def _search(
     bar: ProgressBar,
     restart: bool,
 ) -> "Tuning":
-    """The tuning; an interruption ends the command with a message that says what is done."""
+    """Returns the tuning; an interruption ends the command with a message about what is done."""
     from orchestration.score.tune import tune as search
 
     total, done = evaluations * len(problem.gains) * (len(seeds) + 1), 0
@@ -125,9 +125,8 @@ def _controller(
     open_inputs: OpenInputs | None,
     protocol: "Protocol",
 ) -> "Controller":
-    """The controller of the protocol, or of an FMU, with what the options change."""
+    """Returns the controller of the protocol, or of an FMU, with what the options change."""
     from fmus.registry import block_names
-    from orchestration.cli.scored_controllers import scored_controllers
     from orchestration.score.loop import built_in
 
     known = [*protocol.controllers, *block_names()]

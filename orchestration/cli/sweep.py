@@ -97,7 +97,7 @@ def sweep(
 
     from orchestration.sweep import table  # Arrow is slow to import: after what can be refused
     from orchestration.sweep.run import sweep as run_samples
-    from orchestration.sweep.summary import summary_table
+    from orchestration.sweep.table import summary_table
 
     notes: list[str] = []
     started = _workers(workers, isolated, ensemble, scheduler, notes.append)
@@ -137,7 +137,7 @@ def _workers(
 
 
 def _run_one(planned: "Plan", sample: int, out: Path) -> None:
-    from orchestration.results.tables import metrics_table, values_table
+    from orchestration.results.metric_units import metrics_table, values_table
     from orchestration.scenarios import run_files
 
     drawn = planned.of_sample(sample)

@@ -1,4 +1,4 @@
-"""What another tool cannot express is refused here, before anything is written.
+"""Parts of all exporters: refusals, before anything is written, and the texts that are filled in.
 
 Every exporter carries a system whose components exchange values at communication points, in the order of
 Jacobi, and whose signals are lines through points; this is what an SSP package, a block diagram and a
@@ -6,13 +6,14 @@ Modelica model have in common.
 """
 
 from collections.abc import Iterable
+from importlib import resources
+from string import Template
 
 import numpy as np
 
 from orchestration.errors import ScenarioError
 from orchestration.system.experiment import Algorithm, Experiment
-from orchestration.system.signal_sines import Sines
-from orchestration.system.signals import Constant, Cosine, Ramps, Signal, Table
+from orchestration.system.signals import Constant, Cosine, Ramps, Signal, Sines, Table
 from orchestration.system.system import CheckedSystem, Port
 from orchestration.system.time_grid import GRID_TOLERANCE
 
@@ -20,7 +21,7 @@ _OTHERS = "a constant or a table"  # signals that ramps can give
 
 
 def check_plain_exchange(experiment: Experiment, target: str) -> None:
-    """Raise ScenarioError for all that is more than an exchange at every communication point.
+    """Raises ScenarioError for all that is more than an exchange at every communication point.
 
     target: subject of the message, such as "a Modelica package"
     """
@@ -38,7 +39,7 @@ def check_plain_exchange(experiment: Experiment, target: str) -> None:
 
 
 def check_plain_connections(system: CheckedSystem, target: str) -> None:
-    """Raise ScenarioError for a connection with a factor or an offset."""
+    """Raises ScenarioError for a connection with a factor or an offset."""
     for name, transformation in system.transformations.items():
         raise ScenarioError(
             f"{target} with {transformation} of the connection into {name}: expected plain connections"
@@ -46,7 +47,7 @@ def check_plain_connections(system: CheckedSystem, target: str) -> None:
 
 
 def check_types(ports: Iterable[Port], types: tuple[str, ...], target: str) -> None:
-    """Raise ScenarioError for a variable whose FMI type is not among these."""
+    """Raises ScenarioError for a variable whose FMI type is not among these."""
     for port in ports:
         if port.variable.type not in types:
             raise ScenarioError(
@@ -55,7 +56,7 @@ def check_types(ports: Iterable[Port], types: tuple[str, ...], target: str) -> N
 
 
 def as_ramps(input_name: str, signal: Signal, experiment: Experiment) -> Ramps:
-    """Ramps, constants and tables as ramps; ScenarioError for any other signal.
+    """Returns ramps, constants and tables as ramps; ScenarioError for any other signal.
 
     A table that holds its values becomes ramps of one communication step, which have its values at every
     communication point of the experiment.
@@ -74,14 +75,17 @@ def as_ramps(input_name: str, signal: Signal, experiment: Experiment) -> Ramps:
 
 
 def _around_changes(table: Table, experiment: Experiment) -> np.ndarray:
-    """The communication points at which the values of a table arrive, and those before them [s]."""
+    """Returns the communication points at which the values of a table arrive, and those before them [s]."""
     start, step = experiment.start_time, experiment.step_size
     arrivals = np.ceil((np.asarray(table.times) - start) / step - GRID_TOLERANCE)
     return start + step * np.unique([*(arrivals - 1.0), *arrivals])
 
 
 def straight_points(input_name: str, signal: Signal, experiment: Experiment) -> list[tuple[float, float]]:
-    """(time [s], value) of straight lines, as a table that is interpolated has them; else ScenarioError."""
+    """Returns (time [s], value) of straight lines, as an interpolated table has them.
+
+    Raises ScenarioError for another signal.
+    """
     can_be_ramps = isinstance(signal, (Ramps, Constant, Table))
     if not can_be_ramps or (isinstance(signal, Ramps) and signal.smooth):
         expected = f"expected straight ramps, {_OTHERS}, which an interpolated table gives"
@@ -92,3 +96,11 @@ def straight_points(input_name: str, signal: Signal, experiment: Experiment) -> 
 def _kind(signal: Signal) -> str:
     kinds = {Ramps: "smooth ramps", Cosine: "a cosine", Sines: "sines"}
     return kinds.get(type(signal), "another function of time")
+
+
+_FOLDER = resources.files("orchestration.exchange") / "files"
+
+
+def filled(file: str, /, **values: object) -> str:
+    """Returns the text of a file of `files/` with its placeholders, `${name}`, replaced."""
+    return Template((_FOLDER / file).read_text(encoding="utf-8")).substitute(values)

@@ -23,7 +23,7 @@ _FEWEST_POINTS = 2
 
 @dataclass(frozen=True)
 class RampSource:
-    """The FMU that takes the place of a signal.
+    """The source of ramps: the FMU that takes the place of a signal.
 
     name: of the component, and of its only output
     unit: of the output as FMI names it, "" if the driven input has none
@@ -40,7 +40,7 @@ class RampSource:
 
     @property
     def output(self) -> str:
-        """Its output, as "component.variable": the signal is recorded there."""
+        """The output, as "component.variable": the signal is recorded there."""
         return f"{self.name}.{self.name}"
 
 
@@ -49,7 +49,7 @@ BuildSource = Callable[[RampSource, Path], Path]
 
 
 def ramp_sources(scenarios: Sequence[Scenario]) -> dict[str, RampSource]:
-    """Driven input -> its source, with as many points as the longest of its signals in these scenarios.
+    """Returns driven input -> its source, with as many points as the longest of its signals has.
 
     The scenarios have the same system and driven inputs. Raises ScenarioError for a signal that is no ramps.
     """
@@ -72,7 +72,7 @@ def ramp_sources(scenarios: Sequence[Scenario]) -> dict[str, RampSource]:
 
 
 def _unused_name(target: str, used: set[str]) -> str:
-    """The name of the input as an identifier, with that of its component before it if it is used already."""
+    """Returns the name of the input as an identifier, after that of its component if it is used already."""
     for name in (target.partition(".")[2], target):
         identifier = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")
         if identifier not in used:
@@ -83,7 +83,7 @@ def _unused_name(target: str, used: set[str]) -> str:
 def with_sources(
     scenario: Scenario, sources: Mapping[str, RampSource], fmus: Mapping[str, Path]
 ) -> tuple[System, Experiment]:
-    """The system and the experiment with a component for every signal, its points as parameters.
+    """Returns the system and the experiment with a component for every signal, its points as parameters.
 
     sources, fmus: of every driven input
     """
@@ -100,7 +100,7 @@ def with_sources(
 
 
 def _parameters(source: RampSource, ramps: Ramps) -> dict[str, float | bool]:
-    """Points that the signal does not use come after its last one and have its value."""
+    """Returns the points as parameters; unused points come after the last one and have its value."""
     points = [(float(time), float(value)) for time, value in ramps.points]
     while len(points) < source.points:
         points.append((points[-1][0] + _SPARE_S, points[-1][1]))

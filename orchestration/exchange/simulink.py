@@ -15,9 +15,9 @@ from orchestration.exchange.limits import (
     check_plain_connections,
     check_plain_exchange,
     check_types,
+    filled,
     straight_points,
 )
-from orchestration.exchange.template_files import filled
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.prepared_run import Setting, prepare
 from orchestration.system.system import CheckedSystem, Port
@@ -28,7 +28,7 @@ LONGEST_NAME = 55  # of a parameter of the FMU block, on that page
 
 
 def text(scenario: Scenario) -> str:
-    """The script of a scenario.
+    """Returns the script of a scenario.
 
     Raises ScenarioError for what it cannot express: more than `check_plain_exchange` allows, settings that
     are no numbers, signals that are no straight ramps, names that MATLAB cannot hold.
@@ -70,7 +70,7 @@ def text(scenario: Scenario) -> str:
 
 
 def write(scenario: Scenario, folder: Path) -> Path:
-    """Write the script and the FMUs beside it; returns the script."""
+    """Writes the script and the FMUs beside it; returns the script."""
     script = text(scenario)
     folder.mkdir(parents=True, exist_ok=True)
     for fmu in scenario.system.components.values():
@@ -90,7 +90,7 @@ def _check_names(checked: CheckedSystem) -> None:
 
 
 def _model_name(name: str) -> str:
-    """An identifier of MATLAB, which holds 63 characters."""
+    """Returns an identifier of MATLAB, which holds 63 characters."""
     return ("l1_depth_" + re.sub(r"\W", "_", name, flags=re.ASCII))[:63]
 
 
@@ -119,7 +119,7 @@ def _value(variable: ScalarVariable, value: FmiValue) -> str:
 
 
 def _block_port(checked: CheckedSystem, port: Port) -> str:
-    """Block and number of a port, which are numbered in the order of the model description."""
+    """Returns block and number of a port; ports have the order of the model description."""
     variables = of_causality(checked.descriptions[port.component], str(port.variable.causality))
     names = [variable.name for variable in variables]
     return f"{port.component}/{names.index(port.variable.name) + 1}"

@@ -1,6 +1,6 @@
-"""An SSP package, 1.0 or 2.0 -> a scenario that our master runs.
+"""Reader of an SSP package, 1.0 or 2.0, as a scenario that our master runs.
 
-Read are the components and connections of one system, parameter values inline or in .ssv files at components
+It reads the components and connections of one system, parameter values inline or in .ssv files at components
 or at the system, and the default experiment. Values are taken in the units of the FMUs. Elements that are not
 understood are refused rather than ignored; so is a name that fits no variable, which SSP permits.
 """
@@ -10,21 +10,112 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
 from typing import Any
+from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from fmus.errors import nearest
 from fmus.files import extract_archive
 from fmus.fmi.description import describe, of_causality, start_value
 from fmus.fmi.model_description import ModelDescription
+from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
-from orchestration.exchange.ssp_package import OpenedPackage
-from orchestration.exchange.ssp_parameters import Values, bound_values, chosen_values
-from orchestration.exchange.ssp_xml import STRUCTURE, tag
+from orchestration.exchange.ssp_xml import STRUCTURE, read_value, tag
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
+
+
+@dataclass(frozen=True)
+class OpenedPackage:
+    """A package and the folder that it is extracted to."""
+
+    path: Path
+    folder: Path
+
+    def error(self, message: str) -> ScenarioError:
+        return ScenarioError(f"{self.path}: {message}")
+
+    def file(self, source: str, purpose: str) -> Path:
+        """Returns a file of the package; ScenarioError for one outside it."""
+        path = PurePosixPath(source)
+        is_relative = not path.is_absolute() and ".." not in path.parts and not {"\\", ":"} & set(source)
+        if not (is_relative and (self.folder / path).is_file()):
+            raise self.error(f"{purpose}: source {source!r}: expected a file in the package")
+        return self.folder / path
+
+    def root(self, file: Path) -> Element:
+        """Returns the root element of an XML file of the package."""
+        try:
+            if b"<!DOCTYPE" in file.read_bytes():
+                raise self.error(f"{file.name}: expected XML without a document type")
+            return ElementTree.parse(file).getroot()
+        except FileNotFoundError:
+            beside = (path.name for path in file.parent.glob("*"))
+            raise self.error(f"no {file.name} in it; {nearest(file.name, beside)}") from None
+        except (ElementTree.ParseError, LookupError, ValueError) as error:
+            raise self.error(f"{file.name}: expected XML: {error}") from error
+
+    def check_attribute(self, element: Element, attribute: str, expected: str, purpose: str) -> None:
+        """Raises ScenarioError if an attribute is given and is not the expected one."""
+        value = element.get(attribute, expected)
+        if value != expected:
+            raise self.error(f"{purpose}: {attribute} {value!r}: expected {expected!r}")
+
+
+Values = dict[str, FmiValue]
+
+
+def bound_values(root: Element, package: OpenedPackage) -> Values:
+    """Returns "component.variable" -> value; the system's bindings go over the components'.
+
+    Source: SSP 1.0, 5.3.2.
+    """
+    values: Values = {}
+    for component in root.iter(tag("ssd:Component")):
+        own = _bindings(component, package)
+        values |= {f"{component.get('name')}.{name}": value for name, value in own.items()}
+    for system in root.findall(tag("ssd:System")):
+        values |= _bindings(system, package)
+    return values
+
+
+def chosen_values(name: str, package: OpenedPackage) -> Values:
+    """Returns the values of the .ssv file whose parameter set has that name."""
+    roots = {}
+    for file in sorted(package.folder.rglob("*.ssv")):
+        root = package.root(file)
+        roots[root.get("name", "")] = root
+    if name not in roots:
+        raise ScenarioError(f"no parameter set {name!r} in the package; {nearest(name, roots)}")
+    return _values(roots[name], package)
+
+
+def _bindings(element: Element, package: OpenedPackage) -> Values:
+    values: Values = {}
+    purpose = "a parameter binding"
+    for binding in element.findall(f"{tag('ssd:ParameterBindings')}/{tag('ssd:ParameterBinding')}"):
+        if binding.find(tag("ssd:ParameterMapping")) is not None:
+            raise package.error("a parameter mapping: not supported; expected names of variables")
+        package.check_attribute(binding, "type", "application/x-ssp-parameter-set", purpose)
+        package.check_attribute(binding, "sourceBase", "SSD", purpose)
+        source, prefix = binding.get("source"), binding.get("prefix", "")
+        inline = binding.iter(tag("ssv:ParameterSet"))
+        parameter_sets = [package.root(package.file(source, purpose))] if source else inline
+        for parameter_set in parameter_sets:
+            own = _values(parameter_set, package)
+            values |= {prefix + name: value for name, value in own.items()}
+    return values
+
+
+def _values(parameter_set: Element, package: OpenedPackage) -> Values:
+    try:
+        return {p.get("name", ""): read_value(p) for p in parameter_set.iter(tag("ssv:Parameter"))}
+    except ValueError as error:
+        raise package.error(str(error)) from error
+
 
 _REFUSED = (
     ("ssd:System/ssd:Connectors", "connectors of the system itself"),
@@ -40,7 +131,7 @@ _REFUSED = (
 
 @contextmanager
 def opened(path: Path, parameter_set: str = "") -> Iterator[Scenario]:
-    """The scenario in a package, its FMUs extracted until the context ends.
+    """Reads the scenario in a package; its FMUs are extracted until the context ends.
 
     parameter_set: name of an .ssv in the package, whose values replace those bound in it.
     Raises ScenarioError for a package that cannot be read.
@@ -94,7 +185,7 @@ def _scenario(package: OpenedPackage, parameter_set: str) -> Scenario:
 
 
 def _checked_root(package: OpenedPackage) -> Element:
-    """The root of the structure, if it holds nothing that is refused."""
+    """Returns the root of the structure; raises ScenarioError for an element that is not supported."""
     root = package.root(package.folder / STRUCTURE)
     if root.tag != tag("ssd:SystemStructureDescription"):
         raise package.error(f"{STRUCTURE}: expected a SystemStructureDescription of SSP")
@@ -134,7 +225,7 @@ def _connection(element: Element, package: OpenedPackage) -> tuple[Any, ...]:
 
 
 def _check_conversions(root: Element, package: OpenedPackage) -> None:
-    """Refuse a transformation that SSP makes in addition to a conversion of units, which we do not make."""
+    """Refuses a transformation beside a conversion of units, both of which SSP makes: we make none."""
     units = {
         (component.get("name"), connector.get("name")): real.get("unit")
         for component in root.iter(tag("ssd:Component"))
@@ -158,7 +249,7 @@ def _check_conversions(root: Element, package: OpenedPackage) -> None:
 def _by_causality(
     values: Values, descriptions: Mapping[str, ModelDescription], connected: set[str]
 ) -> tuple[Values, Values]:
-    """(parameters, inputs): an input that nothing drives keeps the start value of its FMU."""
+    """Returns (parameters, inputs): an input that nothing drives keeps the start value of its FMU."""
     inputs = {
         f"{component}.{variable.name}": start_value(variable)
         for component, description in descriptions.items()
@@ -173,7 +264,7 @@ def _by_causality(
 def _times(
     root: Element, descriptions: Mapping[str, ModelDescription], package: OpenedPackage
 ) -> tuple[float, ...]:
-    """Start, stop and step [s]; a step size that is not given is the smallest that an FMU suggests."""
+    """Returns start, stop and step [s]; without a step size, the smallest that an FMU suggests."""
     default = root.find(tag("ssd:DefaultExperiment"))
     stop = None if default is None else default.get("stopTime")
     if default is None or stop is None:

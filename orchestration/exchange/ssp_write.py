@@ -1,4 +1,4 @@
-"""A scenario -> an SSP package: FMUs, connections, units, default experiment, parameter sets.
+"""Writer of a scenario as an SSP package: FMUs, connections, units, default experiment, parameter sets.
 
     SystemStructure.ssd     the scenario that was packaged
     NAME.ssd                the same system as each other scenario of its family has it
@@ -7,7 +7,7 @@
 
 Only what OMSimulator, libcosim, Ecos, fmucontainer and FMPy all understand: no connector of the system
 itself, no two structures of one name, values inline at each component, enumeration items as integers. Ecos
-and FMPy apply no values unless they are told a set, fmucontainer none at all: therefore FMUs start with them.
+and FMPy apply no values without the name of a set, fmucontainer none at all: therefore FMUs start with them.
 What SSP 1.0 has for FMI 2.0 is in 2.0 as well, with the same namespaces: the versions differ in their number.
 """
 
@@ -26,8 +26,7 @@ from fmus.fmi.variable_types import FmiValue
 from orchestration.exchange import ssp_xml
 from orchestration.exchange.limits import check_plain_exchange
 from orchestration.exchange.signal_sources import BuildSource, RampSource, ramp_sources, with_sources
-from orchestration.exchange.ssp_version import SspVersion
-from orchestration.exchange.ssp_xml import STRUCTURE, add, add_value
+from orchestration.exchange.ssp_xml import STRUCTURE, SspVersion, add, add_value
 from orchestration.scenarios.scenario import Scenario, load, shipped
 from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_run import PreparedRun, prepare
@@ -36,7 +35,7 @@ from orchestration.system.system import CheckedSystem, Port
 
 @dataclass(frozen=True)
 class _Variant:
-    """One scenario of the package, its signals replaced by components."""
+    """A variant in the package: one scenario, its signals replaced by components."""
 
     name: str
     title: str
@@ -67,7 +66,7 @@ class _Variant:
         ]
 
     def values_of(self, component: str) -> dict[str, FmiValue]:
-        """Variable -> value."""
+        """Returns variable -> value."""
         return {port.variable.name: value for port, value in self.values if port.component == component}
 
 
@@ -82,7 +81,7 @@ def package(
     build_started: BuildStarted = lambda fmu, starts, folder: fmu,
     version: SspVersion = SspVersion.V1,
 ) -> Path:
-    """Write the scenario, and every shipped one of the same system as a variant, to `path`.
+    """Writes the scenario, and every shipped one of the same system as a variant, to `path`.
 
     build_source: makes the FMU that gives a signal; called once for every driven input
     build_started: makes the FMU of a component that starts with the values of the scenario
@@ -104,7 +103,7 @@ def package(
 
 
 def _members(variants: Sequence[_Variant], fmus: Mapping[str, Path]) -> dict[str, bytes]:
-    """Path inside the package -> content; the first scenario is the one that importers open.
+    """Returns path inside the package -> content; importers open the first scenario.
 
     fmus: of each component
     """
@@ -121,20 +120,20 @@ def _members(variants: Sequence[_Variant], fmus: Mapping[str, Path]) -> dict[str
 
 
 def _resource_paths(component: str, fmu: Path) -> Iterator[str]:
-    """Paths that the FMU of a component may have in the package, the preferred one first; endless."""
+    """Yields the paths that the FMU of a component may have, the preferred one first; endless."""
     numbered = (f"{component}_{number}.fmu" for number in itertools.count(2))
     return (f"resources/{name}" for name in itertools.chain((fmu.name, f"{component}.fmu"), numbered))
 
 
 def _with_all_settings(variants: Sequence[_Variant]) -> list[_Variant]:
-    """Each sets what any of them sets, to the start value of the FMU where it has none of its own."""
+    """Returns variants that set the same variables: the FMU's start value where one has no value."""
     ports = {name: variant.prepared.system.ports[name] for variant in variants for name in variant.settings}
     starts = {name: start_value(port.variable) for name, port in ports.items()}
     return [replace(variant, settings={**starts, **variant.settings}) for variant in variants]
 
 
 def family(scenario: Scenario) -> list[Scenario]:
-    """The scenario and the shipped ones with the same components, connections and driven inputs."""
+    """Returns the scenario and the shipped ones with equal components, connections and driven inputs."""
     others = [load(path) for name, path in shipped().items() if name != scenario.name]
     return [scenario, *(other for other in others if _structure_of(other) == _structure_of(scenario))]
 
@@ -200,7 +199,7 @@ def _parameters(
 
 
 def _parameter_set(variant: _Variant) -> Element:
-    """All values of the system, with units."""
+    """Returns all values of the system, with units."""
     root = ssp_xml.root("ssv:ParameterSet", **variant.heading, description=variant.title)
     units = {port.name: port.variable.unit or "" for port, _ in variant.values}
     _parameters(root, [(port.name, value) for port, value in variant.values], units)
@@ -209,7 +208,7 @@ def _parameter_set(variant: _Variant) -> Element:
 
 
 def _units(parent: Element, name: str, checked: CheckedSystem, ports: Iterable[Port]) -> None:
-    """The units of these variables as their FMUs define them."""
+    """Adds the units of these variables as their FMUs define them."""
     used = {(port.component, port.variable.unit) for port in ports}
     base_units = {}
     for component, description in checked.descriptions.items():
@@ -229,7 +228,7 @@ def _units(parent: Element, name: str, checked: CheckedSystem, ports: Iterable[P
 
 
 def _master(system: Element, experiment: Experiment) -> None:
-    """The step size as OMSimulator looks for it: version 3 in attributes, version 2 in a child."""
+    """Adds the step size as OMSimulator looks for it: version 3 in attributes, version 2 in a child."""
     annotation = add(add(system, "ssd:Annotations"), "ssc:Annotation", type=ssp_xml.OMS)
     step = repr(experiment.step_size)
     # the solver of this name is the one of components that name none
@@ -240,7 +239,7 @@ def _master(system: Element, experiment: Experiment) -> None:
 
 
 def _default_experiment(parent: Element, experiment: Experiment) -> None:
-    """Times; the step size, for which SSP has no place, as libcosim and our reader look for it."""
+    """Adds times and, as libcosim and our reader look for it, the step size: SSP has no place for it."""
     times = {"startTime": repr(experiment.start_time), "stopTime": repr(experiment.stop_time)}
     default = add(parent, "ssd:DefaultExperiment", **times)
     annotation = add(add(default, "ssd:Annotations"), "ssc:Annotation", type=ssp_xml.OSP)

@@ -1,10 +1,19 @@
 """The XML of SSP: its namespaces, and elements with values of the types that FMI 2.0 has."""
 
 from contextlib import suppress
+from enum import StrEnum
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from fmus.fmi.variable_types import FmiValue
+
+
+class SspVersion(StrEnum):
+    """The versions of SSP that packages are written in."""
+
+    V1 = "1.0"
+    V2 = "2.0"
+
 
 _STANDARD = "http://ssp-standard.org/SSP1/SystemStructure"
 NAMESPACES = {
@@ -22,13 +31,13 @@ for _prefix, _uri in NAMESPACES.items():
 
 
 def tag(name: str) -> str:
-    """ "prefix:name" -> the name that ElementTree uses."""
+    """Returns the name that ElementTree uses for "prefix:name"."""
     prefix, _, local = name.partition(":")
     return f"{{{NAMESPACES[prefix]}}}{local}"
 
 
 def add(parent: Element, name: str, /, **attributes: str) -> Element:
-    """A new child called "prefix:name"."""
+    """Adds a child called "prefix:name" and returns it."""
     return ElementTree.SubElement(parent, tag(name), attributes)
 
 
@@ -37,20 +46,23 @@ def root(name: str, /, **attributes: str) -> Element:
 
 
 def document(element: Element) -> bytes:
-    """The whole file; namespaces are declared on its root."""
+    """Returns the whole file; namespaces are declared on its root."""
     ElementTree.indent(element)
     return ElementTree.tostring(element, encoding="UTF-8", xml_declaration=True)
 
 
 def add_value(parent: Element, value: FmiValue, unit: str | None = None) -> None:
-    """The value of an ssv:Parameter. An enumeration item is an Integer: few importers read another."""
+    """Adds the value of an ssv:Parameter. An enumeration item is an Integer: few importers read another."""
     kind = {bool: "Boolean", int: "Integer", float: "Real"}.get(type(value), "String")
     text = str(value).lower() if kind == "Boolean" else str(value)
     add(parent, f"ssv:{kind}", value=text, **({"unit": unit} if unit and kind == "Real" else {}))
 
 
 def read_value(parameter: Element) -> FmiValue:
-    """The value of an ssv:Parameter; ValueError for a type that FMI 2.0 does not have, or another's value."""
+    """Returns the value of an ssv:Parameter.
+
+    Raises ValueError for a type that FMI 2.0 does not have, or a value of another type.
+    """
     read = {"Real": float, "Integer": int, "String": str, "Enumeration": str}
     read["Boolean"] = {"true": True, "1": True, "false": False, "0": False}.__getitem__
     for element in parameter:

@@ -15,8 +15,7 @@ from orchestration.run.initialisation import ConnectionGroup
 from orchestration.system.experiment import Algorithm
 from orchestration.system.experiment_checks import check_fits
 from orchestration.system.prepared_run import PreparedRun
-from orchestration.system.system import Port
-from orchestration.system.transformation import LinearTransformation
+from orchestration.system.system import LinearTransformation, Port
 
 Array = np.ndarray
 _UNCHANGED = LinearTransformation()

@@ -15,7 +15,7 @@ import numpy as np
 
 from fmus.fmi.variable_types import FmiValue
 from orchestration.margins.hold import MOVED, Hold, HoldRuns, LoopSignal, loop_inputs
-from orchestration.margins.margin_figure import Figure
+from orchestration.margins.margin_metric import Metric
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.faults import Effect, InterpolatedDelay, Scale
 
@@ -25,7 +25,7 @@ LARGEST_GAIN, GAIN_STEP, GAIN_RESOLUTION = 10.0, 1.1, 1.01  # factors
 
 @dataclass(frozen=True)
 class Scan:
-    """What a scan found, in s or as factors.
+    """A scan of values, in s or as factors, and what it measured.
 
     margin: the last quiet value before the first loss; not a number if the scenario is not quiet as it is
     lost: the first value that is not quiet; infinite if all are; at most `resolution` beyond the margin
@@ -54,7 +54,7 @@ def delay_margin(
     only_first_loss: bool = False,
     progress: Callable[[], object] = lambda: None,
 ) -> Scan:
-    """How long [s] the control, or every measurement, may be late while the scenario holds quietly.
+    """Measures how long [s] the control, or every measurement, may be late while the scenario holds quietly.
 
     Delays are interpolated on straight lines between communication points. The delays of the loop itself, of
     sampling, of communication and of the scenario's own faults, are there besides.
@@ -91,7 +91,7 @@ def gain_margin(
     only_first_loss: bool = False,
     progress: Callable[[], object] = lambda: None,
 ) -> Scan:
-    """By how much the control, or every measurement, may be multiplied while the scenario holds quietly.
+    """Measures the largest factor on the control, or every measurement, at which the scenario holds quietly.
 
     largest below 1 asks for the other margin. The grid is geometric: `step` and `resolution` are ratios.
     """
@@ -139,7 +139,7 @@ def _first_loss(
     resolution: float,
     is_ratio: bool,
 ) -> tuple[float, float]:
-    """The last quiet value before the first that is not, and that one; nan or inf where there is none."""
+    """Returns the last quiet value before the first that is not, and that one; nan or inf without one."""
     if not quiet[0]:
         return math.nan, values[0]
     if all(quiet):
@@ -151,7 +151,7 @@ def _first_loss(
 def _enclosed(
     is_quiet: Callable[[float], bool], quiet: float, lost: float, resolution: float, is_ratio: bool
 ) -> tuple[float, float]:
-    """A quiet value and one that is not, at most `resolution` apart, between the two."""
+    """Returns a quiet value and one that is not, at most `resolution` apart, between the two."""
 
     def is_apart() -> bool:
         return max(lost / quiet, quiet / lost) > resolution if is_ratio else lost - quiet > resolution
@@ -163,7 +163,7 @@ def _enclosed(
 
 
 def _intervals(values: Sequence[float], quiet: Sequence[bool]) -> tuple[tuple[float, float], ...]:
-    """First and last of each row of quiet values."""
+    """Returns the first and last of each row of quiet values."""
     groups = groupby(zip(quiet, values, strict=False), key=lambda pair: pair[0])
     rows = [[value for _, value in group] for is_quiet, group in groups if is_quiet]
     return tuple((row[0], row[-1]) for row in rows)
@@ -180,26 +180,26 @@ _RATIOS = (
 
 
 def runs_needed(over: Mapping[str, Sequence[float]]) -> int:
-    """Returns about how many runs the figures take."""
+    """Returns about how many runs the metrics take."""
     return 2 * 36 + 2 * 30 + 2 * 15 * (sum(map(len, over.values())) or len(ADAPTATION_GAINS))
 
 
-def run_figures(runs: HoldRuns, progress: Callable[[], object]) -> Iterator[Figure]:
-    """Delay margins on control and measurement, and gain margins."""
+def run_metrics(runs: HoldRuns, progress: Callable[[], object]) -> Iterator[Metric]:
+    """Measures the delay margins on control and measurement, and the gain margins."""
     for loop_signal in LoopSignal:
         scan = delay_margin(runs, loop_signal, progress=progress)
-        yield _figure(
+        yield _metric(
             f"delay margin, {loop_signal}", scan, "s", f"{_GRADUAL}, up to {LARGEST_DELAY:g} s", runs
         )
     for name, largest in (("largest", LARGEST_GAIN), ("smallest", 1.0 / LARGEST_GAIN)):
         scan = gain_margin(runs, largest=largest, progress=progress)
-        yield _figure(f"{name} gain, control", scan, "1", f"{_RATIOS}, up to {largest:g}", runs)
+        yield _metric(f"{name} gain, control", scan, "1", f"{_RATIOS}, up to {largest:g}", runs)
 
 
-def parameter_figures(
+def parameter_metrics(
     runs: HoldRuns, parameter: str, values: Sequence[float], progress: Callable[[], object]
-) -> Iterator[Figure]:
-    """Delay margins on control and measurement at several values of a parameter."""
+) -> Iterator[Metric]:
+    """Measures the delay margins on control and measurement at several values of a parameter."""
     for value in values:
         changed: Mapping[str, FmiValue] = {parameter: value}
         for loop_signal in LoopSignal:
@@ -207,10 +207,10 @@ def parameter_figures(
                 runs, loop_signal, parameters=changed, only_first_loss=True, progress=progress
             )
             name = f"delay margin, {loop_signal}, {parameter} = {value:g}"
-            yield _figure(name, scan, "s", f"{_GRADUAL}; the first loss alone", runs)
+            yield _metric(name, scan, "s", f"{_GRADUAL}; the first loss alone", runs)
 
 
-def _figure(name: str, scan: Scan, unit: str, how: str, runs: HoldRuns) -> Figure:
+def _metric(name: str, scan: Scan, unit: str, how: str, runs: HoldRuns) -> Metric:
     hold, signal_unit = runs.hold, runs.prepared.system.ports[runs.hold.signal].variable.unit or ""
     again = ", ".join(f"quiet again at {low:.4g}..{high:.4g} {unit}" for low, high in scan.quiet_again)
     assumption = (
@@ -218,4 +218,4 @@ def _figure(name: str, scan: Scan, unit: str, how: str, runs: HoldRuns) -> Figur
         f"{hold.start:g} s to {hold.end:g} s, mean within {MOVED:g} {signal_unit} of that without a change; "
         f"{how}"
     )
-    return Figure(THROUGH_FMUS, name, scan.margin, unit, assumption, "measured", again)
+    return Metric(THROUGH_FMUS, name, scan.margin, unit, assumption, "measured", again)

@@ -1,4 +1,4 @@
-"""Where a scenario holds a value, and runs of it with faults on the loop that are judged there."""
+"""The hold of a scenario, and runs of it with faults on the loop that are judged in the hold."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -28,7 +28,7 @@ _JUDGED_S = 40.0  # the same of the nominal case, whose vehicle is on its way to
 
 
 class LoopSignal(StrEnum):
-    """Where the loop is changed: on what enters the plant, or on what leaves it."""
+    """The signal at which the loop is changed: what enters the plant, or what leaves it."""
 
     CONTROL = "control"
     MEASUREMENT = "measurement"
@@ -36,7 +36,7 @@ class LoopSignal(StrEnum):
 
 @dataclass(frozen=True)
 class Hold:
-    """signal: "component.variable" that is held; start, end [s]; quiet: its largest standard deviation."""
+    """A hold of `signal`, "component.variable", from `start` to `end` [s]; quiet: its largest deviation."""
 
     signal: str
     start: float
@@ -45,12 +45,12 @@ class Hold:
 
 
 def last_part(signal: str, end: float) -> Hold:
-    """The 40 s before a target is left at `end` [s], in which a vehicle that came to it is quiet."""
+    """Returns the 40 s before a target is left at `end` [s], in which a vehicle that came to it is quiet."""
     return Hold(signal, end - _JUDGED_S, end)
 
 
 def hold_of(chosen: Scenario, quiet: float = QUIET) -> Hold:
-    """The last part of the longest time for which the reference of a metric is constant, and its signal.
+    """Returns the last part of the longest time for which the reference of a metric is constant.
 
     Raises ScenarioError for a scenario without such a metric, or whose reference is never constant.
     """
@@ -66,7 +66,7 @@ def hold_of(chosen: Scenario, quiet: float = QUIET) -> Hold:
 
 
 def _constant(chosen: Scenario, reference: str) -> tuple[float, float]:
-    """Beginning and end [s] of the longest time for which the reference is constant."""
+    """Returns beginning and end [s] of the longest time for which the reference is constant."""
     experiment = chosen.experiment
     if reference in experiment.inputs:
         return experiment.start_time, experiment.stop_time
@@ -86,7 +86,7 @@ def _constant(chosen: Scenario, reference: str) -> tuple[float, float]:
 
 
 def loop_inputs(prepared: PreparedRun, signal: str, loop_signal: LoopSignal) -> tuple[str, ...]:
-    """The inputs of type Real on the loops through the component of the signal, of that signal.
+    """Returns the inputs of type Real on the loops through the component of the signal, of that signal.
 
     Raises ScenarioError if there is none.
     """
@@ -107,7 +107,7 @@ def loop_inputs(prepared: PreparedRun, signal: str, loop_signal: LoopSignal) -> 
 
 
 def _reachable(start: str, arrows: Iterable[tuple[str, str]]) -> set[str]:
-    """The components that arrows lead to from `start`."""
+    """Returns the components that arrows lead to from `start`."""
     arrows, reached, new = [*arrows], set[str](), {start}
     while new:
         reached |= new
@@ -202,7 +202,7 @@ class HoldRuns(AbstractContextManager["HoldRuns"]):
         return done.result
 
     def close(self) -> None:
-        """Free the FMUs."""
+        """Frees the FMUs."""
         self._place.__exit__()
 
     def __exit__(self, *error: object) -> None:

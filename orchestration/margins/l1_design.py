@@ -18,7 +18,7 @@ Values = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Design:
-    """A loop of an L1 controller.
+    """The design of a loop of an L1 controller.
 
     law: with its adaptation at rest, at the depth of the hold
     lipschitz: L of the uncertainty; omegas: lowest and highest input gain of the box
@@ -46,7 +46,7 @@ class Design:
 
 
 def design_of(prepared: PreparedRun, largest_reference: float, rest: float) -> Design | None:
-    """The design of the scenario's L1 controller and plant; None if one of them is not ours.
+    """Returns the design of the scenario's L1 controller and plant; None if one of them is not ours.
 
     largest_reference: largest |r| of the run; rest: the value that is held, not a number if none is
     """
@@ -93,7 +93,7 @@ def _matrix(values: Values, name: str) -> tuple[Pair, Pair]:
 
 
 def _common(values: Values, rest: float, reference: float) -> dict[str, Any]:
-    """What these laws have in common; the nonlinear P linear about e = 0, where |r| is `reference`."""
+    """Returns what these laws share; the nonlinear P is linear about e = 0, where |r| is `reference`."""
     slope = _small_error_gain(values, _threshold(values, reference))
     pi = values["augmentation"] == "pi"
     proportional = values["proportional_gain"] if pi else 0.0
@@ -114,7 +114,7 @@ def _common(values: Values, rest: float, reference: float) -> dict[str, Any]:
 
 
 def _depth_law(values: Values, rest: float, reference: float) -> Law:
-    """L1DepthController: (13) of Maalouf et al. (2013)."""
+    """Returns the law of L1DepthController: (13) of Maalouf et al. (2013)."""
     inertia, k_m = values["model_inertia"], (values["depth_feedback_gain"], values["rate_feedback_gain"])
     observer = Observer(values["observer_alpha"], values["observer_beta"], values["observer_period"])
     return Law(
@@ -128,7 +128,7 @@ def _depth_law(values: Values, rest: float, reference: float) -> Law:
 
 
 def _general_law(values: Values, rest: float, reference: float) -> Law:
-    """L1Controller: its matrices are parameters."""
+    """Returns the law of L1Controller: its matrices are parameters."""
     return Law(
         a_m=_matrix(values, "state_matrix"),
         b=_pair(values, "input_vector"),
@@ -139,7 +139,7 @@ def _general_law(values: Values, rest: float, reference: float) -> Law:
 
 
 def _vehicle(values: Values, controller: Values) -> Plant:
-    """RovDepthPlant at rest: linear damping alone, but for a vertical current.
+    """Returns RovDepthPlant at rest: linear damping alone, but for a vertical current.
 
     Each thruster takes half of the control, divided by the gain that the controller assumes.
     """
@@ -158,7 +158,7 @@ def _vehicle(values: Values, controller: Values) -> Plant:
 
 
 def _example(values: Values, controller: Values) -> Plant:
-    """ExamplePlant, theta in its state matrix."""
+    """Returns ExamplePlant, theta in its state matrix."""
     (a_1, a_2), b = _matrix(values, "state_matrix"), _pair(values, "input_vector")
     theta = _pair(values, "theta")
     rows = [
@@ -178,7 +178,7 @@ _PLANTS: dict[str, Callable[[Values, Values], Plant]] = {
 
 
 def _threshold(values: Values, reference: float) -> float:
-    """delta of the nonlinear P where |r| is `reference`."""
+    """Returns delta of the nonlinear P where |r| is `reference`."""
     delta, floor = values["nonlinear_threshold"], values["threshold_floor"]
     return max(delta if values["threshold"] == "fixed" else delta * reference, floor)
 
@@ -188,7 +188,7 @@ def _small_error_gain(values: Values, delta: float) -> float:
 
 
 def _frozen_gains(values: Values, largest_reference: float) -> tuple[float, ...]:
-    """-u_p / e of the nonlinear P: above delta and below, at the largest delta, and at the smallest."""
+    """Returns -u_p / e of the nonlinear P: above and below the largest delta, and at the smallest delta."""
     if values["augmentation"] != "nonlinear_p":
         return ()
     widest, narrowest = _threshold(values, largest_reference), _threshold(values, 0.0)

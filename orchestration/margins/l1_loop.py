@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from controller_fmu.design import FilterOrder, lyapunov_matrix
-from orchestration.margins.equations import Equation, LinearLoop
+from orchestration.margins.linear_margins import Equation, LinearLoop
 
 Pair = tuple[float, float]
 CONTROL, PLANT_INPUT = "u", "plant input"
@@ -24,7 +24,7 @@ CONTROL, PLANT_INPUT = "u", "plant input"
 
 @dataclass(frozen=True)
 class Observer:
-    """alpha, beta and the sampling period [s] of the observer of the depth rate.
+    """The observer of the depth rate, by alpha, beta and its sampling period [s].
 
     sampled: by the bilinear equivalent of its difference equations, which has their frequency response but
     for (frequency x period)^2 / 12; else by the differential equations that they approximate
@@ -36,7 +36,7 @@ class Observer:
     sampled: bool = False
 
     def equations(self) -> list[Equation]:
-        """Of its output m2, the rate, from the depth m1."""
+        """Returns the equations of its output m2, the rate, from the depth m1."""
         alpha, beta, t = self.alpha, self.beta, self.period
         if self.sampled:
             # m2 / m1 = (beta / T) q (q - 1) / (q^2 + (alpha + beta - 2) q + 1 - alpha)
@@ -57,7 +57,7 @@ class Observer:
 
 @dataclass(frozen=True)
 class Law:
-    """Of the loop of second order; kappa: gain of the adaptation, infinite in its limit.
+    """The law of the loop of second order; kappa: gain of the adaptation, infinite in its limit.
 
     observer: None where the second state is measured
     """
@@ -78,7 +78,7 @@ class Law:
 
 @dataclass(frozen=True)
 class Plant:
-    """x' = A x + b times the sum of f_i,   lag_i f_i' = gain_i u - f_i."""
+    """The plant x' = A x + b times the sum of f_i,   lag_i f_i' = gain_i u - f_i."""
 
     a: tuple[Pair, Pair]
     b: Pair
@@ -90,7 +90,7 @@ class Plant:
 
 
 def loop(law: Law, plant: Plant) -> LinearLoop:
-    """The loop, cut where the control enters the plant."""
+    """Returns the loop, cut where the control enters the plant."""
     equations = (*_plant(plant), *_measurement(law), *_prediction(law), *_control(law))
     return LinearLoop(equations, source=PLANT_INPUT, target=CONTROL)
 
@@ -106,7 +106,7 @@ def _plant(plant: Plant) -> list[Equation]:
 
 
 def _measurement(law: Law) -> list[Equation]:
-    """m1 and m2, the state as the law knows it."""
+    """Returns the equations of m1 and m2, the state as the law measures it."""
     rows = [Equation({}, {"m1": -1.0, "x1": 1.0})]
     if law.observer is None:
         return [*rows, Equation({}, {"m2": -1.0, "x2": 1.0})]
@@ -114,7 +114,7 @@ def _measurement(law: Law) -> list[Equation]:
 
 
 def _prediction(law: Law) -> list[Equation]:
-    """x_hat and eta."""
+    """Returns the equations of x_hat and eta."""
     p_b = lyapunov_matrix(np.array(law.a_m), np.diag(law.q)) @ np.array(law.b)
     rows = []
     for i, row in enumerate(law.a_m):

@@ -1,4 +1,4 @@
-"""Delay and gain margins of a linear loop, from its frequency response (Nyquist).
+"""Linear loops of named signals: frequency response, poles, delay and gain margins (Nyquist).
 
 With L(s) from the cut to the cut, so that the loop is closed where L = 1, a delay d gives 1 = L e^(-s d), a
 factor g gives 1 = g L. A loop that is stable as it is loses its stability at the smallest d, and at the g
@@ -6,13 +6,79 @@ nearest to 1, for which the equation has a solution s = j w. Source: Astrom and 
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
 
-from orchestration.margins.equations import LinearLoop
+_INFINITE = 1e6  # 1/s; a pole beyond it belongs to an algebraic equation
+_SHIFT = 0.7320508  # 1/s; any number that is no pole
+
+
+@dataclass(frozen=True)
+class Equation:
+    """An equation: coefficients of the derivatives on the left and of the values on the right, by signal.
+
+        sum of derivatives[name] name' = sum of values[name] name,   algebraic without derivatives
+
+    Written so, a loop reads like the laws it is made of, and a limit, such as a time constant of 0 or an
+    adaptation gain without bound, is a coefficient of 0 and no other model.
+    """
+
+    derivatives: Mapping[str, float]
+    values: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class LinearLoop:
+    """A linear loop: as many equations as signals, without `source`, which drives them.
+
+    The loop is closed where source = target.
+    """
+
+    equations: tuple[Equation, ...]
+    source: str
+    target: str
+
+    @cached_property
+    def signals(self) -> list[str]:
+        """The signals that the equations determine; ValueError for more, or fewer, than equations."""
+        named = dict.fromkeys(name for row in self.equations for name in (*row.derivatives, *row.values))
+        signals = [name for name in named if name != self.source]
+        if len(signals) != len(self.equations):
+            raise ValueError(f"{len(self.equations)} equations: expected one for each of {signals}")
+        return signals
+
+    @cached_property
+    def matrices(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """E, A and b of E x' = A x + b source, where x are the signals."""
+        index = {name: i for i, name in enumerate([*self.signals, self.source])}
+        e, a = np.zeros((2, len(self.signals), len(index)))
+        for row, equation in enumerate(self.equations):
+            for matrix, terms in ((e, equation.derivatives), (a, equation.values)):
+                for name, coefficient in terms.items():
+                    matrix[row, index[name]] = coefficient
+        return e[:, :-1], a[:, :-1], a[:, -1]
+
+    def response(self, frequencies: np.ndarray) -> Any:
+        """Returns target / source at these frequencies [rad/s], a complex array of the same shape."""
+        e, a, b = self.matrices
+        s = 1j * np.asarray(frequencies, float)[..., np.newaxis, np.newaxis]
+        states = np.linalg.solve(s * e - a, b[:, np.newaxis])
+        return states[..., self.signals.index(self.target), 0]
+
+    def poles(self, closed: bool = True) -> Any:
+        """Returns the poles of the closed loop, or of the loop that is cut [1/s], a complex array."""
+        e, a, b = self.matrices
+        a = a.copy()
+        a[:, self.signals.index(self.target)] += b if closed else 0.0
+        # 1 / (pole - shift); of an algebraic equation 0, but for rounding
+        inverses = np.linalg.eigvals(np.linalg.solve(a - _SHIFT * e, e))
+        return _SHIFT + 1.0 / inverses[np.abs(inverses) > 1.0 / _INFINITE]
+
 
 _LOWEST, _HIGHEST, _PER_DECADE = 1e-5, 1e5, 400  # rad/s
 
@@ -35,7 +101,7 @@ _UNSTABLE = LinearMargins(math.nan, math.nan, math.nan, math.nan)
 
 
 def margins(loop: LinearLoop) -> LinearMargins:
-    """The margins of a loop."""
+    """Returns the margins of a loop."""
     if loop.poles().real.max() >= 0.0:
         return _UNSTABLE
     grid = _frequencies(loop)
@@ -52,7 +118,7 @@ def margins(loop: LinearLoop) -> LinearMargins:
 
 
 def _frequencies(loop: LinearLoop) -> np.ndarray:
-    """A grid [rad/s] that is fine where poles, of the open or the closed loop, make the response change."""
+    """Returns a grid [rad/s] that is fine where poles of the open or the closed loop change the response."""
     count = round(math.log10(_HIGHEST / _LOWEST) * _PER_DECADE) + 1
     grid = [np.geomspace(_LOWEST, _HIGHEST, count)]
     for pole in (*loop.poles(), *loop.poles(closed=False)):
@@ -77,5 +143,5 @@ def _roots(loop: LinearLoop, grid: np.ndarray, values: np.ndarray, function: Any
 
 
 def _delay_at(loop: LinearLoop, w: float) -> float:
-    """The smallest delay [s] with L(j w) e^(-j w delay) = 1, where |L| = 1."""
+    """Returns the smallest delay [s] with L(j w) e^(-j w delay) = 1, where |L| = 1."""
     return float(np.angle(loop.response(np.array(w))) % (2.0 * math.pi) / w)

@@ -9,12 +9,17 @@ from typing import Any
 import numpy as np
 
 from orchestration.errors import ScenarioError
-from orchestration.margins.fmu_margins import ADAPTATION_GAINS, parameter_figures, run_figures
+from orchestration.margins.fmu_margins import ADAPTATION_GAINS, parameter_metrics, run_metrics
 from orchestration.margins.hold import QUIET, Hold, HoldRuns, hold_of
 from orchestration.margins.l1_design import Design, design_of
-from orchestration.margins.margin_figure import Figure
-from orchestration.margins.theory_figures import gamma_figures, linear_figures, norm_figures
-from orchestration.margins.transient import bound_figure, step_figures
+from orchestration.margins.margin_metric import Metric
+from orchestration.margins.theory_metrics import (
+    bound_metric,
+    gamma_metrics,
+    linear_metrics,
+    norm_metrics,
+    step_metrics,
+)
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.prepared_run import prepare
 from orchestration.system.signals import values_at
@@ -28,16 +33,16 @@ FOREIGN = (
 
 @dataclass(frozen=True)
 class Margins:
-    """Of one scenario; not_judged: sentences that say what is missing, and why."""
+    """The margins of one scenario; not_judged: sentences on what is missing, and why."""
 
     scenario: str
-    figures: tuple[Figure, ...]
+    metrics: tuple[Metric, ...]
     not_judged: tuple[str, ...]
 
     def document(self) -> dict[str, Any]:
-        """As JSON has it."""
-        figures = [figure.document() for figure in self.figures]
-        return {"scenario": self.scenario, "figures": figures, "not_judged": list(self.not_judged)}
+        """Returns the margins for JSON."""
+        metrics = [metric.document() for metric in self.metrics]
+        return {"scenario": self.scenario, "figures": metrics, "not_judged": list(self.not_judged)}
 
 
 def judge(
@@ -49,12 +54,12 @@ def judge(
     measured: bool = True,
     progress: Callable[[], object] = lambda: None,
 ) -> Margins:
-    """All margins of a scenario.
+    """Judges all margins of a scenario.
 
     hold: where it is judged through the FMUs; by default `hold_of`, with this largest deviation `quiet`
     over: parameter -> values, at each of which the delay margins are measured; by default the adaptation gain
     of an L1 controller
-    measured: whether the figures that take many runs are among them
+    measured: whether the metrics that take many runs are among them
     """
     not_judged, runs = list[str](), None
     try:
@@ -68,24 +73,24 @@ def judge(
         design = _design(chosen, runs)
         if not design:
             not_judged.append(FOREIGN)
-        figures = [*_theory(design)] if design else []
+        metrics = [*_theory(design)] if design else []
         if runs and measured:
-            figures += run_figures(runs, progress)
+            metrics += run_metrics(runs, progress)
             for parameter, values in (over or _adaptation_gains(design)).items():
-                figures += parameter_figures(runs, parameter, values, progress)
+                metrics += parameter_metrics(runs, parameter, values, progress)
         if design and measured and math.isfinite(design.adaptation_gain):
-            figures += step_figures(chosen, progress)
-    return Margins(chosen.name, tuple(figures), tuple(not_judged))
+            metrics += step_metrics(chosen, progress)
+    return Margins(chosen.name, tuple(metrics), tuple(not_judged))
 
 
-def _theory(design: Design) -> Iterator[Figure]:
+def _theory(design: Design) -> Iterator[Metric]:
     has_gain = 0.0 < design.adaptation_gain < math.inf
-    yield from norm_figures(design)
-    yield from linear_figures(design)
+    yield from norm_metrics(design)
+    yield from linear_metrics(design)
     if has_gain and design.has_rest:
-        yield from gamma_figures(design, ADAPTATION_GAINS)
+        yield from gamma_metrics(design, ADAPTATION_GAINS)
     if has_gain:
-        yield from bound_figure(design)
+        yield from bound_metric(design)
 
 
 def _adaptation_gains(design: Design | None) -> dict[str, Sequence[float]]:

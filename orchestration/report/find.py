@@ -1,4 +1,4 @@
-"""From the paths that a user names to results with names that tell them apart."""
+"""Results at the paths that a user names, under names that differ."""
 
 import json
 import math
@@ -14,8 +14,7 @@ from pydantic import TypeAdapter
 from fmus.errors import nearest
 from orchestration.errors import OrchestrationError
 from orchestration.report import sweeps
-from orchestration.report.result import RunResult, SweepResult
-from orchestration.report.toml import toml
+from orchestration.report.result import RunResult, SweepResult, toml
 from orchestration.results.files import is_recording
 from orchestration.results.formats import RecordingFormat
 from orchestration.results.recording import Recording
@@ -31,7 +30,7 @@ class _Metric(Table):
 
 
 class _Document(Table, extra="allow"):
-    """The .json of a run."""
+    """The document of a run, its .json."""
 
     recording: str
     scenario: dict[str, Any]
@@ -43,7 +42,7 @@ _DOCUMENT = TypeAdapter(_Document)
 
 
 def found_results(paths: Iterable[Path]) -> list[RunResult | SweepResult]:
-    """The results that files and folders hold, each once, in the order given; those of a folder sorted.
+    """Returns the results that files and folders hold, each once, in the order given; a folder's sorted.
 
     Raises OrchestrationError for a path that does not exist or holds no result.
     """
@@ -54,7 +53,7 @@ def found_results(paths: Iterable[Path]) -> list[RunResult | SweepResult]:
 
 
 def _files(path: Path) -> list[Path]:
-    """The files that stand for the results at a path: of a run, its .json where there is one."""
+    """Returns the files that stand for the results at a path: of a run, its .json where there is one."""
     if path.is_dir():
         return _of_folder(path.resolve())
     if not path.is_file():
@@ -91,7 +90,7 @@ def _of_folder(folder: Path) -> list[Path]:
 
 
 def _recording_of(document: Path) -> Path | None:
-    """The file with the recording of a run's .json; None for anything else."""
+    """Returns the file with the recording of a run's .json; None for anything else."""
     if document.suffix == ".json":
         try:
             content = json.loads(document.read_text(encoding="utf-8"))
@@ -142,7 +141,7 @@ def _recording(file: Path) -> Recording:
 
 
 def _without_copies(results: dict[Path, RunResult | SweepResult]) -> dict[Path, RunResult | SweepResult]:
-    """Without the files that hold the recording of another one of their name in another format."""
+    """Removes files that hold the recording of another one of their name in another format."""
     chosen: set[Path] = set()
     for file in sorted(results, key=lambda file: _ENDINGS.index(file.suffix)):
         beside = [results[other] for other in chosen if other.with_suffix("") == file.with_suffix("")]
@@ -161,7 +160,7 @@ def _same_recording(one: RunResult | SweepResult, other: RunResult | SweepResult
 
 
 def _names(files: list[Path]) -> dict[Path, str]:
-    """The stem of a file, with the ending or as many folders before it as tell it from the others."""
+    """Returns the stem of each file, with the ending or as many folders as make it unique."""
     count_of_stem = Counter(file.with_suffix("") for file in files)
     own = {file: file.stem if count_of_stem[file.with_suffix("")] == 1 else file.name for file in files}
     names = dict(own)

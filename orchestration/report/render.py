@@ -6,7 +6,9 @@ only the scripts run whose hashes it names and nothing be fetched.
 
 import base64
 import hashlib
+import json
 import re
+import zlib
 from collections.abc import Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
@@ -16,12 +18,12 @@ import numpy as np
 
 from fmus.extras import imports_of
 from orchestration.report import sweeps
-from orchestration.report.differences import differences, flat
-from orchestration.report.embedded import run_data, sweep_data
-from orchestration.report.result import RunResult, SweepResult
-from orchestration.report.toml import toml
+from orchestration.report.result import RunResult, SweepResult, toml
+from orchestration.report.sweeps import correlations, groups_of, strongest
 from orchestration.results.metric_units import shown
-from orchestration.sweep.summary import HEADINGS, categorical
+from orchestration.results.metrics import SIGNALS
+from orchestration.results.recording import points_down
+from orchestration.sweep.table import HEADINGS, categorical
 
 with imports_of("report", "a report"):
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -33,7 +35,7 @@ _SCRIPTS = ("common.js", "tables.js", "signals.js", "sweeps.js")
 
 
 def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
-    """A self-contained HTML page of these results; by default titled after them."""
+    """Returns a self-contained HTML page of these results; by default titled after them."""
     runs = [result for result in results if isinstance(result, RunResult)]
     swept = [result for result in results if isinstance(result, SweepResult)]
     return page(
@@ -54,7 +56,7 @@ def render(results: Sequence[RunResult | SweepResult], title: str = "") -> str:
 
 
 def page(template: str, script_files: Sequence[str], **content: Any) -> str:
-    """A self-contained HTML page of a template of `files/`, which extends `base.html`.
+    """Returns a self-contained HTML page of a template of `files/`, which extends `base.html`.
 
     content: what the template shows, with `title`, and `data` for its scripts
     """
@@ -86,7 +88,7 @@ def _title(runs: Sequence[RunResult], swept: Sequence[SweepResult]) -> str:
 
 
 def _metric_groups(runs: Sequence[RunResult]) -> dict[tuple[tuple[str, str], ...], list[RunResult]]:
-    """Metrics with their units -> the runs that have them."""
+    """Returns metrics with their units -> the runs that have them."""
     groups: dict[tuple[tuple[str, str], ...], list[RunResult]] = {}
     for run in runs:
         groups.setdefault(tuple(run.metric_units.items()), []).append(run)
@@ -95,16 +97,109 @@ def _metric_groups(runs: Sequence[RunResult]) -> dict[tuple[tuple[str, str], ...
 
 
 def _facts(provenance: Mapping[str, Any]) -> dict[str, str]:
-    """The provenance of a result without the FMUs; "step_size_s" is a step size [s]."""
+    """Returns the provenance of a result without the FMUs; "step_size_s" is a step size [s]."""
     facts = {key: value for key, value in provenance.items() if key != "fmus" and value is not None}
     return {re.sub(r"_s$", " [s]", key).replace("_", " "): value for key, value in flat(facts).items()}
 
 
 def _number(value: Any) -> str:
-    """Five digits of a number; whole numbers and texts as they are."""
+    """Returns five digits of a number; whole numbers and texts as they are."""
     return f"{value:.5g}" if isinstance(value, (float, np.floating)) else str(value)
 
 
 def _breakable(name: str) -> Markup:
-    """A name that may be broken after a dot, an underscore or a comma, if three letters follow."""
+    """Returns a name that breaks after a dot, an underscore or a comma, if three letters follow."""
     return Markup("<wbr>").join(re.split(r"(?<=[._,])(?=\w{3})", name))
+
+
+_ABSENT = "absent"
+_FEW = 3
+_NEVER_TELLING = ("title",)  # it always differs, and is shown
+
+
+def differences(runs: list[RunResult]) -> dict[str, dict[str, str]]:
+    """Returns setting -> value as text -> names of its runs, where values differ; rare values first."""
+    settings = {run.name: flat({**run.scenario, "run": run.provenance}) for run in runs if run.scenario}
+    values_by_setting: dict[str, dict[str, str]] = {}
+    for key in sorted({key for values in settings.values() for key in values} - set(_NEVER_TELLING)):
+        names: dict[str, list[str]] = {}
+        for name, values in settings.items():
+            names.setdefault(values.get(key, _ABSENT), []).append(name)
+        if len(names) > 1:
+            by_rarity = sorted(names.items(), key=lambda item: len(item[1]))
+            values_by_setting[key] = {value: ", ".join(members) for value, members in by_rarity}
+            most, members = by_rarity[-1]
+            if len(members) > _FEW:
+                values_by_setting[key][most] = f"the other {len(members)}"
+    return values_by_setting
+
+
+def flat(content: Mapping[str, Any], before: str = "") -> dict[str, str]:
+    """Returns nested tables as one: "experiment: step_size" -> its value as text."""
+    texts: dict[str, str] = {}
+    for key, value in content.items():
+        if isinstance(value, Mapping):
+            texts |= flat(value, f"{before}{key}: ")
+        else:
+            texts[f"{before}{key}"] = (
+                value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+            )
+    return texts
+
+
+def packed(values: np.ndarray) -> str:
+    """Doubles -> base64 of zlib of their bytes, all first bytes before all second ones and so on.
+
+    Neighbours in time share sign and exponent, so that these bytes compress well side by side.
+    """
+    bytes_of_values = np.ascontiguousarray(values, dtype="<f8").view(np.uint8).reshape(-1, 8)
+    return base64.b64encode(zlib.compress(bytes_of_values.T.tobytes())).decode("ascii")
+
+
+def run_data(run: RunResult) -> dict[str, Any]:
+    """Returns the data that the page's script draws of a run."""
+    recording = run.recording
+    columns = ((name, recording.unit(name), recording[name]) for name in recording.numbers)
+    return {
+        "name": run.name,
+        "time": packed(recording.time),
+        "signals": [
+            {"name": name, "unit": unit or "1", "down": points_down(name, unit), "values": packed(column)}
+            for name, unit, column in columns
+        ],
+        "in_metrics": sorted(
+            {
+                str(call[key])
+                for call in run.scenario.get("metrics", {}).values()
+                for key in SIGNALS
+                if key in call
+            }
+        ),
+    }
+
+
+def sweep_data(sweep: SweepResult) -> dict[str, Any]:
+    """Returns the data that the page's script draws of a sweep."""
+    categories = categorical(sweep.varied)
+    return {
+        "name": sweep.name,
+        "samples": packed(sweep.samples),
+        "errors": {int(n): error for n, error in zip(sweep.samples, sweep.errors, strict=True) if error},
+        "columns": [
+            {
+                "name": name,
+                "unit": sweep.units.get(name, ""),
+                "kind": kind,
+                "values": list(map(str, values)) if name in categories else packed(np.asarray(values)),
+                "absent": sweep.absent.get(name, ""),
+            }
+            for kind, columns in (("varied", sweep.varied), ("metric", sweep.metrics))
+            for name, values in columns.items()
+        ],
+        "groups": [
+            {"name": ", ".join(group), "members": indices.tolist()}
+            for group, indices in groups_of(sweep).items()
+        ],
+        "first": strongest(correlations(sweep)),
+        "command": sweep.command,
+    }

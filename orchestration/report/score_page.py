@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from orchestration.report.embedded import packed
-from orchestration.report.render import page
+from orchestration.report.render import packed, page
 from orchestration.score import score_view
 from orchestration.score.score import ScoreResult
 from orchestration.score.score_document import OF_A_ROW, Score
@@ -17,7 +16,7 @@ _SCALE = 1e4  # whole numbers compress to a quarter of the room
 
 
 def score_page(result: ScoreResult, title: str) -> str:
-    """The page of a score or of a comparison."""
+    """Returns the page of a score or of a comparison."""
     score = result.document
     figures = [name for name in score.protocol.figures if name not in OF_A_ROW]
     tables = {
@@ -40,7 +39,7 @@ def score_page(result: ScoreResult, title: str) -> str:
 
 
 def _data(result: ScoreResult) -> dict[str, Any]:
-    """What the scripts draw."""
+    """Returns what the scripts draw."""
     score = result.document
     document = score.model_dump(mode="json", include={"protocol", "rows"})
     for row in document["rows"]:
@@ -52,7 +51,7 @@ def _data(result: ScoreResult) -> dict[str, Any]:
 
 
 def _references(result: ScoreResult, score: Score) -> dict[str, dict[str, str]]:
-    """Case -> times and reference, which all controllers have in common."""
+    """Returns case -> times and reference, which all controllers have in common."""
     references: dict[str, dict[str, str]] = {}
     for case in score.protocol.cases:
         traces = [rows[case] for rows in result.traces.values() if rows.get(case)]

@@ -21,13 +21,13 @@ with imports_of("report", "a report"):
     import pyarrow  # noqa: F401  (of the table, which would name its own extra)
 
     from orchestration.sweep import table  # which needs no more of the extra sweep
-    from orchestration.sweep.summary import categorical, groups, statistics
+    from orchestration.sweep.table import categorical, groups, statistics
 
 _SHOWN_ELSEWHERE = {"name", "title", "scenario", "varied", "arguments"}
 
 
 def read(file: Path) -> SweepResult:
-    """The sweep that a file holds, named after the file; OrchestrationError if it has no sample."""
+    """Reads the sweep in a file, named after the file; OrchestrationError if it has no sample."""
     rows, provenance = table.read(file)
     if not rows.num_rows:
         raise OrchestrationError(f"{file}: expected at least one sample, got none")
@@ -48,12 +48,12 @@ def read(file: Path) -> SweepResult:
 
 
 def groups_of(sweep: SweepResult) -> dict[tuple[str, ...], np.ndarray]:
-    """Values of what is varied and no number -> indices of the samples with them that did not fail."""
+    """Returns values of what is varied and no number -> indices of their samples that did not fail."""
     return groups(sweep.varied, [i for i, error in enumerate(sweep.errors) if not error])
 
 
 def distributions(sweep: SweepResult) -> list[dict[str, Any]]:
-    """For each group and metric: its statistics."""
+    """Returns the statistics of each group and metric."""
     return [
         {"group": group, "name": name, "values": statistics(values[indices])}
         for group, indices in groups_of(sweep).items()
@@ -62,7 +62,7 @@ def distributions(sweep: SweepResult) -> list[dict[str, Any]]:
 
 
 def correlations(sweep: SweepResult) -> list[dict[str, Any]]:
-    """Rows of what is varied: metric -> correlation of ranks; None where one of them does not vary.
+    """Returns rows of what is varied: metric -> correlation of ranks; None where one of them does not vary.
 
     Of a number, within each group, Spearman's, -1..1; of a text or truth value, over all groups, 0..1: the
     share of the metric's ranks that the value determines, as a standard deviation. For two values it is the
@@ -98,7 +98,7 @@ def _rank_correlation(values: Sequence[Any], metric: np.ndarray) -> float | None
 
 
 def strongest(rows: list[dict[str, Any]]) -> tuple[str, str] | None:
-    """What is varied and the metric with the largest correlation."""
+    """Returns the varied name and the metric with the largest correlation."""
     strength = {
         (row["name"], metric): abs(value)
         for row in rows

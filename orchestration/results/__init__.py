@@ -1,1 +1,1 @@
-"""What came out: recordings, their files, metrics, figures."""
+"""Recordings, their files, metrics and figures."""

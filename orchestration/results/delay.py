@@ -1,4 +1,4 @@
-"""How far a signal is behind its reference: the delay of the reference that brings it nearest to the signal.
+"""The delay of a reference at which it is nearest to a signal: how far the signal lags.
 
 The reference is a line between communication points, so the mean square of signal - delayed reference is a
 parabola in the delay within each communication step. For a delay of k + f steps, 0 <= f <= 1, its sum is
@@ -25,7 +25,7 @@ _NEAR, _EQUAL = 1e-9, 1e-6  # of a communication step: rounding of a delay, and 
 
 @along_time
 def shift_lag(recording: Recording, signal: str, reference: str, largest: float) -> Any:
-    """Delay [s], 0..largest, of the reference at which it is nearest to the signal (least RMSE).
+    """Returns the delay [s], 0..largest, of the reference at which it is nearest to the signal (least RMSE).
 
     Judged from `largest` seconds after the start, so that every delay sees the same points. Not a number if
     the nearest is at an edge of the search, but for a signal that neither lags nor leads: 0.
@@ -54,7 +54,7 @@ def shift_lag(recording: Recording, signal: str, reference: str, largest: float)
 
 
 def _nearest_delays(signals: np.ndarray, reference: np.ndarray, count: int, largest: float) -> np.ndarray:
-    """The delay of each signal, 0..largest in steps, of the least distance; NaN if all are equally far.
+    """Returns the delay of each signal, 0..largest in steps, of the least distance; NaN if all are equal.
 
     signals: shape (runs, n); reference: the same, or shape (n,)
     count: of steps that have delays of the search
@@ -77,12 +77,12 @@ def _nearest_delays(signals: np.ndarray, reference: np.ndarray, count: int, larg
 
 
 def _length(points: int) -> int:
-    """Of a Fourier transform that holds so many points: no delay wraps around."""
+    """Returns the length of a Fourier transform of so many points in which no delay wraps around."""
     return 1 << (points - 1).bit_length()
 
 
 class _ReferenceSums(NamedTuple):
-    """What distances take from a reference, shape (n,) or (runs, n); they are of the points from `first` on.
+    """Sums over the points of a reference, shape (n,) or (runs, n), from `first` on, for distances to it.
 
     level: its mean; the rest is of the reference less that, of which less is lost to rounding
     spectrum: conjugate; squares: sums of r_(i-k)^2, k = 0..first
@@ -122,7 +122,7 @@ def _sums_of_reference(reference: np.ndarray, first: int) -> _ReferenceSums:
 
 
 def _searched_delay(time: np.ndarray, signal: np.ndarray, reference: np.ndarray, largest: float) -> float:
-    """The same [s] where points are not equally spaced, by search."""
+    """Returns the nearest delay [s] where points are not equally spaced, by search."""
     from scipy.optimize import minimize_scalar  # which takes longer to import than to run
 
     late = slice(int(np.searchsorted(time, time[0] + largest)), None)

@@ -40,12 +40,12 @@ _METADATA: dict[FigureFormat, dict[str, Any]] = {
 
 
 def figure_style() -> AbstractContextManager[None]:
-    """A context: figures that are made and written inside it have the style of this module."""
+    """Returns a context: figures that are made and written inside it have the style of this module."""
     return style.context(["default", str(Path(__file__).with_name("figures.mplstyle"))])
 
 
 class StackedLayout(LayoutEngine):
-    """Places panels one below the other; each text that needs room outside of them is measured once.
+    """A layout of panels one below the other; each text that needs room outside of them is measured once.
 
     Matplotlib's own layouts measure all texts several times, which takes longer than to draw them.
     """
@@ -73,14 +73,14 @@ class StackedLayout(LayoutEngine):
 
     @staticmethod
     def _place_labels(fig: Figure, left_in: float) -> None:
-        """Place the labels of the vertical axes as far left of their panels, one below the other."""
+        """Places the labels of the vertical axes as far left of their panels, one below the other."""
         for panel in fig.axes:
             offset = ScaledTranslation(-left_in, 0.0, fig.dpi_scale_trans)
             panel.yaxis.set_label_coords(0.0, 0.5, panel.transAxes + offset)
 
 
 def _outside(panels: Sequence[Axes], renderer: RendererAgg) -> tuple[float, float, float, float]:
-    """What stands outside of panels [pixels]: numbers and labels on the left, all on the right, and below."""
+    """Returns the room outside of panels [pixels]: of numbers and labels on the left, at the right, below."""
     below: Any = panels[-1].xaxis.get_tightbbox(renderer)
     frame = panels[-1].bbox
     numbers = [text for panel in panels for text in panel.yaxis.get_majorticklabels()]
@@ -92,7 +92,7 @@ def _outside(panels: Sequence[Axes], renderer: RendererAgg) -> tuple[float, floa
 
 
 def stacked_panels(heights_in: Sequence[float], x_label: str) -> tuple[Figure, list[Axes]]:
-    """A figure as wide as a page: panels (a), (b), ... one below the other, with one horizontal axis."""
+    """Returns a figure as wide as a page: panels (a), (b), ... one below the other, on one time axis."""
     figure = Figure(figsize=(_WIDTH_IN, sum(heights_in) + 0.4), layout=StackedLayout())
     grid = figure.subplots(
         len(heights_in), 1, sharex=True, squeeze=False, gridspec_kw={"height_ratios": heights_in}
@@ -109,13 +109,13 @@ def stacked_panels(heights_in: Sequence[float], x_label: str) -> tuple[Figure, l
 
 
 def draw_curve(panel: Axes, time: np.ndarray, values: np.ndarray, **line: Any) -> None:
-    """A signal as a line through the smallest and the largest value of each of many short intervals."""
+    """Draws a line through the smallest and the largest value of each of many short intervals."""
     chosen = _extremes(values)
     panel.plot(time[chosen], values[chosen], **line)
 
 
 def _extremes(values: np.ndarray) -> np.ndarray:
-    """Indices, ascending, of the first, the last, and each interval's smallest and largest value."""
+    """Returns indices, ascending: the first, the last, and each interval's smallest and largest value."""
     size = -(-len(values) // _BINS)  # points in an interval
     if size <= 2:
         return np.arange(len(values))
@@ -127,7 +127,7 @@ def _extremes(values: np.ndarray) -> np.ndarray:
 
 
 def draw_noisy(panel: Axes, time: np.ndarray, values: np.ndarray, window: float, **line: Any) -> None:
-    """A noisy signal as the mean and, shaded, the range of its values over a sliding window [s].
+    """Draws a noisy signal as the mean and, shaded, the range of its values over a sliding window [s].
 
     The signal is sampled at equal intervals; at its ends the window holds the first or last value.
     """
@@ -143,7 +143,7 @@ def draw_noisy(panel: Axes, time: np.ndarray, values: np.ndarray, window: float,
 def write_figure(
     figure: Figure, path: Path, formats: Sequence[FigureFormat], dots_per_inch: int = _DPI
 ) -> list[Path]:
-    """Write `path` with the ending of each format; returns the files."""
+    """Writes `path` with the ending of each format; returns the files."""
     files = [path.with_name(f"{path.name}.{ending}") for ending in formats]
     for file, ending in zip(files, formats, strict=True):
         with open_atomically(file) as stream:
@@ -155,7 +155,8 @@ def write_figure(
 
 
 def _write_png(figure: Figure, stream: BinaryIO, dots_per_inch: int) -> None:
-    """As `savefig`, which goes through everything in a figure once more before it draws it."""
+    """Writes a figure as PNG."""
+    # not by `savefig`, which goes through everything in a figure once more before it draws it
     figure.set_dpi(dots_per_inch)
     options = {"compress_type": _RUN_LENGTHS}
     FigureCanvasAgg(figure).print_png(stream, metadata=_METADATA[FigureFormat.PNG], pil_kwargs=options)
@@ -164,7 +165,7 @@ def _write_png(figure: Figure, stream: BinaryIO, dots_per_inch: int) -> None:
 def run_figure(
     title: str, recording: Recording, path: Path, formats: Sequence[FigureFormat] = (FigureFormat.PNG,)
 ) -> list[Path]:
-    """Every signal of any run that is a number, one panel for each unit; without estimates of errors."""
+    """Draws every signal of a run that is a number, one panel for each unit; without estimates of errors."""
     signals = [name for name in recording.numbers if not name.startswith(ERROR_ESTIMATE)]
     units = list(dict.fromkeys(map(recording.unit, signals)))
     with figure_style():
@@ -192,5 +193,5 @@ def run_figure(
 
 
 def _roughness(values: np.ndarray) -> float:
-    """Sum of changes: smooth signals are drawn last, over rough ones."""
+    """Returns the sum of changes: smooth signals are drawn last, over rough ones."""
     return float(np.abs(np.diff(values)).sum())

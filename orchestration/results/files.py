@@ -36,7 +36,7 @@ _BYTES = {RecordingFormat.CSV: 20, RecordingFormat.PARQUET: 8}  # about, of a nu
 
 
 class Content(NamedTuple):
-    """Everything in a file: the fields of a `Recording`, in their order."""
+    """The content of a file: the fields of a `Recording`, in their order."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -46,7 +46,7 @@ class Content(NamedTuple):
     texts: Mapping[str, Sequence[str]] = MappingProxyType({})
 
     def columns(self) -> list[list[Any]]:
-        """The values of each signal, Strings as text."""
+        """Returns the values of each signal, Strings as text."""
         pairs = zip(self.names, self.values.T.tolist(), strict=True)
         return [
             [self.texts[name][int(number)] for number in column] if name in self.texts else column
@@ -55,12 +55,12 @@ class Content(NamedTuple):
 
 
 def write(path: Path, content: Content) -> None:
-    """Write a file of the format that the ending of the path names."""
+    """Writes a file of the format that the ending of the path names."""
     {RecordingFormat.CSV: _write_csv, RecordingFormat.PARQUET: _write_parquet}[_format(path)](path, content)
 
 
 def read(path: Path) -> Content:
-    """The inverse of `write`; CSV does not keep the provenance.
+    """Reads what `write` wrote; CSV does not keep the provenance.
 
     Raises OrchestrationError for a file that is not a recording, or is damaged.
     """
@@ -136,12 +136,11 @@ def _write_csv(path: Path, content: Content) -> None:
 
 
 def _lines(rows: np.ndarray) -> bytes:
-    """Rows of numbers as lines, each number as `repr` writes it: the shortest text that is read back exactly.
+    """Returns rows of numbers as lines, each number in the fewest digits that read back exactly."""
+    # here, as a run that writes no CSV does without it
+    from pydantic_core import to_json
 
-    `to_json` writes numbers that need no exponent as `repr` does, in a fifth of its time.
-    """
-    from pydantic_core import to_json  # a run that writes no CSV does without it
-
+    # `to_json` writes numbers that need no exponent as `repr` does, in a fifth of its time
     numbers, sizes = rows.tolist(), np.abs(rows)
     lines = to_json(numbers)[2:-2].split(b"],[")
     is_plain = (sizes >= _LEAST_PLAIN) & (sizes < _FIRST_LARGE) | (sizes == 0.0)
@@ -154,7 +153,7 @@ def _lines(rows: np.ndarray) -> bytes:
 
 
 def _title(name: str, unit: str) -> str:
-    """ "name [unit]", or the name alone if there is no unit and nothing in the name looks like one."""
+    """Returns "name [unit]", or the name alone if there is no unit and nothing in the name looks like one."""
     return f"{name} [{unit}]" if unit or _TITLE.fullmatch(name) else name
 
 
@@ -186,7 +185,7 @@ def _read_csv(path: Path) -> Content:
 def _rows_with_texts(
     stream: TextIO, pairs: list[tuple[str, str]], texts: dict[str, list[str]]
 ) -> list[list[float]]:
-    """The lines of a table as numbers; a text becomes its index in its list, to which a new one is added."""
+    """Returns the lines of a table as numbers; a text becomes its index in its list, which grows."""
     names = ["", *(name for name, _ in pairs)]
     numbers: dict[str, dict[str, int]] = {name: {} for name in texts}
     rows = []
@@ -204,7 +203,7 @@ def _rows_with_texts(
 
 
 def _write_parquet(path: Path, content: Content) -> None:
-    """Units as metadata of the columns, the provenance as that of the table."""
+    """Writes units as metadata of the columns, and the provenance as that of the table."""
     pa, pq = _arrow()
     names, units = (TIME, *content.names), ("s", *content.units)
     fields = [

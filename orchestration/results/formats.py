@@ -4,14 +4,14 @@ from enum import StrEnum
 
 
 class RecordingFormat(StrEnum):
-    """Of a recording."""
+    """The format of a recording."""
 
     CSV = "csv"
     PARQUET = "parquet"
 
 
 class FigureFormat(StrEnum):
-    """Of a figure: pixels, or lines for print."""
+    """The format of a figure: pixels, or lines for print."""
 
     PNG = "png"
     PDF = "pdf"

@@ -1,4 +1,4 @@
-"""What one step adds to a metric: rewards of an agent, whose sum over an episode is the metric of its run.
+"""The part of one step in a metric: rewards of an agent, whose sum over a run is the run's metric.
 
 An input that is held over the step counts with the held value: `after` has it already, `before` has that of
 the step before.
@@ -17,8 +17,10 @@ Reward = Callable[[Values, Values, Any], Any]  # of the values before and after 
 
 
 def squared_error(signal: str, reference: str, duration: float, scale: float = 1.0) -> Reward:
-    """scale^2 (signal - reference)^2 h / duration: their sum is the square of the metric rmse, of the points
-    after the first."""
+    """Returns scale^2 (signal - reference)^2 h / duration.
+
+    Their sum is the square of the metric rmse, of the points after the first.
+    """
 
     def increment(before: Values, after: Values, h: float) -> Any:
         return (scale * (after[signal] - after[reference])) ** 2 * (h / duration)
@@ -27,12 +29,12 @@ def squared_error(signal: str, reference: str, duration: float, scale: float = 1
 
 
 def effort(signal: str) -> Reward:
-    """The trapezoidal rule of |signal|: their sum is the metric effort."""
+    """Returns the trapezoidal rule of |signal|: their sum is the metric effort."""
     return lambda before, after, h: 0.5 * h * (np.abs(before[signal]) + np.abs(after[signal]))
 
 
 def total_variation(signal: str) -> Reward:
-    """|change of the signal|: their sum is the metric total_variation."""
+    """Returns |change of the signal|: their sum is the metric total_variation."""
     return lambda before, after, h: np.abs(after[signal] - before[signal])
 
 
@@ -46,7 +48,7 @@ _OF_METRICS: dict[str, Callable[..., Reward]] = {
 def reward_of(
     metrics: Mapping[str, Mapping[str, Any]], weights: Mapping[str, float], duration: float
 ) -> tuple[Reward, list[str]]:
-    """The weighted sum of what a step adds to metrics, and the names of the signals that it needs.
+    """Returns the weighted sum of what a step adds to metrics, and the names of the signals that it needs.
 
     metrics: as a scenario declares them; weights: metric -> factor, below 0 for what is to be small
     duration: of the run [s]

@@ -1,7 +1,7 @@
-"""Units of metrics: as a scenario gives them, or derived from the function and the units of its signals."""
+"""Units of metrics, as a scenario gives them or derived from functions and signals, and tables of results."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 FIXED_UNITS = {
@@ -32,12 +32,12 @@ MetricDocument = dict[str, dict[str, float | str | None]]
 def metric_units(
     declared: Mapping[str, Mapping[str, Any]], signal_units: Mapping[str, str]
 ) -> dict[str, str]:
-    """Unit of each metric that a scenario declares, "" where it is not known."""
+    """Returns the unit of each metric that a scenario declares, "" where it is not known."""
     return {name: metric_unit(call, signal_units) for name, call in declared.items()}
 
 
 def metric_unit(call: Mapping[str, Any], signal_units: Mapping[str, str]) -> str:
-    """The unit of a metric, "" where it is not known.
+    """Returns the unit of a metric, "" where it is not known.
 
     call: the metric as the scenario declares it; signal_units: by the names of the signals.
     A scaled metric without a unit of its own has a scaled unit: 100 times an RMSE in m is in 0.01 m.
@@ -58,7 +58,7 @@ def metric_unit(call: Mapping[str, Any], signal_units: Mapping[str, str]) -> str
 
 
 def _energy_unit(effort: str, flow: str) -> str:
-    """The unit of the integral of a product over time: N and m/s -> N.(m/s).s."""
+    """Returns the unit of the integral of a product over time: N and m/s -> N.(m/s).s."""
     if not (effort and flow):
         return ""
     factors = [f"({unit})" if "/" in unit else unit for unit in (effort, flow) if unit != "1"]
@@ -66,7 +66,7 @@ def _energy_unit(effort: str, flow: str) -> str:
 
 
 def _integral_unit(unit: str, power: int, time_power: int) -> str:
-    """The unit of an integral over time, in the notation of FMI's units: N -> N.s, m squared -> m2.s."""
+    """Returns the unit of an integral over time as FMI writes units: N -> N.s, m squared -> m2.s."""
     seconds = f"s{time_power}" if time_power > 1 else "s"
     if unit in ("", "1"):
         return seconds if unit else ""
@@ -78,7 +78,7 @@ def _integral_unit(unit: str, power: int, time_power: int) -> str:
 def with_units(
     values: Mapping[str, float], units: Mapping[str, str], absent: float | None = None
 ) -> MetricDocument:
-    """Each metric as a value with its unit, for a file; absent: the value of what did not happen."""
+    """Returns each metric as a value with its unit, for a file; absent: the value of what did not happen."""
     return {
         name: {"value": absent if math.isnan(value) else value, "unit": units.get(name, "")}
         for name, value in values.items()
@@ -86,9 +86,47 @@ def with_units(
 
 
 def shown(value: float, call: Mapping[str, Any], digits: str = ".5g") -> str:
-    """A metric in a table: its digits, or what did not happen. call: as the scenario declares it."""
+    """Returns a metric in a table: its digits, or what did not happen. call: as the scenario declares it."""
     return (
         format(value, digits)
         if not math.isnan(value)
         else _ABSENT.get(call.get("function", ""), "not a number")
     )
+
+
+def metrics_table(
+    title: str,
+    metrics: Mapping[str, float],
+    units: Mapping[str, str],
+    declared: Mapping[str, Mapping[str, Any]],
+) -> str:
+    """Returns the metrics of one run; units, and what the scenario declares: by the names of the metrics."""
+    return values_table(
+        title, "Metric", {name: shown(value, declared[name]) for name, value in metrics.items()}, units
+    )
+
+
+def values_table(title: str, heading: str, values: Mapping[str, object], units: Mapping[str, str]) -> str:
+    """Returns named values with their units in a column of their own."""
+    rows = [(name, str(value), units.get(name, "")) for name, value in values.items()]
+    return _table(title, (heading, "Value", "Unit"), rows)
+
+
+def error_table(errors: Mapping[str, Mapping[str, float | None]], units: Mapping[str, str]) -> str:
+    """Returns the estimated errors of exchanging, as the provenance of a recording has them."""
+    rows = []
+    for name, error in errors.items():
+        values = ("not known" if value is None else f"{value:.2g}" for value in error.values())
+        rows.append((name, *values, units.get(name, "")))
+    return _table("Estimated error", ("Signal", "Largest", "At the end", "Unit"), rows)
+
+
+def _table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Returns lines of columns; those of numbers, all but the first and the last, end at one place."""
+    # Rich, which draws the other tables, takes longer to import than a run takes
+    widths = [max(map(len, column)) for column in zip(headings, *rows, strict=True)]
+    lines = []
+    for name, *numbers, unit in (headings, *rows):
+        ends = (f"{number:>{width}}" for number, width in zip(numbers, widths[1:-1], strict=True))
+        lines.append("  ".join((f"{name:<{widths[0]}}", *ends, unit)).rstrip())
+    return "\n".join((title, *lines))

@@ -24,7 +24,7 @@ _ROUNDING = 1e-9  # of an amplitude, relative to the mean: what is below it is r
 
 
 def _window(recording: Recording, window: list[float] | None) -> slice:
-    """The communication points of a window, whose times ascend."""
+    """Returns the communication points of a window, whose times ascend."""
     if window is None:
         return slice(0, len(recording.time))
     start, end = window
@@ -42,7 +42,7 @@ def _window(recording: Recording, window: list[float] | None) -> slice:
 def settling_time(
     recording: Recording, signal: str, target: float, band: float, window: list[float] | None = None
 ) -> Any:
-    """Last time [s] in the window at which |signal - target| > band; its beginning if never.
+    """Returns the last time [s] in the window at which |signal - target| > band; its beginning if never.
 
     Not a number if the signal is outside the band at the end of the window.
     """
@@ -61,28 +61,29 @@ def rmse(
     window: list[float] | None = None,
     scale: float = 1.0,
 ) -> Any:
-    """scale * sqrt(mean((signal - reference)^2)) over the communication points of the window."""
-    inside = _window(recording, window)
-    error = (recording[signal] - recording[reference])[..., inside]
-    return scale * np.sqrt(np.mean(error**2, axis=-1))
+    """Returns scale * sqrt(mean((signal - reference)^2)) over the communication points of the window."""
+    return scale * np.sqrt(np.mean(_error(recording, signal, reference, window)[1] ** 2, axis=-1))
 
 
 @along_time
 def recovery_time(recording: Recording, signal: str, target: float, band: float, window: list[float]) -> Any:
-    """`settling_time` from the beginning of the window on, at which a disturbance sets in [s]."""
+    """Returns the `settling_time` [s] since the beginning of the window, at which a disturbance sets in."""
     begin = recording.time[_window(recording, window)][0]
     return settling_time(recording, signal, target, band, window) - float(begin)
 
 
 @along_time
 def std(recording: Recording, signal: str, window: list[float] | None = None, scale: float = 1.0) -> Any:
-    """scale * standard deviation about the mean, over the communication points of the window."""
+    """Returns scale * standard deviation about the mean, over the communication points of the window."""
     return scale * recording[signal][..., _window(recording, window)].std(axis=-1)
 
 
 @along_time
 def overshoot(recording: Recording, signal: str, target: float, window: list[float] | None = None) -> Any:
-    """How far the signal goes beyond the target, in percent of it, 0 if it does not; the target is not 0."""
+    """Returns the largest excess of the signal over the target, in percent of it, 0 if there is none.
+
+    Raises ScenarioError for a target of 0.
+    """
     if target == 0.0:
         raise ScenarioError("overshoot: target = 0: expected another, the overshoot is relative to it")
     farthest = (math.copysign(1.0, target) * recording[signal][..., _window(recording, window)]).max(axis=-1)
@@ -92,20 +93,20 @@ def overshoot(recording: Recording, signal: str, target: float, window: list[flo
 
 @along_time
 def mean(recording: Recording, signal: str, window: list[float] | None = None) -> Any:
-    """Mean over the communication points of the window."""
+    """Returns the mean over the communication points of the window."""
     return recording[signal][..., _window(recording, window)].mean(axis=-1)
 
 
 @along_time
 def effort(recording: Recording, signal: str, window: list[float] | None = None) -> Any:
-    """Integral of |signal| dt, trapezoidal rule."""
+    """Returns the integral of |signal| dt, by the trapezoidal rule."""
     inside = _window(recording, window)
     return np.trapezoid(np.abs(recording[signal][..., inside]), recording.time[inside])
 
 
 @along_time
 def peak(recording: Recording, signal: str, window: list[float] | None = None, scale: float = 1.0) -> Any:
-    """scale * largest |signal| at the communication points of the window."""
+    """Returns scale * largest |signal| at the communication points of the window."""
     return scale * np.abs(recording[signal][..., _window(recording, window)]).max(axis=-1)
 
 
@@ -113,27 +114,27 @@ def peak(recording: Recording, signal: str, window: list[float] | None = None, s
 def peak_error(
     recording: Recording, signal: str, reference: str, window: list[float] | None = None, scale: float = 1.0
 ) -> Any:
-    """scale * largest |signal - reference| at the communication points of the window."""
+    """Returns scale * largest |signal - reference| at the communication points of the window."""
     return scale * np.abs(_error(recording, signal, reference, window)[1]).max(axis=-1)
 
 
 @along_time
 def iae(recording: Recording, signal: str, reference: str, window: list[float] | None = None) -> Any:
-    """Integral of the absolute error, |signal - reference| dt, trapezoidal rule."""
+    """Returns the integral of the absolute error, |signal - reference| dt, by the trapezoidal rule."""
     time, error = _error(recording, signal, reference, window)
     return np.trapezoid(np.abs(error), time)
 
 
 @along_time
 def ise(recording: Recording, signal: str, reference: str, window: list[float] | None = None) -> Any:
-    """Integral of the squared error, (signal - reference)^2 dt, trapezoidal rule."""
+    """Returns the integral of the squared error, (signal - reference)^2 dt, by the trapezoidal rule."""
     time, error = _error(recording, signal, reference, window)
     return np.trapezoid(error**2, time)
 
 
 @along_time
 def itae(recording: Recording, signal: str, reference: str, window: list[float] | None = None) -> Any:
-    """Integral of the absolute error times time, t |signal - reference| dt, trapezoidal rule.
+    """Returns the integral of the absolute error times time, t |signal - reference| dt, trapezoidal rule.
 
     t: since the beginning of the window, which is the run by default
     """
@@ -144,14 +145,14 @@ def itae(recording: Recording, signal: str, reference: str, window: list[float] 
 def _error(
     recording: Recording, signal: str, reference: str, window: list[float] | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(time, signal - reference) of the window."""
+    """Returns (time, signal - reference) of the window."""
     inside = _window(recording, window)
     return recording.time[inside], (recording[signal] - recording[reference])[..., inside]
 
 
 @run_by_run
 def energy_residual(recording: Recording, signal: str, flow: str, window: list[float] | None = None) -> float:
-    """Energy that exchanging an effort, the signal, and a flow at points in time creates (`power.py`)."""
+    """Returns the energy that exchanging an effort, the signal, and a flow at points creates (`power.py`)."""
     inside = _window(recording, window)
     return float(energy_residuals(recording, signal, flow)[inside.start : inside.stop - 1].sum())
 
@@ -160,7 +161,9 @@ def energy_residual(recording: Recording, signal: str, flow: str, window: list[f
 def time_below(
     recording: Recording, signal: str, limit: float, after: float, window: list[float] | None = None
 ) -> float:
-    """How long [s] the signal, as lines between points, is below the limit once it has been above `after`.
+    """Returns how long [s] the signal is below the limit once it has been above `after`.
+
+    The signal is lines between points.
 
     Not a number if it is never above `after` in the window.
     """
@@ -180,7 +183,7 @@ def time_below(
 def total_variation(
     recording: Recording, signal: str, every: float | None = None, window: list[float] | None = None
 ) -> Any:
-    """Sum of |change| between communication points, or between points `every` seconds apart."""
+    """Returns the sum of |change| between communication points, or between points `every` seconds apart."""
     inside = _window(recording, window)
     time, values = recording.time[inside], recording[signal][..., inside]
     if every is not None:
@@ -195,7 +198,7 @@ def total_variation(
 def phase_lag(
     recording: Recording, signal: str, angular_frequency: float, window: list[float] | None = None
 ) -> float:
-    """Delay [s] of the signal's fundamental behind cos(angular_frequency t), by least squares.
+    """Returns the delay [s] of the fundamental behind cos(angular_frequency t), by least squares.
 
     It is within half a period; a longer delay appears as one less a period. Not a number without oscillation.
     """
@@ -273,7 +276,7 @@ def _ended_too_early(recording: Recording, call: Mapping[str, Any]) -> bool:
 def check_run(
     declared: Mapping[str, Mapping[str, Any]], start: float, stop: float, record: Collection[str]
 ) -> None:
-    """Refuse a window outside the run, or a signal that is not recorded (an empty record is all).
+    """Refuses a window outside the run, or a signal that is not recorded (an empty record is all).
 
     Warns (ScenarioWarning) of windows of which the run has a part.
     """

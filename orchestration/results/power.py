@@ -22,7 +22,7 @@ from orchestration.results.recording import Recording
 
 
 def energy_residuals(recording: Recording, effort: str, flow: str) -> np.ndarray:
-    """The energy that each step creates, in the unit of effort * flow * s, shape (points - 1,).
+    """Returns the energy that each step creates, in the unit of effort * flow * s, shape (points - 1,).
 
     effort, flow: outputs of two components, each an input of the other, connected without factors
     ScenarioError for a recording without provenance, or of a run with faults, or with steps between its
@@ -48,7 +48,7 @@ def _is_first(recording: Recording, effort: str, flow: str) -> bool | None:
 def _given(
     recording: Recording, output: np.ndarray, size: np.ndarray, is_new: bool | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What the other component is given of an output at the start and at the end of each step.
+    """Returns what the other component is given of an output at the start and at the end of each step.
 
     is_new: whether the output of the end of the step is known
     """
@@ -62,7 +62,7 @@ def _given(
 
 
 def _mean_product(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Mean of the product of a line from a to b and one from c to d."""
+    """Returns the mean of the product of a line from a to b and one from c to d."""
     return (2.0 * (a * c + b * d) + a * d + b * c) / 6.0
 
 

@@ -1,4 +1,4 @@
-"""Recording: signals of one run or of many at the communication points, with units and provenance."""
+"""Recordings: signals of one run or of many at the communication points, with units and provenance."""
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -12,7 +12,7 @@ import numpy as np
 from fmus.errors import nearest
 from fmus.extras import require
 from orchestration.errors import OrchestrationError
-from orchestration.results import files, summary
+from orchestration.results import files
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,7 +31,7 @@ def points_down(name: str, unit: str) -> bool:
 
 @dataclass(frozen=True)
 class Recording:
-    """Signals over time, of one run or of many runs with the same communication points.
+    """A recording: signals over time, of one run or of many runs with the same communication points.
 
     names: "component.variable"; units: same order, "" where the FMU gives none
     time: shape (n,) [s]; values: shape (n, len(names)), of many runs (runs, n, len(names))
@@ -47,7 +47,7 @@ class Recording:
     texts: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """One signal, shape (n,) or (runs, n), a String as text.
+        """Returns one signal, shape (n,) or (runs, n), a String as text.
 
         OrchestrationError offers the nearest name for one that was not recorded.
         """
@@ -65,7 +65,7 @@ class Recording:
         return iter(self.names)
 
     def __len__(self) -> int:
-        """Number of signals; `len(recording.time)` is that of communication points."""
+        """Returns the number of signals; `len(recording.time)` is that of communication points."""
         return len(self.names)
 
     @property
@@ -74,7 +74,7 @@ class Recording:
         return self.values.shape[0] if self.values.ndim == 3 else None
 
     def run(self, index: int) -> "Recording":
-        """The recording of one of many runs."""
+        """Returns the recording of one of many runs."""
         return replace(self, values=self.values[index])
 
     @property
@@ -89,11 +89,11 @@ class Recording:
             raise OrchestrationError(f"{name!r} was not recorded; {nearest(str(name), self.names)}") from None
 
     def unit(self, name: str) -> str:
-        """Unit of a signal, "" where the FMU gives none."""
+        """Returns the unit of a signal, "" where the FMU gives none."""
         return "s" if name == TIME else self.units[self._column(name)]
 
     def __repr__(self) -> str:
-        return summary.as_text(self.units, self.time, {name: self[name] for name in self.names})
+        return _as_text(self.units, self.time, {name: self[name] for name in self.names})
 
     def _repr_html_(self) -> str:
         from html import escape  # of a notebook alone
@@ -101,7 +101,7 @@ class Recording:
         return f"<pre>{escape(repr(self))}</pre>"
 
     def to_pandas(self) -> "pd.DataFrame":
-        """A column a signal over the time [s]; `attrs` holds "units" (name -> unit) and "provenance"."""
+        """Returns a column a signal over the time [s]; `attrs` holds "units" (name -> unit), "provenance"."""
         pandas = require("pandas", "tables", "a recording as a data frame")
         table = pandas.DataFrame(
             self.values, index=pandas.Index(self.time, name=TIME), columns=list(self.names), copy=True
@@ -113,7 +113,7 @@ class Recording:
         return table
 
     def to_xarray(self) -> "xr.Dataset":
-        """A variable a signal over the coordinate time; attributes "units", and "provenance" as JSON."""
+        """Returns a variable a signal over the coordinate time; attributes "units", "provenance" as JSON."""
         xarray = require("xarray", "tables", "a recording as a data set")
         columns = zip(self.names, self.units, strict=True)
         return xarray.Dataset(
@@ -123,7 +123,7 @@ class Recording:
         )
 
     def write(self, path: str | Path) -> None:
-        """One row per communication point, as .csv or as .parquet; floats survive exactly in both.
+        """Writes one row per communication point, as .csv or as .parquet; floats survive exactly in both.
 
         Raises OrchestrationError for another ending.
         """
@@ -134,7 +134,7 @@ class Recording:
 
     @staticmethod
     def read(path: str | Path) -> "Recording":
-        """The inverse of `write`; CSV does not keep the provenance.
+        """Reads what `write` wrote; CSV does not keep the provenance.
 
         Raises OrchestrationError for a file that is not a recording, or is damaged.
         """
@@ -167,3 +167,37 @@ def run_by_run(
         return np.array([function(run, *arguments, **named) for run in runs])
 
     return metric
+
+
+_MOST = 30  # signals shown
+_HEADINGS = ("signal", "unit", "least", "largest", "last")
+
+
+def _as_text(units: Sequence[str], time: np.ndarray, signals: Mapping[str, np.ndarray]) -> str:
+    """Returns a heading, and a line a signal in columns, for a Python prompt or a notebook.
+
+    signals: by their names; units: in the same order
+    """
+    names = list(signals)
+    columns = zip(names[:_MOST], units[:_MOST], strict=True)
+    rows = [_HEADINGS, *((name, unit, *_numbers(signals[name])) for name, unit in columns)]
+    widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
+    lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
+    span = f", {time[0]:g}..{time[-1]:g} s" if len(time) else ""
+    heading = f"Recording of {_count(len(names), 'signal')} at {_count(len(time), 'point')}{span}"
+    more = len(names) - _MOST
+    rest = [f"and {_count(more, 'more signal')}"] if more > 0 else []
+    return "\n".join([heading, *(f"  {line}" for line in lines), *rest])
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
+def _numbers(values: np.ndarray) -> tuple[str, ...]:
+    """Returns least, largest and last; a value that is not finite shows in them."""
+    if not len(values):
+        return "", "", ""
+    if values.dtype == object:  # a String
+        return "", "", str(values[-1])
+    return tuple(f"{value:.6g}" for value in (values.min(), values.max(), values[-1]))

@@ -14,8 +14,7 @@ from fmus.fmi.instance import FmuInstance
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import FmuError, OrchestrationError
 from orchestration.system.experiment import Initialisation
-from orchestration.system.system import Port
-from orchestration.system.transformation import LinearTransformation
+from orchestration.system.system import LinearTransformation, Port
 
 Connection = tuple[Port, Port]
 Transformations = Mapping[str, LinearTransformation]

@@ -28,8 +28,7 @@ import numpy as np
 
 from orchestration.errors import FmuWarning, OrchestrationError, SimulationError
 from orchestration.results.recording import ERROR_ESTIMATE, Recording
-from orchestration.system.coarser import coarser
-from orchestration.system.experiment import Experiment
+from orchestration.system.experiment import Experiment, double_step
 from orchestration.system.prepared_run import PreparedRun, values_of
 from orchestration.system.time_grid import GRID_TOLERANCE
 
@@ -45,7 +44,7 @@ def with_error_estimate(
     warning is issued. SimulationError, with the recording, if it is interrupted.
     """
     longer = longer_internal_steps(prepared)
-    experiment = coarser(prepared.experiment)
+    experiment = double_step(prepared.experiment)
     experiment = replace(experiment, parameters={**experiment.parameters, **longer})
     failure = ""
     try:

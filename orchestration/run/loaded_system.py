@@ -10,8 +10,7 @@ from fmus.fmi.instance import FmuInstance
 from orchestration.errors import OrchestrationError
 from orchestration.run.initialisation import ConnectionGroup, connection_groups
 from orchestration.system.experiment import Experiment
-from orchestration.system.prepared_again import PreparedRuns
-from orchestration.system.prepared_run import check_for
+from orchestration.system.prepared_run import PreparedRuns, check_for
 from orchestration.system.system import CheckedSystem, System
 
 Checked = tuple[CheckedSystem, tuple[ConnectionGroup, ...]]

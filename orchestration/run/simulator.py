@@ -25,8 +25,7 @@ from orchestration.run.stepped_run import SteppedRun
 from orchestration.run.stepping import Progress, RunInProgress
 from orchestration.run.wiring import WiredRun, build_wiring
 from orchestration.system.experiment import Experiment
-from orchestration.system.prepared_again import PreparedRuns
-from orchestration.system.prepared_run import PreparedRun
+from orchestration.system.prepared_run import PreparedRun, PreparedRuns
 from orchestration.system.system import System
 
 

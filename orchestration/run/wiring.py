@@ -21,7 +21,7 @@ from orchestration.run.loop_data import (
 )
 from orchestration.system.experiment import Algorithm
 from orchestration.system.prepared_run import PreparedRun
-from orchestration.system.transformation import LinearTransformation
+from orchestration.system.system import LinearTransformation
 
 _UNCHANGED = LinearTransformation()
 _NOTHING_TO_TAKE = 2**32 - 1  # `ticket` of loop.c

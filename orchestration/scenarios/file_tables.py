@@ -117,7 +117,7 @@ def table_of(
                     hint = _FILE_TYPES.get(argument.annotation, argument.annotation)
                     hint = (types or {}).get(argument.name, hint)
                     fields[argument.name] = hint, _default(argument.default)
-        text = inspect.getdoc(builders[-1])
+        text = (inspect.getdoc(builders[-1]) or "").removeprefix("Returns ")
         return create_model(f"{kind} table", __base__=Table, __doc__=text, **fields)
 
     return cache(make)

@@ -19,9 +19,10 @@ from orchestration.errors import ScenarioError
 
 @dataclass(frozen=True)
 class Distribution:
-    """quantile: uniform numbers in [0, 1) -> as many values
+    """A distribution of values.
 
-    reach: least and largest value that it can give; nan where that says nothing
+    quantile: uniform numbers in [0, 1) -> as many values
+    reach: least and largest value that it can give; nan where `probes` stand for all values
     probes: numbers whose values stand for all that it can give, to check before anything is drawn
     """
 
@@ -37,7 +38,7 @@ def _truncated(
     high: float,
     support: tuple[float, float],
 ) -> Distribution:
-    """A continuous distribution, truncated to low..high.
+    """Returns a continuous distribution, truncated to low..high.
 
     cumulative: F; quantile: its inverse; support: where F is neither 0 nor 1
     """
@@ -53,7 +54,7 @@ def _truncated(
 
 
 def _within(quantile: Callable[[np.ndarray], np.ndarray], low: float, high: float) -> Distribution:
-    """A continuous distribution whose support is low..high, but for rounding."""
+    """Returns a continuous distribution whose support is low..high, but for rounding."""
     size = high - low
     return _truncated(lambda x: (x - low) / size, quantile, low, high, (low, low + size))
 
@@ -67,7 +68,7 @@ def normal(mean: float, std: float, low: float = -math.inf, high: float = math.i
 
 
 def lognormal(median: float, sigma: float, low: float = 0.0, high: float = math.inf) -> Distribution:
-    """sigma: standard deviation of the natural logarithm."""
+    """Returns the lognormal distribution; sigma: standard deviation of the natural logarithm."""
     from scipy.special import ndtr, ndtri
 
     _positive("median", median)
@@ -85,7 +86,7 @@ def uniform(low: float, high: float) -> Distribution:
 
 
 def loguniform(low: float, high: float) -> Distribution:
-    """Uniform in the logarithm."""
+    """Returns a distribution that is uniform in the logarithm."""
     _positive("low", low)
     _ascending(low, high)
     first, size = np.log(low), np.log(high) - np.log(low)
@@ -107,19 +108,19 @@ def triangular(low: float, mode: float, high: float) -> Distribution:
 
 
 def integers(low: int, high: int) -> Distribution:
-    """Each from low to high with equal probability, both included."""
+    """Returns each integer from low to high with equal probability, both included."""
     _ascending(low, high + 1)
     count = high - low + 1
     return Distribution(lambda uniforms: [low + math.floor(u * count) for u in uniforms], (low, high))
 
 
 def seed(low: int, high: int) -> Distribution:
-    """Each integer of the variable's range with equal probability."""
+    """Returns each integer of the variable's range with equal probability."""
     return integers(low, high)
 
 
 def choice(values: list[Any], weights: list[float] | None = None) -> Distribution:
-    """One of the values, with probabilities in proportion to the weights; equal ones by default."""
+    """Returns one of the values, with probabilities in proportion to the weights; equal ones by default."""
     shares = [1.0] * len(values) if weights is None else weights
     if not values:
         raise ScenarioError("values = []: expected a list of values")
@@ -144,10 +145,10 @@ FUNCTIONS: dict[str, Callable[..., Distribution]] = {
 def distribution(
     name: str, arguments: Mapping[str, Any], permitted: tuple[float, float], truncate: bool
 ) -> Distribution:
-    """The distribution of that name with the arguments that a file gives.
+    """Returns the distribution of that name with the arguments that a file gives.
 
     permitted: the range of the variable; truncate: whether to draw within it
-    Raises ScenarioError without saying where: the caller knows.
+    Raises ScenarioError without the place in the file, which the caller adds.
     """
     given = dict(arguments)
     if name == FROM_THE_FMU:

@@ -17,9 +17,16 @@ from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import ScenarioError
 from orchestration.scenarios.file_tables import Table
 from orchestration.scenarios.scenario import Scenario
-from orchestration.sweep.file_format import SweepTable, sweep_table
-from orchestration.sweep.target import Settings, target, with_settings
-from orchestration.sweep.varied import MOST_VALUES, Varied, varied
+from orchestration.sweep.varied import (
+    MOST_VALUES,
+    Settings,
+    SweepTable,
+    Varied,
+    sweep_table,
+    target,
+    varied,
+    with_settings,
+)
 from orchestration.system.prepared_run import prepare
 from orchestration.system.system import CheckedSystem
 
@@ -28,7 +35,7 @@ _COLUMNS = ("sample", "warned", "error")  # of the table, besides those of metri
 
 @dataclass(frozen=True)
 class Plan:
-    """A scenario, its checked system and what is varied.
+    """A plan of a sweep: a scenario, its checked system and what is varied.
 
     draws: samples at each grid point; timeout: s that a sample may take, None for ever
     """
@@ -46,17 +53,17 @@ class Plan:
 
     @property
     def count(self) -> int:
-        """Samples in all."""
+        """Count of all samples."""
         return math.prod(self._shape)
 
     def values(self, sample: int) -> dict[str, FmiValue]:
-        """Name -> value of what is varied, in one sample."""
+        """Returns name -> value of what is varied, in one sample."""
         if not 0 <= sample < self.count:
             raise ScenarioError(f"sample {sample}: expected 0..{self.count - 1}")
         return self.block([sample])[0]
 
     def block(self, samples: Sequence[int]) -> list[dict[str, FmiValue]]:
-        """`values` of several samples at once."""
+        """Returns the `values` of several samples at once."""
         grid_indices = iter(np.unravel_index(samples, self._shape))
         uniforms = iter(zip(*map(self._uniforms, samples), strict=True))
         columns = [
@@ -70,13 +77,13 @@ class Plan:
         ]
 
     def _uniforms(self, sample: int) -> list[float]:
-        """A number in [0, 1) for each variable that is drawn."""
+        """Returns a number in [0, 1) for each variable that is drawn."""
         count = sum(entry.draw is not None for entry in self.varied)
         sequence = np.random.SeedSequence(self.seed, spawn_key=(sample,))
         return np.random.default_rng(sequence).random(count).tolist()
 
     def settings(self, values: Mapping[str, FmiValue]) -> Settings:
-        """The values as a scenario file would give them."""
+        """Returns the values as a scenario file would give them."""
         tables: dict[str, dict[str, Any]] = {}
         for entry in self.varied:
             tables.setdefault(entry.target.table, {})[entry.target.key] = entry.target.entry(
@@ -85,7 +92,7 @@ class Plan:
         return tables
 
     def of_sample(self, sample: int) -> Scenario:
-        """One sample as a scenario of its own, with nothing left to draw."""
+        """Returns one sample as a scenario of its own, with nothing left to draw."""
         settings = self.settings(self.values(sample))
         resolved = {key: value for key, value in self.scenario.resolved.items() if key != "sweep"}
         for table, values in settings.items():
@@ -101,7 +108,7 @@ class Plan:
 
 
 def plan(scenario: Scenario) -> Plan:
-    """The sweep that a scenario declares; a ScenarioError or SystemDefinitionError says what is wrong."""
+    """Returns the sweep that a scenario declares; ScenarioError or SystemDefinitionError for a wrong one."""
     where = f"{scenario.name}: sweep"
     table = sweep_table(scenario.sweep, where)
     for name in _COLUMNS:

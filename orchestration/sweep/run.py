@@ -1,4 +1,4 @@
-"""Running a sweep: its samples are runs of `orchestration.many`, whose results are rows of the store."""
+"""Runs of a sweep: its samples are runs of `orchestration.many`, whose results are rows of the store."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, closing
@@ -23,7 +23,7 @@ from orchestration.sweep.plan import Plan
 from orchestration.sweep.plan import plan as plan_of
 from orchestration.sweep.store import Store
 from orchestration.sweep.table import ERROR, SAMPLE, WARNED, schema
-from orchestration.sweep.target import with_settings
+from orchestration.sweep.varied import with_settings
 from orchestration.system.experiment import Experiment
 from orchestration.system.prepared_run import prepare_checked
 
@@ -31,14 +31,14 @@ _DRAWN_AT_ONCE = 100  # samples whose values are drawn at once, before they run
 
 
 class Sample(NamedTuple):
-    """What a run of a sweep is known by: its number, and name -> value of what is varied."""
+    """A sample: the number of a run of a sweep, and name -> value of what is varied in it."""
 
     number: int
     values: Mapping[str, FmiValue]
 
 
 class Row(NamedTuple):
-    """The result of a sample: its metrics, and its recording as a Parquet file."""
+    """The row of a sample: its metrics, and its recording as a Parquet file."""
 
     metrics: Mapping[str, float]
     recording: bytes | None = None
@@ -46,7 +46,7 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True)
 class Rows:
-    """The reduction of recordings to rows.
+    """The rows of recordings: the reduction of each run to its row.
 
     recorded: signals of each sample to keep; empty for all, None for no recordings
     """
@@ -94,7 +94,7 @@ def sweep(
     restart: bool = False,
     progress: Callable[[int], object] = lambda done: None,
 ) -> Path:
-    """Run the samples that are missing in a folder, and write the table; returns its path.
+    """Runs the samples that are missing in a folder, and writes the table; returns its path.
 
     place_of: where the runs are made, entered if a sample is missing
     recorded: signals to record of each sample; empty for all, None for no recordings
@@ -162,10 +162,11 @@ def recorded_signals(text: str, plan: Plan) -> tuple[str, ...] | None:
 
 
 def _needed(plan: Plan) -> tuple[str, ...]:
-    """The recorded signals that metrics use; all if they use none, since no names mean all."""
+    """Returns the recorded signals that metrics use; all if they use none."""
     experiment = plan.scenario.experiment
     used = {call.get(key) for call in plan.scenario.metrics.values() for key in metrics.SIGNALS}
     recorded = experiment.record or prepare_checked(plan.checked, experiment).recorded
+    # an experiment takes no names for all
     return tuple(name for name in recorded if name in used) or tuple(experiment.record)
 
 

@@ -11,22 +11,26 @@ table metadata: `l1_depth.kind` is sweep; `l1_depth.provenance` is JSON with the
 
 import hashlib
 import json
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fmus.extras import imports_of
 from fmus.files import open_atomically
 from orchestration.errors import SweepError
-from orchestration.results.metric_units import metric_units
+from orchestration.results.metric_units import metric_units, shown
 from orchestration.sweep.plan import Plan
 
 with imports_of("sweep", "a sweep"):
     import pyarrow as pa
     import pyarrow.parquet as pq
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 SAMPLE, WARNED, ERROR = "sample", "warned", "error"
 ROWS_OF_A_GROUP = 10_000
@@ -41,7 +45,7 @@ _VALUES = {
 
 
 def schema(plan: Plan, recorded: tuple[str, ...] | None) -> pa.Schema:
-    """The columns, each with its role and unit, and what is run: sweeps with the same have the same rows.
+    """Returns the columns with role and unit, and what is run: sweeps with the same have the same rows.
 
     recorded: names of the signals of each sample; empty for all, None for no recordings
     """
@@ -89,12 +93,12 @@ def _provenance(plan: Plan, recorded: tuple[str, ...] | None) -> dict[str, Any]:
 
 
 def provenance_of(columns: pa.Schema) -> dict[str, Any]:
-    """What is run, as plain data."""
+    """Returns what is run, as plain data."""
     return json.loads(columns.metadata[_PROVENANCE])
 
 
 def write(rows: Iterable[Mapping[str, Any]], columns: pa.Schema, path: Path) -> None:
-    """Rows in the order of their samples, some in memory at a time; equal rows give equal bytes."""
+    """Writes rows in the order of their samples, some in memory at a time; equal rows give equal bytes."""
     remaining = iter(rows)
     with open_atomically(path) as stream, pq.ParquetWriter(stream, columns) as writer:
         while group := list(islice(remaining, ROWS_OF_A_GROUP)):
@@ -103,10 +107,11 @@ def write(rows: Iterable[Mapping[str, Any]], columns: pa.Schema, path: Path) -> 
 
 
 def _array(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
-    """`pa.array` imports pandas if it is installed, which takes as long as hundreds of samples.
+    """Returns an array of Arrow.
 
     values: of one of the `_VALUES` of their type, or None; TypeError for another
     """
+    # not by `pa.array`: it imports pandas if it is installed, which takes as long as hundreds of samples
     for given in {type(value) for value in values if value is not None}:
         if not issubclass(given, _VALUES[kind]) or (given is bool and kind != pa.bool_()):
             raise TypeError(f"a column of type {kind}: got a value of type {given.__name__}")
@@ -136,19 +141,88 @@ def is_sweep(path: Path) -> bool:
 
 
 def read(path: Path) -> tuple[pa.Table, dict[str, Any]]:
-    """(the table, its provenance); SweepError for a file that is no table of a sweep."""
+    """Returns (the table, its provenance); SweepError for a file that is no table of a sweep."""
     if not is_sweep(path):
         raise SweepError(f"{path}: expected the table of a sweep, as l1-depth sweep writes it")
-    with pq.ParquetFile(path) as file:  # `pq.read_table` imports pandas
+    # `pq.read_table` imports pandas
+    with pq.ParquetFile(path) as file:
         table = file.read()
     return table, provenance_of(table.schema)
 
 
 def names(columns: pa.Schema, role: str) -> list[str]:
-    """Of the columns with that role."""
+    """Returns the names of the columns with that role."""
     return [field.name for field in columns if (field.metadata or {}).get(b"role") == role.encode()]
 
 
 def unit(columns: pa.Schema, name: str) -> str:
-    """Of a column, "" where there is none."""
+    """Returns the unit of a column, "" where there is none."""
     return columns.field(name).metadata[b"unit"].decode()
+
+
+_PERCENT = {"least": 0, "5 %": 5, "50 %": 50, "95 %": 95, "largest": 100}
+HEADINGS = ("samples", "mean", "std", *_PERCENT)
+_PRINTED = ("samples", "mean", "std", "5 %", "50 %", "95 %")
+
+
+def statistics(values: np.ndarray) -> dict[str, float]:
+    """Returns the number of numbers, their mean, std (n - 1) and percentiles, by HEADINGS; {} of none."""
+    numbers = values[np.isfinite(values)]
+    if not len(numbers):
+        return {}
+    spread = numbers.std(ddof=1) if len(numbers) > 1 else 0.0
+    percentiles = np.percentile(numbers, list(_PERCENT.values()))
+    return dict(zip(HEADINGS, (len(numbers), numbers.mean(), spread, *percentiles), strict=True))
+
+
+def groups(varied: Mapping[str, Sequence[Any]], samples: Iterable[int]) -> dict[tuple[str, ...], np.ndarray]:
+    """Returns the values of what is varied and no number -> those of the samples that have them.
+
+    varied: name -> a value a sample. All samples are under () if only numbers are varied.
+    """
+    categories = categorical(varied)
+    members: dict[tuple[str, ...], list[int]] = {}
+    for i in samples:
+        members.setdefault(tuple(str(varied[name][i]) for name in categories), []).append(i)
+    return {values: np.array(indices) for values, indices in members.items()}
+
+
+def categorical(varied: Mapping[str, Sequence[Any]]) -> list[str]:
+    """Returns the names of what is varied and no number."""
+    return [
+        name for name, values in varied.items() if any(isinstance(v, (str, bool, np.bool_)) for v in values)
+    ]
+
+
+def failed(results: pa.Table) -> int:
+    """Returns the number of samples with an error."""
+    return len(results) - results[ERROR].null_count
+
+
+def summary_table(results: pa.Table, provenance: dict[str, Any]) -> "Table":
+    """Returns the summary as a table for a terminal."""
+    from rich.markup import escape
+    from rich.table import Table  # of the command alone: a worker does without it
+
+    printed = Table(title=escape(f"{provenance['title']}: {len(results)} samples, {failed(results)} failed"))
+    varied_names = names(results.schema, "varied")
+    is_text = {name: not pa.types.is_floating(results[name].type) for name in varied_names}
+    varied = {name: results[name].to_pylist() for name in varied_names if is_text[name]}
+    for heading in (*categorical(varied), "Metric", "Unit"):
+        printed.add_column(escape(heading), no_wrap=heading == "Metric")
+    for heading in _PRINTED:
+        printed.add_column(heading.capitalize(), justify="right")
+    good = np.flatnonzero(results[ERROR].is_null().to_pylist())
+    metrics = {  # `to_numpy` imports pandas
+        name: np.array(results[name].to_pylist(), float) for name in provenance["scenario"]["metrics"]
+    }
+    for values, indices in groups(varied, good).items():
+        printed.add_section()
+        for name, call in provenance["scenario"]["metrics"].items():
+            numbers = statistics(metrics[name][indices])
+            cells = [f"{numbers[heading]:.4g}" for heading in _PRINTED if numbers] or [
+                "0",
+                shown(math.nan, call),
+            ]
+            printed.add_row(*map(escape, (*values, name, unit(results.schema, name))), *cells)
+    return printed

@@ -1,24 +1,201 @@
-"""One entry of `[sweep.vary]`: a distribution to draw from, or a grid of values."""
+"""The table `[sweep]` of a scenario file: what a sweep may vary, and by which distributions or grids."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import Field, TypeAdapter
 
+from fmus.errors import nearest
+from fmus.fmi.description import start_value
 from fmus.fmi.variable_types import FmiValue
 from orchestration.errors import OrchestrationError, ScenarioError
-from orchestration.scenarios.file_tables import Table
-from orchestration.sweep.distributions import distribution
-from orchestration.sweep.file_format import LinspaceTable, ValuesTable
-from orchestration.sweep.target import Target
+from orchestration.scenarios.file_tables import OneOf, Table, Value, checked, table_of
+from orchestration.sweep.distributions import FROM_THE_FMU, FUNCTIONS, UNBOUNDED, distribution
+from orchestration.system.experiment import Algorithm, Experiment
+from orchestration.system.signals import Constant
+from orchestration.system.system import CheckedSystem, Port
+from orchestration.system.values import fmi_value, items, value_range
+
+_EXPERIMENT_UNITS = {"experiment.step_size": "s", "experiment.stop_time": "s", "experiment.algorithm": ""}
+_PURPOSE = "sweep"
+
+Settings = Mapping[str, Mapping[str, Any]]
+"""Table of the scenario file -> key -> value, or the table of a constant signal."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """A target of a sweep: a name that it may vary.
+
+    table, key: where a scenario file gives it; type: that of FMI 2.0, an enumeration's items are texts
+    permitted: its range; base_value: without a sweep; port: None for a setting of the experiment
+    """
+
+    name: str
+    table: str
+    key: str
+    unit: str
+    type: str
+    permitted: tuple[float, float]
+    base_value: FmiValue
+    port: Port | None
+
+    def checked(self, value: FmiValue) -> FmiValue:
+        """Returns the value as the table of results holds it; SystemDefinitionError if it cannot be set."""
+        if self.port is None:
+            return self._setting(value)
+        number = fmi_value(self.port, value)
+        if self.type == "Real":
+            return float(number)
+        if self.port.variable.type == "Enumeration":
+            return next((name for name, item in items(self.port).items() if item == number), str(number))
+        return number
+
+    def entry(self, value: FmiValue) -> Any:
+        """Returns what a scenario file gives for the value."""
+        return {"kind": "constant", "value": value} if self.table == "signals" else value
+
+    def within(self, value: float) -> float:
+        """Returns the value, moved into the range if rounding has carried it out."""
+        return min(max(value, self.permitted[0]), self.permitted[1])
+
+    def _setting(self, value: FmiValue) -> FmiValue:
+        if self.type == "String":
+            known = [str(algorithm) for algorithm in Algorithm]
+            if value not in known:
+                raise ScenarioError(f"{self.name} = {value!r}: {nearest(str(value), known)}")
+            return value
+        low, high = self.permitted
+        if isinstance(value, (int, float)) and not isinstance(value, bool) and low < value < high:
+            return float(value)
+        raise ScenarioError(f"{self.name} = {value!r}: expected more than {low:g} s")
+
+
+def target(name: str, checked: CheckedSystem, experiment: Experiment) -> Target:
+    """Returns the target of that name; an unknown one offers the nearest."""
+    if name in _EXPERIMENT_UNITS:
+        key = name.partition(".")[2]
+        kind = "Real" if _EXPERIMENT_UNITS[name] else "String"
+        least = experiment.start_time if key == "stop_time" else 0.0
+        base_value = getattr(experiment, key)
+        return Target(
+            name, "experiment", key, _EXPERIMENT_UNITS[name], kind, (least, math.inf), base_value, None
+        )
+    if name.startswith("experiment.") and "experiment" not in checked.components:
+        raise ScenarioError(
+            f"{_PURPOSE}: the experiment has no {name!r} to vary; {nearest(name, _EXPERIMENT_UNITS)}"
+        )
+    port = checked.port(name, _PURPOSE)
+    causality = port.variable.causality
+    if causality not in ("parameter", "input"):
+        raise ScenarioError(f"{_PURPOSE}: {name}: expected a parameter or an input, got {causality}")
+    signal = experiment.signals.get(name)
+    if causality == "input" and name not in experiment.inputs and not isinstance(signal, Constant):
+        raise ScenarioError(
+            f"{_PURPOSE}: {name} is driven by a connection or signal: expected a constant input"
+        )
+    if isinstance(signal, Constant):
+        table, base_value = "signals", signal.value
+    else:
+        table = f"{causality}s"
+        base_value = getattr(experiment, table).get(name, start_value(port.variable))
+    return Target(
+        name=name,
+        table=table,
+        key=name,
+        unit=port.variable.unit or "",
+        type="String" if port.variable.type == "Enumeration" else port.variable.type,
+        permitted=value_range(port),
+        base_value=base_value,
+        port=port,
+    )
+
+
+def with_settings(experiment: Experiment, settings: Settings) -> Experiment:
+    """Returns the experiment with other values; what has none stays the same object."""
+    changes: dict[str, Any] = dict(settings.get("experiment", {}))
+    if "algorithm" in changes:
+        changes["algorithm"] = Algorithm(changes["algorithm"])
+    if "signals" in settings:
+        constants = {name: Constant(entry["value"]) for name, entry in settings["signals"].items()}
+        changes["signals"] = {**experiment.signals, **constants}
+    for table in ("parameters", "inputs"):
+        if table in settings:
+            changes[table] = {**getattr(experiment, table), **settings[table]}
+    return replace(experiment, **changes)
+
+
+_OPTIONAL: Any = Field(default=None)
+_RELATIVE: dict[str, Any] = {"relative": (bool, False)}
+_TRUNCATE: dict[str, Any] = {"truncate": (bool, False)}
+
+
+class ValuesTable(Table):
+    """A table of the values of a grid."""
+
+    values: Annotated[list[Value], Field(min_length=1)]
+    relative: bool = False
+    """The values are factors of the variable's own value."""
+
+
+class LinspaceTable(Table):
+    """A table of the equally spaced values of a grid."""
+
+    linspace: Annotated[list[float], Field(min_length=3, max_length=3)]
+    """[first, last, how many]"""
+    relative: bool = False
+    """The values are factors of the variable's own value."""
+
+
+VARIED = OneOf(
+    "distribution",
+    {
+        name: table_of(
+            "distribution",
+            name,
+            function,
+            without=["low", "high"] if name == FROM_THE_FMU else (),
+            types={"values": list[Value]},
+            also=_RELATIVE | (_TRUNCATE if name in UNBOUNDED else {}),
+        )
+        for name, function in FUNCTIONS.items()
+    },
+    droppable=True,
+    keyless={"values": ValuesTable, "linspace": LinspaceTable},
+)
+
+
+class SweepTable(Table):
+    """A table of a sweep: many runs of the scenario, with other values in each."""
+
+    samples: Annotated[int, Field(ge=1)] = 1
+    """Draws, at each point of the grids if there are any."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    timeout: Annotated[float, Field(gt=0.0)] = _OPTIONAL
+    """Seconds that a sample may take; without end by default."""
+    vary: Annotated[dict[str, Annotated[Table | Literal[False], VARIED]], Field(min_length=1)]
+    """ "component.variable", "experiment.step_size" -> distribution or grid; false drops that of the base."""
+
+
+_SWEEP = TypeAdapter(SweepTable)
+
+
+def sweep_table(declared: object, where: str) -> SweepTable:
+    """Returns the table `[sweep]` as its type; ScenarioError if it is wrong."""
+    if not declared:
+        raise ScenarioError(f'{where}: expected a table [sweep.vary."component.variable"], got none')
+    return checked(_SWEEP, declared, where)
+
 
 MOST_VALUES = 10_000_000  # of a sweep: more would neither fit into memory nor end
 
 
 @dataclass(frozen=True)
 class Varied:
-    """What differs from sample to sample: `draw` maps numbers in [0, 1) to values, `grid` lists values."""
+    """A varied name: `draw` maps numbers in [0, 1) to values, one a sample; `grid` lists values."""
 
     target: Target
     grid: tuple[FmiValue, ...] = ()
@@ -26,7 +203,7 @@ class Varied:
 
 
 def varied(target: Target, declared: Table, where: str) -> Varied:
-    """What an entry declares, checked against the range and type of its target.
+    """Checks an entry against the range and type of its target and returns what it declares.
 
     Raises ScenarioError, which begins with `where`.
     """
@@ -44,7 +221,7 @@ def varied(target: Target, declared: Table, where: str) -> Varied:
 
 
 def _base_value(target: Target) -> float:
-    """The target's value without a sweep, which relative values are multiplied with."""
+    """Returns the target's value without a sweep, which relative values are multiplied with."""
     if target.type != "Real" or target.base_value == 0.0:
         raise ScenarioError(
             f"relative: expected a Real that is not 0, got {target.type} {target.base_value!r}"

@@ -1,1 +1,1 @@
-"""What to run: components, connections, experiment, signals, faults."""
+"""Components, connections, experiment, signals and faults: all that is run, checked."""

@@ -1,4 +1,4 @@
-"""What to do with a system: an experiment, with the checks that need no FMU.
+"""Experiments with a system, with the checks that need no FMU.
 
 Communication points are t_i = start + i h, never accumulated; a last shorter step lands on the stop
 time. Times in s.
@@ -6,7 +6,7 @@ time. Times in s.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Literal
 
@@ -28,14 +28,14 @@ _ELEMENTS = {"events": "Event", "faults": "Fault", "record": "names"}
 
 
 class Algorithm(StrEnum):
-    """Order in which components step and exchange."""
+    """The master algorithm: the order in which components step and exchange."""
 
     JACOBI = "jacobi"
     GAUSS_SEIDEL = "gauss-seidel"
 
 
 class Initialisation(StrEnum):
-    """How algebraic loops of initial values are solved.
+    """The method of initialisation for algebraic loops of initial values.
 
     automatic: by fixed-point iteration and, where that fails, by Newton's method; or by one of them alone
     """
@@ -52,7 +52,7 @@ InitialisationName = Initialisation | Literal["automatic", "fixed-point", "newto
 
 @dataclass(frozen=True)
 class Event:
-    """Variables to set at `time` [s]; where an FMU cannot step to it, at its next communication point."""
+    """An event: variables to set at `time` [s]; if an FMU cannot step to it, at its next point."""
 
     time: float
     values: Mapping[str, Value]
@@ -60,7 +60,7 @@ class Event:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What to do with a system.
+    """An experiment with a system.
 
     parameters, inputs: "component.variable" -> value, set before the initialisation
     signals: "component.variable" -> function of time, set at every communication point
@@ -101,7 +101,7 @@ class Experiment:
         _check_options(self)
 
     def _convert_types(self) -> None:
-        """Names to members of their enumerations, lists to tuples."""
+        """Converts names to members of their enumerations, and lists to tuples."""
         kinds = {"algorithm": Algorithm, "initialisation": Initialisation, "open_inputs": OpenInputs}
         for name, kind in kinds.items():
             object.__setattr__(self, name, _member(kind, getattr(self, name), name))
@@ -114,21 +114,21 @@ class Experiment:
         return (*self.inputs, *self.signals)
 
     def period(self, component: str) -> int:
-        """Communication steps in one step of a component."""
+        """Returns the number of communication steps in one step of a component."""
         return round(self.step_sizes.get(component, self.step_size) / self.step_size)
 
     def time_resolution(self) -> float:
-        """Times [s] closer than this are the same: a small part of a step, and more than rounding."""
+        """Returns the largest difference [s] of equal times: a small part of a step, above rounding."""
         rounding = 4.0 * np.finfo(float).eps * max(abs(self.start_time), abs(self.stop_time))
         return max(GRID_TOLERANCE * self.step_size, float(rounding))
 
     @property
     def step_count(self) -> int:
-        """Communication steps, the length of the time grid less one."""
+        """Count of communication steps, the length of the time grid less one."""
         return step_count(self.start_time, self.stop_time, self.step_size)
 
     def time_grid(self) -> np.ndarray:
-        """Start time, stop time and the multiples of the step size between them [s], shape (n,)."""
+        """Returns start time, stop time and the multiples of the step size between them [s], shape (n,)."""
         return time_grid(self.start_time, self.stop_time, self.step_size)
 
 
@@ -187,7 +187,7 @@ def suggested_times(
     step_size: float | None = None,
     start_time: float | None = None,
 ) -> tuple[float, float, float]:
-    """(stop time, step size, start time) [s]; each that is None is taken from the FMUs' default experiments.
+    """Returns (stop time, step size, start time) [s]; None is replaced by the FMUs' default experiments.
 
     The suggested start time belongs to the suggested stop time; with a given stop time it is 0.
     Raises SystemDefinitionError for a time that is not given and for which the FMUs suggest none, or several.
@@ -212,3 +212,35 @@ def _suggested(system: System, name: str, default: float | None = None) -> float
     can_choose = len(set(times.values())) == 1 or not (times or default is None)
     _expect(can_choose, f"expected {name}: it is not given, and {problem}")
     return next(iter(times.values()), default or 0.0)
+
+
+_LARGEST_TOLERANCE = 0.99  # an experiment takes less than 1
+
+
+def double_step(experiment: Experiment) -> Experiment:
+    """Returns the experiment with twice the step, to the last communication point of every component in both.
+
+    A tolerance becomes as many times larger as the error: 2 to the power of the order of the exchange.
+    Raises SystemDefinitionError for a run of less than two steps.
+    """
+    start, step = experiment.start_time, 2.0 * experiment.step_size
+    step_sizes = {name: 2.0 * size for name, size in experiment.step_sizes.items()}
+    longest = step * math.lcm(*(experiment.period(name) for name in step_sizes))
+    count = math.floor((experiment.stop_time - start) / longest * (1.0 + GRID_TOLERANCE))
+    if not count:
+        raise SystemDefinitionError(
+            f"error estimate: expected a run of at least {longest:g} s, two steps of every component, got "
+            f"{experiment.stop_time - start:g} s"
+        )
+    stop = start + count * longest
+    tolerance = experiment.tolerance and 2.0 ** (1 + experiment.extrapolation) * experiment.tolerance
+    return replace(
+        experiment,
+        stop_time=stop,
+        step_size=step,
+        step_sizes=step_sizes,
+        tolerance=tolerance and min(tolerance, _LARGEST_TOLERANCE),
+        events=tuple(event for event in experiment.events if event.time <= stop),
+        faults=tuple(fault for fault in experiment.faults if fault.start < stop),
+        error_estimate=False,
+    )

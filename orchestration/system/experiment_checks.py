@@ -1,4 +1,4 @@
-"""Whether an experiment fits a system: its signals, events and faults, and what FMUs and machine can do."""
+"""Checks that an experiment fits a system: signals, events and faults, and what FMUs and machine can do."""
 
 import math
 import os
@@ -18,7 +18,7 @@ from orchestration.system.values import fmi_value
 
 
 def check_signals(system: CheckedSystem, experiment: Experiment) -> None:
-    """SystemDefinitionError for a signal that is no function, or whose input is a String."""
+    """Raises SystemDefinitionError for a signal that is no function, or whose input is a String."""
     for name, signal in experiment.signals.items():
         if not callable(signal):
             raise SystemDefinitionError(
@@ -31,7 +31,7 @@ def check_signals(system: CheckedSystem, experiment: Experiment) -> None:
 
 
 def check_faults(system: CheckedSystem, experiment: Experiment, driven: set[str]) -> None:
-    """SystemDefinitionError for a fault on an input that it cannot act on, or at no time of the run.
+    """Raises SystemDefinitionError for a fault on an input that it cannot act on, or at no time of the run.
 
     driven: inputs that a connection or a signal drives
     """
@@ -60,7 +60,7 @@ def check_faults(system: CheckedSystem, experiment: Experiment, driven: set[str]
 
 
 def check_capabilities(system: CheckedSystem, experiment: Experiment) -> None:
-    """SystemDefinitionError for an experiment that needs a capability that an FMU does not declare."""
+    """Raises SystemDefinitionError for an experiment that needs a capability that an FMU does not declare."""
     for name in experiment.step_sizes:
         if name not in system.components:
             raise SystemDefinitionError(
@@ -89,7 +89,7 @@ def check_capabilities(system: CheckedSystem, experiment: Experiment) -> None:
 
 
 def check_events(system: CheckedSystem, experiment: Experiment, driven: set[str]) -> None:
-    """SystemDefinitionError for an event that sets what cannot be set during a run.
+    """Raises SystemDefinitionError for an event that sets what cannot be set during a run.
 
     driven: inputs that a connection or a signal drives
     """
@@ -101,7 +101,7 @@ def check_events(system: CheckedSystem, experiment: Experiment, driven: set[str]
 
 
 def check_changeable(system: CheckedSystem, name: str, purpose: str, driven: Collection[str]) -> None:
-    """SystemDefinitionError for a variable that cannot be set during a run.
+    """Raises SystemDefinitionError for a variable that cannot be set during a run.
 
     driven: inputs that a connection or a signal drives
     """
@@ -118,7 +118,7 @@ def check_changeable(system: CheckedSystem, name: str, purpose: str, driven: Col
 
 
 def check_memory(system: CheckedSystem, experiment: Experiment) -> None:
-    """SystemDefinitionError for a recording that does not fit into the memory of this machine."""
+    """Raises SystemDefinitionError for a recording that does not fit into the memory of this machine."""
     points = math.ceil((experiment.stop_time - experiment.start_time) / experiment.step_size) + 1
     outputs = (port for port in system.ports.values() if port.variable.causality == "output")
     columns = len(experiment.record) or sum(1 for _ in outputs)
@@ -130,7 +130,7 @@ def check_memory(system: CheckedSystem, experiment: Experiment) -> None:
 
 
 def check_fits(size: int, what: str, advice: str) -> None:
-    """SystemDefinitionError for more bytes than the memory of this machine has."""
+    """Raises SystemDefinitionError for more bytes than the memory of this machine has."""
     if not hasattr(os, "sysconf"):  # Windows
         return
     memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")

@@ -21,7 +21,7 @@ from orchestration.system.time_grid import within
 
 
 class Pattern(NamedTuple):
-    """What arrives in place of n samples: `source` and `weight`, shapes (n, terms), and `addition`, (n,)."""
+    """A pattern of arrival for n samples: `source` and `weight`, shapes (n, terms), and `addition`, (n,)."""
 
     source: np.ndarray
     weight: np.ndarray
@@ -29,7 +29,7 @@ class Pattern(NamedTuple):
 
     @classmethod
     def of_one(cls, source: np.ndarray, addition: np.ndarray) -> "Pattern":
-        """One sample, or none, and an addition in place of each: shapes (n,)."""
+        """Returns the pattern of one sample, or none, and an addition in place of each: shapes (n,)."""
         return cls(source[:, np.newaxis], np.ones((len(source), 1)), addition)
 
     def after(self, earlier: "Pattern") -> "Pattern":
@@ -43,18 +43,18 @@ class Pattern(NamedTuple):
 
 
 class Effect:
-    """What a fault does to samples while it lasts; `for_every_type`: not only to Real ones."""
+    """The effect of a fault on samples while it lasts; `for_every_type`: not only on Real ones."""
 
     for_every_type: ClassVar[bool] = True
 
     def on(self, inside: np.ndarray, times: np.ndarray, stream: "np.random.Generator") -> Pattern:
-        """The pattern of the samples `inside`, consecutive ones and at least one."""
+        """Returns the pattern of the samples `inside`, consecutive ones and at least one."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
 class Freeze(Effect):
-    """The value at the first communication point of the window holds."""
+    """A freeze: the value at the first communication point of the window holds."""
 
     def on(self, inside: np.ndarray, times: np.ndarray, stream: "np.random.Generator") -> Pattern:
         return Pattern.of_one(np.full(inside.shape, inside[0]), np.zeros(inside.shape))
@@ -62,7 +62,7 @@ class Freeze(Effect):
 
 @dataclass(frozen=True)
 class Stuck(Effect):
-    """`value` arrives, whatever is sent."""
+    """A stuck signal: `value` arrives, whatever is sent."""
 
     value: float | bool
 
@@ -76,7 +76,7 @@ class Stuck(Effect):
 
 @dataclass(frozen=True)
 class Offset(Effect):
-    """`value` is added."""
+    """An offset: `value` is added."""
 
     for_every_type = False
     value: float
@@ -90,7 +90,7 @@ class Offset(Effect):
 
 @dataclass(frozen=True)
 class Drift(Effect):
-    """`rate` times the time since the first communication point of the window is added."""
+    """A drift: `rate` times the time since the first communication point of the window is added."""
 
     for_every_type = False
     rate: float
@@ -104,7 +104,7 @@ class Drift(Effect):
 
 @dataclass(frozen=True)
 class Noise(Effect):
-    """Independent Gaussian numbers of this standard deviation are added."""
+    """Noise: independent Gaussian numbers of this standard deviation are added."""
 
     for_every_type = False
     standard_deviation: float
@@ -120,7 +120,7 @@ class Noise(Effect):
 
 @dataclass(frozen=True)
 class DropOut(Effect):
-    """Each sample is lost with this probability, independently; the last that arrived holds.
+    """Drop-outs: each sample is lost with this probability, independently; the last that arrived holds.
 
     The first sample of a run always arrives: before it there is nothing to hold.
     """
@@ -141,7 +141,7 @@ class DropOut(Effect):
 
 @dataclass(frozen=True)
 class Delay(Effect):
-    """What was sent `delay` seconds ago arrives, of the nearest communication point; at first the first."""
+    """A delay: the sample of the communication point nearest to `delay` seconds ago; at first the first."""
 
     delay: float
 
@@ -156,7 +156,10 @@ class Delay(Effect):
 
 @dataclass(frozen=True)
 class InterpolatedDelay(Effect):
-    """What was sent `delay` seconds ago arrives, on a line between two samples; at first the first."""
+    """A delay with interpolation: the value of `delay` seconds ago, on a line between two samples, arrives.
+
+    Before there is one, the first sample arrives.
+    """
 
     for_every_type = False
     delay: float
@@ -174,7 +177,7 @@ class InterpolatedDelay(Effect):
 
 @dataclass(frozen=True)
 class Scale(Effect):
-    """`factor` times the value arrives: a wrong gain of an actuator or a sensor."""
+    """A scale: `factor` times the value arrives, by a wrong gain of an actuator or a sensor."""
 
     for_every_type = False
     factor: float
@@ -202,7 +205,7 @@ KINDS: Mapping[str, type[Effect]] = {
 
 @dataclass(frozen=True)
 class Fault:
-    """An effect on what arrives at an input, "component.variable", from `start` on and before `end` [s].
+    """A fault: an effect on what arrives at an input, "component.variable", from `start` until `end` [s].
 
     A connection is named by its input, so that one of several that an output feeds can fail alone.
     """
@@ -219,7 +222,7 @@ class Fault:
             )
 
     def pattern(self, times: np.ndarray) -> Pattern:
-        """Of every sample, at these times [s]."""
+        """Returns the pattern of every sample, at these times [s]."""
         everywhere = Pattern.of_one(np.arange(len(times)), np.zeros(len(times)))
         inside = within(times, self.start, self.end)
         if not len(inside):
@@ -232,14 +235,14 @@ class Fault:
         return Pattern(source, weight, everywhere.addition)
 
     def stream(self) -> "np.random.Generator":
-        """Random numbers that follow from seed, input and kind alone."""
+        """Returns random numbers that follow from seed, input and kind alone."""
         key = f"{type(self.effect).__name__} {self.input}".encode()
         seed = getattr(self.effect, "seed", 0)
         return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(key)))
 
 
 def compose(faults: Sequence[Fault], times: np.ndarray) -> Pattern:
-    """The pattern of the faults on one connection, in the order in which they act.
+    """Returns the pattern of the faults on one connection, in the order in which they act.
 
     times: of the samples, ascending [s].
     """

@@ -1,10 +1,10 @@
-"""What becomes of inputs that nothing drives."""
+"""The treatment of inputs that nothing drives. Apart from `System`: options name it, which load no FMU."""
 
 from enum import StrEnum
 
 
 class OpenInputs(StrEnum):
-    """error: they are refused; start: they keep the start values of their FMUs."""
+    """A treatment of open inputs. error: refuse them; start: keep the start values of their FMUs."""
 
     ERROR = "error"
     START = "start"

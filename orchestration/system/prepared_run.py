@@ -13,8 +13,7 @@ from fmus.fmi.description import start_value
 from fmus.fmi.model_description import ModelDescription, ScalarVariable
 from fmus.fmi.variable_types import NUMBERS, FmiValue
 from orchestration.errors import SystemDefinitionError
-from orchestration.system.coarser import coarser
-from orchestration.system.experiment import Experiment
+from orchestration.system.experiment import Experiment, double_step
 from orchestration.system.experiment_checks import (
     check_capabilities,
     check_events,
@@ -24,16 +23,16 @@ from orchestration.system.experiment_checks import (
 )
 from orchestration.system.faults import Fault, Pattern, compose
 from orchestration.system.open_inputs import OpenInputs
-from orchestration.system.signals import Signal, values_at
+from orchestration.system.signals import Constant, Cosine, Ramps, Signal, values_at
 from orchestration.system.system import CheckedSystem, Port, System, check
-from orchestration.system.values import fmi_value, possible_values, value_range
+from orchestration.system.values import fmi_value, items, possible_values, value_range
 
 Setting = tuple[Port, FmiValue]
 
 
 @dataclass(frozen=True, eq=False)
 class PreparedRun:
-    """A system and an experiment that fit each other.
+    """A prepared run: a system and an experiment that fit each other.
 
     points: communication points [s], shape (n,); with the times of events if every FMU can step to them
     recorded: names of the recorded variables
@@ -73,7 +72,7 @@ class PreparedRun:
         return table
 
     def values_of_signal(self, name: str, signal: Signal) -> np.ndarray:
-        """A signal of an input at every communication point, shape (n,).
+        """Returns a signal of an input at every communication point, shape (n,).
 
         Raises SystemDefinitionError for one that fails, or whose input cannot have its value.
         """
@@ -96,11 +95,11 @@ class PreparedRun:
         return (*self.settings, *first)
 
     def typed(self, name: str, values: np.ndarray) -> list[FmiValue]:
-        """Values of a signal as its input takes them."""
+        """Returns values of a signal as its input takes them."""
         return values.astype(float if self.system.ports[name].variable.type == "Real" else int).tolist()
 
     def with_values(self, experiment: Experiment) -> "PreparedRun":
-        """The same with the parameters and constant inputs of an experiment that is equal otherwise.
+        """Returns this run with the parameters and constant inputs of an experiment that is equal otherwise.
 
         Times and signals are copies.
         """
@@ -119,7 +118,7 @@ class PreparedRun:
 
 
 def prepare(system: System, experiment: Experiment) -> PreparedRun:
-    """Read the model descriptions and check the system and the experiment.
+    """Reads the model descriptions and checks the system and the experiment.
 
     Raises FmuLoadError for a file that is no FMU, SystemDefinitionError for what does not fit.
     """
@@ -144,7 +143,7 @@ def check_for(
 def prepare_checked(
     system: CheckedSystem, experiment: Experiment, external: Sequence[str] = ()
 ) -> PreparedRun:
-    """Check an experiment against a system that was checked with the inputs that it drives.
+    """Checks an experiment against a system that was checked with the inputs that it drives.
 
     external: inputs that the caller sets between the steps
     """
@@ -157,7 +156,7 @@ def prepare_checked(
     check_capabilities(system, experiment)
     check_signals(system, experiment)
     if experiment.error_estimate:
-        coarser(experiment)
+        double_step(experiment)
     points = _communication_points(system, experiment)
     return PreparedRun(
         system=system,
@@ -174,7 +173,7 @@ def prepare_checked(
 
 
 def _external(system: CheckedSystem, experiment: Experiment, names: Sequence[str]) -> dict[str, float]:
-    """External inputs and their first values: those of `experiment.inputs`, else the FMU's start values."""
+    """Returns external inputs and their first values: of `experiment.inputs`, else the FMU's start values."""
     values = {}
     for name in names:
         port = system.port(name, "external input")
@@ -186,7 +185,7 @@ def _external(system: CheckedSystem, experiment: Experiment, names: Sequence[str
 
 
 def _recorded(system: CheckedSystem, experiment: Experiment, external: Iterable[str]) -> tuple[str, ...]:
-    """The names asked for, of variables of any kind; or signals, external inputs, and outputs but Strings."""
+    """Returns the names asked for, of any kind; or signals, external inputs, and outputs but Strings."""
     outputs = [
         name
         for name, port in system.ports.items()
@@ -198,7 +197,7 @@ def _recorded(system: CheckedSystem, experiment: Experiment, external: Iterable[
 
 
 def _communication_points(system: CheckedSystem, experiment: Experiment) -> np.ndarray:
-    """The time grid, and the times of the events if every component can step to them."""
+    """Returns the time grid, and the times of the events if every component can step to them."""
     grid = experiment.time_grid()
     if experiment.step_sizes or system.components_without("canHandleVariableCommunicationStepSize"):
         return grid
@@ -235,7 +234,7 @@ def has_start_value(variable: ScalarVariable) -> bool:
 
 
 def _changes(system: CheckedSystem, experiment: Experiment, points: np.ndarray) -> dict[int, list[Setting]]:
-    """A component takes the change at its first own communication point at or after the event."""
+    """Returns the changes; a component takes one at its first communication point at or after the event."""
     changes: dict[int, list[Setting]] = {}
     for event in sorted(experiment.events, key=lambda event: event.time):
         first = int(np.searchsorted(points, event.time - experiment.time_resolution()))
@@ -261,15 +260,61 @@ def _retry_obstacle(system: CheckedSystem, experiment: Experiment) -> str:
 
 
 def values_of(prepared: PreparedRun, component: str) -> dict[str, Any]:
-    """Variable -> value of the parameters and constant inputs of a component; of an Enumeration, its item."""
+    """Returns the values of a component's parameters and constant inputs; of an Enumeration, the item."""
     given = {port.name: value for port, value in prepared.settings}
     values = {}
-    for variable in prepared.system.descriptions[component].modelVariables:
-        if variable.causality in ("parameter", "input"):
-            value = given.get(f"{component}.{variable.name}", start_value(variable))
-            declared: Any = variable.declaredType
-            items: dict[Any, str] = {
-                int(i.value): str(i.name) for i in getattr(declared, "items", None) or ()
-            }
-            values[variable.name] = items.get(value, value) if variable.type == "Enumeration" else value
+    for name, port in prepared.system.ports.items():
+        variable = port.variable
+        if port.component == component and variable.causality in ("parameter", "input"):
+            value = given.get(name, start_value(variable))
+            names: dict[Any, str] = {number: item for item, number in items(port).items()}
+            values[variable.name] = names.get(value, value)
     return values
+
+
+_MOST_STEPS = 100_000  # whose times and signals stay in memory
+_IMMUTABLE = (Constant, Cosine, Ramps)  # signals that cannot have changed if they are equal
+_VALUES = ("parameters", "inputs")
+
+
+class PreparedRuns:
+    """Prepared runs, one after another, each as `prepare_checked` makes it.
+
+    Runs that differ in parameters and constant inputs alone, as samples of a sweep, are prepared once.
+
+    only_values_differ: whether the last one is as the one before but for values of parameters and constant
+    inputs
+    """
+
+    only_values_differ = False
+
+    def __init__(self) -> None:
+        self._first: PreparedRun | None = None
+        self._key: str | None = None
+
+    def prepare(
+        self, system: CheckedSystem, experiment: Experiment, external: tuple[str, ...] = ()
+    ) -> PreparedRun:
+        """Returns the prepared run; its arrays are its own, and a run may change them."""
+        key = _key(system, experiment) if not external else None
+        self.only_values_differ = key is not None and key == self._key
+        if not (self.only_values_differ and self._first):
+            self._key, self._first = None, None  # should anything be refused
+            first = prepare_checked(system, experiment, external)
+            if key is None:
+                return first
+            self._key, self._first = key, first
+        return self._first.with_values(experiment)
+
+
+def _key(system: CheckedSystem, experiment: Experiment) -> str | None:
+    """Returns what runs that differ in values alone share; None where equal things may have changed."""
+    signals = experiment.signals.values()
+    can_change = experiment.events or experiment.faults or any(type(s) not in _IMMUTABLE for s in signals)
+    if can_change or experiment.step_count > _MOST_STEPS:
+        return None
+    rest = (value for name, value in vars(experiment).items() if name not in _VALUES)
+    copies = (tuple(value.items()) if isinstance(value, Mapping) else value for value in rest)
+    # a system was checked with the inputs that an experiment drives: the same one has the same inputs;
+    # as text, 0 and -0 differ
+    return repr((id(system), *copies))

@@ -8,8 +8,18 @@ from typing import Any
 import numpy as np
 
 from orchestration.errors import ScenarioError
-from orchestration.system.signal_sines import Sines, sine, spectrum, sum_of_sines
-from orchestration.system.signals import Constant, Cosine, Curve, Ramps, Signal, Table
+from orchestration.system.signals import (
+    Constant,
+    Cosine,
+    Curve,
+    Ramps,
+    Signal,
+    Sines,
+    Table,
+    sine,
+    spectrum,
+    sum_of_sines,
+)
 
 
 @dataclass(frozen=True)
@@ -40,7 +50,7 @@ class _Values(Curve):
 def with_derivatives(
     signals: Mapping[str, Signal], inputs: Mapping[str, Any] = {}, connections: Iterable[Sequence[Any]] = ()
 ) -> dict[str, Signal]:
-    """The signals, each `Derivative` as a curve; ScenarioError for one of a signal without derivatives.
+    """Returns the signals, each `Derivative` as a curve; ScenarioError where a signal has no derivatives.
 
     inputs: constant ones, whose derivatives are zero; connections: (source, target, ...) of the system
     """
@@ -60,7 +70,7 @@ def with_derivatives(
 
 
 def _instead(name: str, of: str, sources: Mapping[str, str]) -> str:
-    """What to do for the derivative of an input without a signal.
+    """Returns what to do for the derivative of an input without a signal.
 
     sources: input -> output that is connected to it
     """
@@ -75,7 +85,7 @@ def _instead(name: str, of: str, sources: Mapping[str, str]) -> str:
 
 
 def derivative(signal: Signal, order: int = 1, name: str = "derivative") -> Signal:
-    """The derivative of a signal, of order 1 or 2; `name` begins the error about one that has none."""
+    """Returns the derivative of a signal, of order 1 or 2; `name` begins the error where there is none."""
     rates: dict[type, Callable[[Any, int], Signal]] = {
         Ramps: _of_ramps,
         Cosine: _of_cosine,
@@ -108,7 +118,7 @@ def _of_ramps(ramps: Ramps, order: int) -> Signal:
 
 
 def _quintic_rate(s: np.ndarray, order: int) -> np.ndarray:
-    """The derivative by s of 10 s^3 - 15 s^4 + 6 s^5."""
+    """Returns the derivative by s of 10 s^3 - 15 s^4 + 6 s^5."""
     return 30.0 * (s * (1.0 - s)) ** 2 if order == 1 else 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
 
 

@@ -14,7 +14,7 @@ from orchestration.system.time_grid import GRID_TOLERANCE
 
 
 class Signal(Protocol):
-    """A function of time [s]: the value of an input."""
+    """A signal: a function of time [s] that gives the value of an input."""
 
     def __call__(self, t: float, /) -> float: ...
 
@@ -30,7 +30,7 @@ class Curve:
 
 
 def values_at(signal: Signal, times: np.ndarray) -> np.ndarray:
-    """The signal at each time, shape (n,)."""
+    """Returns the signal at each time, shape (n,)."""
     if isinstance(signal, Curve):
         return signal.at(times)
     return np.array([signal(t) for t in times.tolist()], float)
@@ -38,7 +38,7 @@ def values_at(signal: Signal, times: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Ramps(Curve):
-    """Lines through (time, value), held before the first and after the last point.
+    """Ramps: lines through (time, value), held before the first and after the last point.
 
     smooth: quintic ramps instead, with zero speed and acceleration at both ends of each.
     """
@@ -68,7 +68,7 @@ class Ramps(Curve):
 
 @dataclass(frozen=True)
 class Cosine(Curve):
-    """offset + amplitude cos(angular_frequency t + phase), rad/s and rad."""
+    """A cosine: offset + amplitude cos(angular_frequency t + phase), rad/s and rad."""
 
     amplitude: float
     angular_frequency: float
@@ -84,7 +84,7 @@ class Cosine(Curve):
 
 @dataclass(frozen=True)
 class Constant(Curve):
-    """The same value at every time."""
+    """A constant: one value at every time."""
 
     value: float
 
@@ -97,7 +97,7 @@ class Constant(Curve):
 
 @dataclass(frozen=True, eq=False)
 class Table(Curve):
-    """`values` at `times` [s], shapes (n,), held before the first and after the last.
+    """A table: `values` at `times` [s], shapes (n,), held before the first and after the last.
 
     Between two times a straight line, or with hold = True the earlier value.
     """
@@ -127,13 +127,14 @@ class Table(Curve):
 
 
 def _convert_to_floats(signal: Constant | Cosine) -> None:
-    """Of all members: NumPy's numbers in an array can change, and their text has 8 digits."""
+    """Converts all members to floats."""
+    # NumPy's numbers in an array can change, and the text of some has 8 digits
     for name, value in vars(signal).items():
         object.__setattr__(signal, name, _number(f"{type(signal).__name__.lower()}: {name}", value))
 
 
 def _number(name: str, value: Any) -> float:
-    """The value; ScenarioError for what is no number."""
+    """Returns the value; ScenarioError for what is no number."""
     with suppress(TypeError, ValueError, OverflowError):
         if not isinstance(value, str) and np.ndim(value) == 0:
             return float(value)
@@ -146,5 +147,113 @@ def _is_pair(point: Any) -> bool:
 
 
 def _quintic(s: np.ndarray) -> np.ndarray:
-    """10 s^3 - 15 s^4 + 6 s^5: 0 to 1 with zero first and second derivatives at both ends."""
+    """Returns 10 s^3 - 15 s^4 + 6 s^5: 0 to 1 with zero first and second derivatives at both ends."""
     return s * s * s * (10.0 + s * (6.0 * s - 15.0))
+
+
+_LOWEST, _HIGHEST = 0.5, 4.0  # of the peak frequency; JONSWAP has 0.4 % of its variance above
+_MOST_COMPONENTS = 10_000
+
+
+@dataclass(frozen=True, eq=False)
+class Sines(Curve):
+    """Sines: offset + sum of amplitudes_i sin(angular_frequencies_i t + phases_i).
+
+    amplitudes, offset: in the unit of the input; angular_frequencies [rad/s]; phases [rad]; shapes (n,)
+    """
+
+    amplitudes: npt.ArrayLike
+    angular_frequencies: npt.ArrayLike
+    phases: npt.ArrayLike
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        names = ("amplitudes", "angular_frequencies", "phases")
+        arrays = [np.array(getattr(self, name), float) for name in names]
+        shapes = {array.shape for array in arrays}
+        if len(shapes) > 1 or arrays[0].ndim != 1 or not arrays[0].size:
+            got = ", ".join(f"{array.size} {name}" for name, array in zip(names, arrays, strict=True))
+            raise ScenarioError(f"sines: expected one of each or more, and as many of each, got {got}")
+        if not all(np.isfinite(array).all() for array in (*arrays, np.array(self.offset))):
+            raise ScenarioError("sines: expected finite numbers")
+        for name, array in zip(names, arrays, strict=True):
+            object.__setattr__(self, name, array)
+
+    def at(self, times: np.ndarray) -> np.ndarray:
+        """Sums in the order of the components: the value at a time does not depend on the other times."""
+        values = np.full(times.shape, float(self.offset))
+        arrays = (self.amplitudes, self.angular_frequencies, self.phases)
+        for amplitude, omega, phase in zip(*map(np.asarray, arrays), strict=True):
+            values += amplitude * np.sin(omega * times + phase)
+        return values
+
+
+def sine(amplitude: float, frequency: float, phase: float = 0.0, offset: float = 0.0) -> Sines:
+    """Returns offset + amplitude sin(2 pi frequency t + phase), Hz and rad."""
+    return Sines([amplitude], [2.0 * np.pi * frequency], [phase], offset)
+
+
+def sum_of_sines(
+    amplitudes: npt.ArrayLike, frequencies: npt.ArrayLike, phases: npt.ArrayLike = (), offset: float = 0.0
+) -> Sines:
+    """Returns offset + sum of amplitudes_i sin(2 pi frequencies_i t + phases_i), Hz and rad; no phases: 0."""
+    given = np.array(phases, float)
+    chosen = given if given.size else np.zeros(np.shape(amplitudes))
+    return Sines(amplitudes, 2.0 * np.pi * np.array(frequencies, float), chosen, offset)
+
+
+def spectrum(
+    standard_deviation: float,
+    peak_period: float,
+    gamma: float = 3.3,
+    components: int = 100,
+    seed: int = 1,
+    offset: float = 0.0,
+) -> Sines:
+    """Returns a sum of sines with the JONSWAP spectrum and random phases, about `offset`.
+
+    standard_deviation: of the signal over a long time, in the unit of the input; a quarter of its
+        significant height
+    peak_period: of the peak of the spectrum [s]
+    gamma: by how much the peak is higher than that of Pierson and Moskowitz, 1 or more
+    components: how many sines; each has a frequency of its own in one of as many equal bands from half the
+        peak frequency to four times that, so that the signal has no period
+    seed: of the phases and of the frequencies within their bands
+
+    The amplitudes follow from the spectrum at the frequencies: every seed gives the same variance.
+    """
+    _check_spectrum(standard_deviation, peak_period, gamma, components, seed)
+    random = np.random.default_rng(seed).random((2, components))
+    band = (_HIGHEST - _LOWEST) / components
+    ratio = _LOWEST + band * (np.arange(components) + random[0])
+    density = jonswap(ratio, gamma)
+    amplitudes = standard_deviation * np.sqrt(2.0 * density / density.sum())
+    return Sines(amplitudes, 2.0 * np.pi / peak_period * ratio, 2.0 * np.pi * random[1], offset)
+
+
+def jonswap(ratio: np.ndarray, gamma: float) -> np.ndarray:
+    """Returns the JONSWAP spectrum, without its scale, at frequencies relative to that of its peak.
+
+        S ~ x^-5 exp(-5/4 x^-4) gamma^exp(-(x - 1)^2 / (2 s^2)),   s = 0.07 for x <= 1, 0.09 above
+
+    Source: Hasselmann et al., Measurements of wind-wave growth and swell decay during the Joint North Sea
+    Wave Project (JONSWAP), 1973.
+    """
+    width = np.where(ratio <= 1.0, 0.07, 0.09)
+    peak = np.exp(-((ratio - 1.0) ** 2) / (2.0 * width**2))
+    return ratio**-5.0 * np.exp(-1.25 * ratio**-4.0) * gamma**peak
+
+
+def _check_spectrum(
+    standard_deviation: float, peak_period: float, gamma: float, components: int, seed: int
+) -> None:
+    checks = {
+        f"standard_deviation = {standard_deviation!r}: expected 0 or more": standard_deviation >= 0.0,
+        f"peak_period = {peak_period!r} s: expected more than 0": peak_period > 0.0,
+        f"gamma = {gamma!r}: expected 1 or more": gamma >= 1.0,
+        f"components = {components!r}: expected 1 to {_MOST_COMPONENTS}": 1 <= components <= _MOST_COMPONENTS,
+        f"seed = {seed!r}: expected 0 or more": seed >= 0,
+    }
+    for problem, is_kept in checks.items():
+        if not is_kept:
+            raise ScenarioError(f"spectrum: {problem}")

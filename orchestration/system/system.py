@@ -1,8 +1,9 @@
 """Components and connections, checked against the model descriptions before anything is loaded."""
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,34 @@ from fmus.fmi.description import describe, of_causality
 from fmus.fmi.model_description import ModelDescription, ScalarVariable
 from orchestration.errors import SystemDefinitionError
 from orchestration.system.open_inputs import OpenInputs
-from orchestration.system.transformation import LinearTransformation
+
+
+@dataclass(frozen=True)
+class LinearTransformation:
+    """A linear transformation of a connection: the input is factor * output + offset."""
+
+    factor: float = 1.0
+    offset: float = 0.0
+
+    def __call__(self, value: float) -> float:
+        return self.factor * value + self.offset
+
+    @classmethod
+    def of(cls, given: Any, connection: str) -> "LinearTransformation":
+        """Returns the transformation of a table with `factor` and `offset`; an error names the connection."""
+        known = [field.name for field in fields(cls)]
+        if isinstance(given, cls):
+            given = {name: getattr(given, name) for name in known}
+        if not isinstance(given, dict):
+            raise SystemDefinitionError(f"{connection}: expected {{factor, offset}} third, got {given!r}")
+        for name, value in given.items():
+            if name not in known:
+                raise SystemDefinitionError(f"{connection}: unknown key {name!r}; {nearest(name, known)}")
+            is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+            if not (is_number and math.isfinite(value)):
+                raise SystemDefinitionError(f"{connection}: {name} = {value!r}: expected a finite number")
+        return cls(**{name: float(value) for name, value in given.items()})
+
 
 # type of an input -> types of the outputs that it accepts: those of which every value is one of its own
 _ACCEPTED = {
@@ -26,7 +54,7 @@ _ACCEPTED = {
 
 @dataclass(frozen=True)
 class Port:
-    """A variable of a component."""
+    """A port: a variable of a component."""
 
     component: str
     variable: ScalarVariable
@@ -38,7 +66,7 @@ class Port:
 
 @dataclass(frozen=True, init=False)
 class System:
-    """Named FMUs and the connections between them, (source, target) as "component.variable".
+    """A system: named FMUs and their connections, (source, target) as "component.variable".
 
     A third item, {"factor": 0.001, "offset": 0.0}, transforms what the connection carries.
 
@@ -88,7 +116,7 @@ class CheckedSystem:
     transformations: Mapping[str, LinearTransformation] = field(default_factory=dict)
 
     def port(self, name: str, purpose: str) -> Port:
-        """The variable called "component.variable"; an unknown one offers the nearest."""
+        """Returns the variable called "component.variable"; an unknown one offers the nearest."""
         component = name.partition(".")[0]
         if component not in self.components:
             raise SystemDefinitionError(
@@ -100,7 +128,7 @@ class CheckedSystem:
         return self.ports[name]
 
     def components_without(self, capability: str) -> list[str]:
-        """Components whose FMU does not declare a capability of FMI 2.0 co-simulation."""
+        """Returns the components whose FMU does not declare a capability of FMI 2.0 co-simulation."""
         return [
             name
             for name, description in self.descriptions.items()
@@ -128,7 +156,7 @@ class CheckedSystem:
         }
 
     def initial_dependencies(self, output: Port) -> list[str]:
-        """Names of the inputs that an output depends on in initialisation mode; all if not declared."""
+        """Returns the inputs that an output depends on in initialisation mode; all if not declared."""
         return self.declared_dependencies.get(output.name, self.inputs[output.component])
 
 
@@ -138,7 +166,7 @@ def check(
     descriptions: Mapping[str, ModelDescription] | None = None,
     open_inputs: OpenInputs = OpenInputs.ERROR,
 ) -> CheckedSystem:
-    """Read every model description and check every name, type and unit of the system.
+    """Reads every model description and checks every name, type and unit of the system.
 
     driven: inputs that a signal or a constant drives; every other input needs a connection
     descriptions: those of the components, if they have been read already
@@ -202,7 +230,7 @@ def _units_agree(checked: CheckedSystem, start: Port, end: Port) -> bool:
 
 
 def _base_unit(checked: CheckedSystem, port: Port) -> tuple[object, ...] | None:
-    """Exponents of the base units, factor and offset, if the FMU declares them."""
+    """Returns the exponents of the base units, factor and offset, if the FMU declares them."""
     name = port.variable.unit
     for unit in checked.descriptions[port.component].unitDefinitions:
         base: Any = unit.baseUnit  # FMPy's declarations disagree from version to version

@@ -8,19 +8,19 @@ GRID_TOLERANCE = 1e-9  # of a step: a time this close to a communication point i
 
 
 def time_grid(start: float, stop: float, step: float) -> np.ndarray:
-    """start + i step [s], shape (n,), never accumulated; a last shorter step lands on `stop`."""
+    """Returns start + i step [s], shape (n,), never accumulated; a last shorter step lands on `stop`."""
     times = start + np.arange(step_count(start, stop, step) + 1) * step
     times[-1] = stop
     return times
 
 
 def step_count(start: float, stop: float, step: float) -> int:
-    """Steps of that grid."""
+    """Returns the number of steps of that grid."""
     return math.ceil((stop - start) / step - GRID_TOLERANCE)
 
 
 def within(times: np.ndarray, start: float, end: float) -> np.ndarray:
-    """Indices of the ascending times [s] from `start` on and before `end`, shape (n,) -> (m,)."""
+    """Returns the indices of ascending times [s] from `start` on and before `end`, shape (n,) -> (m,)."""
     near = GRID_TOLERANCE * np.diff(times).min(initial=np.inf) if len(times) > 1 else 0.0
     return np.flatnonzero((times >= start - near) & (times < end - near))
 

@@ -18,7 +18,7 @@ _PYTHON_TYPES: dict[str, tuple[type, ...]] = {"Real": (int, float), "Boolean": (
 
 
 def fmi_value(port: Port, value: Value) -> FmiValue:
-    """The value as the FMU takes it; an item of an enumeration may be given by its name.
+    """Returns the value as the FMU takes it; an item of an enumeration may be given by its name.
 
     Raises SystemDefinitionError for a value of another type, or outside the declared range.
     """
@@ -32,7 +32,7 @@ def fmi_value(port: Port, value: Value) -> FmiValue:
 
 
 def fmi_values(port: Port, values: Sequence[Value] | np.ndarray) -> list[FmiValue]:
-    """The values as the FMU takes them, as `fmi_value`."""
+    """Returns the values as the FMU takes them, as `fmi_value`."""
     if port.variable.type == "Real" and all(type(value) is float for value in values):
         low, high = value_range(port)
         numbers = np.array(values)
@@ -65,13 +65,13 @@ def _item_number(port: Port, name: str) -> int:
 
 
 def items(port: Port) -> dict[str, int]:
-    """Name -> number of the items of an enumeration."""
+    """Returns the numbers of the items of an enumeration by their names."""
     declared = port.variable.declaredType
     return {str(item.name): int(str(item.value)) for item in (declared.items or [])} if declared else {}
 
 
 def possible_values(port: Port, values: np.ndarray) -> tuple[str, np.ndarray]:
-    """What is expected of a number for an input, in words, and which of the values, shape (n,), are that."""
+    """Returns what is expected of a number for an input, in words, and which values, shape (n,), are that."""
     kind = port.variable.type
     if kind == "Real":
         return "a finite number", np.isfinite(values)
@@ -85,13 +85,14 @@ def possible_values(port: Port, values: np.ndarray) -> tuple[str, np.ndarray]:
 
 
 def value_range(port: Port) -> tuple[float, float]:
-    """The smallest and the largest value, as declared and as the type can hold."""
+    """Returns the smallest and the largest value, as declared and as the type can hold."""
     variable = port.variable
     return _range(variable.type, variable.min, variable.max)
 
 
+# thousands of values of one variable are checked
 @lru_cache
 def _range(kind: str, least: str | None, largest: str | None) -> tuple[float, float]:
-    """For types and texts of a model description, of which thousands of values are checked."""
+    """Returns the range of a type, cut to the limits that a model description states."""
     low, high = (-math.inf, math.inf) if kind == "Real" else INTEGER_RANGE
     return low if least is None else float(least), high if largest is None else float(largest)

@@ -15,8 +15,7 @@ from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from orchestration.system.experiment import Experiment
 from orchestration.system.open_inputs import OpenInputs
-from orchestration.system.signal_sines import sine
-from orchestration.system.signals import Signal
+from orchestration.system.signals import Signal, sine
 from orchestration.system.system import System
 
 PAGE = Path(__file__).parents[2] / "docs" / "explanation" / "disturbances.md"

@@ -7,7 +7,7 @@ import numpy as np
 
 from orchestration.cli.package_fmus import build_ramp_source, build_started
 from orchestration.exchange import ssp_write
-from orchestration.exchange.ssp_version import SspVersion
+from orchestration.exchange.ssp_xml import SspVersion
 from orchestration.results.recording import Recording
 from orchestration.scenarios.scenario import Scenario
 from tests.importers.importers import ImporterJob, Trajectory, run_job

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from orchestration.exchange.ssp_version import SspVersion
-from orchestration.exchange.ssp_xml import STRUCTURE
+from orchestration.exchange.ssp_xml import STRUCTURE, SspVersion
 from orchestration.results.recording import Recording
 from orchestration.run import simulate
 from orchestration.scenarios import scenario

@@ -4,8 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from fmus.build.documentation.reference_results import LS_REF
 
+from fmus.build.documentation.reference_results import LS_REF
 from tests.shared_builds import Fmus
 
 from .archives import Members, broken_rules, members, write

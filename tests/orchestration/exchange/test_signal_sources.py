@@ -20,8 +20,7 @@ from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.experiment import Experiment
-from orchestration.system.signal_sines import sine
-from orchestration.system.signals import Constant, Ramps, Signal, Table
+from orchestration.system.signals import Constant, Ramps, Signal, Table, sine
 from orchestration.system.system import System
 
 Build = Callable[..., Path]

@@ -14,8 +14,7 @@ from fmpy.validation import validate_fmu
 
 from orchestration.cli.package_fmus import build_ramp_source, build_started
 from orchestration.exchange import ssp_read, ssp_write
-from orchestration.exchange.ssp_version import SspVersion
-from orchestration.exchange.ssp_xml import STRUCTURE, tag
+from orchestration.exchange.ssp_xml import STRUCTURE, SspVersion, tag
 from orchestration.run import simulate
 from orchestration.scenarios import scenario
 from tests.described_fmus import described

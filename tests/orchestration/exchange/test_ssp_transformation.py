@@ -9,7 +9,7 @@ from orchestration.errors import ScenarioError
 from orchestration.exchange import ssp_read, ssp_write
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
-from orchestration.system.transformation import LinearTransformation
+from orchestration.system.system import LinearTransformation
 from tests.described_fmus import described
 
 SCENARIO = """

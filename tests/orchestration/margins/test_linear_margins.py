@@ -9,9 +9,8 @@ from scipy import signal
 from scipy.linalg import expm, solve_continuous_lyapunov
 
 from controller_fmu.design import FilterOrder
-from orchestration.margins.equations import Equation, LinearLoop
 from orchestration.margins.l1_loop import Law, Observer, Plant, loop
-from orchestration.margins.linear_margins import LinearMargins, margins
+from orchestration.margins.linear_margins import Equation, LinearLoop, LinearMargins, margins
 
 M, D, K_1, K_2, W, K_P, K_I, LAG = 5.5, 2.5, 1.895, 20.23, 0.3017, 3.967, 0.00499, 0.05
 A_M = ((0.0, 1.0), (-K_1 / M, -(D + K_2) / M))

@@ -1,11 +1,11 @@
-"""docs/explanation/margins.md has the figures of the command."""
+"""docs/explanation/margins.md has the metrics of the command."""
 
 from functools import cache
 from pathlib import Path
 
 import pytest
 
-from orchestration.margins.margin_figure import Figure
+from orchestration.margins.margin_metric import Metric
 from orchestration.margins.margins import judge
 from orchestration.scenarios import scenario
 
@@ -13,16 +13,16 @@ TEXT = (Path(__file__).parents[3] / "docs" / "explanation" / "margins.md").read_
 
 
 @cache
-def figures(name: str, measured: bool) -> dict[str, Figure]:
-    judged = judge(scenario.load(scenario.find(name)), measured=measured).figures
-    return {f"{figure.group}: {figure.name}": figure for figure in judged}
+def metrics(name: str, measured: bool) -> dict[str, Metric]:
+    judged = judge(scenario.load(scenario.find(name)), measured=measured).metrics
+    return {f"{metric.group}: {metric.name}": metric for metric in judged}
 
 
 def missing(name: str, measured: bool, groups: tuple[str, ...], column: int) -> list[str]:
-    """Rows of the page that do not have the figure of the command in their column of values."""
+    """Rows of the page that do not have the metric of the command in their column of values."""
     lines = [line for line in TEXT.splitlines() if line.startswith("| ")]
     absent, compared = [], 0
-    for key, figure in figures(name, measured).items():
+    for key, metric in metrics(name, measured).items():
         group, _, own = key.partition(": ")
         cells = [
             line.removeprefix(f"| {own} |").split("|") for line in lines if line.startswith(f"| {own} |")
@@ -30,8 +30,8 @@ def missing(name: str, measured: bool, groups: tuple[str, ...], column: int) -> 
         # three columns of values and unit are of the vehicle, two of the example
         own_table = [row for row in cells if len(row) == (3 if name.startswith("example") else 4)]
         compared += bool(group in groups and own_table)
-        if group in groups and own_table and own_table[0][column].strip() != figure.shown:
-            absent.append(f"{name}: {own} = {figure.shown}, the page has {own_table[0][column]}")
+        if group in groups and own_table and own_table[0][column].strip() != metric.shown:
+            absent.append(f"{name}: {own} = {metric.shown}, the page has {own_table[0][column]}")
     assert compared >= 4, "the page has lost its tables"
     return absent
 
@@ -42,35 +42,35 @@ THEORY = ("L1-norm condition", "linear loop", "prediction error")
 @pytest.mark.parametrize(
     ("name", "column"), [("nominal-l1", 0), ("nominal-extended", 1), ("example-extended", 0)]
 )
-def test_the_page_has_the_figures_that_follow_from_theory(
+def test_the_page_has_the_metrics_that_follow_from_theory(
     scenario_fmus: None, name: str, column: int
 ) -> None:
     assert not missing(name, False, THEORY, column)
 
 
 def test_the_table_of_adaptation_gains_is_that_of_the_linear_loop(scenario_fmus: None) -> None:
-    shown_figures = figures("nominal-extended", False)
+    shown_metrics = metrics("nominal-extended", False)
     for gain in (10, 100, 1000, 10000, 100000):
-        shown = shown_figures[f"linear loop: delay margin, adaptation_gain = {gain}"].shown
+        shown = shown_metrics[f"linear loop: delay margin, adaptation_gain = {gain}"].shown
         assert f"| {gain} | {shown} |" in TEXT
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "column"), [("nominal-l1", 0), ("nominal-extended", 1)])
-def test_the_page_has_the_figures_that_are_measured(scenario_fmus: None, name: str, column: int) -> None:
+def test_the_page_has_the_metrics_that_are_measured(scenario_fmus: None, name: str, column: int) -> None:
     assert not missing(name, True, ("through the FMUs",), column)
 
 
 @pytest.mark.slow
 def test_the_tables_of_adaptation_gains_and_of_steps_are_measured(scenario_fmus: None) -> None:
-    shown_figures = figures("nominal-extended", True)
+    shown_metrics = metrics("nominal-extended", True)
     for gain in (10, 100, 1000, 10000, 100000):
         names = [
             f"delay margin, {p}, controller.adaptation_gain = {gain}" for p in ("control", "measurement")
         ]
-        cells = " | ".join(shown_figures[f"through the FMUs: {name}"].shown for name in names)
+        cells = " | ".join(shown_metrics[f"through the FMUs: {name}"].shown for name in names)
         assert f"| {cells} | s |" in TEXT
-    example = figures("example-extended", True)
+    example = metrics("example-extended", True)
     for step in (1, 0.2, 0.02):
         names = [f"prediction error: largest, r = {r}, step {step:g} ms" for r in (25, 100, 400)]
         assert f"| {step:g} ms | " + " | ".join(example[name].shown for name in names) + " |" in TEXT

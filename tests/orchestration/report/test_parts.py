@@ -16,10 +16,9 @@ from hypothesis.extra.numpy import arrays
 
 from orchestration.errors import OrchestrationError
 from orchestration.report import RunResult, SweepResult, found_results
-from orchestration.report.differences import differences
-from orchestration.report.embedded import packed, run_data
+from orchestration.report.render import differences, packed, run_data
+from orchestration.report.result import toml
 from orchestration.report.sweeps import correlations, distributions, strongest
-from orchestration.report.toml import toml
 from orchestration.scenarios import scenario
 
 from .made_up import PROVENANCE, SCENARIO, recording, write_run

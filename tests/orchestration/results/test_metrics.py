@@ -8,9 +8,8 @@ import pytest
 
 from orchestration.errors import OrchestrationError, ScenarioError
 from orchestration.results import metrics
-from orchestration.results.metric_units import with_units
+from orchestration.results.metric_units import metrics_table, with_units
 from orchestration.results.recording import Recording
-from orchestration.results.tables import metrics_table
 
 TIME = np.linspace(0.0, 100.0, 10001)
 

@@ -18,8 +18,7 @@ from orchestration.scenarios.declarations import fault
 from orchestration.system.experiment import Algorithm, Event, Experiment
 from orchestration.system.faults import Delay, Fault, Offset, Scale
 from orchestration.system.signals import Cosine
-from orchestration.system.system import System
-from orchestration.system.transformation import LinearTransformation
+from orchestration.system.system import LinearTransformation, System
 from tests.orchestration.linear_systems import LOOP, coupled
 
 Build = Callable[..., Path]

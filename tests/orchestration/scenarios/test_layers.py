@@ -8,7 +8,7 @@ from orchestration.errors import ScenarioError
 from orchestration.scenarios import scenario
 from orchestration.scenarios.scenario import Scenario
 from orchestration.system.prepared_run import prepare
-from orchestration.system.transformation import LinearTransformation
+from orchestration.system.system import LinearTransformation
 from tests.described_fmus import described
 
 BASE = """

@@ -9,7 +9,7 @@ import pytest
 
 from orchestration.errors import OrchestrationError, ScenarioError, ScenarioWarning
 from orchestration.scenarios import scenario
-from orchestration.system import prepared_again, prepared_run
+from orchestration.system import prepared_run
 from orchestration.system.experiment import Algorithm, Initialisation
 from orchestration.system.faults import Delay, Fault
 
@@ -338,8 +338,7 @@ def test_a_run_at_the_command_line_is_prepared_once(
             lines.write("prepared\n")
         return prepare_checked(*arguments)
 
-    for module in (prepared_run, prepared_again):
-        monkeypatch.setattr(module, "prepare_checked", count)
+    monkeypatch.setattr(prepared_run, "prepare_checked", count)
     (tmp_path / "sitecustomize.py").write_text(_COUNTING.format(file=str(counted)), encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     command("run", "nominal-l1", "--formats", "none", *options)
@@ -347,7 +346,7 @@ def test_a_run_at_the_command_line_is_prepared_once(
 
 
 _COUNTING = """
-from orchestration.system import prepared_again, prepared_run
+from orchestration.system import prepared_run
 prepare_checked = prepared_run.prepare_checked
 
 def count(*arguments):
@@ -355,5 +354,5 @@ def count(*arguments):
         lines.write("prepared\\n")
     return prepare_checked(*arguments)
 
-prepared_run.prepare_checked = prepared_again.prepare_checked = count
+prepared_run.prepare_checked = count
 """

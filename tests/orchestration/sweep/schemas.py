@@ -19,7 +19,7 @@ from fmus.files import write_text_atomically
 from orchestration.scenarios.file_format import ParameterFile, ScenarioFile
 from orchestration.scenarios.file_tables import Table
 from orchestration.scenarios.scenario import SHIPPED
-from orchestration.sweep.file_format import SweepTable
+from orchestration.sweep.varied import SweepTable
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 

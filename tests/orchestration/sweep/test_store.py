@@ -17,7 +17,7 @@ from orchestration.errors import SweepError
 from orchestration.sweep import table
 from orchestration.sweep.plan import Plan
 from orchestration.sweep.store import Store
-from orchestration.sweep.summary import failed, statistics, summary_table
+from orchestration.sweep.table import failed, statistics, summary_table
 
 Make = Callable[..., Plan]
 GRID = '[sweep.vary]\n"r.u" = { values = [0, 1, 2, 3, 4] }\n"r.misdeed" = { values = ["none"] }\n'
@@ -151,8 +151,8 @@ def test_a_table_is_written_and_summed_up_without_pandas(planned: Make, tmp_path
     opened.begin()
     add(opened, made, range(5))
     opened.finish()
-    program = "import sys; from pathlib import Path; from orchestration.sweep import summary, table\n"
-    program += "results, about = table.read(Path(sys.argv[1])); summary.summary_table(results, about)\n"
+    program = "import sys; from pathlib import Path; from orchestration.sweep import table\n"
+    program += "results, about = table.read(Path(sys.argv[1])); table.summary_table(results, about)\n"
     program += "table.write(results.to_pylist(), results.schema, Path(sys.argv[1]))\n"
     program += "print([name for name in ('pandas', 'scipy.stats') if name in sys.modules])"
     assert importlib.util.find_spec("pandas")

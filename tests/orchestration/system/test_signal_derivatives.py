@@ -5,8 +5,17 @@ import pytest
 
 from orchestration.errors import ScenarioError
 from orchestration.system.signal_derivatives import Derivative, derivative, with_derivatives
-from orchestration.system.signal_sines import sine, spectrum, sum_of_sines
-from orchestration.system.signals import Constant, Cosine, Curve, Ramps, Table, values_at
+from orchestration.system.signals import (
+    Constant,
+    Cosine,
+    Curve,
+    Ramps,
+    Table,
+    sine,
+    spectrum,
+    sum_of_sines,
+    values_at,
+)
 
 POINTS = [[1.0, 0.0], [3.0, 2.0], [4.0, 1.0]]
 TIMES = np.linspace(0.0, 5.0, 401) + 1e-3  # beside the kinks

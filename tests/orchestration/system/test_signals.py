@@ -1,16 +1,19 @@
-"""Signals are what they say at every time."""
+"""Signals are what they say at every time, and a spectrum has the variance and the shape that it is given."""
 
 import math
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.integrate import quad
+from scipy.signal import welch
 
 from orchestration.errors import ScenarioError
-from orchestration.system.signals import Constant, Cosine, Ramps, Table
+from orchestration.system.signals import Constant, Cosine, Ramps, Table, jonswap, sine, spectrum, sum_of_sines
 
 POINTS = [[0.0, 0.0], [40.0, 0.8], [140.0, 0.8], [180.0, 0.4]]
 
@@ -87,5 +90,90 @@ def test_numbers_are_copied() -> None:
     ],
 )
 def test_bad_arguments_are_refused(make: Callable[[], object], message: str) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        make()
+
+
+TIMES = np.linspace(0.0, 12.0, 97)
+
+
+def test_a_sine_has_its_amplitude_frequency_phase_and_offset() -> None:
+    expected = 5.0 + 2.0 * np.sin(2.0 * math.pi * 0.2 * TIMES + 0.3)
+    assert sine(2.0, 0.2, 0.3, 5.0).at(TIMES) == pytest.approx(expected, abs=1e-14)
+
+
+def test_a_sum_of_sines_is_the_sum_of_its_sines() -> None:
+    both = sum_of_sines([2.0, 0.5], [0.2, 0.7], [0.3, -1.0], 1.0)
+    parts = sine(2.0, 0.2, 0.3).at(TIMES) + sine(0.5, 0.7, -1.0).at(TIMES)
+    assert both.at(TIMES) == pytest.approx(1.0 + parts, abs=1e-14)
+    assert sum_of_sines([2.0], [0.2]).at(TIMES) == pytest.approx(sine(2.0, 0.2).at(TIMES))
+
+
+@given(st.floats(0.0, 1e4), st.integers(0, 9))
+def test_the_value_at_a_time_does_not_depend_on_the_other_times(t: float, before: int) -> None:
+    """A checkpoint or a shorter step asks for other times: the same bits must come back."""
+    waves = spectrum(1.0, 5.0)
+    many = np.sort(np.append(np.linspace(0.0, t, before, endpoint=False), t))
+    assert waves.at(many)[-1] == waves(t)
+
+
+def test_jonswap_has_its_peak_at_one_and_that_of_pierson_and_moskowitz_times_gamma() -> None:
+    ratio = np.linspace(0.5, 4.0, 3501)
+    assert ratio[np.argmax(jonswap(ratio, 3.3))] == pytest.approx(1.0, abs=1e-3)
+    one = np.array([1.0])
+    assert jonswap(one, 3.3) == pytest.approx(3.3 * jonswap(one, 1.0))
+    assert jonswap(one, 1.0) == pytest.approx(math.exp(-1.25))
+    assert quad(lambda x: float(jonswap(np.array([x]), 1.0)[0]), 0.01, 60.0, limit=200)[0] == pytest.approx(
+        1.0 / 5.0, rel=1e-6
+    )  # of Pierson and Moskowitz, in closed form
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_every_seed_has_the_same_variance_which_a_long_record_shows(seed: int) -> None:
+    waves = spectrum(0.7, 5.0, seed=seed, offset=0.2)
+    assert np.sum(np.asarray(waves.amplitudes) ** 2) / 2.0 == pytest.approx(0.7**2, rel=1e-12)
+    record = waves.at(np.arange(0.0, 20_000.0, 0.25))
+    assert record.std() == pytest.approx(0.7, rel=0.01)  # neighbours beat in about 5 / 0.035 = 140 s
+    assert record.mean() == pytest.approx(0.2, abs=1e-3)
+
+
+def test_the_spectrum_of_a_long_record_is_jonswap() -> None:
+    record = spectrum(1.0, 5.0, components=250).at(np.arange(0.0, 20_000.0, 0.5))
+    frequencies, density = welch(record, fs=2.0, nperseg=500)  # 4 mHz apart, the peak is 28 mHz wide
+    inside = (frequencies > 0.12) & (frequencies < 0.6)
+    ratio = 5.0 * frequencies[inside]
+    total = quad(lambda x: float(jonswap(np.array([x]), 3.3)[0]), 0.5, 4.0)[0]
+    expected = 5.0 * jonswap(ratio, 3.3) / total
+    # 80 segments: each estimate is within 11 % (one deviation); the band sums are compared
+    edges = [0, 20, 30, 45, len(ratio)]
+    for begin, end in pairwise(edges):
+        assert density[inside][begin:end].sum() == pytest.approx(expected[begin:end].sum(), rel=0.1)
+
+
+def test_a_seed_gives_one_signal_and_another_seed_another() -> None:
+    first, again, other = (spectrum(1.0, 5.0, seed=seed).at(TIMES) for seed in (3, 3, 4))
+    assert first.tolist() == again.tolist()
+    assert np.abs(first - other).max() > 0.5
+
+
+def test_the_signal_of_a_seed_stays_what_it_was() -> None:
+    """Results name the seed alone: NumPy's generator or our use of it must not change it."""
+    assert spectrum(0.7071, 5.0)(100.0) == pytest.approx(-0.6889737121133298, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: sum_of_sines([1.0], [0.1, 0.2]), r"sines: .* got 1 amplitudes, 2 angular_frequencies, 1 ph"),
+        (lambda: sum_of_sines([], []), r"sines: expected one of each or more"),
+        (lambda: sine(math.nan, 0.1), r"sines: expected finite numbers"),
+        (lambda: spectrum(-1.0, 5.0), r"spectrum: standard_deviation = -1.0: expected 0 or more"),
+        (lambda: spectrum(1.0, 0.0), r"spectrum: peak_period = 0.0 s: expected more than 0"),
+        (lambda: spectrum(1.0, 5.0, gamma=0.5), r"spectrum: gamma = 0.5: expected 1 or more"),
+        (lambda: spectrum(1.0, 5.0, components=0), r"spectrum: components = 0: expected 1 to 10000"),
+        (lambda: spectrum(1.0, 5.0, seed=-1), r"spectrum: seed = -1: expected 0 or more"),
+    ],
+)
+def test_bad_arguments_of_sines_are_refused(make: Callable[[], object], message: str) -> None:
     with pytest.raises(ScenarioError, match=message):
         make()

@@ -11,8 +11,7 @@ from orchestration.errors import ScenarioError, SystemDefinitionError
 from orchestration.exchange.limits import check_plain_connections
 from orchestration.run import simulate
 from orchestration.system.faults import Fault, Offset
-from orchestration.system.system import System, check
-from orchestration.system.transformation import LinearTransformation
+from orchestration.system.system import LinearTransformation, System, check
 from tests.described_fmus import described
 
 Build = Callable[..., Path]

@@ -1,4 +1,4 @@
-"""The figures that follow from the design of an L1 controller: L1-norm condition and linear margins."""
+"""The metrics that follow from the design of an L1 controller: L1-norm condition and linear margins."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -11,13 +11,17 @@ from controller_fmu.design import (
     NO_EXTENSION,
     Extension,
     l1_condition,
+    lyapunov_matrix,
     proportional_gain_range,
     smallest_bandwidth,
 )
 from orchestration.margins.l1_design import Design
 from orchestration.margins.l1_loop import Law, Plant, loop
 from orchestration.margins.linear_margins import margins
-from orchestration.margins.margin_figure import Figure
+from orchestration.margins.margin_metric import Metric
+from orchestration.run.simulator import Simulator
+from orchestration.scenarios.scenario import Scenario
+from orchestration.system.signals import Constant
 
 CONDITION, LINEAR = "L1-norm condition", "linear loop"
 _BOOK = "Hovakimyan and Cao (2010)"
@@ -26,17 +30,17 @@ _NYQUIST = "frequency response of the linear loop; limit after Hovakimyan and Ca
 _OMEGAS = 9  # input gains tried over their box: the norm need not be monotonic in omega
 
 
-def norm_figures(design: Design) -> Iterator[Figure]:
-    """|G|_L1 L with and without the extension, and where the condition is lost."""
+def norm_metrics(design: Design) -> Iterator[Metric]:
+    """Yields |G|_L1 L with and without the extension, and where the condition is lost."""
     law = design.law
     omegas = np.unique(np.linspace(*design.omegas, _OMEGAS)).tolist()
     box = f"omega in {omegas[0]:g}..{omegas[-1]:g}, " + (f"{len(omegas)} values; " if omegas[1:] else "")
     state = f"{box}L = {design.lipschitz:g}, perfect measurement, no delay and no lag; it holds below 1"
     common = np.array(law.a_m), np.array(law.b), law.filter_order, law.bandwidth, design.lipschitz
 
-    def condition(name: str, extension: Extension, assumption: str, source: str) -> Figure:
+    def condition(name: str, extension: Extension, assumption: str, source: str) -> Metric:
         value = _or_none(l1_condition, *common, extension, omegas)
-        return Figure(CONDITION, name, value, "1", assumption, source)
+        return Metric(CONDITION, name, value, "1", assumption, source)
 
     yield condition("norm of G times L, without the extension", NO_EXTENSION, state, _BOOK)
     for gain in design.frozen_gains:
@@ -51,8 +55,8 @@ def norm_figures(design: Design) -> Iterator[Figure]:
     note = "of a linear P in place of the nonlinear one; " if design.frozen_gains else ""
     note += "K_I as it is, up to 1e4 k_g" if extension.integral_gain else "K_I = 0, up to 1e4 k_g"
     if least > 0.0:
-        yield Figure(CONDITION, "K_P from which it holds", least, design.gain_unit, state, _EXTENDED, note)
-    yield Figure(CONDITION, "K_P up to which it holds", largest, design.gain_unit, state, _EXTENDED, note)
+        yield Metric(CONDITION, "K_P from which it holds", least, design.gain_unit, state, _EXTENDED, note)
+    yield Metric(CONDITION, "K_P up to which it holds", largest, design.gain_unit, state, _EXTENDED, note)
     a_m, b, order, _, lipschitz = common
     with_extension = design.extension if is_pi and not design.frozen_gains else NO_EXTENSION
     pairs = {"without": NO_EXTENSION, "with": with_extension}
@@ -61,19 +65,19 @@ def norm_figures(design: Design) -> Iterator[Figure]:
             least = _or_none(smallest_bandwidth, a_m, b, order, lipschitz, extension=chosen, omegas=omegas)
             source = _BOOK if label == "without" else _EXTENDED
             name = f"bandwidth from which it holds, {label} the extension"
-            yield Figure(CONDITION, name, least, "rad/s", state, source)
+            yield Metric(CONDITION, name, least, "rad/s", state, source)
 
 
 def _or_none(function: Callable[..., float], *arguments: Any, **options: Any) -> float:
-    """The value; not a number for an unstable G, or where no bandwidth satisfies the condition."""
+    """Returns the value; not a number for an unstable G, or where no bandwidth satisfies the condition."""
     try:
         return function(*arguments, **options)
     except ValueError:
         return math.nan
 
 
-def linear_figures(design: Design) -> Iterator[Figure]:
-    """Delay and gain margins of the loop in the limit of fast adaptation, and at the adaptation gain."""
+def linear_metrics(design: Design) -> Iterator[Metric]:
+    """Yields the margins of the loop in the limit of fast adaptation, and at the adaptation gain."""
     law, true_state = replace(design.law, kappa=math.inf), replace(design.law, kappa=math.inf, observer=None)
     lagging, prompt = design.plant, design.plant.without_lag()
     limit = "limit of fast adaptation"
@@ -96,8 +100,8 @@ def linear_figures(design: Design) -> Iterator[Figure]:
         )
 
 
-def gamma_figures(design: Design, gains: Sequence[float]) -> Iterator[Figure]:
-    """The delay margin of the linear loop against the adaptation gain."""
+def gamma_metrics(design: Design, gains: Sequence[float]) -> Iterator[Metric]:
+    """Yields the delay margin of the linear loop against the adaptation gain."""
     for gain in gains:
         law = replace(design.law, kappa=design.law.kappa * gain / design.adaptation_gain)
         at_rest = f"adaptation_gain = {gain:g}"
@@ -105,8 +109,8 @@ def gamma_figures(design: Design, gains: Sequence[float]) -> Iterator[Figure]:
         yield first
 
 
-def _margins(label: str, law: Law, plant: Plant, limit: str, frozen: bool) -> Iterator[Figure]:
-    """Of one loop; a delay of the control and one of every measurement give the same poles."""
+def _margins(label: str, law: Law, plant: Plant, limit: str, frozen: bool) -> Iterator[Metric]:
+    """Yields the margins of one loop; delays of the control and of every measurement give the same poles."""
     known = "true state"
     if law.observer:
         known = f"{'bilinear' if law.observer.sampled else 'continuous'} equivalent of the observer"
@@ -116,6 +120,48 @@ def _margins(label: str, law: Law, plant: Plant, limit: str, frozen: bool) -> It
     )
     loop_margins = margins(loop(law, plant))
     at = f"lost at {loop_margins.frequency:.3g} rad/s" if math.isfinite(loop_margins.delay) else ""
-    yield Figure(LINEAR, f"delay margin, {label}", loop_margins.delay, "s", assumption, _NYQUIST, at)
-    yield Figure(LINEAR, f"largest gain, {label}", loop_margins.high_gain, "1", assumption, _NYQUIST)
-    yield Figure(LINEAR, f"smallest gain, {label}", loop_margins.low_gain, "1", assumption, _NYQUIST)
+    yield Metric(LINEAR, f"delay margin, {label}", loop_margins.delay, "s", assumption, _NYQUIST, at)
+    yield Metric(LINEAR, f"largest gain, {label}", loop_margins.high_gain, "1", assumption, _NYQUIST)
+    yield Metric(LINEAR, f"smallest gain, {label}", loop_margins.low_gain, "1", assumption, _NYQUIST)
+
+
+TRANSIENT = "prediction error"
+SIZES, STEPS, DURATION = (25.0, 100.0, 400.0), (1e-3, 2e-4, 2e-5), 4.0  # of the reference; s; s
+RUNS = len(SIZES) * len(STEPS)
+_BOUND = "Hovakimyan and Cao (2010): sqrt(4 max |theta|^2 / (lambda_min(P) Gamma))"
+_ERRORS = ("prediction_error[1]", "prediction_error[2]")
+
+
+def bound_metric(design: Design) -> Iterator[Metric]:
+    """Yields the bound of |x_tilde|, for any reference: the gains of the law are constant in it."""
+    law = design.law
+    smallest = float(np.linalg.eigvalsh(lyapunov_matrix(np.array(law.a_m), np.diag(law.q))).min())
+    value = math.sqrt(4.0 * design.largest_parameters / (smallest * design.adaptation_gain))
+    assumption = "continuous law, true state, constant theta and sigma within their bounds, no saturation"
+    yield Metric(TRANSIENT, "bound of the prediction error", value, "", assumption, _BOUND)
+
+
+def step_metrics(chosen: Scenario, progress: Callable[[], object]) -> Iterator[Metric]:
+    """Yields max |x_tilde| after steps of the reference, for three step sizes, if it is an output."""
+    (metric,) = [m for m in chosen.metrics.values() if m.get("reference")][:1] or [{}]
+    reference = str(metric.get("reference", ""))
+    if not reference.endswith(".reference"):  # that of L1Controller
+        return
+    errors = tuple(reference.removesuffix("reference") + name for name in _ERRORS)
+    with Simulator(chosen.system) as simulator:
+        for step in STEPS:
+            for size in SIZES:
+                experiment = replace(
+                    chosen.experiment,
+                    stop_time=DURATION,
+                    step_size=step,
+                    events=[],
+                    signals={**chosen.experiment.signals, reference: Constant(size)},
+                    record=errors,
+                )
+                recording = simulator.run(experiment)
+                largest = float(max(np.abs(recording[name]).max() for name in errors))
+                progress()
+                assumption = f"from rest, over {DURATION:g} s, at communication points"
+                name = f"largest, r = {size:g}, step {1e3 * step:g} ms"
+                yield Metric(TRANSIENT, name, largest, "", assumption, "measured")

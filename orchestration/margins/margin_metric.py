@@ -1,4 +1,4 @@
-"""One figure of a study, with what it assumes and where it is from."""
+"""Metrics of margins, with what they assume and where they are from."""
 
 import math
 from dataclasses import asdict, dataclass
@@ -6,10 +6,11 @@ from typing import Any
 
 
 @dataclass(frozen=True)
-class Figure:
-    """value: not a number if it does not exist, infinite if nothing is lost; unit: "" where it has none.
+class Metric:
+    """A metric of a margin.
 
-    assumption: what it holds under; remark: what belongs to this figure alone
+    value: not a number if it does not exist, infinite if nothing is lost; unit: "" where it has none
+    assumption: what it holds under; remark: what belongs to this metric alone
     """
 
     group: str
@@ -28,7 +29,7 @@ class Figure:
         return "not lost" if math.isinf(self.value) else f"{self.value:.4g}"
 
     def document(self) -> dict[str, Any]:
-        """As JSON has it, where neither infinity nor what is not a number exists: both are null."""
+        """Returns the metric for JSON, which has neither infinity nor what is not a number: both are null."""
         return {
             **asdict(self),
             "value": self.value if math.isfinite(self.value) else None,

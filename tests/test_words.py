@@ -1,0 +1,62 @@
+"""Docstrings say what a thing is: a function's begins with a verb, all others with a noun."""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from orchestration.cli.commands import COMMANDS
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("fmus", "controller_fmu", "plant_fmu", "orchestration")
+UNFINISHED = (  # folders and files whose docstrings do not keep the rule yet
+    "controller_fmu/",
+    "fmus/",
+    "orchestration/gym.py",
+    "orchestration/many/",
+    "orchestration/run/",
+    "orchestration/scenarios/",
+    "orchestration/score/",
+    "orchestration/sweep/store.py",
+    "plant_fmu/",
+)
+NO_SUBJECT = re.compile(r"(of|that|those|what|which|whose|why|how|so|as|where|the same)\b", re.IGNORECASE)
+THIRD_PERSON = re.compile(r"(Whether|[A-Z][a-z]+s(?! of\b))\b")  # "Returns", but not "Names of"
+FILES = [path.relative_to(ROOT) for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
+HELP = {(f"orchestration/cli/{module}.py", name) for name, (module, _) in COMMANDS.items()}
+HELP.add(("orchestration/cli/commands.py", "_l1_depth"))  # help is an imperative
+
+
+def documented(tree: ast.AST) -> Iterator[tuple[str, str, bool]]:
+    """Yields the name and the docstring of each definition, and whether it must begin with a verb."""
+    for node in ast.walk(tree):
+        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)) and (
+            text := ast.get_docstring(node)
+        ):
+            decorators = [ast.unparse(one) for one in getattr(node, "decorator_list", ())]
+            is_property = any("property" in name for name in decorators)
+            yield getattr(node, "name", "module"), text, isinstance(node, ast.FunctionDef) and not is_property
+
+
+def keeps_the_rule(text: str, begins_with_verb: bool) -> bool:
+    return bool(THIRD_PERSON.match(text)) if begins_with_verb else not NO_SUBJECT.match(text)
+
+
+@pytest.mark.parametrize("path", [p for p in FILES if not p.as_posix().startswith(UNFINISHED)], ids=str)
+def test_a_docstring_begins_with_a_verb_or_a_noun(path: Path) -> None:
+    tree = ast.parse((ROOT / path).read_text(encoding="utf-8"))
+    assert not [
+        f"{name}: {text.splitlines()[0]}"
+        for name, text, begins_with_verb in documented(tree)
+        if (path.as_posix(), name) not in HELP and not keeps_the_rule(text, begins_with_verb)
+    ]
+
+
+@pytest.mark.parametrize("text", ["Of a column.", "The unit.", "Write it.", "Names of columns.", "how far"])
+def test_a_function_without_a_verb_breaks_the_rule(text: str) -> None:
+    assert not keeps_the_rule(text, begins_with_verb=True)
+    assert keeps_the_rule("Returns the unit.", begins_with_verb=True)
+    assert keeps_the_rule("The unit.", begins_with_verb=False)
+    assert not keeps_the_rule("Of a column.", begins_with_verb=False)
