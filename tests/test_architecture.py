@@ -299,20 +299,20 @@ def test_one_function_counts_the_processors() -> None:
 
 
 def test_one_file_makes_runs_in_processes_and_one_chooses_vectors() -> None:
-    """Beside a single run with a timeout, functions of the commands, and runs that are led step by step."""
+    """Beside a single run with a timeout, and runs that are led step by step."""
     starting = {
         name for name, path in MODULES.items() if "WorkerProcess(" in path.read_text(encoding="utf-8")
     }
     assert {name for name in starting if name.startswith("orchestration.")} == {
         "orchestration.many.isolated",
         "orchestration.run.subprocess_run",
-        "orchestration.scenarios.worker_pool",
     }
     assert importers("orchestration.many.isolated") == {
         "orchestration.many.local",
         "orchestration.many.cluster",
     }
-    assert importers("orchestration.many.ensemble_choice") == {
+    assert importers("orchestration.many.ensemble_checks") == {
+        "orchestration.many.ensemble",
         "orchestration.many.runners",
         "orchestration.scenarios.task_runs",
     }

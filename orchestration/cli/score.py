@@ -63,7 +63,7 @@ def score(
     check_writable(out)
     total = scoring.run_count(len(chosen), protocol, full)
     with progress("score", total) as bar:
-        result = scoring.score(
+        result = scoring.score_controllers(
             chosen, protocol, full=full, timeout=timeout, workers=workers, progress=bar.advance
         )
     print_score(result.document)

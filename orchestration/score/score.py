@@ -31,7 +31,7 @@ class ScoreResult:
     traces: Mapping[str, Mapping[str, Trace]]
 
 
-def score(
+def score_controllers(
     controllers: Sequence[Controller],
     protocol: Protocol | None = None,
     *,

@@ -126,7 +126,7 @@ def compiled(folder: Path, dialect: ScalarC, head: str, calls: str) -> ctypes.CD
     file = folder / library_name("functions", host_platform()).rpartition("/")[2]
     (folder / "functions.c").write_text("\n".join([head, *codes, calls]))
     flags = [flag for flag in toolchain.FLAGS if "visibility" not in flag]
-    headers = [f"-I{resources.files('fmus') / name}" for name in ("native", "templates")]
+    headers = [f"-I{resources.files('fmus.native') / name}" for name in (".", "vectors")]
     toolchain.zig(["cc", "-shared", *flags, *headers, "-o", str(file), "functions.c"], folder)
     return ctypes.CDLL(str(file))
 

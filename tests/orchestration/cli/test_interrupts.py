@@ -32,7 +32,7 @@ AT_WORK = {
     "run nominal-l1 --out .": "orchestration.system.prepared_run.prepare_checked",
     "sweep monte-carlo": "orchestration.sweep.run.sweep",
     "report .": "orchestration.report.found_results",
-    "score L1DepthController --out .": "orchestration.score.score.score",
+    "score L1DepthController --out .": "orchestration.score.score.score_controllers",
     "tune l1-pi --out .": "orchestration.score.tune_problem.problem_of",
     "compare --out .": "orchestration.score.compare.compare",
     "margins nominal-l1": "orchestration.margins.margins.judge",

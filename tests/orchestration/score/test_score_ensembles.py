@@ -13,7 +13,7 @@ from orchestration.many.job import Done, Run
 from orchestration.score import score_rows
 from orchestration.score.loop import Controller, Loop
 from orchestration.score.protocol import Protocol, read_protocol
-from orchestration.score.score import score
+from orchestration.score.score import score_controllers
 from orchestration.score.score_document import PlantsResult
 from tests.foreign_fmus import Misdeed
 from tests.shared_builds import Build, built_once, session_folder
@@ -75,7 +75,7 @@ def plants_of(path: Path, monkeypatch: pytest.MonkeyPatch) -> Scored:
             patch.setattr(ensemble_checks, "is_compiled", lambda *_: is_compiled)
             patch.setattr(Isolated, "_made", count)
             patch.setattr(score_rows, "_value_or", lambda default, *_: default)  # without other runs
-            result = score([controller], read_protocol(path), full=True, progress=done.append)
+            result = score_controllers([controller], read_protocol(path), full=True, progress=done.append)
         assert sum(done) == 1 + COUNT
         assert result.document.rows[0].plants is not None
         return result.document.rows[0].plants, groups
