@@ -11,7 +11,7 @@ from fmus.platforms import usable_processors
 from orchestration.score import score_view
 from orchestration.score.loop import Controller, built_in, tuned
 from orchestration.score.protocol import Protocol
-from orchestration.score.score import ScoreResult, runs_each, score
+from orchestration.score.score import ScoreResult, runs_each, score_controllers
 from orchestration.score.score_document import OF_A_ROW, CaseResult, Score
 from orchestration.score.score_view import Cell, ScoreTable
 
@@ -36,7 +36,7 @@ def compare(
 ) -> ScoreResult:
     """The score of them all; with `full` on every plant, each compared with the paper's controller, tuned."""
     papers, *others = sorted(controllers(protocol), key=lambda controller: controller.name != PAPERS)
-    return score([papers], protocol, beside=others, full=full, workers=workers, progress=progress)
+    return score_controllers([papers], protocol, beside=others, full=full, workers=workers, progress=progress)
 
 
 def run_count(protocol: Protocol, full: bool) -> int:

@@ -15,7 +15,7 @@ from orchestration.score import score_document
 from orchestration.score.loop import Controller, Loop, tuned
 from orchestration.score.plants import plants
 from orchestration.score.protocol import read_protocol
-from orchestration.score.score import run_count, score
+from orchestration.score.score import run_count, score_controllers
 from orchestration.score.score_document import Row, Score
 from orchestration.score.score_rows import uses_true_rate
 from orchestration.score.score_view import of_figure
@@ -40,7 +40,7 @@ def document(path: Path, rogue: Build) -> Score:
     """A full score of two controllers beside the one of the protocol."""
     controllers = [MINE, rogue_doing(rogue(), Misdeed.SEGFAULT)]
     done: list[int] = []
-    result = score(controllers, read_protocol(path), full=True, workers=2, progress=done.append)
+    result = score_controllers(controllers, read_protocol(path), full=True, workers=2, progress=done.append)
     assert sum(done) == run_count(2, read_protocol(path), full=True) == 3 * (2 + 3)
     return result.document
 
@@ -91,7 +91,7 @@ def test_what_crashes_has_its_row_and_the_others_are_scored(document: Score) -> 
 def test_a_failure_is_told_in_the_words_of_the_run(
     path: Path, rogue: Build, misdeed: Misdeed, reason: str
 ) -> None:
-    bad, good = score([rogue_doing(rogue(), misdeed)], read_protocol(path)).document.rows
+    bad, good = score_controllers([rogue_doing(rogue(), misdeed)], read_protocol(path)).document.rows
     for case in bad.cases.values():
         (complaint,) = case.failed
         assert re.search(reason, complaint), complaint
@@ -101,7 +101,7 @@ def test_a_failure_is_told_in_the_words_of_the_run(
 @pytest.mark.slow
 def test_what_hangs_is_asked_for_nothing_more(path: Path, rogue: Build) -> None:
     hanging = rogue_doing(rogue(), Misdeed.HANG)
-    hung, mine, _ = score([hanging, MINE], read_protocol(path), timeout=20.0).document.rows
+    hung, mine, _ = score_controllers([hanging, MINE], read_protocol(path), timeout=20.0).document.rows
     first, second = (case.failed for case in hung.cases.values())
     assert first == ["it took longer than the timeout of 20 s"]
     assert second == ["not run: it took too long before"]
@@ -111,19 +111,19 @@ def test_what_hangs_is_asked_for_nothing_more(path: Path, rogue: Build) -> None:
 def test_what_does_not_fit_the_vehicle_is_refused_before_anything_runs(path: Path) -> None:
     wrong = replace(MINE, parameters={"velocity_source": "speedometer"})
     with pytest.raises(OrchestrationError, match=r"velocity_source = 'speedometer': expected one of"):
-        score([wrong], read_protocol(path))
+        score_controllers([wrong], read_protocol(path))
     with pytest.raises(ScenarioError, match=r"two controllers are called 'mine'"):
-        score([MINE, MINE], read_protocol(path))
+        score_controllers([MINE, MINE], read_protocol(path))
 
 
 @pytest.mark.slow
 def test_built_in_rows_are_run_once_for_a_protocol(small_protocol: Written) -> None:
     """No two runs take the same time: a row with an equal one comes from the cache."""
     path = small_protocol(version="cached")
-    first, second = (score([MINE], read_protocol(path)).document.rows for _ in range(2))
+    first, second = (score_controllers([MINE], read_protocol(path)).document.rows for _ in range(2))
     assert second[1].microseconds == first[1].microseconds
     assert second[0].microseconds != first[0].microseconds
-    another = score([MINE], read_protocol(small_protocol(version="another"))).document.rows
+    another = score_controllers([MINE], read_protocol(small_protocol(version="another"))).document.rows
     assert another[1].microseconds != first[1].microseconds
 
 
