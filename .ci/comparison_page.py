@@ -2,7 +2,7 @@
 
     python .ci/comparison_page.py results/comparison.json > docs/explanation/comparison.json
 
-The figures of a case keep eight digits. The values on each plant stay where a test computes from them again.
+The metrics of a case keep eight digits. The values on each plant stay where a test computes from them again.
 """
 
 import json
@@ -18,25 +18,25 @@ _WITH_VALUES = "rmse"
 
 
 def reduced(document: dict[str, Any]) -> dict[str, Any]:
-    """Returns the document with rounded figures, and the plants' values of two controllers alone."""
+    """Returns the document with rounded metrics, and the plants' values of two controllers alone."""
     return {
         **document,
         "rows": [_row(row) for row in document["rows"]],
-        "differences": [entry for entry in document["differences"] if entry["figure"] == _WITH_VALUES],
+        "differences": [entry for entry in document["differences"] if entry["metric"] == _WITH_VALUES],
     }
 
 
 def _row(row: dict[str, Any]) -> dict[str, Any]:
     plants = row["plants"]
-    figures = {
-        name: {**_rounded(figure | {"values": []}), "values": _values(row["name"], name, figure["values"])}
-        for name, figure in plants["figures"].items()
+    metrics = {
+        name: {**_rounded(metric | {"values": []}), "values": _values(row["name"], name, metric["values"])}
+        for name, metric in plants["metrics"].items()
     }
-    return {**row, "cases": _rounded(row["cases"]), "plants": {**plants, "figures": figures}}
+    return {**row, "cases": _rounded(row["cases"]), "plants": {**plants, "metrics": metrics}}
 
 
-def _values(controller: str, figure: str, values: list[float]) -> list[float]:
-    return values if controller in _WITH_PLANTS and figure == _WITH_VALUES else []
+def _values(controller: str, metric: str, values: list[float]) -> list[float]:
+    return values if controller in _WITH_PLANTS and metric == _WITH_VALUES else []
 
 
 def _rounded(value: Any) -> Any:

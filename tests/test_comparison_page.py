@@ -1,6 +1,6 @@
 """What docs/explanation/comparison.md says follows from the run that ships beside it, and from the searches.
 
-A figure stands before a comment with the expression that gives it: 1.02<!-- {tuned/l1.nominal.rmse} -->.
+A metric stands before a comment with the expression that gives it: 1.02<!-- {tuned/l1.nominal.rmse} -->.
 What a sentence says besides is a condition: <!-- holds: {tuned/l1.nominal.rmse} < 2 -->.
 """
 
@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from orchestration.score import compare
-from orchestration.score.loop import GAINS, tuned_gains
+from orchestration.score.closed_loop import GAINS, tuned_gains
 from orchestration.score.protocol import read_protocol
 from orchestration.score.score_document import Score
 from orchestration.score.statistics import compare as paired
@@ -25,7 +25,7 @@ from orchestration.score.statistics import distribution
 EXPLANATION = Path(__file__).parent.parent / "docs" / "explanation"
 PAGE = (EXPLANATION / "comparison.md").read_text(encoding="utf-8")
 CLAIMS = PAGE[PAGE.index("## What follows") : PAGE.index("## Tables")]
-FIGURE = re.compile(r"(?<![\w.])(-?\d[\d.]*)<!-- (.+?) -->")
+METRIC = re.compile(r"(?<![\w.])(-?\d[\d.]*)<!-- (.+?) -->")
 HOLDS = re.compile(r"<!-- holds: (.+?) -->", re.DOTALL)
 SENTENCE = re.compile(r"(?<=\.)\s+(?=(?:[-*] ?)*[A-Z])")
 WITHDRAWN = ["the tuned L1 with PI is a PID", "the extension still helps a tuned law", "projection"]
@@ -39,22 +39,22 @@ def document() -> Score:
 
 def value(document: Score, expression: str) -> Any:
     """Of Python, over keys in braces: {tuned/l1.nominal.rmse}, {search/l1.cost}, {gain/pid.kp}."""
-    code = re.sub(r"\{(.+?)\}", r"figure('\1')", expression)
+    code = re.sub(r"\{(.+?)\}", r"metric('\1')", expression)
 
-    def figure(key: str) -> float:
+    def metric(key: str) -> float:
         kind, _, rest = key.partition("/")
         name, _, item = rest.partition(".")
         if kind == "search":
             return search(name, item)
-        return float(tuned_gains(name)[item]) if kind == "gain" else compare.figure(document, key)
+        return float(tuned_gains(name)[item]) if kind == "gain" else compare.metric(document, key)
 
     def order(which: str, league: str, key: str) -> list[str]:
-        """The controllers of a league, the one with the least figure first."""
+        """The controllers of a league, the one with the least metric first."""
         names = [row.name for row in compare.part(document, which, league).rows]
-        return [name.partition("/")[2] for name in sorted(names, key=lambda name: figure(f"{name}.{key}"))]
+        return [name.partition("/")[2] for name in sorted(names, key=lambda name: metric(f"{name}.{key}"))]
 
     tuned = [row.name for row in document.rows if row.name.startswith(f"{compare.TUNED}/")]
-    known = {f.__name__: f for f in (figure, order, search, abs, max, min, set)}
+    known = {f.__name__: f for f in (metric, order, search, abs, max, min, set)}
     names = [*read_protocol().controllers]
     return eval(" ".join(code.split()), {**known, "names": names, "tuned": tuned, "__builtins__": {}})
 
@@ -65,10 +65,10 @@ def search(name: str, key: str) -> Any:
     return tomllib.loads((GAINS / f"{name}.toml").read_text(encoding="utf-8"))["tuning"][key]
 
 
-def test_every_figure_agrees_with_the_run_to_the_digits_printed(document: Score) -> None:
-    figures = FIGURE.findall(PAGE)
-    assert len(figures) > 20
-    for printed, expression in figures:
+def test_every_metric_agrees_with_the_run_to_the_digits_printed(document: Score) -> None:
+    metrics = METRIC.findall(PAGE)
+    assert len(metrics) > 20
+    for printed, expression in metrics:
         digits = len(printed.partition(".")[2])
         assert f"{float(value(document, expression)):.{digits}f}" == printed, expression
 
@@ -94,8 +94,8 @@ def test_findings_stay_withdrawn_while_the_adaptation_gain_of_l1_is_not_tuned() 
     assert not [words for words in WITHDRAWN if words in CLAIMS]
 
 
-def test_no_figure_of_the_claims_stands_without_what_gives_it() -> None:
-    prose = re.sub(r"`.*?`|\]\(.*?\)", "", HOLDS.sub("", FIGURE.sub("", CLAIMS)))
+def test_no_metric_of_the_claims_stands_without_what_gives_it() -> None:
+    prose = re.sub(r"`.*?`|\]\(.*?\)", "", HOLDS.sub("", METRIC.sub("", CLAIMS)))
     assert not [line for line in prose.splitlines() if NUMBER.search(line)]
 
 
@@ -111,13 +111,13 @@ def test_the_statistics_are_those_of_the_plants(document: Score) -> None:
         assert row.plants is not None
         assert row.plants.count == count
         assert row.plants.failure_rate == len(row.plants.failed) / count
-        for figure in row.plants.figures.values():
-            if figure.values:
+        for metric in row.plants.metrics.values():
+            if metric.values:
                 checked.append(row.name)
-                assert len(figure.values) == count
-                statistics = [figure.median, figure.p95, figure.cvar]
+                assert len(metric.values) == count
+                statistics = [metric.median, metric.p95, metric.cvar]
                 # the file has eight digits of them
-                assert statistics == pytest.approx(astuple(distribution(figure.values)), rel=1e-7)
+                assert statistics == pytest.approx(astuple(distribution(metric.values)), rel=1e-7)
     assert sorted(checked) == sorted([compare.PAPERS, "tuned/pid"])
 
 
@@ -128,9 +128,9 @@ def test_the_differences_are_of_the_same_plants(document: Score) -> None:
     )
     assert papers is not None
     assert pid is not None
-    expected = paired(papers.figures["rmse"].values, pid.figures["rmse"].values)
+    expected = paired(papers.metrics["rmse"].values, pid.metrics["rmse"].values)
     given = [
-        compare.figure(document, f"tuned/pid.difference.rmse.{part}") for part in ("median", "low", "high")
+        compare.metric(document, f"tuned/pid.difference.rmse.{part}") for part in ("median", "low", "high")
     ]
     assert given == pytest.approx([expected.median_difference, expected.low, expected.high])
 

@@ -20,7 +20,7 @@ from orchestration.errors import ScenarioError
 from orchestration.system.open_inputs import OpenInputs
 
 if TYPE_CHECKING:
-    from orchestration.score.loop import Controller
+    from orchestration.score.closed_loop import Controller
     from orchestration.score.score import ScoreResult
     from orchestration.score.score_document import Score
     from orchestration.score.score_view import ScoreTable
@@ -129,7 +129,7 @@ def scored_controllers(
 ) -> list["Controller"]:
     """Returns the FMUs, blocks and Python files of blocks; settings and mapping are those of the only one."""
     from fmus.build import builder
-    from orchestration.score.loop import Controller
+    from orchestration.score.closed_loop import Controller
 
     changes = Changes.of_options("", settings, mapped, open_inputs)
     if len(names) > 1 and (settings or mapped):

@@ -21,7 +21,7 @@ def score_tables(score: Score) -> list[ScoreTable]:
     tables = [
         score_view.overview(score),
         score_view.of_case(score, nominal),
-        score_view.of_figure(score, "rmse"),
+        score_view.of_metric(score, "rmse"),
         score_view.over_plants(score),
     ]
     return [table for table in tables if table]
@@ -37,20 +37,20 @@ def differences_table(score: Score) -> Table | None:
     if not score.differences:
         return None
     table = Table(title="Plant by plant: the scored controller minus another one")
-    for heading in ("Scored", "Other", "Figure"):
+    for heading in ("Scored", "Other", "Metric"):
         table.add_column(heading)
     for heading in ("Pairs", "Median difference", "95 % interval", "p, Holm"):
         table.add_column(heading, justify="right")
     titles = {row.name: row.title for row in score.rows}
     for entry in score.differences:
-        figure = score.protocol.figures[entry.figure]
+        metric = score.protocol.metrics[entry.metric]
         low, high = entry.interval
         table.add_row(
             titles[entry.scored],
             titles[entry.other],
-            figure.title,
+            metric.title,
             str(entry.pairs),
-            f"{entry.median_difference:.3g} {figure.unit}",
+            f"{entry.median_difference:.3g} {metric.unit}",
             f"{low:.3g} to {high:.3g}",
             f"{entry.p_holm:.2g}",
         )

@@ -25,7 +25,7 @@ from orchestration.errors import ScenarioError
 from orchestration.system.open_inputs import OpenInputs
 
 if TYPE_CHECKING:
-    from orchestration.score.loop import Controller
+    from orchestration.score.closed_loop import Controller
     from orchestration.score.protocol import Protocol
     from orchestration.score.tune import Evaluate, Problem, Tuning
 
@@ -64,7 +64,7 @@ def tune(
 ) -> None:
     """Search the gains of least cost on practice cases of the protocol; an interrupted tuning continues."""
     from orchestration.score import tune_problem
-    from orchestration.score.loop import Loop
+    from orchestration.score.closed_loop import ClosedLoop
     from orchestration.score.protocol import read_protocol
     from orchestration.score.tune_cost import evaluations as started
     from orchestration.score.tune_search import parse
@@ -82,7 +82,7 @@ def tune(
         tuning = _search(problem, range(1, seeds + 1), evaluations, journal, evaluate, bar, restart)
     provenance = tune_problem.provenance(tuning, controller, protocol)
     path = out / f"{controller.name}.toml"
-    with Loop(controller, protocol) as loop:
+    with ClosedLoop(controller, protocol) as loop:
         tune_problem.write(tuning, loop.parameters(), provenance, path)
     journal.unlink()
     print_gains(tuning, controller.name)
@@ -127,7 +127,7 @@ def _controller(
 ) -> "Controller":
     """Returns the controller of the protocol, or of an FMU, with what the options change."""
     from fmus.registry import block_names
-    from orchestration.score.loop import built_in
+    from orchestration.score.closed_loop import built_in
 
     known = [*protocol.controllers, *block_names()]
     if name not in known and not name.endswith((".py", ".fmu")):

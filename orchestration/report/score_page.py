@@ -18,11 +18,11 @@ _SCALE = 1e4  # whole numbers compress to a quarter of the room
 def score_page(result: ScoreResult, title: str) -> str:
     """Returns the page of a score or of a comparison."""
     score = result.document
-    figures = [name for name in score.protocol.figures if name not in OF_A_ROW]
+    metrics = [name for name in score.protocol.metrics if name not in OF_A_ROW]
     tables = {
         "Means over the cases": {"overview": score_view.overview(score)},
         "A case": {f"case-{case}": score_view.of_case(score, case) for case in score.protocol.cases},
-        "A figure": {f"figure-{name}": score_view.of_figure(score, name) for name in figures},
+        "A metric": {f"metric-{name}": score_view.of_metric(score, name) for name in metrics},
     }
     plants = score_view.over_plants(score)
     if plants:

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from fmus.platforms import usable_processors
 from orchestration.score import score_view
-from orchestration.score.loop import Controller, built_in, tuned
+from orchestration.score.closed_loop import Controller, built_in, tuned
 from orchestration.score.protocol import Protocol
 from orchestration.score.score import ScoreResult, runs_each, score_controllers
 from orchestration.score.score_document import OF_A_ROW, CaseResult, Score
@@ -20,7 +20,7 @@ PAPERS = f"{TUNED}/l1-pi"  # the paper's controller, which the others are compar
 
 
 def controllers(protocol: Protocol) -> list[Controller]:
-    """Every controller of the protocol, tuned and with the start values of its FMU."""
+    """Returns every controller of the protocol, tuned and with the start values of its FMU."""
     return [
         replace(chosen(protocol, name), name=f"{which}/{name}")
         for which, chosen in ((TUNED, tuned), (START, built_in))
@@ -34,18 +34,18 @@ def compare(
     workers: int = usable_processors(),
     progress: Callable[[int], object] = lambda done: None,
 ) -> ScoreResult:
-    """The score of them all; with `full` on every plant, each compared with the paper's controller, tuned."""
+    """Returns the score of all, with `full` on every plant, beside the paper's controller, tuned."""
     papers, *others = sorted(controllers(protocol), key=lambda controller: controller.name != PAPERS)
     return score_controllers([papers], protocol, beside=others, full=full, workers=workers, progress=progress)
 
 
 def run_count(protocol: Protocol, full: bool) -> int:
-    """Runs of a comparison."""
+    """Returns the number of runs of a comparison."""
     return len(controllers(protocol)) * runs_each(protocol, full)
 
 
 def for_page(result: ScoreResult) -> ScoreResult:
-    """The same with titles that say which gains a row has, for a page that shows all rows together."""
+    """Returns the result with the gains of each row in its title, for a page that shows all rows together."""
     endings = {TUNED: "tuned", START: "as it comes"}
     rows = [
         row.model_copy(update={"title": f"{row.title}, {endings[row.name.partition('/')[0]]}"})
@@ -55,7 +55,7 @@ def for_page(result: ScoreResult) -> ScoreResult:
 
 
 def part(document: Score, which: str, league: str) -> Score:
-    """The rows of one kind and league, each table of which marks the best of its columns."""
+    """Returns the rows of one kind and league; each table of them marks the best of its columns."""
     rows = [row for row in document.rows if row.name.startswith(f"{which}/") and row.league == league]
     return document.model_copy(update={"rows": rows})
 
@@ -67,7 +67,7 @@ def shown_tables(document: Score) -> dict[str, ScoreTable]:
         for which in (TUNED, START):
             made[f"{which} {league} overview"] = score_view.overview(part(document, which, league))
         rows = part(document, TUNED, league)
-        made[f"{TUNED} {league} rmse"] = score_view.of_figure(rows, "rmse")
+        made[f"{TUNED} {league} rmse"] = score_view.of_metric(rows, "rmse")
         plants = score_view.over_plants(rows)
         if plants:
             made[f"{TUNED} {league} plants"] = plants
@@ -75,7 +75,7 @@ def shown_tables(document: Score) -> dict[str, ScoreTable]:
 
 
 def tables(document: Score) -> dict[str, str]:
-    """The tables of the page in Markdown, by the name that stands before them there."""
+    """Returns the tables of the page in Markdown, by the name that stands before them there."""
     made = {name: _markdown(table) for name, table in shown_tables(document).items()}
     if document.differences:
         made[f"{TUNED} differences"] = _differences(document)
@@ -84,7 +84,7 @@ def tables(document: Score) -> dict[str, str]:
 
 def with_tuned_differences(document: Score) -> Score:
     """Returns the score with the differences in RMSE between tuned controllers alone."""
-    entries = [e for e in document.differences if e.other.startswith(f"{TUNED}/") and e.figure == "rmse"]
+    entries = [e for e in document.differences if e.other.startswith(f"{TUNED}/") and e.metric == "rmse"]
     return document.model_copy(update={"differences": entries})
 
 
@@ -97,7 +97,7 @@ def _markdown(table: ScoreTable) -> str:
 
 
 def _differences(document: Score) -> str:
-    """The paper's controller minus each other tuned one, in RMSE."""
+    """Returns the table of the paper's controller minus each other tuned one, in RMSE."""
     titles = {row.name: row.title for row in document.rows}
     return _lines(
         ["Plants", "Median difference [cm]", "95 % interval [cm]", "p, Holm"],
@@ -115,7 +115,7 @@ def _differences(document: Score) -> str:
 
 
 def _lines(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table of Markdown, of controllers."""
+    """Returns a table of controllers in Markdown."""
     lines = [["Controller", *headings], [":---", *["---:"] * len(headings)], *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
@@ -125,33 +125,33 @@ def _text(cell: Cell) -> str:
     return f"{text} !" if cell.failed else text
 
 
-def figure(document: Score, key: str) -> float:
-    """The number that the page names by a key.
+def metric(document: Score, key: str) -> float:
+    """Returns the number that the page names by a key.
 
     Such as "tuned/l1.nominal.rmse", "tuned/l1.delay_margin", "tuned/l1.plants.rmse.p95", or, of the paper's
     controller minus this one over the plants, "tuned/l1.difference.rmse.high".
 
-    Raises KeyError for a key of no figure.
+    Raises KeyError for a key of no metric.
     """
     name, *path = key.split(".")
     row = next((row for row in document.rows if row.name == name), None)
     match path:
-        case [case, figure_name] if row and figure_name in row.cases.get(case, CaseResult()).figures:
-            return row.cases[case].figures[figure_name]
-        case [figure_name] if row and figure_name in OF_A_ROW:
-            return getattr(row, figure_name)
+        case [case, metric_name] if row and metric_name in row.cases.get(case, CaseResult()).metrics:
+            return row.cases[case].metrics[metric_name]
+        case [metric_name] if row and metric_name in OF_A_ROW:
+            return getattr(row, metric_name)
         case ["plants", "failure_rate"] if row and row.plants:
             return row.plants.failure_rate
-        case ["plants", figure_name, "median" | "p95" | "cvar" as statistic] if row and row.plants:
-            return getattr(row.plants.figures[figure_name], statistic)
-        case ["difference", figure_name, statistic] if row:
-            return _difference(document, name, figure_name, statistic)
+        case ["plants", metric_name, "median" | "p95" | "cvar" as statistic] if row and row.plants:
+            return getattr(row.plants.metrics[metric_name], statistic)
+        case ["difference", metric_name, statistic] if row:
+            return _difference(document, name, metric_name, statistic)
     raise KeyError(key)
 
 
-def _difference(document: Score, other: str, figure_name: str, statistic: str) -> float:
+def _difference(document: Score, other: str, metric_name: str, statistic: str) -> float:
     for entry in document.differences:
-        if (entry.other, entry.figure) == (other, figure_name):
+        if (entry.other, entry.metric) == (other, metric_name):
             low, high = entry.interval
             return {"median": entry.median_difference, "low": low, "high": high, "p": entry.p_holm}[statistic]
-    raise KeyError(f"{other}.difference.{figure_name}")
+    raise KeyError(f"{other}.difference.{metric_name}")

@@ -19,7 +19,7 @@ Quantile = Callable[[float], FmiValue]
 
 @dataclass(frozen=True)
 class _Draws:
-    """What a plant draws, each as a function of a uniform number in [0, 1)."""
+    """The draws of a plant, each a function of a uniform number in [0, 1)."""
 
     varied: list[tuple[list[str], Quantile]]
     way: Quantile
@@ -28,7 +28,7 @@ class _Draws:
 
 
 def plants(protocol: Protocol, seed: int, count: int | None = None) -> list[Case]:
-    """The first `count` plants of a seed, as cases; by default as many as the protocol says."""
+    """Returns the first `count` plants of a seed as cases, by default as many as the protocol has."""
     table = protocol.tables.plants
     draws = _Draws(
         [(entry.variables, _quantile(entry)) for entry in table.vary.values()],  # type: ignore[attr-defined]
@@ -68,7 +68,7 @@ def _plant(nominal: Case, draws: _Draws, seed: int, number: int) -> Case:
 
 
 def _until(points: list[list[float]], end: float) -> list[list[float]]:
-    """The points of a trajectory before its end, and the one at its end."""
+    """Returns the points of a trajectory before its end, and the one at its end."""
     times, depths = zip(*points, strict=True)
     last = float(np.interp(end, times, depths))
     return [*(point for point in points if point[0] < end), [end, last]]

@@ -1,6 +1,6 @@
-"""The protocol of the score: its cases, figures and controllers, from protocol.toml.
+"""The protocol of the score: its cases, metrics and controllers, from protocol.toml.
 
-What is kept for the table of a score alone stands in table.toml, which `study.table_seeds` reads.
+What is kept for the table of a score alone stands in table.toml, which `table_seeds` reads.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -26,7 +26,7 @@ from orchestration.score.protocol_format import (
     DELAY_MARGIN,
     SIGNALS,
     ControllerTable,
-    FigureTable,
+    MetricTable,
     ProtocolFile,
 )
 
@@ -74,7 +74,7 @@ class Case:
     trajectory: Sequence[Sequence[float]] = ()
 
     def with_seed(self, seed: int) -> "Case":
-        """The same with another seed of the sensor's noise."""
+        """Returns the case with another seed of the sensor's noise."""
         return replace(self, values={**self.values, SENSOR_SEED: seed})
 
 
@@ -94,8 +94,8 @@ class Protocol:
         return self.tables.statement.strip()
 
     @property
-    def figures(self) -> Mapping[str, FigureTable]:
-        return self.tables.figures
+    def metrics(self) -> Mapping[str, MetricTable]:
+        return self.tables.metrics
 
     @property
     def controllers(self) -> Mapping[str, ControllerTable]:
@@ -131,8 +131,8 @@ class Protocol:
 _LAYER_KEYS = ("parameters", "inputs", "signals", "faults")
 
 
-def metric_of(table: FigureTable, case: Case) -> dict[str, Any]:
-    """A figure of a case as a scenario declares a metric."""
+def metric_of(table: MetricTable, case: Case) -> dict[str, Any]:
+    """Returns a metric of a case as a scenario declares it."""
     call: dict[str, Any] = {"function": table.function, **table.arguments}
     if table.at_target:
         call |= {"target": case.target.depth, "window": list(case.target.window)}
@@ -144,7 +144,7 @@ def metric_of(table: FigureTable, case: Case) -> dict[str, Any]:
 
 
 def first_target(points: Iterable[Sequence[float]]) -> Target:
-    """The first depth that a trajectory holds; ScenarioError if it holds none."""
+    """Returns the first depth that a trajectory holds; ScenarioError if it holds none."""
     listed = list(points)
     for (_, before), (until, after) in pairwise(listed):
         if before == after:
@@ -153,23 +153,35 @@ def first_target(points: Iterable[Sequence[float]]) -> Target:
 
 
 def read_protocol(path: Path = FILE) -> Protocol:
-    """The protocol of a file, by default of the one that ships; ScenarioError names file and line."""
+    """Returns the protocol of a file, by default the one that ships; ScenarioError names file and line."""
     file = read_toml(path)
+    _check_keys(file)
     protocol = Protocol(file, checked(_FILE, file.data, file.at))
     for keys, name, known in _names(protocol.tables):
         if name not in known:
             shown = ".".join(map(str, keys))
             raise ScenarioError(f"{file.at(keys)}: {shown} = {name!r}; {nearest(name, known)}")
-    for name in (name for name in COMPARED if name not in protocol.figures):
-        raise ScenarioError(f"{file.at(('figures',))}: figures.{name} is missing: tables show it")
-    for name, table in protocol.figures.items():
-        keys = ("figures", name, "arguments")
+    for name in (name for name in COMPARED if name not in protocol.metrics):
+        raise ScenarioError(f"{file.at(('metrics',))}: metrics.{name} is missing: tables show it")
+    for name, table in protocol.metrics.items():
+        keys = ("metrics", name, "arguments")
         checked(_METRIC, metric_of(table, protocol.nominal), lambda key, keys=keys: file.at((*keys, *key)))
     return protocol
 
 
+def _check_keys(file: TomlFile) -> None:
+    """Refuses a file with the keys of protocol 1.x, and names the change that it needs."""
+    cost = file.data.get("cost")
+    for keys, table in ((("figures",), file.data), (("cost", "figure"), cost)):
+        if isinstance(table, dict) and keys[-1] in table:
+            raise ScenarioError(
+                f"{file.at(keys)}: {'.'.join(keys)} is a key of protocol 1.x: expected the keys of 2.0; "
+                "rename figures to metrics and cost.figure to cost.metric"
+            )
+
+
 def check_vehicle(protocol: Protocol, variables: Collection[str]) -> None:
-    """Refuse a case or a plant that names a variable which the vehicle does not have."""
+    """Refuses a case or a plant that names a variable which the vehicle does not have."""
     tables, known = protocol.tables, [f"{_VEHICLE}{variable}" for variable in variables]
     names: list[tuple[KeyPath, str]] = []
     for case, table in tables.cases.items():
@@ -184,19 +196,19 @@ def check_vehicle(protocol: Protocol, variables: Collection[str]) -> None:
 
 
 def _names(tables: ProtocolFile) -> Iterator[tuple[KeyPath, str, Collection[str]]]:
-    """Keys, the name that stands there, and the names that may."""
+    """Yields keys, the name that stands there, and the names that may."""
     yield ("base",), tables.base, shipped_bases()
-    for name, table in tables.figures.items():
-        yield ("figures", name, "function"), table.function, metrics.FUNCTIONS
+    for name, table in tables.metrics.items():
+        yield ("metrics", name, "function"), table.function, metrics.FUNCTIONS
         for argument in sorted(table.arguments.keys() & metrics.SIGNALS):
-            yield ("figures", name, "arguments", argument), table.arguments[argument], SIGNALS
+            yield ("metrics", name, "arguments", argument), table.arguments[argument], SIGNALS
     for name in tables.failure:
-        yield ("failure", name), name, tables.figures
+        yield ("failure", name), name, tables.metrics
     for name in tables.cost.cases:
         yield ("cost", "cases"), name, tables.cases
-    yield ("cost", "figure"), tables.cost.figure, tables.figures
+    yield ("cost", "metric"), tables.cost.metric, tables.metrics
     for name in tables.cost.bounds:
-        yield ("cost", "bounds", name), name, [*tables.figures, DELAY_MARGIN]
+        yield ("cost", "bounds", name), name, [*tables.metrics, DELAY_MARGIN]
     blocks = block_names()
     for name, controller in tables.controllers.items():
         yield ("controllers", name, "league"), controller.league, tables.leagues

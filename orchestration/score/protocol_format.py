@@ -1,4 +1,4 @@
-"""What protocol.toml contains, as types."""
+"""The content of protocol.toml, as types."""
 # ruff: noqa: RUF012  (Pydantic copies defaults)
 
 from typing import Annotated, Any
@@ -12,14 +12,14 @@ from orchestration.sweep.distributions import FUNCTIONS
 CONTINUOUS = {name: function for name, function in FUNCTIONS.items() if name not in ("seed", "choice")}
 """Distributions of numbers by name."""
 SIGNALS = {"depth": "m", "reference": "m", "u": "N", "voltage": "V", "power": "V2", "saturated": "%"}
-"""What figures are computed of -> its unit."""
+"""What metrics are computed of -> its unit."""
 COMPARED = ("rmse", "peak_error", "total_variation")
-"""Figures that every protocol has: tables show their means, and controllers are compared in them."""
+"""Metrics that every protocol has: tables show their means, and controllers are compared in them."""
 DELAY_MARGIN = "delay_margin"
-"""Name of the bound of the cost that is no figure of a run."""
+"""Name of the bound of the cost that is no metric of a run."""
 
 
-class FigureTable(Table):
+class MetricTable(Table):
     """A number that a score gives of each run."""
 
     title: str
@@ -27,7 +27,7 @@ class FigureTable(Table):
     meaning: str
     """Its definition, for readers."""
     function: str
-    """A metric of scenarios."""
+    """Name of a function that scenarios have too."""
     arguments: dict[str, Any]
     """Of the function, over the signals of a run."""
     at_target: bool = False
@@ -39,15 +39,15 @@ class FigureTable(Table):
 
 
 class CaseTable(Table):
-    """What differs from the nominal case, as a scenario gives it."""
+    """A case: its differences from the nominal case, as a scenario gives them."""
 
     title: str
     tuned_on: bool = False
-    """Controllers are tuned on this case: its figures stand apart."""
+    """Controllers are tuned on this case: its metrics stand apart."""
     hold: float = 0.0
     """The reference is this depth [m] all the time, and the vehicle starts there; 0: the trajectory."""
     judged: Pair = []
-    """[start, end] in s of what figures tell about; by default the run."""
+    """[start, end] in s of what metrics tell about; by default the run."""
     stop_time: float = 0.0
     """End of the run [s]; by default that of the trajectory."""
     parameters: dict[str, Value] = {}
@@ -77,12 +77,12 @@ class ControllerTable(Table):
 
 
 class CostTable(Table):
-    """What tuning makes small: the mean of a figure over cases, with bounds on others."""
+    """The cost that tuning makes small: the mean of a metric over cases, with bounds on others."""
 
-    figure: str
+    metric: str
     cases: Annotated[list[str], Field(min_length=1)]
     bounds: dict[str, float] = {}
-    """Figure -> its largest value; of the delay margin, its smallest."""
+    """Metric -> its largest value; of the delay margin, its smallest."""
 
 
 _DISTRIBUTION = OneOf(
@@ -134,9 +134,9 @@ class ProtocolFile(Table):
     trajectory: Annotated[list[Pair], Field(min_length=3)]
     """[time, depth] of the reference, in s and m; straight lines between them."""
     leagues: dict[str, str]
-    figures: dict[str, FigureTable]
+    metrics: dict[str, MetricTable]
     failure: dict[str, float]
-    """Figure -> a run with more of it failed."""
+    """Metric -> a run with more of it failed."""
     cases: dict[str, CaseTable]
     plants: PlantsTable
     cost: CostTable
@@ -144,7 +144,7 @@ class ProtocolFile(Table):
 
 
 class TableFile(Table):
-    """What is kept for the table of a score, and never read by who tunes."""
+    """The seeds of the table of a score, which tuning never reads."""
 
     sensor_seed: Annotated[int, Field(ge=1)]
     """Seed of the sensor's noise in the cases."""

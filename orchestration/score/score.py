@@ -1,7 +1,7 @@
 """The score: controllers in every case of the protocol, beside those that the protocol has.
 
 result = score([Controller("mine", "my.fmu")])
-result.document.figure(result.document.scored[0], "nominal", "rmse")
+result.document.metric(result.document.scored[0], "nominal", "rmse")
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,10 +13,10 @@ from importlib.metadata import version
 from fmus.platforms import usable_processors
 from orchestration.errors import ScenarioError
 from orchestration.many.local import LocalRuns
-from orchestration.score.figures import Trace
-from orchestration.score.loop import Controller, Loop, tuned
+from orchestration.score.closed_loop import ClosedLoop, Controller, tuned
 from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.protocol_format import COMPARED
+from orchestration.score.run_metrics import Trace
 from orchestration.score.score_document import PairedDifference, Row, Score, protocol_info
 from orchestration.score.score_rows import Patience, Progress, Scoring
 from orchestration.score.statistics import compare, holm
@@ -41,7 +41,7 @@ def score_controllers(
     workers: int = usable_processors(),
     progress: Progress = lambda done: None,
 ) -> ScoreResult:
-    """Run every case, with `full` every plant too, and compare with the controllers of the protocol.
+    """Runs every case, with `full` every plant too, and compares with the controllers of the protocol.
 
     beside: the other controllers, by default those of the protocol, tuned; their rows are kept in a cache
     timeout: longest time [s] of a run, by default that of the protocol
@@ -67,17 +67,17 @@ def score_controllers(
 
 
 def runs_each(protocol: Protocol, full: bool) -> int:
-    """Runs of a controller's row."""
+    """Returns the number of runs of a controller's row."""
     return len(protocol.cases) + (protocol.tables.plants.count if full else 0)
 
 
 def run_count(controllers: int, protocol: Protocol, full: bool) -> int:
-    """Runs of a score of so many controllers beside those of the protocol."""
+    """Returns the number of runs of a score of so many controllers beside those of the protocol."""
     return (controllers + len(protocol.controllers)) * runs_each(protocol, full)
 
 
 def _with_other_names(controllers: Sequence[Controller], beside: Sequence[Controller]) -> list[Controller]:
-    """The controllers, under names that those beside them do not have; ScenarioError for two of one name."""
+    """Returns the controllers, renamed if one beside has the name; ScenarioError for two of one name."""
     taken = {controller.name for controller in beside}
     renamed = [replace(c, name=f"{c.name} (scored)") if c.name in taken else c for c in controllers]
     names = [controller.name for controller in (*renamed, *beside)]
@@ -95,10 +95,10 @@ def _rows(
     workers: int,
 ) -> list[tuple[Row, dict[str, Trace]]]:
     """Returns the rows of the scored controllers, then of those beside them, and their traces."""
-    nominal, makers = scoring.protocol.nominal, list[tuple[Loop, Patience]]()
+    nominal, makers = scoring.protocol.nominal, list[tuple[ClosedLoop, Patience]]()
     for controller in (*scored, *beside):
         patience = Patience(LocalRuns(1, isolate=True))
-        loop = Loop(controller, scoring.protocol, patience, timeout)
+        loop = ClosedLoop(controller, scoring.protocol, patience, timeout)
         prepare(loop.scenario(nominal).system, loop.experiment(nominal))
         makers.append((loop, patience))
     with ExitStack() as stack:
@@ -111,19 +111,19 @@ def _rows(
 
 
 def _differences(document: Score) -> list[PairedDifference]:
-    """The scored controllers against each of the others, plant by plant; corrected for their number."""
+    """Returns the scored controllers against each other one, plant by plant; corrected for their number."""
     return [
         difference
         for row in document.scored
         if row.plants
-        for figure in COMPARED
-        for difference in _differences_in(figure, row, document.rows)
+        for metric in COMPARED
+        for difference in _differences_in(metric, row, document.rows)
     ]
 
 
-def _differences_in(figure: str, scored: Row, rows: Sequence[Row]) -> list[PairedDifference]:
-    """One figure of one scored controller, minus that of each other row."""
-    values = {row.name: row.plants.figures[figure].values for row in rows if row.plants}
+def _differences_in(metric: str, scored: Row, rows: Sequence[Row]) -> list[PairedDifference]:
+    """Returns one metric of one scored controller, minus that of each other row."""
+    values = {row.name: row.plants.metrics[metric].values for row in rows if row.plants}
     own = values.pop(scored.name)
     comparisons = {name: compare(own, other) for name, other in values.items()}
     corrected = holm({name: comparison.p for name, comparison in comparisons.items()})
@@ -131,7 +131,7 @@ def _differences_in(figure: str, scored: Row, rows: Sequence[Row]) -> list[Paire
         PairedDifference(
             scored=scored.name,
             other=name,
-            figure=figure,
+            metric=metric,
             pairs=comparison.pairs,
             median_difference=comparison.median_difference,
             interval=(comparison.low, comparison.high),

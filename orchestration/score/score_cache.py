@@ -18,8 +18,8 @@ from pydantic import BaseModel
 
 from fmus import store
 from orchestration.errors import OrchestrationError
-from orchestration.score.figures import Trace
-from orchestration.score.loop import GAINS, Controller, Loop
+from orchestration.score.closed_loop import GAINS, ClosedLoop, Controller
+from orchestration.score.run_metrics import Trace
 from orchestration.score.score_document import Row
 
 KIND = "score"
@@ -36,7 +36,7 @@ class CachedRow(BaseModel):
     traces: dict[str, Trace]
 
 
-def key(controller: Controller, loop: Loop, full: bool) -> str:
+def key(controller: Controller, loop: ClosedLoop, full: bool) -> str:
     """Returns the key of a row in the store."""
     loaded = loop.scenario(loop.protocol.nominal)
     fmus = [store.digest(fmu.read_bytes()) for fmu in loaded.system.components.values()]
@@ -47,7 +47,7 @@ def key(controller: Controller, loop: Loop, full: bool) -> str:
 
 @cache
 def _sources() -> list[tuple[str, str]]:
-    """Returns path and digest of what figures follow from in this program.
+    """Returns path and digest of what metrics follow from in this program.
 
     Of the shipped protocol the tables count one by one, and of tuned gains those that the controller has.
     """
@@ -61,7 +61,7 @@ def _sources() -> list[tuple[str, str]]:
 
 @cache
 def _environment() -> list[object]:
-    """Returns what figures depend on besides the sources: Python, the C library and what is installed."""
+    """Returns what metrics depend on besides the sources: Python, the C library and what is installed."""
     installed = sorted({(found.name, found.version) for found in distributions()})
     return [sys.version, platform.machine(), platform.libc_ver(), installed]
 

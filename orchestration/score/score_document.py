@@ -30,8 +30,8 @@ class Part(BaseModel, strict=True, validate_assignment=True):
     model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True, ser_json_inf_nan="null")
 
 
-class Figure(Part):
-    """What a figure is."""
+class MetricInfo(Part):
+    """The description of a metric."""
 
     title: str
     unit: str
@@ -41,36 +41,36 @@ class Figure(Part):
 
 
 class CaseInfo(Part):
-    """What a case is."""
+    """The description of a case."""
 
     title: str
     tuned_on: bool
-    """Built-in controllers are tuned on this case: its figures are no test of them."""
+    """Built-in controllers are tuned on this case: its metrics are no test of them."""
 
 
 class ProtocolInfo(Part):
-    """The protocol that every figure here is of."""
+    """The protocol that every metric here is of."""
 
     version: str
     statement: str
-    """What the figures tell about, and what they do not."""
+    """What the metrics tell about, and what they do not."""
     leagues: dict[str, str]
-    figures: dict[str, Figure]
+    metrics: dict[str, MetricInfo]
     cases: dict[str, CaseInfo]
     failure: dict[str, float]
-    """Figure -> a run with more of it failed, as does one that does not settle or ends early."""
+    """Metric -> a run with more of it failed, as does one that does not settle or ends early."""
 
 
 class CaseResult(Part):
     """One run."""
 
-    figures: dict[str, Number] = {}
+    metrics: dict[str, Number] = {}
     failed: list[str] = []
     """Why it counts as failed; empty if it does not."""
 
 
-class FigureOverPlants(Part):
-    """How a figure is distributed over the plants."""
+class MetricOverPlants(Part):
+    """A metric over the plants: statistics of its distribution, and its values."""
 
     median: Number
     p95: Number
@@ -88,7 +88,7 @@ class PlantsResult(Part):
     """Share of the plants on which the controller failed."""
     failed: dict[str, list[str]] = {}
     """Number of a plant -> why it counts as failed."""
-    figures: dict[str, FigureOverPlants]
+    metrics: dict[str, MetricOverPlants]
 
 
 class Row(Part):
@@ -104,7 +104,7 @@ class Row(Part):
     parameters: dict[str, Any] = {}
     """Variable -> value of what is not at its start value."""
     uses_true_rate: bool | None = None
-    """Whether its figures depend on the true depth rate, which no sensor of the vehicle measures."""
+    """Whether its metrics depend on the true depth rate, which no sensor of the vehicle measures."""
     delay_margin: Number = math.nan
     """Longest additional delay [s] of the nominal case; null if it is not judged."""
     microseconds: Number = math.nan
@@ -114,11 +114,11 @@ class Row(Part):
 
 
 class PairedDifference(Part):
-    """A figure of the scored controller minus that of another one, over the same plants."""
+    """A metric of the scored controller minus that of another one, over the same plants."""
 
     scored: str
     other: str
-    figure: str
+    metric: str
     pairs: int
     """Plants on which both have a value."""
     median_difference: Number
@@ -131,7 +131,7 @@ class PairedDifference(Part):
 
 
 class Score(Part):
-    """What `l1-depth score` writes."""
+    """The score that `l1-depth score` writes."""
 
     made_by: str
     protocol: ProtocolInfo
@@ -142,47 +142,47 @@ class Score(Part):
     def scored(self) -> list[Row]:
         return [row for row in self.rows if row.scored]
 
-    def figure(self, row: Row, case: str, name: str) -> float:
-        """A figure of a row; not a number where there is none."""
-        return row.cases[case].figures.get(name, math.nan) if case in row.cases else math.nan
+    def metric(self, row: Row, case: str, name: str) -> float:
+        """Returns a metric of a row; not a number where there is none."""
+        return row.cases[case].metrics.get(name, math.nan) if case in row.cases else math.nan
 
 
 MICROSECONDS = "microseconds"
-OF_A_ROW: Mapping[str, Figure] = {
-    DELAY_MARGIN: Figure(
+OF_A_ROW: Mapping[str, MetricInfo] = {
+    DELAY_MARGIN: MetricInfo(
         title="Delay margin",
         unit="s",
         meaning="longest additional delay of the measured depth with which the nominal loop holds quietly: "
         "standard deviation below 3 mm from 100 s to 140 s; the first loss on a scan",
         greatest_is_best=True,
     ),
-    MICROSECONDS: Figure(
+    MICROSECONDS: MetricInfo(
         title="Step",
         unit="us",
         meaning="processor time of a communication step of the controller's FMU alone",
     ),
 }
-"""Figures that a row has once, not for each case."""
+"""Metrics that a row has once, not for each case."""
 
 
 def protocol_info(protocol: Protocol) -> ProtocolInfo:
-    """What a document says about the protocol."""
-    figures = {
-        name: Figure(title=table.title, unit=table.unit, meaning=table.meaning)
-        for name, table in protocol.figures.items()
+    """Returns the description of the protocol."""
+    metrics = {
+        name: MetricInfo(title=table.title, unit=table.unit, meaning=table.meaning)
+        for name, table in protocol.metrics.items()
     }
     return ProtocolInfo(
         version=protocol.version,
         statement=protocol.statement,
         leagues=dict(protocol.tables.leagues),
-        figures={**figures, **OF_A_ROW},
+        metrics={**metrics, **OF_A_ROW},
         cases={name: CaseInfo(title=c.title, tuned_on=c.tuned_on) for name, c in protocol.cases.items()},
         failure=dict(protocol.tables.failure),
     )
 
 
 def schema() -> str:
-    """The JSON schema of score.json, as `SCHEMA` holds it."""
+    """Returns the JSON schema of score.json, as `SCHEMA` holds it."""
     dialect = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
     return json.dumps({**dialect, **Score.model_json_schema(mode="serialization")}, indent=1) + "\n"
 

@@ -21,19 +21,19 @@ from orchestration.margins.fmu_margins import delay_margin
 from orchestration.margins.hold import HoldRuns, LoopSignal, last_part
 from orchestration.results.recording import Recording
 from orchestration.score import score_cache
-from orchestration.score.figures import Trace, declared, failures, traced_figures
-from orchestration.score.loop import OWN, Loop, LoopRun
+from orchestration.score.closed_loop import OWN, ClosedLoop, ClosedLoopRun
 from orchestration.score.plants import plants
 from orchestration.score.protocol import Case, Protocol
 from orchestration.score.protocol_format import COMPARED
-from orchestration.score.score_document import CaseResult, FigureOverPlants, PlantsResult, Row
+from orchestration.score.run_metrics import Trace, declared, failures, traced_metrics
+from orchestration.score.score_document import CaseResult, MetricOverPlants, PlantsResult, Row
 from orchestration.score.statistics import distribution
 from orchestration.score.table_seeds import table_seeds
 from orchestration.system.experiment import Experiment
 from orchestration.system.system import System
 
 OVER_PLANTS = (*COMPARED, "settling_time", "overshoot", "breach")
-"""Figures of the runs over plants."""
+"""Metrics of the runs over plants."""
 
 _MOST_ENDINGS = 3  # of a controller's process
 _FEW_STEPS, _MANY_STEPS = 5_000, 200_000  # that are timed: many where few take a short time
@@ -84,7 +84,7 @@ class Patience:
 
 @dataclass
 class Scoring:
-    """How rows are made."""
+    """The scoring of rows, with their cases and plants; progress: takes how many more runs are done."""
 
     protocol: Protocol
     full: bool
@@ -95,7 +95,7 @@ class Scoring:
         self.cases = [case.with_seed(seeds.sensor_seed) for case in self.protocol.cases.values()]
         self.plants = plants(self.protocol, seeds.plants_seed) if self.full else []
 
-    def row(self, loop: Loop, patience: Patience, scored: bool) -> tuple[Row, dict[str, Trace]]:
+    def row(self, loop: ClosedLoop, patience: Patience, scored: bool) -> tuple[Row, dict[str, Trace]]:
         """Returns the row of a controller and its traces; of a built-in one from the cache, if there."""
         name = "" if scored else score_cache.key(loop.controller, loop, self.full)
         cached = score_cache.read(name) if name else None
@@ -115,7 +115,7 @@ class Scoring:
             score_cache.write(name, row, traces)
         return row, traces
 
-    def _run(self, loop: Loop, scored: bool) -> tuple[Row, dict[str, Trace]]:
+    def _run(self, loop: ClosedLoop, scored: bool) -> tuple[Row, dict[str, Trace]]:
         controller, nominal = loop.controller, self.cases[0]
         row = Row(
             name=controller.name,
@@ -132,26 +132,26 @@ class Scoring:
         row.delay_margin = _value_or(math.nan, delay_margin_of, loop, nominal)
         row.microseconds = _value_or(math.nan, microseconds, loop, nominal)
         if self.plants:
-            names = [name for name in OVER_PLANTS if name in self.protocol.figures]
+            names = [name for name in OVER_PLANTS if name in self.protocol.metrics]
             row.plants = _over_plants([run for run, _ in self._judged(loop, self.plants, names)], names)
         return row, traces
 
     def _judged(
-        self, loop: Loop, cases: Sequence[Case], names: Collection[str] = (), traced: bool = False
+        self, loop: ClosedLoop, cases: Sequence[Case], names: Collection[str] = (), traced: bool = False
     ) -> Iterator[tuple[CaseResult, Trace]]:
         """Yields the result of each case, or the reason why there is none, and what is drawn of it."""
-        figures = (declared(case, self.protocol, names) for case in cases)
-        compute = (partial(traced_figures, figures=of_case, traced=traced) for of_case in figures)
-        for result in loop.results([LoopRun(*pair) for pair in zip(cases, compute, strict=True)]):
+        metrics = (declared(case, self.protocol, names) for case in cases)
+        compute = (partial(traced_metrics, metrics=of_case, traced=traced) for of_case in metrics)
+        for result in loop.results([ClosedLoopRun(*pair) for pair in zip(cases, compute, strict=True)]):
             if isinstance(result, Failure):
                 yield CaseResult(failed=[result.reason]), {}
             else:
                 of_run, trace = result
-                yield CaseResult(figures=of_run, failed=failures(of_run, self.protocol)), trace
+                yield CaseResult(metrics=of_run, failed=failures(of_run, self.protocol)), trace
             self.progress(1)
 
 
-def _value_or(default: Any, function: Callable[[Loop, Case], Any], loop: Loop, case: Case) -> Any:
+def _value_or(default: Any, function: Callable[[ClosedLoop, Case], Any], loop: ClosedLoop, case: Case) -> Any:
     """Returns what a function of the loop returns, or the default where its run fails."""
     try:
         return function(loop, case)
@@ -161,7 +161,7 @@ def _value_or(default: Any, function: Callable[[Loop, Case], Any], loop: Loop, c
         return default
 
 
-def uses_true_rate(loop: Loop, case: Case) -> bool:
+def uses_true_rate(loop: ClosedLoop, case: Case) -> bool:
     """Checks whether a run depends on the true depth rate, which no sensor of the vehicle measures."""
     controller = loop.controller
     variable = controller.variable(_TRUE_RATE)
@@ -169,11 +169,11 @@ def uses_true_rate(loop: Loop, case: Case) -> bool:
     if variable.removeprefix(OWN) not in {v.name for v in inputs}:
         return False
     without = replace(controller, settings={**controller.settings, variable: 0.0})
-    blind = Loop(without, loop.protocol, loop.make, loop.timeout)
+    blind = ClosedLoop(without, loop.protocol, loop.make, loop.timeout)
     return not np.array_equal(loop.run(case).values, blind.run(case).values)
 
 
-def delay_margin_of(loop: Loop, case: Case) -> float:
+def delay_margin_of(loop: ClosedLoop, case: Case) -> float:
     """Returns how much later [s] the measured depth may be while the case holds its target quietly.
 
     Of the first loss on a scan, as far as that goes. Not a number if it is not quiet as it is.
@@ -184,7 +184,7 @@ def delay_margin_of(loop: Loop, case: Case) -> float:
         return delay_margin(runs, LoopSignal.MEASUREMENT, only_first_loss=True).margin
 
 
-def microseconds(loop: Loop, case: Case) -> float:
+def microseconds(loop: ClosedLoop, case: Case) -> float:
     """Returns the processor time [us] of a communication step of the controller's FMU alone.
 
     Of the fastest of three runs. Its inputs keep their start values. The time of a short run is subtracted,
@@ -215,7 +215,7 @@ def _last(runs: Recording) -> list[float]:
     return runs.values[:, -1, 0].tolist()
 
 
-def _fmu(loop: Loop) -> dict[str, Any]:
+def _fmu(loop: ClosedLoop) -> dict[str, Any]:
     path = loop.scenario(loop.protocol.nominal).system.components["controller"]
     description = describe(path)
     return {
@@ -227,14 +227,14 @@ def _fmu(loop: Loop) -> dict[str, Any]:
 
 
 def _over_plants(runs: Sequence[CaseResult], names: Sequence[str]) -> PlantsResult:
-    values = {name: [run.figures.get(name, math.nan) for run in runs] for name in names}
+    values = {name: [run.metrics.get(name, math.nan) for run in runs] for name in names}
     failed = {str(number): run.failed for number, run in enumerate(runs) if run.failed}
     return PlantsResult(
         count=len(runs),
         failure_rate=len(failed) / len(runs),
         failed=failed,
-        figures={
-            name: FigureOverPlants(**asdict(distribution(column)), values=column)
+        metrics={
+            name: MetricOverPlants(**asdict(distribution(column)), values=column)
             for name, column in values.items()
         },
     )

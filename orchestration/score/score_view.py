@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from orchestration.score.protocol_format import COMPARED, DELAY_MARGIN
-from orchestration.score.score_document import MICROSECONDS, CaseResult, Figure, Row, Score
+from orchestration.score.score_document import MICROSECONDS, CaseResult, MetricInfo, Row, Score
 
 
 @dataclass(frozen=True)
@@ -55,10 +55,10 @@ def overview(score: Score) -> ScoreTable:
     groups = ((tuned, "tuned on"), (others, "others"))
     for cases, which in (group for group in groups if group[0]):
         for name in _OVERVIEW:
-            figure = score.protocol.figures[name]
-            meaning = f"mean over {len(cases)} cases: {', '.join(cases)}; {figure.meaning}"
+            metric = score.protocol.metrics[name]
+            meaning = f"mean over {len(cases)} cases: {', '.join(cases)}; {metric.meaning}"
             entries.append(
-                (Column(f"{figure.title}, {which}", figure.unit, meaning), False, _mean(name, cases))
+                (Column(f"{metric.title}, {which}", metric.unit, meaning), False, _mean(name, cases))
             )
         column = Column(f"Failed, {which}", f"of {len(cases)}", f"runs that failed of {', '.join(cases)}")
         entries.append((column, False, _failed(cases)))
@@ -66,10 +66,10 @@ def overview(score: Score) -> ScoreTable:
 
 
 def of_case(score: Score, case: str) -> ScoreTable:
-    """Every figure of one case; in the nominal case also those of the row."""
+    """Returns every metric of one case; in the nominal case also those of the row."""
     entries = [
-        (Column(figure.title, figure.unit, figure.meaning), figure.greatest_is_best, _one(name, case))
-        for name, figure in score.protocol.figures.items()
+        (Column(metric.title, metric.unit, metric.meaning), metric.greatest_is_best, _one(name, case))
+        for name, metric in score.protocol.metrics.items()
         if name not in (DELAY_MARGIN, MICROSECONDS)
     ]
     is_nominal = case == next(iter(score.protocol.cases))
@@ -77,18 +77,18 @@ def of_case(score: Score, case: str) -> ScoreTable:
     return _table(score, title, [*entries, *(_of_the_row(score) if is_nominal else [])])
 
 
-def of_figure(score: Score, name: str) -> ScoreTable:
-    """One figure in every case."""
-    figure = score.protocol.figures[name]
+def of_metric(score: Score, name: str) -> ScoreTable:
+    """Returns one metric in every case."""
+    metric = score.protocol.metrics[name]
     entries = [
         (
-            Column(info.title + (" (tuned on)" if info.tuned_on else ""), "", figure.meaning),
-            figure.greatest_is_best,
+            Column(info.title + (" (tuned on)" if info.tuned_on else ""), "", metric.meaning),
+            metric.greatest_is_best,
             _one(name, case),
         )
         for case, info in score.protocol.cases.items()
     ]
-    return _table(score, _titled(figure), entries)
+    return _table(score, _titled(metric), entries)
 
 
 def over_plants(score: Score) -> ScoreTable | None:
@@ -99,10 +99,10 @@ def over_plants(score: Score) -> ScoreTable | None:
     column = Column("Failed", "%", "share of the plants on which the run failed")
     entries: list[tuple[Column, bool, _Value]] = [(column, False, _failure_rate)]
     for name in COMPARED:
-        figure = score.protocol.figures[name]
+        metric = score.protocol.metrics[name]
         for statistic in ("median", "p95", "cvar"):
             column = Column(
-                f"{figure.title} {_STATISTICS[statistic][0]}", figure.unit, _STATISTICS[statistic][1]
+                f"{metric.title} {_STATISTICS[statistic][0]}", metric.unit, _STATISTICS[statistic][1]
             )
             entries.append((column, False, _statistic(name, statistic)))
     return _table(score, f"{counts[0]} plants, each with a trajectory of its own", entries)
@@ -115,21 +115,21 @@ _STATISTICS = {
 }
 
 
-def _titled(figure: Figure) -> str:
-    return f"{figure.title} [{figure.unit}]" if figure.unit else figure.title
+def _titled(metric: MetricInfo) -> str:
+    return f"{metric.title} [{metric.unit}]" if metric.unit else metric.title
 
 
 def _of_the_row(score: Score) -> list[tuple[Column, bool, _Value]]:
-    """Returns the figures that a row has once, which count as those of its nominal run."""
+    """Returns the metrics that a row has once, which count as those of its nominal run."""
     nominal = next(iter(score.protocol.cases))
 
     def value(name: str) -> _Value:
         return lambda row: (getattr(row, name), _result(row, nominal).failed)
 
-    figures = {name: score.protocol.figures[name] for name in (DELAY_MARGIN, MICROSECONDS)}
+    metrics = {name: score.protocol.metrics[name] for name in (DELAY_MARGIN, MICROSECONDS)}
     return [
-        (Column(figure.title, figure.unit, figure.meaning), figure.greatest_is_best, value(name))
-        for name, figure in figures.items()
+        (Column(metric.title, metric.unit, metric.meaning), metric.greatest_is_best, value(name))
+        for name, metric in metrics.items()
     ]
 
 
@@ -138,12 +138,12 @@ def _result(row: Row, case: str) -> CaseResult:
 
 
 def _one(name: str, case: str) -> _Value:
-    return lambda row: (_result(row, case).figures.get(name, math.nan), _result(row, case).failed)
+    return lambda row: (_result(row, case).metrics.get(name, math.nan), _result(row, case).failed)
 
 
 def _mean(name: str, cases: Sequence[str]) -> _Value:
     def value(row: Row) -> tuple[float, Sequence[str]]:
-        values = [_result(row, case).figures.get(name, math.nan) for case in cases]
+        values = [_result(row, case).metrics.get(name, math.nan) for case in cases]
         failed = [f"{case}: {reason}" for case in cases for reason in _result(row, case).failed]
         return sum(values) / len(values), failed
 
@@ -159,7 +159,7 @@ def _failure_rate(row: Row) -> tuple[float, Sequence[str]]:
 
 
 def _statistic(name: str, statistic: str) -> _Value:
-    return lambda row: (getattr(row.plants.figures[name], statistic) if row.plants else math.nan, ())
+    return lambda row: (getattr(row.plants.metrics[name], statistic) if row.plants else math.nan, ())
 
 
 def _table(score: Score, title: str, entries: Sequence[tuple[Column, bool, _Value]]) -> ScoreTable:
@@ -178,7 +178,7 @@ def _table(score: Score, title: str, entries: Sequence[tuple[Column, bool, _Valu
 
 
 def _best(score: Score, cells: Sequence[Cell], league: str, greatest: bool) -> float:
-    """The best number of a league, of runs that did not fail; not a number where all are equal."""
+    """Returns the best number of a league, of runs that did not fail; not a number where all are equal."""
     rows = [row.league == league for row in score.rows]
     values = [
         cell.value

@@ -20,7 +20,7 @@ _BOOTSTRAP_SEED = 1
 
 @dataclass(frozen=True)
 class Distribution:
-    """Of a figure over the plants; infinite where plants without a value are among those that it is made of.
+    """The distribution of a metric over the plants; infinite where plants without a value are part of it.
 
     median, p95: the least value that at least 50 % or 95 % of the plants do not exceed
     cvar: conditional value at risk at 95 %, the mean of the largest 5 % of the values
@@ -33,7 +33,7 @@ class Distribution:
 
 @dataclass(frozen=True)
 class Comparison:
-    """A figure of two controllers on the same plants, the first minus the second.
+    """A metric of two controllers on the same plants, the first minus the second.
 
     pairs: plants on which both have a value; low, high: 95 % interval of the median difference
     p: of Wilcoxon's signed-rank test, that the differences are symmetric about 0
@@ -47,7 +47,7 @@ class Comparison:
 
 
 def distribution(values: npt.ArrayLike) -> Distribution:
-    """Median, 95th percentile and CVaR by order statistics, so that each value is one of the plants'."""
+    """Returns median, 95th percentile and CVaR by order statistics: each value is one of the plants'."""
     ordered = np.sort(np.nan_to_num(np.asarray(values, float), nan=math.inf))
     median, p95 = np.quantile(ordered, (0.5, 1.0 - TAIL), method="inverted_cdf")
     worst = ordered[len(ordered) - math.ceil(TAIL * len(ordered)) :]
@@ -55,7 +55,7 @@ def distribution(values: npt.ArrayLike) -> Distribution:
 
 
 def compare(first: npt.ArrayLike, second: npt.ArrayLike) -> Comparison:
-    """Wilcoxon's test and a bootstrap interval of the median difference, paired by plant."""
+    """Returns Wilcoxon's test and a bootstrap interval of the median difference, paired by plant."""
     from scipy import stats  # takes longer to import than the test takes
 
     differences = np.asarray(first, float) - np.asarray(second, float)
@@ -79,7 +79,7 @@ def compare(first: npt.ArrayLike, second: npt.ArrayLike) -> Comparison:
 
 
 def holm(p_values: Mapping[str, float]) -> dict[str, float]:
-    """Name -> p-value corrected for how many are tested together, in steps as of Holm (1979).
+    """Returns name -> p-value corrected for how many are tested together, in steps as of Holm (1979).
 
     The k-th smallest of m is multiplied by m - k + 1, and is not below those before it, nor above 1. What is
     not a number is no test, and stays.

@@ -13,6 +13,6 @@ _FILE = TypeAdapter(TableFile)
 
 
 def table_seeds() -> TableFile:
-    """The seeds of the cases and of the plants."""
+    """Returns the seeds of the cases and of the plants."""
     file = read_toml(FILE)
     return checked(_FILE, file.data, file.at)

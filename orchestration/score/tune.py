@@ -30,7 +30,7 @@ Evaluate = Callable[[Sequence[dict[str, float]]], Iterable[Mapping[str, Any]]]
 
 @dataclass(frozen=True)
 class Problem:
-    """What is tuned.
+    """The problem of a tuning.
 
     gains: those that are free
     tuned: plain data that says what the cost depends on; a journal of something else is refused
@@ -42,14 +42,14 @@ class Problem:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """What the search of one seed ended at.
+    """The result of the search of one seed.
 
-    curve: the lowest cost after each evaluation; figures: of the best gains
+    curve: the lowest cost after each evaluation; metrics: of the best gains
     """
 
     seed: int
     gains: Mapping[str, float]
-    figures: Mapping[str, Any]
+    metrics: Mapping[str, Any]
     curve: tuple[float, ...]
 
     @property
@@ -79,7 +79,7 @@ class Tuning:
 
     @property
     def improvement(self) -> float:
-        """How much lower the cost became in the last part of the last search, relative to what it was."""
+        """The relative improvement of the cost in the last part of the last search."""
         curve = self.refinement.curve
         first_part = curve[: int((1.0 - LAST_PART) * len(curve))]
         before = min([*(search.cost for search in self.searches), *first_part])
@@ -87,7 +87,7 @@ class Tuning:
 
     @property
     def spread(self) -> float:
-        """How far the median of the seeds' costs is above the lowest, relative to it."""
+        """The spread of the seeds: their median cost above the lowest, relative to the lowest."""
         lowest = self.best.cost
         return (median(search.cost for search in self.searches) - lowest) / lowest if lowest else 0.0
 
@@ -111,7 +111,7 @@ def tune(
     progress: Callable[[int, float], None] = lambda done, cost: None,
     restart: bool = False,
 ) -> Tuning:
-    """Search the gains of least cost; the same seeds give the same gains, interrupted or not.
+    """Searches the gains of least cost; the same seeds give the same gains, interrupted or not.
 
     path: of the journal, which holds what is done; restart: discard it first
     progress: called with how many more evaluations are done, and the lowest cost until then
@@ -154,7 +154,7 @@ def _evaluated(
     evaluate: Evaluate,
     journal: Journal,
 ) -> Iterator[dict[str, Any]]:
-    """The rows in their order, each completed with its cost, of the journal or evaluated and added there."""
+    """Yields the rows in their order, each with its cost, of the journal or evaluated and added there."""
     stored = [done.get(_key(row)) for row in rows]
     missing = [row["gains"] for row, finished in zip(rows, stored, strict=True) if finished is None]
     costs = iter(evaluate(missing))
@@ -201,7 +201,7 @@ class _SeedSearch:
         self._asked = 0
 
     def ask(self) -> list[dict[str, Any]]:
-        """The evaluations of the next generation, each to be completed with its cost."""
+        """Returns the evaluations of the next generation, each to be completed with its cost."""
         points = self._search.ask()
         self._asked = len(points)
         for point in points:
@@ -218,7 +218,7 @@ class _SeedSearch:
         for row in self._rows:
             curve.append(min(row["cost"], *curve[-1:]) if curve else row["cost"])
         best = min(self._rows, key=lambda row: row["cost"])
-        figures = {
+        metrics = {
             key: value for key, value in best.items() if key not in ("seed", "evaluation", "gains", "cost")
         }
-        return SearchResult(self._seed, best["gains"], figures, tuple(curve))
+        return SearchResult(self._seed, best["gains"], metrics, tuple(curve))

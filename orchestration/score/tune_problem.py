@@ -10,7 +10,7 @@ import tomli_w
 from fmus.files import write_text_atomically
 from fmus.fmi.description import describe
 from orchestration.errors import OrchestrationError
-from orchestration.score.loop import Controller, Loop
+from orchestration.score.closed_loop import ClosedLoop, Controller
 from orchestration.score.protocol import Protocol
 from orchestration.score.tune import (
     LARGEST_IMPROVEMENT,
@@ -26,13 +26,13 @@ from orchestration.system.prepared_run import prepare
 
 
 def problem_of(controller: Controller, protocol: Protocol, free: Iterable[FreeGain] = ()) -> Problem:
-    """The tuning of a controller, by default of the gains that the protocol has for it.
+    """Returns the tuning of a controller, by default of the gains that the protocol has for it.
 
     Raises OrchestrationError for a controller that does not fit the vehicle, a value or a gain that its FMU
     cannot take, or a gain that is given a value for all evaluations.
     """
     case = practice_cases(protocol)[0]
-    with Loop(controller, protocol) as loop:
+    with ClosedLoop(controller, protocol) as loop:
         system = loop.scenario(case).system
         prepare(system, loop.experiment(case))
     components = system.components
@@ -56,7 +56,7 @@ def _of_protocol(controller: Controller, protocol: Protocol) -> list[FreeGain]:
 
 
 def _what_costs(protocol: Protocol) -> dict[str, Any]:
-    """What the cost depends on of the protocol, as plain data."""
+    """Returns the part of the protocol that the cost depends on, as plain data."""
     data = protocol.file.data
     return {
         "version": protocol.version,
@@ -71,7 +71,7 @@ def _hash(path: Path) -> str:
 
 
 def provenance(tuning: Tuning, controller: Controller, protocol: Protocol) -> dict[str, Any]:
-    """What the file of a tuning says of the controller, the protocol and the cost.
+    """Returns what the file of a tuning has of the controller, the protocol and the cost.
 
     Raises OrchestrationError if every evaluation failed: then there are no gains to write.
     """
@@ -79,9 +79,9 @@ def provenance(tuning: Tuning, controller: Controller, protocol: Protocol) -> di
     if best.cost >= LARGEST:
         raise OrchestrationError(
             f"{controller.name}: none of {tuning.evaluations} evaluations ran to its end: expected one that "
-            f"does; the last failure: {best.figures.get('failure', 'a cost that is not finite')}"
+            f"does; the last failure: {best.metrics.get('failure', 'a cost that is not finite')}"
         )
-    with Loop(controller, protocol) as loop:
+    with ClosedLoop(controller, protocol) as loop:
         (every_seed,) = costs(loop, [best.gains], every_seed=True)
     table = protocol.tables.cost
     return {
@@ -89,7 +89,7 @@ def provenance(tuning: Tuning, controller: Controller, protocol: Protocol) -> di
         "fmu": Path(controller.fmu).name,
         "league": controller.league,
         "protocol": protocol.version,
-        "objective": f"mean {table.figure} over {', '.join(table.cases)}, practice seeds",
+        "objective": f"mean {table.metric} over {', '.join(table.cases)}, practice seeds",
         "bounds": dict(table.bounds),
         "cost_of_every_practice_seed": every_seed["cost"],
     }
@@ -129,7 +129,7 @@ def document(tuning: Tuning, fixed: Mapping[str, Any], provenance: Mapping[str, 
             "median_seed_above_the_lowest": tuning.spread,
             "optimiser": tuning.optimiser,
             "evaluations": tuning.evaluations,
-            "figures": dict(best.figures),
+            "metrics": dict(best.metrics),
             "seeds": [_seed(search) for search in tuning.searches],
             "refinement": _seed(tuning.refinement),
         },
@@ -138,7 +138,7 @@ def document(tuning: Tuning, fixed: Mapping[str, Any], provenance: Mapping[str, 
 
 
 def _tuned_gains(tuning: Tuning, protocol: str) -> dict[str, Any]:
-    """A table for each gain that was free."""
+    """Returns a table for each gain that was free."""
     best = tuning.best
     source = (
         f"tuned: cost {best.cost:.4g} cm of protocol {protocol}, {len(best.curve)} evaluations of each of "

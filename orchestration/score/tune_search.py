@@ -39,7 +39,7 @@ class FreeGain:
             )
 
     def value(self, position: float) -> float:
-        """The gain at a position in its range, 0 at the lower limit and 1 at the upper one."""
+        """Returns the gain at a position in its range, 0 at the lower limit and 1 at the upper one."""
         if self.low > 0.0:
             value = self.low * (self.high / self.low) ** position
         else:
@@ -58,7 +58,7 @@ class FreeGain:
 
 
 def parse(text: str) -> FreeGain:
-    """The gain of an option NAME=LOW:HIGH."""
+    """Returns the gain of an option NAME=LOW:HIGH."""
     name, _, limits = text.partition("=")
     low, _, high = limits.partition(":")
     try:
@@ -68,7 +68,7 @@ def parse(text: str) -> FreeGain:
 
 
 def with_units(gains: Iterable[FreeGain], description: ModelDescription) -> tuple[FreeGain, ...]:
-    """The gains with the units of an FMU; OrchestrationError for one that it cannot take.
+    """Returns the gains with the units of an FMU; OrchestrationError for one that it cannot take.
 
     A gain is a parameter of type Real, tunable or fixed, whose declared range holds the limits.
     """
@@ -132,13 +132,13 @@ class Search:
         )
 
     def ask(self) -> list[np.ndarray]:
-        """The points of the next generation, shape (dimensions,) each; none at the end of the budget."""
+        """Returns the points of the next generation, shape (dimensions,) each; none after the budget."""
         count = min(self._strategy.population_size, self._remaining)
         self._points = [self._strategy.ask() for _ in range(count)]
         return [point[: self._dimensions] for point in self._points]
 
     def tell(self, costs: Sequence[float]) -> None:
-        """The costs of the points that were asked for last, in their order."""
+        """Takes the costs of the points that were asked for last, in their order."""
         self._remaining -= len(costs)
         if len(costs) < self._strategy.population_size:  # the budget cuts the last generation short
             return

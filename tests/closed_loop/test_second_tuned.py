@@ -12,7 +12,7 @@ import pytest
 
 from orchestration.run import simulate
 from orchestration.scenarios.scenario import Scenario
-from orchestration.score.loop import KNOWS_RATES, Controller, Loop, tuned
+from orchestration.score.closed_loop import KNOWS_RATES, ClosedLoop, Controller, tuned
 from orchestration.score.protocol import read_protocol
 from tests.closed_loop.same_experiment import SMOOTH, slope
 from tests.closed_loop.second_laws import Adrc, Mrac, Pid, SlidingMode, SuperTwisting
@@ -38,7 +38,7 @@ def nominal(controller: Controller) -> Scenario:
     given = {**controller.parameters, "internal_step": STEP}
     case = PROTOCOL.nominal
     layer = {**case.layer, "experiment": {"stop_time": STOP, "step_size": STEP}}
-    with Loop(replace(controller, parameters=given, settings=SMOOTH | steps), PROTOCOL) as loop:
+    with ClosedLoop(replace(controller, parameters=given, settings=SMOOTH | steps), PROTOCOL) as loop:
         case = replace(case, layer=layer)
         return replace(loop.scenario(case), experiment=loop.experiment(case))
 

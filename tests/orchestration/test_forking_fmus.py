@@ -17,7 +17,7 @@ from orchestration.many.run_many import in_order
 from orchestration.results.recording import Recording
 from orchestration.run import simulate
 from orchestration.scenarios import scenario
-from orchestration.score.loop import Controller, Loop, LoopRun
+from orchestration.score.closed_loop import ClosedLoop, ClosedLoopRun, Controller
 from orchestration.score.protocol import read_protocol
 from orchestration.sweep import table
 from orchestration.sweep.plan import plan
@@ -119,9 +119,9 @@ def test_each_case_of_a_score_has_its_own_result_or_the_cause(
     names = {"depth_reference": "u", "control_force": "y"}
     controller = Controller("forker", str(forker("fmi2DoStep", waits)), mapping=names)
     protocol = read_protocol()
-    runs = [LoopRun(protocol.nominal, partial(number_of, number=i)) for i in range(2)]
+    runs = [ClosedLoopRun(protocol.nominal, partial(number_of, number=i)) for i in range(2)]
     with LocalRuns(1, isolate=True) as place:
-        loop = Loop(controller, protocol, partial(in_order, place), protocol.tables.time_limit)
+        loop = ClosedLoop(controller, protocol, partial(in_order, place), protocol.tables.time_limit)
         for number, result in enumerate(loop.results(runs)):
             assert isinstance(result, Failure) or (result == number and waits == "child")
             assert not isinstance(result, Failure) or CAUSE in result.reason

@@ -6,7 +6,7 @@ const hidden = new Set(); // titles of controllers whose lines are not drawn
 
 const shade = (i) => ({ color: colour(i), dash: Object.keys(DASHES)[Math.floor(i / 10) % 4], width: page.rows[i].scored ? 3 : 1.5 });
 const numbers = async (packed) => (await unpacked(packed)).map((number) => number / page.scale);
-const value = (row, name) => row.cases[find("case").value]?.figures[name] ?? NaN;
+const value = (row, name) => row.cases[find("case").value]?.metrics[name] ?? NaN;
 
 find("table").addEventListener("change", () => {
   for (const table of document.querySelectorAll("[data-table]")) table.hidden = table.dataset.table !== find("table").value;
@@ -48,7 +48,7 @@ async function drawTracking() {
   await figure(find("force"), panels.force, { xaxis: seconds }, `force ${chosen}`);
 }
 
-/** Rows that no other one beats in both figures, by ascending RMSE. */
+/** Rows that no other one beats in both metrics, by ascending RMSE. */
 function front(rows) {
   const beaten = (row) => rows.some((other) => other !== row && value(other, "rmse") <= value(row, "rmse") && value(other, "total_variation") < value(row, "total_variation"));
   return rows.filter((row) => !beaten(row)).sort((a, b) => value(a, "rmse") - value(b, "rmse"));
@@ -78,13 +78,13 @@ async function drawPareto() {
 }
 
 async function drawBoxes() {
-  const name = find("plant-figure")?.value;
+  const name = find("plant-metric")?.value;
   if (!name) return;
   const traces = page.rows.map((row, i) => ({
-    type: "box", name: plain(row.title), y: row.plants?.figures[name].values.filter(Number.isFinite) ?? [],
+    type: "box", name: plain(row.title), y: row.plants?.metrics[name].values.filter(Number.isFinite) ?? [],
     boxpoints: "outliers", marker: { color: colour(i), size: 3 }, line: { width: row.scored ? 2.5 : 1 },
   }));
-  const { title, unit } = page.protocol.figures[name];
+  const { title, unit } = page.protocol.metrics[name];
   await figure(find("boxes"), traces, { yaxis: { title: { text: titled(title, unit) }, type: "log" }, xaxis: { tickangle: -40 } }, `plants ${name}`);
 }
 
@@ -94,6 +94,6 @@ function draw() {
 }
 
 find("case").addEventListener("change", draw);
-find("plant-figure")?.addEventListener("change", draw);
+find("plant-metric")?.addEventListener("change", draw);
 redraws.push(draw);
 draw();

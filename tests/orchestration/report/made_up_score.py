@@ -1,13 +1,13 @@
-"""A score whose figures are made up: three controllers, two cases, two plants."""
+"""A score whose metrics are made up: three controllers, two cases, two plants."""
 
 import math
 
-from orchestration.score.figures import Trace
 from orchestration.score.protocol import read_protocol
+from orchestration.score.run_metrics import Trace
 from orchestration.score.score import ScoreResult
 from orchestration.score.score_document import (
     CaseResult,
-    FigureOverPlants,
+    MetricOverPlants,
     PairedDifference,
     PlantsResult,
     Row,
@@ -28,7 +28,7 @@ def made_up_score() -> ScoreResult:
     difference = PairedDifference(
         scored="mine",
         other="pid",
-        figure="rmse",
+        metric="rmse",
         pairs=2,
         median_difference=1.0,
         interval=(0.5, 1.5),
@@ -36,18 +36,18 @@ def made_up_score() -> ScoreResult:
         p_holm=1.0,
     )
     document = Score(made_by="test", protocol=info, rows=rows, differences=[difference])
-    traces = {row.name: {case: _trace(row.cases[case].figures["rmse"]) for case in CASES} for row in rows}
+    traces = {row.name: {case: _trace(row.cases[case].metrics["rmse"]) for case in CASES} for row in rows}
     return ScoreResult(document, traces)
 
 
 def _row(name: str, rmse: float, variation: float) -> Row:
     def case(factor: float) -> CaseResult:
-        return CaseResult(figures={"rmse": factor * rmse, "total_variation": variation, "lag": math.nan})
+        return CaseResult(metrics={"rmse": factor * rmse, "total_variation": variation, "lag": math.nan})
 
     cases = {"nominal": case(1.0), "buoyancy": case(1.5)}
     cases["nominal"].failed = ["breach 3 s"] if name == "l1" else []
-    over_plants = FigureOverPlants(median=rmse, p95=rmse, cvar=rmse, values=[rmse, 2.0 * rmse])
-    plants = PlantsResult(count=2, failure_rate=0.0, figures=dict.fromkeys(OVER_PLANTS, over_plants))
+    over_plants = MetricOverPlants(median=rmse, p95=rmse, cvar=rmse, values=[rmse, 2.0 * rmse])
+    plants = PlantsResult(count=2, failure_rate=0.0, metrics=dict.fromkeys(OVER_PLANTS, over_plants))
     return Row(
         name=name,
         title=f"<{name}>",

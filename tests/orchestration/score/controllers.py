@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from orchestration.score.loop import Controller
+from orchestration.score.closed_loop import Controller
 from tests.foreign_fmus import Misdeed
 
 

@@ -1,12 +1,12 @@
-"""The comparison: whom it has, with which gains, and how its tables and figures are read."""
+"""The comparison: whom it has, with which gains, and how its tables and metrics are read."""
 
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from orchestration.score import compare, loop, score_view
-from orchestration.score.compare import figure, part, tables
+from orchestration.score import closed_loop, compare, score_view
+from orchestration.score.compare import metric, part, tables
 from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.score_document import CaseResult, Row, Score, protocol_info
 
@@ -22,7 +22,7 @@ value = 12.5
 def small(small_protocol: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Protocol:
     """A protocol of two cases and one controller, which is tuned."""
     (tmp_path / "l1-pi.toml").write_text(GAINS)
-    monkeypatch.setattr(loop, "GAINS", tmp_path)
+    monkeypatch.setattr(closed_loop, "GAINS", tmp_path)
     return read_protocol(small_protocol())
 
 
@@ -39,7 +39,7 @@ def test_the_comparison_is_a_score_of_both(small: Protocol) -> None:
     document = compare.compare(small, workers=1).document
     assert [row.name for row in document.rows] == ["tuned/l1-pi", "start/l1-pi"]
     assert [row.name for row in document.scored] == ["tuned/l1-pi"]
-    tuned, start = (figure(document, f"{which}/l1-pi.nominal.rmse") for which in ("tuned", "start"))
+    tuned, start = (metric(document, f"{which}/l1-pi.nominal.rmse") for which in ("tuned", "start"))
     assert tuned < 0.5 * start  # three times the gain
 
 
@@ -53,25 +53,25 @@ def made_up(protocol: Protocol, **errors: float) -> Score:
             scored=False,
             fmu={},
             delay_margin=0.1,
-            cases={"nominal": CaseResult(figures={"rmse": error}, failed=["late"] if error > 5 else [])},
+            cases={"nominal": CaseResult(metrics={"rmse": error}, failed=["late"] if error > 5 else [])},
         )
         for name, error in errors.items()
     ]
     return Score(made_by="a test", protocol=protocol_info(protocol), rows=rows)
 
 
-def test_figures_are_found_by_the_keys_of_the_page(protocol: Protocol) -> None:
+def test_metrics_are_found_by_the_keys_of_the_page(protocol: Protocol) -> None:
     document = made_up(protocol, a=1.25, b=2.5)
-    assert figure(document, "tuned/b.nominal.rmse") == 2.5
-    assert figure(document, "tuned/a.delay_margin") == 0.1
+    assert metric(document, "tuned/b.nominal.rmse") == 2.5
+    assert metric(document, "tuned/a.delay_margin") == 0.1
 
 
 @pytest.mark.parametrize(
     "key", ["tuned/a.nominal.rms", "tuned/a.none.rmse", "tuned/c.nominal.rmse", "tuned/a.x"]
 )
-def test_a_key_of_no_figure_is_an_error(protocol: Protocol, key: str) -> None:
+def test_a_key_of_no_metric_is_an_error(protocol: Protocol, key: str) -> None:
     with pytest.raises(KeyError, match=key):
-        figure(made_up(protocol, a=1.25), key)
+        metric(made_up(protocol, a=1.25), key)
 
 
 def test_a_table_marks_the_best_and_what_failed(protocol: Protocol) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from orchestration.score.loop import GAINS, OWN, Loop, tuned
+from orchestration.score.closed_loop import GAINS, OWN, ClosedLoop, tuned
 from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.tune_cost import costs
 
@@ -56,7 +56,7 @@ def test_a_file_is_of_the_protocol(name: str, protocol: Protocol) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_gains_have_the_cost_that_their_file_claims(name: str, protocol: Protocol) -> None:
-    with Loop(tuned(protocol, name), protocol) as loop:
+    with ClosedLoop(tuned(protocol, name), protocol) as loop:
         evaluated = next(costs(loop, [{}]))
     claimed = written(name)["tuning"]
     # the same program on another machine differs by the rounding of its libm, which noise enlarges

@@ -24,11 +24,11 @@ opened = []
 sys.addaudithook(lambda event, arguments: opened.append(str(arguments[0])) if event == "open" else None)
 from orchestration.cli import study
 from orchestration.score import tune, tune_cost, tune_problem, tune_search
-from orchestration.score.loop import Loop, built_in
+from orchestration.score.closed_loop import ClosedLoop, built_in
 from orchestration.score.protocol import read_protocol
 from orchestration.score.tune_cost import costs
 protocol = read_protocol()
-with Loop(built_in(protocol, "l1-pi"), protocol) as loop:
+with ClosedLoop(built_in(protocol, "l1-pi"), protocol) as loop:
     cost = next(costs(loop, [{}], every_seed=True))["cost"]
 tables = [path for path in opened if path.endswith("table.toml")]
 print(json.dumps([cost, tables, "orchestration.score.table_seeds" in sys.modules]))
@@ -77,7 +77,7 @@ def test_a_target_is_the_first_depth_that_is_held() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "complaint"),
     [
-        ('function = "iae"', 'function = "iaee"', r":\d+: figures.iae.function = 'iaee'; nearest is 'iae'"),
+        ('function = "iae"', 'function = "iaee"', r":\d+: metrics.iae.function = 'iaee'; nearest is 'iae'"),
         ('league = "position"', 'league = "fixed"', r":\d+: controllers.l1.league = 'fixed'"),
         ('cases = ["nominal", ', 'cases = ["nominl", ', r":\d+: cost.cases = 'nominl'; nearest is 'nominal'"),
         ("count = 300", "count = 1", r":\d+: plants.count = 1: expected 2 or more"),
@@ -85,7 +85,7 @@ def test_a_target_is_the_first_depth_that_is_held() -> None:
         ('kind = "freeze"', 'kind = "freze"', r":\d+: cases.frozen.faults\[0\]: unknown kind 'freze'"),
         ("hold = 1.0", "holds = 1.0", r":\d+: cases.hold-step: unknown key 'holds'; nearest is 'hold'"),
         ('base = "vehicle"', 'base = "vehicel"', r":\d+: base = 'vehicel'; nearest is 'vehicle'"),
-        ("[figures.peak_error]", "[figures.peak]", r"wrong.toml: figures.peak_error is missing"),
+        ("[metrics.peak_error]", "[metrics.peak]", r"wrong.toml: metrics.peak_error is missing"),
         (
             "total_variation = 1000.0",
             "total_variatoin = 1e3",
@@ -93,12 +93,18 @@ def test_a_target_is_the_first_depth_that_is_held() -> None:
         ),
         ('fmu = "PidDepthController"', 'fmu = "PidControler"', r":\d+: controllers.pid.fmu = .*; nearest is"),
         ("largest = 30.0", "lagest = 30.0", r":\d+: unknown key 'lagest'; nearest is 'largest'"),
-        ('signal = "power"', 'signal = "pover"', r":\d+: figures.energy.arguments.signal = 'pover'; nearest"),
+        ('signal = "power"', 'signal = "pover"', r":\d+: metrics.energy.arguments.signal = 'pover'; nearest"),
         (
             'function = "effort"\narguments = { signal = "power" }',
             'function = "energy_residual"\narguments = { signal = "u", flow = "dept" }',
-            r":\d+: figures.energy.arguments.flow = 'dept'; nearest is 'depth'",
+            r":\d+: metrics.energy.arguments.flow = 'dept'; nearest is 'depth'",
         ),
+        (
+            "[metrics.rmse]",
+            "[figures.rmse]",
+            r"wrong.toml: figures is a key of protocol 1.x: .* rename figures",
+        ),
+        ('metric = "rmse"', 'figure = "rmse"', r":\d+: cost.figure is a key of protocol 1.x"),
         ("low = 0.2", "lowest = 0.2", r":\d+: plants.vary.thrust: unknown key 'lowest'"),
     ],
 )

@@ -12,13 +12,13 @@ import pytest
 
 from orchestration.errors import OrchestrationError, ScenarioError
 from orchestration.score import score_document
-from orchestration.score.loop import Controller, Loop, tuned
+from orchestration.score.closed_loop import ClosedLoop, Controller, tuned
 from orchestration.score.plants import plants
 from orchestration.score.protocol import read_protocol
 from orchestration.score.score import run_count, score_controllers
 from orchestration.score.score_document import Row, Score
 from orchestration.score.score_rows import uses_true_rate
-from orchestration.score.score_view import of_figure
+from orchestration.score.score_view import of_metric
 from orchestration.score.table_seeds import table_seeds
 from tests.foreign_fmus import Misdeed
 from tests.orchestration.report.made_up_score import made_up_score
@@ -49,23 +49,23 @@ def row(document: Score, name: str) -> Row:
     return next(row for row in document.rows if row.name == name)
 
 
-def test_a_row_has_the_figures_of_the_loop_at_the_seed_of_the_table(document: Score, path: Path) -> None:
+def test_a_row_has_the_metrics_of_the_loop_at_the_seed_of_the_table(document: Score, path: Path) -> None:
     mine, other = row(document, "mine"), row(document, "l1-pi")
     assert [mine.scored, other.scored] == [True, False]
     protocol = read_protocol(path)
-    with Loop(MINE, protocol) as loop:
+    with ClosedLoop(MINE, protocol) as loop:
         for name, case in protocol.cases.items():
-            figures = loop.figures(case.with_seed(table_seeds().sensor_seed))
-            assert mine.cases[name].figures == pytest.approx(figures, nan_ok=True, rel=0.0)
-    tuned = other.cases["nominal"].figures["rmse"]
-    assert tuned < mine.cases["nominal"].figures["rmse"]
+            metrics = loop.metrics(case.with_seed(table_seeds().sensor_seed))
+            assert mine.cases[name].metrics == pytest.approx(metrics, nan_ok=True, rel=0.0)
+    tuned = other.cases["nominal"].metrics["rmse"]
+    assert tuned < mine.cases["nominal"].metrics["rmse"]
     assert mine.microseconds > 0.0
 
 
 def test_who_uses_the_true_rate_is_known(document: Score, path: Path) -> None:
     assert row(document, "mine").uses_true_rate is False
     protocol = read_protocol(path)
-    with Loop(EXACT, protocol) as loop:
+    with ClosedLoop(EXACT, protocol) as loop:
         assert uses_true_rate(loop, protocol.nominal) is True
 
 
@@ -76,7 +76,7 @@ def test_what_crashes_has_its_row_and_the_others_are_scored(document: Score) -> 
     assert plants_of_it is not None
     assert plants_of_it.failed["2"] == ["not run: its process ended 3 times before"]
     assert plants_of_it.failure_rate == 1.0
-    assert plants_of_it.figures["rmse"].median == math.inf
+    assert plants_of_it.metrics["rmse"].median == math.inf
     assert not any(case.failed for case in row(document, "mine").cases.values())
 
 
@@ -132,15 +132,15 @@ def test_all_controllers_get_the_same_plants(document: Score, path: Path) -> Non
     mine, other = row(document, "mine").plants, row(document, "l1-pi").plants
     assert mine is not None
     assert other is not None
-    with Loop(tuned(protocol, "l1-pi"), protocol) as loop:
+    with ClosedLoop(tuned(protocol, "l1-pi"), protocol) as loop:
         cases = plants(protocol, table_seeds().plants_seed)
-        assert other.figures["rmse"].values == [loop.figures(case, names=["rmse"])["rmse"] for case in cases]
+        assert other.metrics["rmse"].values == [loop.metrics(case, names=["rmse"])["rmse"] for case in cases]
     (difference,) = [
         entry
         for entry in document.differences
-        if (entry.scored, entry.other, entry.figure) == ("mine", "l1-pi", "rmse")
+        if (entry.scored, entry.other, entry.metric) == ("mine", "l1-pi", "rmse")
     ]
-    pairs = zip(mine.figures["rmse"].values, other.figures["rmse"].values, strict=True)
+    pairs = zip(mine.metrics["rmse"].values, other.metrics["rmse"].values, strict=True)
     assert difference.median_difference == sorted(a - b for a, b in pairs)[1]
     assert difference.p == 0.25  # 2 of the 2^3 signs
     assert difference.p_holm == difference.p  # the only pair: there is none with what crashes
@@ -150,9 +150,9 @@ def test_the_document_is_what_its_schema_says_and_reads_back(document: Score) ->
     text = document.model_dump_json()
     schema = json.loads(score_document.SCHEMA.read_text(encoding="utf-8"))
     jsonschema.validate(json.loads(text), schema)
-    assert json.loads(text)["rows"][0]["cases"]["hold-step"]["figures"]["lag"] is None
+    assert json.loads(text)["rows"][0]["cases"]["hold-step"]["metrics"]["lag"] is None
     back = Score.model_validate_json(text)
-    assert math.isnan(back.rows[0].cases["hold-step"].figures["lag"])
+    assert math.isnan(back.rows[0].cases["hold-step"].metrics["lag"])
     assert back.model_dump_json() == text
 
 
@@ -164,8 +164,8 @@ def test_a_run_that_failed_is_not_the_best_also_with_the_best_number() -> None:
     """In its league, of which two are: one run that did not fail has the same number."""
     document = made_up_score().document
     best, failed = row(document, "pid").cases["nominal"], row(document, "l1").cases["nominal"]
-    failed.figures["rmse"] = best.figures["rmse"]
-    cells = of_figure(document, "rmse").cells
+    failed.metrics["rmse"] = best.metrics["rmse"]
+    cells = of_metric(document, "rmse").cells
     marks = {shown.name: cells[i][0].is_best for i, shown in enumerate(document.rows)}
     assert failed.failed
     assert marks == {"mine": False, "pid": True, "l1": False}

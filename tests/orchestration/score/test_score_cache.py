@@ -11,7 +11,7 @@ import pytest
 
 from fmus import store
 from orchestration.score import score_cache
-from orchestration.score.loop import Loop, built_in, tuned
+from orchestration.score.closed_loop import ClosedLoop, built_in, tuned
 from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.score_document import Row
 
@@ -40,7 +40,7 @@ def test_rows_whose_last_use_is_longest_ago_are_removed(
 def test_a_row_with_plants_or_other_parameters_is_another_one(small_protocol: Callable[..., Path]) -> None:
     protocol = read_protocol(small_protocol())
     controller = tuned(protocol, "l1-pi")
-    with Loop(controller, protocol) as loop:
+    with ClosedLoop(controller, protocol) as loop:
         keys = {
             score_cache.key(one, loop, full)
             for one in (controller, replace(controller, parameters={}))
@@ -60,7 +60,7 @@ def test_a_row_follows_from_sources_of_every_kind(source: str) -> None:
 @pytest.fixture
 def name_of_row(protocol: Protocol) -> Callable[[], str]:
     """The key of one row, computed anew at each call."""
-    loop = Loop(built_in(protocol, "l1-pi"), protocol)
+    loop = ClosedLoop(built_in(protocol, "l1-pi"), protocol)
 
     def key() -> str:
         score_cache._sources.cache_clear()

@@ -11,7 +11,7 @@ from orchestration.many import ensemble_checks
 from orchestration.many.isolated import Isolated
 from orchestration.many.job import Done, Run
 from orchestration.score import score_rows
-from orchestration.score.loop import Controller, Loop
+from orchestration.score.closed_loop import ClosedLoop, Controller
 from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.score import score_controllers
 from orchestration.score.score_document import PlantsResult
@@ -47,7 +47,7 @@ def path(small_protocol: Callable[..., Path], protocol: Protocol) -> Path:
 def _compiled(path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     """The vehicle and its controller, once a session."""
     protocol = read_protocol(path)
-    with Loop(MINE, protocol) as loop:
+    with ClosedLoop(MINE, protocol) as loop:
         system = loop.scenario(protocol.nominal).system
     built_once(
         session_folder(tmp_path_factory, "ensemble") / "vehicle", lambda path: Ensemble(system).close()
@@ -84,7 +84,7 @@ def plants_of(path: Path, monkeypatch: pytest.MonkeyPatch) -> Scored:
 
 
 @pytest.mark.usefixtures("_compiled")
-def test_plants_in_ensembles_have_the_figures_and_failures_of_single_runs(plants_of: Scored) -> None:
+def test_plants_in_ensembles_have_the_metrics_and_failures_of_single_runs(plants_of: Scored) -> None:
     """Also those that cannot begin or go on, whose reasons are found by a simulator; and after a crash."""
     alone, groups = plants_of(MINE, is_compiled=False)
     assert groups == [1] * (1 + COUNT)

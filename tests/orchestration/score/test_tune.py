@@ -24,7 +24,7 @@ def known_cost(gains: Mapping[str, float]) -> dict[str, Any]:
     """A valley that is no sum of functions of one gain, with its least value of 2 at OPTIMUM."""
     a, b = (math.log(gains[name] / OPTIMUM[name]) for name in ("kp", "kd"))
     c = gains["offset"] - OPTIMUM["offset"]
-    return {"cost": 2.0 + a**2 + 10.0 * (b - a) ** 2 + (c + 0.5 * a) ** 2, "figures": {"nominal": a}}
+    return {"cost": 2.0 + a**2 + 10.0 * (b - a) ** 2 + (c + 0.5 * a) ** 2, "metrics": {"nominal": a}}
 
 
 def at_once(cost: Callable[..., dict[str, Any]]) -> Evaluate:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from orchestration.score.loop import Loop, built_in
+from orchestration.score.closed_loop import ClosedLoop, built_in
 from orchestration.score.protocol import Protocol
 from orchestration.score.tune_cost import LARGEST, costs, delayed, practice_cases, run_cost
 from orchestration.score.tune_problem import problem_of
@@ -16,7 +16,7 @@ BOUNDS = {"overshoot": 5.0, "total_variation": 1000.0}
 
 
 @pytest.mark.parametrize(
-    ("figures", "cost"),
+    ("metrics", "cost"),
     [
         ({"rmse": 2.0, "overshoot": 5.0, "total_variation": 1000.0}, 2.0),  # at its bounds
         ({"rmse": 2.0, "overshoot": 6.0, "total_variation": 900.0}, 4.0),  # a fifth above one: 10 times 0.2
@@ -27,8 +27,8 @@ BOUNDS = {"overshoot": 5.0, "total_variation": 1000.0}
         ({"rmse": 2.0, "overshoot": 0.0, "total_variation": 1e9}, LARGEST),
     ],
 )
-def test_a_run_costs_its_error_and_what_is_beyond_the_bounds(figures: dict[str, float], cost: float) -> None:
-    assert run_cost(figures, "rmse", BOUNDS) == pytest.approx(cost)
+def test_a_run_costs_its_error_and_what_is_beyond_the_bounds(metrics: dict[str, float], cost: float) -> None:
+    assert run_cost(metrics, "rmse", BOUNDS) == pytest.approx(cost)
 
 
 def test_tuning_uses_practice_seeds_alone_and_another_one_in_each_case(protocol: Protocol) -> None:
@@ -40,24 +40,24 @@ def test_tuning_uses_practice_seeds_alone_and_another_one_in_each_case(protocol:
 
 
 @pytest.fixture(scope="module")
-def loop(protocol: Protocol) -> Iterator[Loop]:
-    with Loop(built_in(protocol, "l1-pi"), protocol) as loop:
+def loop(protocol: Protocol) -> Iterator[ClosedLoop]:
+    with ClosedLoop(built_in(protocol, "l1-pi"), protocol) as loop:
         yield loop
 
 
-def test_the_cost_is_the_mean_error_of_the_cases_where_no_bound_is_reached(loop: Loop) -> None:
+def test_the_cost_is_the_mean_error_of_the_cases_where_no_bound_is_reached(loop: ClosedLoop) -> None:
     """At the gains of the block, which are slow: all bounds hold."""
     evaluated = next(costs(loop, [{}]))
-    errors = [loop.figures(case)["rmse"] for case in practice_cases(loop.protocol)]
+    errors = [loop.metrics(case)["rmse"] for case in practice_cases(loop.protocol)]
     assert evaluated["cost"] == pytest.approx(sum(errors) / 3)
     assert next(costs(loop, [{}])) == evaluated
     assert next(costs(loop, [{"filter_bandwidth": 0.5}]))["cost"] < evaluated["cost"]
 
 
-def test_a_loop_that_a_late_measurement_makes_swing_costs_more_than_its_error(loop: Loop) -> None:
+def test_a_loop_that_a_late_measurement_makes_swing_costs_more_than_its_error(loop: ClosedLoop) -> None:
     """K_P and K_I of about 20 times those of the block: quiet as it is, not with 0.1 s of delay."""
     evaluated = next(costs(loop, [{"proportional_gain": 200.0, "rate_feedback_gain": 60.0}]))
-    error = sum(figures["rmse"] for figures in evaluated["figures"].values()) / 3
+    error = sum(metrics["rmse"] for metrics in evaluated["metrics"].values()) / 3
     assert evaluated["unrest"] > 0.003
     assert evaluated["cost"] > error + 1.0
 
@@ -70,7 +70,7 @@ def test_a_case_can_be_delayed_besides_its_own_faults(protocol: Protocol) -> Non
     assert late.layer["experiment"]["stop_time"] == 140.0  # when the reference leaves 0.8 m
 
 
-def test_gains_that_the_fmu_refuses_have_a_finite_cost_and_the_reason(loop: Loop) -> None:
+def test_gains_that_the_fmu_refuses_have_a_finite_cost_and_the_reason(loop: ClosedLoop) -> None:
     evaluated = next(costs(loop, [{"observer_period": 0.001}]))
     assert evaluated["cost"] == LARGEST
     assert "internal_step at most observer_period" in evaluated["failure"]
@@ -78,7 +78,7 @@ def test_gains_that_the_fmu_refuses_have_a_finite_cost_and_the_reason(loop: Loop
 
 
 def test_the_gains_of_a_controller_of_the_protocol_are_those_that_it_has_for_it(
-    loop: Loop,
+    loop: ClosedLoop,
 ) -> None:
     controller, protocol = loop.controller, loop.protocol
     gains = problem_of(controller, protocol).gains

@@ -9,7 +9,7 @@ import pytest
 from orchestration.many import ensemble_checks
 from orchestration.many.isolated import Isolated
 from orchestration.many.job import Job
-from orchestration.score.loop import Loop, built_in
+from orchestration.score.closed_loop import ClosedLoop, built_in
 from orchestration.score.protocol import Protocol, read_protocol
 from orchestration.score.tune_cost import LARGEST, costs, evaluations
 from tests.foreign_fmus import Misdeed
@@ -46,7 +46,7 @@ def test_the_costs_are_those_of_single_evaluations(
         together = [*evaluate(GAINS)]
         assert [*evaluate(GAINS[:2])] == together[:2]
     assert used == [True, True]
-    with Loop(controller, protocol) as loop:
+    with ClosedLoop(controller, protocol) as loop:
         assert together[:-1] == [next(costs(loop, [gains])) for gains in GAINS[:-1]]
     assert together[-1]["cost"] == LARGEST
     assert "filter_bandwidth = -1.0: expected" in together[-1]["failure"]

@@ -1,4 +1,4 @@
-"""The figures of a run: metrics of its depth, its reference and its voltages, and whether it failed."""
+"""The metrics of a run, of its depth, its reference and its voltages, and whether it failed."""
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from orchestration.results import metrics
+from orchestration.results.metrics import evaluate
 from orchestration.results.recording import Recording
 from orchestration.score.protocol import Case, Protocol, metric_of
 from orchestration.score.protocol_format import SIGNALS
@@ -36,7 +36,7 @@ class Judged:
 def judged_signals(
     recording: Recording, columns: Sequence[str], limits: Sequence[float], gains: Sequence[float]
 ) -> Recording:
-    """Returns the recording with the signals that figures are computed of (`SIGNALS`) in place of its own.
+    """Returns the recording with the signals that metrics are computed of (`SIGNALS`) in place of its own.
 
     columns: names of reference, depth and both voltages; limits [V], gains [N/V]: of both thrusters
     """
@@ -61,37 +61,37 @@ def all_signals(signals: Recording) -> Recording:
 
 
 def declared(case: Case, protocol: Protocol, names: Collection[str] = ()) -> dict[str, dict[str, Any] | None]:
-    """Returns name -> metric of the figures of a case, all or those named; None for what cannot happen."""
+    """Returns name -> declaration of the metrics of a case, all or those named; None if it cannot happen."""
     return {
         name: metric_of(table, case) if case.target.moves or not table.of_motion else None
-        for name, table in protocol.figures.items()
+        for name, table in protocol.metrics.items()
         if not names or name in names
     }
 
 
-def figures_of(signals: Recording, figures: Mapping[str, Mapping[str, Any] | None]) -> dict[str, float]:
-    """Returns name -> figure of a run; not a number for what did not happen.
+def metrics_of(signals: Recording, metrics: Mapping[str, Mapping[str, Any] | None]) -> dict[str, float]:
+    """Returns name -> metric of a run; not a number for what did not happen.
 
-    signals: as `judged_signals` gives them; figures: as `declared` gives them
+    signals: as `judged_signals` gives them; metrics: as `declared` gives them
     """
-    values = metrics.evaluate(signals, {name: metric for name, metric in figures.items() if metric})
-    return {name: values.get(name, math.nan) for name in figures}
+    values = evaluate(signals, {name: metric for name, metric in metrics.items() if metric})
+    return {name: values.get(name, math.nan) for name in metrics}
 
 
-def traced_figures(
-    signals: Recording, figures: Mapping[str, Mapping[str, Any] | None], traced: bool
+def traced_metrics(
+    signals: Recording, metrics: Mapping[str, Mapping[str, Any] | None], traced: bool
 ) -> tuple[dict[str, float], Trace]:
-    """Returns the figures of a run, and what is drawn of it where it is traced."""
+    """Returns the metrics of a run, and what is drawn of it where it is traced."""
     stride = max(1, round(_TRACE_PERIOD_S / (signals.time[1] - signals.time[0])))
     columns = {name: signals[name][::stride] for name in ("time", *_TRACED)} if traced else {}
-    return figures_of(signals, figures), {n: np.round(column, 5).tolist() for n, column in columns.items()}
+    return metrics_of(signals, metrics), {n: np.round(column, 5).tolist() for n, column in columns.items()}
 
 
-def failures(figures: Mapping[str, float], protocol: Protocol) -> list[str]:
-    """Why a run failed: what did not happen, and what is above its limit; empty if it did not."""
-    reasons = ["not settled"] if math.isnan(figures.get("settling_time", 0.0)) else []
+def failures(metrics: Mapping[str, float], protocol: Protocol) -> list[str]:
+    """Returns why a run failed: what did not happen, and what is above its limit; empty if it did not."""
+    reasons = ["not settled"] if math.isnan(metrics.get("settling_time", 0.0)) else []
     for name, limit in protocol.tables.failure.items():
-        if figures.get(name, 0.0) > limit:
-            table = protocol.figures[name]
-            reasons.append(f"{table.title.lower()} {figures[name]:.3g} {table.unit}")
+        if metrics.get(name, 0.0) > limit:
+            table = protocol.metrics[name]
+            reasons.append(f"{table.title.lower()} {metrics[name]:.3g} {table.unit}")
     return reasons

@@ -1,7 +1,7 @@
-"""One controller in the loop of the protocol: the experiments of its runs, and what these give.
+"""The closed loop of one controller and the vehicle in the cases of a protocol: its runs and metrics.
 
-with Loop(Controller("mine", "my.fmu"), read_protocol()) as loop:
-    loop.figures(protocol.cases["nominal"])["rmse"]
+with ClosedLoop(Controller("mine", "my.fmu"), read_protocol()) as loop:
+    loop.metrics(protocol.cases["nominal"])["rmse"]
 """
 
 import threading
@@ -26,8 +26,8 @@ from orchestration.results.recording import Recording
 from orchestration.scenarios import scenario
 from orchestration.scenarios.read_layers import file_layers, parameter_values, shipped_bases
 from orchestration.scenarios.scenario import Scenario
-from orchestration.score.figures import Judged, all_signals, declared, figures_of
 from orchestration.score.protocol import REFERENCE, Case, Protocol, check_vehicle
+from orchestration.score.run_metrics import Judged, all_signals, declared, metrics_of
 from orchestration.system.experiment import Experiment
 from orchestration.system.signal_derivatives import derivative
 from orchestration.system.signals import Ramps, Signal
@@ -61,12 +61,12 @@ class Controller:
     flavour: Flavour = Flavour.NATIVE
 
     def variable(self, name: str) -> str:
-        """ "controller.variable" for a name of the depth control interface."""
+        """Returns "controller.variable" for a name of the depth control interface."""
         return OWN + self.mapping.get(name, name)
 
 
 def built_in(protocol: Protocol, name: str) -> Controller:
-    """The controller that the protocol has under that name."""
+    """Returns the controller that the protocol has under that name."""
     if name not in protocol.controllers:
         raise ScenarioError(f"no controller {name!r}; {nearest(name, protocol.controllers)}")
     table = protocol.controllers[name]
@@ -74,28 +74,28 @@ def built_in(protocol: Protocol, name: str) -> Controller:
 
 
 def tuned_gains(name: str) -> dict[str, FmiValue]:
-    """Variable of the controller -> value; empty for one that was not tuned."""
+    """Returns variable of the controller -> value; empty if it was not tuned."""
     path = GAINS / f"{name}.toml"
     values = parameter_values(path) if path.is_file() else {}
     return {variable.removeprefix(OWN): value for variable, value in values.items()}
 
 
 def tuned(protocol: Protocol, name: str) -> Controller:
-    """The controller that the protocol has under that name, with its tuned gains."""
+    """Returns the controller that the protocol has under that name, with its tuned gains."""
     controller = built_in(protocol, name)
     return replace(controller, parameters={**controller.parameters, **tuned_gains(name)})
 
 
 @cache
 def build_missing(fmu: Path) -> None:
-    """Build the FMU of one of our blocks, if it is missing or stale, once in a process."""
+    """Builds the FMU of one of our blocks, if it is missing or stale, once in a process."""
     from fmus.build import builder  # which loads CasADi
 
     builder.build_missing([fmu])
 
 
-class LoopRun(NamedTuple):
-    """A run to make.
+class ClosedLoopRun(NamedTuple):
+    """A run of a closed loop.
 
     compute: computes a result of the judged signals of one run; a function of a module, or picklable
     gains: variable of the controller -> value, over those that it has
@@ -106,8 +106,8 @@ class LoopRun(NamedTuple):
     gains: Mapping[str, FmiValue] = {}
 
 
-class Loop(AbstractContextManager["Loop"]):
-    """A controller in the loop with the vehicle, in any case of a protocol.
+class ClosedLoop(AbstractContextManager["ClosedLoop"]):
+    """The closed loop of a controller and the vehicle, in any case of a protocol.
 
     make: makes its runs, by default in a place of its own, which `close` closes; timeout: of a run [s]
     """
@@ -127,35 +127,35 @@ class Loop(AbstractContextManager["Loop"]):
         self.make, self.timeout = make or partial(in_order, self._place), timeout
         self._scenarios: dict[str, Scenario] = {}
 
-    def figures(
+    def metrics(
         self, case: Case, gains: Mapping[str, FmiValue] = {}, names: Collection[str] = ()
     ) -> dict[str, float]:
-        """Returns name -> figure of one run, of all figures or of those named.
+        """Returns name -> metric of one run, of all metrics or of those named.
 
         gains: variable of the controller -> value, over those that it has
         Raises SimulationError for a run that ends early.
         """
-        compute = partial(figures_of, figures=declared(case, self.protocol, names))
-        return self._one(LoopRun(case, compute, gains))
+        compute = partial(metrics_of, metrics=declared(case, self.protocol, names))
+        return self._one(ClosedLoopRun(case, compute, gains))
 
     def run(self, case: Case, gains: Mapping[str, FmiValue] = {}) -> Recording:
-        """Returns the signals that figures are computed of, in one run; raises what `figures` raises."""
-        return self._one(LoopRun(case, all_signals, gains))
+        """Returns the signals that metrics are computed of, in one run; raises what `metrics` raises."""
+        return self._one(ClosedLoopRun(case, all_signals, gains))
 
-    def _one(self, run: "LoopRun") -> Any:
+    def _one(self, run: "ClosedLoopRun") -> Any:
         (result,) = self.results([run])
         if isinstance(result, Failure):
             raise SimulationError(result.reason, None)
         return result
 
-    def results(self, runs: Sequence["LoopRun"]) -> Iterator[Any]:
+    def results(self, runs: Sequence["ClosedLoopRun"]) -> Iterator[Any]:
         """Yields what is computed of each run, or a `Failure` with the reason, in the order given."""
         for system, group in groupby(runs, key=lambda run: self.scenario(run.case).system):
             made = list(self._runs(group))
             job = Job(system, made[0].experiment, self.timeout)
             yield from (done.result for done in self.make(job, made))
 
-    def _runs(self, runs: Iterable["LoopRun"]) -> Iterator[Run]:
+    def _runs(self, runs: Iterable["ClosedLoopRun"]) -> Iterator[Run]:
         """Yields the runs of many; those of one case in a row share its signals."""
         for _, group in groupby(runs, key=lambda run: (id(run.case), id(run.compute))):
             first, *others = group
@@ -177,7 +177,7 @@ class Loop(AbstractContextManager["Loop"]):
         return tuple(experiment.record), limits, thrust
 
     def scenario(self, case: Case) -> Scenario:
-        """The case as a scenario with this controller; its own values and gains are not in it."""
+        """Returns the case as a scenario with this controller, without the values and gains of a run."""
         key = repr(case.layer)
         if key not in self._scenarios:
             self._scenarios[key] = self._loaded(case)
@@ -212,7 +212,7 @@ class Loop(AbstractContextManager["Loop"]):
         return replace(loaded, experiment=experiment)
 
     def experiment(self, case: Case) -> Experiment:
-        """The experiment of a case with its own values."""
+        """Returns the experiment of a case with its own values."""
         loaded = self.scenario(case)
         experiment = loaded.experiment
         parameters: dict[str, Any] = dict(experiment.parameters)
@@ -226,7 +226,7 @@ class Loop(AbstractContextManager["Loop"]):
         return replace(experiment, parameters=parameters, inputs=inputs, signals=signals)
 
     def _drive_rates(self, loaded: Scenario, inputs: dict[str, FmiValue], signals: dict[str, Signal]) -> None:
-        """Drive the rates of the reference by its derivatives, or hold them at 0, as the league says."""
+        """Drives the rates of the reference by its derivatives, or holds them at 0, by the league."""
         reference = signals[self.controller.variable("depth_reference")]
         known = _inputs(loaded.system.components["controller"])
         for name, order in _RATES.items():
@@ -241,7 +241,7 @@ class Loop(AbstractContextManager["Loop"]):
                 inputs[variable] = 0.0
 
     def parameters(self) -> dict[str, FmiValue]:
-        """The controller's own values, each of the type that its variable has."""
+        """Returns the controller's own values, each of the type that its variable has."""
         given = self.scenario(self.protocol.nominal).experiment
         values: dict[str, Any] = {**given.inputs, **given.parameters}
         return {name: values[f"{OWN}{name}"] for name in self.controller.parameters}
@@ -262,6 +262,6 @@ def _inputs(fmu: Path) -> set[str]:
 
 @cache
 def _judging(path: Path) -> dict[str, Any]:
-    """A layer over a base: what is recorded for figures, in place of the metrics of the base."""
+    """Returns a layer over a base: what is recorded for metrics, in place of the metrics of the base."""
     metrics = {name: False for layer in file_layers(path) for name in layer.data.get("metrics", {})}
     return {"record": list(_RECORD), "metrics": metrics}

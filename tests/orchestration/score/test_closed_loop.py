@@ -1,4 +1,4 @@
-"""A controller in the loop of the protocol gives the figures of the scenarios that it is made of."""
+"""A controller in the loop of the protocol gives the metrics of the scenarios that it is made of."""
 
 import math
 from pathlib import Path
@@ -9,46 +9,46 @@ from orchestration.errors import ScenarioError
 from orchestration.results import metrics
 from orchestration.run import simulate
 from orchestration.scenarios import scenario
-from orchestration.score.loop import Controller, Loop, built_in
+from orchestration.score.closed_loop import ClosedLoop, Controller, built_in
 from orchestration.score.protocol import FILE, Protocol, read_protocol
 
 
 @pytest.mark.parametrize(
     ("case", "shipped"), [("nominal", "nominal-extended"), ("buoyancy", "buoyancy-extended")]
 )
-def test_figures_are_those_of_the_shipped_scenario(protocol: Protocol, case: str, shipped: str) -> None:
+def test_metrics_are_those_of_the_shipped_scenario(protocol: Protocol, case: str, shipped: str) -> None:
     loaded = scenario.load(scenario.find(shipped))
     measured = metrics.evaluate(simulate(loaded.system, loaded.experiment), loaded.metrics)
-    with Loop(built_in(protocol, "l1-pi"), protocol) as loop:
-        figures = loop.figures(protocol.cases[case])
+    with ClosedLoop(built_in(protocol, "l1-pi"), protocol) as loop:
+        given = loop.metrics(protocol.cases[case])
     for name in ("rmse", "settling_time", "overshoot", "lag"):
-        assert figures[name] == measured[name]
+        assert given[name] == measured[name]
 
 
 def test_gains_are_of_one_run_alone(protocol: Protocol) -> None:
     nominal = protocol.cases["nominal"]
-    with Loop(built_in(protocol, "l1-pi"), protocol) as loop:
-        first = loop.figures(nominal, names=["rmse"])
-        assert loop.figures(nominal, {"proportional_gain": 10.0}, ["rmse"])["rmse"] < first["rmse"]
-        assert loop.figures(nominal, names=["rmse"]) == first
+    with ClosedLoop(built_in(protocol, "l1-pi"), protocol) as loop:
+        first = loop.metrics(nominal, names=["rmse"])
+        assert loop.metrics(nominal, {"proportional_gain": 10.0}, ["rmse"])["rmse"] < first["rmse"]
+        assert loop.metrics(nominal, names=["rmse"]) == first
 
 
 def test_a_hold_has_neither_lag_nor_overshoot_and_begins_at_its_depth(protocol: Protocol) -> None:
-    with Loop(built_in(protocol, "l1-pi"), protocol) as loop:
+    with ClosedLoop(built_in(protocol, "l1-pi"), protocol) as loop:
         run = loop.run(protocol.cases["hold-step"])
-        figures = loop.figures(protocol.cases["hold-step"])
+        metrics = loop.metrics(protocol.cases["hold-step"])
     assert run["depth"][0] == 1.0
     assert set(run["reference"]) == {1.0}
-    assert math.isnan(figures["lag"])
-    assert math.isnan(figures["overshoot"])
-    assert figures["peak_error"] > 1.0
+    assert math.isnan(metrics["lag"])
+    assert math.isnan(metrics["overshoot"])
+    assert metrics["peak_error"] > 1.0
 
 
 def test_unknown_names_offer_the_nearest(protocol: Protocol) -> None:
     with pytest.raises(ScenarioError, match=r"no controller 'l2'; .*'l1'"):
         built_in(protocol, "l2")
     with pytest.raises(ScenarioError, match=r"no league 'positon'; .*'position'"):
-        Loop(Controller("mine", "L1DepthController", league="positon"), protocol)
+        ClosedLoop(Controller("mine", "L1DepthController", league="positon"), protocol)
 
 
 @pytest.mark.parametrize(
@@ -69,5 +69,8 @@ def test_a_variable_that_the_vehicle_lacks_is_refused_before_any_run(
     path.write_text(text.replace(old, new), encoding="utf-8")
     protocol = read_protocol(path)
     complaint = rf"wrong.toml:\d+: no variable plant\.\w+; nearest is '{nearest}'"
-    with Loop(built_in(protocol, "pid"), protocol) as loop, pytest.raises(ScenarioError, match=complaint):
+    with (
+        ClosedLoop(built_in(protocol, "pid"), protocol) as loop,
+        pytest.raises(ScenarioError, match=complaint),
+    ):
         loop.scenario(protocol.nominal)
