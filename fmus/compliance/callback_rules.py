@@ -1,11 +1,11 @@
 """Callbacks, and arguments that are valid during a call only."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from fmus.compliance.comparison import differing
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import Level, behaviour_rule
-from fmus.compliance.script import CallError
+from fmus.compliance.script import CallError, Reading, Script
 from fmus.compliance.values import unless_claimed
 
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
@@ -13,28 +13,38 @@ _OWN_MEMORY = "canNotUseMemoryManagementFunctions"
 _NAME = "system.subsystem[2].'instance with a name of its own'.part"
 
 
+def _overwritten(probe: Probe) -> tuple[Script, Sequence[Reading], list[str]]:
+    """A run after the arguments of fmi2Instantiate were overwritten, its readings, and the callbacks that the
+    FMU takes from the structure after it.
+    """
+
+    def played() -> tuple[Script, Sequence[Reading], list[str]]:
+        script = probe.script(name=_NAME, overwritten=True, logging=True)
+        script.call("set_debug_logging", True, [])
+        script.begin()
+        got = script.run(2)
+        script.reset()
+        script.begin().step()
+        number = probe.hold(script)
+        traps = probe.ask("traps", number)
+        probe.let_go(number)
+        return script, got, sorted(set(traps))
+
+    return probe.once("run with overwritten arguments", played)
+
+
 @behaviour_rule(
     _CREATION,
     needs="reset-in-every-state allowed-calls-succeed statuses-are-legal messages-have-the-instance-name",
 )
 def arguments_of_instantiation_are_copied(probe: Probe) -> Iterator[str]:
-    """Name, GUID, resource location and the structure of callbacks are not used after fmi2Instantiate
-    returned; a long name is kept whole.
+    """Name, GUID and resource location are not used after fmi2Instantiate returned; a long name is kept
+    whole.
     """
     usual = probe.script().begin()
     expected = usual.run(2)
     usual.play()
-    script = probe.script(name=_NAME, overwritten=True, logging=True)
-    script.call("set_debug_logging", True, [])
-    script.begin()
-    got = script.run(2)
-    script.reset()
-    script.begin().step()
-    number = probe.hold(script)
-    traps = probe.ask("traps", number)
-    probe.let_go(number)
-    for callback in sorted(set(traps)):
-        yield f"{callback} was taken from the structure after fmi2Instantiate: expected a copy of it"
+    script, got, _ = _overwritten(probe)
     if script.failure:
         yield f"after the arguments of fmi2Instantiate were overwritten: {script.failure.problem}"
         return
@@ -44,6 +54,17 @@ def arguments_of_instantiation_are_copied(probe: Probe) -> Iterator[str]:
         yield "messages carry the overwritten instance name: expected a copy of it"
     elif cut := sorted(name for name in names if name and _NAME.startswith(name)):
         yield f"messages carry the instance name {cut[0]!r}: expected {_NAME!r}"
+
+
+@behaviour_rule(
+    "advice: 2.1.5, a note on the structure of callbacks",
+    Level.WARNING,
+    needs="arguments-of-instantiation-are-copied",
+)
+def callbacks_are_copied(probe: Probe) -> Iterator[str]:
+    """The structure of callbacks is not used after fmi2Instantiate returned."""
+    for callback in _overwritten(probe)[2]:
+        yield f"{callback} was taken from the structure after fmi2Instantiate: expected a copy of it"
 
 
 @behaviour_rule(_CREATION)

@@ -28,7 +28,7 @@ def check(
 
     every: print each rule, also those that hold; format_name: one of `FORMATS`; out: a file for the findings
     in that format, and then they are printed as text too. Raises OSError for a file that is not there,
-    HostError if this machine does not allow a verdict.
+    HostError if this machine does not allow a verdict, after the findings where it cannot load a library.
     """
     try:
         findings = {path: examine(path, timeout) for path in fmus}
@@ -47,7 +47,10 @@ def check(
     elif out is not None:
         document = report.text(findings, every)
     print(document, end="")
-    return report.count(findings, "error")
+    errors = report.count(findings, "error")
+    if not errors and (reasons := report.unloaded(findings)):
+        raise HostError("; ".join(reasons))
+    return errors
 
 
 def explain(name: str) -> str:

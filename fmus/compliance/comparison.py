@@ -10,6 +10,7 @@ from fmus.compliance.script import Reading, Script
 from fmus.compliance.values import read_value
 from fmus.compliance.variable import Variable
 
+_LARGE = 1e-5  # relative: what is more is compared with the variable itself
 RESTARTED = 1e-2  # relative: what a solver that begins anew at an event may change
 _SMALL = 0.01  # of the largest variable: what is smaller is compared against that
 
@@ -60,7 +61,7 @@ def differing(
     for name, value in (item for row in before for item in row.items()):
         if isinstance(value, float) and math.isfinite(value):
             scales[name] = max(abs(value), scales.get(name, 0.0))
-    least = (_SMALL if tolerance >= RESTARTED else 1.0) * max(scales.values(), default=0.0)
+    least = (_SMALL if tolerance >= _LARGE else 1.0) * max(scales.values(), default=0.0)
     named = set()
     for i, (row, other) in enumerate(zip(before, after, strict=True), 1):
         for name, value in row.items():

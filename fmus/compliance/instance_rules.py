@@ -81,7 +81,7 @@ def error_leaves_other_instances_unchanged(probe: Probe) -> Iterator[str]:
     if failure:
         yield f"after an error: {failure.problem}"
     else:
-        yield from differing(expected, again, "after an error and fmi2Reset")
+        yield from differing(expected, again, "after an error and fmi2Reset", probe.tolerance)
 
 
 def unknown_reference(probe: Probe) -> int:

@@ -8,6 +8,7 @@ from fmus.compliance.fmu_process import START_S
 from fmus.compliance.lifecycle_rules import RANDOM
 from fmus.compliance.probe import Probe
 from fmus.compliance.rule import (
+    CANNOT_LOAD,
     IS_BROKEN,
     NotApplicableError,
     NotJudgedError,
@@ -58,7 +59,8 @@ def _breach(result: Result) -> str:
     """Returns the reason why what needs a rule is not judged: it has an error, or is not judged itself."""
     if result.outcome == "error":
         return f"{result.rule.name}{IS_BROKEN}"
-    return result.not_judged if result.not_judged.endswith((IS_BROKEN, RANDOM)) else ""
+    is_of_all = result.not_judged.startswith(CANNOT_LOAD) or result.not_judged.endswith((IS_BROKEN, RANDOM))
+    return result.not_judged if is_of_all else ""
 
 
 def _judge(rule: Rule, probe: Probe, results: Mapping[str, Result]) -> Result:

@@ -145,6 +145,8 @@ def _slices(lief: Any, content: bytes) -> Iterator[Any]:
 
 def _facts(path: str, folder: str, parsed: Any) -> Library:
     symbols = [*parsed.exported_functions, *getattr(parsed, "exported_symbols", ())]
+    if parsed.format.name == "MACHO" and not (parsed.dyld_info or parsed.dyld_exports_trie):
+        symbols = [symbol for symbol in parsed.symbols if _is_exported(symbol.raw_type)]
     exports = frozenset(str(symbol.name).removeprefix("_") for symbol in symbols)
     needed, search_paths = [], []
     if parsed.format.name == "ELF":
@@ -153,6 +155,11 @@ def _facts(path: str, folder: str, parsed: Any) -> Library:
         search_paths = [str(one) for entry in entries for one in entry.paths]
     imports = frozenset(str(symbol.name).removeprefix("_") for symbol in parsed.imported_functions)
     return Library(path, folder, _machine(parsed), exports, imports, tuple(needed), tuple(search_paths))
+
+
+def _is_exported(raw_type: int) -> bool:
+    """Whether a type of Mach-O's symbol table is external and defined (loader.h): no N_STAB, no N_PEXT."""
+    return raw_type & 0xF1 == 0x01 and raw_type & 0x0E != 0
 
 
 def _machine(parsed: Any) -> tuple[str, str]:

@@ -2,25 +2,52 @@
 and freed.
 """
 
+import re
 from collections.abc import Iterator
+from pathlib import PurePath
 
 from fmus.compliance.comparison import differing
+from fmus.compliance.fmu_file import FmuFile
 from fmus.compliance.instance_rules import unknown_reference
 from fmus.compliance.probe import Probe, refusal
-from fmus.compliance.rule import Level, NotJudgedError, behaviour_rule
+from fmus.compliance.rule import CANNOT_LOAD, Level, NotJudgedError, behaviour_rule
+from fmus.compliance.script import CallError
 
 _NAMING = "2.1.1 Header Files and Naming of Functions"
 _CREATION = "2.1.5 Creation, Destruction and Logging of FMU Instances"
 _WRONG_GUID = "{00000000-0000-0000-0000-000000000000}"
 _STEPS, _MANY_STEPS = 5, 30
 RANDOM = "the outputs are random"
+_ELSEWHERE = "install what it needs, or check it on a machine that has it"
+# what the loaders of glibc, musl, macOS and Windows tell; undefined symbols are the library's own fault
+_OF_THE_MACHINE = re.compile(
+    r"(?P<name>[^\s:]+): cannot open shared object"
+    r"|(?:Error loading shared library|Library not loaded:) (?P<other>[^\s:]+)"
+    r"|version `\S+' not found|wrong ELF class|incompatible architecture|\[WinError (?:126|193)\]"
+    r"|Could not find module"
+)
 
 
 @behaviour_rule(_NAMING)
 def library_loads(probe: Probe) -> Iterator[str]:
     """The library of this platform loads, and has every function of FMI 2.0 for co-simulation."""
-    probe.ask("load")
+    try:
+        probe.ask("load")
+    except CallError as error:
+        if is_of_the_machine(probe.fmu, str(error)):
+            raise NotJudgedError(f"{CANNOT_LOAD}: {error}; {_ELSEWHERE}") from error
+        raise
     yield from ()
+
+
+def is_of_the_machine(fmu: FmuFile, message: str) -> bool:
+    """Whether a library cannot be loaded because of this machine: its processor, its C library, or a library
+    that it does not have and that is not in the FMU.
+    """
+    found = _OF_THE_MACHINE.search(message)
+    name = found and PurePath(found["name"] or found["other"] or "").name
+    folder, _, own = fmu.host_library.rpartition("/")
+    return found is not None and (name == own or f"{folder}/{name}" not in fmu.paths)
 
 
 @behaviour_rule(_CREATION)

@@ -44,7 +44,7 @@ def variable_names_are_legal(fmu: FmuFile) -> Iterator[str]:
     for v in fmu.variables:
         if "name" not in v.attributes:
             continue
-        if not v.name or re.search(r"[\r\n\t]", v.name):
+        if not v.attributes["name"] or re.search(r"[\r\n\t]", v.name):
             yield f"variable {v.index}, {v.name!r}: expected a name without tab or line break"
         elif is_structured(fmu) and not _STRUCTURED.fullmatch(v.name):
             yield f"{v.name!r}: expected a structured name such as tank.level[1] or der(x)"

@@ -20,6 +20,7 @@ T = TypeVar("T")
 _LICENCE = re.compile("licen[cs]e", re.IGNORECASE)
 _REFUSED_STEPS, _DISCARDED_STEP = "refused steps", "discarded step"  # among what the rules share
 _REFUSALS = "refusals"
+_TOLERANCE, _MOST_TOLERANCE = 1e-4, 1e-3
 NO_INSTANCE = "fmi2Instantiate returned NULL"
 
 
@@ -32,7 +33,7 @@ class Probe:
 
     one_instance: of `FmuProcess`
     start_time, stop_time, step_size: of the default experiment [s], infinite if it states no stop time;
-    states_step_size: whether it states one
+    states_step_size: whether it states one; tolerance: its own, relative, or the usual one
     """
 
     def __init__(
@@ -57,6 +58,7 @@ class Probe:
         span = (stop_time or self.start_time + 1.0) - self.start_time
         self.states_step_size = bool(number(get("stepSize")))
         self.step_size = number(get("stepSize")) or span / 1000
+        self.tolerance = min(number(get("tolerance")) or _TOLERANCE, _MOST_TOLERANCE)
 
     def ask(self, method: str, *arguments: Any) -> Any:
         """The result of a method of `LoadedFmu`."""
@@ -261,7 +263,7 @@ def _refused(messages: Sequence[Message]) -> Exception:
 
 def refusal(messages: Sequence[Message]) -> str:
     """Returns the reason why fmi2Instantiate returned NULL, in the FMU's own words."""
-    text = "; ".join(message.text for message in messages)
+    text = "; ".join(filter(None, (message.text.strip() for message in messages)))
     cause = "the GUID of the library is another one" if "guid" in text.lower() else ""
     logged = f"the FMU logged: {text}" if text else "it logged nothing"
     return "; ".join(filter(None, [f"{NO_INSTANCE}: expected an instance", cause, logged]))

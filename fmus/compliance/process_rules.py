@@ -37,7 +37,8 @@ def process_settings_are_restored(probe: Probe) -> Iterator[str]:
         for setting, before, after in reply.changed:
             if not setting.startswith((_FLOATING_POINT, ARGUMENTS, UNWRITTEN)) and setting not in named:
                 named.add(setting)
-                yield f"{reply.function} changes the {setting}: {after}, expected {before}"
+                got, expected = after or "as at first", before or "no change"
+                yield f"{reply.function} changes the {setting}: {got}, expected {expected}"
 
 
 @behaviour_rule("2.1.7 Getting and Setting Variable Values")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from fmus.compliance.rule import OUTCOMES, Result, Rule
+from fmus.compliance.rule import CANNOT_LOAD, OUTCOMES, Result, Rule
 from fmus.compliance.sentences import sentences_of
 
 Findings = Mapping[Path, Sequence[Result]]
@@ -34,12 +34,26 @@ def total(findings: Findings) -> str:
     return f"{len(findings)} FMUs, {bad} with errors: {errors} errors, {warnings} warnings"
 
 
+def unloaded(findings: Findings) -> list[str]:
+    """Returns each FMU whose library this machine cannot load, with the reason."""
+    both = ((path, result) for path, results in findings.items() for result in results)
+    return [f"{path}: {result.not_judged}" for path, result in both if _is_unloaded(result)]
+
+
+def _is_unloaded(result: Result) -> bool:
+    return result.rule.name == "library-loads" and result.not_judged.startswith(CANNOT_LOAD)
+
+
 def lines(results: Sequence[Result], every: bool = False) -> list[str]:
-    """A line for each message: outcome, rule, clause, message. every: a line for the other rules too."""
+    """A line for each message: outcome, rule, clause, message; also where the library cannot be loaded.
+
+    every: a line for the other rules too
+    """
     return [
         f"{result.outcome}: {result.rule.name} ({result.rule.clause}): {message}"
         for result in results
-        for message in result.messages or [_reason(result) or result.rule.claim] * every
+        for message in result.messages
+        or [_reason(result) or result.rule.claim] * (every or _is_unloaded(result))
     ]
 
 

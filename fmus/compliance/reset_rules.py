@@ -110,7 +110,7 @@ def reset_gives_the_start_values(probe: Probe) -> Iterator[str]:
     script.begin()
     again = script.run(_STEPS)
     script.play()
-    yield from differing(first, again, "after fmi2Reset")
+    yield from differing(first, again, "after fmi2Reset", probe.tolerance)
     initialise = partial(_reset_after_other_values, probe)
     yield from _not_at_start(probe, initialise, "after other values and fmi2Reset", keep_going=True)
 
@@ -146,7 +146,7 @@ def reset_ends_all_that_was_set(probe: Probe) -> Iterator[str]:
         yield f"after other values, a stop time and fmi2Reset: {failure.problem}"
     elif end.ok:
         names = {m.split(" is ", 1)[0] for m in differing(expected, again, "")}
-        messages = differing(expected, got, "after other values and fmi2Reset")
+        messages = differing(expected, got, "after other values and fmi2Reset", probe.tolerance)
         yield from (m for m in messages if m.split(" is ", 1)[0] not in names)
 
 

@@ -45,6 +45,9 @@ class Rule:
 IS_BROKEN = " is broken"
 """After the name of a rule: why another one, which would find the same, is not judged."""
 
+CANNOT_LOAD = "this machine cannot load the library"
+"""At the begin of the reason why no behaviour is judged on this machine."""
+
 
 class NotJudgedError(Exception):
     """A rule that cannot be judged; the message says why."""
@@ -143,5 +146,8 @@ def _plain(text: str) -> str:
 
 
 def repeated(names: Iterable[Any]) -> dict[Any, int]:
-    """Returns the number of times that each name occurs, of those that occur more than once."""
-    return {name: count for name, count in Counter(names).items() if count > 1}
+    """Returns the number of times that each name occurs, of those that occur more than once.
+
+    None is left out: the schema tells what has no name.
+    """
+    return {name: count for name, count in Counter(names).items() if count > 1 and name is not None}

@@ -110,7 +110,8 @@ def enumeration_start_is_an_item(fmu: FmuFile) -> Iterator[str]:
         v = fmu.variables[index - 1]
         start = integer(v.start)
         if start is not None and start not in values:
-            yield f"{v.name}: start {start}: expected one of {', '.join(map(str, values))}"
+            listed = ", ".join(map(str, values)) or "its items, which have no values"
+            yield f"{v.name}: start {start}: expected one of {listed}"
 
 
 @rule(_VARIABLES, Stage.DESCRIPTION, Level.WARNING)
@@ -121,5 +122,5 @@ def enumeration_range_holds_an_item(fmu: FmuFile) -> Iterator[str]:
         low, high = v.number("min"), v.number("max")
         low, high = -math.inf if low is None else low, math.inf if high is None else high
         if low <= high and not any(low <= value <= high for value in values):
-            listed = ", ".join(map(str, values))
+            listed = ", ".join(map(str, values)) or "which none has a value"
             yield f"{v.name}: min {low:g}, max {high:g}: expected an item between, of {listed}"

@@ -148,10 +148,8 @@ def values_are_in_range(probe: Probe) -> Iterator[str]:
         margin = _ROUNDED * max(abs(low or 0.0), abs(high or 0.0), 1.0) if v.base_kind == "Real" else 0.0
         if (low is not None and value < low - margin) or (high is not None and value > high + margin):
             named.add(v.name)
-            yield (
-                f"{v.name} is {value:.9g}: expected "
-                f"{low if low is not None else ''}..{high if high is not None else ''}"
-            )
+            low, high = -math.inf if low is None else low, math.inf if high is None else high
+            yield f"{v.name} is {value:.9g}: expected {low}..{high}"
 
 
 @behaviour_rule(_INITIALIZATION, needs="allowed-calls-succeed statuses-are-legal questions-change-nothing")

@@ -33,7 +33,7 @@ def start_value(v: Variable) -> Any:
     if text is None or v.base_kind == "String":
         return text
     if v.base_kind == "Boolean":
-        return _TRUE.get(text)
+        return _TRUE.get(text.strip())
     value = v.number("start") if v.typed.get("start") == text else None
     if v.base_kind != "Integer":
         return value

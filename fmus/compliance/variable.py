@@ -40,7 +40,7 @@ class Variable:
 
     @cached_property
     def name(self) -> str:
-        return self.attributes.get("name", f"<variable {self.index} without a name>")
+        return self.attributes.get("name") or f"<variable {self.index} without a name>"
 
     @property
     def is_legal_pair(self) -> bool:

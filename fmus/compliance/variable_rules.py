@@ -54,7 +54,7 @@ def start_is_given(fmu: FmuFile) -> Iterator[str]:
         if needed and v.start is None:
             yield f"{what}: expected a start value"
         elif not needed and v.start is not None:
-            yield f"{what} has start {v.start}: expected none"
+            yield f"{what} has start {v.start!r}: expected none"
 
 
 @rule(_CLAUSE, Stage.DESCRIPTION)

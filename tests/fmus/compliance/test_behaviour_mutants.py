@@ -1,21 +1,26 @@
 """Each sentence of FMI that an FMU breaks by what it does is found by its rules and no others."""
 
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 
 from fmus.compliance.behaviour import FUNDAMENTAL, behaviour
+from fmus.compliance.check import NO_VERDICT, main
 from fmus.compliance.examine import examine
 from fmus.compliance.fmu_file import FmuFile
+from fmus.compliance.lifecycle_rules import is_of_the_machine
 from fmus.compliance.registry import registered
 from fmus.compliance.rule import Level, Rule, Stage
 from fmus.platforms import host_platform, library_name
 from tests.mutants.mutant import Mutant, broken_rules, unexpected
 from tests.mutants.slaves import CHANGES, LEGAL, RUN_MUTANTS, write_slave
 
-from .archives import members, write
+from .archives import XML, members, write
 
 QUICK = ("steps beyond the stop time", "keeps the pointer to its name", "a changed rounding mode")
 
@@ -63,16 +68,82 @@ def test_a_second_slave_that_refuses_what_is_not_allowed_breaks_no_rule(
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="patches a library of Linux")
-def test_a_library_that_does_not_load_is_one_finding_and_no_behaviour_is_judged(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("name", "other"), [(b"libm.so.6", b"libin.so1"), (b"fesetround", b"fesetrounq")])
+def test_a_library_that_does_not_load_is_one_finding_and_no_behaviour_is_judged(
+    name: bytes, other: bytes, tmp_path: Path
+) -> None:
+    content = members(write_slave(tmp_path))
+    path = library_name("Behaviour", host_platform())
+    assert b"\0" + name + b"\0" in content[path]
+    content[path] = content[path].replace(b"\0" + name + b"\0", b"\0" + other + b"\0")
+    content[f"{path.rpartition('/')[0]}/libin.so1"] = b""
+    results = [r for r in examine(write(content, tmp_path / "unloaded.fmu")) if r.rule.stage == "behaviour"]
+    (broken,) = [r for r in results if r.messages]
+    assert broken.rule.name == "library-loads"
+    assert other.decode() in broken.messages[0]
+    assert {r.outcome for r in results if r is not broken} == {"not judged", "not applicable"}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="patches a library of Linux")
+def test_a_library_that_this_machine_cannot_load_is_not_judged(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     content = members(write_slave(tmp_path))
     path = library_name("Behaviour", host_platform())
     assert b"\0libm.so.6\0" in content[path]
     content[path] = content[path].replace(b"\0libm.so.6\0", b"\0libm.so.9\0")
-    results = [r for r in examine(write(content, tmp_path / "unloaded.fmu")) if r.rule.stage == "behaviour"]
-    (broken,) = [r for r in results if r.messages]
-    assert broken.rule.name == "library-loads"
-    assert "libm.so.9" in broken.messages[0]
-    assert {r.outcome for r in results if r is not broken} == {"not judged", "not applicable"}
+    fmu = write(content, tmp_path / "unloaded.fmu")
+    reason = (
+        "this machine cannot load the library: libm.so.9: cannot open shared object file: No such file or "
+        "directory; install what it needs, or check it on a machine that has it"
+    )
+    results = [r for r in examine(fmu) if r.rule.stage == "behaviour"]
+    assert {r.outcome for r in results} == {"not judged", "not applicable"}
+    assert {r.not_judged for r in results if r.not_judged} == {reason}
+    assert main([str(fmu)]) == NO_VERDICT
+    printed = capsys.readouterr()
+    assert reason in printed.err
+    assert printed.out.count(reason) == 1
+    assert main([str(fmu), str(write(content | {"../escape": b""}, tmp_path / "wrong.fmu"))]) == 1
+
+
+@pytest.mark.parametrize(
+    ("message", "expected"),
+    [
+        ("/lib/libc.so.6: version `GLIBC_2.38' not found (required by /tmp/model.so)", True),
+        ("/tmp/binaries/linux64/Behaviour.so: wrong ELF class: ELFCLASS32", True),
+        (
+            "/tmp/binaries/linux64/Behaviour.so: cannot open shared object file: No such file or directory",
+            True,
+        ),
+        ("Error loading shared library libstdc++.so.6: No such file or directory (needed by model.so)", True),
+        ("dlopen(model.dylib, 0x0006): Library not loaded: @rpath/libomp.dylib", True),
+        ("mach-o file, but is an incompatible architecture (have 'arm64', need 'x86_64')", True),
+        ("[WinError 193] %1 is not a valid Win32 application", True),
+        ("Could not find module 'model.dll' (or one of its dependencies)", True),
+        ("libinside.so: cannot open shared object file: No such file or directory", False),
+        ("/tmp/Behaviour.so: undefined symbol: nope", False),
+        ("/tmp/Behaviour.so: file too short", False),
+    ],
+)
+def test_a_library_in_the_fmu_and_a_missing_symbol_are_not_of_the_machine(
+    message: str, expected: bool
+) -> None:
+    folder = "binaries/linux64"
+    paths = {f"{folder}/Behaviour.so", f"{folder}/libinside.so"}
+    fmu = SimpleNamespace(host_library=f"{folder}/Behaviour.so", paths=paths)
+    assert is_of_the_machine(cast(FmuFile, fmu), message) is expected
+
+
+@pytest.mark.parametrize("slave", ["Behaviour", "Oscillator"])
+def test_blanks_around_booleans_and_numbers_are_no_finding(slave: str, tmp_path: Path) -> None:
+    """xs:boolean, xs:int and xs:double collapse them."""
+    content = members(write_slave(tmp_path, slave=slave))
+    xml = content[XML].decode()
+    xml = re.sub(r'\b(min|max|nominal|can[A-Z]\w+)="(.*?)"', r'\1=" \2\n"', xml)
+    xml = re.sub(r'(<(?:Real|Integer|Boolean) [^>]*\bstart)="(.*?)"', r'\1=" \2 "', xml)
+    assert xml.count(' start=" ') >= 8
+    assert broken_rules(write(content | {XML: xml.encode()}, tmp_path / "blanks.fmu"), is_static=False) == {}
 
 
 def test_a_rule_that_fails_by_itself_is_not_judged_and_no_finding_of_the_fmu(

@@ -1,5 +1,6 @@
 """Libraries of every platform are judged without being run; what cannot be run here is said."""
 
+import struct
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -55,6 +56,22 @@ def test_a_library_that_lacks_a_function_is_caught_on_every_platform(
     content[path] = content[path].replace(missing.encode() + b"\0", renamed + b"\0")
     broken = broken_rules(write(content, tmp_path / "mutant.fmu"))
     assert any(path in message and missing in message for message in broken["library-exports"]), broken
+
+
+def without_export_information(library: bytes) -> bytes:
+    """A library for macOS whose LC_DYLD_INFO_ONLY is unknown to the loader: the symbol table is left."""
+    command, size = 0x80000022, 48
+    assert struct.pack("<II", command, size) in library
+    return library.replace(struct.pack("<II", command, size), struct.pack("<II", 0x7F, size))
+
+
+def test_a_library_of_macos_exports_by_its_symbol_table_too(elsewhere: Path, tmp_path: Path) -> None:
+    content, path = members(elsewhere), library_name(NAME, "darwin64")
+    library = content[path] = without_export_information(content[path])
+    assert set(broken_rules(write(content, tmp_path / "table.fmu"))) == {"runs-on-this-platform"}
+    content[path] = library.replace(b"fmi2DoStep\0", b"fmi2DoSteq\0")
+    broken = broken_rules(write(content, tmp_path / "mutant.fmu"))
+    assert set(broken["library-exports"]) == {f"{path} does not export fmi2DoStep"}
 
 
 def test_a_library_compiled_without_a_function_is_caught(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """What the check tells: JSON, exit status, odd paths."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -9,8 +10,13 @@ from typing import Any
 import pytest
 
 from fmus.compliance.check import main
+from fmus.compliance.probe import refusal
 from fmus.compliance.registry import all_rules
-from fmus.compliance.rule import OUTCOMES
+from fmus.compliance.rule import OUTCOMES, repeated
+from fmus.compliance.script import Message
+from tests.mutants.base import BASE, XML, changed, written
+from tests.mutants.mutant import broken_rules
+from tests.mutants.slaves import write_slave
 from tests.shared_builds import Fmus
 
 from .archives import members, write
@@ -99,3 +105,21 @@ def test_an_fmu_in_a_folder_of_any_name_breaks_no_rule(
     assert main([str(path), "--json", str(file)]) == 0
     assert json.loads(file.read_text(encoding="utf-8"))["fmus"][0]["fmu"] == str(path)
     assert "error" not in capsys.readouterr().out.removeprefix(str(path))
+
+
+def test_names_and_expectations_in_messages_are_not_empty(tmp_path: Path) -> None:
+    items = re.findall("<Item .*/>(?=</Enumeration>)", BASE[XML].decode())
+    changes = ('name="flag"', 'name=""'), ('<Boolean start="false"/>', "<Boolean/>"), (items[0], "")
+    broken = broken_rules(written(changed(*changes), tmp_path))
+    assert {"variable-names-are-legal", "start-is-given"} <= set(broken)
+    assert broken["start-is-given"][0].startswith("<variable 16 without a name> (output, ")
+    assert [m for messages in broken.values() for m in messages if m.endswith((":", " of", "expected"))] == []
+    assert repeated(["a", "a", None, None]) == {"a": 2}
+    assert refusal([Message(3, " ", None, None)]).endswith("it logged nothing")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the environment is read on Linux")
+def test_a_setting_that_was_empty_is_expected_to_stay(tmp_path: Path) -> None:
+    path = write_slave(tmp_path, "a changed environment variable", slave="Oscillator")
+    (message,) = broken_rules(path, is_static=False)["process-settings-are-restored"]
+    assert message.endswith("changes the environment: TZ=UTC+5, expected no change")
