@@ -20,8 +20,7 @@ from orchestration.run.loop import python_loop
 from orchestration.run.loop_data import Report, Storage
 from orchestration.run.process_guard import ProcessGuard, new_report
 from orchestration.run.run_recording import reason_of
-from orchestration.run.step_by_step import StepByStep, replay
-from orchestration.run.stepped_run import SteppedRun
+from orchestration.run.step_by_step import StepByStep, SteppedRun, replay
 from orchestration.run.stepping import Progress, RunInProgress
 from orchestration.run.wiring import WiredRun, build_wiring
 from orchestration.system.experiment import Experiment
