@@ -81,7 +81,7 @@ class SteppedRun(RunInProgress):
         return self._report[_POSITION] == self._last or self.is_terminated
 
     def step(self) -> None:
-        """Step to the next communication point. SimulationError if that fails, or the run is at its end."""
+        """Steps to the next communication point. SimulationError if that fails, or the run is at its end."""
         point = self._report[_POSITION]
         is_plain = point not in self._special and not self.failure
         if not is_plain and (self.failure or point == self._last):
@@ -118,7 +118,7 @@ class SteppedRun(RunInProgress):
             SteppedRun._next_look = time.perf_counter() + _LOOK_EVERY_S
 
     def _step_and_more(self, point: int) -> None:
-        """A step with what is due before and after it."""
+        """Takes a step, with what is due before and after it."""
         self._change_and_wait(None)
         self._run_batch(point + 1)
 
@@ -129,14 +129,14 @@ class SteppedRun(RunInProgress):
         self._moved_point = index, before
 
     def recording_now(self) -> Recording:
-        """The values recorded until now, those of the present communication point included."""
+        """Returns the values recorded until now, those of the present communication point included."""
         if not self.failure:
             self.record_now()
             self.look_around()
         return self.recording()
 
     def save(self) -> SavedState:
-        """The whole system at the present communication point."""
+        """Saves the whole system at the present communication point."""
         if self.failure or self._unable:
             raise OrchestrationError(self.failure or _cannot_save(self._unable))
         if not self._unused:
@@ -151,7 +151,7 @@ class SteppedRun(RunInProgress):
         return SavedState(memory, point, step_control, segment, written, self._unused)
 
     def restore(self, state: SavedState) -> None:
-        """Set the whole system, and its record, back to a state of this run."""
+        """Sets the whole system, and its record, back to a state of this run."""
         if state.unused is not self._unused:
             raise OrchestrationError(stale("saved state"))
         if self.failure:
@@ -166,7 +166,7 @@ class SteppedRun(RunInProgress):
             self.step_control.state = state.step_control
 
     def _recover(self, state: SavedState) -> None:
-        """Set the system back after a failure; no call of an FMU is allowed after a fatal one."""
+        """Sets the system back after a failure; no call of an FMU is allowed after a fatal one."""
         if any(instance.returned_fatal for instance in self.instances.values()):
             raise OrchestrationError(self.failure)
         restore_after_failure(self.wired, self._loop, state.memory)
@@ -176,7 +176,7 @@ class SteppedRun(RunInProgress):
         self.failure, self._termination, self._moved_point = "", {}, (0, [])
 
     def free(self) -> None:
-        """End the run: free the states saved in the FMUs, and make readers and writers refuse."""
+        """Ends the run: frees the states saved in the FMUs, and makes readers and writers refuse."""
         self.failure = "the run has ended: expected start(experiment) for another"
         self.variables.release()
         for memory in self._memories:
@@ -243,7 +243,7 @@ class StepByStep:
         return self._started().is_done
 
     def step(self) -> None:
-        """Step to the next communication point.
+        """Steps to the next communication point.
 
         Raises SimulationError if the step fails: its `recording` holds the values recorded until then;
         OrchestrationError if the run is done.
@@ -251,11 +251,11 @@ class StepByStep:
         self._started().step()
 
     def get(self, name: str) -> Any:
-        """The value of "component.variable" at the present communication point."""
+        """Returns the value of "component.variable" at the present communication point."""
         return self._started().variables.get(name)
 
     def set(self, name: str, value: Value) -> None:
-        """Set "component.variable", from the present communication point on.
+        """Sets "component.variable", from the present communication point on.
 
         It is an external input, an input that the experiment gives a constant value, or a tunable parameter;
         the latter two are recorded if `record` names them. Raises SystemDefinitionError for another variable,
@@ -264,37 +264,37 @@ class StepByStep:
         self._started().variables.set(name, value)
 
     def reader(self, *names: str) -> Reader:
-        """A function that returns the present number of one variable, or a tuple of several: a quick `get`.
+        """Returns a quick `get`: a function that returns the present number of one variable, or a tuple.
 
         It serves this run alone. Booleans are 0.0 and 1.0, as in a recording.
         """
         return self._started().variables.reader(*names)
 
     def writer(self, *names: str) -> Writer:
-        """A function that sets one variable, or several in this order: a quick `set`, for this run alone."""
+        """Returns a function that sets one variable or several in order: a quick `set` for this run alone."""
         return self._started().variables.writer(*names)
 
     def save(self) -> SavedState:
-        """The whole system at the present communication point: every FMU, the connections, and the record.
+        """Returns the whole system at the present communication point: FMUs, connections and record.
 
         Raises OrchestrationError if an FMU cannot save its state.
         """
         return self._started().save()
 
     def restore(self, state: SavedState) -> None:
-        """Go back to a state that this run saved, also after a failure, or on to one on another way.
+        """Goes back to a state that this run saved, also after a failure, or on to one on another way.
 
         Raises OrchestrationError for a state of another run, and after an FMU returned fatal.
         """
         self._started().restore(state)
 
     def recording(self) -> Recording:
-        """The values recorded until now, those of the present communication point included."""
+        """Returns the values recorded until now, those of the present communication point included."""
         return self._started().recording_now()
 
 
 def replay(run: StepByStep, first: SteppedRun) -> Recording:
-    """Lead a run at twice the step of another one to its present point, with what was set there.
+    """Leads a run at twice the step of another one to its present point, with what was set there.
 
     Raises OrchestrationError where the first one is not two steps from its start.
     """
